@@ -161,7 +161,6 @@ def _on_a_terminal(rows: "Sequence[AuditRow]", screen: Screen) -> Iterator[print
 
 
 def _word(row: "AuditRow") -> str:
-    """Return the verdict on one invariant."""
     if is_empty(row):
         return "no case"
     if row.holds is None:

@@ -182,7 +182,6 @@ def _listed(elements: "Sequence[Element]") -> str:
 
 
 def _curve(found: Caused) -> Iterator[str]:
-    """Yield the curve: a line for each moment."""
     drawn = max(one.futures + one.undefined for one in found.chances)
     left_out = any(one.undefined for one in found.chances)
     without = "; those in which it has no value are left out" if left_out else ""
@@ -196,7 +195,6 @@ def _curve(found: Caused) -> Iterator[str]:
 
 
 def _closing(found: Caused) -> str:
-    """Return the line about the point of no return."""
     if found.closing_seq is None:
         return "some futures avoid it to the end"
     if found.last_open_s is None:

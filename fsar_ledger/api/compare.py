@@ -189,7 +189,6 @@ def _left_out(one: LeftOut) -> str:
 
 
 def _missing(both: tuple[Side, Side], found: Paired) -> list[str]:
-    """Return lines on what the numbers leave out."""
     lines = []
     for side, alone, which in zip(both, (found.first_alone, found.second_alone), ("first", "second"), strict=True):
         nameless = side.run_count - side.named_count

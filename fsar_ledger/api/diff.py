@@ -223,7 +223,6 @@ def _told(one: "Difference", first: "LedgerRun", second: "LedgerRun", lines: "di
 
 
 def _parameters(first: "Event", second: "Event") -> tuple[Parameter, ...]:
-    """Return the fields in which two events differ."""
     from fsar_ledger.events.envelope import flat
 
     firsts, seconds = flat(first), flat(second)
@@ -305,7 +304,6 @@ def _metrics(found: "OutcomesDiff", names: tuple[str, str], screen: Screen) -> S
 
 
 def _tasks(found: "OutcomesDiff", names: tuple[str, str], screen: Screen) -> Shown:
-    """Return the tasks that did not end alike."""
     rows = [
         {
             "task": one.task_id,

@@ -134,7 +134,6 @@ def _asked(
     svg: SvgOption = None,
     pdf: Annotated[Place | None, declare("--pdf", "FILE", "Also draw it, as PDF; replaced if it exists.")] = None,
 ) -> Answer:
-    """Tell one request, or list them."""
     if request is not None and failure is not None:
         raise UsageError(
             f"--request {request} and --failure {failure}: expected one of them; --request shows a failure, too"
@@ -246,7 +245,6 @@ def _account(about: "AboutRun", ledger: Path, request: str | None, failure: str 
 
 
 def _requests(database: "Database", run: str) -> "Table":
-    """Return the requests of a run, one row each."""
     from .table import Table
 
     return Table(database.query("audit/requests", {"run": run, "action": "all"}), _about(database, run))

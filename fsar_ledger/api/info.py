@@ -366,7 +366,6 @@ def _of_model(one: "Model", letter: str | None) -> dict[str, Any]:
 
 
 def _described(model: Mapping[str, Any]) -> str:
-    """Describe a model in words."""
     version = (
         "no model" if model["model_version"] is None else f"model version {printable.value(model['model_version'])}"
     )

@@ -64,7 +64,6 @@ def _asked(
     as_json: Annotated[bool, declare("--json", None, "A JSON object for each event, one a line.")] = False,
     pause: Annotated[Callable[[float], None] | None, Gives("pause")] = None,
 ) -> Timeline:
-    """Tell a run, or all runs as the ledger grows."""
     if follow and run not in (None, ALL):
         raise UsageError(
             f"--follow and --run {run}: a run is committed whole, so nothing more of it comes; expected one of them"

@@ -107,7 +107,6 @@ def run_of(database: "Database", asked: object, ledger: Path | None = None) -> s
 
 
 def _way(ledger: Path) -> str:
-    """Say how to list the runs of a ledger."""
     return f"`fsar-ledger query runs {printable.word(ledger)}` lists them"
 
 

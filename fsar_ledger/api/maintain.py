@@ -103,7 +103,6 @@ class Recovered(Answer, msgspec.Struct, frozen=True):
             yield "  the anchor contradicts it"
 
     def _next(self) -> Iterator[str]:
-        """Yield how to go on."""
         ledger, found, into = self.ledger, self.found, self.into
         if into is not None:
             yield (
@@ -254,7 +253,6 @@ def compact(ledger: "Ledger") -> "Compacted":
 
 
 def _done(steps: "Sequence[Step]") -> Iterator[str]:
-    """Yield the steps, by kind."""
     for did in dict.fromkeys(step.did for step in steps):
         chosen = [step for step in steps if step.did == did]
         yield did

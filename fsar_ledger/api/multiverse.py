@@ -10,7 +10,7 @@ from fsar_ledger import printable
 from fsar_ledger.metrics.multiverse import Cell, Multiverse, Ranking, ReadingNames
 from fsar_ledger.printable import Shown, counted
 
-from .answers import Answer, Drawable, Screen, drawn
+from .answers import Answer, Screen
 from .names import Names, Place, known, names_of, pools_seeds
 from .verbs import PoolOption, Shows, SvgOption, declare, verb
 from .workload import Progress
@@ -33,7 +33,7 @@ WHERE_ANY = ("undefined", "runs_not_observed")
 """Columns that it shows only where a value is not 0."""
 
 
-class MultiverseResult(Drawable, Multiverse, frozen=True, kw_only=True):
+class MultiverseResult(Answer, Multiverse, frozen=True, kw_only=True):
     """A `Multiverse` with its provenance."""
 
     provenance: "Provenance"
@@ -44,7 +44,7 @@ class MultiverseResult(Drawable, Multiverse, frozen=True, kw_only=True):
 
         return Table(of_structs(self.cells, Cell), self.provenance)
 
-    def draw(self, file: Place, kind: Any = None) -> None:  # noqa: ARG002 - there is one kind
+    def draw(self, file: Place) -> None:
         """Draw every cell under every combination of readings as SVG.
 
         Raises: WriteFailed if the file cannot be written.
@@ -73,14 +73,16 @@ class MultiverseResult(Drawable, Multiverse, frozen=True, kw_only=True):
 
 
 def _drawn(
-    ledger: "Ledger",
-    metric: Names,
-    pool: Any,
-    svg: SvgOption = None,
-    *,
-    progress: Progress | None,
-) -> Answer:
-    return drawn(lambda: multiverse(ledger, metric, pool, progress=progress), svg=svg)
+    ledger: "Ledger", metric: Names, pool: Any, svg: SvgOption = None, *, progress: Progress | None
+) -> MultiverseResult:
+    from fsar_ledger.ledger.store.paths import require_outside
+
+    if svg is not None:
+        require_outside(Path(svg), f"--svg {svg}")
+    found = multiverse(ledger, metric, pool, progress=progress)
+    if svg is not None:
+        found.draw(svg)
+    return found
 
 
 @verb(
@@ -146,7 +148,6 @@ def _columns(rows: "Sequence[Row]", columns: tuple[str, ...]) -> list[str]:
 
 
 def _named(row: Ranking) -> "Row":
-    """Return the ranking with combinations of readings as text."""
     changed, not_best = _texts(row.changed_under), _texts(row.fsar_not_best_under)
     return {**structs.asdict(row), "changed_under": changed, "fsar_not_best_under": not_best}
 

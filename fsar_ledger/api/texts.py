@@ -166,7 +166,6 @@ def _side_by_side(parts: Sequence[Texts], between: str, count: int) -> pa.Array:
 
 
 def _texts(column: pa.Array, encode: Encode, null: str) -> pa.Array:
-    """Return the texts of values of any type."""
     kind = column.type
     if pa.types.is_integer(kind) or pa.types.is_boolean(kind):
         return pc.cast(column, pa.string()).fill_null(null)
@@ -192,7 +191,6 @@ def _float_texts(column: pa.Array) -> pa.Array:
 
 
 def _float_fields(column: pa.Array) -> pa.Array:
-    """Return floats as Python writes them."""
     size = pc.abs(column)
     is_alike = pc.or_kleene(pc.equal(size, 0.0), pc.and_kleene(pc.greater_equal(size, _LEAST), pc.less(size, _MOST)))
     texts = _replaced(_float_texts(column), pc.invert(is_alike), column, repr)

@@ -82,7 +82,6 @@ class Verification(Answer, msgspec.Struct, frozen=True):
         yield printable.lines(*self._lines(), *witnessed)
 
     def _lines(self) -> list[str]:
-        """Return the findings as lines."""
         ledger, report, again = self.path, self.report, self.replay
         lines = _of_report(ledger, report)
         if again is None:

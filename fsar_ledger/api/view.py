@@ -72,7 +72,6 @@ def _asked(
         declare("--perfetto", "FILE", "A .json file of trace events for ui.perfetto.dev; replaced if it exists."),
     ] = None,
 ) -> Pictures:
-    """Write a page, a trace, or both."""
     if out is None and perfetto is None:
         raise UsageError("found neither --out nor --perfetto, expected a file to write; give --out FILE.html")
     if perfetto is not None and (second is not None or other is not None):

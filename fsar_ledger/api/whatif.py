@@ -135,7 +135,6 @@ def _asked(
     out: Place | None = None,
     progress: Progress | None = None,
 ) -> Answer:
-    """Fork runs, or list what changes can name."""
     if lists:
         if run is None:
             raise UsageError("--list: found no run, expected --run RUN")

@@ -124,7 +124,6 @@ def _asked(
         ),
     ] = None,
 ) -> Answer:
-    """Answer about an event, or list verdicts."""
     if (event is None) == (verdict is None):
         raise UsageError("why: expected an EVENT, as RUN:SEQ, or --run RUN and --verdict KIND")
     if verdict is not None and run is None:

@@ -185,7 +185,7 @@ class Served(Answer):
         self._state, self._logs, self._host, self._port, self._given = state, logs, host, port, given
 
     def text(self, _: Screen) -> Iterator[Shown]:
-        """Yield the public key and the URL, then serve."""
+        """Show the public key and the URL, then serve; nothing is left to yield."""
         from fsar_ledger.witness.cosignature import read_log_key
         from fsar_ledger.witness.server import Service, WitnessServer
         from fsar_ledger.witness.state import open_state
@@ -203,12 +203,13 @@ class Served(Answer):
             with WitnessServer(self._host, self._port, service, self._given["ticks"]) as server:
                 before = signal.signal(signal.SIGTERM, end)
                 try:
-                    yield printable.lines(str(state.cosigner.key), server.url)
+                    self._given["show"](printable.lines(str(state.cosigner.key), server.url))
                     server.serve_forever(poll_interval=0.1)
                 except KeyboardInterrupt:
                     tell("ended")
                 finally:
                     signal.signal(signal.SIGTERM, before)
+        yield from ()
 
 
 @verb(
@@ -228,13 +229,14 @@ def witness_serve(
     clock: Annotated["Callable[[], int]", Gives("clock")],
     ticks: Annotated["Callable[[], float]", Gives("ticks")],
     say: Annotated["Callable[[str], None]", Gives("say")],
+    show: Annotated["Callable[[Shown], None]", Gives("show")],
 ) -> Served:
     """Cosign checkpoints over HTTP until interrupted.
 
     Prints its public key and URL. Speaks C2SP tlog-witness: a checkpoint is cosigned if the log's key signed it and a
     proof shows that the log only grew since the last one. The witness needs no ledger and sees no event.
     """
-    return Served(Path(state), log, host, port, clock=clock, ticks=ticks, say=say)
+    return Served(Path(state), log, host, port, clock=clock, ticks=ticks, say=say, show=show)
 
 
 def _ask(

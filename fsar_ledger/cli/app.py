@@ -142,7 +142,6 @@ def _made(words: str, verbs: Sequence[Verb]) -> Any:
 
 
 def _left_by(arguments: Sequence[str]) -> str:
-    """Return what an interrupted call leaves."""
     called = f"{' '.join(arguments)} "
     return next(
         (one.after_interruption for one in VERBS.values() if called.startswith((f"{one.name} ", f"{one.old} "))),

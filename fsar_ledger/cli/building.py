@@ -135,7 +135,6 @@ def _callback(verb: Verb) -> Callable[..., None]:
 
 
 def _accepted(name: str, kind: Any, default: object, found: Option) -> inspect.Parameter:
-    """Return the parameter as typer knows it."""
     told: dict[str, Any] = {"metavar": found.metavar, "help": found.help, "min": found.least, "max": found.most}
     told |= {"envvar": found.environment}
     if found.default is not None or default in (None, inspect.Parameter.empty):

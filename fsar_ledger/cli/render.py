@@ -19,7 +19,7 @@ from fsar_ledger.printable import Shown
 from .progress import Progress
 from .streaming import Form, Kept, answer_json
 from .tables import fitted
-from .terminal import has_keys, pause, say, width_of_names
+from .terminal import has_keys, pause, say, show, width_of_names
 
 if TYPE_CHECKING:
     from fsar_ledger.api.ledger import Ledger
@@ -89,16 +89,15 @@ class Screen:
 
 
 def _gift(what: str, clock: Callable[[], int]) -> object:
-    """Return what `Gives` names."""
     if what == "now":
         return clock()
     if what == "walk":
         return _walk if has_keys() else None
-    return {"clock": clock, "ticks": time.monotonic, "pause": pause, "say": say, "showing": Progress}[what]
+    given = {"clock": clock, "ticks": time.monotonic, "pause": pause, "say": say, "show": show, "showing": Progress}
+    return given[what]
 
 
 def _walk(steps: "Steps", title: str) -> None:
-    """Let a user walk through a run by keys."""
     from .stepper import Stepper
 
     Stepper(steps, title).run()
@@ -188,7 +187,6 @@ def respond(
 
 
 def _pieces(answer: Any, form: Form, screen: Screen) -> Iterable[Shown]:
-    """Return the answer in this form, as text."""
     if isinstance(answer, Answer):
         if form.as_json:
             document = answer.document(screen)

@@ -259,7 +259,6 @@ def _padded(lines: Sequence[str], column: Column, width: int) -> str:
 
 
 def _listed(columns: Sequence[Column]) -> Shown:
-    """Return the only row as a list, a line for each column."""
     widest = max(_width(column.name) for column in columns)
     return printable.lines(
         *(f"{column.name}{' ' * (widest - _width(column.name))}  {column.cells[0]}" for column in columns)
@@ -298,7 +297,6 @@ def _width(text: str) -> int:
 
 
 def _cell_text(value: object) -> str:
-    """Return the value as a cell of a table."""
     if isinstance(value, str):
         return printable.cell(value)
     if value is None:

@@ -9,6 +9,7 @@ from typer.main import get_command
 
 from fsar_ledger.api.verbs import VERBS
 from fsar_ledger.cli.app import app
+from tests.studies.conftest import study
 
 from .conftest import Call, one_message
 
@@ -30,9 +31,10 @@ def test_a_packaged_result_is_shown_and_rests_on_what_there_is(call: Call, name:
     assert called.out.endswith("\nnothing that it rests on has changed since\n")
 
 
-def test_effects_are_shown_as_when_they_were_found(call: Call, tmp_path: Path) -> None:
+def test_effects_are_shown_as_when_they_were_found(call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("fsar_ledger.studies.sensitivity.sensitivity", lambda out, **_: study(Path(out)))
     file = tmp_path / "effects.parquet"
-    ran = call("study", "run", "sensitivity", "--out", file, "--trajectories", 2, "--runs", 1, "--points", 0)
+    ran = call("study", "run", "sensitivity", "--out", file)
     assert (ran.code, ran.err) == (0, "")
     assert call("study", "show", "sensitivity", file).out == ran.out.replace(
         f"{file}\n", "nothing that it rests on has changed since\n"
