@@ -26,7 +26,7 @@ from fsar_ledger.ledger.log import pack
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows import canonical, codec
 from fsar_ledger.ledger.rows.segment import read_table
-from fsar_ledger.ledger.verify.report import Asked
+from fsar_ledger.ledger.verify.report import VerifyOptions
 from fsar_ledger.ledger.verify.verify import verify
 from fsar_ledger.runtime.experiment import run_experiment
 
@@ -133,7 +133,7 @@ def main() -> int:
             ("verify, 1 process", lambda: verify(ledger), "hashlib + read", lambda: hash_and_read(view, rows), 2.5),
             (
                 "verify --quick",
-                lambda: verify(ledger, 1, None, Asked(is_quick=True)),
+                lambda: verify(ledger, 1, None, VerifyOptions(is_quick=True)),
                 "hashlib",
                 lambda: hash_files(ledger),
                 1.5,

@@ -14,7 +14,7 @@ from collections.abc import Collection, Iterable, Sequence
 from pathlib import PurePath
 from typing import NewType
 
-Shown = NewType("Shown", str)
+SafeText = NewType("SafeText", str)
 """Complete lines without anything that a terminal would obey."""
 
 MAX_VALUE = 200
@@ -105,29 +105,29 @@ def _without_formula(text: str) -> str:
     return "'" + text if _FORMULA.match(text) else text
 
 
-def line(text: str, most: int = MAX_LINE) -> Shown:
+def line(text: str, most: int = MAX_LINE) -> SafeText:
     """Return one line for people, cut after `most` characters; line feeds in it are escaped."""
     cut = text if len(text) <= most else f"{text[:most]}... ({len(text) - most:,} more)"
-    return Shown(escaped(cut) + "\n")
+    return SafeText(escaped(cut) + "\n")
 
 
-def lines(*texts: str) -> Shown:
+def lines(*texts: str) -> SafeText:
     """Return each text as `line` makes it, one after the other."""
-    return Shown("".join(map(line, texts)))
+    return SafeText("".join(map(line, texts)))
 
 
-def joined(*parts: Shown) -> Shown:
+def joined(*parts: SafeText) -> SafeText:
     """Concatenate the parts."""
-    return Shown("".join(parts))
+    return SafeText("".join(parts))
 
 
-def ascii_json(text: str) -> Shown:
+def ascii_json(text: str) -> SafeText:
     """Return the JSON text in ASCII, with the same meaning: other characters are within strings and become `\\u`."""
-    return Shown(text if text.isascii() and "\x7f" not in text else _NOT_ASCII.sub(_in_json, text))
+    return SafeText(text if text.isascii() and "\x7f" not in text else _NOT_ASCII.sub(_in_json, text))
 
 
 def sanitized(text: str) -> str:
-    """Escape everything unsafe in these lines; lines that are all `Shown` stay as they are."""
+    """Escape everything unsafe in these lines; lines that are all `SafeText` stay as they are."""
     if text.isascii() and not text.encode().translate(None, _SEEN):  # as `is_shown`, and quick for megabytes
         return text
     return text if is_shown(text.replace("\n", "")) else "\n".join(map(escaped, text.split("\n")))

@@ -8,7 +8,7 @@ from fsar_ledger import printable
 from fsar_ledger.errors import FsarLedgerError, option
 
 if TYPE_CHECKING:
-    from fsar_ledger.printable import Shown
+    from fsar_ledger.printable import SafeText
 
     from .fields import Row
     from .names import Place
@@ -34,7 +34,7 @@ class Screen(Protocol):
     def is_fitted(self) -> bool:
         """Whether tables are fitted to a terminal."""
 
-    def table(self, rows: "Sequence[Row]", columns: Sequence[str] | None = None) -> "Shown":
+    def table(self, rows: "Sequence[Row]", columns: Sequence[str] | None = None) -> "SafeText":
         """Return the rows as a table; None: with the columns of the first."""
 
     def numbers(self) -> Mapping[str, int]:
@@ -73,7 +73,7 @@ class Answer:
         """Return what JSON says beside the provenance: all other fields, in their order."""
         return {name: getattr(self, name) for name in self.__struct_fields__ if name not in _STANDING}
 
-    def text(self, screen: Screen) -> "Iterator[Shown]":
+    def text(self, screen: Screen) -> "Iterator[SafeText]":
         """Yield the answer as people read it."""
         raise NotImplementedError
 
@@ -113,7 +113,7 @@ class Drawn(Answer):
         """Return what JSON says of the answer."""
         return self.answer.document(screen)
 
-    def text(self, screen: Screen) -> "Iterator[Shown]":
+    def text(self, screen: Screen) -> "Iterator[SafeText]":
         """Yield the answer, and the names of the files."""
         yield from self.answer.text(screen)
         yield printable.lines(*map(str, self.files))
@@ -145,7 +145,7 @@ class Lines(Answer):
         """Return what JSON says."""
         return self._document
 
-    def text(self, _: Screen) -> "Iterator[Shown]":
+    def text(self, _: Screen) -> "Iterator[SafeText]":
         """Yield the lines."""
         yield printable.lines(*self._lines)
 
@@ -183,7 +183,7 @@ class Listing(Answer):
         """Return the rows."""
         return {"run": self._run, **self._document, self._name: self._found.rows()}
 
-    def text(self, screen: Screen) -> "Iterator[Shown]":
+    def text(self, screen: Screen) -> "Iterator[SafeText]":
         """Yield the rows, and the hint."""
         rows = self._found.rows()
         if not rows:
@@ -202,9 +202,9 @@ class Plain(Answer):
     def __init__(self, text: str) -> None:
         self._text = text
 
-    def text(self, _: Screen) -> "Iterator[Shown]":
+    def text(self, _: Screen) -> "Iterator[SafeText]":
         """Yield the text."""
-        yield printable.Shown(self._text)
+        yield printable.SafeText(self._text)
 
 
 def head_json(head: "HeadLike") -> dict[str, object]:

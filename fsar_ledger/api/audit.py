@@ -59,7 +59,7 @@ class Audit(Answer, msgspec.Struct, frozen=True):
             "rows": self.rows,
         }
 
-    def text(self, screen: Screen) -> Iterator[printable.Shown]:
+    def text(self, screen: Screen) -> Iterator[printable.SafeText]:
         """Yield the verdicts, how many invariants hold, and what next."""
         from .plans import runs
 
@@ -142,7 +142,7 @@ def _shown(row: "AuditRow") -> "Row":
     }
 
 
-def _on_a_terminal(rows: "Sequence[AuditRow]", screen: Screen) -> Iterator[printable.Shown]:
+def _on_a_terminal(rows: "Sequence[AuditRow]", screen: Screen) -> Iterator[printable.SafeText]:
     """Yield the verdicts as a table, and under it what the first offending events are, as `prove` names them."""
     numbers = screen.numbers()
     verdicts, first = [], []

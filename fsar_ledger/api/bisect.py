@@ -9,7 +9,7 @@ import msgspec
 
 from fsar_ledger import printable
 from fsar_ledger.errors import QueryFailed, UsageError, option
-from fsar_ledger.printable import Shown, counted
+from fsar_ledger.printable import SafeText, counted
 
 from .answers import Answer, Screen
 from .diff import Diff, story
@@ -61,7 +61,7 @@ class Bisected(Answer, msgspec.Struct, frozen=True, kw_only=True):
         """Return the counts, and the differences of the first pair that disagrees."""
         return {**Answer.document(self, screen), "diff": None if self.diff is None else self.diff.document(screen)}
 
-    def text(self, screen: Screen) -> Iterator[Shown]:
+    def text(self, screen: Screen) -> Iterator[SafeText]:
         """Yield the counts, and how the first pair that disagrees parts."""
         head = [
             f"outcome: {self.outcome}",

@@ -7,7 +7,7 @@ import msgspec
 
 from fsar_ledger import printable
 from fsar_ledger.errors import UsageError, option
-from fsar_ledger.printable import Shown, counted
+from fsar_ledger.printable import SafeText, counted
 
 from .answers import Answer, Screen
 from .verbs import OneRunOption, Shows, declare, verb
@@ -66,7 +66,7 @@ class Caused(Answer, msgspec.Struct, frozen=True, kw_only=True):
 
         return Table(of_structs(self.chances, Chance), self.provenance)
 
-    def text(self, screen: Screen) -> Iterator[Shown]:
+    def text(self, screen: Screen) -> Iterator[SafeText]:
         """Yield the cause, what else is necessary, and the curve."""
         head = [screen.run_text(self.run), f"outcome: {self.outcome}"]
         tail = []

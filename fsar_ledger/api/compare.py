@@ -78,7 +78,7 @@ class Comparison(Answer, Paired, frozen=True, kw_only=True):
         """Return what is compared, what the numbers leave out, and how to read them."""
         return [*_pairing(self.sides, self), *_missing(self.sides, self), *_how_to_read(self)]
 
-    def text(self, screen: Screen) -> Iterator[printable.Shown]:
+    def text(self, screen: Screen) -> Iterator[printable.SafeText]:
         """Yield what is compared, the rows, and how to read them."""
         below = [*_missing(self.sides, self), *_how_to_read(self)]
         yield printable.lines(*_pairing(self.sides, self))

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import msgspec
 
 from fsar_ledger import printable
-from fsar_ledger.printable import Shown, counted
+from fsar_ledger.printable import SafeText, counted
 
 from .answers import Answer, Screen
 from .names import Place, Run
@@ -37,7 +37,7 @@ class Parameter(msgspec.Struct, frozen=True):
     second: str | None
 
 
-class Told(msgspec.Struct, frozen=True):
+class DifferenceLine(msgspec.Struct, frozen=True):
     """A difference in words. `shift_s`: how much later the event is in the second run. Units: seconds of run time.
 
     None: the event is not in that run, or has no words there.
@@ -80,7 +80,7 @@ class Diff(Answer, msgspec.Struct, frozen=True, kw_only=True):
     parameters: tuple[Parameter, ...]
     same: int
     counts: dict[str, int]
-    differences: tuple[Told, ...]
+    differences: tuple[DifferenceLine, ...]
     parting: Parting | None
     consequences: "OutcomesDiff | None"
     provenances: tuple["Provenance", ...]
@@ -94,9 +94,9 @@ class Diff(Answer, msgspec.Struct, frozen=True, kw_only=True):
         """Return a row for each difference, in order of time."""
         from .table import Table, of_structs
 
-        return Table(of_structs(self.differences, Told), self.provenances[0])
+        return Table(of_structs(self.differences, DifferenceLine), self.provenances[0])
 
-    def text(self, screen: Screen) -> Iterator[Shown]:
+    def text(self, screen: Screen) -> Iterator[SafeText]:
         """Yield what the runs are, and how they part."""
         head = [f"first: {printable.value(self.first)}", f"second: {printable.value(self.second)}"]
         head += [
@@ -156,7 +156,7 @@ def difference_of(first: "LedgerRun", second: "LedgerRun", provenances: "tuple[P
     differing = [one for one in found.differences if (one.first_seq, one.second_seq) != (0, 0)]
     kinds = Counter(one.kind for one in differing)
     named = [msgspec.structs.replace(run, run_id=name) for name, run in ((FIRST, first), (SECOND, second))]
-    told: tuple[Told, ...] = ()
+    told: tuple[DifferenceLine, ...] = ()
     parting = after = None
     if differing:
         starts = _starts(differing)
@@ -201,7 +201,9 @@ def _changed(
     return _parameters(first.events[one], second.events[other])
 
 
-def _told(one: "Difference", first: "LedgerRun", second: "LedgerRun", lines: "dict[tuple[str, int], Line]") -> Told:
+def _told(
+    one: "Difference", first: "LedgerRun", second: "LedgerRun", lines: "dict[tuple[str, int], Line]"
+) -> DifferenceLine:
     from fsar_ledger.analysis.difference import FIRST, SECOND
 
     words = [
@@ -209,7 +211,7 @@ def _told(one: "Difference", first: "LedgerRun", second: "LedgerRun", lines: "di
         for place in ((FIRST, one.first_seq), (SECOND, one.second_seq))
         if place[1] is not None and place in lines
     ]
-    return Told(
+    return DifferenceLine(
         one.kind,
         one.first_seq,
         one.second_seq,
@@ -239,7 +241,7 @@ def _text(value: object) -> str | None:
     return None if value is None else str(value)
 
 
-def story(found: Diff, names: tuple[str, str], screen: Screen) -> Iterator[Shown]:
+def story(found: Diff, names: tuple[str, str], screen: Screen) -> Iterator[SafeText]:
     """Yield how two runs part and what they came to; `names` are the columns of the two."""
     if found.parting is None or found.consequences is None:
         yield printable.lines("no event differs")
@@ -290,7 +292,7 @@ def _shortened(lines: "Sequence[Line]") -> "list[Line | None]":
     return [*lines[: CHAIN - 1], None, lines[-1]]
 
 
-def _metrics(found: "OutcomesDiff", names: tuple[str, str], screen: Screen) -> Shown:
+def _metrics(found: "OutcomesDiff", names: tuple[str, str], screen: Screen) -> SafeText:
     rows = [
         {
             "metric": one.metric,
@@ -303,7 +305,7 @@ def _metrics(found: "OutcomesDiff", names: tuple[str, str], screen: Screen) -> S
     return screen.table(rows)
 
 
-def _tasks(found: "OutcomesDiff", names: tuple[str, str], screen: Screen) -> Shown:
+def _tasks(found: "OutcomesDiff", names: tuple[str, str], screen: Screen) -> SafeText:
     rows = [
         {
             "task": one.task_id,
@@ -321,7 +323,7 @@ def _tasks(found: "OutcomesDiff", names: tuple[str, str], screen: Screen) -> Sho
     return printable.joined(printable.lines(""), screen.table(rows))
 
 
-def _verdicts(found: "OutcomesDiff", names: tuple[str, str]) -> Shown:
+def _verdicts(found: "OutcomesDiff", names: tuple[str, str]) -> SafeText:
     told = {"first": names[0], "second": names[1]}
     lines = [
         f"only {told[one.run]}: {one.verdict} at {one.time_s:.3f} s, {printable.value(one.what)}"

@@ -112,7 +112,7 @@ class Account(Drawable, msgspec.Struct, frozen=True):
         told = {"parties": self.parties, "timeline": self.timeline, "recovery": self.recovery}
         return {"run": self.run, "action": self.action, **told}
 
-    def text(self, screen: Screen) -> Iterator[printable.Shown]:
+    def text(self, screen: Screen) -> Iterator[printable.SafeText]:
         """Yield the timeline, the parties, the recovery, and how to prove what decided."""
         steps, parties = shown([] if self.is_failure else self.timeline), shown([self.parties])[0]
         lines = account_lines(screen, (self.run, self.action), steps, parties, shown(self.recovery))

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from .provenance import Provenance
 
 
-class Written(Answer, msgspec.Struct, frozen=True):
+class ExportResult(Answer, msgspec.Struct, frozen=True):
     """The number of rows (or tiles) that were written to a file, and their provenance."""
 
     row_count: int
@@ -27,7 +27,7 @@ class Written(Answer, msgspec.Struct, frozen=True):
     file: Path
     what: str = "rows"
 
-    def text(self, _: Screen) -> Iterator[printable.Shown]:
+    def text(self, _: Screen) -> Iterator[printable.SafeText]:
         """Yield what was written."""
         yield printable.line(f"{self.file}: {self.row_count:,} {self.what}")
 
@@ -59,7 +59,7 @@ def export(
         bool, declare("--tiles", None, "Write the hashes of the tree and the checkpoint instead, as C2SP tlog-tiles.")
     ] = False,
     progress: Annotated[Progress | None, Shows("exported", "commits")] = None,
-) -> Written:
+) -> ExportResult:
     """Write events, or the answer of a query, to a file.
 
     The name of the file decides the format: CSV, Parquet, or JSON with one row a line. In CSV, lists are JSON text, and
@@ -78,11 +78,11 @@ def export(
         from .tiles import write_tiles
 
         written = write_tiles(ledger.path, file, demanded=ledger.demanded, progress=progress)
-        return Written(*written, file, "tiles")
+        return ExportResult(*written, file, "tiles")
     require_place(file)
     if query is not None:
         found = ledger.query(query, **(parameters or {}))
-        return Written(write_table(file, found.stored, raw=raw), found.provenance, file)
+        return ExportResult(write_table(file, found.stored, raw=raw), found.provenance, file)
     if parameters:
         raise UsageError(f"export: found parameter {next(iter(parameters))} and no query, expected both or neither")
-    return Written(*write_events(ledger.path, file, raw=raw, demanded=ledger.demanded, progress=progress), file)
+    return ExportResult(*write_events(ledger.path, file, raw=raw, demanded=ledger.demanded, progress=progress), file)

@@ -9,12 +9,12 @@ import msgspec
 
 from fsar_ledger import printable
 from fsar_ledger.errors import QueryFailed
-from fsar_ledger.printable import Shown
+from fsar_ledger.printable import SafeText
 
 Row = Mapping[str, object]
 
 
-def csv_text(rows: Sequence[Row], columns: Sequence[str], *, raw: bool = False) -> Shown:
+def csv_text(rows: Sequence[Row], columns: Sequence[str], *, raw: bool = False) -> SafeText:
     """Return the rows as comma-separated values under one line of column names.
 
     Text is harmless for terminals and spreadsheets unless `raw`.
@@ -26,7 +26,7 @@ def csv_text(rows: Sequence[Row], columns: Sequence[str], *, raw: bool = False) 
         fields = [field_text(value, raw=raw) for value in values]
         # A bare CR ends a row for some readers.
         (quoting if any("\r" in field for field in fields) else writer).writerow(fields)
-    return Shown(text.getvalue())
+    return SafeText(text.getvalue())
 
 
 @contextmanager
@@ -77,6 +77,6 @@ def field_text(value: object, *, raw: bool) -> str:
     return repr(value) if isinstance(value, float) else str(value)
 
 
-def json_rows(rows: Sequence[Row]) -> Shown:
+def json_rows(rows: Sequence[Row]) -> SafeText:
     """Return a JSON object for each row, one a line, in ASCII."""
     return printable.ascii_json("".join(f"{json_bytes(row).decode()}\n" for row in rows))

@@ -171,7 +171,7 @@ class Contents(Answer, msgspec.Struct, frozen=True):
             "not_observed": self.not_observed,
         }
 
-    def text(self, screen: Screen) -> Iterator[printable.Shown]:
+    def text(self, screen: Screen) -> Iterator[printable.SafeText]:
         """Yield what is there without the parameters, which are too many."""
         head = self.provenance.head
         assert head is not None
@@ -310,7 +310,7 @@ def info(ledger: "Ledger") -> Contents:
     from fsar_ledger.metrics.plans import completeness
     from fsar_ledger.metrics.results import lettered, models
 
-    from .plans import Shown, plans
+    from .plans import PlanRow, plans
     from .provenance import Provenance
 
     with ledger.database() as database:
@@ -320,7 +320,7 @@ def info(ledger: "Ledger") -> Contents:
             {"constants": letters.get(_key(row)), **row, "numbers": ranges(row["numbers"])}
             for row in database.rows(GROUPS)
         ]
-        planned = plans(database, Shown(ledger.path, open_ledger(ledger.path)))
+        planned = plans(database, PlanRow(ledger.path, open_ledger(ledger.path)))
         named = [_of_model(one, letter) for one, letter in found]
         missing = completeness(database).missing
         provenance = Provenance(database.head, database.rows_verified)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from fsar_ledger import printable
 from fsar_ledger.errors import UsageError
-from fsar_ledger.printable import Shown
+from fsar_ledger.printable import SafeText
 
 from .answers import Answer, Screen
 from .names import Names, Run, Time
@@ -39,7 +39,7 @@ class Timeline(Answer):
         self._as_json, self._ends = as_json, ends
         self.provenances: tuple[Provenance, ...] = () if first is None else (first.provenance,)
 
-    def text(self, screen: Screen) -> Iterator[Shown]:
+    def text(self, screen: Screen) -> Iterator[SafeText]:
         """Yield the lines, or a JSON object for each."""
         from .fields import json_rows
 
@@ -164,7 +164,7 @@ class Lines:
         self._screen = screen
         self._widths = (0, 0)
 
-    def text(self, rows: Sequence[dict[str, Any]]) -> Shown:
+    def text(self, rows: Sequence[dict[str, Any]]) -> SafeText:
         """Return the rows as lines, under the name of their run."""
         shown = [_shown(row) for row in rows]
         before = self._widths

@@ -37,7 +37,7 @@ Pause = Callable[[], None]
 """Waits a moment; what it raises ends the waiting."""
 
 
-class Asked(NamedTuple):
+class LogRequest(NamedTuple):
     """Which lines to tell: of the events that the filter takes, those of these concerns (empty: of all)."""
 
     meant: Filter
@@ -54,7 +54,7 @@ def asked_of(
     about: str | Sequence[str] | None,
     *,
     is_growing: bool = False,
-) -> Asked:
+) -> LogRequest:
     """Return what a person asks for, with full names; the run is `all` for every one.
 
     Raises:
@@ -68,7 +68,7 @@ def asked_of(
         with resting_on_rows(database.rows_verified):
             _require_in_run(database, name, since, since_us)
     full = None if robot is None else robot_of(database, robot, name)
-    return Asked(Filter(name, since_us, until_us, full), concerns)
+    return LogRequest(Filter(name, since_us, until_us, full), concerns)
 
 
 def concerns_of(about: str | Sequence[str] | None) -> tuple[str, ...]:
@@ -77,19 +77,21 @@ def concerns_of(about: str | Sequence[str] | None) -> tuple[str, ...]:
     return known("concern", [_PLURALS.get(word, word) for word in words], CONCERNS)
 
 
-def timeline(database: Database, asked: Asked) -> Table:
+def timeline(database: Database, asked: LogRequest) -> Table:
     """Return the lines asked for, by run and seq, with their provenance. Raises: As `Database.table`."""
     return Table(_lines(database, asked), about_of(database, asked))
 
 
-def about_of(database: Database, asked: Asked) -> Provenance:
+def about_of(database: Database, asked: LogRequest) -> Provenance:
     """Return the provenance of these lines; of what is not observed only what is asked about."""
     found = of_rows(database, database.library.find(_QUERY), asked.meant.run)
     missing = tuple(one for one in found.not_observed if not asked.about or one.concern in asked.about)
     return Provenance(found.head, found.rows_verified, None, missing)
 
 
-def stream(ledger: Path, asked: Asked, about: Provenance, demanded: str | None, pause: Pause | None) -> Iterator[Table]:
+def stream(
+    ledger: Path, asked: LogRequest, about: Provenance, demanded: str | None, pause: Pause | None
+) -> Iterator[Table]:
     """Yield the lines of all runs, some at a time; with `pause`, go on with later commits as they come.
 
     Args:
@@ -109,7 +111,7 @@ def stream(ledger: Path, asked: Asked, about: Provenance, demanded: str | None, 
                 yield Table(_lines_in(view, group, asked, first), provenance)
 
 
-def _lines(database: Database, asked: Asked, *conditions_too: str) -> pa.Table:
+def _lines(database: Database, asked: LogRequest, *conditions_too: str) -> pa.Table:
     """Return the lines asked for of all runs here, in the order of the ledger."""
     meant, values = asked.meant.sql()
     bound: dict[str, Value] = dict(values)
@@ -124,7 +126,7 @@ def _lines(database: Database, asked: Asked, *conditions_too: str) -> pa.Table:
     return database.table(f"SELECT * FROM log_lines {where} ORDER BY list_position($runs, run_id), seq", bound)
 
 
-def _lines_in(view: View, group: Sequence[int], asked: Asked, first: int) -> pa.Table:
+def _lines_in(view: View, group: Sequence[int], asked: LogRequest, first: int) -> pa.Table:
     """Return the lines of the events in these segments from this index on."""
     segments, releases = [view.segment(number) for number in group], view.releases
     with Database(view.head, segments) as database:

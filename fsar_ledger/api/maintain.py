@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import msgspec
 
 from fsar_ledger import printable
-from fsar_ledger.printable import Shown, counted
+from fsar_ledger.printable import SafeText, counted
 
 from .answers import Answer, Lines, Screen, head_json
 from .key import anchor_of, signature_text, trusted_of
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from fsar_ledger.ledger.compacting import Compacted
     from fsar_ledger.ledger.store.view import Head
     from fsar_ledger.ledger.verify.recover import Recovery, Step
-    from fsar_ledger.ledger.verify.report import Asked
+    from fsar_ledger.ledger.verify.report import VerifyOptions
     from fsar_ledger.ledger.verify.trusted import Later
 
     from .ledger import Ledger
@@ -35,7 +35,7 @@ class Recovered(Answer, msgspec.Struct, frozen=True):
 
     ledger: Path
     found: "Recovery"
-    asked: "Asked"
+    asked: "VerifyOptions"
     into: Path | None
 
     @property
@@ -49,7 +49,7 @@ class Recovered(Answer, msgspec.Struct, frozen=True):
         answer = msgspec.to_builtins(self.found)
         return {"head": answer["head"], **answer, "ledger": str(self.ledger), "into": into}
 
-    def text(self, _: Screen) -> Iterator[Shown]:
+    def text(self, _: Screen) -> Iterator[SafeText]:
         """Yield what was found, what was done, what can be trusted and what to do next."""
         ledger, found, into = self.ledger, self.found, self.into
         if found.report is not None and not found.problems:
@@ -126,9 +126,9 @@ class Recovered(Answer, msgspec.Struct, frozen=True):
 def _recovered(
     ledger: "Ledger", into: Path | None, *, anchor: Path | None, trusted_key: str | None, **given: int | None
 ) -> Recovered:
-    from fsar_ledger.ledger.verify.report import Asked
+    from fsar_ledger.ledger.verify.report import VerifyOptions
 
-    asked = Asked(trusted=trusted_of(trusted_key), anchor=anchor_of(anchor))
+    asked = VerifyOptions(trusted=trusted_of(trusted_key), anchor=anchor_of(anchor))
     found = recover(ledger, into, anchor=anchor, trusted_key=trusted_key, **given)  # type: ignore[arg-type]
     return Recovered(ledger.path, found, asked, into)
 
@@ -168,9 +168,9 @@ def recover(
         WriteFailed: Another writer is at work, or a write failed.
     """
     from fsar_ledger.ledger.verify.recover import recover
-    from fsar_ledger.ledger.verify.report import Asked
+    from fsar_ledger.ledger.verify.report import VerifyOptions
 
-    asked = Asked(trusted=trusted_of(trusted_key), anchor=anchor_of(anchor))
+    asked = VerifyOptions(trusted=trusted_of(trusted_key), anchor=anchor_of(anchor))
     return recover(ledger.path, readers_of(workers, ledger.path), progress, asked, None if into is None else Path(into))
 
 

@@ -8,7 +8,7 @@ from msgspec import structs
 
 from fsar_ledger import printable
 from fsar_ledger.metrics.multiverse import Cell, Multiverse, Ranking, ReadingNames
-from fsar_ledger.printable import Shown, counted
+from fsar_ledger.printable import SafeText, counted
 
 from .answers import Answer, Screen
 from .names import Names, Place, known, names_of, pools_seeds
@@ -54,7 +54,7 @@ class MultiverseResult(Answer, Multiverse, frozen=True, kw_only=True):
 
         publish(Path(file), all_readings.curves(self))
 
-    def text(self, screen: Screen) -> Iterator[Shown]:
+    def text(self, screen: Screen) -> Iterator[SafeText]:
         """Yield the ranges, the rankings and the readings as tables."""
         from .fields import plain
 

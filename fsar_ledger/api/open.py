@@ -35,7 +35,7 @@ class Opened(Answer, msgspec.Struct, frozen=True):
     not_included: tuple[str, ...]
     provenance: "Provenance"
 
-    def text(self, _: Screen) -> Iterator[printable.Shown]:
+    def text(self, _: Screen) -> Iterator[printable.SafeText]:
         """Yield what the file holds."""
         events = self.provenance.head.size if self.provenance.head else 0
         yield printable.lines(

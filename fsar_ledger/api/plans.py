@@ -23,14 +23,14 @@ MAX_COUNTS = 32
 PARAMETERS = "SELECT run_id, parameters FROM experiment_planned"
 
 
-class Shown(NamedTuple):
+class PlanRow(NamedTuple):
     """A ledger, by the path that the user gave, and its content."""
 
     path: Path
     view: View
 
 
-def plans(database: "Database", ledger: Shown) -> list[dict[str, Any]]:
+def plans(database: "Database", ledger: PlanRow) -> list[dict[str, Any]]:
     """Return every plan, the largest first, with the command that continues it.
 
     The command is None where no run is missing, or where this version cannot make the missing runs.
@@ -49,7 +49,7 @@ def plans(database: "Database", ledger: Shown) -> list[dict[str, Any]]:
     return [{**row, "continues_with": call(row) if row["missing_count"] else None} for row in rows]
 
 
-def reproducing(counts: Iterable[int], ledger: Shown) -> dict[str, str]:
+def reproducing(counts: Iterable[int], ledger: PlanRow) -> dict[str, str]:
     """Return, by plan, the call of `reproduce` that continues a ledger that it made besides the results.
 
     `simulate` cannot continue such a ledger, because no key signs under its name. `counts` are the numbers of runs in
@@ -94,7 +94,7 @@ def _some(names: list[str], what: str) -> str:
     return ", ".join(map(printable.value, names)) if len(names) < printable.NAMED else f"{len(names):,} {what}"
 
 
-def continues_with(plan: Mapping[str, Any], parameters: str, ledger: Shown) -> str | None:
+def continues_with(plan: Mapping[str, Any], parameters: str, ledger: PlanRow) -> str | None:
     """Return the call of `simulate` that makes the missing runs; None if no call of this version has this plan.
 
     None has it where the model, the constants or the names differ.

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from fsar_ledger import printable
 from fsar_ledger.errors import QueryFailed, UsageError
-from fsar_ledger.printable import Shown
+from fsar_ledger.printable import SafeText
 
 from .answers import Answer, Plain, Screen
 from .names import Place
@@ -43,7 +43,7 @@ class Queries(Answer):
 
         return Table(pa.Table.from_pylist(list(map(_row, self._found))))
 
-    def text(self, screen: Screen) -> Iterator[Shown]:
+    def text(self, screen: Screen) -> Iterator[SafeText]:
         """Yield a table for each group, and how to read on."""
         from fsar_ledger.metrics.groups import GROUPS, group_of, is_event_view
         from fsar_ledger.metrics.library import library

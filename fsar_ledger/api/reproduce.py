@@ -8,7 +8,7 @@ import msgspec
 
 from fsar_ledger import printable
 from fsar_ledger.errors import option
-from fsar_ledger.printable import Shown, counted
+from fsar_ledger.printable import SafeText, counted
 
 from .answers import Answer, Screen
 from .names import Names, Place, known, names_of
@@ -47,7 +47,7 @@ class Reproduced(Answer, msgspec.Struct, frozen=True):
 
         return {name: Ledger(self.folder / name) for name in self.made}
 
-    def text(self, screen: Screen) -> Iterator[Shown]:
+    def text(self, screen: Screen) -> Iterator[SafeText]:
         """Yield the metrics of the results, and where the report is."""
         results = self.made["results"]
         took = f"{results.head.size:,} events, root {results.head.root}, {screen.elapsed_s:.0f} s"

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from fsar_ledger import printable
-from fsar_ledger.printable import Shown, counted
+from fsar_ledger.printable import SafeText, counted
 
 from .answers import Answer, Screen, head_json
 from .names import Names, Place, names_of
@@ -42,7 +42,7 @@ class Simulated(Answer):
         head, counts = self.made.head, {f"runs_{name}": getattr(self.made, name) for name in ("asked", "made", "held")}
         return {"head": head_json(head), "ledger": str(self.ledger.path), "commits": head.commits, **counts}
 
-    def text(self, _: Screen) -> Iterator[Shown]:
+    def text(self, _: Screen) -> Iterator[SafeText]:
         """Yield the head of the ledger, what was there before, and its signature."""
         head, place = self.made.head, self.ledger.path
         yield printable.lines(

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
     from fsar_ledger.metrics.sandbox import Limits
-    from fsar_ledger.printable import Shown
+    from fsar_ledger.printable import SafeText
 
     from .ledger import Ledger
     from .provenance import Provenance
@@ -35,7 +35,7 @@ class Rows:
         """Return the columns that people are shown."""
         return self.columns
 
-    def below(self, _: Screen) -> "Iterator[Shown]":
+    def below(self, _: Screen) -> "Iterator[SafeText]":
         """Yield the lines below the rows, for people."""
         yield from ()
 

@@ -48,7 +48,7 @@ class Moment(Answer, msgspec.Struct, frozen=True, kw_only=True):
         """Return all but the projections."""
         return {name: value for name, value in Answer.document(self, screen).items() if name != "state"}
 
-    def text(self, screen: Screen) -> Iterator[printable.Shown]:
+    def text(self, screen: Screen) -> Iterator[printable.SafeText]:
         """Yield how things stood, and what was believed."""
         yield printable.lines(
             screen.run_text(self.run),

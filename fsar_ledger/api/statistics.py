@@ -85,7 +85,7 @@ class Statistics(Answer, msgspec.Struct, frozen=True):
         """Return what the rows leave out."""
         return [*self.before, *self.after]
 
-    def text(self, screen: Screen) -> Iterator[printable.Shown]:
+    def text(self, screen: Screen) -> Iterator[printable.SafeText]:
         """Yield the rows, with what they leave out above and below."""
         from .table import telling, unit_of_interventions
 

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from fsar_ledger import printable
 from fsar_ledger.errors import UsageError
-from fsar_ledger.printable import Shown
+from fsar_ledger.printable import SafeText
 
 from .answers import Answer, Screen
 from .names import Time
@@ -16,14 +16,14 @@ if TYPE_CHECKING:
     from .walks import Steps
 
 
-class Played(Answer):
+class Walk(Answer):
     """A walk, and the script that is played on it; without one the user walks by keys."""
 
     def __init__(self, steps: "Steps", script: str | None, walk: "Callable[[Steps, str], None] | None") -> None:
         self._steps, self._script, self._walk = steps, script, walk
         self.provenance = steps.provenance
 
-    def text(self, screen: Screen) -> Iterator[Shown]:
+    def text(self, screen: Screen) -> Iterator[SafeText]:
         """Yield where each move of the script lands."""
         from .state import standing_lines
 
@@ -52,10 +52,10 @@ def _asked(
     at: Time = None,
     script: Annotated[str | None, declare("--script", "MOVES", "Moves with ; between them, instead of keys.")] = None,
     walk: Annotated["Callable[[Steps, str], None] | None", Gives("walk")] = None,
-) -> Played:
+) -> Walk:
     if script is None and walk is None:
         raise UsageError('step: found no terminal to walk on, expected one, or --script "next-decision; state"')
-    return Played(step(ledger, run, at), script, walk)
+    return Walk(step(ledger, run, at), script, walk)
 
 
 @verb(

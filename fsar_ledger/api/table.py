@@ -17,7 +17,7 @@ from .provenance import Provenance
 if TYPE_CHECKING:
     import polars as pl
 
-    from fsar_ledger.printable import Shown
+    from fsar_ledger.printable import SafeText
 
     from .answers import Screen
 
@@ -85,7 +85,7 @@ class Table:
         """Return the columns that people are shown."""
         return self.columns
 
-    def below(self, screen: "Screen") -> "Iterator[Shown]":  # noqa: ARG002 - other tables look at it
+    def below(self, screen: "Screen") -> "Iterator[SafeText]":  # noqa: ARG002 - other tables look at it
         """Yield the lines below the rows, for people."""
         yield from ()
 
@@ -115,7 +115,7 @@ class MetricTable(Table):
         """Return the columns that people are shown."""
         return telling(self.rows())
 
-    def below(self, screen: "Screen") -> "Iterator[Shown]":
+    def below(self, screen: "Screen") -> "Iterator[SafeText]":
         """Yield the lines below the rows, for people."""
         yield from unit_of_interventions(screen)
 
@@ -125,7 +125,7 @@ def telling(rows: Sequence[Mapping[str, object]]) -> list[str]:
     return [name for name in (rows[0] if rows else ()) if name not in SETTING or len({row[name] for row in rows}) > 1]
 
 
-def unit_of_interventions(screen: "Screen") -> "Iterator[Shown]":
+def unit_of_interventions(screen: "Screen") -> "Iterator[SafeText]":
     """Yield, on a terminal, the line that keeps a share of runs from being read as a number of calls."""
     if screen.is_fitted:
         calls = f"`fsar-ledger query interventions {printable.word(screen.path)}` lists the calls"

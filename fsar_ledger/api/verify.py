@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from fsar_ledger.runtime.replay import ReplayReport
 
     from .ledger import Ledger
-    from .witness import Seen
+    from .witness import WitnessAnswer
 
 
 class Verification(Answer, msgspec.Struct, frozen=True):
@@ -34,7 +34,7 @@ class Verification(Answer, msgspec.Struct, frozen=True):
 
     report: "VerifyReport"
     replay: "ReplayReport | None" = None
-    witnessed: "Seen | None" = None
+    witnessed: "WitnessAnswer | None" = None
     path: Path = Path()
     is_recorded: bool = False
 
@@ -76,7 +76,7 @@ class Verification(Answer, msgspec.Struct, frozen=True):
         head = {"size": self.report.events, "root": self.report.root}
         return {"head": head, **msgspec.to_builtins(self.report), "ok": self.ok, **more}
 
-    def text(self, _: Screen) -> Iterator[printable.Shown]:
+    def text(self, _: Screen) -> Iterator[printable.SafeText]:
         """Yield what was found consistent."""
         witnessed = self.witnessed.lines(self.report.events) if self.witnessed is not None else ()
         yield printable.lines(*self._lines(), *witnessed)
@@ -182,7 +182,7 @@ def verify(
         UsageError: The arguments contradict each other, or a policy is given without `now_s`, the present time in
             seconds since 1970.
     """
-    from fsar_ledger.ledger.verify.report import Asked
+    from fsar_ledger.ledger.verify.report import VerifyOptions
     from fsar_ledger.metrics.verified import full_verify
 
     from .witness import seen_of
@@ -200,7 +200,7 @@ def verify(
     seen = seen_of(place, policy, list(map(Path, cosigned or ())), trusted, now_s)
     if trusted is None and seen is not None:
         trusted = seen.log
-    asked = Asked(quick, trusted, kept, seen.evidence.checkpoints if seen is not None else ())
+    asked = VerifyOptions(quick, trusted, kept, seen.evidence.checkpoints if seen is not None else ())
     report = full_verify(place, readers_of(workers, place), progress, asked)
     again = replayed(place, report, workers, progress, recorded) if replay else None
     return Verification(report, again, seen, place, recorded)

@@ -56,7 +56,7 @@ class Checked(Answer, msgspec.Struct, frozen=True):
             "event": event,
         }
 
-    def text(self, _: Screen) -> Iterator[printable.Shown]:
+    def text(self, _: Screen) -> Iterator[printable.SafeText]:
         """Yield the event, its principals, its place and the signature."""
         from fsar_ledger.ledger.rows.canonical import document
 

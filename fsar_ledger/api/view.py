@@ -14,7 +14,7 @@ from .names import Place, Run
 from .verbs import declare, verb
 
 if TYPE_CHECKING:
-    from fsar_ledger.view.page import Shown
+    from fsar_ledger.view.page import PageOptions
 
     from .ledger import Ledger
     from .provenance import Provenance
@@ -56,7 +56,7 @@ class Pictures(Answer, msgspec.Struct, frozen=True):
         first = self.found[0]
         return (first.provenance,) if first.other is None else (first.provenance, first.other)
 
-    def text(self, _: Screen) -> Iterator[printable.Shown]:
+    def text(self, _: Screen) -> Iterator[printable.SafeText]:
         """Yield what each shows."""
         yield printable.lines(*map(str, self.found))
 
@@ -199,12 +199,12 @@ def _write(out: Path, content: bytes) -> None:
         temporary.write_bytes(content)
 
 
-def _shown(ledger: "Ledger", asked: Run | None) -> "tuple[Shown, Provenance]":
+def _shown(ledger: "Ledger", asked: Run | None) -> "tuple[PageOptions, Provenance]":
     """Return a run with all that is drawn of it, and the provenance of that."""
     from fsar_ledger.analysis.records import record_of
     from fsar_ledger.events import ALONE, CONCERNS
     from fsar_ledger.view.drawn import drawn, words_of
-    from fsar_ledger.view.page import Shown
+    from fsar_ledger.view.page import PageOptions
 
     from .log_rows import asked_of, timeline
     from .lookup import about_run, present
@@ -221,7 +221,7 @@ def _shown(ledger: "Ledger", asked: Run | None) -> "tuple[Shown, Provenance]":
     provenance = told.provenance
     missing = tuple(concern for concern in CONCERNS if concern not in getattr(run.events[0], "observes", ()))
     head = provenance.head
-    picture = Shown(
+    picture = PageOptions(
         drawn(run, name if number is None else f"{number}", words_of(told.rows())),
         printable.word(ledger.path),
         head.size if head else 0,

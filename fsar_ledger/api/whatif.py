@@ -8,7 +8,7 @@ import msgspec
 
 from fsar_ledger import printable
 from fsar_ledger.errors import UsageError, option
-from fsar_ledger.printable import Shown, counted, did_you_mean, value
+from fsar_ledger.printable import SafeText, counted, did_you_mean, value
 
 from .answers import Answer, Screen
 from .diff import Diff, story
@@ -33,7 +33,7 @@ COLUMNS = (
     *("low", "high", "interval", "test", "p", "gain"),
 )
 
-Asked = str | Sequence[str]
+Texts = str | Sequence[str]
 """Changes as texts (`docs/replay.md`); one that ends in `.toml` is a file of them."""
 
 
@@ -89,7 +89,7 @@ class WhatIf(Answer, msgspec.Struct, frozen=True):
             "kept": None if self.kept is None else {"size": self.kept.size, "root": self.kept.root},
         }
 
-    def text(self, screen: Screen) -> Iterator[Shown]:
+    def text(self, screen: Screen) -> Iterator[SafeText]:
         """Yield what the changes do, in one run or in pairs."""
         yield printable.lines(*(f"change: {one}" for one in self.changes))
         if self.story is not None:
@@ -119,7 +119,7 @@ class Changeables(Answer, msgspec.Struct, frozen=True):
         """Return a row for each."""
         return {"changeable": self.found.rows()}
 
-    def text(self, screen: Screen) -> Iterator[Shown]:
+    def text(self, screen: Screen) -> Iterator[SafeText]:
         """Yield a table."""
         yield screen.table(self.found.rows(), self.found.columns)
 
@@ -162,7 +162,7 @@ def _asked(
 )
 def whatif(
     ledger: "Ledger",
-    changes: Annotated[Asked, declare("--change", "TEXT", "What is otherwise; may be repeated.")],
+    changes: Annotated[Texts, declare("--change", "TEXT", "What is otherwise; may be repeated.")],
     run: Annotated[
         Run | None, declare("--run", "RUN", "Fork this run: its number, its name, or a unique part of it.")
     ] = None,
@@ -218,7 +218,7 @@ def whatif(
     return WhatIf(texts, tuple(found), judged, None, provenance, kept, place)
 
 
-def fork(ledger: "Ledger", run: Run, changes: Asked) -> Fork:
+def fork(ledger: "Ledger", run: Run, changes: Texts) -> Fork:
     """Fork a run: repeat it up to the first change, and play on under the same draws. Nothing is stored.
 
     The run is a simulated one of this model version. Changes are texts such as `drop window:fleet/B1/0`, or the names
@@ -258,7 +258,7 @@ def changeable(ledger: "Ledger", run: Run) -> "Table":
     return Table(of_structs(found, Changeable), provenance)
 
 
-def changes_of(asked: Asked) -> "Changes":
+def changes_of(asked: Texts) -> "Changes":
     """Return the changes of these texts and files. Raises: UsageError."""
     from fsar_ledger.runtime.change_texts import parsed, read_changes
 
@@ -309,7 +309,7 @@ def _one(view: "View", record: "LedgerRun", changes: "Changes") -> "Pair":
     return Pair(base, rerun(base).fork_with_effect(changes))
 
 
-def _effects(found: "Effects", screen: Screen) -> Iterator[Shown]:
+def _effects(found: "Effects", screen: Screen) -> Iterator[SafeText]:
     from .fields import plain
 
     rows = [{NAMES.get(name, name): row[name] for name in COLUMNS} for row in plain(found.rows)]

@@ -9,7 +9,7 @@ import msgspec
 
 from fsar_ledger import printable
 from fsar_ledger.errors import UsageError, option
-from fsar_ledger.printable import Shown
+from fsar_ledger.printable import SafeText
 
 from .answers import Answer, Drawable, Listing, Screen, drawn
 from .names import Place, Run
@@ -94,7 +94,7 @@ class Why(Drawable, msgspec.Struct, frozen=True, kw_only=True):
         lines = {str(seq): line for seq, line in self.lines.items()}
         return {"run": self.run, "seq": self.seq, "triggers": self.triggers, "made": self.made, "lines": lines}
 
-    def text(self, screen: Screen) -> Iterator[Shown]:
+    def text(self, screen: Screen) -> Iterator[SafeText]:
         """Yield the answer as an indented tree."""
         proven = printable.word(f"{screen.run_word(self.run)}:{self.seq}")
         hint = f"`fsar-ledger prove {printable.word(screen.path)} {proven}` proves event {self.seq} to others"

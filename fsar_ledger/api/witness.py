@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 from fsar_ledger import printable
 from fsar_ledger.errors import LedgerCorrupted, NotCosigned, UsageError, option
-from fsar_ledger.printable import Shown
+from fsar_ledger.printable import SafeText
 
 from .answers import Answer, Lines, Plain, Screen
 from .key import short
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 _LAST_SECOND = 253_402_300_799  # of the year 9999
 
 
-class Seen(NamedTuple):
+class WitnessAnswer(NamedTuple):
     """What the witnesses of a policy saw of a ledger; one of the keys of `logs` must have signed what they cosigned."""
 
     policy: "Policy"
@@ -91,7 +91,7 @@ def seen_of(
     cosigned: Sequence[Path] | None,
     trusted: "VerifierKey | None",
     now_s: int | None,
-) -> Seen | None:
+) -> WitnessAnswer | None:
     """Return what the witnesses of the policy saw of the ledger; None without a policy.
 
     They are asked now, or have answered in these files.
@@ -128,8 +128,8 @@ def seen_of(
     if now_s is None:
         raise UsageError("witness policy: found no time, expected now_s, seconds since 1970; cosignatures have dates")
     if cosigned:
-        return Seen(read, logs, read_cosigned(read, logs, origin, now_s, cosigned))
-    return Seen(read, logs, ask_witnesses(read, logs, origin, now_s))
+        return WitnessAnswer(read, logs, read_cosigned(read, logs, origin, now_s, cosigned))
+    return WitnessAnswer(read, logs, ask_witnesses(read, logs, origin, now_s))
 
 
 def _logs_of(policy: "Policy", trusted: "VerifierKey | None") -> tuple["VerifierKey", ...]:
@@ -184,7 +184,7 @@ class Served(Answer):
     def __init__(self, state: Path, logs: Sequence[str], host: str, port: int, **given: "Callable[..., Any]") -> None:
         self._state, self._logs, self._host, self._port, self._given = state, logs, host, port, given
 
-    def text(self, _: Screen) -> Iterator[Shown]:
+    def text(self, _: Screen) -> Iterator[SafeText]:
         """Show the public key and the URL, then serve; nothing is left to yield."""
         from fsar_ledger.witness.cosignature import read_log_key
         from fsar_ledger.witness.server import Service, WitnessServer
@@ -229,7 +229,7 @@ def witness_serve(
     clock: Annotated["Callable[[], int]", Gives("clock")],
     ticks: Annotated["Callable[[], float]", Gives("ticks")],
     say: Annotated["Callable[[str], None]", Gives("say")],
-    show: Annotated["Callable[[Shown], None]", Gives("show")],
+    show: Annotated["Callable[[SafeText], None]", Gives("show")],
 ) -> Served:
     """Cosign checkpoints over HTTP until interrupted.
 

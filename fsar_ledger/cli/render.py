@@ -14,7 +14,7 @@ from fsar_ledger import printable
 from fsar_ledger.api.answers import Answer, Lines, provenances
 from fsar_ledger.api.fields import Row
 from fsar_ledger.api.verbs import Gives, Shows, Verb, declared
-from fsar_ledger.printable import Shown
+from fsar_ledger.printable import SafeText
 
 from .progress import Progress
 from .streaming import Form, Kept, answer_json
@@ -69,7 +69,7 @@ class Screen:
             self._numbers = None
         return self.numbers().get(run)
 
-    def table(self, rows: Sequence[Row], columns: Sequence[str] | None = None) -> Shown:
+    def table(self, rows: Sequence[Row], columns: Sequence[str] | None = None) -> SafeText:
         """Return the rows as a table; None: with the columns of the first."""
         return fitted(rows, list(rows[0]) if columns is None else columns, self._width)
 
@@ -171,7 +171,7 @@ def respond(
         answer = Lines(str(answer))
     if isinstance(answer, AbstractContextManager):  # rows that come from a process, which may fail in their midst
         with answer as rows:
-            pieces: Iterable[Shown] = Kept(_pieces(rows, form, screen))
+            pieces: Iterable[SafeText] = Kept(_pieces(rows, form, screen))
             answer = rows
     else:
         failure = answer.failure if isinstance(answer, Answer) else None
@@ -186,7 +186,7 @@ def respond(
     return 0
 
 
-def _pieces(answer: Any, form: Form, screen: Screen) -> Iterable[Shown]:
+def _pieces(answer: Any, form: Form, screen: Screen) -> Iterable[SafeText]:
     if isinstance(answer, Answer):
         if form.as_json:
             document = answer.document(screen)

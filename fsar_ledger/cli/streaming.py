@@ -11,7 +11,7 @@ from fsar_ledger import printable
 from fsar_ledger.api.answers import head_json
 from fsar_ledger.api.fields import Row, csv_text, json_bytes
 from fsar_ledger.errors import UsageError
-from fsar_ledger.printable import Shown
+from fsar_ledger.printable import SafeText
 
 from .tables import fitted, more_text
 from .terminal import show, width_of_output
@@ -64,7 +64,7 @@ class Form(msgspec.Struct, frozen=True, kw_only=True):
         columns: Sequence[str],
         batches: "Iterable[pa.RecordBatch]",
         numbers: "Numbers" = dict,
-    ) -> Iterator[Shown]:
+    ) -> Iterator[SafeText]:
         """Yield the rows in this form, as text: in JSON with all their columns, else with these.
 
         A table on a terminal names runs by their numbers.
@@ -80,13 +80,13 @@ class Form(msgspec.Struct, frozen=True, kw_only=True):
             return _csv(columns, batches, raw=self.raw)
         return _table(columns, batches, self.limit, self.width, numbers)
 
-    def show(self, pieces: Iterable[Shown]) -> None:
+    def show(self, pieces: Iterable[SafeText]) -> None:
         """Show the answer."""
         for piece in pieces:
             show(piece, raw=self.raw)
 
 
-def answer_json(about: "Provenance | None", answer: Mapping[str, object]) -> Shown:
+def answer_json(about: "Provenance | None", answer: Mapping[str, object]) -> SafeText:
     """Return one JSON object in ASCII: what the answer holds for, then the answer.
 
     Bytes of a file name that are not UTF-8 are escaped, `\\udcff` for ff.
@@ -98,28 +98,28 @@ def answer_json(about: "Provenance | None", answer: Mapping[str, object]) -> Sho
     return printable.ascii_json(f"{text}\n")
 
 
-def _json(empty: str, batches: "Iterable[pa.RecordBatch]") -> Iterator[Shown]:
+def _json(empty: str, batches: "Iterable[pa.RecordBatch]") -> Iterator[SafeText]:
     from fsar_ledger.api.texts import in_turn, json_lines
 
     before, after = empty.rsplit("[]", 1)
     is_first = True
     for lines in in_turn(partial(json_lines, before="    ", after=",\n"), filter(len, batches)):
-        yield Shown((before + "[\n" if is_first else ",\n") + lines.removesuffix(",\n"))
+        yield SafeText((before + "[\n" if is_first else ",\n") + lines.removesuffix(",\n"))
         is_first = False
-    yield Shown(f"{before}[]{after}" if is_first else f"\n  ]{after}")
+    yield SafeText(f"{before}[]{after}" if is_first else f"\n  ]{after}")
 
 
-def _ndjson(batches: "Iterable[pa.RecordBatch]") -> Iterator[Shown]:
+def _ndjson(batches: "Iterable[pa.RecordBatch]") -> Iterator[SafeText]:
     from fsar_ledger.api.texts import in_turn, json_lines
 
-    return map(Shown, in_turn(json_lines, batches))
+    return map(SafeText, in_turn(json_lines, batches))
 
 
-def _csv(columns: Sequence[str], batches: "Iterable[pa.RecordBatch]", *, raw: bool) -> Iterator[Shown]:
+def _csv(columns: Sequence[str], batches: "Iterable[pa.RecordBatch]", *, raw: bool) -> Iterator[SafeText]:
     from fsar_ledger.api.texts import csv_lines, in_turn
 
     yield csv_text([], columns, raw=raw)
-    yield from map(Shown, in_turn(partial(csv_lines, raw=raw), (batch.select(list(columns)) for batch in batches)))
+    yield from map(SafeText, in_turn(partial(csv_lines, raw=raw), (batch.select(list(columns)) for batch in batches)))
 
 
 def _table(
@@ -128,7 +128,7 @@ def _table(
     limit: int,
     width: int | None,
     numbers: "Numbers",
-) -> Iterator[Shown]:
+) -> Iterator[SafeText]:
     from fsar_ledger.api.table import rows_of
 
     shown: list[Row] = []
@@ -139,7 +139,7 @@ def _table(
         shown += [row for rows in rows_of(wanted) for row in rows]
         count += len(batch)
         constant.see(batch)
-    yield fitted(shown, columns, width, numbers, constant.names) or Shown("(no rows)\n")
+    yield fitted(shown, columns, width, numbers, constant.names) or SafeText("(no rows)\n")
     if count > len(shown):
         yield more_text(count - len(shown))
 
@@ -167,7 +167,7 @@ class Constant:
 class Kept:
     """Text that is shown only once all of it is there, so that a reader gets a whole answer or an error."""
 
-    def __init__(self, pieces: Iterable[Shown]):
+    def __init__(self, pieces: Iterable[SafeText]):
         """Make all pieces now. Raises: Whatever that raises."""
         self._file = tempfile.SpooledTemporaryFile(KEPT_BYTES)  # noqa: SIM115
         try:
@@ -177,9 +177,9 @@ class Kept:
             self._file.close()
             raise
 
-    def __iter__(self) -> Iterator[Shown]:
+    def __iter__(self) -> Iterator[SafeText]:
         """Yield the text, a few whole lines at a time; once."""
         with self._file as file:
             file.seek(0)
             while data := file.read(PIECE):
-                yield Shown((data + file.readline()).decode("utf-8", "surrogatepass"))
+                yield SafeText((data + file.readline()).decode("utf-8", "surrogatepass"))

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from fsar_ledger import printable
 from fsar_ledger.api.fields import Row, field_text
-from fsar_ledger.printable import Shown
+from fsar_ledger.printable import SafeText
 
 from .terminal import columns_of
 
@@ -64,10 +64,10 @@ class Column(NamedTuple):
         return max(cells if self.is_number else text, name)
 
 
-def table_text(rows: Sequence[Row], columns: Sequence[str]) -> Shown:
+def table_text(rows: Sequence[Row], columns: Sequence[str]) -> SafeText:
     """Align the rows under their columns, numbers to the right."""
     if not columns:
-        return Shown("")
+        return SafeText("")
     names = [printable.cell(column) for column in columns]
     cells = [[_cell_text(row[column]) for column in columns] for row in rows]
     is_number = [all(isinstance(row[column], int | float | None) for row in rows) for column in columns]
@@ -80,10 +80,10 @@ def table_text(rows: Sequence[Row], columns: Sequence[str]) -> Shown:
         ).rstrip()
 
     lines = [line_of(names), line_of(["-" * width for width in widths]), *map(line_of, cells)]
-    return Shown("\n".join([*lines, *([] if rows else ["(no rows)"]), ""]))
+    return SafeText("\n".join([*lines, *([] if rows else ["(no rows)"]), ""]))
 
 
-def more_text(count: int) -> Shown:
+def more_text(count: int) -> SafeText:
     """Return the line that counts the rows that are not shown."""
     return printable.line(f"... {count:,} more rows; --limit 0 shows all, --csv and --json always do")
 
@@ -94,7 +94,7 @@ def fitted(
     width: int | None,
     numbers: Numbers = dict,
     constant: Collection[str] | None = None,
-) -> Shown:
+) -> SafeText:
     """Return the rows as a table that is no wider than a terminal of this width; None: one that is not fitted.
 
     A table that fits a terminal names runs by their `numbers`, unless it has a column of these itself. Where these are
@@ -236,7 +236,7 @@ def _total(widths: Sequence[int]) -> int:
     return sum(widths) + GAP * (len(widths) - 1)
 
 
-def _laid_out(columns: Sequence[Column], widths: Sequence[int]) -> Shown:
+def _laid_out(columns: Sequence[Column], widths: Sequence[int]) -> SafeText:
     """Return the columns as lines; those that continue a row begin with the mark."""
     chosen = list(zip(columns, widths, strict=False))
     head = [_broken(column.name, wide) for column, wide in chosen]
@@ -248,7 +248,7 @@ def _laid_out(columns: Sequence[Column], widths: Sequence[int]) -> Shown:
             cells = (_padded(cell[at : at + 1], *one) for cell, one in zip(row, chosen, strict=True))
             lines.append((MARK if at else " ", (" " * GAP).join(cells).rstrip(" ")))
     is_marked = any(mark == MARK for mark, _ in lines)
-    return Shown("".join(f"{mark} {line}\n" if is_marked else f"{line}\n" for mark, line in lines))
+    return SafeText("".join(f"{mark} {line}\n" if is_marked else f"{line}\n" for mark, line in lines))
 
 
 def _padded(lines: Sequence[str], column: Column, width: int) -> str:
@@ -258,7 +258,7 @@ def _padded(lines: Sequence[str], column: Column, width: int) -> str:
     return blanks + text if column.is_number else text + blanks
 
 
-def _listed(columns: Sequence[Column]) -> Shown:
+def _listed(columns: Sequence[Column]) -> SafeText:
     widest = max(_width(column.name) for column in columns)
     return printable.lines(
         *(f"{column.name}{' ' * (widest - _width(column.name))}  {column.cells[0]}" for column in columns)

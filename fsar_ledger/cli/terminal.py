@@ -1,7 +1,8 @@
 """The one place that prints: answers on stdout, messages on stderr.
 
-Only text whose values are escaped (`Shown`) can be shown, and it is checked once more here. On a terminal, a line that
-is too long continues on the next one behind a mark, so that no line of the screen begins with text that others wrote.
+Only text whose values are escaped (`SafeText`) can be shown, and it is checked once more here. On a terminal, a line
+that is too long continues on the next one behind a mark, so that no line of the screen begins with text that others
+wrote.
 """
 
 import io
@@ -14,7 +15,7 @@ from typing import TextIO
 
 from fsar_ledger import printable
 from fsar_ledger.errors import WriteFailed
-from fsar_ledger.printable import Shown
+from fsar_ledger.printable import SafeText
 
 ON = "  | "
 """The mark before the rest of a line for which the terminal is too narrow."""
@@ -31,7 +32,7 @@ class Enough(Exception):
     """The reader of the answer has closed it (`| head`)."""
 
 
-def show(text: Shown, *, raw: bool = False) -> None:
+def show(text: SafeText, *, raw: bool = False) -> None:
     """Write the text to stdout. `raw` text is for programs, and is not checked unless stdout is a terminal.
 
     Raises: Enough if the reader has closed it; WriteFailed.
@@ -64,7 +65,7 @@ def say(*messages: str) -> None:
         _write(sys.stderr, "".join(map(_message, messages)))
 
 
-def _message(text: str) -> Shown:
+def _message(text: str) -> SafeText:
     first, *more = text.split("\n", MAX_LINES)
     more[MAX_LINES - 1 :] = ["..."] if len(more) == MAX_LINES else []
     return printable.lines(f"fsar-ledger: {first}", *(f"{ON}{line}" for line in more))

@@ -27,7 +27,7 @@ _EXPECTED = "the same as by pyarrow: rows that both of our readers read alike"
 
 # See docs/decisions/verify-rereads-every-byte.md.
 class ReadAgain:
-    """What serves as `verify.Asked.second_reader`; it keeps one connection per process."""
+    """What serves as `VerifyOptions.second_reader`; it keeps one connection per process."""
 
     def by_value(self, path: str, decoded: pa.Table) -> tuple[str, str] | None:
         """Return what DuckDB finds in this segment and what was expected, value by value; None if it is the same."""

@@ -29,7 +29,7 @@ from fsar_ledger.ledger.log.hashing import sha256_hex
 from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.store import disk
 from fsar_ledger.ledger.store.paths import require_outside
-from fsar_ledger.ledger.verify.report import Asked, VerifyReport
+from fsar_ledger.ledger.verify.report import VerifyOptions, VerifyReport
 from fsar_ledger.ledger.verify.verify import verify
 
 _MOST_SOUGHT = 64
@@ -38,13 +38,16 @@ _BY_OTHERS = stat.S_IWGRP | stat.S_IWOTH
 
 
 def full_verify(
-    ledger: Path, workers: int = 1, progress: Callable[[int, int], None] | None = None, asked: Asked | None = None
+    ledger: Path,
+    workers: int = 1,
+    progress: Callable[[int, int], None] | None = None,
+    asked: VerifyOptions | None = None,
 ) -> VerifyReport:
     """Return the report of `verify`; cache the head if the rows were read and no problem was found.
 
     Raises: as `verify`.
     """
-    asked = asked or Asked()
+    asked = asked or VerifyOptions()
     if not asked.is_quick:
         from .duckdb_check import ReadAgain  # imports DuckDB, which a proof does not need
 

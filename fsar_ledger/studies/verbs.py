@@ -11,7 +11,7 @@ from fsar_ledger.api.names import Place, known
 from fsar_ledger.api.verbs import Shows, WorkersOption, argument, declare, verb
 from fsar_ledger.api.workload import Progress
 from fsar_ledger.errors import UsageError
-from fsar_ledger.printable import Shown
+from fsar_ledger.printable import SafeText
 
 if TYPE_CHECKING:
     from fsar_ledger.metrics.effects import About, Sensitivity
@@ -126,7 +126,7 @@ class Effects(Answer):
     def __init__(self, found: "Sensitivity", *below: str) -> None:
         self._found, self._below = found, below
 
-    def text(self, screen: Screen) -> Iterator[Shown]:
+    def text(self, screen: Screen) -> Iterator[SafeText]:
         """Yield how much was varied, and the table of the factors that matter most."""
         from fsar_ledger.metrics.effects import dozen, reach
 
@@ -185,7 +185,7 @@ class Result(Answer):
     def __init__(self, found: "Calibration | Predictions | Comparison", standing: str) -> None:
         self._found, self._standing = found, standing
 
-    def text(self, screen: Screen) -> Iterator[Shown]:
+    def text(self, screen: Screen) -> Iterator[SafeText]:
         """Yield the tables that have rows, and whether the result is stale."""
         for rows in filter(None, _tables(self._found)):
             yield screen.table(rows)

@@ -56,7 +56,7 @@ class Arrow(NamedTuple):
     kind: str
 
 
-class Told(NamedTuple):
+class EventLabel(NamedTuple):
     """One event: its words, the lane that it lies in, and its task, where the record says so."""
 
     words: Words
@@ -72,7 +72,7 @@ class Drawn(NamedTuple):
     lanes: tuple[Lane, ...]
     spans: tuple[Span, ...]
     arrows: tuple[Arrow, ...]
-    told: tuple[Told, ...]
+    told: tuple[EventLabel, ...]
 
 
 def type_name(event: Event) -> str:
@@ -94,7 +94,7 @@ def drawn(run: LedgerRun, name: str, words: Sequence[Words]) -> Drawn:
     return Drawn(run, name, lanes, spans, arrows, told)
 
 
-def _told(event: Event, words: Words) -> Told:
+def _told(event: Event, words: Words) -> EventLabel:
     fields = flat(event)
     mine = words.sender or words.receiver
     lane = next(
@@ -106,10 +106,10 @@ def _told(event: Event, words: Words) -> Told:
         None,
     )
     task = fields.get("task_id") or (words.action_id.partition("/")[0] if words.action_id else None)
-    return Told(words, lane, task)
+    return EventLabel(words, lane, task)
 
 
-def _lanes(events: Sequence[Event], told: Sequence[Told], spans: Sequence[Span]) -> tuple[Lane, ...]:
+def _lanes(events: Sequence[Event], told: Sequence[EventLabel], spans: Sequence[Span]) -> tuple[Lane, ...]:
     """Return a lane for each principal that the record names: robots as they joined, then who they answer to."""
     about: dict[str, str] = {}
     for event in events:
@@ -128,7 +128,7 @@ def _lanes(events: Sequence[Event], told: Sequence[Told], spans: Sequence[Span])
     return tuple(Lane(name, about[name]) for name in names)
 
 
-def _arrows(run: LedgerRun, told: Sequence[Told], lanes: set[str]) -> Iterator[Arrow]:
+def _arrows(run: LedgerRun, told: Sequence[EventLabel], lanes: set[str]) -> Iterator[Arrow]:
     caused: Mapping[int, list[int]] = _effects(run)
     for seq, one in enumerate(told):
         sender, receiver = one.words.sender, one.words.receiver

@@ -25,7 +25,7 @@ _ABOUT = ("architecture", "configuration", "scenario", "seed", "fleet_size", "ki
 _Value = TypeVar("_Value", bound=Hashable)
 
 
-class Shown(msgspec.Struct, frozen=True):
+class PageOptions(msgspec.Struct, frozen=True):
     """A run to show, and where it comes from: the words that name its ledger in a command, and the head.
 
     `not_observed` names the concerns that its source does not record.
@@ -39,7 +39,7 @@ class Shown(msgspec.Struct, frozen=True):
     not_observed: tuple[str, ...]
 
 
-def page(one: Shown, other: Shown | None = None) -> bytes:
+def page(one: PageOptions, other: PageOptions | None = None) -> bytes:
     """Return the page for a run, or for two one above the other with their first difference marked."""
     shown = [one] if other is None else [one, other]
     first = None if other is None else parts_at(one.drawn.run, other.drawn.run)
@@ -80,7 +80,7 @@ class _Numbered(Generic[_Value]):
         return list(self._places)
 
 
-def _document(shown: Shown) -> dict[str, Any]:
+def _document(shown: PageOptions) -> dict[str, Any]:
     """Return the run as the page reads it (`src/data.ts` says how): lists instead of objects, repetition by number."""
     drawn = shown.drawn
     run = drawn.run

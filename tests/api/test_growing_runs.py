@@ -7,7 +7,7 @@ import pytest
 
 from fsar_ledger.api.events import Filter
 from fsar_ledger.api.ledger import Ledger
-from fsar_ledger.api.log_rows import Asked, stream
+from fsar_ledger.api.log_rows import LogRequest, stream
 from fsar_ledger.api.provenance import Provenance
 from fsar_ledger.constants import Constants
 from fsar_ledger.errors import UsageError
@@ -130,7 +130,7 @@ def test_followers_are_told_every_event_once_while_the_journal_grows_and_is_seal
             if turns % 4 == 0:
                 writer.compact()
 
-        tables = stream(path, Asked(Filter(None, None, None, None), ()), _about(path), None, grow)
+        tables = stream(path, LogRequest(Filter(None, None, None, None), ()), _about(path), None, grow)
         with suppress(Ended):
             for table in tables:
                 told += [(row["run_id"], row["seq"]) for row in table.rows()]

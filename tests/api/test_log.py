@@ -9,7 +9,7 @@ import pytest
 import fsar_ledger
 from fsar_ledger import Ledger
 from fsar_ledger.api.events import Filter
-from fsar_ledger.api.log_rows import Asked, about_of
+from fsar_ledger.api.log_rows import LogRequest, about_of
 from fsar_ledger.api.table import Row, Table
 from fsar_ledger.errors import LedgerCorrupted, UsageError
 from fsar_ledger.events import CONCERNS
@@ -98,7 +98,7 @@ def test_a_span_may_end_after_the_run_but_not_begin_there(ledger: Ledger) -> Non
 def test_what_the_run_does_not_observe_is_said_where_it_is_asked_for() -> None:
     with from_rows(run(observes=["request", "trust"])) as database:
         about = {
-            asked: [one.concern for one in about_of(database, Asked(Filter(), asked)).not_observed]
+            asked: [one.concern for one in about_of(database, LogRequest(Filter(), asked)).not_observed]
             for asked in [(), ("policy", "request"), ("trust",)]
         }
     assert about == {(): sorted({*CONCERNS} - {"request", "trust"}), ("policy", "request"): ["policy"], ("trust",): []}

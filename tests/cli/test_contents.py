@@ -9,7 +9,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from fsar_ledger.api.plans import MAX_COUNTS, MAX_RUNS, Shown, reproducing
+from fsar_ledger.api.plans import MAX_COUNTS, MAX_RUNS, PlanRow, reproducing
 from fsar_ledger.api.reproduce import beyond
 from fsar_ledger.api.simulate import before
 from fsar_ledger.constants import Constants, Load, WorldConstants
@@ -171,7 +171,7 @@ def test_however_many_counts_of_runs_the_plans_of_a_ledger_name_only_the_largest
 ) -> None:
     ablation = tmp_path / "ablation"
     planned_only(ablation, paper_ledger("ablation", 42, 1).parts[1], paper_ledger("ablation", 42, 1).origin)
-    calls = reproducing([*range(10_001), 5, 5], Shown(ablation, open_ledger(ablation)))
+    calls = reproducing([*range(10_001), 5, 5], PlanRow(ablation, open_ledger(ablation)))
     tried = sorted({int(call.rpartition(" ")[2]) for call in calls.values() if "--runs" in call}, reverse=True)
     assert tried == list(range(MAX_RUNS, MAX_RUNS - MAX_COUNTS, -1))
     assert any("--runs" not in call for call in calls.values())

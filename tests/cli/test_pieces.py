@@ -14,7 +14,7 @@ from fsar_ledger.cli.streaming import KEPT_BYTES, Form, Kept, answer_json
 from fsar_ledger.cli.tables import more_text, table_text
 from fsar_ledger.errors import UsageError
 from fsar_ledger.ledger.store.view import Head
-from fsar_ledger.printable import Shown, ascii_json
+from fsar_ledger.printable import SafeText, ascii_json
 
 ABOUT = Provenance(Head(3, 1000, "ab" * 32), rows_verified=False)
 COLUMNS = ["seq", 'a "name"\nof two lines', "path"]
@@ -64,14 +64,14 @@ def test_an_answer_has_one_form() -> None:
 @pytest.mark.parametrize("longest", [0, 10, KEPT_BYTES // 20])
 def test_what_is_kept_comes_back_in_whole_lines(longest: int) -> None:
     lines = [f"{number} \udcff é{'x' * longest}\r\n" for number in range(30)]
-    pieces = list(Kept(map(Shown, lines)))
+    pieces = list(Kept(map(SafeText, lines)))
     assert "".join(pieces) == "".join(lines)
     assert all(piece.endswith("\n") for piece in pieces)
 
 
 def test_what_breaks_off_is_not_shown() -> None:
-    def broken() -> Iterator[Shown]:
-        yield Shown("x" * (KEPT_BYTES + 1))
+    def broken() -> Iterator[SafeText]:
+        yield SafeText("x" * (KEPT_BYTES + 1))
         raise UsageError("enough")
 
     with pytest.raises(UsageError, match="enough"):

@@ -19,7 +19,7 @@ from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.rows.schema import SCHEMA, Field
 from fsar_ledger.ledger.store.problem import Problem
 from fsar_ledger.ledger.verify.notes import read_anchor
-from fsar_ledger.ledger.verify.report import Asked
+from fsar_ledger.ledger.verify.report import VerifyOptions
 from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.samples import IN_RUNS, ORIGIN
 
@@ -167,7 +167,7 @@ def is_same_place(one: Place, other: Place) -> bool:
 
 
 def by_package(case: Case) -> tuple[Place, str] | None:
-    asked = Asked(trusted=case.trusted, anchor=read_anchor(case.anchor) if case.anchor else None)
+    asked = VerifyOptions(trusted=case.trusted, anchor=read_anchor(case.anchor) if case.anchor else None)
     try:
         report = verify(case.path, asked=asked)
     except NotALedger as error:

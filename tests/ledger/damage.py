@@ -30,7 +30,7 @@ from fsar_ledger.ledger.rows.runs import LedgerRun
 from fsar_ledger.ledger.store.paths import CHECKPOINT, MANIFEST
 from fsar_ledger.ledger.store.problem import Problem
 from fsar_ledger.ledger.store.staging import stage
-from fsar_ledger.ledger.verify.report import Asked, VerifyReport
+from fsar_ledger.ledger.verify.report import VerifyOptions, VerifyReport
 from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.agreement_chain import hand_over
 from tests.ledger.samples import ORIGIN, made_up_run
@@ -75,7 +75,7 @@ def flips(data: bytes, first: int = 0, last: int | None = None) -> Iterator[byte
             flipped[at] ^= 1 << bit
 
 
-def only_problem(path: Path, asked: Asked | None = None) -> Problem:
+def only_problem(path: Path, asked: VerifyOptions | None = None) -> Problem:
     """Return the single problem that `verify` reports."""
     (problem,) = verify(path, asked=asked).problems
     return problem
@@ -290,7 +290,7 @@ def look(path: Path, allowance: Allowance, name: str, at: int, *, is_cut: bool) 
     report = verify(path)
     found = verdict(report, allowance, name, at, is_cut=is_cut)
     if found == "missed":  # nothing but the key vouches for the signature of the newest commit
-        report = verify(path, asked=Asked(trusted=SIGNER.verifier))
+        report = verify(path, asked=VerifyOptions(trusted=SIGNER.verifier))
         found = verdict(report, allowance, name, at, is_cut=is_cut)
     return found
 

@@ -23,7 +23,7 @@ from typing import NamedTuple
 
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.verify.notes import read_anchor
-from fsar_ledger.ledger.verify.report import Asked
+from fsar_ledger.ledger.verify.report import VerifyOptions
 from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.damage import (
     LEDGERS,
@@ -101,7 +101,7 @@ def _try(path: Path, task: Task, label: str, allowance: Allowance) -> Tally:
     return Tally(kind, counts.total(), counts["found"] + counts["placed"], counts["placed"], counts["left"], missed)
 
 
-def _tried(kind: str, case: Case, path: Path, asked: Asked | None = None, expected: str = "") -> Tally:
+def _tried(kind: str, case: Case, path: Path, asked: VerifyOptions | None = None, expected: str = "") -> Tally:
     """Make this damage to whole files, and return whether it is found in its place."""
     case.do()
     report = verify(path, asked=asked)
@@ -128,7 +128,7 @@ def _places(folder: Path, path: Path, snapshots: Sequence[int]) -> Iterator[Tall
         if anchor.note is None or anchor.note.checkpoint.size == open_ledger(ledger).head.size:
             continue  # nothing was added in between: segments were compacted
         for is_quick in (False, True):
-            asked = Asked(is_quick, SIGNER.verifier, anchor)
+            asked = VerifyOptions(is_quick, SIGNER.verifier, anchor)
             case = Case(f"{kept} of {number}", lambda: None, frozenset({anchor.file}))
             yield _tried("tails dropped from all files, with an anchor", case, ledger, asked, "the newest were removed")
 

@@ -11,7 +11,7 @@ import msgspec
 import pytest
 
 from fsar_ledger.ledger.chain.append import Writer
-from fsar_ledger.ledger.chain.held import HeldRuns
+from fsar_ledger.ledger.chain.held import ExistingRuns
 from fsar_ledger.ledger.chain.paths import CHAIN, JOURNAL
 from fsar_ledger.ledger.log.note import Signer
 from fsar_ledger.ledger.rows.pieces import piece
@@ -118,7 +118,7 @@ FORGED: dict[str, tuple[list[LedgerRun], tuple[str, int] | None]] = {
 def test_both_name_the_event_that_breaks_a_rule_across_commits(
     independent: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, what: str, how: str
 ) -> None:
-    monkeypatch.setattr(HeldRuns, "refused", lambda *_: None)
+    monkeypatch.setattr(ExistingRuns, "refused", lambda *_: None)
     path, (pieces, event) = tmp_path / "ledger", FORGED[what]
     with Writer(path, ORIGIN) as writer:
         for one in pieces:

@@ -30,7 +30,7 @@ from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.ledger.store.view import RunNames
 from fsar_ledger.ledger.verify.notes import read_anchor
 from fsar_ledger.ledger.verify.recover import recover
-from fsar_ledger.ledger.verify.report import Asked
+from fsar_ledger.ledger.verify.report import VerifyOptions
 from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.samples import ORIGIN, append_all, contents, made_up_run
 from tests.ledger.test_plan_rows import PLAN, of
@@ -131,7 +131,7 @@ def test_proofs_and_anchors_that_were_given_still_hold_after_sealing_and_compact
         again = prove(open_for_answers(path), number * 7)
         assert again.event == proof.event
     for quick in (False, True):
-        asked = Asked(is_quick=quick, anchor=read_anchor(path.with_name("anchor")), trusted=SIGNER.verifier)
+        asked = VerifyOptions(is_quick=quick, anchor=read_anchor(path.with_name("anchor")), trusted=SIGNER.verifier)
         report = verify(path, asked=asked)
         assert (report.ok, report.anchored, report.signature) == (True, 85, "signed"), report.problems
 

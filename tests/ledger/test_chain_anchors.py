@@ -11,7 +11,7 @@ from fsar_ledger.ledger.rows.pieces import piece
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.ledger.verify.notes import Anchor, read_anchor
 from fsar_ledger.ledger.verify.recover import recover
-from fsar_ledger.ledger.verify.report import Asked, VerifyReport
+from fsar_ledger.ledger.verify.report import VerifyOptions, VerifyReport
 from fsar_ledger.ledger.verify.trusted import FITS, NO_SEGMENT
 from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.agreement import with_value
@@ -46,7 +46,7 @@ def anchor(path: Path) -> Anchor:
 
 
 def looked(path: Path, anchor: Anchor | None, *, is_quick: bool = True) -> VerifyReport:
-    return verify(path, asked=Asked(is_quick=is_quick, anchor=anchor))
+    return verify(path, asked=VerifyOptions(is_quick=is_quick, anchor=anchor))
 
 
 def test_a_ledger_that_only_grew_is_said_to_have_grown(path: Path, anchor: Anchor) -> None:
@@ -105,7 +105,7 @@ def damaged(tmp_path: Path) -> Path:
 def test_recover_says_how_far_an_anchor_vouches_for_what_can_be_trusted(
     damaged: Path, name: str, vouched: int | None
 ) -> None:
-    found = recover(damaged, asked=Asked(anchor=read_anchor(damaged.with_name(name))))
+    found = recover(damaged, asked=VerifyOptions(anchor=read_anchor(damaged.with_name(name))))
     assert (found.outcome, found.head.size, found.anchored) == ("damaged", 96, vouched)
 
 
@@ -125,4 +125,4 @@ def test_recover_says_that_another_history_vouches_for_nothing(damaged: Path, tm
         writer.append(stage(other, [piece(made_up_run("run-1", 60, 2), 0, 60)]))
     for size in (50, 60):
         file = anchor_at(other, size, None, tmp_path / f"other-{size}")
-        assert recover(damaged, asked=Asked(anchor=read_anchor(file))).anchored is None
+        assert recover(damaged, asked=VerifyOptions(anchor=read_anchor(file))).anchored is None

@@ -16,7 +16,7 @@ from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.store.manifest import read_manifest
 from fsar_ledger.ledger.verify.notes import read_anchor
 from fsar_ledger.ledger.verify.recover import recover
-from fsar_ledger.ledger.verify.report import MAX_PROBLEMS, Asked
+from fsar_ledger.ledger.verify.report import MAX_PROBLEMS, VerifyOptions
 from fsar_ledger.ledger.verify.trusted import FITS, NO_SEGMENT
 from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.damage import SIGNER
@@ -171,8 +171,8 @@ def test_a_run_in_two_commits_ends_what_can_be_trusted(tmp_path: Path) -> None:
 # --- anchors and keys ---
 
 
-def asked(anchor: Path | None = None, *, is_signed: bool = False) -> Asked:
-    return Asked(anchor=read_anchor(anchor) if anchor else None, trusted=SIGNER.verifier if is_signed else None)
+def asked(anchor: Path | None = None, *, is_signed: bool = False) -> VerifyOptions:
+    return VerifyOptions(anchor=read_anchor(anchor) if anchor else None, trusted=SIGNER.verifier if is_signed else None)
 
 
 def checkpoint_of(batches: int, folder: Path) -> Path:

@@ -25,7 +25,7 @@ from fsar_ledger.ledger.store.manifest import Manifest
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.ledger.v1 import upgrade
 from fsar_ledger.ledger.verify.notes import read_anchor
-from fsar_ledger.ledger.verify.report import Asked
+from fsar_ledger.ledger.verify.report import VerifyOptions
 from fsar_ledger.ledger.verify.verify import verify
 from fsar_ledger.metrics.database import connect
 from fsar_ledger.metrics.library import staging_sql, view_name
@@ -98,7 +98,7 @@ def test_a_ledger_of_each_release_is_kept() -> None:
 
 
 def test_a_kept_ledger_verifies_to_the_root_and_the_signatures_that_it_had(path: Path, kept: Kept) -> None:
-    report = verify(path, asked=Asked(trusted=read_verifier(kept.key)))
+    report = verify(path, asked=VerifyOptions(trusted=read_verifier(kept.key)))
     assert report.problems == ()
     assert (report.root, report.events, report.commits, report.runs) == (
         kept.root,
@@ -239,7 +239,7 @@ def continued(path: Path, kept: Kept, copy: Path) -> None:
     with Writer(copy, open_ledger(path).manifest.origin) as writer:
         writer.append(stage(copy, runs[:1]))
         root = writer.add(runs[1:]).root
-    report = verify(copy, asked=Asked(anchor=read_anchor(path / "checkpoint")))
+    report = verify(copy, asked=VerifyOptions(anchor=read_anchor(path / "checkpoint")))
     assert (report.problems, report.events, report.anchored) == ((), kept.events + 24, kept.events)
     assert report.root == root
     compact(copy)
@@ -258,7 +258,7 @@ def test_a_kept_ledger_that_needs_no_upgrade_has_the_root_of_its_twin_and_is_con
 ) -> None:
     key, twin = read_verifier(kept.key), LEDGERS / version / "chain"
     assert judged(Case("kept", twin, True, key)).difference == ""
-    report = verify(twin, asked=Asked(trusted=key))
+    report = verify(twin, asked=VerifyOptions(trusted=key))
     assert (report.problems, report.root, report.events) == ((), kept.root, kept.events)
     assert list(open_for_answers(twin).runs()) == list(open_ledger(path).runs())
     continued(twin, kept, tmp_path / "copy")

@@ -16,7 +16,7 @@ from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.store.manifest import Manifest
 from fsar_ledger.ledger.store.problem import Problem
-from fsar_ledger.ledger.verify.report import MAX_PROBLEMS, Asked
+from fsar_ledger.ledger.verify.report import MAX_PROBLEMS, VerifyOptions
 from fsar_ledger.ledger.verify.segment import examine_all
 from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.damage import SIGNER
@@ -212,7 +212,7 @@ def test_every_field_of_a_record_is_derived_again(
     report = verify(path)
     if report.ok:
         assert field == "signature"  # nothing but a key vouches for one
-        report = verify(path, asked=Asked(trusted=SIGNER.verifier))
+        report = verify(path, asked=VerifyOptions(trusted=SIGNER.verifier))
     assert not report.ok
     assert report.problems[0].where in ("chain.jsonl", "checkpoint", segment_name(24 * number, 24 * number + 24))
 

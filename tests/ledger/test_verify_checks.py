@@ -24,14 +24,14 @@ from fsar_ledger.ledger.verify import segment as verify_segment
 from fsar_ledger.ledger.verify import verify as verification
 from fsar_ledger.ledger.verify.chain import BEHIND
 from fsar_ledger.ledger.verify.notes import read_anchor
-from fsar_ledger.ledger.verify.report import Asked, VerifyReport
+from fsar_ledger.ledger.verify.report import VerifyOptions, VerifyReport
 from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.damage import SIGNER, only_problem
 from tests.ledger.forgery import forge, forge_segment, segment_at, staged_at, table_of
 from tests.ledger.samples import ORIGIN
 
 SIZES = (270, 20)
-QUICK = Asked(is_quick=True)
+QUICK = VerifyOptions(is_quick=True)
 NEWEST = "segments/000000000270-000000000290.parquet"
 
 
@@ -56,7 +56,7 @@ def test_only_a_look_that_found_something_is_made_again_where_a_writer_was_at_wo
     looks: list[Path] = []
     look = verification._look
 
-    def counted(path: Path, workers: int, progress: None, asked: Asked) -> VerifyReport:
+    def counted(path: Path, workers: int, progress: None, asked: VerifyOptions) -> VerifyReport:
         looks.append(path)
         return look(path, workers, progress, asked)
 
@@ -219,12 +219,12 @@ def test_an_anchor_within_the_newest_commit_is_proved_by_the_rows_where_its_hash
     (tmp_path / "anchor").write_text(str(Note(tree, (SIGNER.sign(tree),))))
     for name in ("checkpoint", "nodes", "index.jsonl"):
         shutil.copyfile(snapshots / "1" / name, path / name)
-    report = verify(path, asked=Asked(trusted=SIGNER.verifier, anchor=read_anchor(tmp_path / "anchor")))
+    report = verify(path, asked=VerifyOptions(trusted=SIGNER.verifier, anchor=read_anchor(tmp_path / "anchor")))
     assert (report.ok, report.anchored, report.remarks) == (True, 280, (BEHIND,))
 
 
 @pytest.mark.parametrize("is_quick", [False, True])
 def test_an_anchor_of_no_events_begins_every_ledger(path: Path, tmp_path: Path, is_quick: bool) -> None:
     (tmp_path / "anchor").write_text("example.org/fsar-test\n0\n47DEQpj8HBSa+/TImW+5JCeuQeRkm5NMpJWZG3hSuFU=\n\n")
-    report = verify(path, asked=Asked(is_quick, anchor=read_anchor(tmp_path / "anchor")))
+    report = verify(path, asked=VerifyOptions(is_quick, anchor=read_anchor(tmp_path / "anchor")))
     assert (report.ok, report.anchored) == (True, 0)

@@ -13,7 +13,7 @@ from fsar_ledger.ledger.log.note import Checkpoint, Note, Signer
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.ledger.verify.notes import Anchor, read_anchor
-from fsar_ledger.ledger.verify.report import Asked, VerifyReport
+from fsar_ledger.ledger.verify.report import VerifyOptions, VerifyReport
 from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.forgery import changed, forge, forge_segment, segment_at, table_of
 from tests.ledger.once import decoded_once
@@ -40,7 +40,7 @@ def path(signed: Path, tmp_path: Path) -> Path:
 
 
 def trusted(path: Path) -> VerifyReport:
-    return verify(path, asked=Asked(trusted=KEY))
+    return verify(path, asked=VerifyOptions(trusted=KEY))
 
 
 def the_problem(report: VerifyReport) -> str:
@@ -95,7 +95,7 @@ def test_a_key_that_follows_another_is_the_one_to_trust(tmp_path: Path) -> None:
     append_all(tmp_path / "ledger", BATCHES[:2], signer=NAMESAKE)
     append_all(tmp_path / "ledger", BATCHES[2:], signer=SIGNER)
     assert (trusted(tmp_path / "ledger").ok, trusted(tmp_path / "ledger").signed) == (True, 1)
-    report = verify(tmp_path / "ledger", asked=Asked(trusted=NAMESAKE.verifier))
+    report = verify(tmp_path / "ledger", asked=VerifyOptions(trusted=NAMESAKE.verifier))
     assert (
         f"commit 2, field note: found a signature of {KEY.key}, expected one of {NAMESAKE.verifier.key}"
         in the_problem(report)
@@ -158,7 +158,7 @@ def is_quick(request: pytest.FixtureRequest) -> bool:
 def anchored(path: Path, note: Note | str | bytes, *, is_quick: bool, key: Signer | None = None) -> VerifyReport:
     file = path.parent / "anchor"
     file.write_bytes(note if isinstance(note, bytes) else str(note).encode())
-    return verify(path, asked=Asked(is_quick, key.verifier if key else None, read_anchor(file)))
+    return verify(path, asked=VerifyOptions(is_quick, key.verifier if key else None, read_anchor(file)))
 
 
 def note_of(path: Path, number: int) -> Note:
@@ -246,7 +246,9 @@ def test_an_anchor_that_is_not_there_is_the_callers_mistake(tmp_path: Path) -> N
 
 
 def test_a_quick_look_says_what_it_did_not_compare(path: Path) -> None:
-    assert verify(path, asked=Asked(is_quick=True)).remarks == ("rows were not compared with the recorded roots",)
+    assert verify(path, asked=VerifyOptions(is_quick=True)).remarks == (
+        "rows were not compared with the recorded roots",
+    )
     remark = "the recorded roots only grew since the anchor's 24 events; rows were not compared with them"
     assert anchored(path, note_of(path, 0), is_quick=True).remarks == (remark,)
     assert anchored(path, note_of(path, 0), is_quick=False).remarks == ()
@@ -259,22 +261,22 @@ def test_a_quick_look_finds_any_flipped_byte_of_a_segment_and_says_that_it_was_q
     data = segment_at(path, 1).read_bytes()
     for at in range(0, len(data), 37):
         segment_at(path, 1).write_bytes(data[:at] + bytes([data[at] ^ 1]) + data[at + 1 :])
-        report = verify(path, asked=Asked(is_quick=True))
+        report = verify(path, asked=VerifyOptions(is_quick=True))
         assert "segments/000000000024-000000000048.parquet: commit 1, field segment_sha256" in the_problem(report)
         assert report.is_quick
 
 
 def test_a_quick_look_at_an_intact_ledger_gives_the_recorded_head(path: Path) -> None:
-    quick, whole = verify(path, asked=Asked(is_quick=True, trusted=KEY)), trusted(path)
+    quick, whole = verify(path, asked=VerifyOptions(is_quick=True, trusted=KEY)), trusted(path)
     assert (quick.ok, quick.root, quick.commits, quick.events, quick.signature) == (True, whole.root, 3, 72, "signed")
     assert (quick.is_quick, whole.is_quick, quick.runs) == (True, False, 0)
-    assert verify(path, workers=2, asked=Asked(is_quick=True, trusted=KEY)) == quick
+    assert verify(path, workers=2, asked=VerifyOptions(is_quick=True, trusted=KEY)) == quick
 
 
 def test_a_quick_look_reads_no_rows(path: Path) -> None:
     """A forgery that fits the file's hash is left to the whole look."""
     forge_segment(path, 1, changed(table_of(path, 1), "time_us", 3, 1))
-    assert verify(path, asked=Asked(is_quick=True)).ok
+    assert verify(path, asked=VerifyOptions(is_quick=True)).ok
     assert not verify(path).ok
 
 
@@ -296,9 +298,9 @@ def test_a_ledger_begins_with_each_checkpoint_that_witnesses_show(path: Path, tm
     none = Anchor("witness dumb", None, "nothing that can be read")
     (tmp_path / "anchor").write_text(str(note_of(path, 0)))
     for anchor, size in ((None, None), (read_anchor(tmp_path / "anchor"), 24)):
-        report = verify(path, asked=Asked(is_quick, KEY, anchor, tuple(kept)))
+        report = verify(path, asked=VerifyOptions(is_quick, KEY, anchor, tuple(kept)))
         assert (report.ok, report.anchored) == (True, size), report.problems
-        report = verify(path, asked=Asked(is_quick, None, anchor, (kept[0], false, kept[1], larger, none)))
+        report = verify(path, asked=VerifyOptions(is_quick, None, anchor, (kept[0], false, kept[1], larger, none)))
         assert not report.ok
         assert [str(problem) for problem in report.problems if "witness w" in str(problem)] == []
         assert [

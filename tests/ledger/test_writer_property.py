@@ -23,7 +23,7 @@ from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.rows.schema import LAYOUTS, MAX_INTEGER
 from fsar_ledger.ledger.store.staging import stage
-from fsar_ledger.ledger.verify.report import Asked
+from fsar_ledger.ledger.verify.report import VerifyOptions
 from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.samples import ORIGIN, contents, made_up_run
 
@@ -215,7 +215,7 @@ def check(path: Path, offered: list[list[LedgerRun]], fates: Counter[str]) -> No
     writer.close()
     fates["refused"] += len(said)
     assert all("found" in line and "expected" in line for line in said), said
-    for asked in (Asked(), Asked(is_quick=True)):
+    for asked in (VerifyOptions(), VerifyOptions(is_quick=True)):
         report = verify(path, asked=asked)
         assert report.ok, report.problems
     assert list(open_ledger(path).runs()) == kept

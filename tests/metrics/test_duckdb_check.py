@@ -11,7 +11,7 @@ from fsar_ledger.ledger.rows.layout import Layout, check_layout, read_file, read
 from fsar_ledger.ledger.rows.schema import SCHEMA
 from fsar_ledger.ledger.rows.segment import read_coded
 from fsar_ledger.ledger.verify import segment as verify_segment
-from fsar_ledger.ledger.verify.report import Asked
+from fsar_ledger.ledger.verify.report import VerifyOptions
 from fsar_ledger.ledger.verify.verify import verify
 from fsar_ledger.metrics.duckdb_check import ReadAgain
 from tests.ledger.forgery import changed, forge_segment, segment_at
@@ -19,7 +19,7 @@ from tests.ledger.parts import two_faced
 from tests.ledger.samples import append_all, made_up_run
 
 TABLE = encode([made_up_run("run-0", 60, 1), made_up_run("run-1", 40, 2)])
-ASKED = Asked(second_reader=ReadAgain())
+ASKED = VerifyOptions(second_reader=ReadAgain())
 
 
 def read_again(path: str, decoded: pa.Table, is_as_written: bool) -> tuple[str, str] | None:

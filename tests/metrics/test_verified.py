@@ -13,7 +13,7 @@ from fsar_ledger.errors import LedgerCorrupted, SequenceConflict
 from fsar_ledger.ledger.chain.append import Writer
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.store.staging import stage
-from fsar_ledger.ledger.verify.report import Asked
+from fsar_ledger.ledger.verify.report import VerifyOptions
 from fsar_ledger.ledger.verify.verify import verify
 from fsar_ledger.metrics import verified
 from fsar_ledger.metrics.database import connect, from_rows
@@ -45,7 +45,7 @@ def test_rows_are_verified_after_a_whole_look_and_not_before(ledger: Path) -> No
 
 
 def test_a_quick_look_is_not_remembered(ledger: Path) -> None:
-    assert full_verify(ledger, asked=Asked(is_quick=True)).ok
+    assert full_verify(ledger, asked=VerifyOptions(is_quick=True)).ok
     assert not known(ledger)
 
 

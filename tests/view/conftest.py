@@ -8,7 +8,7 @@ from fsar_ledger.constants import Constants
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
 from fsar_ledger.view.drawn import Words, drawn
-from fsar_ledger.view.page import Shown
+from fsar_ledger.view.page import PageOptions
 
 ARCHITECTURES = ("fsar", "cfc", "dhma")
 
@@ -22,9 +22,9 @@ def plain_words(run: LedgerRun) -> Sequence[Words]:
     return [Words(None, None, "", None, None)] * len(run.events)
 
 
-def shown(run: LedgerRun, words: Sequence[Words] | None = None) -> Shown:
+def shown(run: LedgerRun, words: Sequence[Words] | None = None) -> PageOptions:
     picture = drawn(run, "1", plain_words(run) if words is None else words)
-    return Shown(picture, "out/ledger", len(run.events), "0" * 64, True, ())
+    return PageOptions(picture, "out/ledger", len(run.events), "0" * 64, True, ())
 
 
 @pytest.fixture(scope="session")

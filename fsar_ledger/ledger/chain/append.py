@@ -25,7 +25,7 @@ from fsar_ledger.errors import InvalidRun, NotALedger, WriteFailed, option
 from fsar_ledger.ledger.chain import paths
 from fsar_ledger.ledger.chain.compact import mergeable, merged_segment
 from fsar_ledger.ledger.chain.derived import append_derived
-from fsar_ledger.ledger.chain.held import Held, HeldRuns, continued
+from fsar_ledger.ledger.chain.held import ExistingRuns, RunNames, continued
 from fsar_ledger.ledger.chain.index import index_line
 from fsar_ledger.ledger.chain.journal import Frame, JournalFile
 from fsar_ledger.ledger.chain.prepare import repair, require_own
@@ -90,7 +90,7 @@ class Writer:
         except BaseException:
             self.close()
             raise
-        self._held: HeldRuns | None = None  # read when the first batch is appended
+        self._held: ExistingRuns | None = None  # read when the first batch is appended
 
     def _opened(self, *, is_alone: bool = False, settles: bool = True) -> View:
         """Open the ledger, finish what an interrupted writer left, and check who signed it."""
@@ -148,7 +148,7 @@ class Writer:
             self._journal.trim(self._view.journal.end)
             self._write_checkpoint()
 
-    def held(self) -> Held:
+    def held(self) -> RunNames:
         """Read from the rows which runs and plans the ledger holds. Raises: LedgerCorrupted if they cannot be read."""
         return self._runs().told()
 
@@ -156,9 +156,9 @@ class Writer:
         """Return the runs of which later commits may hold more, and how many events the ledger holds of each."""
         return {run: self._runs().events(run) for run in sorted(self._view.chain.going_on)}
 
-    def _runs(self) -> HeldRuns:
+    def _runs(self) -> ExistingRuns:
         if self._held is None:
-            self._held = HeldRuns(self._view)
+            self._held = ExistingRuns(self._view)
         return self._held
 
     def append(self, staged: Staged, signature: str = "") -> Head:

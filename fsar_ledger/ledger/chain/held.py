@@ -13,14 +13,14 @@ _MOST_SOUGHT = 64
 """How many runs are sought in the index by name before all of it is read, which takes about as long."""
 
 
-class Held(NamedTuple):
+class RunNames(NamedTuple):
     """The names of the runs that a ledger holds, and of its plans."""
 
     runs: frozenset[str]
     plans: frozenset[str]
 
 
-class HeldRuns:
+class ExistingRuns:
     """The runs of a ledger, sought in its index as they are asked about.
 
     A writer believes the index, as it believes the rows: it only appends.
@@ -67,11 +67,11 @@ class HeldRuns:
             self._runs.add(block)
             self._indexed.add(block.run)
 
-    def told(self) -> Held:
+    def told(self) -> RunNames:
         """Return the names of these runs, and of the plans."""
         self._read_all()
         plans = frozenset(run for run, known in self._runs.known.items() if known.is_alone)
-        return Held(frozenset(self._runs.known.keys() - plans), plans)
+        return RunNames(frozenset(self._runs.known.keys() - plans), plans)
 
     def events(self, run: str) -> int:
         """Return how many events of this run the ledger holds."""

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from fsar_ledger.ledger.chain.journal import Frame, leaves_in, lines_of
 from fsar_ledger.ledger.chain.paths import JOURNAL
-from fsar_ledger.ledger.chain.tables import Made, made_of, table_of
+from fsar_ledger.ledger.chain.tables import UnstagedSegment, made_of, table_of
 from fsar_ledger.ledger.log import pack
 from fsar_ledger.ledger.log.merkle import Frontier
 from fsar_ledger.ledger.rows.blocks import Block, blocks_of
@@ -19,7 +19,7 @@ from fsar_ledger.ledger.rows.blocks import Block, blocks_of
 class Sealed(NamedTuple):
     """The segment of some frames, its blocks, the tree after them, and what they add to the pack of the tree."""
 
-    made: Made
+    made: UnstagedSegment
     blocks: tuple[Block, ...]
     tree: Frontier
     nodes: bytes

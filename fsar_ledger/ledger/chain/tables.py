@@ -60,20 +60,20 @@ def table_of(path: Path, lines: bytes) -> pa.Table:
     return found.combine_chunks()
 
 
-class Made(NamedTuple):
+class UnstagedSegment(NamedTuple):
     """A segment in memory, which is not staged yet: its bytes, and what a writer must know of it."""
 
     data: pa.Buffer
     staged: Staged
 
 
-def made_of(table: pa.Table, leaves: bytes) -> Made:
+def made_of(table: pa.Table, leaves: bytes) -> UnstagedSegment:
     """Make a segment of these rows, of runs that a ledger holds, with these packed leaf hashes."""
     data = segment.to_parquet(table)
-    return Made(data, Staged(sha256_hex(data), data.size, table.num_rows, leaves))
+    return UnstagedSegment(data, Staged(sha256_hex(data), data.size, table.num_rows, leaves))
 
 
-def stage_made(ledger: Path, made: Made) -> None:
+def stage_made(ledger: Path, made: UnstagedSegment) -> None:
     """Write a segment durably to the staging folder. Raises: WriteFailed if the disk refused."""
     path = staged_path(ledger, made.staged.segment_sha256)
     with disk.refusals(path, "writing a segment"):

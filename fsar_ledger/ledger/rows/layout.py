@@ -41,7 +41,7 @@ _MAX_DICTIONARY_BYTES = 1 << 22
 """pyarrow adds no entry to a dictionary after 1 MiB."""
 
 
-class Said(NamedTuple):
+class PageInfo(NamedTuple):
     """The statistics of a column or a page, as Parquet stores them.
 
     `rows` are the rows of the page; None for a column.
@@ -62,8 +62,8 @@ class Layout(NamedTuple):
     rows: int
     schema: pa.Schema
     created_by: str
-    statistics: tuple[Said, ...]
-    of_pages: tuple[Said, ...]
+    statistics: tuple[PageInfo, ...]
+    of_pages: tuple[PageInfo, ...]
     sizes: tuple[bytes, ...]
 
 
@@ -134,7 +134,8 @@ def read_layout(data: bytes) -> Layout:
     if not data.startswith(known.group, at):
         raise ValueError(explain_footer(data[footer_at:-8], (known or _footers()[-1]).schema))
     at += len(known.group)
-    place, unpacked, elements, statistics, of_pages, sizes = len(MAGIC), 0, 0, list[Said](), list[Said](), list[bytes]()
+    place, unpacked, elements = len(MAGIC), 0, 0
+    statistics, of_pages, sizes = list[PageInfo](), list[PageInfo](), list[bytes]()
     for column in known.columns:
         found_chunk = _chunk(data, column, at)
         if found_chunk is None:
@@ -229,7 +230,7 @@ def _footer_at(data: bytes) -> int:
     return size - 8 - length
 
 
-def _chunk(data: bytes, column: Column, at: int) -> tuple[_Chunk, Said | None, int] | None:
+def _chunk(data: bytes, column: Column, at: int) -> tuple[_Chunk, PageInfo | None, int] | None:
     """Read the chunk of a column in the footer; return it, its statistics and where it ends; None if it does not match.
 
     Raises: ValueError if the statistics are invalid.
@@ -237,7 +238,7 @@ def _chunk(data: bytes, column: Column, at: int) -> tuple[_Chunk, Said | None, i
     found = column.chunk.match(data, at + len(column.about)) if data.startswith(column.about, at) else None
     if found is None:
         return None
-    said: Said | None = None
+    said: PageInfo | None = None
     rest: re.Match[bytes] | None = found
     if column.name == "run_id":
         said, after = _text_bounds(data, found.end(), b"\x19")
@@ -264,7 +265,7 @@ def _chunk(data: bytes, column: Column, at: int) -> tuple[_Chunk, Said | None, i
     )
 
 
-def _text_bounds(data: bytes, at: int, after: bytes) -> tuple[Said | None, int]:
+def _text_bounds(data: bytes, at: int, after: bytes) -> tuple[PageInfo | None, int]:
     """Read the statistics of `run_id`, if any, and what comes `after` them; return the statistics and where that ends.
 
     Raises: ValueError if they are invalid.
@@ -280,14 +281,14 @@ def _text_bounds(data: bytes, at: int, after: bytes) -> tuple[Said | None, int]:
             and data.startswith(after, end.end())
             and max(most_bytes, least_bytes) <= bounds.MAX_BOUND_BYTES
         ):
-            said = Said(
+            said = PageInfo(
                 "run_id", data[least.end() : least.end() + least_bytes], data[most.end() : most.end() + most_bytes]
             )
             return said, end.end() + len(after)
     raise ValueError("other statistics of column run_id, expected most, least and no NULL")
 
 
-def _page_bounds(data: bytes, name: str, header: re.Match[bytes]) -> tuple[Said | None, int]:
+def _page_bounds(data: bytes, name: str, header: re.Match[bytes]) -> tuple[PageInfo | None, int]:
     """Read the statistics of the page with this header; return them, and where its body begins.
 
     Raises: ValueError if they are invalid.
@@ -302,7 +303,7 @@ def _length(data: bytes) -> int:
     return data[0] if len(data) == 1 else data[0] & 0x7F | data[1] << 7
 
 
-def _integer_bounds(name: str, stated: bytes) -> Said:
+def _integer_bounds(name: str, stated: bytes) -> PageInfo:
     """Read the statistics of an integer column. Raises: ValueError if they contradict themselves."""
     found = INTEGER_BOUNDS.fullmatch(stated)
     assert found is not None
@@ -312,7 +313,7 @@ def _integer_bounds(name: str, stated: bytes) -> Said:
             f"statistics of column {name} that say {least!r} to {most!r} and {least_again!r} to {most_again!r}, "
             "expected them once"
         )
-    return Said(name, least, most)
+    return PageInfo(name, least, most)
 
 
 def _check_chunk(chunk: _Chunk, rows: int, place: int) -> None:
@@ -329,7 +330,7 @@ def _check_chunk(chunk: _Chunk, rows: int, place: int) -> None:
         raise ValueError(f"column {name}: pages from byte {begin}, expected from byte {place}, where those before end")
 
 
-def _check_pages(data: bytes, chunk: _Chunk, place: int, of_pages: list[Said]) -> int:
+def _check_pages(data: bytes, chunk: _Chunk, place: int, of_pages: list[PageInfo]) -> int:
     """Check the pages of this chunk, collect their statistics in `of_pages`, and return where they end.
 
     Raises: ValueError if they do not agree with the chunk.

@@ -35,7 +35,7 @@ from fsar_ledger.ledger.verify.notes import (
     not_compared,
     root_by_hashes,
 )
-from fsar_ledger.ledger.verify.report import MAX_PROBLEMS, NOT_LOOKED_AT, Asked, Progress, VerifyReport
+from fsar_ledger.ledger.verify.report import MAX_PROBLEMS, NOT_LOOKED_AT, Progress, VerifyOptions, VerifyReport
 from fsar_ledger.ledger.verify.segment import SegmentFacts, examine_all
 
 FOLDERS = frozenset({SEGMENTS, STAGING})
@@ -61,7 +61,7 @@ _SYMBOLIC = "a link or something else than a file"
 class Verification:
     """One look at a ledger, segment by segment."""
 
-    def __init__(self, path: Path, asked: Asked) -> None:
+    def __init__(self, path: Path, asked: VerifyOptions) -> None:
         self.path, self.asked = path, asked
         self.problems: list[Problem] = []
         self.events = self.done = 0

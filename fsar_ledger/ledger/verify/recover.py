@@ -24,7 +24,7 @@ from fsar_ledger.ledger.store import disk
 from fsar_ledger.ledger.store.paths import SEGMENTS
 from fsar_ledger.ledger.store.problem import Problem
 from fsar_ledger.ledger.store.view import Head
-from fsar_ledger.ledger.verify.report import Asked, Progress, VerifyReport
+from fsar_ledger.ledger.verify.report import Progress, VerifyOptions, VerifyReport
 from fsar_ledger.ledger.verify.trusted import Found, Later, find_trusted, mend, write_copy
 from fsar_ledger.ledger.verify.verify import require_ledger, verify
 
@@ -60,7 +60,11 @@ class Recovery(msgspec.Struct, frozen=True):
 
 
 def recover(
-    path: Path, workers: int = 1, progress: Progress | None = None, asked: Asked | None = None, into: Path | None = None
+    path: Path,
+    workers: int = 1,
+    progress: Progress | None = None,
+    asked: VerifyOptions | None = None,
+    into: Path | None = None,
 ) -> Recovery:
     """Mend the ledger so that it verifies, or leave it as it is and report what of it can be trusted.
 
@@ -79,7 +83,7 @@ def recover(
         WriteFailed: Another writer is at work, or the disk refused; what was done so far stays, and the next recovery
             goes on.
     """
-    asked = asked or Asked()
+    asked = asked or VerifyOptions()
     require_ledger(path)
     _require_free(path, into)
     if asked.anchor is not None and asked.anchor.note is None:
@@ -173,7 +177,9 @@ def _new_folder(ledger: Path) -> Path:
     raise AssertionError("count() never ends")
 
 
-def _copy(path: Path, found: Found, into: Path, workers: int, progress: Progress | None, asked: Asked) -> VerifyReport:
+def _copy(
+    path: Path, found: Found, into: Path, workers: int, progress: Progress | None, asked: VerifyOptions
+) -> VerifyReport:
     """Copy the trusted commits to a new ledger, byte for byte, and verify it; on failure nothing is there."""
     if not found.head.commits:
         raise LedgerCorrupted(

@@ -16,7 +16,7 @@ MAX_PROBLEMS = 100
 Progress = Callable[[int, int], None]
 
 
-class Asked(msgspec.Struct, frozen=True):
+class VerifyOptions(msgspec.Struct, frozen=True):
     """What `verify` is asked to check beyond the ledger itself.
 
     With `is_quick`, no rows are read: only the chain of records, the hashes of the files and the notes are checked.

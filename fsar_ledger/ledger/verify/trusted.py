@@ -36,7 +36,7 @@ from fsar_ledger.ledger.store.segments import check_manifest, names_in
 from fsar_ledger.ledger.store.view import EMPTY_HEAD, Head
 from fsar_ledger.ledger.verify.chain import FILES, FOLDERS, Verification, unplaced
 from fsar_ledger.ledger.verify.notes import Nodes, check_anchor
-from fsar_ledger.ledger.verify.report import Asked, Progress, VerifyReport
+from fsar_ledger.ledger.verify.report import Progress, VerifyOptions, VerifyReport
 
 SetAside = Callable[[str], None]
 Done = Callable[[Literal["moved into place", "made again", "set aside"], str, str], None]
@@ -110,7 +110,7 @@ class Found(msgspec.Struct, frozen=True):
         return Head(self.commits, last.tree_size, last.tree_root, str(run))
 
 
-def find_trusted(path: Path, workers: int, progress: Progress | None, asked: Asked) -> Found:
+def find_trusted(path: Path, workers: int, progress: Progress | None, asked: VerifyOptions) -> Found:
     """Find how much of the ledger can be trusted. Changes nothing.
 
     Raises: LedgerCorrupted if ledger.json cannot be read, and nothing says what was in it.
@@ -137,7 +137,7 @@ def find_trusted(path: Path, workers: int, progress: Progress | None, asked: Ask
     return Found(view, placements, commits, tuple(problems), report, anchored)
 
 
-def _anchored(view: View, look: Verification, asked: Asked, commits: int) -> int | None:
+def _anchored(view: View, look: Verification, asked: VerifyOptions, commits: int) -> int | None:
     """Count the events of the first so many commits that the anchor vouches for; None if it cannot."""
     anchor, origin, size = asked.anchor, view.manifest.origin, _size(view, commits)
     if anchor is None or anchor.note is None:

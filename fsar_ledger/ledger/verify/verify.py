@@ -17,10 +17,12 @@ from fsar_ledger.ledger.store.manifest import refuse_version_1
 from fsar_ledger.ledger.store.paths import CHAIN, MANIFEST, SEGMENTS, require_created
 from fsar_ledger.ledger.store.problem import Problem, unexpected
 from fsar_ledger.ledger.verify.chain import Verification
-from fsar_ledger.ledger.verify.report import MAX_PROBLEMS, Asked, Progress, VerifyReport
+from fsar_ledger.ledger.verify.report import MAX_PROBLEMS, Progress, VerifyOptions, VerifyReport
 
 
-def verify(path: Path, workers: int = 1, progress: Progress | None = None, asked: Asked | None = None) -> VerifyReport:
+def verify(
+    path: Path, workers: int = 1, progress: Progress | None = None, asked: VerifyOptions | None = None
+) -> VerifyReport:
     """Derive every field of every record again, and report every difference as a problem.
 
     Damage never raises, whatever the files hold. Symbolic links count as damage. If a writer is at work and what was
@@ -39,10 +41,10 @@ def verify(path: Path, workers: int = 1, progress: Progress | None = None, asked
     """
     require_ledger(path)
     before = _moment(path)
-    report = _look(path, workers, progress, asked or Asked())
+    report = _look(path, workers, progress, asked or VerifyOptions())
     if not report.ok and _moment(path) != before:  # what was read late need not fit what was read early
         with turns.turn(path / SEGMENTS, is_shared=True):
-            report = _look(path, workers, progress, asked or Asked())
+            report = _look(path, workers, progress, asked or VerifyOptions())
     return report
 
 
@@ -69,7 +71,7 @@ def _moment(path: Path) -> tuple[tuple[int, ...], str | Problem | None] | None:
         return None
 
 
-def _look(path: Path, workers: int, progress: Progress | None, asked: Asked) -> VerifyReport:
+def _look(path: Path, workers: int, progress: Progress | None, asked: VerifyOptions) -> VerifyReport:
     """Look at the whole ledger once. Raises: WorkerDied, and what `unexpected` raises: then nothing is known."""
     verification = Verification(path, asked)
     try:
