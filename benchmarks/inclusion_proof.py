@@ -23,13 +23,13 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from fsar_ledger.ledger.chain.derived import node_reader
-from fsar_ledger.ledger.chain.paths import NODES
-from fsar_ledger.ledger.chain.proof import prove_inclusion
 from fsar_ledger.ledger.log import pack
 from fsar_ledger.ledger.log.hashing import leaves_of
 from fsar_ledger.ledger.log.merkle import Frontier, leaf_hash, root_of_inclusion
 from fsar_ledger.ledger.log.note import checkpoint_of
+from fsar_ledger.ledger.store.derived import node_reader
+from fsar_ledger.ledger.store.paths import NODES
+from fsar_ledger.ledger.store.proof import prove_inclusion
 
 BATCH = 1 << 16
 LIMIT_MS = 50

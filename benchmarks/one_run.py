@@ -22,8 +22,8 @@ from pathlib import Path
 
 import fsar_ledger
 from fsar_ledger.constants import Constants
-from fsar_ledger.ledger.chain.append import Writer
 from fsar_ledger.ledger.opening import open_for_answers
+from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.runtime.experiment import ORIGIN
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run

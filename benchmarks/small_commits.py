@@ -20,10 +20,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 from fsar_ledger.constants import Constants
-from fsar_ledger.ledger.chain.append import SEAL_ROWS, Writer
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.rows.pieces import piece
 from fsar_ledger.ledger.rows.runs import LedgerRun
+from fsar_ledger.ledger.store.append import SEAL_ROWS, Writer
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.ledger.verify.verify import verify
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run

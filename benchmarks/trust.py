@@ -19,13 +19,13 @@ import pyarrow.parquet as pq
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from benchmarks.metrics import experiment
-from fsar_ledger.ledger.chain import append
-from fsar_ledger.ledger.chain.paths import CHAIN
-from fsar_ledger.ledger.chain.read import View
 from fsar_ledger.ledger.log import pack
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows import canonical, codec
 from fsar_ledger.ledger.rows.segment import read_table
+from fsar_ledger.ledger.store import append
+from fsar_ledger.ledger.store.paths import CHAIN
+from fsar_ledger.ledger.store.read import View
 from fsar_ledger.ledger.verify.report import VerifyOptions
 from fsar_ledger.ledger.verify.verify import verify
 from fsar_ledger.runtime.experiment import run_experiment

@@ -21,10 +21,11 @@ import pyarrow.parquet as pq
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from fsar_ledger.ledger.chain.paths import CHAIN, segment_of
-from fsar_ledger.ledger.chain.read import open_chain
 from fsar_ledger.ledger.rows import canonical, joining
 from fsar_ledger.ledger.rows.segment import read_table
+from fsar_ledger.ledger.store.paths import CHAIN
+from fsar_ledger.ledger.store.read import open_chain
+from fsar_ledger.ledger.store.record import segment_of
 from fsar_ledger.ledger.store.segments import Names, check_manifest
 from fsar_ledger.ledger.verify.segment import examine, examine_some
 from fsar_ledger.metrics.duckdb_check import ReadAgain

@@ -37,7 +37,6 @@ from fsar_ledger.events.configuration import MECHANISMS_OF
 from fsar_ledger.events.envelope import Robot
 from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
 from fsar_ledger.events.world import TaskArrived
-from fsar_ledger.ledger.chain.append import Writer
 from fsar_ledger.ledger.log import merkle
 from fsar_ledger.ledger.log.note import Signer
 from fsar_ledger.ledger.opening import open_ledger
@@ -45,6 +44,7 @@ from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.rows.codec import LedgerRun, encode_hashed
 from fsar_ledger.ledger.rows.releases import FINGERPRINTS
 from fsar_ledger.ledger.rows.schema import CONCERNED, SCHEMA, STANDS_ALONE, STORED
+from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.staging import stage_rows
 from fsar_ledger.metrics.library import Query, library
 from fsar_ledger.metrics.multiverse import readings

@@ -9,10 +9,10 @@ import pyarrow.compute as pc
 from fsar_ledger import printable
 from fsar_ledger.errors import UsageError
 from fsar_ledger.events.fleet import RunStarted
-from fsar_ledger.ledger.chain.read import View
 from fsar_ledger.ledger.rows import codec, segment
 from fsar_ledger.ledger.rows.codec import LedgerRun, encode_coded
 from fsar_ledger.ledger.rows.pieces import whole
+from fsar_ledger.ledger.store.read import View
 from fsar_ledger.metrics.database import Database, from_table
 from fsar_ledger.metrics.results import typed
 

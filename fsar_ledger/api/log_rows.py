@@ -12,10 +12,9 @@ import pyarrow as pa
 from fsar_ledger import printable
 from fsar_ledger.errors import LedgerCorrupted, UsageError, option
 from fsar_ledger.events import CONCERNS
-from fsar_ledger.ledger.chain.paths import CHAIN, JOURNAL
-from fsar_ledger.ledger.chain.read import View
 from fsar_ledger.ledger.opening import open_for_answers
-from fsar_ledger.ledger.store.paths import CHECKPOINT, MANIFEST
+from fsar_ledger.ledger.store.paths import CHAIN, CHECKPOINT, JOURNAL, MANIFEST
+from fsar_ledger.ledger.store.read import View
 from fsar_ledger.metrics import relation
 from fsar_ledger.metrics.connection import Value
 from fsar_ledger.metrics.database import Database

@@ -13,8 +13,8 @@ from fsar_ledger.metrics.verified import is_verified_for_runs, require_runs
 from .names import MAX_DIGITS, Time, microseconds, named, principal_named, run_named
 
 if TYPE_CHECKING:
-    from fsar_ledger.ledger.chain.read import View
     from fsar_ledger.ledger.rows.codec import LedgerRun
+    from fsar_ledger.ledger.store.read import View
     from fsar_ledger.metrics.database import Database
     from fsar_ledger.metrics.library import Query
     from fsar_ledger.metrics.query_parameters import Parameter

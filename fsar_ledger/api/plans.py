@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from fsar_ledger import printable
 from fsar_ledger.errors import InvalidExperiment, UsageError
-from fsar_ledger.ledger.chain.read import View
+from fsar_ledger.ledger.store.read import View
 from fsar_ledger.metrics.plans import EXPERIMENTS
 
 from .experiments import RUNS, experiment_of

@@ -11,8 +11,8 @@ from .names import MAX_DIGITS, Place
 from .verbs import argument, declare, verb
 
 if TYPE_CHECKING:
-    from fsar_ledger.ledger.chain.proof import Proof
-    from fsar_ledger.ledger.chain.read import View
+    from fsar_ledger.ledger.store.proof import Proof
+    from fsar_ledger.ledger.store.read import View
 
     from .ledger import Ledger
 
@@ -57,8 +57,8 @@ def prove(
     """
     import os
 
-    from fsar_ledger.ledger.chain import proof
     from fsar_ledger.ledger.opening import open_for_answers
+    from fsar_ledger.ledger.store import proof
     from fsar_ledger.ledger.store.paths import require_outside
 
     from .files import write_text
@@ -98,7 +98,7 @@ def asked_event(view: "View", event: str, demanded: str | None) -> tuple[str | N
 
 def found_event(view: "View", run: str | None, seq: str, demanded: str | None) -> tuple[str, int]:
     """Return run and seq of the event that `asked_event` gave. Raises: UsageError if there is no such event."""
-    from fsar_ledger.ledger.chain.places import event_at
+    from fsar_ledger.ledger.store.places import event_at
 
     found = event_at(view, _index_of(view, run, seq, demanded))
     return str(found["run_id"]), int(str(found["seq"]))
@@ -110,7 +110,7 @@ def _index_of(view: "View", run: str | None, seq: str, demanded: str | None) -> 
     Raises:
         UsageError: There is no such event.
     """
-    from fsar_ledger.ledger.chain.places import place_of
+    from fsar_ledger.ledger.store.places import place_of
     from fsar_ledger.metrics.verified import is_verified
 
     from .lookup import resting_on_rows

@@ -15,7 +15,7 @@ from .names import Place
 from .verbs import TrustedKeyOption, argument, declare, verb
 
 if TYPE_CHECKING:
-    from fsar_ledger.ledger.chain.proof import Proven
+    from fsar_ledger.ledger.store.proof import Proven
 
 PRINCIPALS = ("decided_by", "requested_by", "executed_by", "supervised_by")
 UNKNOWN = "not on record"
@@ -119,7 +119,7 @@ def verify_proof(
         LedgerCorrupted: It proves nothing, the trusted key did not sign it, or it leads to another root.
         UsageError: There is no such file, the anchor is none or is of another size, or the root is no hash.
     """
-    from fsar_ledger.ledger.chain.proof import check_proof, read_proof, require_root, require_tree
+    from fsar_ledger.ledger.store.proof import check_proof, read_proof, require_root, require_tree
 
     kept, expected = checkpoint_of(anchor), root_of(root)
     proven = check_proof(str(file), read_proof(Path(file)), trusted_of(trusted_key))

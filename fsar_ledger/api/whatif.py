@@ -18,8 +18,8 @@ from .workload import Progress
 
 if TYPE_CHECKING:
     from fsar_ledger.analysis.whatif import Divergence, Effects, Pair
-    from fsar_ledger.ledger.chain.read import View
     from fsar_ledger.ledger.rows.codec import LedgerRun
+    from fsar_ledger.ledger.store.read import View
     from fsar_ledger.ledger.store.view import Head
     from fsar_ledger.runtime.changes import Changes
 

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import msgspec
 
-from fsar_ledger.ledger.chain.append import Writer
 from fsar_ledger.ledger.opening import open_ledger
+from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.view import Head
 
 

@@ -9,11 +9,11 @@ compared with their records.
 from pathlib import Path
 
 from fsar_ledger.errors import LedgerCorrupted
-from fsar_ledger.ledger.chain.checkpoint import check_chain_checkpoint
-from fsar_ledger.ledger.chain.read import View, open_chain
 from fsar_ledger.ledger.store import turns
+from fsar_ledger.ledger.store.checkpoint import check_chain_checkpoint
 from fsar_ledger.ledger.store.manifest import read_manifest
 from fsar_ledger.ledger.store.paths import SEGMENTS
+from fsar_ledger.ledger.store.read import View, open_chain
 
 
 def open_ledger(path: Path) -> View:

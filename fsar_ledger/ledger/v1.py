@@ -14,7 +14,6 @@ from typing import Annotated
 import msgspec
 
 from fsar_ledger.errors import LedgerCorrupted, UsageError
-from fsar_ledger.ledger.chain.append import Writer
 from fsar_ledger.ledger.log.hashing import sha256_hex
 from fsar_ledger.ledger.log.merkle import Frontier
 from fsar_ledger.ledger.log.note import checkpoint_of, is_name, parse_note
@@ -23,6 +22,7 @@ from fsar_ledger.ledger.rows.blocks import Runs
 from fsar_ledger.ledger.rows.bounds import MAX_ROWS, MAX_SEGMENT_BYTES
 from fsar_ledger.ledger.rows.releases import FINGERPRINTS
 from fsar_ledger.ledger.store import disk
+from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.manifest import FORMAT, VERSION_1, Manifest, parse_document, read_manifest, version_of
 from fsar_ledger.ledger.store.paths import CHECKPOINT, COMMITS, MANIFEST, SEGMENTS, STAGING, staged_path
 from fsar_ledger.ledger.store.problem import Problem

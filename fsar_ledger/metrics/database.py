@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 
-from fsar_ledger.ledger.chain.read import View
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.rows.schema import SCHEMA
 from fsar_ledger.ledger.store.paths import SEGMENTS, segment_bytes
+from fsar_ledger.ledger.store.read import View
 from fsar_ledger.ledger.store.view import Extent
 
 from . import relation

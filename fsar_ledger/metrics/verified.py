@@ -23,12 +23,12 @@ import msgspec
 
 from fsar_ledger import __version__
 from fsar_ledger.errors import LedgerCorrupted, SequenceConflict, UsageError
-from fsar_ledger.ledger.chain.indexed import compare_index, require_index
-from fsar_ledger.ledger.chain.read import View
 from fsar_ledger.ledger.log.hashing import sha256_hex
 from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.store import disk
 from fsar_ledger.ledger.store.paths import require_outside
+from fsar_ledger.ledger.store.places import compare_index, require_index
+from fsar_ledger.ledger.store.read import View
 from fsar_ledger.ledger.verify.report import VerifyOptions, VerifyReport
 from fsar_ledger.ledger.verify.verify import verify
 

@@ -21,8 +21,8 @@ from fsar_ledger.events.configuration import (
     removed_mechanisms,
 )
 from fsar_ledger.events.fleet import ExperimentPlanned
-from fsar_ledger.ledger.chain.append import Writer
 from fsar_ledger.ledger.log.note import Signer
+from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.ledger.store.view import Head
 

@@ -16,10 +16,10 @@ from urllib.parse import SplitResult, urlsplit
 import msgspec
 
 from fsar_ledger.errors import LedgerCorrupted, UsageError
-from fsar_ledger.ledger.chain.read import View
 from fsar_ledger.ledger.log.merkle import consistency_proof
 from fsar_ledger.ledger.log.note import Note, Signature
 from fsar_ledger.ledger.opening import open_ledger
+from fsar_ledger.ledger.store.read import View
 from fsar_ledger.witness.cosignature import parse_cosigned
 from fsar_ledger.witness.policy import Policy, Witness
 from fsar_ledger.witness.protocol import ADD_CHECKPOINT, MAX_BODY_BYTES, SIZE, Answer, Request

@@ -11,11 +11,11 @@ from fsar_ledger.api.log_rows import LogRequest, stream
 from fsar_ledger.api.provenance import Provenance
 from fsar_ledger.constants import Constants
 from fsar_ledger.errors import UsageError
-from fsar_ledger.ledger.chain.append import Writer
 from fsar_ledger.ledger.log.merkle import tree_root
 from fsar_ledger.ledger.log.tiles import Tile, node_of
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.rows.runs import LedgerRun
+from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
 from tests.ledger.keep_release import LEDGERS

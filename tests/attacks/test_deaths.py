@@ -13,7 +13,7 @@ import msgspec
 import pytest
 
 from fsar_ledger.constants import Constants
-from fsar_ledger.ledger.chain.append import Writer
+from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.runtime.experiment import ORIGIN, Experiment
 from fsar_ledger.runtime.simulation import ARCHITECTURES, RunSpec, plan_record, simulate_run

@@ -7,7 +7,7 @@ from xml.etree import ElementTree
 import pytest
 
 from fsar_ledger.constants import Constants
-from fsar_ledger.ledger.chain.append import Writer
+from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
 from tests.attacks.conftest import Attack
 from tests.ledger.hostile import relabelled, stage_anything

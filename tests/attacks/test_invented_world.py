@@ -21,9 +21,9 @@ from fsar_ledger.events.world import (
     PolicyWindowClosed,
     PolicyWindowOpened,
 )
-from fsar_ledger.ledger.chain.append import Writer
 from fsar_ledger.ledger.log.note import Signer
 from fsar_ledger.ledger.rows.codec import LedgerRun
+from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.keys import new_key, read_signer
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.runtime.experiment import ORIGIN, Experiment

@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 
 from fsar_ledger.constants import Constants
-from fsar_ledger.ledger.chain.append import Writer
-from fsar_ledger.ledger.chain.proof import prove
 from fsar_ledger.ledger.opening import open_ledger
+from fsar_ledger.ledger.store.append import Writer
+from fsar_ledger.ledger.store.proof import prove
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
 from tests.attacks.conftest import Attack
 from tests.cli.conftest import Called

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from fsar_ledger.ledger.chain.append import Writer
+from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.witness.cosign import cosign
 from fsar_ledger.witness.policy import read_policy

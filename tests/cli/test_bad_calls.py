@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from fsar_ledger.cli import app
-from fsar_ledger.ledger.chain.append import Writer
+from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.runtime.experiment import ORIGIN
 from tests.cli.conftest import SMALL, Call, one_message
 from tests.quick import few

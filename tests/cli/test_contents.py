@@ -15,9 +15,9 @@ from fsar_ledger.api.simulate import before
 from fsar_ledger.constants import Constants, Load, WorldConstants
 from fsar_ledger.events.envelope import Architecture
 from fsar_ledger.events.fleet import RunStarted
-from fsar_ledger.ledger.chain.append import Writer
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows.codec import LedgerRun
+from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.keys import read_signer
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.ledger.store.view import EMPTY_HEAD

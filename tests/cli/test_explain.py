@@ -188,7 +188,7 @@ def test_a_drawing_inside_the_ledger_is_refused_and_none_is_written_for_a_wrong_
 
 
 def test_a_place_without_ledger_and_a_ledger_without_runs_are_named(call: Call, tmp_path: Path) -> None:
-    from fsar_ledger.ledger.chain.append import Writer
+    from fsar_ledger.ledger.store.append import Writer
 
     one_message(call("explain", tmp_path / "nowhere"), 2, str(tmp_path / "nowhere"))
     with Writer(tmp_path / "empty", "test"):

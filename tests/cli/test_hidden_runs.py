@@ -14,13 +14,13 @@ import msgspec
 import pytest
 
 from fsar_ledger.constants import Constants
-from fsar_ledger.ledger.chain.append import Writer
-from fsar_ledger.ledger.chain.index import line_doubt
-from fsar_ledger.ledger.chain.paths import INDEX, NODES
 from fsar_ledger.ledger.log.hashing import sha256_hex
 from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.rows.pieces import piece
 from fsar_ledger.ledger.rows.runs import LedgerRun
+from fsar_ledger.ledger.store.append import Writer
+from fsar_ledger.ledger.store.index import line_doubt
+from fsar_ledger.ledger.store.paths import INDEX, NODES
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
 from tests.ledger.agreement_chain import records_of, relink, view_of

@@ -14,8 +14,8 @@ from pathlib import Path
 import pytest
 
 from fsar_ledger.constants import Constants
-from fsar_ledger.ledger.chain.append import Writer
 from fsar_ledger.ledger.log.note import Signer
+from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
 from fsar_ledger.witness.cosignature import Cosigner
 from tests.cli.conftest import Call

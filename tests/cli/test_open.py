@@ -15,7 +15,7 @@ import pyarrow as pa
 import pytest
 
 import fsar_ledger
-from fsar_ledger.ledger.chain.append import Writer
+from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.v1 import upgrade
 from fsar_ledger.metrics.library import library
 from tests.cli.conftest import Call, Called, in_a_process, one_message

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from fsar_ledger.ledger.chain.append import Writer
+from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.staging import stage
 from tests.ledger.damage import flips
 from tests.ledger.forgery import changed, forge_segment, segment_at, table_of

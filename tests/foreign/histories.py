@@ -6,9 +6,9 @@ from pathlib import Path
 
 from fsar_ledger.events import CONCERN_OF, CONCERNS, Event
 from fsar_ledger.events.fleet import RunStarted
-from fsar_ledger.ledger.chain.append import Writer
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.rows.schema import LAYOUTS, STANDS_ALONE, Field
+from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.staging import stage
 from tests.ledger.samples import ORIGIN
 

@@ -11,11 +11,6 @@ from typing import Any
 import msgspec
 import pyarrow as pa
 
-from fsar_ledger.ledger.chain.append import Writer
-from fsar_ledger.ledger.chain.index import line_of
-from fsar_ledger.ledger.chain.paths import CHAIN, INDEX, JOURNAL, NODES, SEALING
-from fsar_ledger.ledger.chain.read import View
-from fsar_ledger.ledger.chain.record import Commit, Placement
 from fsar_ledger.ledger.log import pack
 from fsar_ledger.ledger.log.hashing import leaves_of, sha256_hex
 from fsar_ledger.ledger.log.merkle import Frontier
@@ -23,6 +18,11 @@ from fsar_ledger.ledger.log.note import Signer, checkpoint_of
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows import canonical, segment
 from fsar_ledger.ledger.rows.runs import LedgerRun
+from fsar_ledger.ledger.store.append import Writer
+from fsar_ledger.ledger.store.index import line_of
+from fsar_ledger.ledger.store.paths import CHAIN, INDEX, JOURNAL, NODES, SEALING
+from fsar_ledger.ledger.store.read import View
+from fsar_ledger.ledger.store.record import Commit, Placement
 from tests.ledger.agreement import KEY, note_of, odd_run
 from tests.ledger.hostile import stage_anything
 from tests.ledger.samples import ORIGIN, made_up_run

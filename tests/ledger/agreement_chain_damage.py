@@ -9,9 +9,10 @@ import random
 import shutil
 from pathlib import Path
 
-from fsar_ledger.ledger.chain.append import Writer
-from fsar_ledger.ledger.chain.paths import CHAIN, INDEX, JOURNAL, NODES, SEALING, segment_of
 from fsar_ledger.ledger.rows.schema import COLUMNS, ENVELOPE, LAYOUTS
+from fsar_ledger.ledger.store.append import Writer
+from fsar_ledger.ledger.store.paths import CHAIN, INDEX, JOURNAL, NODES, SEALING
+from fsar_ledger.ledger.store.record import segment_of
 from tests.ledger.agreement import KEY, STRANGER, Case, Make, files_of, note_of, with_value
 from tests.ledger.agreement_chain import (
     anchor_at,

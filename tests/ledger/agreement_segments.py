@@ -8,10 +8,10 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from fsar_ledger.ledger.chain.paths import segment_of
 from fsar_ledger.ledger.log.hashing import sha256_hex
 from fsar_ledger.ledger.rows.schema import SCHEMA
 from fsar_ledger.ledger.rows.segment import to_parquet
+from fsar_ledger.ledger.store.record import segment_of
 from tests.ledger.agreement import OTHER_VERSION, VERSION, Case, Make, with_value
 from tests.ledger.agreement_chain import records_of, relink, tables_of, view_of
 from tests.ledger.parquet_damage import DAMAGED

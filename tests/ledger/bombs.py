@@ -12,13 +12,13 @@ from typing import NamedTuple
 import numpy as np
 import pyarrow as pa
 
-from fsar_ledger.ledger.chain.paths import CHAIN, INDEX, NODES, segment_name
 from fsar_ledger.ledger.log import pack
 from fsar_ledger.ledger.log.hashing import HASH_BYTES, sha256_hex
 from fsar_ledger.ledger.log.merkle import Frontier
 from fsar_ledger.ledger.log.note import Note, checkpoint_of
 from fsar_ledger.ledger.rows import canonical, segment
 from fsar_ledger.ledger.rows.schema import CODED_SCHEMA, MAX_INTEGER
+from fsar_ledger.ledger.store.paths import CHAIN, INDEX, NODES, segment_name
 from tests.ledger.forgery import records_in
 from tests.ledger.hostile import documents, written
 from tests.ledger.samples import ORIGIN, append_all

@@ -11,16 +11,15 @@ from pathlib import Path
 from unittest.mock import patch
 
 from fsar_ledger.errors import FsarLedgerError
-from fsar_ledger.ledger.chain import append
-from fsar_ledger.ledger.chain.append import Writer
-from fsar_ledger.ledger.chain.journal import ALLOTTED
-from fsar_ledger.ledger.chain.sealing import Sealing
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows import pieces
 from fsar_ledger.ledger.rows.codec import encode_lines
 from fsar_ledger.ledger.rows.runs import LedgerRun
-from fsar_ledger.ledger.store import growing
+from fsar_ledger.ledger.store import append, growing
+from fsar_ledger.ledger.store.append import Writer
+from fsar_ledger.ledger.store.journal import ALLOTTED
 from fsar_ledger.ledger.store.paths import MANIFEST
+from fsar_ledger.ledger.store.sealing import Sealing
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.faults import Fault, FaultyOs, Killed, in_place_of_os

@@ -13,13 +13,13 @@ from typing import Any
 import msgspec
 
 from fsar_ledger.errors import FsarLedgerError, NotALedger, WriteFailed
-from fsar_ledger.ledger.chain.append import Writer
-from fsar_ledger.ledger.chain.read import View
-from fsar_ledger.ledger.chain.record import Commit
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.rows.codec import encode_lines
 from fsar_ledger.ledger.rows.runs import LedgerRun
+from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.paths import MANIFEST
+from fsar_ledger.ledger.store.read import View
+from fsar_ledger.ledger.store.record import Commit
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.faults import SYNCS, WRITES, Fault, FaultyOs, in_place_of_os

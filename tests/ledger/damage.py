@@ -17,18 +17,18 @@ from pathlib import Path
 from typing import NamedTuple
 from unittest.mock import patch
 
-from fsar_ledger.ledger.chain import journal
-from fsar_ledger.ledger.chain.append import Writer
-from fsar_ledger.ledger.chain.checkpoint import behind
-from fsar_ledger.ledger.chain.journal import size_of
-from fsar_ledger.ledger.chain.paths import CHAIN, INDEX, JOURNAL, NODES, SEALING, segment_of
-from fsar_ledger.ledger.chain.read import View
 from fsar_ledger.ledger.log.note import Signer
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows import pieces
 from fsar_ledger.ledger.rows.runs import LedgerRun
-from fsar_ledger.ledger.store.paths import CHECKPOINT, MANIFEST
+from fsar_ledger.ledger.store import journal
+from fsar_ledger.ledger.store.append import Writer
+from fsar_ledger.ledger.store.checkpoint import behind
+from fsar_ledger.ledger.store.journal import size_of
+from fsar_ledger.ledger.store.paths import CHAIN, CHECKPOINT, INDEX, JOURNAL, MANIFEST, NODES, SEALING
 from fsar_ledger.ledger.store.problem import Problem
+from fsar_ledger.ledger.store.read import View
+from fsar_ledger.ledger.store.record import segment_of
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.ledger.verify.report import VerifyOptions, VerifyReport
 from fsar_ledger.ledger.verify.verify import verify

@@ -10,7 +10,7 @@ from typing import NamedTuple
 from fsar_ledger.cli import app
 from fsar_ledger.constants import Constants
 from fsar_ledger.events.envelope import Scenario
-from fsar_ledger.ledger.chain.append import Writer
+from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.runtime.simulation import ARCHITECTURES, RunSpec, simulate_run
 from tests.ledger.damage import files_of, kind_of

@@ -6,10 +6,10 @@ from typing import Any
 
 import pyarrow as pa
 
-from fsar_ledger.ledger.chain.paths import CHAIN
 from fsar_ledger.ledger.log.hashing import sha256_hex
 from fsar_ledger.ledger.rows import canonical, segment
 from fsar_ledger.ledger.rows.schema import SCHEMA
+from fsar_ledger.ledger.store.paths import CHAIN
 
 
 def segment_at(path: Path, number: int) -> Path:

@@ -8,10 +8,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from fsar_ledger.events.envelope import flat, with_columns
-from fsar_ledger.ledger.chain.append import Writer
 from fsar_ledger.ledger.rows import canonical, segment
 from fsar_ledger.ledger.rows.codec import LedgerRun, encode_hashed
 from fsar_ledger.ledger.rows.schema import CODED_SCHEMA, COLUMNS, LAYOUTS, MAX_INTEGER, SCHEMA
+from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.staging import Staged, stage, stage_rows
 from tests.ledger.samples import ORIGIN
 

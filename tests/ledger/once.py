@@ -8,10 +8,9 @@ from unittest.mock import patch
 
 import msgspec
 
-from fsar_ledger.ledger.chain import read
 from fsar_ledger.ledger.log.hashing import sha256_hex
 from fsar_ledger.ledger.rows import segment
-from fsar_ledger.ledger.store import disk
+from fsar_ledger.ledger.store import disk, read
 from fsar_ledger.ledger.store.segments import find_segment
 from fsar_ledger.ledger.verify import chain
 from fsar_ledger.ledger.verify import segment as verify_segment

@@ -7,10 +7,10 @@ from pathlib import Path
 from hypothesis import strategies as st
 
 from fsar_ledger.events import CONCERNS, Event
-from fsar_ledger.ledger.chain.append import Writer
 from fsar_ledger.ledger.log.note import Signer
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.rows.schema import LAYOUTS, MAX_INTEGER, STANDS_ALONE, Field, StoredType
+from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.ledger.store.view import Head
 

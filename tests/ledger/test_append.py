@@ -10,13 +10,13 @@ from fsar_ledger.errors import (
     LedgerCorrupted,
     WriteFailed,
 )
-from fsar_ledger.ledger.chain.append import Writer
 from fsar_ledger.ledger.log import merkle
 from fsar_ledger.ledger.log.note import Note, checkpoint_of
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows import canonical, segment
 from fsar_ledger.ledger.rows.codec import encode_hashed
 from fsar_ledger.ledger.store import paths, prepare
+from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.ledger.store.view import EMPTY_HEAD
 from fsar_ledger.ledger.verify.verify import verify

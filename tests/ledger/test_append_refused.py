@@ -15,9 +15,9 @@ from fsar_ledger.errors import (
     UsageError,
     WriteFailed,
 )
-from fsar_ledger.ledger.chain.append import Writer
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows import canonical, segment
+from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.manifest import Manifest
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.ledger.store.view import EMPTY_HEAD

@@ -13,11 +13,6 @@ from hypothesis import strategies as st
 
 from fsar_ledger.api.ledger import Ledger
 from fsar_ledger.errors import InvalidRun, LedgerCorrupted
-from fsar_ledger.ledger.chain.append import Writer
-from fsar_ledger.ledger.chain.paths import CHAIN, INDEX, JOURNAL, NODES
-from fsar_ledger.ledger.chain.places import place_of
-from fsar_ledger.ledger.chain.proof import check_proof, prove
-from fsar_ledger.ledger.chain.read import View
 from fsar_ledger.ledger.log import pack
 from fsar_ledger.ledger.log.hashing import HASH_BYTES
 from fsar_ledger.ledger.log.merkle import Frontier, inclusion_proof, leaf_hash, root_of_inclusion
@@ -26,6 +21,11 @@ from fsar_ledger.ledger.opening import open_for_answers, open_ledger
 from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.rows.pieces import joined, piece
 from fsar_ledger.ledger.rows.runs import LedgerRun
+from fsar_ledger.ledger.store.append import Writer
+from fsar_ledger.ledger.store.paths import CHAIN, INDEX, JOURNAL, NODES
+from fsar_ledger.ledger.store.places import place_of
+from fsar_ledger.ledger.store.proof import check_proof, prove
+from fsar_ledger.ledger.store.read import View
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.ledger.store.view import RunNames
 from fsar_ledger.ledger.verify.notes import read_anchor

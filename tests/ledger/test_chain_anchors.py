@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from fsar_ledger.ledger.chain.append import Writer
-from fsar_ledger.ledger.chain.paths import CHAIN, NODES
 from fsar_ledger.ledger.rows.pieces import piece
+from fsar_ledger.ledger.store.append import Writer
+from fsar_ledger.ledger.store.paths import CHAIN, NODES
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.ledger.verify.notes import Anchor, read_anchor
 from fsar_ledger.ledger.verify.recover import recover

@@ -9,10 +9,10 @@ from unittest.mock import patch
 import pytest
 
 from fsar_ledger.errors import LedgerCorrupted
-from fsar_ledger.ledger.chain import torn
-from fsar_ledger.ledger.chain.paths import CHAIN, INDEX, JOURNAL, NODES, SEALING
-from fsar_ledger.ledger.chain.record import Commit, parse_line
 from fsar_ledger.ledger.opening import open_for_answers
+from fsar_ledger.ledger.store import torn
+from fsar_ledger.ledger.store.paths import CHAIN, INDEX, JOURNAL, NODES, SEALING
+from fsar_ledger.ledger.store.record import Commit, parse_line
 from tests.ledger.damage import write_handed_over
 from tests.quick import few
 

@@ -7,12 +7,12 @@ from unittest.mock import patch
 import msgspec
 import pytest
 
-from fsar_ledger.ledger.chain.append import Writer
-from fsar_ledger.ledger.chain.links import Chain, Followed, follow
-from fsar_ledger.ledger.chain.paths import CHAIN
 from fsar_ledger.ledger.log.hashing import sha256_hex
 from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.rows.pieces import piece
+from fsar_ledger.ledger.store.append import Writer
+from fsar_ledger.ledger.store.links import Chain, Followed, follow
+from fsar_ledger.ledger.store.paths import CHAIN
 from fsar_ledger.ledger.store.staging import stage
 from tests.ledger.samples import ORIGIN, made_up_run
 

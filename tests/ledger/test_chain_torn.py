@@ -6,10 +6,10 @@ from pathlib import Path
 import pytest
 
 from fsar_ledger.errors import LedgerCorrupted
-from fsar_ledger.ledger.chain.append import Writer
-from fsar_ledger.ledger.chain.paths import CHAIN, INDEX, JOURNAL, NODES
-from fsar_ledger.ledger.chain.read import View
 from fsar_ledger.ledger.opening import open_for_answers
+from fsar_ledger.ledger.store.append import Writer
+from fsar_ledger.ledger.store.paths import CHAIN, INDEX, JOURNAL, NODES
+from fsar_ledger.ledger.store.read import View
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.ledger.verify.chain import SEALED
 from fsar_ledger.ledger.verify.verify import verify

@@ -15,9 +15,9 @@ import pytest
 
 from fsar_ledger.cli import app
 from fsar_ledger.errors import FormatVersionMismatch, UnknownEventTag
-from fsar_ledger.ledger.chain.append import Writer
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows.releases import FINGERPRINTS, RELEASE
+from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.v1 import upgrade
 from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger import later_release

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from fsar_ledger.ledger.chain.append import Writer
 from fsar_ledger.ledger.store import disk
+from fsar_ledger.ledger.store.append import Writer
 from tests.ledger.crash_trials import write_with
 from tests.ledger.faults import Fault, FaultyOs, in_place_of_os, is_free, one_fault_a_call
 from tests.ledger.power import Choice

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from fsar_ledger.ledger.chain import read
 from fsar_ledger.ledger.rows.layout import read_layout
+from fsar_ledger.ledger.store import read
 from tests.ledger.flips import KINDS, Answer, chosen, outcomes, undamaged, write_runs
 
 SAMPLED = ("metrics", "explain", "prove")

@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 
 from fsar_ledger.cli import app
 from fsar_ledger.errors import FsarLedgerError, LedgerCorrupted
-from fsar_ledger.ledger.chain.append import Writer
-from fsar_ledger.ledger.chain.paths import CHAIN, INDEX, NODES
 from fsar_ledger.ledger.store import disk
+from fsar_ledger.ledger.store.append import Writer
+from fsar_ledger.ledger.store.paths import CHAIN, INDEX, NODES
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.forgery import forge_segment, segment_at, table_of

@@ -6,12 +6,11 @@ from pathlib import Path
 import pytest
 
 from fsar_ledger.errors import WriteFailed
-from fsar_ledger.ledger.chain import journal
-from fsar_ledger.ledger.chain.append import Writer
-from fsar_ledger.ledger.chain.paths import JOURNAL
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.rows.pieces import piece
-from fsar_ledger.ledger.store import growing
+from fsar_ledger.ledger.store import growing, journal
+from fsar_ledger.ledger.store.append import Writer
+from fsar_ledger.ledger.store.paths import JOURNAL
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.samples import ORIGIN, made_up_run

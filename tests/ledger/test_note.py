@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fsar_ledger.errors import LedgerCorrupted, UsageError, WriteFailed
-from fsar_ledger.ledger.chain.append import Writer
 from fsar_ledger.ledger.log.merkle import Frontier, leaf_hash
 from fsar_ledger.ledger.log.note import MAX_SIGNATURES, Checkpoint, Note, Signature, Signer, checkpoint_of, parse_note
+from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.keys import new_key, read_signer, read_verifier
 from tests.ledger.samples import ORIGIN
 

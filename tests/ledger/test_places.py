@@ -8,10 +8,11 @@ import pyarrow.parquet as pq
 import pytest
 
 from fsar_ledger.errors import InvalidQuery, UsageError
-from fsar_ledger.ledger.chain.paths import CHAIN, segment_of
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows import segment
 from fsar_ledger.ledger.store import segments
+from fsar_ledger.ledger.store.paths import CHAIN
+from fsar_ledger.ledger.store.record import segment_of
 from fsar_ledger.ledger.store.segments import Names
 from fsar_ledger.ledger.verify import segment as verify_segment
 from fsar_ledger.ledger.verify.segment import SegmentFacts, examine

@@ -7,8 +7,8 @@ import pytest
 from fsar_ledger.events import Event
 from fsar_ledger.events.fleet import ExperimentPlanned
 from fsar_ledger.events.task import TaskCompleted
-from fsar_ledger.ledger.chain.append import Writer
 from fsar_ledger.ledger.rows.codec import LedgerRun
+from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.agreement import Case, judged
 from tests.ledger.hostile import stage_anything

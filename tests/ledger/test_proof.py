@@ -7,8 +7,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fsar_ledger.errors import LedgerCorrupted, UsageError
-from fsar_ledger.ledger.chain.places import place_of
-from fsar_ledger.ledger.chain.proof import (
+from fsar_ledger.ledger.log.hashing import sha256_hex
+from fsar_ledger.ledger.log.merkle import leaf_hash
+from fsar_ledger.ledger.log.note import Checkpoint, Note, Signer
+from fsar_ledger.ledger.opening import open_ledger
+from fsar_ledger.ledger.rows import canonical, codec
+from fsar_ledger.ledger.store.places import place_of
+from fsar_ledger.ledger.store.proof import (
     Proof,
     Value,
     check_proof,
@@ -17,11 +22,6 @@ from fsar_ledger.ledger.chain.proof import (
     prove_inclusion,
     read_proof,
 )
-from fsar_ledger.ledger.log.hashing import sha256_hex
-from fsar_ledger.ledger.log.merkle import leaf_hash
-from fsar_ledger.ledger.log.note import Checkpoint, Note, Signer
-from fsar_ledger.ledger.opening import open_ledger
-from fsar_ledger.ledger.rows import canonical, codec
 from fsar_ledger.ledger.store.view import RunNames
 from tests.ledger.forgery import changed, forge_segment, segment_at, table_of
 from tests.ledger.samples import ORIGIN, append_all, made_up_batches

@@ -8,8 +8,8 @@ import pyarrow as pa
 import pytest
 
 from fsar_ledger.errors import LedgerCorrupted
-from fsar_ledger.ledger.chain.append import Writer
 from fsar_ledger.ledger.opening import open_for_answers, open_ledger
+from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.staging import stage
 from tests.ledger.forgery import segment_at, staged_at
 from tests.ledger.samples import ORIGIN, made_up_run

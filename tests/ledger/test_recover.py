@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from fsar_ledger.errors import LedgerCorrupted, NotALedger, UsageError, WriteFailed
-from fsar_ledger.ledger.chain.append import Writer
-from fsar_ledger.ledger.chain.paths import JOURNAL
 from fsar_ledger.ledger.opening import open_ledger
+from fsar_ledger.ledger.store.append import Writer
+from fsar_ledger.ledger.store.paths import JOURNAL
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.ledger.verify.recover import recover
 from fsar_ledger.ledger.verify.verify import verify

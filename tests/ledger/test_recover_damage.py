@@ -10,10 +10,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from fsar_ledger.errors import LedgerCorrupted, UsageError
-from fsar_ledger.ledger.chain.read import open_chain
 from fsar_ledger.ledger.log.hashing import sha256_hex
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.store.manifest import read_manifest
+from fsar_ledger.ledger.store.read import open_chain
 from fsar_ledger.ledger.verify.notes import read_anchor
 from fsar_ledger.ledger.verify.recover import recover
 from fsar_ledger.ledger.verify.report import MAX_PROBLEMS, VerifyOptions

@@ -15,10 +15,10 @@ from fsar_ledger.events import CONCERNS
 from fsar_ledger.events.envelope import Robot, with_columns
 from fsar_ledger.events.fleet import RobotJoined, RunStarted
 from fsar_ledger.events.task import TaskCompleted
-from fsar_ledger.ledger.chain.append import Writer
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.rows.schema import CONCERNED, OPENINGS, STORED
+from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.agreement import Case, judged

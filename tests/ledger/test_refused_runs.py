@@ -15,10 +15,10 @@ import pytest
 from fsar_ledger.errors import InvalidRun, UsageError
 from fsar_ledger.events.envelope import with_columns
 from fsar_ledger.events.fleet import ExperimentPlanned
-from fsar_ledger.ledger.chain.append import Writer
 from fsar_ledger.ledger.rows.check import first_flaw
 from fsar_ledger.ledger.rows.codec import LedgerRun, encode
 from fsar_ledger.ledger.rows.schema import LAYOUTS, OPENINGS, STANDS_ALONE, STORED, StoredType
+from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.forgery import changed

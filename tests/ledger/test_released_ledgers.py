@@ -14,12 +14,12 @@ from fsar_ledger.cli.app import run
 from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.events import ALONE, EVENT_TYPES
 from fsar_ledger.events.fleet import RunStarted
-from fsar_ledger.ledger.chain.append import Writer
 from fsar_ledger.ledger.compacting import compact
 from fsar_ledger.ledger.opening import open_for_answers, open_ledger
 from fsar_ledger.ledger.rows.codec import LedgerRun, encode, encode_hashed
 from fsar_ledger.ledger.rows.releases import RELEASE, parse_columns
 from fsar_ledger.ledger.rows.schema import LAYOUTS, RETIRED, SCHEMA, described
+from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.keys import read_verifier
 from fsar_ledger.ledger.store.manifest import Manifest
 from fsar_ledger.ledger.store.staging import stage

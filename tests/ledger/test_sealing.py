@@ -10,15 +10,13 @@ from unittest.mock import patch
 import pytest
 
 from fsar_ledger.errors import LedgerCorrupted
-from fsar_ledger.ledger.chain import append, sealing
-from fsar_ledger.ledger.chain.append import Writer
-from fsar_ledger.ledger.chain.paths import CHAIN, JOURNAL, SEALING
-from fsar_ledger.ledger.chain.read import View
 from fsar_ledger.ledger.opening import open_for_answers, open_ledger
 from fsar_ledger.ledger.rows import pieces
 from fsar_ledger.ledger.rows.codec import encode_lines
-from fsar_ledger.ledger.store import growing
-from fsar_ledger.ledger.store.paths import SEGMENTS
+from fsar_ledger.ledger.store import append, growing, sealing
+from fsar_ledger.ledger.store.append import Writer
+from fsar_ledger.ledger.store.paths import CHAIN, JOURNAL, SEALING, SEGMENTS
+from fsar_ledger.ledger.store.read import View
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.ledger.verify.recover import recover
 from fsar_ledger.ledger.verify.verify import verify

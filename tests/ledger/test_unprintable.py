@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 
 from fsar_ledger.events.envelope import flat, with_columns
-from fsar_ledger.ledger.chain.append import Writer
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows.codec import LedgerRun
+from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.hostile import relabelled, stage_anything

@@ -11,10 +11,10 @@ import fsar_ledger
 from fsar_ledger import printable
 from fsar_ledger.cli.app import run
 from fsar_ledger.errors import FormatVersionMismatch, FsarLedgerError, LedgerCorrupted, UsageError
-from fsar_ledger.ledger.chain.append import Writer
 from fsar_ledger.ledger.log.hashing import sha256_hex
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.rows import canonical
+from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.v1 import upgrade
 from fsar_ledger.ledger.verify.recover import recover
 from fsar_ledger.ledger.verify.verify import verify

@@ -11,10 +11,10 @@ import pytest
 from hypothesis import strategies as st
 
 from fsar_ledger.errors import NotALedger
-from fsar_ledger.ledger.chain.paths import segment_name
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.store.manifest import Manifest
+from fsar_ledger.ledger.store.paths import segment_name
 from fsar_ledger.ledger.store.problem import Problem
 from fsar_ledger.ledger.verify.report import MAX_PROBLEMS, VerifyOptions
 from fsar_ledger.ledger.verify.segment import examine_all

@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 
 from fsar_ledger.errors import UsageError
-from fsar_ledger.ledger.chain.append import Writer
 from fsar_ledger.ledger.log.merkle import EMPTY_ROOT, tree_root
 from fsar_ledger.ledger.log.note import Checkpoint, Note, Signer
 from fsar_ledger.ledger.opening import open_ledger
+from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.ledger.verify.notes import Anchor, read_anchor
 from fsar_ledger.ledger.verify.report import VerifyOptions, VerifyReport

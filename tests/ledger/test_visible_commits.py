@@ -10,13 +10,11 @@ from unittest.mock import patch
 import pytest
 
 from fsar_ledger.errors import NotALedger, WriteFailed
-from fsar_ledger.ledger.chain import snapshot
-from fsar_ledger.ledger.chain.append import Writer
-from fsar_ledger.ledger.chain.paths import CHAIN, JOURNAL
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.rows.pieces import piece
-from fsar_ledger.ledger.store import turns
-from fsar_ledger.ledger.store.paths import SEGMENTS
+from fsar_ledger.ledger.store import snapshot, turns
+from fsar_ledger.ledger.store.append import Writer
+from fsar_ledger.ledger.store.paths import CHAIN, JOURNAL, SEGMENTS
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.agreement import Case, judged

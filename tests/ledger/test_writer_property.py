@@ -18,10 +18,10 @@ from hypothesis import strategies as st
 from fsar_ledger.errors import InvalidRun
 from fsar_ledger.events import CONCERNS, Event
 from fsar_ledger.events.envelope import flat, with_columns
-from fsar_ledger.ledger.chain.append import Writer
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.rows.schema import LAYOUTS, MAX_INTEGER
+from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.ledger.verify.report import VerifyOptions
 from fsar_ledger.ledger.verify.verify import verify

@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from fsar_ledger.errors import UsageError
-from fsar_ledger.ledger.chain.append import Writer
 from fsar_ledger.ledger.log.note import Signer
+from fsar_ledger.ledger.store.append import Writer
 from tests.ledger.samples import ORIGIN
 
 

@@ -7,8 +7,8 @@ import pytest
 from fsar_ledger.events import CONCERNS
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
-from fsar_ledger.ledger.chain.append import Writer
 from fsar_ledger.ledger.rows.codec import LedgerRun
+from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.staging import stage
 
 

@@ -25,7 +25,7 @@ def test_events_are_the_committed_rows_with_all_columns(ledger: Path) -> None:
 
 
 def test_a_reader_keeps_its_head_while_another_commits(ledger: Path) -> None:
-    from fsar_ledger.ledger.chain.append import Writer
+    from fsar_ledger.ledger.store.append import Writer
     from fsar_ledger.ledger.store.staging import stage
 
     with connect(ledger) as database:

@@ -15,7 +15,7 @@ import pyarrow as pa
 import pytest
 
 from fsar_ledger.errors import QueryFailed
-from fsar_ledger.ledger.chain.append import Writer
+from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.metrics.database import from_rows
 from fsar_ledger.metrics.sandbox import Limits

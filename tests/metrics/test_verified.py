@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from fsar_ledger.errors import LedgerCorrupted, SequenceConflict
-from fsar_ledger.ledger.chain.append import Writer
 from fsar_ledger.ledger.opening import open_ledger
+from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.ledger.verify.report import VerifyOptions
 from fsar_ledger.ledger.verify.verify import verify

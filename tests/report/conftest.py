@@ -26,8 +26,8 @@ from fsar_ledger.events.recovery import FailureResolved
 from fsar_ledger.events.supervision import SupervisorCalled
 from fsar_ledger.events.task import TaskCompleted
 from fsar_ledger.events.world import PolicyWindowOpened, TaskArrived
-from fsar_ledger.ledger.chain.append import Writer
 from fsar_ledger.ledger.rows.codec import LedgerRun
+from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.report.build import write_report
 from fsar_ledger.report.findings import SCENARIOS, Findings

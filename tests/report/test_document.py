@@ -10,9 +10,9 @@ from typing import Any
 import msgspec
 import pytest
 
-from fsar_ledger.ledger.chain.append import Writer
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows.codec import LedgerRun
+from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.metrics import verdicts
 from fsar_ledger.metrics.database import connect

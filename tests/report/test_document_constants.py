@@ -7,9 +7,9 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from fsar_ledger.ledger.chain.append import Writer
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows.codec import LedgerRun
+from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.report import document, printing
 from fsar_ledger.report.findings import Findings

@@ -9,9 +9,9 @@ import msgspec
 import pytest
 
 from fsar_ledger.errors import UsageError
-from fsar_ledger.ledger.chain.append import Writer
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows.codec import LedgerRun
+from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.metrics.database import connect, plain_rows
 from fsar_ledger.report import document, grades, result_rows, specs

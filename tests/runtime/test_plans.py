@@ -11,9 +11,9 @@ import pytest
 from fsar_ledger.constants import Constants, WorldConstants
 from fsar_ledger.events.envelope import Architecture
 from fsar_ledger.events.fleet import ExperimentPlanned
-from fsar_ledger.ledger.chain.append import Writer
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows.codec import LedgerRun
+from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.ledger.store.view import Head
 from fsar_ledger.ledger.verify.verify import verify

@@ -11,8 +11,8 @@ from fsar_ledger.events.execution import ExecutionStarted
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.events.knowledge import FleetRuleLearned
 from fsar_ledger.events.request import RequestDenied
-from fsar_ledger.ledger.chain.append import Writer
 from fsar_ledger.ledger.rows.codec import LedgerRun
+from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.projections.fold import fold
 from fsar_ledger.runtime.change_texts import parsed

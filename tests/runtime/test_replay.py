@@ -17,8 +17,8 @@ from fsar_ledger.events.configuration import CONFIGURATIONS, Configuration
 from fsar_ledger.events.envelope import Architecture, Robot, flat, with_columns
 from fsar_ledger.events.trust import TrustSet
 from fsar_ledger.events.world import ContextChanged, WorldEvent
-from fsar_ledger.ledger.chain.append import Writer
 from fsar_ledger.ledger.rows.codec import LedgerRun
+from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.ledger.verify.verify import verify
 from fsar_ledger.projections.fold import State

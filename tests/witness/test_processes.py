@@ -13,8 +13,8 @@ from threading import Thread
 
 import pytest
 
-from fsar_ledger.ledger.chain.append import Writer
 from fsar_ledger.ledger.log.note import parse_note
+from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.witness.cosignature import parse_cosigned, parse_secret
 from fsar_ledger.witness.state import new_state, open_state

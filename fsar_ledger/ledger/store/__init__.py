@@ -1,16 +1,32 @@
-"""The files of a ledger.
+"""The files of a ledger: runs of any length, commits of any size.
 
 ```
-disk      durable files: all or nothing
-growing   files that grow, or change at a place
-paths     where the files are, and where other commands must not write
-manifest  what ledger.json holds
-segments  find and read segments
-staging   stage: segments that wait for a writer
-prepare   create and lock a ledger
-view      Head, View: what every reader sees
-turns     turns of writers
-keys      key files
-problem   one finding, with its place
+disk       durable files: all or nothing
+growing    files that grow, or change at a place
+paths      where the files are, and where other commands must not write
+manifest   what ledger.json holds
+problem    one finding, with its place
+turns      turns of writers
+keys       key files
+view       Head, and what else every reader sees
+record     the lines of a chain: commits, and placements of their rows
+torn       what is torn, and what is damaged
+segments   find and read segments
+staging    stage: segments that wait for a writer
+links      follow a chain line by line
+journal    commits whose rows are not in a segment yet
+sealing    put a full journal into a segment beside the writer
+tables     rows of a journal as columns
+derived    the pack of the tree, and the index, on disk
+index      which runs are where, and which segments share runs
+snapshot   what readers keep between openings
+read       View: what is committed
+checkpoint the file `checkpoint`, which may be behind
+held       which runs a ledger holds, and how far
+compact    which segments are put together
+places     where the events of a run are
+proof      proof that one event is in a ledger
+prepare    create and lock a ledger; finish what an interrupted writer left
+append     Writer
 ```
 """

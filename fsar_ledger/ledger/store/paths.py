@@ -11,8 +11,17 @@ MANIFEST = "ledger.json"
 CHECKPOINT = "checkpoint"
 COMMITS, SEGMENTS, STAGING = "commits", "segments", "staging"
 CHAIN, JOURNAL = "chain.jsonl", "journal.jsonl"
+SEALING = "sealing.jsonl"
+"""What was the journal, while its rows are put into a segment and further commits go into another one."""
+NODES = "nodes"
+INDEX = "index.jsonl"
 _PARTS = (MANIFEST, SEGMENTS, COMMITS, CHAIN, JOURNAL)
 """What shows a ledger, even of format 1, and even if some of it is lost."""
+
+
+def segment_name(first: int, end: int) -> str:
+    """Return the name within the ledger of the segment that holds these events, once it is in place."""
+    return f"segments/{first:012d}-{end:012d}.parquet"
 
 
 def staged_file(sha256: str) -> str:

@@ -7,15 +7,6 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from fsar_ledger.errors import LedgerCorrupted
-from fsar_ledger.ledger.chain.checkpoint import behind, covered
-from fsar_ledger.ledger.chain.derived import derived_sizes
-from fsar_ledger.ledger.chain.index import index_line, line_doubt
-from fsar_ledger.ledger.chain.journal import Frame
-from fsar_ledger.ledger.chain.links import Chain
-from fsar_ledger.ledger.chain.paths import CHAIN, INDEX, JOURNAL, NODES, SEALING, segment_of
-from fsar_ledger.ledger.chain.read import View, open_chain
-from fsar_ledger.ledger.chain.record import Commit, Placement
-from fsar_ledger.ledger.chain.tables import table_of
 from fsar_ledger.ledger.log import merkle, pack
 from fsar_ledger.ledger.log.hashing import HASH_BYTES
 from fsar_ledger.ledger.log.merkle import Frontier
@@ -23,9 +14,27 @@ from fsar_ledger.ledger.log.note import VerifierKey
 from fsar_ledger.ledger.rows.blocks import Block, Runs, blocks_of
 from fsar_ledger.ledger.rows.check import first_flaw
 from fsar_ledger.ledger.store import growing
-from fsar_ledger.ledger.store.paths import CHECKPOINT, MANIFEST, SEGMENTS, STAGING
+from fsar_ledger.ledger.store.checkpoint import behind, covered
+from fsar_ledger.ledger.store.derived import derived_sizes
+from fsar_ledger.ledger.store.index import index_line, line_doubt
+from fsar_ledger.ledger.store.journal import Frame
+from fsar_ledger.ledger.store.links import Chain
+from fsar_ledger.ledger.store.paths import (
+    CHAIN,
+    CHECKPOINT,
+    INDEX,
+    JOURNAL,
+    MANIFEST,
+    NODES,
+    SEALING,
+    SEGMENTS,
+    STAGING,
+)
 from fsar_ledger.ledger.store.problem import Problem, refusal
+from fsar_ledger.ledger.store.read import View, open_chain
+from fsar_ledger.ledger.store.record import Commit, Placement, segment_of
 from fsar_ledger.ledger.store.segments import MISSING, Names, check_manifest, names_in
+from fsar_ledger.ledger.store.tables import table_of
 from fsar_ledger.ledger.verify.notes import (
     Anchor,
     ByHashes,

@@ -8,11 +8,10 @@ from typing import TypeAlias
 import msgspec
 
 from fsar_ledger.errors import LedgerCorrupted, UsageError, option
-from fsar_ledger.ledger.chain.paths import NODES
 from fsar_ledger.ledger.log.merkle import Node, consistency_proof, is_consistent
 from fsar_ledger.ledger.log.note import Checkpoint, Note, Signed, VerifierKey, doubt, names, parse_note, signers_of
 from fsar_ledger.ledger.store import disk
-from fsar_ledger.ledger.store.paths import CHAIN, MANIFEST
+from fsar_ledger.ledger.store.paths import CHAIN, MANIFEST, NODES
 from fsar_ledger.ledger.store.problem import Problem
 
 

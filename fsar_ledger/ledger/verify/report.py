@@ -4,8 +4,8 @@ from collections.abc import Callable
 
 import msgspec
 
-from fsar_ledger.ledger.chain.paths import CHAIN, INDEX, NODES
 from fsar_ledger.ledger.log.note import Signed, VerifierKey
+from fsar_ledger.ledger.store.paths import CHAIN, INDEX, NODES
 from fsar_ledger.ledger.store.problem import Problem
 from fsar_ledger.ledger.verify.notes import Anchor
 from fsar_ledger.ledger.verify.segment import SecondReader

@@ -10,12 +10,11 @@ from contextlib import suppress
 from pathlib import Path
 
 from fsar_ledger.errors import NotALedger, WorkerDied
-from fsar_ledger.ledger.chain.paths import INDEX, JOURNAL, NODES, SEALING
-from fsar_ledger.ledger.chain.snapshot import read_checkpoint
 from fsar_ledger.ledger.store import disk, growing, turns
 from fsar_ledger.ledger.store.manifest import refuse_version_1
-from fsar_ledger.ledger.store.paths import CHAIN, MANIFEST, SEGMENTS, require_created
+from fsar_ledger.ledger.store.paths import CHAIN, INDEX, JOURNAL, MANIFEST, NODES, SEALING, SEGMENTS, require_created
 from fsar_ledger.ledger.store.problem import Problem, unexpected
+from fsar_ledger.ledger.store.snapshot import read_checkpoint
 from fsar_ledger.ledger.verify.chain import Verification
 from fsar_ledger.ledger.verify.report import MAX_PROBLEMS, Progress, VerifyOptions, VerifyReport
 

@@ -5,11 +5,11 @@ from collections.abc import Iterator, Sequence
 import pyarrow as pa
 
 from fsar_ledger.errors import LedgerCorrupted
-from fsar_ledger.ledger.chain.read import View
-from fsar_ledger.ledger.chain.record import Placement
-from fsar_ledger.ledger.chain.tables import made_of, stage_made
 from fsar_ledger.ledger.rows import canonical, segment
+from fsar_ledger.ledger.store.read import View
+from fsar_ledger.ledger.store.record import Placement
 from fsar_ledger.ledger.store.staging import Staged
+from fsar_ledger.ledger.store.tables import made_of, stage_made
 
 MERGED_ROWS = 1 << 14
 """The most events of a segment that others are put into."""

@@ -1,11 +1,16 @@
-"""Where in a ledger the events of a run are."""
+"""Where in a ledger the events of a run are, and whether the index agrees with the rows.
+
+Signatures bind roots. Whoever can write the folder can chain a line of the index anew that leaves a run out, or a part
+of one; its rows are there, and lead to the root.
+"""
 
 import msgspec
 import pyarrow.compute as pc
 
 from fsar_ledger.errors import LedgerCorrupted
-from fsar_ledger.ledger.chain.read import View
 from fsar_ledger.ledger.rows import segment
+from fsar_ledger.ledger.store.index import require_lines
+from fsar_ledger.ledger.store.read import View
 
 
 def place_of(view: View, run: str, seq: int) -> int:
@@ -33,3 +38,30 @@ def place_of(view: View, run: str, seq: int) -> int:
 def event_at(view: View, place: int) -> dict[str, object]:
     """Return the event with this index in the ledger, as it is stored. Raises: LedgerCorrupted."""
     return msgspec.json.decode(view.event(place), type=dict[str, object])
+
+
+def compare_index(view: View) -> bool:
+    """Compare the lines of the index for each segment that is not believed; return whether all could be read.
+
+    Raises: LedgerCorrupted if the rows of a segment have other lines than the chain says.
+    """
+    is_read = True
+    for number in range(len(view.chain.placed)):
+        if number in view.believed:
+            continue
+        try:
+            lines = view.index_lines(number)
+        except LedgerCorrupted:  # whoever reads its rows is told
+            is_read = False
+            continue
+        require_lines(view.path, view.chain.placed_in(number), lines)
+        view.believed.add(number)
+    return is_read
+
+
+def require_index(view: View) -> None:
+    """Require that the chain says of all rows where runs are.
+
+    Raises: LedgerCorrupted if it does not, or some cannot be read.
+    """
+    view.require_index(*range(len(view.chain.placed)))

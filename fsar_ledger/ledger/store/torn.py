@@ -6,7 +6,7 @@ What cannot be read may hold anything, so each byte is looked at a few times at 
 import re
 from collections.abc import Iterator
 
-from fsar_ledger.ledger.chain.record import LEAST_LINE_BYTES, Commit, Placement, Record, line_at, parse_line
+from fsar_ledger.ledger.store.record import LEAST_LINE_BYTES, Commit, Placement, Record, line_at, parse_line
 
 _OF_COMMIT, _OF_PLACEMENT, _MORE = b'"kind":"commit"', b'"kind":"placement"', re.compile(rb"[^\n]")
 _BEGINNINGS = (b'{"continues":', b'{"goes_on":', b'{"kind":"commit"')

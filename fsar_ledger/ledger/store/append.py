@@ -22,17 +22,6 @@ from pathlib import Path
 from types import TracebackType
 
 from fsar_ledger.errors import InvalidRun, NotALedger, WriteFailed, option
-from fsar_ledger.ledger.chain import paths
-from fsar_ledger.ledger.chain.compact import mergeable, merged_segment
-from fsar_ledger.ledger.chain.derived import append_derived
-from fsar_ledger.ledger.chain.held import ExistingRuns, RunNames, continued
-from fsar_ledger.ledger.chain.index import index_line
-from fsar_ledger.ledger.chain.journal import Frame, JournalFile
-from fsar_ledger.ledger.chain.prepare import repair, require_own
-from fsar_ledger.ledger.chain.read import View, open_chain
-from fsar_ledger.ledger.chain.record import Commit, Placement
-from fsar_ledger.ledger.chain.sealing import Sealing
-from fsar_ledger.ledger.chain.tables import require_staged, stage_made
 from fsar_ledger.ledger.log import pack
 from fsar_ledger.ledger.log.hashing import HASH_BYTES, sha256_hex
 from fsar_ledger.ledger.log.merkle import Frontier
@@ -42,11 +31,20 @@ from fsar_ledger.ledger.rows.blocks import Block
 from fsar_ledger.ledger.rows.releases import RELEASE
 from fsar_ledger.ledger.rows.runs import LedgerRun, refusal
 from fsar_ledger.ledger.rows.small import rows_of
-from fsar_ledger.ledger.store import disk, growing, turns
+from fsar_ledger.ledger.store import disk, growing, paths, turns
+from fsar_ledger.ledger.store.compact import mergeable, merged_segment
+from fsar_ledger.ledger.store.derived import append_derived
+from fsar_ledger.ledger.store.held import ExistingRuns, RunsAndPlans, continued
+from fsar_ledger.ledger.store.index import index_line
+from fsar_ledger.ledger.store.journal import Frame, JournalFile
 from fsar_ledger.ledger.store.manifest import read_manifest
 from fsar_ledger.ledger.store.paths import CHECKPOINT, SEGMENTS, STAGING, staged_path
-from fsar_ledger.ledger.store.prepare import create, lock, require_name
+from fsar_ledger.ledger.store.prepare import create, lock, repair, require_name, require_own
+from fsar_ledger.ledger.store.read import View, open_chain
+from fsar_ledger.ledger.store.record import Commit, Placement, segment_of
+from fsar_ledger.ledger.store.sealing import Sealing
 from fsar_ledger.ledger.store.staging import Staged
+from fsar_ledger.ledger.store.tables import require_staged, stage_made
 from fsar_ledger.ledger.store.view import Head
 
 SEAL_ROWS, SEAL_BYTES = 1 << 14, 1 << 23
@@ -148,7 +146,7 @@ class Writer:
             self._journal.trim(self._view.journal.end)
             self._write_checkpoint()
 
-    def held(self) -> RunNames:
+    def held(self) -> RunsAndPlans:
         """Read from the rows which runs and plans the ledger holds. Raises: LedgerCorrupted if they cannot be read."""
         return self._runs().told()
 
@@ -269,9 +267,9 @@ class Writer:
         self._grow_chain([canonical.document(placement)], 0, self._view.tree())
         with disk.refusals(self._segments, "moving a compacted segment into place"):
             growing.sync(self._path / paths.CHAIN)
-            disk.move(staged_path(self._path, staged.segment_sha256), self._path / paths.segment_of(placement))
+            disk.move(staged_path(self._path, staged.segment_sha256), self._path / segment_of(placement))
         for one in old:
-            disk.remove(self._path / paths.segment_of(one))
+            disk.remove(self._path / segment_of(one))
         self._is_broken = False
 
     def settle(self) -> None:
@@ -376,7 +374,7 @@ class Writer:
         self._grow_chain([*lines, canonical.document(placement)], frames, self._view.tree() if frames else tree)
         try:
             growing.sync(self._path / paths.CHAIN)
-            disk.move(staged_path(self._path, staged.segment_sha256), self._path / paths.segment_of(placement))
+            disk.move(staged_path(self._path, staged.segment_sha256), self._path / segment_of(placement))
             append_derived(self._path, paths.NODES, nodes, pack.count(placement.first) * HASH_BYTES)
             append_derived(self._path, paths.INDEX, line, chain.index_bytes - len(line))
             self._write_checkpoint()

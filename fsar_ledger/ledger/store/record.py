@@ -23,6 +23,7 @@ from fsar_ledger.ledger.log.note import Checkpoint, Note, Signature
 from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.rows.bounds import MAX_ROWS, MAX_SEGMENT_BYTES
 from fsar_ledger.ledger.rows.schema import MAX_INTEGER
+from fsar_ledger.ledger.store.paths import segment_name
 
 LEAST_LINE_BYTES, MAX_LINE_BYTES = 200, 1 << 20
 """A record has more bytes than the first, and fewer than the second."""
@@ -216,3 +217,8 @@ def _is_signature(text: str) -> bool:
     except (binascii.Error, ValueError):
         return False
     return len(data) == _KEY_ID_BYTES + _SIGNATURE_BYTES and base64.b64encode(data).decode() == text
+
+
+def segment_of(placement: Placement) -> str:
+    """Return the name within the ledger of this placement's segment, once it is in place."""
+    return segment_name(placement.first, placement.end)

@@ -3,17 +3,17 @@
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
-from fsar_ledger.ledger.chain.index import Index
-from fsar_ledger.ledger.chain.places import event_at, place_of
-from fsar_ledger.ledger.chain.read import View
 from fsar_ledger.ledger.rows.blocks import BLOCK_COLUMNS, Block, Runs, blocks_of
 from fsar_ledger.ledger.rows.runs import Flaw
+from fsar_ledger.ledger.store.index import Index
+from fsar_ledger.ledger.store.places import event_at, place_of
+from fsar_ledger.ledger.store.read import View
 
 _MOST_SOUGHT = 64
 """How many runs are sought in the index by name before all of it is read, which takes about as long."""
 
 
-class RunNames(NamedTuple):
+class RunsAndPlans(NamedTuple):
     """The names of the runs that a ledger holds, and of its plans."""
 
     runs: frozenset[str]
@@ -67,11 +67,11 @@ class ExistingRuns:
             self._runs.add(block)
             self._indexed.add(block.run)
 
-    def told(self) -> RunNames:
+    def told(self) -> RunsAndPlans:
         """Return the names of these runs, and of the plans."""
         self._read_all()
         plans = frozenset(run for run, known in self._runs.known.items() if known.is_alone)
-        return RunNames(frozenset(self._runs.known.keys() - plans), plans)
+        return RunsAndPlans(frozenset(self._runs.known.keys() - plans), plans)
 
     def events(self, run: str) -> int:
         """Return how many events of this run the ledger holds."""

@@ -19,13 +19,13 @@ from pathlib import Path
 import msgspec
 
 from fsar_ledger.errors import LedgerCorrupted, UsageError
-from fsar_ledger.ledger.chain.read import View
 from fsar_ledger.ledger.log.hashing import HASH_BYTES
 from fsar_ledger.ledger.log.merkle import Node, inclusion_proof, leaf_hash, root_of_inclusion
 from fsar_ledger.ledger.log.note import Checkpoint, Note, Signed, VerifierKey, doubt, parse_note, signers_of
 from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.rows.schema import MAX_INTEGER
 from fsar_ledger.ledger.store import disk
+from fsar_ledger.ledger.store.read import View
 
 TITLE = "c2sp.org/tlog-proof@v1"
 SUFFIX = ".tlog-proof"

@@ -14,14 +14,14 @@ import msgspec
 import pyarrow as pa
 
 from fsar_ledger.errors import LedgerCorrupted
-from fsar_ledger.ledger.chain.links import Chain
-from fsar_ledger.ledger.chain.paths import CHAIN, INDEX
-from fsar_ledger.ledger.chain.record import Count, Placement
 from fsar_ledger.ledger.log.hashing import sha256_hex
 from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.rows.blocks import Block, blocks_of, by_run
 from fsar_ledger.ledger.store import growing
+from fsar_ledger.ledger.store.links import Chain
+from fsar_ledger.ledger.store.paths import CHAIN, INDEX
 from fsar_ledger.ledger.store.problem import Problem
+from fsar_ledger.ledger.store.record import Count, Placement
 from fsar_ledger.ledger.store.view import Extent, Part, RunNames
 
 
@@ -183,3 +183,22 @@ class Index:
 def _of_run(run: str) -> bytes:
     """Return what a block of this run, and no other, has: its last member."""
     return b'"run":' + canonical.document(run)
+
+
+def groups_of(segments: Iterable[Sequence[str]]) -> list[tuple[int, ...]]:
+    """Return segments, each given by its runs, in groups that share no run, each of neighbours."""
+    reach: dict[str, int] = {}
+    ends: list[int] = []
+    for number, runs in enumerate(segments):
+        ends.append(number)
+        for run in runs:
+            ends[reach.setdefault(run, number)] = number
+    groups: list[tuple[int, ...]] = []
+    first = 0
+    while first < len(ends):
+        last = at = first
+        while at <= last:
+            last, at = max(last, ends[at]), at + 1
+        groups.append(tuple(range(first, last + 1)))
+        first = last + 1
+    return groups

@@ -9,12 +9,12 @@ from functools import lru_cache
 from pathlib import Path
 
 from fsar_ledger.errors import LedgerCorrupted
-from fsar_ledger.ledger.chain.links import Chain
-from fsar_ledger.ledger.chain.paths import INDEX, NODES
 from fsar_ledger.ledger.log import merkle, pack
 from fsar_ledger.ledger.log.hashing import HASH_BYTES, leaves_of
 from fsar_ledger.ledger.log.merkle import Frontier
 from fsar_ledger.ledger.store import disk, growing
+from fsar_ledger.ledger.store.links import Chain
+from fsar_ledger.ledger.store.paths import INDEX, NODES
 
 _READ = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK
 

@@ -8,12 +8,12 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import NamedTuple
 
-from fsar_ledger.ledger.chain.journal import Frame, leaves_in, lines_of
-from fsar_ledger.ledger.chain.paths import JOURNAL
-from fsar_ledger.ledger.chain.tables import UnstagedSegment, made_of, table_of
 from fsar_ledger.ledger.log import pack
 from fsar_ledger.ledger.log.merkle import Frontier
 from fsar_ledger.ledger.rows.blocks import Block, blocks_of
+from fsar_ledger.ledger.store.journal import Frame, leaves_in, lines_of
+from fsar_ledger.ledger.store.paths import JOURNAL
+from fsar_ledger.ledger.store.tables import UnstagedSegment, made_of, table_of
 
 
 class Sealed(NamedTuple):

@@ -20,15 +20,15 @@ from typing import TypeVar
 
 import msgspec
 
-from fsar_ledger.ledger.chain.links import Chain, Doubt
-from fsar_ledger.ledger.chain.paths import CHAIN, JOURNAL, SEALING
-from fsar_ledger.ledger.chain.record import Commit, line_at, parse_line
-from fsar_ledger.ledger.chain.torn import has_later_commit
 from fsar_ledger.ledger.log.hashing import leaves, sha256_hex
 from fsar_ledger.ledger.log.merkle import Frontier
 from fsar_ledger.ledger.rows.releases import is_later
 from fsar_ledger.ledger.store import disk, growing
+from fsar_ledger.ledger.store.links import Chain, Doubt
+from fsar_ledger.ledger.store.paths import CHAIN, JOURNAL, SEALING
 from fsar_ledger.ledger.store.problem import LaterRelease, Problem
+from fsar_ledger.ledger.store.record import Commit, line_at, parse_line
+from fsar_ledger.ledger.store.torn import has_later_commit
 
 Result = TypeVar("Result")
 

@@ -13,15 +13,14 @@ from operator import lt, sub
 
 import msgspec
 
-from fsar_ledger.ledger.chain.paths import CHAIN
-from fsar_ledger.ledger.chain.record import LEAST_LINE_BYTES, Commit, Placement, Record, parse_line, parse_lines
-from fsar_ledger.ledger.chain.torn import has_later_append
 from fsar_ledger.ledger.log.hashing import digests, sha256_hex
 from fsar_ledger.ledger.log.merkle import EMPTY_ROOT, Frontier
 from fsar_ledger.ledger.rows.releases import FINGERPRINTS, RELEASE, is_later
-from fsar_ledger.ledger.store.paths import MANIFEST
+from fsar_ledger.ledger.store.paths import CHAIN, MANIFEST
 from fsar_ledger.ledger.store.problem import LaterRelease, Problem
+from fsar_ledger.ledger.store.record import LEAST_LINE_BYTES, Commit, Placement, Record, parse_line, parse_lines
 from fsar_ledger.ledger.store.staging import Staged
+from fsar_ledger.ledger.store.torn import has_later_append
 from fsar_ledger.memory import without_collection
 
 _FEW_BYTES = 1 << 14

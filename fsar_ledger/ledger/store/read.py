@@ -14,15 +14,6 @@ import msgspec
 import pyarrow as pa
 
 from fsar_ledger.errors import LedgerCorrupted
-from fsar_ledger.ledger.chain.derived import holds_nodes, node_reader
-from fsar_ledger.ledger.chain.groups import groups_of
-from fsar_ledger.ledger.chain.index import Index, extents_of, line_of, read_index, require_lines
-from fsar_ledger.ledger.chain.journal import Journal, leaves_in, lines_of
-from fsar_ledger.ledger.chain.links import Chain, Followed
-from fsar_ledger.ledger.chain.paths import CHAIN, JOURNAL, SEALING, segment_of
-from fsar_ledger.ledger.chain.record import Commit, Placement, parse_line
-from fsar_ledger.ledger.chain.snapshot import take_snapshot
-from fsar_ledger.ledger.chain.tables import materialized, table_of
 from fsar_ledger.ledger.log import merkle
 from fsar_ledger.ledger.log.hashing import leaves_of, sha256_hex
 from fsar_ledger.ledger.log.merkle import Frontier
@@ -35,10 +26,17 @@ from fsar_ledger.ledger.rows.pieces import gathered
 from fsar_ledger.ledger.rows.releases import RELEASE
 from fsar_ledger.ledger.rows.schema import SCHEMA
 from fsar_ledger.ledger.store import growing
+from fsar_ledger.ledger.store.derived import holds_nodes, node_reader
+from fsar_ledger.ledger.store.index import Index, extents_of, groups_of, line_of, read_index, require_lines
+from fsar_ledger.ledger.store.journal import Journal, leaves_in, lines_of
+from fsar_ledger.ledger.store.links import Chain, Followed
 from fsar_ledger.ledger.store.manifest import Manifest, parse_manifest
-from fsar_ledger.ledger.store.paths import MANIFEST, SEGMENTS, STAGING
+from fsar_ledger.ledger.store.paths import CHAIN, JOURNAL, MANIFEST, SEALING, SEGMENTS, STAGING
 from fsar_ledger.ledger.store.problem import Problem
+from fsar_ledger.ledger.store.record import Commit, Placement, parse_line, segment_of
 from fsar_ledger.ledger.store.segments import Names, find_segment, read_segment
+from fsar_ledger.ledger.store.snapshot import take_snapshot
+from fsar_ledger.ledger.store.tables import materialized, table_of
 from fsar_ledger.ledger.store.view import EMPTY_HEAD, Extent, Head, Part, RunNames
 
 _TRIES = 10
