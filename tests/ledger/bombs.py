@@ -18,6 +18,7 @@ from fsar_ledger.ledger.log.merkle import Frontier
 from fsar_ledger.ledger.log.note import Note, checkpoint_of
 from fsar_ledger.ledger.rows import canonical, segment
 from fsar_ledger.ledger.rows.schema import CODED_SCHEMA, MAX_INTEGER
+from fsar_ledger.ledger.store.index import line_of
 from fsar_ledger.ledger.store.paths import CHAIN, INDEX, NODES, segment_name
 from tests.ledger.forgery import records_in
 from tests.ledger.hostile import documents, written
@@ -119,8 +120,10 @@ def _column(field: pa.Field, value: object, count: int) -> pa.Array:
 
 
 def commit(path: Path, data: bytes | pa.Table, count: int, times: int = 1) -> None:
-    """Commit this segment this many times after what is there; only hashing its rows would reveal it."""
-    data = data if isinstance(data, bytes) else bytes(segment.to_parquet(data))
+    """Commit this segment this many times after what is there, rows each time as a run of their own.
+
+    Only hashing the rows would reveal it.
+    """
     for _ in range(times):
         before, placed = records_in(path, "commit")[-1], records_in(path, "placement")[-1]
         number, first = before["number"] + 1, before["tree_size"]
@@ -129,13 +132,17 @@ def commit(path: Path, data: bytes | pa.Table, count: int, times: int = 1) -> No
         last = (path / CHAIN).read_bytes().splitlines()[-1]
         block = {"run": f"r{number}", "first": 0, "rows": count, "first_us": 0, "last_us": count - 1}
         line = canonical.document({"first": first, "blocks": [block]}) + b"\n"
+        if isinstance(data, pa.Table):
+            data = data.set_column(0, CODED_SCHEMA.field(0), _column(CODED_SCHEMA.field(0), f"r{number}", count))
+            line = line_of(first, data)
+        parquet = data if isinstance(data, bytes) else bytes(segment.to_parquet(data))
         own = before | {"number": number, "previous_sha256": sha256_hex(last), "rows": count}
         own |= {"tree_size": size, "tree_root": tree.root().hex()}
         there = placed | {"number": placed["number"] + 1, "previous_sha256": sha256_hex(canonical.document(own))}
         there |= {"first": first, "rows": count, "frontier": list(map(bytes.hex, tree.subtrees))}
-        there |= {"segment_bytes": len(data), "segment_sha256": sha256_hex(data)}
+        there |= {"segment_bytes": len(parquet), "segment_sha256": sha256_hex(parquet)}
         there |= {"index_bytes": len(line), "index_sha256": sha256_hex(line)}
-        (path / segment_name(first, size)).write_bytes(data)
+        (path / segment_name(first, size)).write_bytes(parquet)
         for name, more in ((CHAIN, b"".join(canonical.document(one) + b"\n" for one in (own, there))), (INDEX, line)):
             with (path / name).open("ab") as file:
                 file.write(more)

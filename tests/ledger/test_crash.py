@@ -62,7 +62,8 @@ def says_what_to_do(error: FsarLedgerError, fault: Fault, path: Path) -> bool:
         errno.ENOSPC if fault.kind in ("disk-full", "short-write-no-space") else errno.EIO
     )
     message = str(error)
-    way_out = ("run it again", "run the same command again", "restore it", "the next writer writes it")
+    again = ("run it again", "run the same command again", "append what it lacks")
+    way_out = (*again, "restore it", "the next writer writes it")
     return message.startswith(str(path)) and os.strerror(code) in message and message.endswith(way_out)
 
 
