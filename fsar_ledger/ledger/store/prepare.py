@@ -176,8 +176,9 @@ def _clean(view: View, *, is_alone: bool) -> None:
     if not is_alone:
         return
     for entry in list(os.scandir(view.path / STAGING)):
-        if stat.S_ISREG(entry.stat(follow_symlinks=False).st_mode):
-            disk.remove(Path(entry.path))
+        with suppress(FileNotFoundError):  # a writer that creates the same ledger at once removes its own ledger.json
+            if stat.S_ISREG(entry.stat(follow_symlinks=False).st_mode):
+                disk.remove(Path(entry.path))
 
 
 def _derive(view: View, *, is_settled: bool) -> None:
