@@ -124,13 +124,21 @@ class Recovered(Answer, msgspec.Struct, frozen=True):
 
 
 def _recovered(
-    ledger: "Ledger", into: Path | None, *, anchor: Path | None, trusted_key: str | None, **given: int | None
+    ledger: "Ledger",
+    into: Place | None,
+    *,
+    anchor: Place | None,
+    trusted_key: str | None,
+    workers: int | None,
+    progress: Progress | None,
 ) -> Recovered:
+    from fsar_ledger.ledger.verify.recover import recover
     from fsar_ledger.ledger.verify.report import VerifyOptions
 
     asked = VerifyOptions(trusted=trusted_of(trusted_key), anchor=anchor_of(anchor))
-    found = recover(ledger, into, anchor=anchor, trusted_key=trusted_key, **given)  # type: ignore[arg-type]
-    return Recovered(ledger.path, found, asked, into)
+    new = None if into is None else Path(into)
+    found = recover(ledger.path, readers_of(workers, ledger.path), progress, asked, new)
+    return Recovered(ledger.path, found, asked, new)
 
 
 @verb(
@@ -167,11 +175,7 @@ def recover(
         LedgerCorrupted: No commit can be trusted.
         WriteFailed: Another writer is at work, or a write failed.
     """
-    from fsar_ledger.ledger.verify.recover import recover
-    from fsar_ledger.ledger.verify.report import VerifyOptions
-
-    asked = VerifyOptions(trusted=trusted_of(trusted_key), anchor=anchor_of(anchor))
-    return recover(ledger.path, readers_of(workers, ledger.path), progress, asked, None if into is None else Path(into))
+    return _recovered(ledger, into, anchor=anchor, trusted_key=trusted_key, workers=workers, progress=progress).found
 
 
 def _upgraded(ledger: "Ledger", into: Path, *, progress: Progress | None) -> Lines:

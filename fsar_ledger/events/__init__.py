@@ -48,11 +48,15 @@ def _types_in(module: ModuleType) -> list[type[Event]]:
     return [kind for kind in kinds if kind.__module__ == module.__name__]
 
 
+ALONE: frozenset[type[Event]] = frozenset({fleet.ExperimentPlanned})
+"""The event types that are the only event of their run: they describe runs and happen in none.
+
+Event 0 of any other run is `RunStarted`.
+"""
+
 # See docs/decisions/verdicts-are-not-logged.md.
 EVENT_TYPES: tuple[type[Event], ...] = tuple(
-    sorted(
-        (kind for module in _MODULES for kind in _types_in(module)), key=lambda kind: kind is fleet.ExperimentPlanned
-    )
+    sorted((kind for module in _MODULES for kind in _types_in(module)), key=ALONE.__contains__)
 )
 """Every event type that the file of a concern defines; plans come last."""
 
@@ -65,12 +69,6 @@ UPCASTS: Mapping[type[Event], tuple[Callable[[Any], Event], ...]] = {
 
 ADDITIONS: Mapping[type[Event], Addition] = additions(_STEPS)
 """The retired types that become current by adding fields alone, which SQL does in place."""
-
-ALONE: frozenset[type[Event]] = frozenset({fleet.ExperimentPlanned})
-"""The event types that are the only event of their run: they describe runs and happen in none.
-
-Event 0 of any other run is `RunStarted`.
-"""
 
 
 # See docs/decisions/unobserved-is-null.md.

@@ -27,7 +27,7 @@ from fsar_ledger.ledger.log.hashing import sha256_hex
 from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.store import disk
 from fsar_ledger.ledger.store.paths import require_outside
-from fsar_ledger.ledger.store.places import compare_index, require_index
+from fsar_ledger.ledger.store.places import compare_index
 from fsar_ledger.ledger.store.read import View
 from fsar_ledger.ledger.verify.report import VerifyOptions, VerifyReport
 from fsar_ledger.ledger.verify.verify import verify
@@ -124,7 +124,7 @@ def require_runs(view: View) -> None:
 
     Raises: LedgerCorrupted if it does not, or some cannot be read.
     """
-    require_index(view)
+    view.require_index(*range(len(view.chain.placed)))
 
 
 def is_remembered(record_sha256: str) -> bool:

@@ -166,8 +166,6 @@ OfFacts = Drop | Move | Add
 """Changes of what the world does by itself."""
 Commanded = Rule | Trust | Budget | Density
 """Changes that a supervisor commands."""
-OfTheStart = Set | Architecture | Without
-"""Changes of what a run is made from; a constant of the world can also change later."""
 Changes = tuple[AnyChange, ...]
 
 NEVER = "never"

@@ -1,6 +1,6 @@
 """Experiments: runs over architectures, configurations and scenarios, in canonical order, committed in batches."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from itertools import filterfalse
 from pathlib import Path
@@ -192,11 +192,8 @@ class Experiment(msgspec.Struct, frozen=True):
         """Return the number of runs."""
         return len(self.scenarios) * self.runs * len(self.architectures) * len(self.configurations)
 
-    def batches(self, is_there: Callable[[RunSpec], bool] | None = None) -> list[Batch]:
-        """Return the missing runs of each batch: as many in a row as a commit is expected to hold, or one.
-
-        Batches are cut from all runs, missing or not, so an interruption moves no boundary.
-        """
+    def batches(self) -> list[Batch]:
+        """Return all runs in batches: as many in a row as a commit is expected to hold, or one."""
         found: list[list[RunSpec]] = []
         room = 0
         for spec in self.specs():
@@ -206,8 +203,7 @@ class Experiment(msgspec.Struct, frozen=True):
                 room = COMMIT_EVENTS
             room -= events
             found[-1].append(spec)
-        missing = (tuple(filterfalse(is_there, batch)) if is_there else tuple(batch) for batch in found)
-        return [batch for batch in missing if batch]
+        return [tuple(batch) for batch in found]
 
     # See docs/decisions/experiment-plans-are-events.md.
     def plan(self) -> ExperimentPlanned:
@@ -314,23 +310,27 @@ def run_experiment(
         found = writer.held()
         going_on = writer.going_on()
         held = found.runs - going_on.keys()
-        is_there = partial(_is_there, constants, held) if held else None
-        missing = experiment.batches(is_there)
+        batches = experiment.batches()
+        missing = missing_runs(batches, partial(_is_there, constants, held)) if held else batches
         if missing and plan.run_id not in found.plans:
             writer.append(stage(out, [plan]))
         made = sum(map(len, missing))
-        done = max(0, len(experiment.batches()) - len(missing))
-        batches = done + len(missing)
+        done = len(batches) - len(missing)
         if progress is not None:
-            progress(done, batches)
+            progress(done, len(batches))
         staging = Staging(out, constants, going_on)
         for batch in staging.of_all(missing, min(workers, len(missing))):
             for staged in batch:
                 writer.append(staged)
             done += 1
             if progress is not None:
-                progress(done, batches)
+                progress(done, len(batches))
         return SimulationResult(writer.head, experiment.size, made, len(held) + made)
+
+
+def missing_runs(batches: Iterable[Batch], is_there: Callable[[RunSpec], bool]) -> list[Batch]:
+    """Return what is missing of each batch, so that an interruption moves no boundary."""
+    return [missing for batch in batches if (missing := tuple(filterfalse(is_there, batch)))]
 
 
 def _is_there(constants: Constants, held: frozenset[str], spec: RunSpec) -> bool:

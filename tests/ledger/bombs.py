@@ -130,12 +130,12 @@ def commit(path: Path, data: bytes | pa.Table, count: int, times: int = 1) -> No
         size = first + count
         tree = Frontier(size, bytes(32) * size.bit_count())
         last = (path / CHAIN).read_bytes().splitlines()[-1]
-        block = {"run": f"r{number}", "first": 0, "rows": count, "first_us": 0, "last_us": count - 1}
-        line = canonical.document({"first": first, "blocks": [block]}) + b"\n"
         if isinstance(data, pa.Table):
             data = data.set_column(0, CODED_SCHEMA.field(0), _column(CODED_SCHEMA.field(0), f"r{number}", count))
-            line = line_of(first, data)
-        parquet = data if isinstance(data, bytes) else bytes(segment.to_parquet(data))
+            parquet, line = bytes(segment.to_parquet(data)), line_of(first, data)
+        else:
+            block = {"run": f"r{number}", "first": 0, "rows": count, "first_us": 0, "last_us": count - 1}
+            parquet, line = data, canonical.document({"first": first, "blocks": [block]}) + b"\n"
         own = before | {"number": number, "previous_sha256": sha256_hex(last), "rows": count}
         own |= {"tree_size": size, "tree_root": tree.root().hex()}
         there = placed | {"number": placed["number"] + 1, "previous_sha256": sha256_hex(canonical.document(own))}

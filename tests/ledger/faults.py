@@ -18,7 +18,6 @@ from typing import Any
 
 import pytest
 
-from fsar_ledger.ledger.store import disk
 from tests.ledger.power import Disk, Node
 
 WRITES, SYNCS = ("write", "pwrite"), ("fsync", "fdatasync")
@@ -212,7 +211,6 @@ def in_place_of_os(faulty: FaultyOs) -> Iterator[FaultyOs]:
                 and getattr(module, "os", None) is os
             ):
                 patch.setattr(module, "os", faulty)
-        patch.setattr(disk, "SYNCS_AT_ONCE", 1)  # so that a number names the same call each time
         try:
             yield faulty
         finally:

@@ -22,13 +22,13 @@ CHECKED: dict[str, tuple[str, ...] | None] = {
     "rows/footer.py": ("read_struct", "_value", "_values", "_varint", "_count", "_struct", "_list", "_text"),
     "store/disk.py": ("read_document",),
     "log/note.py": ("__post_init__", "is_name", "has_signed", "parse_note", "_parse_signature", "doubt", "names"),
-    "chain/proof.py": ("parse_proof", "check_proof", "_event"),
+    "store/proof.py": ("parse_proof", "check_proof", "_event"),
     "store/segments.py": None,
     "v1.py": None,
     "verify/chain.py": None,
     "verify/trusted.py": ("find_trusted", "_removed", "manifest_of"),
-    "chain/record.py": ("parse_line", "_is_signature"),
-    "chain/links.py": (
+    "store/record.py": ("parse_line", "_is_signature"),
+    "store/links.py": (
         "adds",
         "doubt",
         "_of_commit",
@@ -37,14 +37,14 @@ CHECKED: dict[str, tuple[str, ...] | None] = {
         "_starts",
         "root_at",
         "follow",
-        "_has_later_append",
     ),
-    "chain/journal.py": ("read_frames", "is_whole", "finish", "_is_sealed", "_commit", "_has_later_frame"),
-    "chain/checkpoint.py": None,
-    "chain/tables.py": ("table_of",),
-    "chain/derived.py": ("read_node",),
-    "chain/read.py": ("_placed", "_coded", "open_chain"),
-    "chain/snapshot.py": ("_settled", "look", "_follow", "_end_of_hidden"),
+    "store/torn.py": None,
+    "store/journal.py": ("read_frames", "is_whole", "finish", "_is_sealed", "_commit"),
+    "store/checkpoint.py": None,
+    "store/tables.py": ("table_of",),
+    "store/derived.py": ("read_node",),
+    "store/read.py": ("_placed", "_coded", "open_chain"),
+    "store/snapshot.py": ("_settled", "look", "_follow", "_end_of_hidden"),
     "rows/blocks.py": ("flaw",),
 }
 """The files that make checks, and the functions in them, None: all."""
@@ -68,15 +68,15 @@ class Mutant(NamedTuple):
 
 def mutants() -> Iterator[Mutant]:
     """Yield a mutant for every check of `CHECKED`."""
-    for file, functions in (CHECKED).items():
+    for file, functions in CHECKED.items():
         path = PACKAGE / "ledger" / file
         tree = ast.parse(path.read_text("utf-8"))
-        for function in _functions(tree):
+        for function in functions_of(tree):
             if function.name not in _NO_CHECKS and (functions is None or function.name in functions):
                 yield from _mutants_of(path, tree, function)
 
 
-def _functions(tree: ast.Module) -> Iterator[ast.FunctionDef]:
+def functions_of(tree: ast.Module) -> Iterator[ast.FunctionDef]:
     """Yield the functions and methods, except those inside functions, which belong to them."""
     bodies: list[ast.Module | ast.ClassDef] = [tree, *(node for node in tree.body if isinstance(node, ast.ClassDef))]
     for body in bodies:
@@ -88,7 +88,7 @@ def _mutants_of(path: Path, tree: ast.Module, function: ast.FunctionDef) -> Iter
     for number, node in enumerate(ast.walk(function)):
         for what, change in [] if isinstance(node, ast.BoolOp) and id(node) not in judged else _changes(node):
             mutated = copy.deepcopy(tree)
-            same = next(one for one in _functions(mutated) if one.lineno == function.lineno)
+            same = next(one for one in functions_of(mutated) if one.lineno == function.lineno)
             change(list(ast.walk(same))[number])
             yield Mutant(
                 f"{path.parent.name}/{path.name}, {function.name}: {what}",

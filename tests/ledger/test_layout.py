@@ -11,11 +11,10 @@ import pyarrow as pa
 import pytest
 
 from fsar_ledger.errors import LedgerCorrupted
-from fsar_ledger.ledger.rows import grammar, layout, segment
+from fsar_ledger.ledger.rows import grammar, segment
 from fsar_ledger.ledger.rows.codec import encode
-from fsar_ledger.ledger.rows.layout import check_layout, dictionary_of_runs, read_file, read_layout
+from fsar_ledger.ledger.rows.layout import check_layout, read_file, read_layout
 from fsar_ledger.ledger.rows.schema import SCHEMA
-from tests.ledger.hostile import written
 from tests.ledger.keep_release import LEDGERS
 from tests.ledger.layout_changes import CHANGES, Change, about, add
 from tests.ledger.parts import Page, Parts, two_faced
@@ -273,56 +272,3 @@ def test_bytes_behind_the_end_of_the_footer_are_refused() -> None:
     footer_bytes = int.from_bytes(DATA[-8:-4], "little")
     for more in (b"\x00", b"hidden"):
         refusal(DATA[:-8] + more + (footer_bytes + len(more)).to_bytes(4, "little") + DATA[-4:])
-
-
-# --- the runs of a segment, from its beginning ---
-
-
-def first_pages(data: bytes) -> tuple[int, int]:
-    """Return where the texts of the first dictionary begin, and where the page after them does."""
-    header = grammar.DICTIONARY_PAGE.match(data, 4)
-    assert header is not None
-    return header.end(), header.end() + grammar.DECODED[header[2]]
-
-
-def test_the_runs_of_a_segment_are_read_from_its_beginning() -> None:
-    _, after = first_pages(DATA)
-    assert dictionary_of_runs(DATA, 120) == ["run-0", "run-1"]
-    assert dictionary_of_runs(DATA[: after + 200], 120) == ["run-0", "run-1"]
-
-
-@pytest.mark.parametrize("kept", [0, 4, 20])
-def test_of_a_beginning_without_the_whole_dictionary_no_runs_are_read(kept: int) -> None:
-    assert dictionary_of_runs(DATA[:kept], 120) is None
-
-
-def test_of_a_beginning_without_the_pages_of_all_rows_no_runs_are_read() -> None:
-    _, after = first_pages(DATA)
-    for end in range(after, after + 12):
-        assert dictionary_of_runs(DATA[:end], 120) is None
-    assert dictionary_of_runs(DATA, 121) is None
-
-
-def test_a_large_dictionary_of_runs_is_not_unpacked(monkeypatch: pytest.MonkeyPatch) -> None:
-    texts = sum(len(name) + 4 for name in ("run-0", "run-1"))
-    monkeypatch.setattr(layout, "_MAX_DICTIONARY_BYTES", texts)
-    assert dictionary_of_runs(DATA, 120) == ["run-0", "run-1"]
-    monkeypatch.setattr(layout, "_MAX_DICTIONARY_BYTES", texts - 1)
-    assert dictionary_of_runs(DATA, 120) is None
-
-
-def test_rows_whose_run_is_in_no_dictionary_are_not_passed_over() -> None:
-    """Another library may write so, once its dictionary is full."""
-    names = pa.array([f"run-{number:03d}" for number in range(len(TABLE))])
-    table = TABLE.set_column(SCHEMA.get_field_index("run_id"), SCHEMA.field("run_id"), names)
-    data = written(table, use_dictionary=["run_id"], dictionary_pagesize_limit=64, write_batch_size=7)
-    encodings = {field(cast(Struct, field(page.header, 5)), 2) for page in Parts(data).pages[0][1:]}
-    assert encodings == {0, 8}
-    assert dictionary_of_runs(data, len(TABLE)) is None
-
-
-def test_a_dictionary_that_counts_fewer_runs_than_it_holds_is_not_believed() -> None:
-    begin, _ = first_pages(DATA)
-    count = DATA.rindex(b"\x15\x04\x15\x00\x12\x00\x00", 4, begin)
-    fewer = DATA[: count + 1] + b"\x02" + DATA[count + 2 :]
-    assert dictionary_of_runs(fewer, 120) is None

@@ -1,6 +1,7 @@
 """Checks of the verifier that other checks could mask, each on its own: the place, the words and the number of problems
 are right."""
 
+import ast
 import os
 import shutil
 from collections.abc import Callable
@@ -28,6 +29,7 @@ from fsar_ledger.ledger.verify.report import VerifyOptions, VerifyReport
 from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.damage import SIGNER, only_problem
 from tests.ledger.forgery import forge, forge_segment, segment_at, staged_at, table_of
+from tests.ledger.mutants import CHECKED, PACKAGE, functions_of
 from tests.ledger.samples import ORIGIN
 
 SIZES = (270, 20)
@@ -36,6 +38,12 @@ NEWEST = "segments/000000000270-000000000290.parquet"
 
 
 # --- the look as a whole ---
+
+
+def test_every_file_and_function_of_which_the_soak_removes_checks_is_there() -> None:
+    for file, functions in CHECKED.items():
+        tree = ast.parse((PACKAGE / "ledger" / file).read_text("utf-8"))
+        assert set(functions or ()) <= {function.name for function in functions_of(tree)}, file
 
 
 def test_a_worker_that_was_ended_from_outside_says_nothing_of_the_ledger(

@@ -37,20 +37,6 @@ class Tile(msgspec.Struct, frozen=True, order=True):
         return f"{TILE}/{self.level}/{number}" + ("" if self.width == WIDTH else f".p/{self.width}")
 
 
-def tile_named(name: str) -> Tile | None:
-    """Return the tile with this file name within the ledger; None if this is not the name of a tile."""
-    _, level, *groups = name.split("/")
-    width = str(WIDTH)
-    if len(groups) > 1 and groups[-2].endswith(".p"):
-        width = groups.pop()
-        groups[-1] = groups[-1].removesuffix(".p")
-    digits = "".join(group.removeprefix("x") for group in groups)
-    if not all(part.isascii() and part.isdecimal() and len(part) <= 18 for part in (level, digits, width)):
-        return None
-    tile = Tile(int(level), int(digits), int(width))
-    return tile if tile.name == name and 0 < tile.width <= WIDTH and tile.level <= 64 // HEIGHT else None
-
-
 def partial_tiles(size: int) -> tuple[Tile, ...]:
     """Return the partial tiles of a tree of this size, at most one per level."""
     widths = ((level, size >> HEIGHT * level) for level in range((size.bit_length() + HEIGHT - 1) // HEIGHT))

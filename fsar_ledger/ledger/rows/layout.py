@@ -37,8 +37,6 @@ from fsar_ledger.ledger.rows.releases import SCHEMAS
 
 MIN_ENTRY_BYTES = 4
 """Bytes of the length of a string in a dictionary."""
-_MAX_DICTIONARY_BYTES = 1 << 22
-"""pyarrow adds no entry to a dictionary after 1 MiB."""
 
 
 class PageInfo(NamedTuple):
@@ -176,46 +174,6 @@ def read_layout(data: bytes) -> Layout:
     if place != footer_at:
         raise ValueError(f"{footer_at - place} bytes between the last page and the footer, expected none")
     return Layout(rows, known.schema, end[5].decode(), tuple(statistics), tuple(of_pages), tuple(sizes))
-
-
-def dictionary_of_runs(data: bytes, rows: int) -> list[str] | None:
-    """Return the dictionary of `run_id`: every run of a segment of `rows` rows, and perhaps strings that no row uses.
-
-    `run_id` is the first column, so the beginning of a segment is enough. None if it is cut off too early, does not
-    have the form of a segment, or has rows whose strings are in no dictionary.
-    """
-    header = DICTIONARY_PAGE.match(data, len(MAGIC))
-    if header is None or DECODED[header[1]] > _MAX_DICTIONARY_BYTES:
-        return None
-    at, values = header.end() + DECODED[header[2]], 0
-    try:
-        _check_sum(data, "run_id", header.end(), DECODED[header[2]], header[3])
-        while values < rows:
-            page = _footers()[-1].columns[0].page.match(data, at)
-            if page is None or page[5] == b"\x00":
-                return None
-            _, body = _page_bounds(data, "run_id", page)
-            at, values = body + DECODED[page[2]], values + DECODED[page[4]]
-        return _strings(
-            pa.decompress(
-                data[header.end() : header.end() + DECODED[header[2]]], DECODED[header[1]], "zstd", asbytes=True
-            ),
-            DECODED[header[4]],
-        )
-    except (ValueError, OSError):
-        return None
-
-
-def _strings(data: bytes, count: int) -> list[str]:
-    """Split this many strings, each after its length. Raises: ValueError if they are not all of the data."""
-    found, at = [], 0
-    for _ in range(count):
-        end = at + MIN_ENTRY_BYTES + int.from_bytes(data[at : at + MIN_ENTRY_BYTES], "little")
-        found.append(data[at + MIN_ENTRY_BYTES : end].decode())
-        at = end
-    if at != len(data):
-        raise ValueError(f"{count} strings of {at} bytes, expected {len(data)}")
-    return found
 
 
 def _footer_at(data: bytes) -> int:

@@ -393,4 +393,4 @@ class Writer:
 
     def _write_checkpoint(self) -> None:
         """Write the note of the newest commit, durably. Raises: OSError."""
-        disk.write_files({self._path / CHECKPOINT: str(self._view.note()).encode()}, self._path / STAGING)
+        disk.replace_durably(self._path / CHECKPOINT, str(self._view.note()).encode(), self._path / STAGING)

@@ -11,20 +11,15 @@ import errno
 import os
 import secrets
 import stat
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from itertools import islice
 from pathlib import Path
-from typing import TypeVar
 
 from fsar_ledger.errors import WriteFailed
 
 TEMPORARY = ".tmp"
-SYNCS_AT_ONCE = 8
-_OPEN_AT_ONCE = 128
 _NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW
-_T = TypeVar("_T")
 MAX_DOCUMENT_BYTES = 1 << 20
 """The most bytes that a JSON file is read with; none of a ledger comes near it."""
 
@@ -254,88 +249,16 @@ def remove(path: Path) -> None:
         os.unlink(path)
 
 
-def remove_folder(path: Path) -> None:
-    """Remove the folder and its files, durably, even if an earlier process was killed halfway.
-
-    Targets of links stay.
-
-    Raises: OSError.
-    """
-    if path.is_symlink():
-        return
-    with suppress(FileNotFoundError):
-        for name in os.listdir(path):
-            os.unlink(path / name)
-        os.rmdir(path)
-    sync_folder(path.parent)
-
-
-def write_files(files: Mapping[Path, bytes], staging: Path, make_way: Callable[[Path], None] | None = None) -> None:
-    """Write each file, whole and durably, with the folders it needs. Each folder is synced once.
-
-    Args:
-        files: What each path shall hold.
-        staging: A folder on the same disk, for temporary files. Folders are made below the one that it is in.
-        make_way: Called with each path before its file gets there. The bytes are on disk by then, so a full disk has
-            changed nothing.
-    """
-    folders: set[Path] = set()
-    for path in files:
-        if path.parent not in folders:
-            folders.update(_make_folder(path.parent, staging.parent))
-    paths = list(files)
-    for at in range(0, len(paths), _OPEN_AT_ONCE):
-        _write_some(
-            [(temporary_name(staging / "file"), path, files[path]) for path in paths[at : at + _OPEN_AT_ONCE]], make_way
-        )
-    _at_once(sync_folder, list(folders))
-
-
-def _write_some(files: list[tuple[Path, Path, bytes]], make_way: Callable[[Path], None] | None) -> None:
-    """Write files (temporary name, name, bytes) to existing folders, which the caller syncs."""
-    handles: list[int] = []
+def replace_durably(path: Path, data: bytes, staging: Path) -> None:
+    """Write the file, whole and durably, replacing what it held. Until then its bytes are in this folder."""
+    temporary = temporary_name(staging / "file")
+    write_temporary(temporary, data)
     try:
-        try:
-            for temporary, _, data in files:
-                handles.append(os.open(temporary, _NEW, 0o666))
-                _write_all(handles[-1], data)
-            _at_once(os.fsync, handles)
-        finally:
-            for handle in handles:
-                os.close(handle)
-        for temporary, path, _ in files:
-            if make_way is not None:
-                make_way(path)
-            os.replace(temporary, path)
+        os.replace(temporary, path)
     except BaseException:
-        for temporary, *_ in files:
-            remove(temporary)
+        remove(temporary)
         raise
-
-
-def _at_once(sync: Callable[[_T], None], things: Sequence[_T]) -> None:
-    """Sync several things in parallel, which a disk does in the time of a few."""
-    if SYNCS_AT_ONCE == 1 or len(things) == 1:
-        for thing in things:
-            sync(thing)
-        return
-    with ThreadPoolExecutor(SYNCS_AT_ONCE) as pool:
-        for _ in pool.map(sync, things):
-            pass
-
-
-def _make_folder(path: Path, top: Path) -> list[Path]:
-    """Make the folder; return all folders from `top` down to it.
-
-    All need a sync: a process may have been killed before it synced those that it made.
-    """
-    chain = [path, *path.parents]
-    chain = chain[: chain.index(top) + 1][::-1]
-    for folder in chain:
-        if not os.path.isdir(folder):
-            with suppress(FileExistsError):
-                os.mkdir(folder)
-    return chain
+    sync_folder(path.parent)
 
 
 def write_secret(path: Path, data: bytes) -> None:

@@ -51,10 +51,14 @@ def read_manifest(path: Path) -> bytes:
 def refuse_version_1(ledger: Path, data: bytes) -> None:
     """Refuse a ledger whose ledger.json, with these bytes, says that it has format 1. Raises: FormatVersionMismatch."""
     if version_of(data) == VERSION_1:
-        raise FormatVersionMismatch(
-            f"{ledger}: found a ledger of format 1, which fsar-ledger up to 0.8 wrote, expected one of today's format; "
-            f"run fsar-ledger maintain upgrade {printable.word(ledger)} --into NEW"
-        )
+        raise _too_old(ledger)
+
+
+def _too_old(ledger: Path) -> FormatVersionMismatch:
+    return FormatVersionMismatch(
+        f"{ledger}: found a ledger of format 1, which fsar-ledger up to 0.8 wrote, expected one of today's format; "
+        f"run fsar-ledger maintain upgrade {printable.word(ledger)} --into NEW"
+    )
 
 
 def version_of(data: bytes) -> object:
@@ -84,7 +88,8 @@ def parse_manifest(path: Path, data: bytes) -> Manifest:
         raise NotALedger(
             f"{path}: found format {header.get('format')!r:.80}, expected {FORMAT!r}; this is no FSAR ledger"
         )
-    refuse_version_1(path.parent, data)
+    if header.get("version") == VERSION_1:
+        raise _too_old(path.parent)
     if header.get("version") != VERSION:
         raise FormatVersionMismatch(
             f"{path}: found format version {header.get('version')!r:.80}, expected {VERSION}; "

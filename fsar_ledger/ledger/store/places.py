@@ -57,11 +57,3 @@ def compare_index(view: View) -> bool:
         require_lines(view.path, view.chain.placed_in(number), lines)
         view.believed.add(number)
     return is_read
-
-
-def require_index(view: View) -> None:
-    """Require that the chain says of all rows where runs are.
-
-    Raises: LedgerCorrupted if it does not, or some cannot be read.
-    """
-    view.require_index(*range(len(view.chain.placed)))

@@ -139,8 +139,7 @@ def repair(view: View, *, is_alone: bool, settles: bool = True) -> View:
         is_covered = not covered or view.commits[-covered].tree_size > view.chain.placed_size
         _derive(view, is_settled=is_covered and not view.journal.sealed)
         if covered and (settles or not is_covered):
-            note = str(view.note())
-            disk.write_files({path / CHECKPOINT: note.encode()}, path / STAGING)
+            disk.replace_durably(path / CHECKPOINT, str(view.note()).encode(), path / STAGING)
         for name, is_empty in ((SEALING, not view.journal.sealing), (JOURNAL, not view.journal.end)):
             if is_empty and os.path.lexists(path / name):  # it was sealed, or its first frame is torn
                 os.unlink(path / name)
@@ -176,9 +175,8 @@ def _clean(view: View, *, is_alone: bool) -> None:
     if not is_alone:
         return
     for entry in list(os.scandir(view.path / STAGING)):
-        with suppress(FileNotFoundError):  # a writer that creates the same ledger at once removes its own ledger.json
-            if stat.S_ISREG(entry.stat(follow_symlinks=False).st_mode):
-                disk.remove(Path(entry.path))
+        if entry.is_file(follow_symlinks=False):  # a writer that creates the same ledger may have removed its own
+            disk.remove(Path(entry.path))
 
 
 def _derive(view: View, *, is_settled: bool) -> None:

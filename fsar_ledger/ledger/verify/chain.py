@@ -74,7 +74,8 @@ class Verification:
         self.path, self.asked = path, asked
         self.problems: list[Problem] = []
         self.events = self.done = 0
-        self.derived: list[Problem] = []  # the first one of the checkpoint, the pack and the index
+        self.checkpoint: Problem | None = None  # only where the records themselves are whole
+        self.derived: list[Problem] = []  # the first one of the pack, and of the index
         self.index: list[bytes] = []  # its lines; empty where they are not as their placements say
         self.trusted = (0, 0)  # placements, and commits, before the first doubt about one
         self.runs = Runs()
@@ -91,7 +92,7 @@ class Verification:
                 return VerifyReport(False, tuple(self.problems[:MAX_PROBLEMS]), 0, 0, 0, None)
         view = open_chain(self.path, document, is_damage_told=False)
         chain = view.chain
-        self.problems += [one for one in (view.followed.problem, view.journal.problem) if one is not None]
+        self.problems += [problem for problem in (view.followed.problem, view.journal.problem) if problem is not None]
         segments = [(one.number, one, Names(segment_of(one), CHAIN)) for one in chain.placed]
         facts = examine_all(self.path, segments, workers, self.asked.second_reader, is_quick=self.asked.is_quick)
         self.index = list(chain.index_lines(self._index_bytes(chain)))
@@ -104,12 +105,13 @@ class Verification:
             self.tree = chain.tree()
         for number, frame in enumerate(view.journal.frames):
             self._add_frame(frame, SEALING if number < view.journal.sealing else JOURNAL)
-        self.problems += names
-        self.problems += [
+        strays = [
             Problem(name, "a file of no placement", "segments that the chain names; take it away")
             for name in unplaced(view)
         ]
-        self.problems += self.derived
+        checkpoint = [self.checkpoint] if self.checkpoint is not None else []
+        # A strange name, and a checkpoint ahead of the records, tell more than what follows from them.
+        self.problems = [*names, *checkpoint, *self.problems, *strays, *self.derived]
         remarks = self._check_derived(view, is_behind=is_behind)
         return self._report(view, remarks)
 
@@ -117,7 +119,7 @@ class Verification:
         """Return whether the checkpoint is that of before the last append to the chain."""
         back = covered(view)
         if isinstance(back, Problem):
-            self.derived += [] if self.problems else [back]
+            self.checkpoint = None if self.problems else back
             return False
         size = view.commits[-back - 1].tree_size if back < len(view.commits) else 0
         return back > 0 and size < view.chain.placed_size

@@ -25,11 +25,10 @@ from fsar_ledger.ledger.store.paths import SEGMENTS
 from fsar_ledger.ledger.store.problem import Problem
 from fsar_ledger.ledger.store.view import Head
 from fsar_ledger.ledger.verify.report import Progress, VerifyOptions, VerifyReport
-from fsar_ledger.ledger.verify.trusted import Found, Later, find_trusted, mend, write_copy
+from fsar_ledger.ledger.verify.trusted import Did, Found, Later, find_trusted, mend, write_copy
 from fsar_ledger.ledger.verify.verify import require_ledger, verify
 
 Outcome = Literal["whole", "mended", "damaged", "continued"]
-Did = Literal["moved into place", "made again", "set aside"]
 
 
 class Step(msgspec.Struct, frozen=True):

@@ -37,9 +37,9 @@ from fsar_ledger.ledger.verify.chain import FILES, FOLDERS, Verification, unplac
 from fsar_ledger.ledger.verify.notes import Nodes, check_anchor
 from fsar_ledger.ledger.verify.report import Progress, VerifyOptions, VerifyReport
 
+Did = Literal["moved into place", "made again", "set aside"]
 SetAside = Callable[[str], None]
-Done = Callable[[Literal["moved into place", "made again", "set aside"], str, str], None]
-
+Done = Callable[[Did, str, str], None]
 
 _SEGMENT_NAME = re.compile(rf"{SEGMENTS}/[0-9]{{12,}}-[0-9]{{12,}}\.parquet")
 
@@ -254,7 +254,8 @@ def mend(found: Found, set_aside: SetAside, done: Done) -> None:
     view, path = found.view, found.view.path
     for name in _strays(view):
         set_aside(name)
-    _make_again(path, MANIFEST, manifest_of(path), set_aside, done)
+    manifest = canonical.document(view.manifest)
+    _make_again(path, MANIFEST, manifest, set_aside, done)
     for placement in view.chain.placed:
         place = path / segment_of(placement)
         if (there := view.located(placement)) != place:
@@ -268,9 +269,9 @@ def mend(found: Found, set_aside: SetAside, done: Done) -> None:
         _make_again(path, CHECKPOINT, str(view.note()).encode() if view.commits else b"", set_aside, done)
         is_behind = False
     if is_behind:
-        disk.write_files({path / CHECKPOINT: str(view.note()).encode()}, path / STAGING)
+        disk.replace_durably(path / CHECKPOINT, str(view.note()).encode(), path / STAGING)
         done("made again", CHECKPOINT, CHECKPOINT)
-    repair(open_chain(path, manifest_of(path)), is_alone=True)
+    repair(open_chain(path, manifest), is_alone=True)
 
 
 def _make_again(path: Path, name: str, data: bytes, set_aside: SetAside, done: Done) -> None:
@@ -282,7 +283,7 @@ def _make_again(path: Path, name: str, data: bytes, set_aside: SetAside, done: D
         set_aside(name)
     if data:
         disk.make_folder(path / STAGING)
-        disk.write_files({path / name: data}, path / STAGING)
+        disk.replace_durably(path / name, data, path / STAGING)
         done("made again", name, name)
 
 
@@ -306,7 +307,7 @@ def write_copy(found: Found, work: Path) -> None:
     view = found.view
     for folder in (work, work / SEGMENTS, work / STAGING):
         folder.mkdir()
-    manifest = manifest_of(view.path)
+    manifest = canonical.document(view.manifest)
     disk.write_temporary(work / MANIFEST, manifest)
     chain = Chain(sha256_hex(manifest))
     lines: list[bytes] = []
