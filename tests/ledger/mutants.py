@@ -19,7 +19,6 @@ CHECKED: dict[str, tuple[str, ...] | None] = {
     "rows/segment.py": ("_read",),
     "rows/bounds.py": None,
     "rows/layout.py": None,
-    "rows/footer.py": ("read_struct", "_value", "_values", "_varint", "_count", "_struct", "_list", "_text"),
     "store/disk.py": ("read_document",),
     "log/note.py": ("__post_init__", "is_name", "has_signed", "parse_note", "_parse_signature", "doubt", "names"),
     "store/proof.py": ("parse_proof", "check_proof", "_event"),

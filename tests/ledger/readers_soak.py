@@ -141,8 +141,6 @@ def soak(
 ) -> tuple[Counter[tuple[str, str]], list[str]]:
     """Count how mutations of each kind, from this number on, ended; return the counts and the first few differences."""
     templates, counts, differences = [Template(data) for data in segments()], Counter[tuple[str, str]](), list[str]()
-    for name in ("explain_footer", "explain_page"):  # the reason takes longer than the refusal
-        setattr(layout, name, lambda *_: "")
     readers = Readers()
     try:
         for number in range(first, first + count):

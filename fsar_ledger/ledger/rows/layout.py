@@ -15,7 +15,6 @@ import pyarrow as pa
 
 from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.ledger.rows import bounds
-from fsar_ledger.ledger.rows.footer import explain_footer, explain_page
 from fsar_ledger.ledger.rows.grammar import (
     BOUNDS_END,
     DECODED,
@@ -35,6 +34,8 @@ from fsar_ledger.ledger.rows.grammar import (
 )
 from fsar_ledger.ledger.rows.releases import SCHEMAS
 
+_AS_WRITTEN = "those of a segment as it is written"
+_OTHER_FOOTER = f"the footer: other fields or values, expected {_AS_WRITTEN}"
 MIN_ENTRY_BYTES = 4
 """Bytes of the length of a string in a dictionary."""
 
@@ -124,20 +125,20 @@ def read_layout(data: bytes) -> Layout:
     size, footer_at = len(data), _footer_at(data)
     known = next((footer for footer in _footers() if data.startswith(footer.begin, footer_at)), None)
     if known is None or (found := ROWS.match(data, at := footer_at + len(known.begin))) is None:
-        raise ValueError(explain_footer(data[footer_at:-8], (known or _footers()[-1]).schema))
+        raise ValueError(_OTHER_FOOTER)
     rows = DECODED[found[0]]
     if not 0 < rows <= bounds.MAX_ROWS:
         raise ValueError(f"{rows} rows, expected 1 to {bounds.MAX_ROWS}")
     at = found.end()
     if not data.startswith(known.group, at):
-        raise ValueError(explain_footer(data[footer_at:-8], (known or _footers()[-1]).schema))
+        raise ValueError(_OTHER_FOOTER)
     at += len(known.group)
     place, unpacked, elements = len(MAGIC), 0, 0
     statistics, of_pages, sizes = list[PageInfo](), list[PageInfo](), list[bytes]()
     for column in known.columns:
         found_chunk = _chunk(data, column, at)
         if found_chunk is None:
-            raise ValueError(explain_footer(data[footer_at:-8], known.schema))
+            raise ValueError(f"the footer: column {column.name} in other fields or encodings, expected {_AS_WRITTEN}")
         chunk, said, at = found_chunk
         statistics += [said] if said else []
         sizes.append(chunk.sizes)
@@ -162,7 +163,7 @@ def read_layout(data: bytes) -> Layout:
         or end.end() + len(known.orders) != size - 8
         or end[4][0] != len(end[5])
     ):
-        raise ValueError(explain_footer(data[footer_at:-8], (known or _footers()[-1]).schema))
+        raise ValueError(_OTHER_FOOTER)
     said_twice = {
         "bytes unpacked": (end[1], unpacked),
         "rows": (end[2], rows),
@@ -304,7 +305,9 @@ def _check_pages(data: bytes, chunk: _Chunk, place: int, of_pages: list[PageInfo
     while at < end:
         header = match(data, at)
         if header is None:
-            raise ValueError(f"column {name}: {explain_page(data, at)}")
+            raise ValueError(
+                f"column {name}: a page header of other fields or encodings at byte {at}, expected {_AS_WRITTEN}"
+            )
         pages += 1
         if pages > bounds.MAX_PAGES:
             raise ValueError(f"column {name}: more than {bounds.MAX_PAGES} pages, expected fewer")
@@ -336,7 +339,9 @@ def _check_dictionary(data: bytes, name: str, at: int) -> tuple[int, int]:
     """
     header = DICTIONARY_PAGE.match(data, at)
     if header is None:
-        raise ValueError(f"column {name}: {explain_page(data, at)}")
+        raise ValueError(
+            f"column {name}: a page header of other fields or encodings at byte {at}, expected {_AS_WRITTEN}"
+        )
     unpacked, stored, values = DECODED[header[1]], DECODED[header[2]], DECODED[header[4]]
     if values * MIN_ENTRY_BYTES > unpacked:
         raise ValueError(
