@@ -21,7 +21,7 @@ import pyarrow.parquet as pq
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from fsar_ledger.ledger.rows import canonical, joining
+from fsar_ledger.ledger.rows import canonical, compiled
 from fsar_ledger.ledger.rows.segment import read_table
 from fsar_ledger.ledger.store.paths import CHAIN
 from fsar_ledger.ledger.store.read import open_chain
@@ -84,7 +84,7 @@ def main() -> int:
         if options.ledger is None:
             run_experiment(ledger, experiment(RUNS), 1)
         events, plain_s, one_s, both_s = measure(ledger, options.segments)
-    print(f"events {events:,}, load {os.getloadavg()[0]:.1f}; rows are joined in C: {joining.IS_COMPILED}")
+    print(f"events {events:,}, load {os.getloadavg()[0]:.1f}; rows are joined in C: {compiled.IS_COMPILED}")
     for name, seconds in (
         ("read and hash", plain_s),
         ("verify, one reader", one_s),

@@ -347,22 +347,14 @@ def test_a_segment_is_the_same_bytes_every_time_and_plain_parquet(tmp_path: Path
     assert pq.ParquetFile(tmp_path / "s.parquet").schema_arrow.equals(SCHEMA)
 
 
-def test_a_segment_of_other_columns_is_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize("how", ["a column less", "a column more"])
+def test_a_segment_of_other_columns_is_refused(tmp_path: Path, how: str) -> None:
     table = encode(made_up_batches(1)[0])
-    pq.write_table(table.drop_columns(["robot"]), tmp_path / "other.parquet")
-    with pytest.raises(LedgerCorrupted, match="column"):
+    more = table.append_column("more", pa.nulls(table.num_rows, pa.int64()))
+    other = table.drop_columns(["robot"]) if how == "a column less" else more
+    pq.write_table(other, tmp_path / "other.parquet", store_schema=False)
+    with pytest.raises(LedgerCorrupted, match="found the footer: other fields or values, expected"):
         segment.read_table(tmp_path / "other.parquet")
-    pq.write_table(
-        table.append_column("more", pa.nulls(table.num_rows, pa.int64())), tmp_path / "more.parquet", store_schema=False
-    )
-    with pytest.raises(
-        LedgerCorrupted,
-        match=rf"column {len(SCHEMA)} as \('more', 'INT64'\), expected None as in the columns of a release",
-    ):
-        segment.read_table(tmp_path / "more.parquet")
-    (tmp_path / "none.parquet").write_bytes(b"PAR1 nothing PAR1")
-    with pytest.raises(LedgerCorrupted, match="cannot be read"):
-        segment.read_table(tmp_path / "none.parquet")
 
 
 def test_pages_that_are_laid_out_well_and_cannot_be_decoded_are_refused(tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ from fsar_ledger.events import CONCERN_OF
 from fsar_ledger.events.envelope import with_columns
 from fsar_ledger.ledger.rows import encoding
 from fsar_ledger.ledger.rows.codec import LedgerRun, encode_lines
+from fsar_ledger.ledger.rows.compiled import IS_COMPILED
 from fsar_ledger.ledger.rows.encoding import MARK_OF, OPENING, marks_of, plain_lines
 from fsar_ledger.ledger.rows.pieces import piece
 from fsar_ledger.ledger.rows.schema import LAYOUTS
@@ -23,7 +24,7 @@ from fsar_ledger.ledger.rows.small import rows_of
 from tests.ledger.samples import IN_RUNS, any_runs, made_up_batches, made_up_run, run_of_every_type
 from tests.ledger.test_writer_property import batches, with_event
 
-compiled = pytest.mark.skipif(not encoding.IS_COMPILED, reason="no compiler was there")
+compiled = pytest.mark.skipif(not IS_COMPILED, reason="no compiler was there")
 
 
 def is_plain(rows: bytes) -> bool:
@@ -113,12 +114,12 @@ def test_a_run_that_does_not_hold_together_is_left_to_python(changed: dict[str, 
 
 @compiled
 def test_a_call_with_other_things_is_an_error() -> None:
-    from fsar_ledger.ledger.rows._encoding import lines, types
+    from fsar_ledger.ledger.rows._codec import event_types, write_events
 
     run = made_up_run("run-1", 2, 1)
     given_lists = (list(run.times_us), list(run.caused_by), list(run.events))
     kind = type(run.events[0])
-    assert lines(types({}), "run-1", 0, *given_lists) is None
+    assert write_events(event_types({}), "run-1", 0, *given_lists) is None
     made: tuple[Any, ...] = (
         [],
         {kind: []},
@@ -131,11 +132,11 @@ def test_a_call_with_other_things_is_an_error() -> None:
     )
     for wrong in made:
         with pytest.raises(TypeError):
-            types(wrong)
+            event_types(wrong)
     with pytest.raises(TypeError):
-        lines(types({}), "run-1", 0, tuple(run.times_us), *given_lists[1:])  # type: ignore[arg-type]
+        write_events(event_types({}), "run-1", 0, tuple(run.times_us), *given_lists[1:])  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="PyCapsule"):
-        lines({}, "run-1", 0, *given_lists)  # type: ignore[arg-type]
+        write_events({}, "run-1", 0, *given_lists)
 
 
 class Plain:
@@ -162,10 +163,10 @@ class Larger(Refuses, frozen=True, weakref=True):
 @compiled
 @pytest.mark.parametrize("kind", [Plain, Refuses, Larger])
 def test_a_field_is_read_by_its_name_where_its_place_is_not_known(kind: type[Any]) -> None:
-    from fsar_ledger.ledger.rows._encoding import lines, types
+    from fsar_ledger.ledger.rows._codec import event_types, write_events
 
-    made = types({kind: (4, ((0, b'"x":', "name", None, "name", False, None),))})
-    assert lines(made, "run-1", 7, [0, 0], [0, 0], [kind("a"), kind("b")]) == (b'{"x":"a"}\n{"x":"b"}\n', 4)
+    made = event_types({kind: (4, ((0, b'"x":', "name", None, "name", False, None),))})
+    assert write_events(made, "run-1", 7, [0, 0], [0, 0], [kind("a"), kind("b")]) == (b'{"x":"a"}\n{"x":"b"}\n', 4)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -200,7 +201,7 @@ def test_writing_rows_keeps_nothing() -> None:
 def test_rows_are_the_same_without_the_compiled_function(monkeypatch: pytest.MonkeyPatch) -> None:
     batches = made_up_batches(3, size=50)
     found = list(map(rows_of, batches))
-    monkeypatch.setattr(encoding, "_lines", None)
+    monkeypatch.setattr(encoding, "codec", None)
     assert plain_lines(batches[0][0]) is None
     assert list(map(rows_of, batches)) == found
 
@@ -209,7 +210,7 @@ def test_rows_are_the_same_without_the_compiled_function(monkeypatch: pytest.Mon
 def test_what_is_refused_does_not_depend_on_the_compiled_function(offered: list[list[LedgerRun]]) -> None:
     with pytest.MonkeyPatch.context() as patch:
         found = [_said(batch) for batch in offered]
-        patch.setattr(encoding, "_lines", None)
+        patch.setattr(encoding, "codec", None)
         assert [_said(batch) for batch in offered] == found
 
 

@@ -10,14 +10,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fsar_ledger.ledger.rows import canonical, joining, segment
+from fsar_ledger.ledger.rows import canonical, segment
 from fsar_ledger.ledger.rows.arrow import Columns
 from fsar_ledger.ledger.rows.codec import encode
+from fsar_ledger.ledger.rows.compiled import IS_COMPILED
 from fsar_ledger.ledger.rows.schema import COLUMNS, SCHEMA
 from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.samples import append_all, contents, made_up_batches, made_up_run
 
-compiled = pytest.mark.skipif(not joining.IS_COMPILED, reason="no compiler was there")
+compiled = pytest.mark.skipif(not IS_COMPILED, reason="no compiler was there")
 
 LIMIT = 2**53 - 1
 TEXTS = st.text(max_size=8)
@@ -36,7 +37,7 @@ def rows(names: list[str]) -> st.SearchStrategy[list[dict[str, object]]]:
 
 
 def joined(table: pa.Table) -> list[bytes]:
-    lines = joining.lines_of(Columns(table))
+    lines = canonical.compiled_lines(Columns(table))
     assert lines is not None
     return lines.splitlines()
 
@@ -59,13 +60,13 @@ def test_events_of_every_kind_are_written_alike_coded_or_plain() -> None:
 
 @compiled
 def test_arrays_that_do_not_fit_one_another_are_refused() -> None:
-    from fsar_ledger.ledger.rows._joining import lines
+    from fsar_ledger.ledger.rows._codec import write_rows
 
     there, places, ends, starts = np.ones(2, bool), np.zeros(2, np.int32), np.array([3]), np.array([0, 1, 2])
     good = (b'"a":', there, places, b'"x"\n', ends, None)
-    assert lines(2, [good]) == b'{"a":"x"}\n{"a":"x"}\n'
-    assert lines(2, [(*good[:5], starts)]) == b'{"a":["x"]}\n{"a":["x"]}\n'
-    assert lines(2, []) == b"{}\n{}\n"
+    assert write_rows(2, [good]) == b'{"a":"x"}\n{"a":"x"}\n'
+    assert write_rows(2, [(*good[:5], starts)]) == b'{"a":["x"]}\n{"a":["x"]}\n'
+    assert write_rows(2, []) == b"{}\n{}\n"
     bad: dict[str, dict[int, np.ndarray[Any, Any] | bytes | None]] = {
         "too few rows": {1: there[:1]},
         "too many rows": {1: np.ones(3, bool)},
@@ -84,24 +85,24 @@ def test_arrays_that_do_not_fit_one_another_are_refused() -> None:
     for why, change in bad.items():
         column = tuple(change.get(at, value) for at, value in enumerate(good))
         with pytest.raises(ValueError, match="column 0: arrays that do not fit"):
-            pytest.fail(f"{why}: {lines(2, [column])!r}")
+            pytest.fail(f"{why}: {write_rows(2, [column])!r}")
     with pytest.raises(TypeError):
-        lines(2, [("a", *good[1:])])
+        write_rows(2, [("a", *good[1:])])
 
 
 @compiled
 def test_a_place_that_no_row_reads_may_be_anything() -> None:
-    from fsar_ledger.ledger.rows._joining import lines
+    from fsar_ledger.ledger.rows._codec import write_rows
 
     there, places = np.array([True, False]), np.array([0, 7], np.int32)
-    assert lines(2, [(b'"a":', there, places, b'"x"\n', np.array([3]), None)]) == b'{"a":"x"}\n{}\n'
+    assert write_rows(2, [(b'"a":', there, places, b'"x"\n', np.array([3]), None)]) == b'{"a":"x"}\n{}\n'
 
 
 def test_a_ledger_verifies_without_the_compiled_function(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     append_all(tmp_path / "ledger", made_up_batches(2, size=200))
     before = contents(tmp_path / "ledger")
-    monkeypatch.setattr(joining, "_lines", None)
-    assert joining.lines_of(Columns(SCHEMA.empty_table())) is None
+    monkeypatch.setattr(canonical, "codec", None)
+    assert canonical.compiled_lines(Columns(SCHEMA.empty_table())) is None
     report = verify(tmp_path / "ledger")
     assert report.ok
     assert contents(tmp_path / "ledger") == before

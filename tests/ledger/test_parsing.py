@@ -14,13 +14,14 @@ from hypothesis import strategies as st
 from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.ledger.rows import canonical, codec, parsing, segment
 from fsar_ledger.ledger.rows.codec import LedgerRun, encode_coded, encode_hashed, encode_lines
+from fsar_ledger.ledger.rows.compiled import IS_COMPILED
 from fsar_ledger.ledger.rows.parsing import plain_table
 from fsar_ledger.ledger.rows.schema import COLUMNS, SCHEMA
 from fsar_ledger.ledger.store.tables import table_of
 from tests.ledger.samples import any_runs, made_up_batches, run_of_every_type
 from tests.ledger.test_joining import NAMES, rows
 
-compiled = pytest.mark.skipif(not parsing.IS_COMPILED, reason="no compiler was there")
+compiled = pytest.mark.skipif(not IS_COMPILED, reason="no compiler was there")
 
 ROW = {"caused_by": 3, "run_id": "run", "seq": 4, "time_us": -5, "type": "T"}
 
@@ -162,7 +163,7 @@ def test_rubbish_is_left_to_python(rubbish: bytes, at: int) -> None:
 @pytest.mark.parametrize("batch", made_up_batches(3, size=300))
 def test_a_journal_has_the_same_rows_without_the_compiled_function(batch: list[LedgerRun]) -> None:
     found = table_of(Path("journal.jsonl"), lines_of(*batch))
-    with patch.object(parsing, "_columns", None):
+    with patch.object(parsing, "codec", None):
         assert table_of(Path("journal.jsonl"), lines_of(*batch)).equals(found.cast(SCHEMA))
 
 
@@ -174,19 +175,19 @@ def test_rows_that_are_no_events_are_an_error_either_way() -> None:
 
 @compiled
 def test_many_columns_and_other_things_are_errors() -> None:
-    from fsar_ledger.ledger.rows._parsing import columns
+    from fsar_ledger.ledger.rows._codec import read_rows
 
     names = tuple((b"%03d" % number, 1) for number in range(513))
     with pytest.raises(ValueError, match="512"):
-        columns(b"", names)
-    assert columns(b'{"000":1}\n', names[:512]) is not None
+        read_rows(b"", names)
+    assert read_rows(b'{"000":1}\n', names[:512]) is not None
     for wrong in ((b"", [(b"a", 1)]), (b"", ((b"a",),)), ("", ((b"a", 1),))):
         with pytest.raises(TypeError):
-            columns(*wrong)
+            read_rows(*wrong)
 
 
 def texts_of_one_hash() -> list[str]:
-    """Some hundred texts of 16 bytes for which `hash_of` in `_parsing.c` gives one number."""
+    """Some hundred texts of 16 bytes for which `hash_of` in `_read_rows.c` gives one number."""
     first = np.random.default_rng(1).integers(ord("a"), ord("z") + 1, (2_000_000, 8), np.uint8)
     mixed = (first.view(np.uint64)[:, 0] ^ np.uint64(16 * 0x9E3779B97F4A7C15 % 2**64)) * np.uint64(0xFF51AFD7ED558CCD)
     mixed ^= mixed >> np.uint64(32)

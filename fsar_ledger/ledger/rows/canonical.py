@@ -1,7 +1,7 @@
 """The bytes of a stored row that are hashed: its RFC 8785 JSON, with keys sorted and NULL columns left out.
 
 Two independent functions make them: `lines` from structs when events are appended, `from_table` from columns when a
-ledger is verified. Tests require them to agree.
+ledger is verified, which does so in C where that was built (`_write_rows.c`). Tests require them to agree.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -16,7 +16,7 @@ from fsar_ledger.ledger.log import hashing
 from fsar_ledger.ledger.log.hashing import leaves_of
 from fsar_ledger.ledger.rows.arrow import Columns, coded, numbers, places, taken, validity, whole
 from fsar_ledger.ledger.rows.bounds import has_more_text_than, text_bytes
-from fsar_ledger.ledger.rows.joining import lines_of
+from fsar_ledger.ledger.rows.compiled import codec
 from fsar_ledger.ledger.rows.schema import COLUMNS, ENVELOPE, SCHEMA, STORED, StoredType
 
 _ENCODER = msgspec.json.Encoder()
@@ -26,6 +26,8 @@ _MOST_ROWS, _MOST_TEXT = 1 << 16, 1 << 26
 _ROWS_AT_ONCE = 256
 _PIVOT = "run_id"  # never NULL, so the commas are placed around it
 
+
+_BOOLEANS = (b"false\ntrue\n", np.array([5, 10]))
 
 Rows: TypeAlias = "np.ndarray[tuple[int], np.dtype[np.int64]]"
 
@@ -155,5 +157,40 @@ def leaves(rows: pa.Table | Columns) -> bytes:
 
 
 def _leaves(columns: Columns) -> bytes:
-    lines = lines_of(columns)
+    lines = compiled_lines(columns)
     return leaves_of(from_table(columns.table)) if lines is None else hashing.leaves(lines)
+
+
+def compiled_lines(columns: Columns) -> bytes | None:
+    """Return the canonical bytes of the rows, each with a line feed after it; None where that was not built.
+
+    String columns may be dictionaries.
+    """
+    if codec is None:
+        return None
+    names = [name for name in sorted(columns.table.column_names) if not _is_empty(columns.arrays[name])]
+    return codec.write_rows(len(columns.table), [_taken(name, columns) for name in names])
+
+
+def _is_empty(column: pa.Array) -> bool:
+    return bool(column.null_count == len(column))
+
+
+def _taken(name: str, columns: Columns) -> tuple[Any, ...]:
+    """Take a column apart as `write_rows` wants it."""
+    before, is_there, column, kind = f'"{name}":'.encode(), columns.valid[name], columns.arrays[name], COLUMNS[name]
+    if kind == "integer":
+        return before, is_there, numbers(column), None, None, None
+    if kind == "boolean":
+        return before, is_there, numbers(column.cast(pa.int32())), *_BOOLEANS, None
+    if kind == "string":
+        return before, is_there, columns.places[name], *_encoded(columns.texts[name]), None
+    sizes: Rows = column.value_lengths().fill_null(0).to_numpy().astype(np.int64)
+    starts = np.concatenate([np.zeros(1, np.int64), np.cumsum(sizes)])
+    return before, is_there, columns.places[name], *_encoded(columns.texts[name]), starts
+
+
+def _encoded(texts: list[str]) -> tuple[bytes, Rows]:
+    """Return these texts as JSON, each with a line feed after it, and where the line feeds are."""
+    found = _ENCODER.encode_lines(texts)
+    return found, np.flatnonzero(np.frombuffer(found, np.uint8) == ord("\n"))

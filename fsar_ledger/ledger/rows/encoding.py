@@ -1,14 +1,15 @@
-"""Write a few events as lines of canonical JSON, straight from their structs, in C where it was built (`_encoding.c`).
+"""Write a few events as lines of canonical JSON, straight from their structs, in C where that was built.
 
 `codec.encode_lines` gives the same bytes by type and column, in Python, and says what no row can hold.
 """
 
-from collections.abc import Callable, Sequence
-from functools import partial, reduce
+from collections.abc import Sequence
+from functools import reduce
 from operator import or_
 from typing import Any, NamedTuple, TypeAlias
 
 from fsar_ledger.events import CONCERNS
+from fsar_ledger.ledger.rows.compiled import codec
 from fsar_ledger.ledger.rows.runs import LedgerRun
 from fsar_ledger.ledger.rows.schema import CONCERNED, ENVELOPE, LAYOUTS, OPENINGS, StoredType
 
@@ -23,11 +24,11 @@ _KINDS = {
         ("string", "integer", "boolean", "strings", "run_id", "seq", "time_us", "caused_by", "type")
     )
 }
-"""As in `_encoding.c`: the kinds of fields, then the columns that every row has."""
+"""As in `_write_events.c`: the kinds of fields, then the columns that every row has."""
 
 
 def _columns(layout: StoredType) -> Columns:
-    """Return the columns of this event type as `_encoding.lines` wants them, in the order of a row."""
+    """Return the columns of this event type as `write_events` wants them, in the order of a row."""
     found: dict[str, tuple[Any, ...]] = {
         field.name: (_KINDS[field.name], None, None, layout.tag, False, None) for field in ENVELOPE
     }
@@ -50,17 +51,7 @@ _TYPES: dict[type, tuple[int, Columns]] = {
 }
 
 
-def _compiled() -> Callable[..., tuple[bytes, int] | None] | None:
-    try:
-        from fsar_ledger.ledger.rows import _encoding
-    except ImportError:  # it was not built, as without a compiler
-        return None
-    return partial(_encoding.lines, _encoding.types(_TYPES))
-
-
-_lines = _compiled()
-IS_COMPILED = _lines is not None
-"""Whether events are written in C."""
+_IN_C = codec.event_types(_TYPES) if codec is not None else None
 
 
 class Plain(NamedTuple):
@@ -78,12 +69,12 @@ def plain_lines(run: LedgerRun) -> tuple[bytes, int] | None:
 
     None says nothing about them: it was not built, or a row has text that is not plain ASCII, or no row can hold it.
     """
-    if _lines is None:
+    if codec is None:
         return None
     times, causes, events = run.times_us, run.caused_by, run.events
     if not (type(times) is list and type(causes) is list and type(events) is list):
         times, causes, events = list(times), list(causes), list(events)
-    return _lines(run.run_id, run.first, times, causes, events)
+    return codec.write_events(_IN_C, run.run_id, run.first, times, causes, events)
 
 
 def plain_rows(runs: Sequence[LedgerRun]) -> Plain | None:

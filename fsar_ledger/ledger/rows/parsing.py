@@ -1,34 +1,17 @@
-"""Take rows, lines of canonical JSON, apart into columns, in C where it was built (`_parsing.c`).
+"""Take rows, lines of canonical JSON, apart into columns, in C where it was built (`_read_rows.c`).
 
 `codec.encode_coded` gives the same columns from events, and `chain.tables` from any rows, in Python.
 """
 
-from collections.abc import Callable
-from typing import TypeAlias
-
 import pyarrow as pa
 
+from fsar_ledger.ledger.rows.compiled import codec
 from fsar_ledger.ledger.rows.schema import ARROW_TYPES, CODED_SCHEMA, COLUMNS, Kind
 
-Taken: TypeAlias = list[tuple[bytes, ...] | None]
-
 _KINDS: dict[Kind, int] = {"string": 0, "integer": 1, "boolean": 2, "strings": 3}
-"""As in `_parsing.c`."""
+"""As in `_read_rows.c`."""
 _NAMES = tuple((name.encode(), _KINDS[COLUMNS[name]]) for name in sorted(COLUMNS))
 _REQUIRED = tuple(field.name for field in CODED_SCHEMA if not field.nullable)
-
-
-def _compiled() -> Callable[[bytes, tuple[tuple[bytes, int], ...]], Taken | None] | None:
-    try:
-        from fsar_ledger.ledger.rows import _parsing
-    except ImportError:  # it was not built, as without a compiler
-        return None
-    return _parsing.columns
-
-
-_columns = _compiled()
-IS_COMPILED = _columns is not None
-"""Whether rows are taken apart in C."""
 
 
 def plain_table(lines: bytes) -> pa.Table | None:
@@ -37,7 +20,7 @@ def plain_table(lines: bytes) -> pa.Table | None:
     None says nothing about them: it was not built, or a row is not canonical or has text that is not plain ASCII. Nor
     does a table say that a row has the columns of its type.
     """
-    if _columns is None or (taken := _columns(lines, _NAMES)) is None:
+    if codec is None or (taken := codec.read_rows(lines, _NAMES)) is None:
         return None
     parts = dict(zip(sorted(COLUMNS), taken, strict=True))
     if any(parts[name] is None for name in _REQUIRED):

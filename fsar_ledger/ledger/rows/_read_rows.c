@@ -5,14 +5,8 @@
  * (`parsing.py`). Tests require both to agree. No object of Python is touched meanwhile, so other threads run.
  */
 
-#define PY_SSIZE_T_CLEAN
-#define Py_LIMITED_API 0x030b0000
-#include <Python.h>
-#include <stdint.h>
-#include <stdlib.h>
-#include <string.h>
+#include "_codec.h"
 
-#define MAX_INTEGER 9007199254740991 /* 2^53 - 1 */
 #define MAX_DIGITS 16
 #define MAX_BYTES 0x7fffffff /* of all lines: offsets of Arrow have 32 bits */
 #define NAME_SLOTS 1024
@@ -348,7 +342,7 @@ static int give_words_to_all(Table *table) {
     return how;
 }
 
-static int read_rows(Table *table, const char *text, size_t size) {
+static int take_rows(Table *table, const char *text, size_t size) {
     const char *end = text + size;
     for (const char *at = text; (at = memchr(at, '\n', end - at)) != NULL; at++) table->rows++;
     for (int64_t row = 0; row < table->rows; row++) {
@@ -395,7 +389,7 @@ static void release(Table *table) {
     free(table->columns), free(table->texts.texts), free(table->texts.slots);
 }
 
-static PyObject *columns(PyObject *module, PyObject *args) {
+PyObject *read_rows(PyObject *module, PyObject *args) {
     PyObject *names, *made = NULL;
     const char *text;
     Py_ssize_t size;
@@ -410,7 +404,7 @@ static PyObject *columns(PyObject *module, PyObject *args) {
     for (Py_ssize_t at = 0; at < PyTuple_Size(names); at++)
         if (add_column(&table, PyTuple_GetItem(names, at)) < 0) return release(&table), NULL;
     Py_BEGIN_ALLOW_THREADS
-    how = read_rows(&table, text, (size_t)size);
+    how = take_rows(&table, text, (size_t)size);
     Py_END_ALLOW_THREADS
     if (how == NO_MEMORY) PyErr_NoMemory();
     if (how == NOT_PLAIN) Py_INCREF(Py_None), made = Py_None;
@@ -426,12 +420,3 @@ static PyObject *columns(PyObject *module, PyObject *args) {
     release(&table);
     return made;
 }
-
-static PyMethodDef METHODS[] = {
-    {"columns", columns, METH_VARARGS, "Return the columns of these lines; None if they are not plain."},
-    {NULL, NULL, 0, NULL},
-};
-
-static struct PyModuleDef MODULE = {PyModuleDef_HEAD_INIT, "_parsing", NULL, 0, METHODS, NULL, NULL, NULL, NULL};
-
-PyMODINIT_FUNC PyInit__parsing(void) { return PyModule_Create(&MODULE); }

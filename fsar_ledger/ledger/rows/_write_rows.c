@@ -1,17 +1,11 @@
 /* Write many rows as lines of JSON from their columns, in one call.
  *
- * `joining.py` takes the columns apart; `canonical.from_table` does the same in Python, for machines without a compiler;
+ * `canonical` takes the columns apart; its `from_table` does the same in Python, for machines without a compiler;
  * tests require both to agree. What the arrays say about one another is checked, because they come from a file.
  */
 
-#define PY_SSIZE_T_CLEAN
-#define Py_LIMITED_API 0x030b0000
-#include <Python.h>
-#include <stdint.h>
-#include <stdlib.h>
-#include <string.h>
+#include "_codec.h"
 
-#define MAX_DIGITS 20
 #define ARRAYS 5
 
 /* A column: what comes before each value, whether a row has one, and the values: integers, or places of texts, where text
@@ -29,73 +23,34 @@ typedef struct {
     int held;
 } Column;
 
-typedef struct {
-    char *data;
-    size_t size, room;
-} Written;
-
-static int make_room(Written *out, size_t size) {
-    if (out->room - out->size >= size) return 0;
-    size_t room = out->room * 2 + size;
-    char *data = realloc(out->data, room);
-    if (data == NULL) return -1;
-    out->data = data, out->room = room;
-    return 0;
-}
-
-static void put(Written *out, const char *data, size_t size) {
-    memcpy(out->data + out->size, data, size);
-    out->size += size;
-}
-
-static int put_integer(Written *out, int64_t value) {
-    char digits[MAX_DIGITS];
-    int at = MAX_DIGITS;
-    uint64_t rest = value < 0 ? 0 - (uint64_t)value : (uint64_t)value;
-    do digits[--at] = (char)('0' + rest % 10);
-    while (rest /= 10);
-    if (value < 0) digits[--at] = '-';
-    if (make_room(out, MAX_DIGITS) < 0) return -1;
-    put(out, digits + at, MAX_DIGITS - at);
-    return 0;
-}
-
 static int put_text(Written *out, const Column *column, int64_t place) {
-    int64_t start = place ? column->ends[place - 1] + 1 : 0, size = column->ends[place] - start;
-    if (make_room(out, size + 1) < 0) return -1;
-    put(out, column->texts + start, size);
-    return 0;
+    int64_t start = place ? column->ends[place - 1] + 1 : 0;
+    return put(out, column->texts + start, column->ends[place] - start);
 }
 
 static int put_list(Written *out, const Column *column, Py_ssize_t row) {
-    if (make_room(out, 1) < 0) return -1;
-    put(out, "[", 1);
-    for (int64_t at = column->starts[row]; at < column->starts[row + 1]; at++) {
-        if (at > column->starts[row]) put(out, ",", 1); /* each text leaves room for it */
-        if (put_text(out, column, column->places[at]) < 0) return -1;
+    int failed = put(out, "[", 1);
+    for (int64_t at = column->starts[row]; !failed && at < column->starts[row + 1]; at++) {
+        if (at > column->starts[row]) failed = put(out, ",", 1);
+        if (!failed) failed = put_text(out, column, column->places[at]);
     }
-    if (make_room(out, 1) < 0) return -1;
-    put(out, "]", 1);
-    return 0;
+    return failed ? failed : put(out, "]", 1);
 }
 
 /* Write the rows. Returns -1 if there is not enough memory. */
-static int write_rows(Written *out, const Column *columns, Py_ssize_t count, Py_ssize_t rows) {
+static int put_rows(Written *out, const Column *columns, Py_ssize_t count, Py_ssize_t rows) {
     for (Py_ssize_t row = 0; row < rows; row++) {
         char before = '{';
         for (const Column *column = columns; column < columns + count; column++) {
             if (!column->is_there[row]) continue;
-            if (make_room(out, column->name_size + 1) < 0) return -1;
-            put(out, &before, 1), before = ',';
-            put(out, column->name, column->name_size);
+            if (put(out, &before, 1) || put(out, column->name, column->name_size)) return -1;
+            before = ',';
             int failed = column->starts != NULL ? put_list(out, column, row)
                          : column->texts != NULL ? put_text(out, column, column->places[row])
-                                                 : put_integer(out, column->integers[row]);
+                                                 : put_number(out, column->integers[row]);
             if (failed) return -1;
         }
-        if (make_room(out, 3) < 0) return -1;
-        if (before == '{') put(out, "{", 1);
-        put(out, "}\n", 2);
+        if ((before == '{' && put(out, "{", 1)) || put(out, "}\n", 2)) return -1;
     }
     return 0;
 }
@@ -141,7 +96,7 @@ static int take(Column *column, PyObject *given) {
     return 0;
 }
 
-static PyObject *lines(PyObject *module, PyObject *args) {
+PyObject *write_rows(PyObject *module, PyObject *args) {
     PyObject *given, *made = NULL;
     Py_ssize_t rows, count = 0;
     Written out = {NULL, 0, 0};
@@ -162,7 +117,7 @@ static PyObject *lines(PyObject *module, PyObject *args) {
         }
     }
     Py_BEGIN_ALLOW_THREADS
-    is_short = write_rows(&out, columns, count, rows);
+    is_short = put_rows(&out, columns, count, rows);
     Py_END_ALLOW_THREADS
     made = is_short ? PyErr_NoMemory() : PyBytes_FromStringAndSize(out.data, (Py_ssize_t)out.size);
 done:
@@ -173,12 +128,3 @@ done:
     free(out.data);
     return made;
 }
-
-static PyMethodDef METHODS[] = {
-    {"lines", lines, METH_VARARGS, "Return so many rows as lines of JSON, from their columns."},
-    {NULL, NULL, 0, NULL},
-};
-
-static struct PyModuleDef MODULE = {PyModuleDef_HEAD_INIT, "_joining", NULL, 0, METHODS, NULL, NULL, NULL, NULL};
-
-PyMODINIT_FUNC PyInit__joining(void) { return PyModule_Create(&MODULE); }

@@ -5,54 +5,19 @@
  * writes it (`encoding.py`). Tests require both to agree.
  */
 
-#define PY_SSIZE_T_CLEAN
-#define Py_LIMITED_API 0x030b0000
-#include <Python.h>
-#include <stdint.h>
-#include <stdlib.h>
-#include <string.h>
-
-#define MAX_INTEGER 9007199254740991 /* 2^53 - 1 */
-#define MAX_DIGITS 20
+#include "_codec.h"
 
 /* What a column holds: a value of the event, or one that every row has. As in `encoding.py`. */
 enum { STRING, INTEGER, BOOLEAN, STRINGS, RUN_ID, SEQ, TIME_US, CAUSED_BY, TYPE };
 
 /* How writing went on. */
-enum { WRITTEN, NOT_PLAIN, FAILED };
-
-typedef struct {
-    char *data;
-    size_t size, room;
-} Written;
+enum { FAILED = -1, WRITTEN, NOT_PLAIN };
 
 /* What a row has beside its event. */
 typedef struct {
     PyObject *run_id, *time, *cause;
     long long seq;
 } Place;
-
-static int put(Written *out, const char *data, size_t size) {
-    if (out->room - out->size < size) {
-        size_t room = out->room * 2 + size + 1024;
-        char *grown = realloc(out->data, room);
-        if (grown == NULL) return PyErr_NoMemory(), FAILED;
-        out->data = grown, out->room = room;
-    }
-    memcpy(out->data + out->size, data, size);
-    out->size += size;
-    return WRITTEN;
-}
-
-static int put_number(Written *out, long long value) {
-    char digits[MAX_DIGITS];
-    int at = MAX_DIGITS;
-    unsigned long long rest = value < 0 ? 0 - (unsigned long long)value : (unsigned long long)value;
-    do digits[--at] = (char)('0' + rest % 10);
-    while (rest /= 10);
-    if (value < 0) digits[--at] = '-';
-    return put(out, digits + at, MAX_DIGITS - at);
-}
 
 static int put_integer(Written *out, PyObject *value, long long least, long long most) {
     int is_beyond = 0;
@@ -327,11 +292,11 @@ static int take_columns(const Types *all, PyObject *class, PyObject *given) {
 }
 
 /* Return the types of {class: (marks, (column, ...))} as `lines` takes them. The tuples must not change, and cannot. */
-static PyObject *types(PyObject *module, PyObject *given) {
+PyObject *event_types(PyObject *module, PyObject *given) {
     PyObject *class, *type;
     Py_ssize_t at = 0, count = 1;
     (void)module;
-    if (!PyDict_Check(given)) return PyErr_SetString(PyExc_TypeError, "types: expected a dict"), NULL;
+    if (!PyDict_Check(given)) return PyErr_SetString(PyExc_TypeError, "event_types: expected a dict"), NULL;
     Types *all = calloc(1, sizeof *all);
     PyObject *capsule = all == NULL ? PyErr_NoMemory() : PyCapsule_New(all, TYPES, release);
     if (capsule == NULL) return free(all), NULL;
@@ -349,7 +314,7 @@ static PyObject *types(PyObject *module, PyObject *given) {
     return capsule;
 }
 
-static PyObject *lines(PyObject *module, PyObject *args) {
+PyObject *write_events(PyObject *module, PyObject *args) {
     PyObject *capsule, *times, *causes, *events, *made = NULL;
     Place place;
     Written out = {NULL, 0, 0};
@@ -377,16 +342,7 @@ static PyObject *lines(PyObject *module, PyObject *args) {
     }
     if (how == WRITTEN) made = Py_BuildValue("(y#k)", rows ? out.data : "", (Py_ssize_t)out.size, marks);
     if (how == NOT_PLAIN) Py_INCREF(Py_None), made = Py_None;
+    if (how == FAILED && !PyErr_Occurred()) PyErr_NoMemory();
     free(out.data);
     return made;
 }
-
-static PyMethodDef METHODS[] = {
-    {"types", types, METH_O, "Return event types and their columns as lines takes them."},
-    {"lines", lines, METH_VARARGS, "Return the events of a run as lines of JSON, and their marks; None if they are not plain."},
-    {NULL, NULL, 0, NULL},
-};
-
-static struct PyModuleDef MODULE = {PyModuleDef_HEAD_INIT, "_encoding", NULL, 0, METHODS, NULL, NULL, NULL, NULL};
-
-PyMODINIT_FUNC PyInit__encoding(void) { return PyModule_Create(&MODULE); }

@@ -1,3 +1,0 @@
-from typing import Any
-
-def lines(rows: int, columns: list[tuple[Any, ...]], /) -> bytes: ...
