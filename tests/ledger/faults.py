@@ -23,7 +23,7 @@ from tests.ledger.power import Disk, Node
 WRITES, SYNCS = ("write", "pwrite"), ("fsync", "fdatasync")
 COUNTED = (
     *("open", "read", "pread", *WRITES, *SYNCS, "ftruncate"),
-    *("link", "rename", "replace", "unlink", "mkdir", "rmdir", "close", "posix_fadvise"),
+    *("link", "rename", "replace", "unlink", "mkdir", "rmdir", "close"),
 )
 HARMLESS = frozenset(
     [
@@ -43,7 +43,6 @@ HARMLESS = frozenset(
         "PathLike",
         "SEEK_SET",
         "SEEK_END",
-        "POSIX_FADV_DONTNEED",
         "error",
     ]
 )

@@ -1,4 +1,4 @@
-"""How a writer of small commits writes them: few bytes begin to be synced early, and nothing counts until they are."""
+"""How a writer of small commits writes them: into room, and nothing counts until it is synced."""
 
 import os
 from pathlib import Path
@@ -16,58 +16,6 @@ from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.samples import ORIGIN, made_up_run
 
 RUN = made_up_run("run-0", 200, 1)
-
-
-@pytest.fixture
-def begun(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """Return of how many bytes a sync began early, as writers go on."""
-    sizes: list[int] = []
-    begin = growing.begin_to_sync
-
-    def noted(handle: int, place: int, size: int) -> None:
-        sizes.append(size)
-        begin(handle, place, size)
-
-    monkeypatch.setattr(growing, "begin_to_sync", noted)
-    return sizes
-
-
-def test_the_sync_of_few_bytes_begins_early_and_that_of_many_does_not(tmp_path: Path, begun: list[int]) -> None:
-    with Writer(tmp_path / "ledger", ORIGIN) as writer:
-        writer.add([piece(RUN, 0, 1)])
-        assert len(begun) == 1
-        writer.add([piece(RUN, 1, 190)])
-        assert len(begun) == 1
-        writer.add([piece(RUN, 190, 192)])
-    assert len(begun) == 2
-    assert max(begun) < journal._SMALL < (tmp_path / "ledger" / JOURNAL).stat().st_size
-    assert verify(tmp_path / "ledger").ok
-
-
-def test_a_system_that_cannot_begin_early_writes_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in ("with", "without"):
-        with Writer(tmp_path / name, ORIGIN) as writer:
-            writer.add([piece(RUN, 0, 3)])
-            writer.add([piece(RUN, 3, 4)])
-        monkeypatch.setattr(growing, "_TAKES_ADVICE", False)
-    found, expected = ((tmp_path / name / JOURNAL).read_bytes() for name in ("without", "with"))
-    assert found == expected
-
-
-def test_a_file_system_that_refuses_the_advice_makes_no_difference(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    asked: list[int] = []
-
-    def refused(_: int, __: int, size: int, ___: int) -> None:
-        asked.append(size)
-        raise OSError(22, "Invalid argument")
-
-    monkeypatch.setattr(os, "posix_fadvise", refused)
-    with Writer(tmp_path / "ledger", ORIGIN) as writer:
-        assert writer.add([piece(RUN, 0, 3)]).size == 3
-    assert len(asked) == 1
-    assert verify(tmp_path / "ledger").remarks == ()
 
 
 def test_a_commit_that_could_not_be_synced_does_not_count(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -221,25 +221,15 @@ class Writer:
             leaves, tree, root = journal.tree.add(rows)
             commit = self._commit(count, tree.size, root, continued(blocks), goes_on)
             line = canonical.document(commit)
-            frame = Frame(line, commit, rows, leaves)
             self._is_broken = True  # unless everything below succeeds
             try:
-                head = self._journal.write(
-                    b"".join((line, b"\n", rows)), journal.end, lambda: self._take_over(frame, tree, blocks)
-                )
-            except BaseException as error:
-                self._view.chain.forget(commit.number, commit.previous_sha256)
-                if isinstance(error, OSError):
-                    raise disk.refusal(self._journal.path, "writing to the journal", error) from error
-                raise
+                self._journal.write(b"".join((line, b"\n", rows)), journal.end)
+            except OSError as error:
+                raise disk.refusal(self._journal.path, "writing to the journal", error) from error
+            self._view.chain.add(commit, sha256_hex(line))
+            journal.add(Frame(line, commit, rows, leaves), tree)
+            self._runs().add(blocks)
             self._is_broken = False
-        return head
-
-    def _take_over(self, frame: Frame, tree: Frontier, blocks: Sequence[Block]) -> Head:
-        """Go on from this frame of the journal, which leads to this tree; return how far the ledger goes then."""
-        self._view.chain.add(frame.commit, sha256_hex(frame.line))
-        self._view.journal.add(frame, tree)
-        self._runs().add(blocks)
         return self._view.head
 
     def compact(self) -> int:

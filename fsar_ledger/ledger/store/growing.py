@@ -11,7 +11,6 @@ from pathlib import Path
 from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.ledger.store import disk
 
-_TAKES_ADVICE = hasattr(os, "posix_fadvise")
 _ZEROS_AT_ONCE = 1 << 16
 
 
@@ -163,19 +162,6 @@ def write_again(path: Path, start: int, end: int, *, cuts: bool = False) -> None
         os.fdatasync(handle)
     finally:
         os.close(handle)
-
-
-def begin_to_sync(handle: int, place: int, size: int) -> None:
-    """Let the disk begin to write these bytes of an open file, and go on: a sync a little later finds that done.
-
-    Linux begins to write what it is told is not needed again; here that is changed, so it stays in memory. Nothing is
-    promised: the sync tells what failed. Where the system takes no such advice, nothing is done.
-    """
-    if _TAKES_ADVICE:
-        try:  # `suppress` would take as long as the call
-            os.posix_fadvise(handle, place, size, os.POSIX_FADV_DONTNEED)
-        except OSError:
-            return
 
 
 def write_zeros(handle: int, place: int, end: int) -> None:

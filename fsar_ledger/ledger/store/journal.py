@@ -12,11 +12,9 @@ rows.
 
 import os
 from bisect import bisect_right
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
-from time import perf_counter_ns
-from typing import TypeVar
 
 import msgspec
 
@@ -30,15 +28,11 @@ from fsar_ledger.ledger.store.problem import LaterRelease, Problem
 from fsar_ledger.ledger.store.record import Commit, line_at, parse_line
 from fsar_ledger.ledger.store.torn import has_later_commit
 
-Result = TypeVar("Result")
-
 FIRST = b"{"
 """The first byte of every frame."""
 
 ALLOTTED = 1 << 20
 """Bytes by which the file grows: writing over what is there, a disk syncs only the data."""
-_SMALL, _AWAITED_NS = 1 << 14, 20_000
-"""So few bytes begin to be synced early. Many disks have them after this; to sleep until then would take longer."""
 _LARGE = 1 << 17
 """Bytes from which a frame brings no room: to write as many bytes again takes longer than to sync the file's size."""
 
@@ -305,8 +299,8 @@ class JournalFile:
         """Return whether something was written since it was opened or closed."""
         return self.handle >= 0
 
-    def write(self, data: bytes, end: int, meanwhile: Callable[[], Result]) -> Result:
-        """Write this frame where the last one ends, sync it, once, and show it; return the result of `meanwhile`.
+    def write(self, data: bytes, end: int) -> None:
+        """Write this frame where the last one ends, sync it, once, and show it.
 
         When the disk refuses, the file is cut off there. Raises: OSError; Uncertain if it refuses that, too.
         """
@@ -319,19 +313,12 @@ class JournalFile:
                 growing.write_zeros(self.handle, self._room, room)
                 self._room = room
             growing.write_at(self.handle, memoryview(data)[1:], end + 1)
-            if is_small := len(data) < _SMALL:
-                growing.begin_to_sync(self.handle, end, len(data))
-            begun = perf_counter_ns()
-            result = meanwhile()
-            while is_small and perf_counter_ns() - begun < _AWAITED_NS:
-                pass
             os.fdatasync(self.handle)
             growing.write_at(self.handle, FIRST, end)
         except BaseException as error:
             growing.take_back(self.handle, end, end, error)
             raise
         self._room = max(self._room, after)
-        return result
 
     def _open(self, end: int) -> None:
         """Open the file, or make it, durably. Raises: OSError."""
