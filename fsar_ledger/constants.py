@@ -151,6 +151,7 @@ class Load(msgspec.Struct, frozen=True):
     interval_s: Chosen[float] = 30.0  # from one set to the next
 
 
+# See docs/decisions/constants-name-their-source.md.
 class Constants(msgspec.Struct, frozen=True):
     """All constants of a run, as `RunStarted.parameters` holds them.
 

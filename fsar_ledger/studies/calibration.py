@@ -164,6 +164,7 @@ def search(judge: Judge, start: Vector, runs: int, most_steps: int) -> Search:
     )
 
 
+# See docs/decisions/fit-is-registered-first.md.
 def screened() -> list[Vector]:
     """Return the points that are judged first: the middle of all ranges, and a Sobol sequence over them."""
     from scipy.stats.qmc import Sobol

@@ -152,9 +152,7 @@ def test_a_count_of_nulls_that_hides_rows_is_found_whoever_wrote_it(path: Path) 
         thrift.put(cast(thrift.Struct, thrift.field(parts.about(parts.number_of(name)), 12)), 3, 1)
         forge_segment(path, 2, bytes(parts))
         assert f"column {name}" in only_problem(path).found
-        assert (
-            "other statistics" if name == "run_id" else f"the footer: column {name}"
-        ) in only_problem(path).found
+        assert ("other statistics" if name == "run_id" else f"the footer: column {name}") in only_problem(path).found
 
 
 def test_a_footer_that_contradicts_itself_does_not_end_the_process(path: Path) -> None:

@@ -156,6 +156,7 @@ def roots(size: int, subtrees: bytes, leaves: bytes, sizes: list[int]) -> bytes:
     return _roots(size, subtrees, leaves, sizes)
 
 
+# See docs/decisions/c-is-optional.md.
 def _compiled() -> tuple[Hash, Digests, Hash, Extended, Added, Roots] | None:
     try:
         from fsar_ledger.ledger.log import _hashing

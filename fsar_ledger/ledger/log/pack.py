@@ -12,6 +12,7 @@ import numpy as np
 from fsar_ledger.ledger.log.hashing import HASH_BYTES, parents
 from fsar_ledger.ledger.log.merkle import Frontier, Node, node_hash
 
+# See docs/decisions/no-leaf-hashes-are-kept.md.
 BASE = 4
 """The height of the smallest subtrees of a pack: 16 leaves. Roots of smaller ones would take more than the events."""
 STEP = 2

@@ -7,6 +7,7 @@
 | `read_rows` | rows | columns | `codec.encode_coded`, `tables.table_of` |
 """
 
+# See docs/decisions/c-is-optional.md.
 try:
     from fsar_ledger.ledger.rows import _codec
 except ImportError:  # it was not built, as without a compiler

@@ -14,6 +14,7 @@ _NAMES = tuple((name.encode(), _KINDS[COLUMNS[name]]) for name in sorted(COLUMNS
 _REQUIRED = tuple(field.name for field in CODED_SCHEMA if not field.nullable)
 
 
+# See docs/decisions/columns-come-from-canonical-rows.md.
 def plain_table(lines: bytes) -> pa.Table | None:
     """Return rows, the canonical bytes of each with a line feed after it, with the columns of `CODED_SCHEMA`.
 

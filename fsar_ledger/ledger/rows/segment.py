@@ -17,6 +17,7 @@ from fsar_ledger.ledger.rows.schema import CODED_SCHEMA, COLUMNS, SCHEMA
 _FEW_ROWS, _FEW_COLUMNS = 1 << 17, 8
 
 
+# See docs/decisions/parquet-and-json-are-the-truth.md.
 def to_parquet(table: pa.Table) -> pa.Buffer:
     """Write a segment: one row group, zstd-3, a dictionary for each string column, a checksum on each page.
 

@@ -47,6 +47,7 @@ from fsar_ledger.ledger.store.staging import Staged
 from fsar_ledger.ledger.store.tables import require_staged, stage_made
 from fsar_ledger.ledger.store.view import Head
 
+# See docs/decisions/commits-hold-16384-events.md.
 SEAL_ROWS, SEAL_BYTES = 1 << 14, 1 << 23
 """A journal is sealed before it holds more events or bytes; so many always fit into a segment."""
 
@@ -159,6 +160,7 @@ class Writer:
             self._held = ExistingRuns(self._view)
         return self._held
 
+    # See docs/decisions/append-is-one-sync.md.
     def append(self, staged: Staged, signature: str = "") -> Head:
         """Commit the staged segment, durably. Appending a segment that is there already changes nothing.
 
@@ -277,6 +279,7 @@ class Writer:
             self._seal_all()
         return self._view.head
 
+    # See docs/decisions/journals-are-sealed-in-the-background.md.
     def _hand_over(self) -> None:
         """Begin to seal the journal; the next commit goes into a new one. The caller has its turn."""
         self._seal(self._view.journal.sealing)
@@ -310,6 +313,7 @@ class Writer:
                 "append what it lacks"
             )
 
+    # See docs/decisions/writers-take-turns.md.
     def _catch_up(self) -> None:
         """Take over what other writers have added since the last turn."""
         if self._view.is_current(self._chain, self._journal.handle):

@@ -206,6 +206,7 @@ def _write_all(handle: int, data: bytes | memoryview) -> None:
         rest = rest[written:]
 
 
+# See docs/decisions/proofs-and-keys-are-never-replaced.md.
 def link_new(temporary: Path, path: Path) -> None:
     """Link the temporary file to its name, and remove the temporary name in any case.
 

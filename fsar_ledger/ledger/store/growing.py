@@ -141,6 +141,7 @@ def sync(path: Path) -> None:
         disk.close(handle)
 
 
+# See docs/decisions/writers-rewrite-the-last-append.md.
 def write_again(path: Path, start: int, end: int, *, cuts: bool = False) -> None:
     """Write these bytes of a file over themselves, cut off what follows if asked to, and sync the file, once.
 

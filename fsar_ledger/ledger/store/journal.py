@@ -31,6 +31,7 @@ from fsar_ledger.ledger.store.torn import has_later_commit
 FIRST = b"{"
 """The first byte of every frame."""
 
+# See docs/decisions/small-commits-write-into-room.md.
 ALLOTTED = 1 << 20
 """Bytes by which the file grows: writing over what is there, a disk syncs only the data."""
 _LARGE = 1 << 17

@@ -160,6 +160,7 @@ class View(msgspec.Struct, frozen=True, dict=True):
         """Return the packed leaf hashes of the rows of this segment. Raises: As `segment`."""
         return canonical.leaves(self.table(number))
 
+    # See docs/decisions/journal-status-is-never-read.md.
     def is_current(self, chain: growing.Watched | None = None, journal: int = -1) -> bool:
         """Return whether nothing was appended since the ledger was opened; `chain` and `journal` are these, if open.
 

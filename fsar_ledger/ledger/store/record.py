@@ -56,11 +56,13 @@ class Commit(
 
     number: Count
     previous_sha256: str
+    # See docs/decisions/commits-name-their-release.md.
     release: str
     rows: Annotated[int, msgspec.Meta(ge=1, le=MAX_ROWS)]
     tree_size: Count
     tree_root: str
     continues: tuple[tuple[str, Count], ...] = ()
+    # See docs/decisions/commits-say-which-runs-may-continue.md.
     goes_on: tuple[str, ...] = ()
     signature: str = ""
 
@@ -102,8 +104,10 @@ class Placement(
     segment_bytes: Annotated[int, msgspec.Meta(ge=1, le=MAX_SEGMENT_BYTES)]
     first: Count
     rows: Annotated[int, msgspec.Meta(ge=1, le=MAX_ROWS)]
+    # See docs/decisions/placements-hold-the-frontier.md.
     frontier: tuple[str, ...]
     index_bytes: Annotated[int, msgspec.Meta(ge=0, le=MAX_SEGMENT_BYTES)] = 0
+    # See docs/decisions/index-is-bound-by-hashes.md.
     index_sha256: str = ""
 
     @property

@@ -13,6 +13,7 @@ _BEGINNINGS = (b'{"continues":', b'{"goes_on":', b'{"kind":"commit"')
 """What the record of a commit begins with: its first member in the order of names. None of these is within a record."""
 
 
+# See docs/decisions/torn-ends-are-not-damage.md.
 def has_later_append(data: bytes, start: int) -> bool:
     """Return whether anything follows a placement in these bytes of a chain, from here on."""
     return any(

@@ -91,6 +91,7 @@ class ByHashes(msgspec.Struct, frozen=True):
     missing: str = ""
 
 
+# See docs/decisions/anchors-need-consistency-proofs.md.
 def root_by_hashes(ledger: Path, nodes: Nodes, then: Checkpoint, size: int, root: bytes) -> ByHashes:
     """Return the root of an earlier checkpoint if the ledger's hashes prove that the tree of this size begins with it.
 

@@ -115,6 +115,7 @@ def examine_file(ledger: str, number: int, record: Stored, names: Names) -> Segm
     return _guarded(_examine_file, Path(ledger), number, record, names)
 
 
+# See docs/decisions/verify-rereads-every-byte.md.
 def examine_all(
     ledger: Path,
     segments: Sequence[_Asked],
