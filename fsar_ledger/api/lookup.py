@@ -194,7 +194,7 @@ def parameters_of(database: "Database", query: "Query", given: Mapping[str, obje
         UnknownQuery: The query has no parameter of a name.
         UsageError: A value names nothing that there is, or is no time of the run.
     """
-    require_known(query, given, query.parameters)
+    require_known(query.name, query.parameters, given, query.parameters)
     texts = {
         name: value if isinstance(value, str) else f"{value!r}" for name, value in given.items() if value is not None
     }

@@ -268,7 +268,7 @@ class Database:
             LedgerCorrupted: A segment cannot be read.
         """
         query = self.library.find(name)
-        bound = values(query, given or {})
+        bound = values(query.name, query.parameters, given or {})
         if not query.parameters:
             return self.table(f"SELECT * FROM {query.relation} ORDER BY ALL")
         self.prepare(query.sql)

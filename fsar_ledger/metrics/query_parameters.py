@@ -5,16 +5,12 @@ value is understood (`api/lookup.py`). People give a time in seconds as `at`; th
 """
 
 from collections.abc import Collection, Mapping
-from typing import TYPE_CHECKING
 
 import msgspec
 
 from fsar_ledger import printable
 from fsar_ledger.errors import InvalidQuery, UnknownQuery
 from fsar_ledger.ledger.rows.schema import MAX_INTEGER
-
-if TYPE_CHECKING:
-    from .library import Query
 
 TIME, END = "time", "end"
 KINDS = (
@@ -64,32 +60,34 @@ def parse_parameters(query: str, text: str) -> dict[str, Parameter]:
     return parameters
 
 
-def require_known(query: "Query", given: Collection[str], known: Collection[str]) -> None:
-    """Check that the query has these parameters. Raises: UnknownQuery, with the nearest name."""
+def require_known(
+    query: str, parameters: Mapping[str, Parameter], given: Collection[str], known: Collection[str]
+) -> None:
+    """Check that the given names are known ones of the query. Raises: UnknownQuery, with the nearest name."""
     unknown = sorted(set(given) - set(known))
     if not unknown:
         return
-    times = [one.name for one in query.parameters.values() if one.sql_name in unknown and one.kind == TIME]
+    times = [one.name for one in parameters.values() if one.sql_name in unknown and one.kind == TIME]
     if times:
         hint = f"; {times[0]} is the time, as in {times[0]}=46.6, {times[0]}=46.6s or {times[0]}=46600ms"
     else:
         hint = printable.did_you_mean(unknown[0], known)
     named = ", ".join(map(printable.value, unknown))
-    raise UnknownQuery(f"query {query.name}: found parameter {named}; it has these: {', '.join(known) or 'none'}{hint}")
+    raise UnknownQuery(f"query {query}: found parameter {named}; it has these: {', '.join(known) or 'none'}{hint}")
 
 
-def values(query: "Query", given: Mapping[str, str]) -> dict[str, str]:
+def values(query: str, parameters: Mapping[str, Parameter], given: Mapping[str, str]) -> dict[str, str]:
     """Return what each `$name` of the query gets: the given value, else its default.
 
     Raises:
         UnknownQuery: A given name is none of the query's, or a parameter without default has no value.
     """
-    defaults = {one.sql_name: one.sql_default for one in query.parameters.values()}
-    require_known(query, given, defaults)
+    defaults = {one.sql_name: one.sql_default for one in parameters.values()}
+    require_known(query, parameters, given, defaults)
     filled = defaults | dict(given)
-    if missing := [one.name for one in query.parameters.values() if filled[one.sql_name] is None]:
+    if missing := [one.name for one in parameters.values() if filled[one.sql_name] is None]:
         raise UnknownQuery(
-            f"query {query.name}: found no value of {', '.join(missing)}, which has no default; give one, as in "
+            f"query {query}: found no value of {', '.join(missing)}, which has no default; give one, as in "
             f"{missing[0]}=VALUE"
         )
     return {name: str(value) for name, value in filled.items()}
