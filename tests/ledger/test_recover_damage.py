@@ -143,6 +143,18 @@ def test_nothing_is_mended_beside_what_cannot_be(path: Path, harmless: Callable[
     assert contents(path) == before
 
 
+@pytest.mark.parametrize("name", ["segments", "staging"])
+def test_a_link_in_the_place_of_a_folder_is_not_followed_and_stays(path: Path, tmp_path: Path, name: str) -> None:
+    (path / name).rename(tmp_path / "elsewhere")
+    (path / name).symlink_to(tmp_path / "elsewhere")
+    before = contents(tmp_path / "elsewhere")
+    found = recover(path)
+    assert (found.outcome, found.steps) == ("damaged", ())
+    assert "a link or something else than a folder" in f"{found.problems[0]}"
+    assert (path / name).is_symlink()
+    assert contents(tmp_path / "elsewhere") == before
+
+
 def test_a_segment_of_no_commit_is_no_stray(tmp_path: Path, intact: Path) -> None:
     append_all(tmp_path / "ledger", BATCHES[:3])
     shutil.copy(segment_at(intact, 3), tmp_path / "ledger" / "segments")
