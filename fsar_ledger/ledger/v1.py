@@ -70,13 +70,13 @@ def upgrade(ledger: Path, into: Path, progress: Progress | None = None) -> Head:
         LedgerCorrupted: It does not verify; nothing was written.
         NotALedger, WriteFailed: As `Writer`.
     """
-    origin, records, found = _verified(ledger, progress)
+    origin, records, examined = _verified(ledger, progress)
     with Writer(into, origin) as writer:
         done = writer.head.commits
         at = records[done - 1] if 0 < done <= len(records) else None
         if done and (at is None or (at.tree_size, at.tree_root) != (writer.head.size, writer.head.root)):
             raise UsageError(f"{into}: found a ledger of other events, expected a free path; give another path")
-        for record, facts in zip(records[done:], found[done:], strict=True):
+        for record, facts in zip(records[done:], examined[done:], strict=True):
             writer.append(_copied(ledger, into, record, facts), _signature(record))
             if progress is not None:
                 progress(record.number + 1, len(records))
@@ -129,18 +129,18 @@ def _verified(ledger: Path, progress: Progress | None) -> tuple[str, Sequence[Co
         raise _damaged(ledger, Problem(MANIFEST, f"{data!r:.200}", "the description of a ledger of format 1"))
     records = list(_records(ledger, manifest.origin, sha256_hex(data)))
     _require_checkpoint(ledger, records)
-    found: list[SegmentFacts] = []
+    examined: list[SegmentFacts] = []
     runs = Runs()
     segments = [(record.number, record, _names(record.number)) for record in records]
     for record, facts in zip(records, examine_all(ledger, segments, 1, None, is_quick=False), strict=True):
         before = records[record.number - 1] if record.number else None
         for problem in (*facts.problems, *_doubts_of_rows(record, before, facts, runs)):
             raise _damaged(ledger, problem)
-        found.append(facts)
+        examined.append(facts)
         if progress is not None:
-            progress(len(found), len(records))
-    _require_tiles(ledger, (facts.leaves or b"" for facts in found))
-    return manifest.origin, records, found
+            progress(len(examined), len(records))
+    _require_tiles(ledger, (facts.leaves or b"" for facts in examined))
+    return manifest.origin, records, examined
 
 
 def _damaged(ledger: Path, problem: Problem) -> LedgerCorrupted:
@@ -180,8 +180,8 @@ def _strays(ledger: Path, folder: str, expected: set[str]) -> Iterator[Problem]:
     """Yield a problem for each file in this folder that is not expected there, and each that is missing."""
     names = {f"{folder}/{name}" for name in names_in(ledger / folder)}
     for name in (*sorted(names - expected), *sorted(expected - names)):
-        found = "a stray file" if name in names else "no file"
-        yield Problem(name, found, "a record and a segment for each commit, numbered from 0 without a gap")
+        what = "a stray file" if name in names else "no file"
+        yield Problem(name, what, "a record and a segment for each commit, numbered from 0 without a gap")
 
 
 def _records(ledger: Path, origin: str, previous: str) -> Iterator[CommitRecord]:
@@ -200,10 +200,10 @@ def _records(ledger: Path, origin: str, previous: str) -> Iterator[CommitRecord]
             tree = Frontier()
         note, own = checkpoint_of(origin, tree), parse_note(f"{ledger / where}", record.note)
         is_signed_by_others = (
-            any(one.name != origin or len(one.data) != _SIGNATURE_BYTES for one in own.signatures)
+            any(signature.name != origin or len(signature.data) != _SIGNATURE_BYTES for signature in own.signatures)
             or len(own.signatures) > 1
         )
-        for name, found, expected in (
+        for name, value, expected in (
             ("release", record.release in FINGERPRINTS, True),
             ("number", record.number, number),
             ("previous_sha256", record.previous_sha256, previous),
@@ -214,8 +214,8 @@ def _records(ledger: Path, origin: str, previous: str) -> Iterator[CommitRecord]
             ("note", own.checkpoint, note),
             ("note", is_signed_by_others, False),
         ):
-            if found != expected:
-                raise _damaged(ledger, Problem(where, f"{found!r}", f"{expected!r}", commit=number, field=name))
+            if value != expected:
+                raise _damaged(ledger, Problem(where, f"{value!r}", f"{expected!r}", commit=number, field=name))
         yield record
         previous, size = sha256_hex(data), record.tree_size
 
@@ -231,13 +231,13 @@ def _doubts_of_rows(
         yield Problem(facts.file, f"Merkle root {root}", expected, commit=record.number, field="tree_root")
     where = _names(record.number).said_by
     names = [block.run for block in facts.blocks] or ["", ""]
-    for name, said, found in (("first_run", record.first_run, names[0]), ("last_run", record.last_run, names[-1])):
-        if said != found:
-            yield Problem(where, repr(said), repr(found), commit=record.number, field=name)
+    for name, claimed, actual in (("first_run", record.first_run, names[0]), ("last_run", record.last_run, names[-1])):
+        if claimed != actual:
+            yield Problem(where, repr(claimed), repr(actual), commit=record.number, field=name)
     for block in facts.blocks:
         if block.run in runs.known or block.first:
-            found, expected = f"run {block.run} from seq {block.first}", "each run in one commit, from seq 0"
-            yield Problem(facts.file, found, expected, record.number, block.run, block.first, "run_id")
+            actual, expected = f"run {block.run} from seq {block.first}", "each run in one commit, from seq 0"
+            yield Problem(facts.file, actual, expected, record.number, block.run, block.first, "run_id")
         runs.add(block)
 
 
@@ -245,16 +245,16 @@ def _require_checkpoint(ledger: Path, records: Sequence[CommitRecord]) -> None:
     """Require that `checkpoint` is the newest note. Raises: UsageError if it is the one before, LedgerCorrupted."""
     notes = [None, *(record.note for record in records)]
     try:
-        found = disk.read_document(ledger / CHECKPOINT).decode()
+        note = disk.read_document(ledger / CHECKPOINT).decode()
     except FileNotFoundError:
-        found = None
+        note = None
     except (OSError, UnicodeDecodeError):
-        found = ""
-    if found == notes[-1]:
+        note = ""
+    if note == notes[-1]:
         return
-    if len(notes) > 1 and found == notes[-2]:
+    if len(notes) > 1 and note == notes[-2]:
         raise _interrupted(ledger, f"tiles and a {CHECKPOINT} that lack the newest commit")
-    raise _damaged(ledger, Problem(CHECKPOINT, "no file" if found is None else f"{found!r:.400}", "the newest note"))
+    raise _damaged(ledger, Problem(CHECKPOINT, "no file" if note is None else f"{note!r:.400}", "the newest note"))
 
 
 def _require_tiles(ledger: Path, commits: Iterable[bytes]) -> None:
@@ -264,11 +264,11 @@ def _require_tiles(ledger: Path, commits: Iterable[bytes]) -> None:
     """
     edge, kept, partial, outgrown = Edge(), set[str](), dict[Tile, bytes](), set[str]()
     for leaves in commits:
-        edge, made = edge.extend(leaves)
-        full = {(tile.level, tile.number) for tile in made if tile.width == WIDTH}
+        edge, tiles = edge.extend(leaves)
+        full = {(tile.level, tile.number) for tile in tiles if tile.width == WIDTH}
         outgrown |= {tile.name for tile in partial if (tile.level, tile.number) in full}
         partial = {tile: data for tile, data in partial.items() if (tile.level, tile.number) not in full}
-        for tile, data in made.items():
+        for tile, data in tiles.items():
             if tile.width < WIDTH:
                 partial[tile] = data
             else:
@@ -277,21 +277,21 @@ def _require_tiles(ledger: Path, commits: Iterable[bytes]) -> None:
     for tile, data in partial.items():
         _require_tile(ledger, tile, data)
         kept.add(tile.name)
-    found = {
+    listed = {
         os.path.relpath(os.path.join(folder, name), ledger)
         for folder, folders, files in os.walk(ledger / TILE)
-        for name in (*files, *(one for one in folders if os.path.islink(os.path.join(folder, one))))
+        for name in (*files, *(name for name in folders if os.path.islink(os.path.join(folder, name))))
     }
-    for name in sorted(found - kept - outgrown):
+    for name in sorted(listed - kept - outgrown):
         raise _damaged(ledger, Problem(name, "a stray file", "only tiles of this tree; take it away"))
-    if found & outgrown:
+    if listed & outgrown:
         raise _interrupted(ledger, "partial tiles beside their full ones")
 
 
 def _require_tile(ledger: Path, tile: Tile, expected: bytes) -> None:
     try:
-        found = disk.read_document(ledger / tile.name)
+        data = disk.read_document(ledger / tile.name)
     except OSError as error:
         raise _damaged(ledger, Problem(tile.name, f"no file ({error.strerror})", f"{tile.width} hashes")) from error
-    if found != expected:
-        raise _damaged(ledger, Problem(tile.name, f"SHA-256 {sha256_hex(found)}", sha256_hex(expected)))
+    if data != expected:
+        raise _damaged(ledger, Problem(tile.name, f"SHA-256 {sha256_hex(data)}", sha256_hex(expected)))

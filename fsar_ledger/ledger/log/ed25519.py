@@ -67,13 +67,13 @@ def _plus(a: Point, b: Point) -> Point:
 
 def _times(count: int, point: Point) -> Point:
     """Return `count` times the point."""
-    found = _IDENTITY
+    product = _IDENTITY
     while count:
         if count & 1:
-            found = _plus(found, point)
+            product = _plus(product, point)
         point = _plus(point, point)
         count >>= 1
-    return found
+    return product
 
 
 def _is_identity(point: Point) -> bool:

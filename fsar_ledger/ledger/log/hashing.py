@@ -45,14 +45,14 @@ def parents_plainly(nodes: bytes) -> bytes:
     """
     sha256 = hashlib.sha256
     pairs = np.frombuffer(nodes, np.uint8).reshape(-1, 2 * HASH_BYTES)
-    found = []
+    levels = []
     for at in range(0, len(pairs), _PAIRS_AT_ONCE):
         some = pairs[at : at + _PAIRS_AT_ONCE]
         hashed = np.ones((len(some), 1 + 2 * HASH_BYTES), np.uint8)  # the first byte of each row stays 0x01
         hashed[:, 1:] = some
         cut: list[Any] = hashed.view(_HASHED).ravel().tolist()
-        found.append(b"".join([sha256(one).digest() for one in cut]))
-    return b"".join(found)
+        levels.append(b"".join([sha256(pair).digest() for pair in cut]))
+    return b"".join(levels)
 
 
 def _subtrees_of(size: int, subtrees: bytes, leaves: bytes) -> list[bytes]:
@@ -80,17 +80,17 @@ def extended_plainly(size: int, subtrees: bytes, leaves: bytes) -> bytes:
 
 def added_plainly(size: int, subtrees: bytes, lines: bytes) -> tuple[bytes, bytes, bytes]:
     """As `added`, with hashlib."""
-    found = leaves_plainly(lines)
-    if not found or lines[-1:] != b"\n":
+    added = leaves_plainly(lines)
+    if not added or lines[-1:] != b"\n":
         raise ValueError("found no lines, or a last one that does not end; expected at least one")
-    after = size + len(found) // HASH_BYTES
-    return found, extended_plainly(size, subtrees, found), roots_plainly(size, subtrees, found, [after])
+    after = size + len(added) // HASH_BYTES
+    return added, extended_plainly(size, subtrees, added), roots_plainly(size, subtrees, added, [after])
 
 
 def roots_plainly(size: int, subtrees: bytes, leaves: bytes, sizes: list[int]) -> bytes:
     """As `roots`, with hashlib."""
     kept = _subtrees_of(size, subtrees, leaves)
-    found = []
+    roots = []
     at = 0
     for wanted in sizes:
         if wanted < max(size, 1) or (wanted - size) * HASH_BYTES > len(leaves) - at:
@@ -101,8 +101,8 @@ def roots_plainly(size: int, subtrees: bytes, leaves: bytes, sizes: list[int]) -
         root = kept[-1]
         for subtree in reversed(kept[:-1]):
             root = hashlib.sha256(b"\x01" + subtree + root).digest()
-        found.append(root)
-    return b"".join(found)
+        roots.append(root)
+    return b"".join(roots)
 
 
 def leaves(lines: bytes) -> bytes:

@@ -62,13 +62,13 @@ class Frontier(msgspec.Struct, frozen=True):
 
     def nodes(self) -> dict[tuple[int, int], bytes]:
         """Return the complete subtrees by height, and index among those of that height."""
-        found: dict[tuple[int, int], bytes] = {}
+        nodes: dict[tuple[int, int], bytes] = {}
         first = 0
         for subtree in self.subtrees:
             height = (self.size - first).bit_length() - 1
-            found[height, first >> height] = subtree
+            nodes[height, first >> height] = subtree
             first += 1 << height
-        return found
+        return nodes
 
     def roots(self, leaves: bytes, sizes: Sequence[int]) -> list[bytes]:
         """Return the roots of the tree at each of these sizes, which rise, as these packed leaf hashes are added."""
@@ -164,7 +164,7 @@ def consistency_proof(node: Node, old: int, new: int) -> tuple[bytes, ...]:
 
 
 def _are_hashes(*found: bytes) -> bool:
-    return all(len(one) == HASH_BYTES for one in found)
+    return all(len(entry) == HASH_BYTES for entry in found)
 
 
 def root_of_inclusion(leaf: bytes, index: int, size: int, proof: Sequence[bytes]) -> bytes | None:
@@ -174,18 +174,18 @@ def root_of_inclusion(leaf: bytes, index: int, size: int, proof: Sequence[bytes]
     """
     if not 0 <= index < size or not _are_hashes(leaf, *proof):
         return None
-    place, last, found = index, size - 1, leaf
+    position, last, root = index, size - 1, leaf
     for sibling in proof:
         if last == 0:
             return None
-        if place & 1 or place == last:
-            found = node_hash(sibling, found)
-            while not place & 1 and place:
-                place, last = place >> 1, last >> 1
+        if position & 1 or position == last:
+            root = node_hash(sibling, root)
+            while not position & 1 and position:
+                position, last = position >> 1, last >> 1
         else:
-            found = node_hash(found, sibling)
-        place, last = place >> 1, last >> 1
-    return found if last == 0 else None
+            root = node_hash(root, sibling)
+        position, last = position >> 1, last >> 1
+    return root if last == 0 else None
 
 
 def is_consistent(old: int, old_root: bytes, new: int, new_root: bytes, proof: Sequence[bytes]) -> bool:
@@ -201,18 +201,18 @@ def is_consistent(old: int, old_root: bytes, new: int, new_root: bytes, proof: S
     if old == new:
         return not proof and old_root == new_root
     first, *rest = (old_root, *proof) if old & (old - 1) == 0 else proof or (b"",)
-    place, last = old - 1, new - 1
-    while place & 1:
-        place, last = place >> 1, last >> 1
+    position, last = old - 1, new - 1
+    while position & 1:
+        position, last = position >> 1, last >> 1
     found_old = found_new = first
     for sibling in rest:
         if last == 0:
             return False
-        if place & 1 or place == last:
+        if position & 1 or position == last:
             found_old, found_new = node_hash(sibling, found_old), node_hash(sibling, found_new)
-            while not place & 1 and place:
-                place, last = place >> 1, last >> 1
+            while not position & 1 and position:
+                position, last = position >> 1, last >> 1
         else:
             found_new = node_hash(found_new, sibling)
-        place, last = place >> 1, last >> 1
+        position, last = position >> 1, last >> 1
     return last == 0 and found_old == old_root and found_new == new_root

@@ -123,9 +123,13 @@ class VerifierKey(msgspec.Struct, frozen=True):
 
         The note's origin must be the name of this key, and every signature of this key on it must be valid.
         """
-        found = [signature.data for signature in note.signatures if signature.key == self.key]
+        own_signatures = [signature.data for signature in note.signatures if signature.key == self.key]
         text = note.checkpoint.text().encode()
-        return note.checkpoint.origin == self.name and bool(found) and all(self.made(data, text) for data in found)
+        return (
+            note.checkpoint.origin == self.name
+            and bool(own_signatures)
+            and all(self.made(data, text) for data in own_signatures)
+        )
 
 
 class Signer:

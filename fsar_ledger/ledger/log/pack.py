@@ -21,11 +21,11 @@ STEP = 2
 
 def count(leaves: int) -> int:
     """Return how many hashes the pack of a tree of this many leaves holds."""
-    found, blocks = 0, leaves >> BASE
+    hashes, blocks = 0, leaves >> BASE
     while blocks:
-        found += blocks
+        hashes += blocks
         blocks >>= STEP
-    return found
+    return hashes
 
 
 def position(level: int, number: int) -> int:
@@ -40,27 +40,27 @@ def grow(frontier: Frontier, leaves: bytes) -> tuple[Frontier, bytes]:
     Costs one hash per leaf.
     """
     kept = list(frontier.subtrees)  # smallest last
-    found: list[bytes] = []  # smallest first
-    made: list[tuple[int, int, bytes]] = []  # level of the pack, number of the first subtree, their roots
+    subtrees: list[bytes] = []  # smallest first
+    complete: list[tuple[int, int, bytes]] = []  # level of the pack, number of the first subtree, their roots
     size, nodes, height = frontier.size, leaves, 0
     while nodes:
         if height >= BASE and (height - BASE) % STEP == 0:
-            made.append(((height - BASE) // STEP, size, nodes))
+            complete.append(((height - BASE) // STEP, size, nodes))
         if size & 1:
             nodes = kept.pop() + nodes
         pairs = len(nodes) // (2 * HASH_BYTES) * 2 * HASH_BYTES
         if pairs < len(nodes):
-            found.append(nodes[pairs:])
+            subtrees.append(nodes[pairs:])
         nodes = parents(nodes[:pairs])
         size, height = size >> 1, height + 1
-    after = Frontier(frontier.size + len(leaves) // HASH_BYTES, b"".join([*kept, *reversed(found)]))
-    return after, _in_order(made, count(frontier.size), count(after.size))
+    after = Frontier(frontier.size + len(leaves) // HASH_BYTES, b"".join([*kept, *reversed(subtrees)]))
+    return after, _in_order(complete, count(frontier.size), count(after.size))
 
 
-def _in_order(made: list[tuple[int, int, bytes]], start: int, end: int) -> bytes:
+def _in_order(complete: list[tuple[int, int, bytes]], start: int, end: int) -> bytes:
     """Put the roots of each level at their positions in the pack, of which they are `start` to `end`."""
     pack = np.empty((end - start, HASH_BYTES), np.uint8)
-    for level, first, roots in made:
+    for level, first, roots in complete:
         numbers = np.arange(first, first + len(roots) // HASH_BYTES)
         blocks = (numbers + 1 << STEP * level) - 1
         places = np.full(len(numbers), level - start)

@@ -57,7 +57,7 @@ class Edge(msgspec.Struct, frozen=True):
 
         Costs one hash per leaf.
         """
-        made: dict[Tile, bytes] = {}
+        tiles: dict[Tile, bytes] = {}
         partial: list[bytes] = []
         added, level = leaves, 0
         while added or level < len(self.partial):
@@ -68,28 +68,28 @@ class Edge(msgspec.Struct, frozen=True):
                 first = (self.size >> HEIGHT * level) // WIDTH
                 hashes = before + added
                 full = len(hashes) // _TILE_BYTES
-                made |= {
+                tiles |= {
                     Tile(level, first + at): hashes[at * _TILE_BYTES : (at + 1) * _TILE_BYTES] for at in range(full)
                 }
                 rest = hashes[full * _TILE_BYTES :]
                 if rest:
-                    made[Tile(level, first + full, len(rest) // HASH_BYTES)] = rest
+                    tiles[Tile(level, first + full, len(rest) // HASH_BYTES)] = rest
                 partial.append(rest)
                 added = _tile_roots(hashes[: full * _TILE_BYTES])
             level += 1
-        return Edge(self.size + len(leaves) // HASH_BYTES, tuple(partial)), made
+        return Edge(self.size + len(leaves) // HASH_BYTES, tuple(partial)), tiles
 
     def frontier(self) -> Frontier:
         """Return the roots of the tree's complete subtrees, largest first."""
-        found: list[bytes] = []
+        subtrees: list[bytes] = []
         for hashes in reversed(self.partial):
             at = 0
             for height in reversed(range(HEIGHT)):
                 size = HASH_BYTES << height
                 if len(hashes) & size:
-                    found.append(_subtree_root(hashes[at : at + size]))
+                    subtrees.append(_subtree_root(hashes[at : at + size]))
                     at += size
-        return Frontier(self.size, b"".join(found))
+        return Frontier(self.size, b"".join(subtrees))
 
 
 def _tile_roots(hashes: bytes) -> bytes:
@@ -113,8 +113,8 @@ def node_of(read: Callable[[Tile], bytes], size: int) -> Node:
         level, above = divmod(height, HEIGHT)
         first = number << above
         count = size >> HEIGHT * level
-        place, start = divmod(first, WIDTH)
-        tile = Tile(level, place, min(WIDTH, count - place * WIDTH))
+        column, start = divmod(first, WIDTH)
+        tile = Tile(level, column, min(WIDTH, count - column * WIDTH))
         return _subtree_root(read(tile)[start * HASH_BYTES : (start + (1 << above)) * HASH_BYTES])
 
     return node

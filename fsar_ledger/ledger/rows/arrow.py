@@ -20,8 +20,8 @@ class Derived(dict[str, _T]):
         self._make = make
 
     def __missing__(self, name: str) -> _T:
-        made = self[name] = self._make(name)
-        return made
+        value = self[name] = self._make(name)
+        return value
 
 
 class Columns:
@@ -68,10 +68,10 @@ def validity(array: pa.Array) -> Mask:
     bits = array.buffers()[0]
     if bits is None or not array.null_count:
         return np.ones(len(array), bool)
-    found: Mask = np.unpackbits(np.frombuffer(bits, np.uint8), count=array.offset + len(array), bitorder="little")[
+    mask: Mask = np.unpackbits(np.frombuffer(bits, np.uint8), count=array.offset + len(array), bitorder="little")[
         array.offset :
     ].view(bool)
-    return found
+    return mask
 
 
 def numbers(array: pa.Array) -> Codes:

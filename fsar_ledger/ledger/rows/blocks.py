@@ -43,10 +43,10 @@ class Block(msgspec.Struct, frozen=True, omit_defaults=True):
 
 def by_run(blocks: Iterable[Block]) -> tuple[Block, ...]:
     """Return one block for each run of these, which are in the order of their rows, without what its events say."""
-    found: dict[str, Block] = {}
+    joined: dict[str, Block] = {}
     for block in blocks:
-        before = found.get(block.run)
-        found[block.run] = Block(
+        before = joined.get(block.run)
+        joined[block.run] = Block(
             block.run,
             before.first if before else block.first,
             block.rows + (before.rows if before else 0),
@@ -54,7 +54,7 @@ def by_run(blocks: Iterable[Block]) -> tuple[Block, ...]:
             block.last_us,
             is_alone=block.is_alone,
         )
-    return tuple(found.values())
+    return tuple(joined.values())
 
 
 def blocks_of(table: pa.Table) -> Iterator[Block]:
@@ -71,14 +71,14 @@ def blocks_of(table: pa.Table) -> Iterator[Block]:
         concerns: set[str] = set()
         if first:
             concerns = {CONCERNED.get(tags[code], "") for code in np.unique(codes[start:end]).tolist()} - {""}
-        said = None if first else observes[start].as_py()
+        observed = None if first else observes[start].as_py()
         yield Block(
             runs[start].as_py(),
             first,
             end - start,
             int(times[start]),
             int(times[end - 1]),
-            None if said is None else tuple(said),
+            None if observed is None else tuple(observed),
             tuple(sorted(concerns)),
             tags[codes[start]] in STANDS_ALONE,
         )

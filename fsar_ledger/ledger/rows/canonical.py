@@ -109,15 +109,15 @@ class _Members:
                 return texts
             case "integer":
                 pattern = self._before + b"%d" + self._after
-                found = [pattern % number for number in self._numbers[rows].tolist()]
+                of_rows = [pattern % number for number in self._numbers[rows].tolist()]
             case "strings":
                 values = self._column.take(pa.array(rows)).to_pylist()
-                found = [self._before + _ENCODER.encode(value) + self._after for value in values]
+                of_rows = [self._before + _ENCODER.encode(value) + self._after for value in values]
         is_valid = self.is_valid[rows]
         return (
-            found
+            of_rows
             if is_valid.all()
-            else [member if valid else b"" for member, valid in zip(found, is_valid.tolist(), strict=True)]
+            else [member if valid else b"" for member, valid in zip(of_rows, is_valid.tolist(), strict=True)]
         )
 
 
@@ -133,11 +133,11 @@ def from_table(table: pa.Table) -> list[bytes]:
     starts = np.flatnonzero(np.diff(codes[order], prepend=-1))
     # By column, whether rows of each type have it.
     is_there = [np.logical_or.reduceat(column.is_valid[order], starts).tolist() for column in members]
-    found = np.empty(len(table), object)
+    by_row = np.empty(len(table), object)
     for type_, rows in enumerate(np.split(order, starts[1:])):
         pieces = [column.of(rows) for column, is_in in zip(members, is_there, strict=True) if is_in[type_]]
-        found[rows] = list(map(b"".join, zip(repeat(b"{", len(rows)), *pieces, repeat(b"}", len(rows)), strict=True)))
-    lines: list[bytes] = found.tolist()
+        by_row[rows] = list(map(b"".join, zip(repeat(b"{", len(rows)), *pieces, repeat(b"}", len(rows)), strict=True)))
+    lines: list[bytes] = by_row.tolist()
     return lines
 
 
@@ -192,5 +192,5 @@ def _taken(name: str, columns: Columns) -> tuple[Any, ...]:
 
 def _encoded(texts: list[str]) -> tuple[bytes, Rows]:
     """Return these texts as JSON, each with a line feed after it, and where the line feeds are."""
-    found = _ENCODER.encode_lines(texts)
-    return found, np.flatnonzero(np.frombuffer(found, np.uint8) == ord("\n"))
+    encoded = _ENCODER.encode_lines(texts)
+    return encoded, np.flatnonzero(np.frombuffer(encoded, np.uint8) == ord("\n"))

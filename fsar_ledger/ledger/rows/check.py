@@ -74,13 +74,13 @@ def first_flaw(rows: pa.Table | Columns, *, is_whole: bool = True) -> Flaw | Non
     if first is None:
         return None
     row, field, expected = first
-    found = columns[field][row].as_py()
+    value = columns[field][row].as_py()
     return Flaw(
         row,
         columns["run_id"][row].as_py(),
         columns["seq"][row].as_py(),
         field,
-        "NULL" if found is None else f"{found!r:.80}",
+        "NULL" if value is None else f"{value!r:.80}",
         expected,
     )
 
@@ -102,13 +102,13 @@ def unprintable(table: pa.Table) -> Flaw | None:
             continue
         bad = {text for text in texts if not text.isprintable()}
         held = ([value] if kind == "string" else value or () for value in column.to_pylist())
-        row, found = next((at, text) for at, values in enumerate(held) for text in values if text in bad)
+        row, bad_text = next((at, text) for at, values in enumerate(held) for text in values if text in bad)
         return Flaw(
             row,
             table.column("run_id")[row].as_py(),
             table.column("seq")[row].as_py(),
             name,
-            f"{found!r:.80}",
+            f"{bad_text!r:.80}",
             "characters that can be printed",
         )
     return None
@@ -159,8 +159,8 @@ def run_starts(run_ids: pa.Array) -> Integers:
 def standing_alone(types: pa.Array) -> Mask:
     """Return which rows have a type that must be the only event of its run."""
     tags = coded(types)
-    found: Mask = np.array([*(tag in STANDS_ALONE for tag in tags.dictionary.to_pylist()), False])[places(tags)]
-    return found
+    alone: Mask = np.array([*(tag in STANDS_ALONE for tag in tags.dictionary.to_pylist()), False])[places(tags)]
+    return alone
 
 
 def _first(bad: Mask, field: str, expected: str) -> list[tuple[int, str, str]]:
@@ -233,9 +233,9 @@ def _unobserved(columns: dict[str, pa.Array]) -> list[tuple[int, str, str]]:
     run_of: Integers = np.repeat(np.arange(len(starts)), np.diff(starts, append=len(observes)))
     is_first = np.zeros(len(observes), bool)
     is_first[starts] = True
-    said = is_first[rows]
+    first_rows = is_first[rows]
     is_observed = np.zeros((len(starts), len(CONCERNS) + 1), bool)
-    is_observed[run_of[rows[said]], names[said]] = True
+    is_observed[run_of[rows[first_rows]], names[first_rows]] = True
     is_observed[~validity(observes)[starts]] = True  # the run does not say
     is_observed[:, -1] = True  # types without a concern
     if is_observed.all():

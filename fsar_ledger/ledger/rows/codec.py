@@ -136,13 +136,13 @@ class _Rows:
         """Return the string columns, the envelope's included, each with a sorted dictionary of its own values."""
         texts = Texts()
         everywhere: Positions = np.arange(self.size)
-        found = {"run_id": (everywhere, np.repeat(texts.codes(self.runs, len(self.runs)), self.sizes))}
-        found["type"] = (everywhere, texts.codes(_TAGS, len(_TAGS))[self.codes])
+        coded = {"run_id": (everywhere, np.repeat(texts.codes(self.runs, len(self.runs)), self.sizes))}
+        coded["type"] = (everywhere, texts.codes(_TAGS, len(_TAGS))[self.codes])
         for name, parts in columns.items():
             at = _positions(parts)
-            found[name] = (at, texts.codes(chain.from_iterable(part.values for part in parts), len(at)))
+            coded[name] = (at, texts.codes(chain.from_iterable(part.values for part in parts), len(at)))
         dictionary, places = texts.sorted()
-        return {name: self._coded(at, places[codes], dictionary) for name, (at, codes) in found.items()}
+        return {name: self._coded(at, places[codes], dictionary) for name, (at, codes) in coded.items()}
 
     def _coded(self, at: Positions, places: Codes, dictionary: Values) -> pa.DictionaryArray:
         """Return a string column, given as indexes into the dictionary of all columns; index 0 is NULL."""
@@ -188,11 +188,11 @@ class _Rows:
         Raises: ValueError for an integer beyond 2^53 - 1, or a cause that is not an earlier event.
         """
         self._require_exact()
-        found: list[bytes] = [b""] * self.size
+        lines: list[bytes] = [b""] * self.size
         rows = b"".join(self._lines()).split(b"\n")
-        for place, row in zip(self.order.tolist(), rows, strict=False):
-            found[place] = row
-        return found
+        for at, row in zip(self.order.tolist(), rows, strict=False):
+            lines[at] = row
+        return lines
 
     def _require_exact(self) -> None:
         """Check causes and integers as `table` does, for a few rows.
@@ -365,9 +365,9 @@ def _events(table: pa.Table) -> "np.ndarray[tuple[int], np.dtype[np.object_]]":
             columns.append(
                 [None if value is None else tuple(value) for value in values] if field.kind == "strings" else values
             )
-        made = layout.events(columns, len(at))
+        of_type = layout.events(columns, len(at))
         for change in UPCASTS.get(layout.cls, ()):
-            made = list(map(change, made))
-        for position, event in zip(at.tolist(), made, strict=True):
+            of_type = list(map(change, of_type))
+        for position, event in zip(at.tolist(), of_type, strict=True):
             events[position] = event
     return events

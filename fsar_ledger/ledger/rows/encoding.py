@@ -29,14 +29,14 @@ _KINDS = {
 
 def _columns(layout: StoredType) -> Columns:
     """Return the columns of this event type as `write_events` wants them, in the order of a row."""
-    found: dict[str, tuple[Any, ...]] = {
+    columns: dict[str, tuple[Any, ...]] = {
         field.name: (_KINDS[field.name], None, None, layout.tag, False, None) for field in ENVELOPE
     }
     for member in layout.members:
         for field in member.fields:
-            place = (_KINDS[field.kind], member.name, member.part, field.name)
-            found[field.name] = (*place, field.is_nullable, field.values)
-    return tuple((kind, f'"{name}":'.encode(), *rest) for name, (kind, *rest) in sorted(found.items()))
+            source = (_KINDS[field.kind], member.name, member.part, field.name)
+            columns[field.name] = (*source, field.is_nullable, field.values)
+    return tuple((kind, f'"{name}":'.encode(), *rest) for name, (kind, *rest) in sorted(columns.items()))
 
 
 def _marks(tag: str) -> int:

@@ -124,11 +124,11 @@ DECODED = _Numbers()
 
 def length(value: int) -> bytes:
     """Encode a Thrift length."""
-    found = bytearray()
+    encoded = bytearray()
     while value > 0x7F:
-        found.append(value & 0x7F | 0x80)
+        encoded.append(value & 0x7F | 0x80)
         value >>= 7
-    return bytes([*found, value])
+    return bytes([*encoded, value])
 
 
 def text(value: bytes) -> bytes:
@@ -235,13 +235,13 @@ def _bounds(kind: Kind, *, is_bounded: bool) -> bytes:
 def _rest(kind: Kind, *, is_nullable: bool) -> bytes:
     """Match the rest of a column chunk: encoding and size statistics."""
     is_list, is_text = kind == "strings", kind in ("string", "strings")
-    one = rb"\x15[\x00\x04]\x15[\x00\x0a\x10]\x15%b\x00" % _N
+    statistic = rb"\x15[\x00\x04]\x15[\x00\x0a\x10]\x15%b\x00" % _N
     repetitions = rb"\x26%b%b" % (_N, _N) if is_list else rb"\x06"
     levels = is_nullable + is_list
     definitions = bytes([(levels + 1) << 4 | 6]) if levels else b"\x06"
     histograms = repetitions + rb"\x19" + re.escape(definitions) + _N * (levels + 1 if levels else 0)
     sizes = (rb"\x16%b\x19" % _N if is_text else rb"\x29") + histograms
-    return rb"([\x1c\x2c\x3c](?:%b){1,3})((?:\x3c%b\x00)?)\x00\x00" % (one, sizes)
+    return rb"([\x1c\x2c\x3c](?:%b){1,3})((?:\x3c%b\x00)?)\x00\x00" % (statistic, sizes)
 
 
 RUN_ID_REST = re.compile(_rest("string", is_nullable=False), re.DOTALL)
@@ -258,9 +258,9 @@ def encoding_statistics(kind: Kind, dictionary: int, plain: int) -> bytes:
         counts = [(2, 0, 1), (0, 0, plain), (0, 8, dictionary)]
     else:
         counts = [(0, 5, dictionary)] if kind == "integer" else [(0, 0, dictionary)]
-    found = [
+    encoded = [
         b"\x15%b\x15%b\x15%b\x00" % (number(page), number(encoding), number(count))
         for page, encoding, count in counts
         if count
     ]
-    return listed(len(found), 12) + b"".join(found)
+    return listed(len(encoded), 12) + b"".join(encoded)

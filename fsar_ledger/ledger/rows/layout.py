@@ -82,10 +82,10 @@ class _Chunk(NamedTuple):
 @cache
 def _footers() -> tuple[Footer, ...]:
     """Return one footer for each set of columns that a release has."""
-    found: list[Footer] = []
+    footers: list[Footer] = []
     for schema in SCHEMAS.values():
-        found += [] if any(schema.equals(other.schema) for other in found) else [Footer(schema)]
-    return tuple(found)
+        footers += [] if any(schema.equals(other.schema) for other in footers) else [Footer(schema)]
+    return tuple(footers)
 
 
 def read_file(path: Path) -> bytes:
@@ -124,25 +124,25 @@ def read_layout(data: bytes) -> Layout:
     """
     size, footer_at = len(data), _footer_at(data)
     known = next((footer for footer in _footers() if data.startswith(footer.begin, footer_at)), None)
-    if known is None or (found := ROWS.match(data, at := footer_at + len(known.begin))) is None:
+    if known is None or (row_count := ROWS.match(data, at := footer_at + len(known.begin))) is None:
         raise ValueError(_OTHER_FOOTER)
-    rows = DECODED[found[0]]
+    rows = DECODED[row_count[0]]
     if not 0 < rows <= bounds.MAX_ROWS:
         raise ValueError(f"{rows} rows, expected 1 to {bounds.MAX_ROWS}")
-    at = found.end()
+    at = row_count.end()
     if not data.startswith(known.group, at):
         raise ValueError(_OTHER_FOOTER)
     at += len(known.group)
-    place, unpacked, elements = len(MAGIC), 0, 0
+    page_at, unpacked, elements = len(MAGIC), 0, 0
     statistics, of_pages, sizes = list[PageInfo](), list[PageInfo](), list[bytes]()
     for column in known.columns:
         found_chunk = _chunk(data, column, at)
         if found_chunk is None:
             raise ValueError(f"the footer: column {column.name} in other fields or encodings, expected {_AS_WRITTEN}")
-        chunk, said, at = found_chunk
-        statistics += [said] if said else []
+        chunk, chunk_statistics, at = found_chunk
+        statistics += [chunk_statistics] if chunk_statistics else []
         sizes.append(chunk.sizes)
-        _check_chunk(chunk, rows, place)
+        _check_chunk(chunk, rows, page_at)
         unpacked += chunk.unpacked
         elements += chunk.values - rows
         if elements > bounds.MAX_LIST_VALUES:
@@ -155,7 +155,7 @@ def read_layout(data: bytes) -> Layout:
                 f"column {column.name}: pages that unpack to {unpacked} bytes with those before, expected at most "
                 f"{bounds.MAX_UNPACKED_BYTES}"
             )
-        place = _check_pages(data, chunk, place, of_pages)
+        page_at = _check_pages(data, chunk, page_at, of_pages)
     end = GROUP_END.match(data, at)
     if (
         end is None
@@ -167,13 +167,13 @@ def read_layout(data: bytes) -> Layout:
     said_twice = {
         "bytes unpacked": (end[1], unpacked),
         "rows": (end[2], rows),
-        "bytes stored": (end[3], place - len(MAGIC)),
+        "bytes stored": (end[3], page_at - len(MAGIC)),
     }
-    for what, (one, other) in said_twice.items():
-        if DECODED[one] != other:
-            raise ValueError(f"a row group of {DECODED[one]} {what}, expected {other}")
-    if place != footer_at:
-        raise ValueError(f"{footer_at - place} bytes between the last page and the footer, expected none")
+    for what, (claimed, other) in said_twice.items():
+        if DECODED[claimed] != other:
+            raise ValueError(f"a row group of {DECODED[claimed]} {what}, expected {other}")
+    if page_at != footer_at:
+        raise ValueError(f"{footer_at - page_at} bytes between the last page and the footer, expected none")
     return Layout(rows, known.schema, end[5].decode(), tuple(statistics), tuple(of_pages), tuple(sizes))
 
 
@@ -194,19 +194,19 @@ def _chunk(data: bytes, column: Column, at: int) -> tuple[_Chunk, PageInfo | Non
 
     Raises: ValueError if the statistics are invalid.
     """
-    found = column.chunk.match(data, at + len(column.about)) if data.startswith(column.about, at) else None
-    if found is None:
+    matched = column.chunk.match(data, at + len(column.about)) if data.startswith(column.about, at) else None
+    if matched is None:
         return None
-    said: PageInfo | None = None
-    rest: re.Match[bytes] | None = found
+    chunk_statistics: PageInfo | None = None
+    rest: re.Match[bytes] | None = matched
     if column.name == "run_id":
-        said, after = _text_bounds(data, found.end(), b"\x19")
+        chunk_statistics, after = _text_bounds(data, matched.end(), b"\x19")
         rest = RUN_ID_REST.match(data, after)
     if rest is None:
         return None
-    values, unpacked, stored, data_at, dictionary_at, *stated = found.groups()
-    if rest is found and stated[0]:
-        said = _integer_bounds(column.name, stated[0])
+    values, unpacked, stored, data_at, dictionary_at, *stated = matched.groups()
+    if rest is matched and stated[0]:
+        chunk_statistics = _integer_bounds(column.name, stated[0])
     encodings, sizes = rest.groups()[-2:]
     return (
         _Chunk(
@@ -219,7 +219,7 @@ def _chunk(data: bytes, column: Column, at: int) -> tuple[_Chunk, PageInfo | Non
             encodings,
             sizes,
         ),
-        said,
+        chunk_statistics,
         rest.end(),
     )
 
@@ -240,10 +240,10 @@ def _text_bounds(data: bytes, at: int, after: bytes) -> tuple[PageInfo | None, i
             and data.startswith(after, end.end())
             and max(most_bytes, least_bytes) <= bounds.MAX_BOUND_BYTES
         ):
-            said = PageInfo(
+            text_statistics = PageInfo(
                 "run_id", data[least.end() : least.end() + least_bytes], data[most.end() : most.end() + most_bytes]
             )
-            return said, end.end() + len(after)
+            return text_statistics, end.end() + len(after)
     raise ValueError("other statistics of column run_id, expected most, least and no NULL")
 
 
@@ -264,9 +264,9 @@ def _length(data: bytes) -> int:
 
 def _integer_bounds(name: str, stated: bytes) -> PageInfo:
     """Read the statistics of an integer column. Raises: ValueError if they contradict themselves."""
-    found = INTEGER_BOUNDS.fullmatch(stated)
-    assert found is not None
-    most, least, most_again, least_again = found.groups()
+    matched = INTEGER_BOUNDS.fullmatch(stated)
+    assert matched is not None
+    most, least, most_again, least_again = matched.groups()
     if (most, least) != (most_again, least_again):
         raise ValueError(
             f"statistics of column {name} that say {least!r} to {most!r} and {least_again!r} to {most_again!r}, "
@@ -311,8 +311,8 @@ def _check_pages(data: bytes, chunk: _Chunk, place: int, of_pages: list[PageInfo
         pages += 1
         if pages > bounds.MAX_PAGES:
             raise ValueError(f"column {name}: more than {bounds.MAX_PAGES} pages, expected fewer")
-        said, body = _page_bounds(data, name, header)
-        of_pages += [said._replace(rows=(values, DECODED[header[4]]))] if said else []
+        page_statistics, body = _page_bounds(data, name, header)
+        of_pages += [page_statistics._replace(rows=(values, DECODED[header[4]]))] if page_statistics else []
         stored = DECODED[header[2]]
         _check_sum(data, name, body, stored, header[3])
         values += DECODED[header[4]]
@@ -355,5 +355,7 @@ def _check_dictionary(data: bytes, name: str, at: int) -> tuple[int, int]:
 def _check_sum(data: bytes, name: str, at: int, stored: int, said: bytes) -> None:
     """Compare the stored bytes of a page with the checksum in its header. Raises: ValueError if they differ."""
     value = unsigned(said)
-    if (found := crc32(data[at : at + stored])) != (value >> 1 ^ -(value & 1)) & 0xFFFFFFFF:
-        raise ValueError(f"column {name}: a page at byte {at} with the checksum {found}, expected that of its header")
+    if (checksum := crc32(data[at : at + stored])) != (value >> 1 ^ -(value & 1)) & 0xFFFFFFFF:
+        raise ValueError(
+            f"column {name}: a page at byte {at} with the checksum {checksum}, expected that of its header"
+        )

@@ -14,9 +14,9 @@ def joined(pieces: Sequence[LedgerRun]) -> LedgerRun:
         return pieces[0]
     return LedgerRun(
         pieces[0].run_id,
-        list(chain.from_iterable(one.times_us for one in pieces)),
-        list(chain.from_iterable(one.caused_by for one in pieces)),
-        list(chain.from_iterable(one.events for one in pieces)),
+        list(chain.from_iterable(part.times_us for part in pieces)),
+        list(chain.from_iterable(part.caused_by for part in pieces)),
+        list(chain.from_iterable(part.events for part in pieces)),
         pieces[0].first,
         pieces[-1].goes_on,
     )
@@ -25,13 +25,13 @@ def joined(pieces: Sequence[LedgerRun]) -> LedgerRun:
 def whole(pieces: Sequence[LedgerRun]) -> LedgerRun:
     """Return the run of all its pieces that a ledger holds. Raises: LedgerCorrupted if one of them is missing."""
     next_seq = 0
-    for one in pieces:
-        if one.first != next_seq:
+    for part in pieces:
+        if part.first != next_seq:
             raise LedgerCorrupted(
-                f"run {printable.value(one.run_id)}: found event {one.first} where event {next_seq} is expected; run "
+                f"run {printable.value(part.run_id)}: found event {part.first} where event {next_seq} is expected; run "
                 "fsar-ledger verify"
             )
-        next_seq += len(one.events)
+        next_seq += len(part.events)
     return joined(pieces)
 
 
@@ -46,8 +46,8 @@ def gathered(parts: Iterable[tuple[int, Sequence[LedgerRun]]], last: Mapping[str
     """
     held: dict[str, list[LedgerRun]] = {}
     for end, pieces in parts:
-        for one in pieces:
-            held.setdefault(one.run_id, []).append(one)
+        for part in pieces:
+            held.setdefault(part.run_id, []).append(part)
         for run in [run for run in held if last.get(run, 0) < end]:
             yield whole(held.pop(run))
 

@@ -39,10 +39,10 @@ def parse_columns(where: str, text: str) -> pa.Schema:
 
 def _released() -> dict[str, pa.Schema]:
     """Return the columns of every release that has a file."""
-    found = {}
+    schemas = {}
     for file in sorted((files("fsar_ledger.ledger.rows") / "columns").iterdir(), key=lambda file: file.name):
-        found[file.name.removesuffix(".txt")] = parse_columns(file.name, file.read_text("utf-8"))
-    return found
+        schemas[file.name.removesuffix(".txt")] = parse_columns(file.name, file.read_text("utf-8"))
+    return schemas
 
 
 SCHEMAS: dict[str, pa.Schema] = _released() | {RELEASE: SCHEMA}

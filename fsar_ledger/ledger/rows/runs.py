@@ -45,9 +45,9 @@ class Flaw(msgspec.Struct, frozen=True):
     expected: str
 
     def __str__(self) -> str:
-        place = [f"run {printable.value(self.run)}, seq {self.seq}"] if self.run is not None else []
-        place += [f"field {self.field}"] if self.field is not None else []
-        return f"{', '.join(place) or 'table'}: found {self.found}, expected {self.expected}"
+        where = [f"run {printable.value(self.run)}, seq {self.seq}"] if self.run is not None else []
+        where += [f"field {self.field}"] if self.field is not None else []
+        return f"{', '.join(where) or 'table'}: found {self.found}, expected {self.expected}"
 
 
 class Allowed(NamedTuple):
@@ -87,8 +87,8 @@ def are_allowed(values: Sequence[object], allowed: Allowed) -> bool:
     """
     kind, is_nullable, closed = allowed
     types = list(map(type, values))  # the quickest way to check each
-    if (found := types.count(kind)) != len(types) and not (
-        is_nullable and found + types.count(type(None)) == len(types)
+    if (of_kind := types.count(kind)) != len(types) and not (
+        is_nullable and of_kind + types.count(type(None)) == len(types)
     ):
         return False
     if kind is tuple and not _are_strings(chain.from_iterable(filter(None, values))):  # type: ignore[arg-type]
@@ -116,9 +116,9 @@ def require_runs(runs: Sequence[LedgerRun]) -> None:
             )
         sizes = len(run.events), len(run.times_us), len(run.caused_by)
         if not sizes[0] == sizes[1] == sizes[2] or not sizes[0]:
-            found = "{} events, {} times and {} causes".format(*sizes)
+            lengths = "{} events, {} times and {} causes".format(*sizes)
             raise InvalidRun(
-                f"run {printable.value(run.run_id)}: found {found}, expected as many of each, at least 1; append "
+                f"run {printable.value(run.run_id)}: found {lengths}, expected as many of each, at least 1; append "
                 "finished runs only"
             )
         if run.run_id in seen:
@@ -192,20 +192,20 @@ def _unfit(run: LedgerRun, at: int) -> Iterator[tuple[str, str, str]]:
 
 def _unfit_value(name: str, value: object, allowed: Allowed) -> Iterator[tuple[str, str, str]]:
     kind, is_nullable, closed = allowed
-    found = f"{value!r:.80}"
+    shown = f"{value!r:.80}"
     if type(value) is not kind and not (value is None and is_nullable):
-        yield name, found, f"a value: {kind.__name__}{' or None' * is_nullable}, and no other class"
+        yield name, shown, f"a value: {kind.__name__}{' or None' * is_nullable}, and no other class"
     elif closed is not None and value not in closed:
-        yield name, found, f"one of {sorted(filter(None, closed))}"
+        yield name, shown, f"one of {sorted(filter(None, closed))}"
     elif isinstance(value, int) and abs(value) > MAX_INTEGER:
-        yield name, found, "at most 2^53 - 1 in size"
+        yield name, shown, "at most 2^53 - 1 in size"
     else:
         texts = value if isinstance(value, tuple) else (value,) if isinstance(value, str) else ()
         for text in texts:
             if type(text) is not str:
-                yield name, found, "strings in the tuple, and no other class"
+                yield name, shown, "strings in the tuple, and no other class"
             elif not _is_unicode(text):
-                yield name, found, "text without surrogates"
+                yield name, shown, "text without surrogates"
 
 
 def _is_unicode(text: str) -> bool:

@@ -72,16 +72,16 @@ class StoredType(msgspec.Struct, frozen=True):
         Raises:
             TypeError: A part of an event is of another class.
         """
-        found: list[Sequence[object]] = []
+        columns: list[Sequence[object]] = []
         for member in self.members:
             values = list(map(attrgetter(member.name), events))
             if member.part is None:
-                found.append(values)
+                columns.append(values)
                 continue
             if set(map(type, values)) != {member.part}:
                 raise TypeError(f"{self.tag}: found {member.name} of another class, expected {member.part.__name__}")
-            found += [list(map(attrgetter(field.name), values)) for field in member.fields]
-        return tuple(found)
+            columns += [list(map(attrgetter(field.name), values)) for field in member.fields]
+        return tuple(columns)
 
     def events(self, columns: Iterable[Iterable[object]], count: int) -> list[Event]:
         """Return `count` events of this type from the values of these columns, given in the order of `fields`."""
@@ -94,8 +94,8 @@ class StoredType(msgspec.Struct, frozen=True):
 
     def event(self, values: Iterable[object]) -> Event:
         """Return the event of this type with these values, given in the order of `fields`."""
-        (made,) = self.events([(value,) for value in values], 1)
-        return made
+        (event,) = self.events([(value,) for value in values], 1)
+        return event
 
 
 def _joined(member: Member, columns: list[Iterable[object]]) -> Iterable[object]:
@@ -118,11 +118,11 @@ ENVELOPE: tuple[Field, ...] = (
 
 def _alternatives(kind: inspect.Type) -> list[inspect.Type]:
     """Return the types of a union, each once. Robots and supervisors have types of their own, but both are strings."""
-    found: list[inspect.Type] = []
-    for one in kind.types if isinstance(kind, inspect.UnionType) else (kind,):
-        if one not in found:
-            found.append(one)
-    return found
+    alternatives: list[inspect.Type] = []
+    for alternative in kind.types if isinstance(kind, inspect.UnionType) else (kind,):
+        if alternative not in alternatives:
+            alternatives.append(alternative)
+    return alternatives
 
 
 def _field(field: inspect.Field) -> Field:
@@ -179,26 +179,26 @@ def columns(layouts: tuple[StoredType, ...]) -> dict[str, Kind]:
     """
     kinds: dict[str, Kind] = {field.name: field.kind for field in ENVELOPE}
     payload: dict[str, Kind] = {}
-    for one in layouts:
-        for field in one.fields:
+    for layout in layouts:
+        for field in layout.fields:
             if payload.setdefault(field.name, field.kind) != field.kind:
                 raise TypeError(
-                    f"{one.tag}: field {field.name} is {field.kind}, in another event type {payload[field.name]}; one "
-                    "name is one column"
+                    f"{layout.tag}: field {field.name} is {field.kind}, in another event type {payload[field.name]}; "
+                    "one name is one column"
                 )
     return kinds | dict(sorted(payload.items()))
 
 
-LAYOUTS: dict[str, StoredType] = {one.tag: one for one in map(stored_type, EVENT_TYPES)}
+LAYOUTS: dict[str, StoredType] = {layout.tag: layout for layout in map(stored_type, EVENT_TYPES)}
 """How each event type is stored, by its tag, in the order of `EVENT_TYPES`."""
 
-RETIRED: dict[str, StoredType] = {one.tag: one for one in map(stored_type, RETIRED_TYPES)}
+RETIRED: dict[str, StoredType] = {layout.tag: layout for layout in map(stored_type, RETIRED_TYPES)}
 """How events of earlier versions are stored, by tag; none is written any more."""
 
 STORED: dict[str, StoredType] = LAYOUTS | RETIRED
 """How each event type that a ledger may hold is stored, by its tag."""
 
-STANDS_ALONE: frozenset[str] = frozenset(tag for tag, one in STORED.items() if one.cls in ALONE)
+STANDS_ALONE: frozenset[str] = frozenset(tag for tag, layout in STORED.items() if layout.cls in ALONE)
 """The tags of events that must be the only one of their run."""
 
 OPENINGS: frozenset[str] = STANDS_ALONE.union(tag for tag in STORED if tag.partition(".v")[0] == "RunStarted")

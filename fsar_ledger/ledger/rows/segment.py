@@ -55,11 +55,13 @@ def coded(table: pa.Table) -> pa.Table:
 
 def _coded(strings: pa.Array) -> pa.DictionaryArray:
     """Return the strings as codes into a sorted dictionary of them."""
-    found = strings.dictionary_encode()
-    order = pc.sort_indices(found.dictionary).to_numpy()
+    encoded = strings.dictionary_encode()
+    order = pc.sort_indices(encoded.dictionary).to_numpy()
     places = np.empty(len(order), np.int32)
     places[order] = np.arange(len(order))
-    return pa.DictionaryArray.from_arrays(pa.array(places).take(found.indices), found.dictionary.take(pa.array(order)))
+    return pa.DictionaryArray.from_arrays(
+        pa.array(places).take(encoded.indices), encoded.dictionary.take(pa.array(order))
+    )
 
 
 def read_table(path: Path, columns: list[str] | None = None) -> pa.Table:
@@ -92,14 +94,14 @@ def _read(path: Path, data: bytes, layout: Layout, columns: list[str] | None, ta
     strings = [path_of(name) for name in layout.schema.names if COLUMNS[name] in ("string", "strings")]
     try:
         with pq.ParquetFile(pa.BufferReader(data), page_checksum_verification=True, read_dictionary=strings) as file:
-            found = _columns(file, columns or layout.schema.names, layout.rows)
-        if has_more_text_than(found, MAX_TEXT_BYTES):
+            rows = _columns(file, columns or layout.schema.names, layout.rows)
+        if has_more_text_than(rows, MAX_TEXT_BYTES):
             raise LedgerCorrupted(
-                f"{path}: found strings of {text_bytes(found)} bytes in {found.num_rows} rows, expected at most "
+                f"{path}: found strings of {text_bytes(rows)} bytes in {rows.num_rows} rows, expected at most "
                 f"{MAX_TEXT_BYTES}; restore the file"
             )
-        found = found.cast(pa.schema([target.field(name) for name in found.column_names]))
-        return widened(found, columns or SCHEMA.names, target)
+        rows = rows.cast(pa.schema([target.field(name) for name in rows.column_names]))
+        return widened(rows, columns or SCHEMA.names, target)
     except pa.ArrowMemoryError:
         raise  # not the file's fault
     except (OSError, pa.ArrowException) as error:

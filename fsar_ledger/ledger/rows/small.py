@@ -22,8 +22,8 @@ def rows_of(runs: Sequence[LedgerRun]) -> tuple[bytes, tuple[Block, ...]]:
     """
     if not runs:
         raise InvalidRun("found no runs to commit, expected at least 1")
-    if len(runs) == 1 and (found := _going_on(runs[0])) is not None:
-        return found
+    if len(runs) == 1 and (going_on := _going_on(runs[0])) is not None:
+        return going_on
     plain = plain_rows(runs)
     if plain is None or not plain.rows or len(runs) > 1:
         require_runs(runs)
@@ -92,5 +92,5 @@ def _block(run: LedgerRun, marks: int) -> Block:
 
 def _observes(run: LedgerRun) -> tuple[str, ...] | None:
     """Return what the run's event 0 says that it observes; None if that says nothing, or is not here."""
-    found: tuple[str, ...] | None = None if run.first else getattr(run.events[0], "observes", None)
-    return found
+    observes: tuple[str, ...] | None = None if run.first else getattr(run.events[0], "observes", None)
+    return observes

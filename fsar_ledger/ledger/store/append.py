@@ -175,7 +175,7 @@ class Writer:
         self._require_usable()
         with self._turn:
             self._catch_up()
-            if any(one.segment_sha256 == staged.segment_sha256 for one in self._view.chain.placements):
+            if any(placement.segment_sha256 == staged.segment_sha256 for placement in self._view.chain.placements):
                 disk.remove(staged_path(self._path, staged.segment_sha256))
                 return self._view.head
             require_staged(self._path, staged)
@@ -260,8 +260,8 @@ class Writer:
         with disk.refusals(self._segments, "moving a compacted segment into place"):
             growing.sync(self._path / paths.CHAIN)
             disk.move(staged_path(self._path, staged.segment_sha256), self._path / segment_of(placement))
-        for one in old:
-            disk.remove(self._path / segment_of(one))
+        for replaced in old:
+            disk.remove(self._path / segment_of(replaced))
         self._is_broken = False
 
     def settle(self) -> None:
@@ -300,10 +300,10 @@ class Writer:
         journal, chain = self._view.journal, self._view.chain
         if not count:
             return
-        found = self._sealing.taken(self._path, journal.frames[:count], chain.tree())
-        stage_made(self._path, found.made)
+        sealed = self._sealing.taken(self._path, journal.frames[:count], chain.tree())
+        stage_made(self._path, sealed.made)
         lines = [frame.line for frame in journal.frames[journal.chained :]]
-        self._place(found.made.staged, lines, found.tree, found.nodes, found.blocks, count)
+        self._place(sealed.made.staged, lines, sealed.tree, sealed.nodes, sealed.blocks, count)
         self._journal.remove(is_all=count == len(journal.frames))
 
     def _require_usable(self) -> None:
@@ -343,8 +343,8 @@ class Writer:
     ) -> Commit:
         chain = self._view.chain
         if self._signer is not None:
-            made = self._signer.sign(Checkpoint(self._origin, size, root))
-            signature = base64.b64encode(made.key_id + made.data).decode()
+            signed = self._signer.sign(Checkpoint(self._origin, size, root))
+            signature = base64.b64encode(signed.key_id + signed.data).decode()
         return Commit(len(chain.commits), chain.sha256, release, rows, size, root.hex(), continues, goes_on, signature)
 
     def _place(

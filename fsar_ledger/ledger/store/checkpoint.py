@@ -17,35 +17,35 @@ def behind(view: View) -> int:
 
     Raises: LedgerCorrupted if it is the note of none of them, or of none that a crash leaves.
     """
-    found = covered(view)
-    if isinstance(found, Problem):
+    back = covered(view)
+    if isinstance(back, Problem):
         raise LedgerCorrupted(
-            f"{view.path}/{found}; run fsar-ledger verify, and fsar-ledger maintain recover if it says so"
+            f"{view.path}/{back}; run fsar-ledger verify, and fsar-ledger maintain recover if it says so"
         )
-    return found
+    return back
 
 
 def covered(view: View) -> int | Problem:
     """Return how many of the newest commits the checkpoint does not cover, or why it is no note that a crash leaves."""
-    if isinstance(found := view.checkpoint, Problem):
-        return found
+    if isinstance(kept := view.checkpoint, Problem):
+        return kept
     commits, origin = view.commits, view.manifest.origin
     for back in range(len(commits) + 1):
         number = len(commits) - back
         note = str(commits[number - 1].note(origin)) if number else None
-        if found == note:
+        if kept == note:
             return back
         if number and commits[number - 1].tree_size <= view.chain.settled:
             break
     return Problem(
         CHECKPOINT,
-        "no file" if found is None else f"{found!r:.400}",
+        "no file" if kept is None else f"{kept!r:.400}",
         "the note of the newest commit, or of one since which a crash leaves none",
     )
 
 
 def check_chain_checkpoint(view: View) -> list[Problem]:
     """Compare the file with the notes of the newest commits. Returns the problems."""
-    found = covered(view)
+    back = covered(view)
     number = len(view.commits) - 1 if view.commits else None
-    return [msgspec.structs.replace(found, commit=number)] if isinstance(found, Problem) else []
+    return [msgspec.structs.replace(back, commit=number)] if isinstance(back, Problem) else []

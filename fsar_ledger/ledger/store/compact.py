@@ -21,13 +21,13 @@ def mergeable(placed: Sequence[Placement]) -> Iterator[Sequence[Placement]]:
     """Yield groups of at least two neighbouring segments that fit into one, greedily from the first on."""
     group: list[Placement] = []
     rows = size = 0
-    for one in placed:
-        rows, size = rows + one.rows, size + one.segment_bytes
+    for placement in placed:
+        rows, size = rows + placement.rows, size + placement.segment_bytes
         if rows > MERGED_ROWS or size > MERGED_BYTES:
             if len(group) > 1:
                 yield group
-            group, rows, size = [], one.rows, one.segment_bytes
-        group.append(one)
+            group, rows, size = [], placement.rows, placement.segment_bytes
+        group.append(placement)
     if len(group) > 1:
         yield group
 
@@ -37,7 +37,7 @@ def merged_segment(view: View, old: Sequence[Placement]) -> Staged:
 
     Raises: LedgerCorrupted if their rows do not lead from the tree before them to the tree after.
     """
-    tables: list[pa.Table] = [segment.read_table(view.placed_segment(one)) for one in old]
+    tables: list[pa.Table] = [segment.read_table(view.placed_segment(placement)) for placement in old]
     table = pa.concat_tables(tables).combine_chunks()
     leaves = canonical.leaves(table)
     before = view.chain.tree_at(old[0].first)
@@ -47,6 +47,6 @@ def merged_segment(view: View, old: Sequence[Placement]) -> Staged:
             f"{view.path}: events {old[0].first} to {old[-1].end - 1}: found rows that lead to root "
             f"{after.root().hex()}, expected {old[-1].tree().root().hex()} as placed; run fsar-ledger verify"
         )
-    made = made_of(table, leaves)
-    stage_made(view.path, made)
-    return made.staged
+    unstaged = made_of(table, leaves)
+    stage_made(view.path, unstaged)
+    return unstaged.staged

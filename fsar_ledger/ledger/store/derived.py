@@ -25,19 +25,19 @@ def read_node(ledger: Path, place: int) -> bytes:
     try:
         handle = os.open(path, _READ)
         try:
-            found = os.pread(handle, HASH_BYTES, place * HASH_BYTES)
+            node = os.pread(handle, HASH_BYTES, place * HASH_BYTES)
         finally:
             disk.close(handle)
     except OSError as error:
         raise LedgerCorrupted(
             f"{path}: it cannot be read ({error.strerror}); run fsar-ledger maintain recover, which derives it again"
         ) from error
-    if len(found) != HASH_BYTES:
+    if len(node) != HASH_BYTES:
         raise LedgerCorrupted(
             f"{path}: found no hash {place}, expected {HASH_BYTES} bytes there; run fsar-ledger maintain recover, "
             "which derives it again"
         )
-    return found
+    return node
 
 
 def holds_nodes(ledger: Path, leaves: int) -> bool:
@@ -67,8 +67,8 @@ def node_reader(ledger: Path, tree: Frontier, others: bytes, rows: Callable[[int
 
     def some(first: int, end: int) -> bytes:
         block = first >> pack.BASE << pack.BASE  # read and hash a block once
-        found = leaf_hashes(block, min(block + (1 << pack.BASE), size))
-        return found[(first - block) * HASH_BYTES : (end - block) * HASH_BYTES]
+        nodes = leaf_hashes(block, min(block + (1 << pack.BASE), size))
+        return nodes[(first - block) * HASH_BYTES : (end - block) * HASH_BYTES]
 
     edge = tree.nodes()
     stored = pack.node_of(read, some)

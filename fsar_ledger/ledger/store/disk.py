@@ -92,8 +92,8 @@ def _whole(handle: int) -> bytes:
 
 def entries(folder: Path) -> list["os.DirEntry[str]"]:
     """List the folder, sorted by name. Raises: OSError if it cannot be read or holds more than `MAX_NAMES`."""
-    with os.scandir(folder) as found:
-        names = list(islice(found, MAX_NAMES + 1))
+    with os.scandir(folder) as scanned:
+        names = list(islice(scanned, MAX_NAMES + 1))
     if len(names) > MAX_NAMES:
         raise OSError(0, f"it holds more than {MAX_NAMES} names", str(folder))
     return sorted(names, key=lambda entry: entry.name)
@@ -154,13 +154,13 @@ def make_folder(folder: Path) -> None:
         folder = folder.parent
     with suppress(PermissionError):  # whoever made this one could open the folder above
         sync_folder(folder.parent)
-    for one in reversed(missing):
+    for parent in reversed(missing):
         try:
-            os.mkdir(one)
+            os.mkdir(parent)
         except FileExistsError:  # another process was quicker
-            if not one.is_dir():
+            if not parent.is_dir():
                 raise
-        sync_folder(one.parent)
+        sync_folder(parent.parent)
 
 
 def write_durably(path: Path, data: bytes | memoryview) -> None:

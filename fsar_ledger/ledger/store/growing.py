@@ -122,8 +122,8 @@ def show(path: Path, places: Sequence[int], byte: bytes) -> None:
     """Write this byte at these places of a file, durably, which makes what is there visible. Raises: OSError."""
     handle = os.open(path, os.O_RDWR | os.O_NOFOLLOW)
     try:
-        for place in places:
-            write_at(handle, byte, place)
+        for at in places:
+            write_at(handle, byte, at)
         os.fdatasync(handle)
     finally:
         os.close(handle)

@@ -102,8 +102,8 @@ class ExistingRuns:
         """Read what the run observes. Raises: LedgerCorrupted."""
         view.believe_index()
         observes = event_at(view, place_of(view, run, 0)).get("observes")
-        told = tuple(map(str, observes)) if isinstance(observes, list) else None
-        self._runs.known[run] = self._runs.known[run]._replace(observes=told)
+        names = tuple(map(str, observes)) if isinstance(observes, list) else None
+        self._runs.known[run] = self._runs.known[run]._replace(observes=names)
         self._indexed.remove(run)
 
 

@@ -66,11 +66,11 @@ def line_of(first: int, table: pa.Table) -> bytes:
 
 def line_doubt(placement: Placement, line: bytes) -> Problem | None:
     """Return that this line of the index, by the rows, is not the one that was placed; None if it is."""
-    one = placement
-    if (len(line), sha256_hex(line)) == (one.index_bytes, one.index_sha256):
+    record = placement
+    if (len(line), sha256_hex(line)) == (record.index_bytes, record.index_sha256):
         return None
-    found, expected = f"{one.index_sha256} of {one.index_bytes} bytes", f"{sha256_hex(line)} of {len(line)}"
-    return Problem(CHAIN, found, f"{expected}, by the rows from event {one.first}", field="index_sha256")
+    actual, expected = f"{record.index_sha256} of {record.index_bytes} bytes", f"{sha256_hex(line)} of {len(line)}"
+    return Problem(CHAIN, actual, f"{expected}, by the rows from event {record.first}", field="index_sha256")
 
 
 def read_index(ledger: Path, chain: Chain, by_rows: Callable[[int], Sequence[bytes]]) -> list[bytes]:
@@ -83,17 +83,17 @@ def read_index(ledger: Path, chain: Chain, by_rows: Callable[[int], Sequence[byt
         places = chain.added_in(number)
         if all(lines[at] for at in places):
             continue
-        made = by_rows(number)
-        require_lines(ledger, chain.placed_in(number), made)
-        for at, line in zip(places, made, strict=True):
+        rows_of_index = by_rows(number)
+        require_lines(ledger, chain.placed_in(number), rows_of_index)
+        for at, line in zip(places, rows_of_index, strict=True):
             lines[at] = line
     return lines
 
 
 def require_lines(ledger: Path, added: Sequence[Placement], lines: Sequence[bytes]) -> None:
     """Require that these lines, by the rows, are those that were placed. Raises: LedgerCorrupted if one is not."""
-    for one, line in zip(added, lines, strict=True):
-        if (problem := line_doubt(one, line)) is not None:
+    for placement, line in zip(added, lines, strict=True):
+        if (problem := line_doubt(placement, line)) is not None:
             raise LedgerCorrupted(
                 f"{ledger}/{problem}; which runs there are, and how far they go, is not told where the chain "
                 "contradicts the rows; run fsar-ledger verify"
@@ -110,12 +110,12 @@ def read_placed(ledger: Path, chain: Chain) -> bytes:
 
 def extents_of(parts: Iterable[Part]) -> list[Extent]:
     """Return where each run and plan of these parts is, in the order of their first events."""
-    found: dict[str, Extent] = {}
+    extents: dict[str, Extent] = {}
     for first, end, block in map(msgspec.structs.astuple, parts):
-        known = found.get(block.run)
+        known = extents.get(block.run)
         rows = block.rows + (known.rows if known else 0)
-        found[block.run] = Extent(block.run, rows, known.first if known else first, end)
-    return list(found.values())
+        extents[block.run] = Extent(block.run, rows, known.first if known else first, end)
+    return list(extents.values())
 
 
 class Index:

@@ -194,9 +194,9 @@ class _Reading:
             return record
         else:
             name, found, expected = doubt
-            said = f"{expected}, as {CHAIN} and the frames before say"
+            expectation = f"{expected}, as {CHAIN} and the frames before say"
             kind = LaterRelease if name == "release" and is_later(record.release) else Problem
-            self.problem = kind(self._name, f"{found!r}", said, number, field=name)
+            self.problem = kind(self._name, f"{found!r}", expectation, number, field=name)
         self.is_damage = True  # a record that can be read, which no crash leaves
         return None
 

@@ -70,14 +70,14 @@ class Chain:
 
     def tree_at(self, end: int) -> Frontier:
         """Return the tree of the events up to the end of this segment in force; 0 is the empty one."""
-        return next((one.tree() for one in self.placed if one.end == end), Frontier())
+        return next((placement.tree() for placement in self.placed if placement.end == end), Frontier())
 
     def added_in(self, number: int) -> range:
         """Return which of those added are in this segment in force; none is in two."""
-        one = self.placed[number]
+        placement = self.placed[number]
         return range(
-            bisect_left(self.added, one.first, key=lambda each: each.first),
-            bisect_left(self.added, one.end, key=lambda each: each.first),
+            bisect_left(self.added, placement.first, key=lambda each: each.first),
+            bisect_left(self.added, placement.end, key=lambda each: each.first),
         )
 
     def placed_in(self, number: int) -> list[Placement]:
@@ -95,7 +95,7 @@ class Chain:
 
     def index_lines(self, data: bytes) -> Iterator[bytes]:
         """Yield the line of the index of each placement that added events; nothing where these bytes hold another."""
-        ends = list(accumulate([one.index_bytes for one in self.added], initial=0))
+        ends = list(accumulate([placement.index_bytes for placement in self.added], initial=0))
         lines = [data[start:end] for start, end in pairwise(ends)]
         for line, sha256, one in zip(lines, digests(lines), self.added, strict=True):
             yield line if sha256 == one.index_sha256 else b""
@@ -123,8 +123,8 @@ class Chain:
             self.added.append(record)
             self.index_bytes += record.index_bytes
         else:
-            start = bisect_left(self.placed, record.first, key=lambda one: one.first)
-            end = bisect_left(self.placed, record.end, key=lambda one: one.first)
+            start = bisect_left(self.placed, record.first, key=lambda placement: placement.first)
+            end = bisect_left(self.placed, record.end, key=lambda placement: placement.first)
             self.placed[start:end] = [record]
         self.placed_size = self.placed[-1].end
 
@@ -144,12 +144,16 @@ class Chain:
             and self.placed_size == self.size
             and [record.previous_sha256 for record in records] == [self.sha256, *hashes][:-1]
             and FINGERPRINTS.keys() >= {commit.release for commit in commits}
-            and FINGERPRINTS.items() >= {(one.release, one.schema_sha256) for one in placements}
-            and [one.number for one in commits] == list(range(len(self.commits), len(self.commits) + len(commits)))
-            and [one.number for one in placements] == [len(self.placements) + at for at in range(len(placements))]
-            and [one.first for one in placements] == firsts[:-1]
-            and [one.rows for one in commits] == [one.rows for one in placements] == [*map(sub, ends, firsts)]
-            and all(one.index_bytes for one in placements)
+            and FINGERPRINTS.items() >= {(placement.release, placement.schema_sha256) for placement in placements}
+            and [commit.number for commit in commits]
+            == list(range(len(self.commits), len(self.commits) + len(commits)))
+            and [placement.number for placement in placements]
+            == [len(self.placements) + at for at in range(len(placements))]
+            and [placement.first for placement in placements] == firsts[:-1]
+            and [record.rows for record in commits]
+            == [record.rows for record in placements]
+            == [*map(sub, ends, firsts)]
+            and all(placement.index_bytes for placement in placements)
         ):
             return False
         before = self.going_on
@@ -164,7 +168,7 @@ class Chain:
         self.placements += placements
         self.placed += placements
         self.added += placements
-        self.index_bytes += sum(one.index_bytes for one in placements)
+        self.index_bytes += sum(placement.index_bytes for placement in placements)
         return True
 
     def _go_on(self, commit: Commit) -> None:
@@ -239,8 +243,8 @@ class Chain:
         root = self.root_at(end)
         if root is None or (end < self.placed_size and not self._starts(end)):
             return "rows", placement.rows, "events up to the end of a commit, and of the segments that it supersedes"
-        if not self._trusts_frontiers and (found := placement.tree().root()) != root:
-            return "frontier", found.hex(), f"one of root {root.hex()}, as committed"
+        if not self._trusts_frontiers and (placed_root := placement.tree().root()) != root:
+            return "frontier", placed_root.hex(), f"one of root {root.hex()}, as committed"
         if is_added != bool(placement.index_bytes):
             expected = "those of the events' line of the index" if is_added else "none, as no events are added"
             return "index_bytes", placement.index_bytes, expected
@@ -248,7 +252,7 @@ class Chain:
 
     def _starts(self, index: int) -> bool:
         """Return whether a segment begins with this event."""
-        at = bisect_left(self.placed, index, key=lambda one: one.first)
+        at = bisect_left(self.placed, index, key=lambda placement: placement.first)
         return at < len(self.placed) and self.placed[at].first == index
 
     def root_at(self, size: int) -> bytes | None:
@@ -257,7 +261,7 @@ class Chain:
             return EMPTY_ROOT
         if size == self.size:
             return bytes.fromhex(self.commits[-1].tree_root)
-        at = bisect_left(self.commits, size, key=lambda one: one.tree_size)
+        at = bisect_left(self.commits, size, key=lambda commit: commit.tree_size)
         if at == len(self.commits) or self.commits[at].tree_size != size:
             return None
         return bytes.fromhex(self.commits[at].tree_root)

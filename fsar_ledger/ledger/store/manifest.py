@@ -37,9 +37,9 @@ def read_manifest(path: Path) -> bytes:
         return disk.read_document(path / MANIFEST)
     except (FileNotFoundError, NotADirectoryError) as error:
         require_created(path)
-        found = "no such path" if not path.exists() else "no ledger.json in it" if path.is_dir() else "a file"
+        instead = "no such path" if not path.exists() else "no ledger.json in it" if path.is_dir() else "a file"
         raise NotALedger(
-            f"{path}: found {found}, expected the directory of a ledger; give the path that `fsar-ledger simulate` "
+            f"{path}: found {instead}, expected the directory of a ledger; give the path that `fsar-ledger simulate` "
             "wrote to"
         ) from error
     except OSError as error:
@@ -106,17 +106,17 @@ def parse_manifest(path: Path, data: bytes) -> Manifest:
 def parse_document(path: Path | str, data: bytes, kind: type[_Document]) -> _Document:
     """Parse these bytes as the struct. Raises: LedgerCorrupted unless they are its canonical JSON."""
     try:
-        found = msgspec.json.decode(data, type=kind)
+        document = msgspec.json.decode(data, type=kind)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise LedgerCorrupted(f"{path}: found other JSON than expected ({error}); restore the file") from error
-    expected = canonical.document(found)
+    expected = canonical.document(document)
     if data != expected:
         at = next(
-            (at for at, (one, other) in enumerate(zip(data, expected, strict=False)) if one != other),
+            (at for at, (byte, other) in enumerate(zip(data, expected, strict=False)) if byte != other),
             min(len(data), len(expected)),
         )
         raise LedgerCorrupted(
             f"{path}: byte {at}: found {data[at : at + 20]!r}, expected {expected[at : at + 20]!r} (canonical JSON); "
             "restore the file"
         )
-    return found
+    return document

@@ -88,8 +88,8 @@ def require_outside(out: Path, what: str) -> None:
         UsageError: The file, or what it links to, would be inside a ledger.
     """
     named, led_to = Path(os.path.realpath(out.parent)) / out.name, Path(os.path.realpath(out))
-    for place in (named, led_to):
-        for folder in (place, *place.parents):
+    for path in (named, led_to):
+        for folder in (path, *path.parents):
             if sum(os.path.lexists(folder / part) for part in _PARTS) > 1:
                 raise UsageError(
                     f"{what}: found a place inside the ledger {folder}, which holds nothing but its own files; choose "

@@ -21,15 +21,15 @@ def place_of(view: View, run: str, seq: int) -> int:
         LedgerCorrupted: A segment cannot be read, or does not hold the event.
     """
     parts = view.parts(run)
-    part = next((one for one in parts if one.block.first <= seq < one.block.end), None)
-    events = sum(one.block.rows for one in parts)
+    part = next((part for part in parts if part.block.first <= seq < part.block.end), None)
+    events = sum(part.block.rows for part in parts)
     if part is None and seq >= events:
         raise KeyError(events)
     for number in view.segments_of(parts if part is None else [part]):
         table = segment.read_table(view.segment(number), ["run_id", "seq"])
-        place = pc.index(pc.and_(pc.equal(table["run_id"], run), pc.equal(table["seq"], seq)), True).as_py()
-        if place >= 0:
-            return view.first(number) + int(place)
+        row = pc.index(pc.and_(pc.equal(table["run_id"], run), pc.equal(table["seq"], seq)), True).as_py()
+        if row >= 0:
+            return view.first(number) + int(row)
     raise LedgerCorrupted(
         f"{view.path}: found no event {seq} of run {run} where the index says that it is; run fsar-ledger verify"
     )

@@ -102,9 +102,9 @@ def require_own(view: View, key: VerifierKey) -> None:
     Raises: UsageError if it did not.
     """
     note = view.note()
-    if note is not None and (found := doubt(note, key)) is not None:
+    if note is not None and (doubted := doubt(note, key)) is not None:
         raise UsageError(
-            f"{view.path}: found a newest checkpoint with {found}, expected one of {key.key}; its next signature "
+            f"{view.path}: found a newest checkpoint with {doubted}, expected one of {key.key}; its next signature "
             f"would vouch for all that is there: verify the ledger, and say {option('adopt')} to sign on from here"
         )
 
@@ -159,9 +159,9 @@ def _roll_forward(view: View) -> None:
         if known is not None and stat.S_ISREG(known.st_mode) and known.st_size == placement.segment_bytes:
             continue
         target = view.path / name
-        found = view.located(placement)
-        if found != target:
-            disk.move(found, target)
+        file = view.located(placement)
+        if file != target:
+            disk.move(file, target)
 
 
 def _clean(view: View, *, is_alone: bool) -> None:
@@ -199,10 +199,10 @@ def _derive_index(view: View, good: int, have: int) -> None:
     chain, at = view.chain, 0
     for number, placement in enumerate(chain.placed):
         added = chain.placed_in(number)
-        size = sum(one.index_bytes for one in added)
+        size = sum(placement.index_bytes for placement in added)
         if placement.end > good or at + size > have:
             lines = view.index_lines(number)
-            if [sha256_hex(line) for line in lines] != [one.index_sha256 for one in added]:
+            if [sha256_hex(line) for line in lines] != [placement.index_sha256 for placement in added]:
                 raise LedgerCorrupted(
                     f"{view.segment(number)}: found rows with other lines of the index than those placed; run "
                     "fsar-ledger verify"

@@ -34,13 +34,13 @@ class Problem(msgspec.Struct, frozen=True):
 
     def __str__(self) -> str:
         run = None if self.run is None else printable.value(self.run, MAX_TEXT)
-        place = [
+        where = [
             f"{name} {value}"
             for name, value in (("commit", self.commit), ("run", run), ("seq", self.seq), ("field", self.field))
             if value is not None
         ]
         return (
-            f"{': '.join([self.where, ', '.join(place)] if place else [self.where])}: found {self.found}, expected "
+            f"{': '.join([self.where, ', '.join(where)] if where else [self.where])}: found {self.found}, expected "
             f"{self.expected}"
         )
 
@@ -52,7 +52,8 @@ class LaterRelease(Problem, frozen=True):
 def _printable(text: str) -> str:
     cut = text if len(text) <= MAX_TEXT else text[:MAX_TEXT] + "..."
     return "".join(
-        one if one.isprintable() else one.encode("unicode_escape", "surrogatepass").decode("ascii") for one in cut
+        character if character.isprintable() else character.encode("unicode_escape", "surrogatepass").decode("ascii")
+        for character in cut
     )
 
 

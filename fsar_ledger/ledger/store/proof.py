@@ -96,11 +96,11 @@ def prove_inclusion(ledger: Path, node: Node, tree: Checkpoint, index: int) -> t
     """
     hashes = inclusion_proof(node, index, tree.size)
     leaf = node(0, index)
-    found = root_of_inclusion(leaf, index, tree.size, hashes)
-    if found != tree.root:
+    root = root_of_inclusion(leaf, index, tree.size, hashes)
+    if root != tree.root:
         raise LedgerCorrupted(
             f"{ledger}: the stored hashes lead from event {index} to the root "
-            f"{found.hex() if found else 'of no tree'}, expected {tree.root.hex()} of {tree.size} "
+            f"{root.hex() if root else 'of no tree'}, expected {tree.root.hex()} of {tree.size} "
             "events; run fsar-ledger verify, and fsar-ledger maintain recover if only these are damaged"
         )
     return leaf, hashes
@@ -147,7 +147,7 @@ def parse_proof(where: str, text: str) -> Proof:
             f"{where}: found no C2SP tlog-proof (an event or a hash that is no base64, or an index that is no number), "
             "expected what `fsar-ledger prove` wrote; get it again"
         ) from error
-    if str(proof) != text or proof.index < 0 or any(len(one) != HASH_BYTES for one in proof.hashes):
+    if str(proof) != text or proof.index < 0 or any(len(entry) != HASH_BYTES for entry in proof.hashes):
         raise LedgerCorrupted(
             f"{where}: found {head!r:.80}, expected a C2SP tlog-proof (title, extra, index, hashes of 32 bytes, an "
             "empty line, checkpoint); get it again"
@@ -164,11 +164,11 @@ def check_proof(where: str, proof: Proof, trusted: VerifierKey | None = None) ->
         LedgerCorrupted: The hashes do not lead to the root, the event is not canonical, or the key did not sign.
     """
     tree = proof.note.checkpoint
-    found = root_of_inclusion(leaf_hash(proof.event), proof.index, tree.size, proof.hashes)
-    if found != tree.root:
+    root = root_of_inclusion(leaf_hash(proof.event), proof.index, tree.size, proof.hashes)
+    if root != tree.root:
         led = (
-            f"a way to root {found.hex()}"
-            if found
+            f"a way to root {root.hex()}"
+            if root
             else f"{len(proof.hashes)} hashes for event {proof.index} of {tree.size}, which lead nowhere"
         )
         raise LedgerCorrupted(

@@ -122,18 +122,18 @@ class View(msgspec.Struct, frozen=True, dict=True):
         names = Names(segment_of(placement), CHAIN)
         number = placement.number
         for _ in range(_TRIES):
-            found = find_segment(self.path, number, placement, names)
-            if found.status is None and (elsewhere := self._compacted(placement)) is not None:
+            segment = find_segment(self.path, number, placement, names)
+            if segment.status is None and (elsewhere := self._compacted(placement)) is not None:
                 return elsewhere
-            if found.problem is not None:
-                raise LedgerCorrupted(f"{self.path}/{found.problem}; restore the file")
+            if segment.problem is not None:
+                raise LedgerCorrupted(f"{self.path}/{segment.problem}; restore the file")
             try:
-                data, problem = read_segment(self.path, found.file, number, placement, names)
+                data, problem = read_segment(self.path, segment.file, number, placement, names)
             except FileNotFoundError:  # a writer moved it into place meanwhile
                 continue
             if problem is not None:
                 raise LedgerCorrupted(f"{self.path}/{problem}; restore the file")
-            return self.path / found.file, data, check_layout(self.path / found.file, data)
+            return self.path / segment.file, data, check_layout(self.path / segment.file, data)
         raise LedgerCorrupted(f"{self.path}/{names.place}: found no file to read, expected the segment; restore it")
 
     def _compacted(self, placement: Placement) -> tuple[Path, bytes, Layout] | None:
@@ -141,7 +141,7 @@ class View(msgspec.Struct, frozen=True, dict=True):
         now = open_chain(self.path, canonical.document(self.manifest), is_damage_told=False)
         if placement in now.chain.placed or placement not in now.chain.placements:
             return None
-        number = bisect_right(now.chain.placed, placement.first, key=lambda one: one.first) - 1
+        number = bisect_right(now.chain.placed, placement.first, key=lambda placed: placed.first) - 1
         path = materialized(now.table(number).slice(placement.first - now.first(number), placement.rows))
         data = path.read_bytes()
         return path, data, check_layout(path, data)
@@ -151,10 +151,10 @@ class View(msgspec.Struct, frozen=True, dict=True):
 
         Raises: LedgerCorrupted if it is in neither place, is not a regular file, or has another size.
         """
-        found = find_segment(self.path, placement.number, placement, Names(segment_of(placement), CHAIN))
-        if found.problem is not None:
-            raise LedgerCorrupted(f"{self.path}/{found.problem}; restore the file")
-        return self.path / found.file
+        segment = find_segment(self.path, placement.number, placement, Names(segment_of(placement), CHAIN))
+        if segment.problem is not None:
+            raise LedgerCorrupted(f"{self.path}/{segment.problem}; restore the file")
+        return self.path / segment.file
 
     def leaves(self, number: int) -> bytes:
         """Return the packed leaf hashes of the rows of this segment. Raises: As `segment`."""
@@ -171,8 +171,8 @@ class View(msgspec.Struct, frozen=True, dict=True):
             chain_path, path, sealing = self._growing
             if (chain.size() if chain else growing.size_of(chain_path)) != self.followed.end:
                 return False
-            if journal >= 0 and (found := os.pread(journal, 2, self.journal.end)):
-                return not found.strip(b"\0")  # the second byte is that of a hidden frame
+            if journal >= 0 and (following := os.pread(journal, 2, self.journal.end)):
+                return not following.strip(b"\0")  # the second byte is that of a hidden frame
             has_same = os.access(sealing, os.F_OK) == self.journal.has_sealing
             return has_same and not growing.read_at(path, self.journal.end, 2).strip(b"\0")
         except OSError:
@@ -230,18 +230,18 @@ class View(msgspec.Struct, frozen=True, dict=True):
 
     def rows(self, first: int, end: int) -> list[bytes]:
         """Return the canonical bytes of these events. Raises: As `segment`."""
-        found: list[bytes] = []
+        rows: list[bytes] = []
         placed = self.chain.placed
         while first < end:
             if first >= self.chain.placed_size:
                 at = first - self.chain.placed_size
                 lines = lines_of(self.journal.frames).split(b"\n")
-                return [*found, *lines[at : at + end - first]]
-            number = bisect_right(placed, first, key=lambda one: one.first) - 1
+                return [*rows, *lines[at : at + end - first]]
+            number = bisect_right(placed, first, key=lambda placement: placement.first) - 1
             start, stop = first - placed[number].first, min(end, placed[number].end) - placed[number].first
-            found += canonical.from_table(self._coded(number).slice(start, stop - start).cast(SCHEMA).combine_chunks())
+            rows += canonical.from_table(self._coded(number).slice(start, stop - start).cast(SCHEMA).combine_chunks())
             first = placed[number].first + stop
-        return found
+        return rows
 
     def _coded(self, number: int) -> pa.Table:
         """Return the rows of this segment; the last ones asked for are kept. Raises: As `segment`."""
@@ -312,7 +312,7 @@ class View(msgspec.Struct, frozen=True, dict=True):
         start = self.chain.placed[number].first
         table = self._read(number, BLOCK_COLUMNS).combine_chunks()
         added = self.chain.placed_in(number)
-        return [line_of(one.first, table.slice(one.first - start, one.rows)) for one in added]
+        return [line_of(placement.first, table.slice(placement.first - start, placement.rows)) for placement in added]
 
     @cached_property
     def run_names(self) -> RunNames:
@@ -333,13 +333,13 @@ class View(msgspec.Struct, frozen=True, dict=True):
 
     def parts(self, run: str) -> list[Part]:
         """Return where the run of this name is. Raises: As `require_index`."""
-        found = [Part(*self.chain.span_of_line(number), block) for number, block in self.index.of_run(run)]
-        self.require_index(*self.segments_of(found))
-        return found
+        parts = [Part(*self.chain.span_of_line(number), block) for number, block in self.index.of_run(run)]
+        self.require_index(*self.segments_of(parts))
+        return parts
 
     def segments_of(self, parts: Sequence[Part]) -> list[int]:
         """Return the numbers of the segments that hold these parts of a run, in order."""
-        return sorted({number for one in parts for number in self.segments_between(one.first, one.end)})
+        return sorted({number for part in parts for number in self.segments_between(part.first, part.end)})
 
     def segments_between(self, first: int, end: int) -> list[int]:
         """Return the numbers of the segments that hold events from this index up to that, in order."""
@@ -390,7 +390,7 @@ def open_chain(path: Path, manifest_bytes: bytes, *, is_damage_told: bool = True
         if os.path.islink(path / folder):
             raise LedgerCorrupted(f"{path / folder}: found a link, expected a folder of the ledger; restore it")
     manifest, sha256 = parse_manifest(path / MANIFEST, manifest_bytes), sha256_hex(manifest_bytes)
-    found = take_snapshot(path, sha256, trusts_frontiers=is_damage_told, has_turn=has_turn)
+    snapshot = take_snapshot(path, sha256, trusts_frontiers=is_damage_told, has_turn=has_turn)
     if is_damage_told:
-        found.require_whole(path)
-    return View(path, manifest, sha256, *found)
+        snapshot.require_whole(path)
+    return View(path, manifest, sha256, *snapshot)

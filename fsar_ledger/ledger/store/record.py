@@ -162,7 +162,7 @@ def _parsed(data: bytes) -> list[Record]:
         raise ValueError("JSON that is not canonical")
     hashes = _hashes_at_once(records)
     if set(map(len, hashes)) - {2 * HASH_BYTES} or not _is_hex("".join(hashes)):
-        value = next(one for one in hashes if len(one) != 2 * HASH_BYTES or one.strip("0123456789abcdef"))
+        value = next(digest for digest in hashes if len(digest) != 2 * HASH_BYTES or digest.strip("0123456789abcdef"))
         raise ValueError(f"{value!r:.80}, which is no SHA-256 in lower-case hex")
     return records
 
@@ -187,16 +187,20 @@ def _hashes_at_once(records: Sequence[Record]) -> list[str]:
     """Return what must be hashes in these records, in any order. Raises: ValueError, as `_hashes` for each."""
     commits = [record for record in records if type(record) is Commit]
     others = [record for record in records if type(record) is Placement]
-    of_lines = [one.index_sha256 if one.index_bytes else "" for one in others]
-    sizes = [(one.first + one.rows).bit_count() for one in others]
-    if any(one.signature for one in commits) or "" in of_lines or sizes != [len(one.frontier) for one in others]:
+    of_lines = [placement.index_sha256 if placement.index_bytes else "" for placement in others]
+    sizes = [(placement.first + placement.rows).bit_count() for placement in others]
+    if (
+        any(record.signature for record in commits)
+        or "" in of_lines
+        or sizes != [len(record.frontier) for record in others]
+    ):
         return list(chain.from_iterable(map(_hashes, records)))
     return [
         *[record.previous_sha256 for record in records],
         *[commit.tree_root for commit in commits],
-        *[one.schema_sha256 for one in others],
-        *[one.segment_sha256 for one in others],
-        *chain.from_iterable([one.frontier for one in others]),
+        *[placement.schema_sha256 for placement in others],
+        *[placement.segment_sha256 for placement in others],
+        *chain.from_iterable([placement.frontier for placement in others]),
         *of_lines,
     ]
 

@@ -61,11 +61,11 @@ class Sealing:
 
     def taken(self, path: Path, frames: Sequence[Frame], before: Frontier) -> Sealed:
         """Return the segment of these frames, which is made now if that was not begun. Raises: As `sealed`."""
-        found, last = self._found, self._last
+        ready, last = self._found, self._last
         self._found = self._last = None
-        if found is None or last is None or last.commit != frames[-1].commit or last.line != frames[-1].line:
+        if ready is None or last is None or last.commit != frames[-1].commit or last.line != frames[-1].line:
             return sealed(path, frames, before)
-        return found.result()
+        return ready.result()
 
     def close(self) -> None:
         """End the thread, after what it is at."""

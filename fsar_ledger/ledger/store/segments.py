@@ -68,8 +68,8 @@ class FoundSegment(NamedTuple):
 
 def find_segment(ledger: Path, number: int, record: Stored, names: Names) -> FoundSegment:
     """Find the segment with these names, without reading it. Never raises."""
-    place, staged = names.place, staged_file(record.segment_sha256)
-    for file in (place, staged, place):  # a writer may move it meanwhile
+    in_place, staged = names.place, staged_file(record.segment_sha256)
+    for file in (in_place, staged, in_place):  # a writer may move it meanwhile
         try:
             status = os.lstat(f"{ledger}/{file}")
             if file == staged and (not stat.S_ISREG(status.st_mode) or os.path.islink(ledger / STAGING)):
@@ -79,7 +79,7 @@ def find_segment(ledger: Path, number: int, record: Stored, names: Names) -> Fou
         except OSError as error:
             return FoundSegment(file, None, _no_segment(file, number, record, f"an unreadable file ({error.strerror})"))
         return FoundSegment(file, status, _unfit(file, number, record, status, names.said_by))
-    return FoundSegment(place, None, _no_segment(place, number, record, "no segment"))
+    return FoundSegment(in_place, None, _no_segment(in_place, number, record, "no segment"))
 
 
 def _no_segment(file: str, number: int, record: Stored, found: str) -> Problem:
@@ -139,12 +139,12 @@ def check_manifest(ledger: Path) -> tuple[str | None, bytes | None, Problem | No
     try:
         data = disk.read_document(ledger / MANIFEST)
     except OSError as error:
-        found = f"an unreadable file ({error.strerror})" if os.path.lexists(ledger / MANIFEST) else MISSING
-        return None, None, Problem(MANIFEST, found, "the description of the ledger")
+        reason = f"an unreadable file ({error.strerror})" if os.path.lexists(ledger / MANIFEST) else MISSING
+        return None, None, Problem(MANIFEST, reason, "the description of the ledger")
     try:
         return parse_manifest(Path(MANIFEST), data).origin, data, None
     except FsarLedgerError as error:
-        found = f"no description of a ledger {refusal(MANIFEST, error)}"
-        return None, data, Problem(MANIFEST, found, "one as it is written")
+        reason = f"no description of a ledger {refusal(MANIFEST, error)}"
+        return None, data, Problem(MANIFEST, reason, "one as it is written")
     except Exception as error:
         return None, data, unexpected(MANIFEST, None, error)

@@ -63,21 +63,21 @@ def _settled(reader: "_Reader") -> Snapshot:
     first: tuple[int, int] | None = None
     until = monotonic() + _PATIENCE_S
     while True:
-        found = reader.look()
+        snapshot = reader.look()
         if not reader.is_steady:
             if monotonic() > until:
                 with turns.turn(reader.path / SEGMENTS, is_shared=True):
                     return reader.look(counts_hidden=reader.is_synced())
             continue
-        seen = found.followed.end, len(found.chain.commits)
+        seen = snapshot.followed.end, len(snapshot.chain.commits)
         # What was hidden at first may have been seen already, if a crash left it; what was hidden later may not.
-        if found.problem is None and (not reader.has_hidden or first not in (None, seen)):
-            return found
+        if snapshot.problem is None and (not reader.has_hidden or first not in (None, seen)):
+            return snapshot
         with turns.free_turn(reader.path / SEGMENTS) as is_free:
             if is_free:
                 return reader.look(counts_hidden=reader.is_synced())
         if monotonic() > until:
-            return found
+            return snapshot
         first = first or seen
         sleep(_PAUSE_S)
 

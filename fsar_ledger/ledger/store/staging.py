@@ -77,10 +77,10 @@ def stage_rows(ledger: Path, runs: Sequence[LedgerRun], table: pa.Table, leaves:
     sizes = [(table.num_rows, MAX_ROWS, "events"), (data.size, MAX_SEGMENT_BYTES, "bytes")]
     if has_more_text_than(table, MAX_TEXT_BYTES):
         sizes.append((text_bytes(table), MAX_TEXT_BYTES, "bytes of text"))
-    for found, most, what in sizes:
-        if found > most:
+    for size, most, what in sizes:
+        if size > most:
             raise CommitTooLarge(
-                f"found {found} {what} in {len(runs)} runs, expected at most {most} in one commit; commit fewer runs "
+                f"found {size} {what} in {len(runs)} runs, expected at most {most} in one commit; commit fewer runs "
                 "at once"
             )
     if flaw := overlong(runs):

@@ -41,12 +41,12 @@ def table_of(path: Path, lines: bytes) -> pa.Table:
         return plain
     rows = lines.split(b"\n")[:-1]
     try:
-        found = pyarrow.json.read_json(
+        table = pyarrow.json.read_json(
             BytesIO(lines),
             pyarrow.json.ReadOptions(use_threads=False, block_size=max(_BLOCK_BYTES, *map(len, rows)) + 1),
             _PARSE,
         ).cast(SCHEMA)
-        again = canonical.from_table(found.combine_chunks())
+        again = canonical.from_table(table.combine_chunks())
     except (pa.ArrowException, ValueError) as error:
         raise LedgerCorrupted(
             f"{path}: found rows that are no events ({error!s:.200}); run fsar-ledger verify, and restore the file"
@@ -57,7 +57,7 @@ def table_of(path: Path, lines: bytes) -> pa.Table:
                 f"{path}: row {number}: found {row!r:.200}, expected canonical JSON of the columns of events; restore "
                 "the file"
             )
-    return found.combine_chunks()
+    return table.combine_chunks()
 
 
 class UnstagedSegment(NamedTuple):

@@ -37,13 +37,13 @@ def has_later_commit(text: bytes, start: int, expected: int) -> bool:
 
 def _lines_with(kind: bytes, text: bytes, start: int) -> Iterator[tuple[int, int]]:
     """Yield where each whole line begins and ends that has these bytes and may be a record."""
-    found = text.find(kind, start)
-    while found >= 0 and (end := text.find(b"\n", found)) >= 0:
-        first = text.rfind(b"\n", start, found) + 1 or start
+    at = text.find(kind, start)
+    while at >= 0 and (end := text.find(b"\n", at)) >= 0:
+        first = text.rfind(b"\n", start, at) + 1 or start
         if end - first > LEAST_LINE_BYTES:
             yield first, end
         start = end + 1
-        found = text.find(kind, start)
+        at = text.find(kind, start)
 
 
 def _record(text: bytes, first: int, end: int) -> Record | None:

@@ -93,12 +93,12 @@ class Verification:
         view = open_chain(self.path, document, is_damage_told=False)
         chain = view.chain
         self.problems += [problem for problem in (view.followed.problem, view.journal.problem) if problem is not None]
-        segments = [(one.number, one, Names(segment_of(one), CHAIN)) for one in chain.placed]
+        segments = [(placement.number, placement, Names(segment_of(placement), CHAIN)) for placement in chain.placed]
         facts = examine_all(self.path, segments, workers, self.asked.second_reader, is_quick=self.asked.is_quick)
         self.index = list(chain.index_lines(self._index_bytes(chain)))
         is_behind = self._is_behind(view) or bool(view.journal.sealed)
-        for number, found in enumerate(facts):
-            self._add(view, number, found, is_behind=is_behind)
+        for number, segment_facts in enumerate(facts):
+            self._add(view, number, segment_facts, is_behind=is_behind)
             if progress is not None:
                 progress(number + 1, len(chain.placed))
         if self.asked.is_quick:
@@ -152,13 +152,13 @@ class Verification:
     def _grow(self, facts: SegmentFacts, leaves: bytes, placement: Placement, commits: Sequence[Commit]) -> bytes:
         """Add the leaves of a segment to the tree, compare the roots, and return what they add to the pack."""
         assert self.tree is not None
-        said = {commit.tree_size: commit for commit in commits}
-        asked = {size for size in self.asked.sizes() if placement.first < size < placement.end}
-        sizes = sorted(asked.union(said) - {placement.end})
+        by_size = {commit.tree_size: commit for commit in commits}
+        sizes_asked = {size for size in self.asked.sizes() if placement.first < size < placement.end}
+        sizes = sorted(sizes_asked.union(by_size) - {placement.end})
         for size, root in zip(sizes, self.tree.roots(leaves, sizes), strict=True):
-            self._compare_root(size, root, said.get(size), facts.file)
+            self._compare_root(size, root, by_size.get(size), facts.file)
         self.tree, nodes = pack.grow(self.tree, leaves)
-        self._compare_root(placement.end, self.tree.root(), said.get(placement.end), facts.file)
+        self._compare_root(placement.end, self.tree.root(), by_size.get(placement.end), facts.file)
         return nodes
 
     def _compare_root(self, size: int, root: bytes, commit: Commit | None, file: str) -> None:
@@ -172,7 +172,7 @@ class Verification:
     def _follow(self, file: str, blocks: Sequence[Block], commits: Sequence[Commit], first: int) -> None:
         """Compare the blocks with those before, and with the runs that each commit says it continues."""
         at, index = first, 0
-        found: dict[int, list[tuple[str, int]]] = {}
+        continued: dict[int, list[tuple[str, int]]] = {}
         seen: set[tuple[int, str]] = set()
         for block in blocks:
             if (flaw := self.runs.flaw(block)) is not None:
@@ -193,13 +193,13 @@ class Verification:
                     return
                 seen.add((commit.number, block.run))
                 if seq:
-                    found.setdefault(commit.number, []).append((block.run, seq))
+                    continued.setdefault(commit.number, []).append((block.run, seq))
                 step = min(end, commit.tree_size) - at
                 at, seq = at + step, seq + step
                 index += at == commit.tree_size
         said_by = file if file in (JOURNAL, SEALING) else CHAIN
         for commit in commits:
-            continues = tuple(sorted(found.get(commit.number, ())))
+            continues = tuple(sorted(continued.get(commit.number, ())))
             if continues != commit.continues:
                 self.problems.append(
                     Problem(said_by, f"{commit.continues!r}", f"{continues!r}", commit.number, field="continues")
@@ -225,8 +225,8 @@ class Verification:
         try:
             table = table_of(Path(file), frame.rows)
         except LedgerCorrupted as error:
-            said = refusal(file, error)[1:-1].removeprefix("found ")
-            self.problems.append(Problem(file, said, "rows as they are written", commit=commit.number))
+            reason = refusal(file, error)[1:-1].removeprefix("found ")
+            self.problems.append(Problem(file, reason, "rows as they are written", commit=commit.number))
             return
         flaw = first_flaw(table, is_whole=False)
         if flaw is not None:
@@ -253,17 +253,17 @@ class Verification:
         """Compare these hashes with those in the pack after the events before `first`."""
         start = pack.count(first) * HASH_BYTES
         try:
-            found = growing.read_at(self.path / NODES, start, len(nodes))
+            actual = growing.read_at(self.path / NODES, start, len(nodes))
         except OSError as error:
             self.derived.append(Problem(NODES, f"an unreadable file ({error.strerror})", "the pack of the tree"))
             return
-        if found == nodes or not is_needed or any(problem.where == NODES for problem in self.derived):
+        if actual == nodes or not is_needed or any(problem.where == NODES for problem in self.derived):
             return
-        place = next(
-            at for at in range(0, len(nodes), HASH_BYTES) if found[at : at + HASH_BYTES] != nodes[at : at + HASH_BYTES]
+        at_byte = next(
+            at for at in range(0, len(nodes), HASH_BYTES) if actual[at : at + HASH_BYTES] != nodes[at : at + HASH_BYTES]
         )
-        there, expected = (data[place : place + HASH_BYTES].hex() or "nothing" for data in (found, nodes))
-        self.derived.append(Problem(NODES, there, expected, field=f"hash {(start + place) // HASH_BYTES}"))
+        there, expected = (data[at_byte : at_byte + HASH_BYTES].hex() or "nothing" for data in (actual, nodes))
+        self.derived.append(Problem(NODES, there, expected, field=f"hash {(start + at_byte) // HASH_BYTES}"))
 
     def _compare_index(self, view: View, number: int, blocks: Sequence[Block], *, is_needed: bool) -> None:
         """Compare the lines of the index for the events of this segment with their placements, and with the file."""
@@ -276,8 +276,8 @@ class Verification:
                 self.problems.append(problem)
                 return
             if not self.index[at] and is_needed and not any(problem.where == INDEX for problem in self.derived):
-                found, expected = "another line, or none", f"{line!r:.200}"
-                self.derived.append(Problem(INDEX, found, expected, field=f"line {at + 1}"))
+                actual, expected = "another line, or none", f"{line!r:.200}"
+                self.derived.append(Problem(INDEX, actual, expected, field=f"line {at + 1}"))
 
     def _check_derived(self, view: View, *, is_behind: bool) -> tuple[str, ...]:
         """Compare the size of the pack; return the remarks on what only a crash may have left."""
@@ -289,7 +289,7 @@ class Verification:
                 self.problems.append(Problem(name, f"{size} bytes", f"{expected}, for {view.chain.placed_size} events"))
                 return ()
         back = behind(view)
-        placed = {segment_of(one) for one in view.chain.placed}
+        placed = {segment_of(placement) for placement in view.chain.placed}
         left = any(f"{SEGMENTS}/{name}" not in placed for name in names_in(self.path / SEGMENTS))
         return (
             *((SEALED,) if view.journal.sealed else (BEHIND,) if is_behind else (OPEN,) if back else ()),
@@ -351,8 +351,8 @@ class Verification:
         return anchor.note.checkpoint.size if anchor.note is not None else None
 
     def _check_anchor(self, view: View, anchor: Anchor, trusted: VerifierKey | None) -> None:
-        origin, size, found = view.manifest.origin, view.head.size, self._look_then(view, anchor)
-        self.problems += check_anchor(anchor, origin, size, found.root, trusted, found.missing)
+        origin, size, by_hashes = view.manifest.origin, view.head.size, self._look_then(view, anchor)
+        self.problems += check_anchor(anchor, origin, size, by_hashes.root, trusted, by_hashes.missing)
 
     def _look_then(self, view: View, anchor: Anchor) -> ByHashes:
         """Return the root of the ledger when it had as many events as the anchor counts, if it is known."""
@@ -366,8 +366,8 @@ class Verification:
 
 def _within(commits: Sequence[Commit], first: int, end: int) -> list[Commit]:
     """Return the commits with events from `first` to `end`."""
-    start = bisect_right(commits, first, key=lambda one: one.tree_size)
-    stop = bisect_right(commits, end, key=lambda one: one.tree_size)
+    start = bisect_right(commits, first, key=lambda commit: commit.tree_size)
+    stop = bisect_right(commits, end, key=lambda commit: commit.tree_size)
     return list(commits[start:stop])
 
 

@@ -63,13 +63,13 @@ def check_signatures(
     problems = [
         Problem(
             place(number),
-            found,
+            doubted,
             f"one of {trusted.key}, the trusted key",
             commit=number,
             field="note",
         )
         for number, note in enumerate(notes)
-        if (found := doubt(note, trusted)) is not None and (note is notes[-1] or names(note, trusted))
+        if (doubted := doubt(note, trusted)) is not None and (note is notes[-1] or names(note, trusted))
     ]
     if problems:
         return problems, Signatures("signer not checked" if signers else "unsigned", signers)
@@ -146,11 +146,11 @@ def check_anchor(
         )
         return [Problem(NODES, f"one that cannot be read ({missing})", expected)]
     if root_then is None:
-        found = f"no way from its {then.size} events to the ledger's {size}"
+        gap = f"no way from its {then.size} events to the ledger's {size}"
         return [
             Problem(
                 anchor.file,
-                found,
+                gap,
                 "a ledger that begins with them: history was rewritten, or rows or hashes were damaged",
             )
         ]

@@ -90,21 +90,25 @@ def recover(
             f"{option('anchor', asked.anchor.file)}: found {asked.anchor.reason}, expected a checkpoint of this ledger"
         )
     with _alone(path):
-        found = find_trusted(path, workers, progress, asked)
-        if found.problems:
-            report = _copy(path, found, into, workers, progress, asked) if into is not None else None
+        trusted = find_trusted(path, workers, progress, asked)
+        if trusted.problems:
+            report = _copy(path, trusted, into, workers, progress, asked) if into is not None else None
             outcome: Outcome = "damaged" if into is None else "continued"
-            return Recovery(outcome, found.head, (), found.problems, tuple(found.later()), found.anchored, report)
-        if found.is_whole:
-            return Recovery("whole", found.head, anchored=found.anchored, report=found.report)
+            return Recovery(
+                outcome, trusted.head, (), trusted.problems, tuple(trusted.later()), trusted.anchored, report
+            )
+        if trusted.is_whole:
+            return Recovery("whole", trusted.head, anchored=trusted.anchored, report=trusted.report)
         mending = _Mending(path)
         with disk.refusals(path, "mending"):
-            mend(found, mending.set_aside, mending.did)
+            mend(trusted, mending.set_aside, mending.did)
             for folder in (path, path / SEGMENTS) if mending.steps else ():
                 disk.sync_folder(folder)
         report = verify(path, workers, progress, asked)
     outcome = "damaged" if not report.ok else "mended" if mending.steps else "whole"
-    return Recovery(outcome, found.head, tuple(mending.steps), report.problems, anchored=found.anchored, report=report)
+    return Recovery(
+        outcome, trusted.head, tuple(mending.steps), report.problems, anchored=trusted.anchored, report=report
+    )
 
 
 def _require_free(path: Path, into: Path | None) -> None:
@@ -177,22 +181,22 @@ def _new_folder(ledger: Path) -> Path:
 
 
 def _copy(
-    path: Path, found: Found, into: Path, workers: int, progress: Progress | None, asked: VerifyOptions
+    path: Path, trusted: Found, into: Path, workers: int, progress: Progress | None, asked: VerifyOptions
 ) -> VerifyReport:
     """Copy the trusted commits to a new ledger, byte for byte, and verify it; on failure nothing is there."""
-    if not found.head.commits:
+    if not trusted.head.commits:
         raise LedgerCorrupted(
-            f"{found.problems[0]}\n{path}: found no commit that can be trusted, expected one to copy to {into}; "
+            f"{trusted.problems[0]}\n{path}: found no commit that can be trusted, expected one to copy to {into}; "
             "begin a new ledger there"
         )
     work = disk.temporary_name(into)
     note = asked.anchor.note if asked.anchor is not None else None
-    if note is not None and note.checkpoint.size > found.head.size:
+    if note is not None and note.checkpoint.size > trusted.head.size:
         asked = msgspec.structs.replace(asked, anchor=None)
     try:
         with disk.refusals(into, "copying the trusted commits"):
             disk.make_folder(into.parent)
-            write_copy(found, work)
+            write_copy(trusted, work)
         report = verify(work, workers, progress, asked)
         if not report.ok:
             raise LedgerCorrupted(

@@ -97,14 +97,14 @@ def examine_some(
     second_reader: SecondReader | None,
 ) -> list[SegmentFacts]:
     """Return what each of these segments holds, each as by `one`, which is `examine`; digests are compared at once."""
-    found = [one(ledger, number, record, names, second_reader) for number, record, names in segments]
-    digests = {f"{ledger}/{facts.file}": facts.digest for facts in found if facts.digest is not None}
+    examined = [one(ledger, number, record, names, second_reader) for number, record, names in segments]
+    digests = {f"{ledger}/{facts.file}": facts.digest for facts in examined if facts.digest is not None}
     others = second_reader.by_digest(digests) if second_reader is not None and digests else {}
-    for at, (facts, (number, _, _)) in enumerate(zip(found, segments, strict=True)):
+    for at, (facts, (number, _, _)) in enumerate(zip(examined, segments, strict=True)):
         if (other := others.get(f"{ledger}/{facts.file}")) is not None:
             problem = Problem(facts.file, *other, commit=number, field="segment_sha256")
-            found[at] = msgspec.structs.replace(facts, problems=(*facts.problems, problem))
-    return found
+            examined[at] = msgspec.structs.replace(facts, problems=(*facts.problems, problem))
+    return examined
 
 
 def examine_file(ledger: str, number: int, record: Stored, names: Names) -> SegmentFacts:
@@ -185,15 +185,15 @@ def _checked(check: _Check, ledger: Path, number: int, record: Stored, names: Na
     Raises:
         FileNotFoundError: It was found, and then was no longer there.
     """
-    found = find_segment(ledger, number, record, names)
-    if found.problem is not None:
-        return SegmentFacts(found.file, (found.problem,))
+    segment = find_segment(ledger, number, record, names)
+    if segment.problem is not None:
+        return SegmentFacts(segment.file, (segment.problem,))
     try:
-        return check(ledger, found.file, number, record, names)
+        return check(ledger, segment.file, number, record, names)
     except FileNotFoundError:
         raise
     except (Exception, RecursionError) as error:
-        return SegmentFacts(found.file, (unexpected(found.file, number, error),))
+        return SegmentFacts(segment.file, (unexpected(segment.file, number, error),))
 
 
 def _examine_file(ledger: Path, file: str, number: int, record: Stored, names: Names) -> SegmentFacts:
@@ -265,12 +265,12 @@ def _misleading(data: bytes, layout: Layout, table: pa.Table, columns: Columns) 
                 f"sizes of strings and lists {sizes.hex()} in column {name}",
                 f"{own.hex()}, as its rows are",
             )
-    for said in (*layout.statistics, *layout.of_pages):
-        values = table.column(said.name).slice(*said.rows or (0,)).cast(SCHEMA.field(said.name).type)
+    for info in (*layout.statistics, *layout.of_pages):
+        values = table.column(info.name).slice(*info.rows or (0,)).cast(SCHEMA.field(info.name).type)
         least, most = (None if bound is None else _stored(bound) for bound in pc.min_max(values).as_py().values())
-        if (said.least, said.most) != (least, most):
+        if (info.least, info.most) != (least, most):
             return False, (
-                f"statistics {said.least!r} to {said.most!r} of column {said.name}",
+                f"statistics {info.least!r} to {info.most!r} of column {info.name}",
                 f"{least!r} to {most!r}, as its rows are",
             )
     return False, None

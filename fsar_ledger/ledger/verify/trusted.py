@@ -89,10 +89,12 @@ class Found(msgspec.Struct, frozen=True):
             try:
                 view.segment(number)
             except LedgerCorrupted:
-                yield from (Later(one, NO_SEGMENT, placement.segment_sha256, segment_of(placement)) for one in own)
+                yield from (
+                    Later(commit, NO_SEGMENT, placement.segment_sha256, segment_of(placement)) for commit in own
+                )
             else:
-                yield from (Later(one, FITS) for one in own)
-        yield from (Later(one, FITS) for one in self._after(chain.placed_size, view.head.size))
+                yield from (Later(commit, FITS) for commit in own)
+        yield from (Later(commit, FITS) for commit in self._after(chain.placed_size, view.head.size))
 
     def _after(self, first: int, end: int) -> range:
         """Return the commits after the trusted ones that end after this event and no later than that."""
@@ -119,7 +121,7 @@ def find_trusted(path: Path, workers: int, progress: Progress | None, asked: Ver
     look = Verification(path, msgspec.structs.replace(asked, is_quick=False))
     report = look.run(workers, progress, manifest)
     mendable = {NODES, INDEX, CHECKPOINT, MANIFEST, *_strays(view)}
-    problems = [one for one in look.problems if one.where not in mendable]
+    problems = [problem for problem in look.problems if problem.where not in mendable]
     problems += _removed(view) + _contradicted(view, asked.trusted)
     if not problems and not report.ok:
         problems += look.check_signatures(view)[0]  # which `verify` does only of a ledger without a problem
@@ -190,8 +192,8 @@ def _removed(view: View) -> list[Problem]:
     if note is not None and note.checkpoint.origin == view.manifest.origin and note.checkpoint.size > view.head.size:
         return [Problem(CHECKPOINT, f"a checkpoint of {note.checkpoint.size} events", expected)]
     for name, size in derived_sizes(view.chain).items():
-        if (found := growing.size_of(view.path / name)) > size:
-            return [Problem(name, f"{found} bytes", expected)]
+        if (actual_size := growing.size_of(view.path / name)) > size:
+            return [Problem(name, f"{actual_size} bytes", expected)]
     return []
 
 
@@ -229,9 +231,9 @@ def manifest_of(path: Path) -> bytes:
         pass
     note = _checkpoint_note(path)
     if note is not None:
-        made = canonical.document(Manifest(FORMAT, note.checkpoint.origin, VERSION))
-        if sha256_hex(made) == _first_hash(path):
-            return made
+        document = canonical.document(Manifest(FORMAT, note.checkpoint.origin, VERSION))
+        if sha256_hex(document) == _first_hash(path):
+            return document
     if data:
         return data
     raise LedgerCorrupted(
@@ -249,17 +251,17 @@ def _first_hash(path: Path) -> str:
         return ""
 
 
-def mend(found: Found, set_aside: SetAside, done: Done) -> None:
+def mend(trusted: Found, set_aside: SetAside, done: Done) -> None:
     """Make the ledger whole again: its derived files, and what an interrupted writer left. Raises: OSError."""
-    view, path = found.view, found.view.path
+    view, path = trusted.view, trusted.view.path
     for name in _strays(view):
         set_aside(name)
     manifest = canonical.document(view.manifest)
     _make_again(path, MANIFEST, manifest, set_aside, done)
     for placement in view.chain.placed:
-        place = path / segment_of(placement)
-        if (there := view.located(placement)) != place:
-            disk.move(there, place)
+        target = path / segment_of(placement)
+        if (there := view.located(placement)) != target:
+            disk.move(there, target)
             done("moved into place", str(there.relative_to(path)), segment_of(placement))
     _make_again(path, NODES, _nodes(view), set_aside, done)
     _make_again(path, INDEX, _index(view), set_aside, done)
@@ -288,43 +290,45 @@ def _make_again(path: Path, name: str, data: bytes, set_aside: SetAside, done: D
 
 
 def _nodes(view: View) -> bytes:
-    tree, found = Frontier(), []
+    tree, hashes = Frontier(), []
     for number in range(len(view.chain.placed)):
         tree, nodes = pack.grow(tree, view.leaves(number))
-        found.append(nodes)
-    return b"".join(found)
+        hashes.append(nodes)
+    return b"".join(hashes)
 
 
 def _index(view: View) -> bytes:
     return b"".join(line for number in range(len(view.chain.placed)) for line in view.index_lines(number))
 
 
-def write_copy(found: Found, work: Path) -> None:
+def write_copy(trusted: Found, work: Path) -> None:
     """Write a ledger of the trusted commits that segments hold to this new folder, durably.
 
     Raises: OSError, LedgerCorrupted.
     """
-    view = found.view
+    view = trusted.view
     for folder in (work, work / SEGMENTS, work / STAGING):
         folder.mkdir()
     manifest = canonical.document(view.manifest)
     disk.write_temporary(work / MANIFEST, manifest)
     chain = Chain(sha256_hex(manifest))
     lines: list[bytes] = []
-    for number, placement in enumerate(view.chain.placed[: found.placements]):
+    for number, placement in enumerate(view.chain.placed[: trusted.placements]):
         source = view.located(placement)
         with open(source, "rb") as there, open(work / segment_of(placement), "xb") as target:
             shutil.copyfileobj(there, target)
             target.flush()
             os.fsync(target.fileno())
-        held = [one for one in view.commits[: found.commits] if placement.first < one.tree_size <= placement.end]
+        held = [
+            commit for commit in view.commits[: trusted.commits] if placement.first < commit.tree_size <= placement.end
+        ]
         line = line_of(placement.first, segment.read_table(view.segment(number)))
-        lines += [_relinked(one, chain) for one in held]
+        lines += [_relinked(commit, chain) for commit in held]
         lines.append(_relinked(_adding(placement, line), chain))
     if lines:
         growing.append_durably(work / CHAIN, b"".join(line + b"\n" for line in lines), 0)
         disk.write_temporary(
-            work / CHECKPOINT, str(view.commits[found.commits - 1].note(view.manifest.origin)).encode()
+            work / CHECKPOINT, str(view.commits[trusted.commits - 1].note(view.manifest.origin)).encode()
         )
     with Writer(work, view.manifest.origin):
         pass  # derives the rest
@@ -338,7 +342,7 @@ def _adding(placement: Placement, line: bytes) -> Placement:
 def _relinked(record: Record, chain: Chain) -> bytes:
     """Add the record to another chain, and return its line there."""
     number = len(chain.placements if isinstance(record, Placement) else chain.commits)
-    made: Record = msgspec.structs.replace(record, number=number, previous_sha256=chain.sha256)
-    line = canonical.document(made)
-    chain.add(made, sha256_hex(line))
+    relinked: Record = msgspec.structs.replace(record, number=number, previous_sha256=chain.sha256)
+    line = canonical.document(relinked)
+    chain.add(relinked, sha256_hex(line))
     return line

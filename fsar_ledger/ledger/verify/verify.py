@@ -63,9 +63,9 @@ def require_ledger(path: Path) -> None:
 
 def _moment(path: Path) -> tuple[tuple[int, ...], str | Problem | None] | None:
     """Return what changes while a writer is at work; None where it cannot be read."""
-    found = [path / name for name in (CHAIN, JOURNAL, SEALING, NODES, INDEX)]
+    files = [path / name for name in (CHAIN, JOURNAL, SEALING, NODES, INDEX)]
     try:
-        return (*map(growing.size_of, found), *map(growing.inode_of, found)), read_checkpoint(path)
+        return (*map(growing.size_of, files), *map(growing.inode_of, files)), read_checkpoint(path)
     except OSError:
         return None
 
