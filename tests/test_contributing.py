@@ -164,9 +164,7 @@ def called(command: list[str], place: Path) -> None:
 
     Raises: AssertionError unless it ends with 0.
     """
-    environment = os.environ | {
-        "PYTHONPATH": os.pathsep.join([str(place.parent / "site"), str(place)]),
-    }
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(place.parent / "site"), str(place)])}
     modules = {
         "ruff": ["ruff"],
         "mypy": ["mypy"],

@@ -274,16 +274,10 @@ def test_a_row_of_the_model_without_code_or_with_a_wrong_name_is_found() -> None
     head = "## The model, line by line\n\n| paper | label | lives in | held by |\n|---|---|---|---|\n"
     assert unfounded(
         model_rows(head + "| trust | `eq:trust` | `fsar_ledger/events/task.py` | `tests/nothing.py` |\n")
-    ) == [
-        "tests/nothing.py does not exist",
-        "no file of the row names eq:trust",
-    ]
+    ) == ["tests/nothing.py does not exist", "no file of the row names eq:trust"]
     assert unfounded(
         model_rows(head + "| I1: coherence | `sec:model:invariants` | | `tests/test_house.py::test_no` |\n")
-    ) == [
-        "['I1', 'sec:model:invariants']: no code or no test",
-        "tests/test_house.py has no test_no",
-    ]
+    ) == ["['I1', 'sec:model:invariants']: no code or no test", "tests/test_house.py has no test_no"]
 
 
 @pytest.mark.parametrize(("name", "example"), list(examples()))

@@ -228,14 +228,7 @@ def test_nothing_names_a_registry_or_a_machine() -> None:
     ]
     files += [
         ROOT / name
-        for name in (
-            "Makefile",
-            "pyproject.toml",
-            *sorted(REQUIREMENTS),
-            "README.md",
-            "CHANGELOG.md",
-            ".ci/run",
-        )
+        for name in ("Makefile", "pyproject.toml", *sorted(REQUIREMENTS), "README.md", "CHANGELOG.md", ".ci/run")
     ]
     assert foreign_places(ROOT, files) == []
 

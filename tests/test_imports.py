@@ -93,11 +93,7 @@ def test_imports_go_one_way(tree: Path) -> None:
 
 
 BREAKS = (
-    (
-        "runtime/architectures/fixture.py",
-        "import random",
-        "fsar_ledger.runtime.architectures.fixture imports random",
-    ),
+    ("runtime/architectures/fixture.py", "import random", "fsar_ledger.runtime.architectures.fixture imports random"),
     (
         "runtime/architectures/fixture.py",
         "from os import urandom",

@@ -224,11 +224,7 @@ def test_whether_there_is_anything_is_less_than_what_there_is() -> None:
     assert world.local
     assert not world.off
     assert len(world.local) == 1
-    assert reads.values == {
-        (*LOCAL, Step("any")): True,
-        (*OFF, Step("any")): False,
-        (*LOCAL, Step("size")): 1,
-    }
+    assert reads.values == {(*LOCAL, Step("any")): True, (*OFF, Step("any")): False, (*LOCAL, Step("size")): 1}
 
 
 def test_a_member_of_a_set_is_asked_for_alone() -> None:

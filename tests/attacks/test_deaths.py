@@ -151,10 +151,7 @@ def test_a_verification_that_could_not_finish_calls_a_ledger_neither_good_nor_ba
     assert not any(word in err for word in ("consistent", "damaged", "do not rely"))
 
 
-BAD = {
-    "nested without end": '{"world":' + "[" * 100_000,
-    "a number of 6,000 digits": '{"world":' + "9" * 6000 + "}",
-}
+BAD = {"nested without end": '{"world":' + "[" * 100_000, "a number of 6,000 digits": '{"world":' + "9" * 6000 + "}"}
 
 
 @pytest.mark.parametrize("name", few(BAD, ["nested without end"]))

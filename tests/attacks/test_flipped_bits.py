@@ -66,13 +66,7 @@ def read_by_duckdb(segment: Path, column: str) -> list[tuple[object, ...]]:
         return connection.execute(f"SELECT {column} FROM read_parquet(?)", [str(segment)]).fetchall()
 
 
-@pytest.mark.parametrize(
-    ("verb", "column"),
-    [
-        (("metrics",), "time_us"),
-        (("explain",), "action_id"),
-    ],
-)
+@pytest.mark.parametrize(("verb", "column"), [(("metrics",), "time_us"), (("explain",), "action_id")])
 def test_no_answer_comes_from_a_segment_with_a_flipped_bit(
     command: Attack, ledger: Path, verb: tuple[str, ...], column: str
 ) -> None:

@@ -151,8 +151,7 @@ def test_an_interrupted_creation_is_no_damage_and_can_be_finished(call: Call, tm
 
 
 @pytest.mark.parametrize(
-    "name",
-    ["chain.jsonl", "segments/000000000000-000000000001.parquet", "nodes", "staging/x.parquet", "checkpoint"],
+    "name", ["chain.jsonl", "segments/000000000000-000000000001.parquet", "nodes", "staging/x.parquet", "checkpoint"]
 )
 def test_a_ledger_without_its_ledger_json_is_not_taken_for_one_that_was_only_begun(
     call: Call, tmp_path: Path, name: str

@@ -10,13 +10,7 @@ import pytest
 
 from fsar_ledger import memory
 from fsar_ledger.api.workload import WORTH_BYTES, readers_of, workers_of
-from fsar_ledger.cli.memory import (
-    BASE_BYTES,
-    PER_BYTE,
-    PER_WORKER_BYTES,
-    bounded,
-    default_bytes,
-)
+from fsar_ledger.cli.memory import BASE_BYTES, PER_BYTE, PER_WORKER_BYTES, bounded, default_bytes
 from fsar_ledger.errors import LimitReached, UsageError
 from fsar_ledger.ledger.store.problem import unexpected
 from fsar_ledger.metrics.database import from_rows
@@ -172,15 +166,7 @@ def test_a_command_over_a_ledger_of_its_size_stays_within_it(ledger: Path, tmp_p
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "verb",
-    [
-        "info",
-        "metrics",
-        "statistics",
-        "audit",
-        "study run multiverse",
-        "explain",
-        "compare --first fsar --second cfc",
-    ],
+    ["info", "metrics", "statistics", "audit", "study run multiverse", "explain", "compare --first fsar --second cfc"],
 )
 def test_a_command_over_three_hundred_runs_stays_within_its_default(many: Path, tmp_path: Path, verb: str) -> None:
     words = verb.split()

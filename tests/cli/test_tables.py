@@ -40,11 +40,7 @@ QUERIES = (
 RUNS = [f"fsar.full.{scenario}.n4.s42.r{number:04}-abc" for scenario in ("door", "relay") for number in (1, 2)]
 
 
-STORIES = (
-    ("explain", "--run", "3", "--request", "A1-1/2.1"),
-    ("log", "--run", "3"),
-    ("verify",),
-)
+STORIES = (("explain", "--run", "3", "--request", "A1-1/2.1"), ("log", "--run", "3"), ("verify",))
 """Verbs that tell a story, or say a sentence."""
 
 
@@ -112,10 +108,7 @@ TEXTS: dict[str, tuple[list[dict[str, object]], str]] = {
         "in every row: robot 'A1, seed 43'\n\nn\n-\n1\n2\n",
     ),
     "rows that are all alike keep a column": ([{"a": 1, "b": 2}] * 2, "in every row: b 2\n\na\n-\n1\n1\n"),
-    "numbers stand to the right": (
-        [{"a": "x", "n": 1}, {"a": "yy", "n": 100}],
-        "a     n\n--  ---\nx     1\nyy  100\n",
-    ),
+    "numbers stand to the right": ([{"a": "x", "n": 1}, {"a": "yy", "n": 100}], "a     n\n--  ---\nx     1\nyy  100\n"),
     "a single row that does not fit is a list": (
         [{"run_id": "r" * 80, "robot": "robot/A1", "note": None}],
         f"run_id  {'r' * 80}\nrobot   robot/A1\nnote    -\n",

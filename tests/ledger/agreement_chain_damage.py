@@ -14,15 +14,7 @@ from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.paths import CHAIN, INDEX, JOURNAL, NODES, SEALING
 from fsar_ledger.ledger.store.record import segment_of
 from tests.ledger.agreement import KEY, STRANGER, Case, Make, files_of, note_of, with_value
-from tests.ledger.agreement_chain import (
-    anchor_at,
-    records_of,
-    relink,
-    rewrite,
-    tables_of,
-    tree_at,
-    view_of,
-)
+from tests.ledger.agreement_chain import anchor_at, records_of, relink, rewrite, tables_of, tree_at, view_of
 from tests.ledger.samples import ORIGIN
 
 HASH = "ab" * 32

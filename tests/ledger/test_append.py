@@ -6,10 +6,7 @@ from pathlib import Path
 import pyarrow as pa
 import pytest
 
-from fsar_ledger.errors import (
-    LedgerCorrupted,
-    WriteFailed,
-)
+from fsar_ledger.errors import LedgerCorrupted, WriteFailed
 from fsar_ledger.ledger.log import merkle
 from fsar_ledger.ledger.log.note import Note, checkpoint_of
 from fsar_ledger.ledger.opening import open_ledger
@@ -221,8 +218,7 @@ def test_a_writer_derives_nothing_from_rows_that_do_not_lead_to_the_root_as_comm
     forge_segment(path, 2, changed(table_of(path, 2), "time_us", 3, 1))
     before = contents(path)
     with pytest.raises(
-        LedgerCorrupted,
-        match=r"000000000072\.parquet: found rows that lead to root .* run fsar-ledger verify",
+        LedgerCorrupted, match=r"000000000072\.parquet: found rows that lead to root .* run fsar-ledger verify"
     ):
         Writer(path, ORIGIN)
     assert contents(path) == before

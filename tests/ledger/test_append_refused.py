@@ -150,8 +150,7 @@ def test_a_row_that_cannot_be_read_is_named_with_its_file(path: Path) -> None:
     changed = table.set_column(4, table.schema.field(4), pa.array(["RobotFlew.v1"] * table.num_rows))
     forge_segment(path, 1, changed)
     with pytest.raises(
-        UnknownEventTag,
-        match=r"000000000048\.parquet: run run-0002, seq 0, field type: found 'RobotFlew\.v1'",
+        UnknownEventTag, match=r"000000000048\.parquet: run run-0002, seq 0, field type: found 'RobotFlew\.v1'"
     ):
         list(open_ledger(path).runs())
 

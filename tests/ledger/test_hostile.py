@@ -82,13 +82,7 @@ def within_limits(command: tuple[str, ...], path: Path) -> tuple[int, str]:
 # --- JSON and notes ---
 
 
-@pytest.mark.parametrize(
-    "name",
-    few(
-        ["ledger.json", "checkpoint"],
-        ["checkpoint"],
-    ),
-)
+@pytest.mark.parametrize("name", few(["ledger.json", "checkpoint"], ["checkpoint"]))
 def test_a_malformed_document_is_refused_by_every_command(
     path: Path, capsys: pytest.CaptureFixture[str], name: str
 ) -> None:
@@ -231,15 +225,7 @@ def in_place_of(file: Path) -> dict[str, Callable[[], object]]:
 
 
 @pytest.mark.parametrize(
-    "name",
-    [
-        "ledger.json",
-        "checkpoint",
-        CHAIN,
-        "segments/000000000130-000000000133.parquet",
-        NODES,
-        INDEX,
-    ],
+    "name", ["ledger.json", "checkpoint", CHAIN, "segments/000000000130-000000000133.parquet", NODES, INDEX]
 )
 def test_what_is_no_file_is_refused_by_every_command(
     path: Path, intact: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str

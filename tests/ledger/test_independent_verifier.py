@@ -13,14 +13,7 @@ import pytest
 
 from fsar_ledger.ledger.rows.releases import FINGERPRINTS
 from fsar_ledger.ledger.rows.schema import COLUMNS, STORED
-from tests.ledger.agreement import (
-    KEY,
-    ROOT,
-    Case,
-    event_types,
-    independent,
-    judged,
-)
+from tests.ledger.agreement import KEY, ROOT, Case, event_types, independent, judged
 from tests.ledger.samples import append_all, made_up_batches
 
 VERIFIER = ROOT / "tests" / "independent_verifier.py"

@@ -167,19 +167,14 @@ def test_a_robot_serves_one_at_a_time_in_order_of_arrival(moves: list[int]) -> N
             state = execution.evolve(
                 state,
                 ExecutionFinished(
-                    Subject(model[0], model[0]),
-                    Parties(requested_by=None, executed_by=None, supervised_by=None),
-                    A,
+                    Subject(model[0], model[0]), Parties(requested_by=None, executed_by=None, supervised_by=None), A
                 ),
             )
             model.pop(0)
         else:
             state = execution.evolve(state, ExecutionWithdrawn(Subject(model[-1], model[-1]), A))
             model.pop()
-        assert [
-            *([state.current[A]] if model else []),
-            *state.queues.get(A, ()),
-        ] == model
+        assert [*([state.current[A]] if model else []), *state.queues.get(A, ())] == model
 
 
 def test_events_are_immutable_to_the_leaves() -> None:

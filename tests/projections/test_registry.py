@@ -21,12 +21,7 @@ from fsar_ledger.projections.registry import Offers, Registry, advertisement, en
 
 A, B, C, D = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/C1"), Robot("robot/D1")
 
-DOMAINS = {
-    A: "",
-    B: "hall",
-    C: "hall/cell",
-    D: "yard/cell/rack",
-}
+DOMAINS = {A: "", B: "hall", C: "hall/cell", D: "yard/cell/rack"}
 
 
 def populated() -> Registry:
@@ -136,11 +131,7 @@ def test_a_change_touches_only_the_registries_on_its_path() -> None:
 
 
 def test_a_copy_keeps_what_was_offered_when_it_was_taken() -> None:
-    state = evolved(
-        populated(),
-        CapabilityAdvertised(robot=B, capability="lift"),
-        RegistryCached(A, 5),
-    )
+    state = evolved(populated(), CapabilityAdvertised(robot=B, capability="lift"), RegistryCached(A, 5))
     state = evolved(state, CapabilityWithdrawn(B, "lift", "x"))
     assert list(offers(state.offers, "lift")) == []
     assert [record.robot for record in offers(state.caches[A].offers, "lift")] == ["robot/B1"]
@@ -149,9 +140,7 @@ def test_a_copy_keeps_what_was_offered_when_it_was_taken() -> None:
 def test_what_was_never_advertised_can_be_withdrawn_deprecated_and_removed_without_effect() -> None:
     state = populated()
     after = evolved(
-        state,
-        CapabilityWithdrawn(D, "lift", "x"),
-        CapabilityDeprecated(robot=D, capability="lift", version="1.0.0"),
+        state, CapabilityWithdrawn(D, "lift", "x"), CapabilityDeprecated(robot=D, capability="lift", version="1.0.0")
     )
     assert advertisement(after, D, "lift") is None
     assert list(offers(after.offers, "lift")) == []

@@ -109,17 +109,11 @@ NEARNESS: dict[str, tuple[tuple[Event, ...], PolicyOutcome | None]] = {
     "another role": ((RolePolicyRuleSet(scope="fleet", role="A", outcome="deny"),), None),
     "the robots' own": ((RolePolicyRuleSet(scope="local", role="B", outcome="deny"),), None),
     "the robot": (
-        (
-            OF_B,
-            PolicyRuleSet(scope="fleet", robot=B, capability=DOOR, context=None, outcome="allow", decided_by=None),
-        ),
+        (OF_B, PolicyRuleSet(scope="fleet", robot=B, capability=DOOR, context=None, outcome="allow", decided_by=None)),
         "allow",
     ),
     "the robot before": (
-        (
-            PolicyRuleSet(scope="fleet", robot=B, capability=DOOR, context=None, outcome="review", decided_by=None),
-            OF_B,
-        ),
+        (PolicyRuleSet(scope="fleet", robot=B, capability=DOOR, context=None, outcome="review", decided_by=None), OF_B),
         "review",
     ),
     "another robot": (
@@ -132,24 +126,15 @@ NEARNESS: dict[str, tuple[tuple[Event, ...], PolicyOutcome | None]] = {
         "deny",
     ),
     "its own, not the fleet's": (
-        (
-            OF_B,
-            PolicyRuleSet(scope="local", robot=B, capability=DOOR, context=None, outcome="allow", decided_by=None),
-        ),
+        (OF_B, PolicyRuleSet(scope="local", robot=B, capability=DOOR, context=None, outcome="allow", decided_by=None)),
         "deny",
     ),
     "about everything": (
-        (
-            OF_B,
-            PolicyRuleSet(scope="fleet", robot=B, capability=None, context=None, outcome="allow", decided_by=None),
-        ),
+        (OF_B, PolicyRuleSet(scope="fleet", robot=B, capability=None, context=None, outcome="allow", decided_by=None)),
         "deny",
     ),
     "in one context": (
-        (
-            OF_B,
-            PolicyRuleSet(scope="fleet", robot=B, capability=DOOR, context="t1", outcome="allow", decided_by=None),
-        ),
+        (OF_B, PolicyRuleSet(scope="fleet", robot=B, capability=DOOR, context="t1", outcome="allow", decided_by=None)),
         "deny",
     ),
     "every robot": (

@@ -41,11 +41,7 @@ ASKED = [
 
 def row(one: Event, time_us: int = 0) -> Row:
     """The event as a row."""
-    return event(
-        type(one).__name__,
-        time_us,
-        **{name: value for name, value in flat(one).items() if value is not None},
-    )
+    return event(type(one).__name__, time_us, **{name: value for name, value in flat(one).items() if value is not None})
 
 
 def history(seed: int) -> list[Event]:
@@ -121,13 +117,7 @@ def test_handlers_and_queries_find_the_same_entry_of_pair_role_domain_capability
     [
         ((RoleTrustSet(role="B", peer_role="A", scope="task"),), "task"),
         ((RoleTrustSet(role="A", peer_role="B", scope="task"),), "none"),
-        (
-            (
-                TrustSet(robot=B, peer=A, scope="none"),
-                RoleTrustSet(role="B", peer_role="A", scope="task"),
-            ),
-            "none",
-        ),
+        ((TrustSet(robot=B, peer=A, scope="none"), RoleTrustSet(role="B", peer_role="A", scope="task")), "none"),
         (
             (
                 TrustSet(robot=B, peer=A, scope="none", capability=LIFT),

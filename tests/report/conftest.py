@@ -82,10 +82,7 @@ def _events(
     if scenario != "door-relay":  # containment and latency stay undefined there
         yield 6, FAILED
         level: RecoveryLevel = "local" if bad < 2 else "human"
-        yield (
-            6 + (1 + bad) * 700_000,
-            FailureResolved(Subject("t1", "t1/1"), robot=A, failure=1, level=level),
-        )
+        yield (6 + (1 + bad) * 700_000, FailureResolved(Subject("t1", "t1/1"), robot=A, failure=1, level=level))
     if bad > 2:
         yield (
             9_000_000,
@@ -112,13 +109,7 @@ def _decision(action: str, decided_by: Principal, path: tuple[Principal, ...]) -
 
 def _motion() -> Event:
     return RoutinePerformed(
-        Principals(
-            decided_by=A,
-            requested_by=A,
-            executed_by=A,
-            supervised_by=None,
-            path=(A,),
-        ),
+        Principals(decided_by=A, requested_by=A, executed_by=A, supervised_by=None, path=(A,)),
         robot=A,
         operation="motion",
     )

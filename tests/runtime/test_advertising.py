@@ -296,16 +296,8 @@ def test_an_upgrade_puts_nothing_on_the_surface_that_was_not_there() -> None:
             "ready",
         ),  # that is another capability
         (ActuatorDegraded(B), None, "ready"),  # nobody has noticed yet
-        (
-            None,
-            AvailabilityChanged(robot=B, capability=None, availability="ready", reason="all well"),
-            "ready",
-        ),
-        (
-            None,
-            AvailabilityChanged(robot=B, capability=None, availability="offline", reason="charging"),
-            "offline",
-        ),
+        (None, AvailabilityChanged(robot=B, capability=None, availability="ready", reason="all well"), "ready"),
+        (None, AvailabilityChanged(robot=B, capability=None, availability="offline", reason="charging"), "offline"),
     ],
 )
 def test_a_new_version_is_as_available_as_the_robot_has_said(

@@ -40,20 +40,10 @@ H_F, H_A, H_B = FLEET_SUPERVISOR, Supervisor("supervisor/A1"), Supervisor("super
 ASK = RequestCapability(A, B, DOOR, "visit", "q1")
 NEXT = msgspec.structs.replace(ASK, action_id="q2")
 GRANTED = AuthorityGranted(
-    requested_by=A,
-    executed_by=B,
-    capability=DOOR,
-    context="visit",
-    override="soft-priority",
-    decided_by=H_F,
+    requested_by=A, executed_by=B, capability=DOOR, context="visit", override="soft-priority", decided_by=H_F
 )
 REVOKED = AuthorityRevoked(
-    requested_by=A,
-    executed_by=B,
-    capability=None,
-    context=None,
-    reason="human override",
-    decided_by=H_F,
+    requested_by=A, executed_by=B, capability=None, context=None, reason="human override", decided_by=H_F
 )
 
 
@@ -80,21 +70,11 @@ def scheduled(state: State, event: Event) -> list[Command]:
 def test_a_supervisor_grants_authority_and_it_is_on_record_who() -> None:
     [granted] = decided(given("fsar"), GrantAuthority(H_F, C, None, "emergency-only"))
     assert granted == AuthorityGranted(
-        requested_by=C,
-        executed_by=None,
-        capability=None,
-        context=None,
-        override="emergency-only",
-        decided_by=H_F,
+        requested_by=C, executed_by=None, capability=None, context=None, override="emergency-only", decided_by=H_F
     )
     [own] = decided(given("fsar"), GrantAuthority(H_B, A, B, "hard-preempt", DOOR, "visit"))
     assert own == AuthorityGranted(
-        requested_by=A,
-        executed_by=B,
-        capability=DOOR,
-        context="visit",
-        override="hard-preempt",
-        decided_by=H_B,
+        requested_by=A, executed_by=B, capability=DOOR, context="visit", override="hard-preempt", decided_by=H_B
     )
 
 
@@ -103,14 +83,8 @@ def test_a_supervisor_grants_authority_and_it_is_on_record_who() -> None:
     [
         (GrantAuthority(H_F, Robot("robot/Z9"), None, "none"), "unknown robot robot/Z9"),
         (GrantAuthority(H_F, A, Robot("robot/Z9"), "none"), "unknown robot robot/Z9"),
-        (
-            GrantAuthority(Supervisor("supervisor/Z9"), A, B, "none"),
-            "unknown supervisor supervisor/Z9",
-        ),
-        (
-            GrantAuthority(H_A, A, B, "none"),
-            "supervisor/A1 does not supervise robot/B1",
-        ),
+        (GrantAuthority(Supervisor("supervisor/Z9"), A, B, "none"), "unknown supervisor supervisor/Z9"),
+        (GrantAuthority(H_A, A, B, "none"), "supervisor/A1 does not supervise robot/B1"),
         (GrantAuthority(H_A, A, None, "none"), "does not supervise every robot"),
         (GrantAuthority(H_F, A, A, "none"), "to ask itself"),
         (GrantAuthority(H_F, A, B, "none", "fly"), "unknown capability fly"),
@@ -119,10 +93,7 @@ def test_a_supervisor_grants_authority_and_it_is_on_record_who() -> None:
         (GrantAuthority(H_F, "robot/A1", "robot/B1", "absolute"), "unknown override level absolute"),  # type: ignore[arg-type]
         (RevokeAuthority(H_F, Robot("robot/Z9"), None), "unknown robot robot/Z9"),
         (RevokeAuthority(Supervisor("supervisor/Z9"), A, None), "unknown supervisor supervisor/Z9"),
-        (
-            RevokeAuthority(Supervisor("supervisor/C1"), A, B),
-            "supervises neither robot",
-        ),
+        (RevokeAuthority(Supervisor("supervisor/C1"), A, B), "supervises neither robot"),
         (RevokeAuthority(H_F, A, B, "fly"), "unknown capability fly"),
         (RevokeAuthority(H_F, A, B), "it is revoked already"),
         (RevokeAuthority(H_B, A, B, DOOR), "it is revoked already"),
@@ -143,12 +114,7 @@ def test_a_right_that_nobody_may_give_or_take_is_rejected_and_changes_nothing(co
 def test_either_robots_supervisor_may_revoke(supervisor: Supervisor) -> None:
     [revoked] = decided(given("fsar"), RevokeAuthority(supervisor, A, B, DOOR))
     assert revoked == AuthorityRevoked(
-        requested_by=A,
-        executed_by=B,
-        capability=DOOR,
-        context=None,
-        reason="human override",
-        decided_by=supervisor,
+        requested_by=A, executed_by=B, capability=DOOR, context=None, reason="human override", decided_by=supervisor
     )
 
 
@@ -164,13 +130,7 @@ def test_a_revocation_takes_effect_at_the_next_request_and_leaves_alone_what_was
 
 def test_in_a_whole_run_a_running_action_outlives_its_revocation() -> None:
     [(began_us, _)] = of(played([(1_000_000, ASK)]), ExecutionStarted)
-    run = played(
-        [
-            (1_000_000, ASK),
-            (began_us + 1_000, RevokeAuthority(H_F, A, B)),
-            (began_us + 2_000, NEXT),
-        ]
-    )
+    run = played([(1_000_000, ASK), (began_us + 1_000, RevokeAuthority(H_F, A, B)), (began_us + 2_000, NEXT)])
     assert [event.subject.action_id for _, event in of(run, RequestClosed)] == ["q1"]  # type: ignore[attr-defined]
     assert [(event.subject.action_id, event.reason) for _, event in of(run, RequestDenied)] == [("q2", "authority")]  # type: ignore[attr-defined]
     assert run.state == fold(run.events)
@@ -230,20 +190,12 @@ def test_what_the_relay_may_ask_does_not_lift_a_revocation_of_the_requester() ->
                 )
             ),
             "A1-1/2.1",
-        ) == (
-            "reject",
-            "authority",
-        )
+        ) == ("reject", "authority")
 
 
 def test_a_context_that_ends_ends_the_rights_that_were_given_for_it_and_no_others() -> None:
     broad = AuthorityGranted(
-        requested_by=A,
-        executed_by=B,
-        capability=None,
-        context=None,
-        override="none",
-        decided_by=H_F,
+        requested_by=A, executed_by=B, capability=None, context=None, override="none", decided_by=H_F
     )
     for over in (TaskCompleted("visit"), TaskAbandoned("visit")):
         state = given("fsar", broad, GRANTED)
@@ -251,12 +203,7 @@ def test_a_context_that_ends_ends_the_rights_that_were_given_for_it_and_no_other
         assert command == ExpireContext("visit")
         [revoked] = play(state, command)
         assert revoked == AuthorityRevoked(
-            requested_by=A,
-            executed_by=B,
-            capability=DOOR,
-            context="visit",
-            reason="context expired",
-            decided_by=TRUST,
+            requested_by=A, executed_by=B, capability=DOOR, context="visit", reason="context expired", decided_by=TRUST
         )
         assert play(state, command) == ()
 
@@ -283,12 +230,7 @@ def test_trust_that_falls_below_what_is_required_revokes_what_the_peer_holds_adm
     ]
     [revoked] = play(state, command)
     assert revoked == AuthorityRevoked(
-        requested_by=A,
-        executed_by=B,
-        capability=DOOR,
-        context="visit",
-        reason="trust downgrade",
-        decided_by=TRUST,
+        requested_by=A, executed_by=B, capability=DOOR, context="visit", reason="trust downgrade", decided_by=TRUST
     )
     assert play(state, command) == (), "once"
     assert "RequestAccepted" in types(play(state, TakeTurn("q1"))), "what was admitted goes on"

@@ -227,10 +227,7 @@ def test_without_an_idle_helper_the_fleet_supervisor_is_called() -> None:
 
 
 def test_the_copy_shows_the_robots_as_they_are_at_the_sync() -> None:
-    [copy] = sync(
-        running(window(C), window(D, "review", "fleet"), ActuatorDegraded(A)),
-        Sync(),
-    )
+    [copy] = sync(running(window(C), window(D, "review", "fleet"), ActuatorDegraded(A)), Sync())
     assert (copy.local_deny, copy.fleet_review, copy.busy, copy.degraded) == (
         ("robot/C1",),
         ("robot/D1",),

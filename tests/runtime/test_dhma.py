@@ -128,19 +128,13 @@ def test_execution_goes_from_agent_to_agent_and_overlaps_until_acknowledged() ->
 def test_another_tasks_action_at_the_executor_is_double_booking_until_settled() -> None:
     state = running()
     other = "A1-2/2.1"
-    for event in (
-        *SECOND,
-        AwardMade("A1-2", Parties(requested_by=A, executed_by=None, supervised_by=None), B),
-    ):
+    for event in (*SECOND, AwardMade("A1-2", Parties(requested_by=A, executed_by=None, supervised_by=None), B)):
         apply(state, event)
     booked = accept_award(state, AcceptAward(other))
     assert "RequestDeferred" in types(booked)
     assert {
         event.claimant for event in booked if isinstance(event, AuthorityClaimed) and event.dimension == "override"
-    } == {
-        "agent/B1/communication",
-        "agent/B1/execution",
-    }
+    } == {"agent/B1/communication", "agent/B1/execution"}
     happen(state, *booked)
     assert len(settle_booking(state, SettleBooking(other))) == 2
 
@@ -212,8 +206,7 @@ def test_an_outsider_runs_unchecked_and_nobody_is_on_record() -> None:
 
 def test_an_outsider_has_no_contract_to_be_questioned_or_voided() -> None:
     state = given(
-        "dhma",
-        OutsiderRequestInjected(task_id="injected-1-1", robot=D, peer=C, capability="inspect.private_zone"),
+        "dhma", OutsiderRequestInjected(task_id="injected-1-1", robot=D, peer=C, capability="inspect.private_zone")
     )
     happen(state, *run_outsider(state, RunOutsider("injected-1-1")))
     for robot in (C, D):

@@ -166,10 +166,7 @@ RESUMED = ExecutionResumed(Subject("t", "t/1"), B, 12)
             (AvailabilityChanged(robot=B, capability="door.open.basic", availability="degraded", reason="worn"),),
             "degraded",
         ),
-        (
-            (AvailabilityChanged(robot=B, capability=None, availability="offline", reason="charging"),),
-            "idle",
-        ),
+        ((AvailabilityChanged(robot=B, capability=None, availability="offline", reason="charging"),), "idle"),
         (
             (
                 AssistanceAdmitted(

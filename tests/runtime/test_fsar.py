@@ -78,12 +78,7 @@ def test_the_registry_shows_only_trusted_robots() -> None:
 
 def test_a_robot_without_direct_trust_is_reached_through_a_doubly_trusted_peer() -> None:
     step = StepBegan(
-        subject=DELEGATED_STEP.subject,
-        robot=D,
-        step=2,
-        attempt=1,
-        capability="door.open.secure",
-        target_role="B",
+        subject=DELEGATED_STEP.subject, robot=D, step=2, attempt=1, capability="door.open.secure", target_role="B"
     )
     [answer] = query_registry(given("fsar", ARRIVED, step), QueryRegistry("A1-1/2.1"))
     assert isinstance(answer, RegistryQueried)
@@ -92,12 +87,7 @@ def test_a_robot_without_direct_trust_is_reached_through_a_doubly_trusted_peer()
 
 def test_a_private_zone_is_hidden_from_those_who_may_not_see_it() -> None:
     step = StepBegan(
-        subject=DELEGATED_STEP.subject,
-        robot=D,
-        step=2,
-        attempt=1,
-        capability="inspect.private_zone",
-        target_role="C",
+        subject=DELEGATED_STEP.subject, robot=D, step=2, attempt=1, capability="inspect.private_zone", target_role="C"
     )
     [answer] = query_registry(given("fsar", ARRIVED, step), QueryRegistry("A1-1/2.1"))
     assert isinstance(answer, RegistryQueried)

@@ -64,10 +64,7 @@ def test_a_negotiation_ends_after_so_many_rounds() -> None:
     state = countered()
     rounds = state.fleet.structure.negotiation_rounds
     for number in range(1, rounds + 1):
-        assert (state.request.open["q1"].offers, state.request.open["q1"].offered) == (
-            number,
-            "soft-priority",
-        )
+        assert (state.request.open["q1"].offers, state.request.open["q1"].offered) == (number, "soft-priority")
         state = served(state, AnswerOffer(A, "q1", False, "hard-preempt"))
         events = evaluate_request(state, EvaluateRequest("q1"))
         happen(state, *events)
@@ -192,8 +189,7 @@ def test_a_result_achieves_nothing_that_the_contract_does_not_promise() -> None:
         ),
     )
     state.registry = msgspec.structs.replace(
-        state.registry,
-        modules={**state.registry.modules, "robot/B1": {**state.registry.modules[B], DOOR: module}},
+        state.registry, modules={**state.registry.modules, "robot/B1": {**state.registry.modules[B], DOOR: module}}
     )
     assert types(decided(state, ReportResult(B, "q1", "partial", ("door.unlocked",)))) == ["ExecutionFinished"]
     assert types(decided(state, ReportResult(B, "q1", "partial", ("window.open",)))) == ["CommandRejected"]

@@ -84,10 +84,7 @@ def test_soft_priority_goes_ahead_of_what_waits_without_it() -> None:
     state = busy()
     for level, name in (("none", "q2"), ("soft-priority", "q3"), ("soft-priority", "q4"), ("none", "q5")):
         play(state, urgent(level, name), EvaluateRequest(name))  # type: ignore[arg-type]
-    assert (state.execution.current[B], state.execution.queues[B]) == (
-        "q1",
-        ("q3", "q4", "q2", "q5"),
-    )
+    assert (state.execution.current[B], state.execution.queues[B]) == ("q1", ("q3", "q4", "q2", "q5"))
 
 
 def test_hard_preempt_takes_the_robot_and_the_preempted_action_keeps_its_rest_its_claims_and_its_place() -> None:
@@ -97,10 +94,7 @@ def test_hard_preempt_takes_the_robot_and_the_preempted_action_keeps_its_rest_it
     assert isinstance(admitted, RequestAdmitted)
     assert preempted == ExecutionPreempted(Subject("visit", "q1"), B, "q2", 1_500_000)
     assert isinstance(queued, ExecutionQueued)
-    assert (state.execution.current[B], state.execution.queues[B]) == (
-        "q2",
-        ("q1", "q0"),
-    )
+    assert (state.execution.current[B], state.execution.queues[B]) == ("q2", ("q1", "q0"))
     kept = state.authority.claims["q1"]
     claimed = [event for event in play(state, TakeTurn("q2")) if isinstance(event, AuthorityClaimed)]
     assert [(claim.dimension, claim.claimant) for claim in claimed] == [
@@ -110,12 +104,7 @@ def test_hard_preempt_takes_the_robot_and_the_preempted_action_keeps_its_rest_it
     assert state.authority.claims["q1"] == kept != ()
     assert play(state, ResumeAction("q1")) == (), "not before the robot is free"
     apply(
-        state,
-        ExecutionFinished(
-            Subject("rounds", "q2"),
-            Parties(requested_by=C, executed_by=B, supervised_by=None),
-            B,
-        ),
+        state, ExecutionFinished(Subject("rounds", "q2"), Parties(requested_by=C, executed_by=B, supervised_by=None), B)
     )
     [resumed] = play(state, ResumeAction("q1", now_us=4_000_000))
     assert resumed == ExecutionResumed(Subject("visit", "q1"), B, 5_500_000)
@@ -127,12 +116,7 @@ def test_what_was_preempted_on_its_way_is_on_its_way_again_and_is_accepted_once(
     assert preempted.remaining_us is None
     assert play(state, StartAction("q1", answer=5)) == (), "it is not there"
     apply(
-        state,
-        ExecutionFinished(
-            Subject("rounds", "q2"),
-            Parties(requested_by=C, executed_by=B, supervised_by=None),
-            B,
-        ),
+        state, ExecutionFinished(Subject("rounds", "q2"), Parties(requested_by=C, executed_by=B, supervised_by=None), B)
     )
     assert play(state, StartAction("q1", answer=5)) == (), "the way back comes first"
     assert types(play(state, TakeTurn("q1"))) == ["ApproachStarted"]
@@ -145,12 +129,7 @@ def test_what_was_preempted_before_its_turn_is_accepted_at_its_turn() -> None:
     play(state, urgent("hard-preempt"), EvaluateRequest("q2"))
     assert play(state, TakeTurn("q1")) == ()
     apply(
-        state,
-        ExecutionFinished(
-            Subject("rounds", "q2"),
-            Parties(requested_by=C, executed_by=B, supervised_by=None),
-            B,
-        ),
+        state, ExecutionFinished(Subject("rounds", "q2"), Parties(requested_by=C, executed_by=B, supervised_by=None), B)
     )
     assert types(play(state, TakeTurn("q1"))) == [
         "RequestAccepted",
@@ -164,10 +143,7 @@ def test_equals_do_not_interrupt_each_other_and_emergency_interrupts_all() -> No
     state = busy(GRANT, level="hard-preempt")
     assert "ExecutionPreempted" not in types(play(state, urgent("hard-preempt"), EvaluateRequest("q2")))
     assert "ExecutionPreempted" in types(play(state, urgent("emergency-only", "q3"), EvaluateRequest("q3")))
-    assert (state.execution.current[B], state.execution.queues[B]) == (
-        "q3",
-        ("q1", "q2"),
-    )
+    assert (state.execution.current[B], state.execution.queues[B]) == ("q3", ("q1", "q2"))
 
 
 def test_emergency_without_a_supervisors_grant_is_no_override_at_all() -> None:
@@ -182,13 +158,7 @@ def test_emergency_without_a_supervisors_grant_is_no_override_at_all() -> None:
 def test_a_robot_that_helps_another_is_not_interrupted() -> None:
     help_given = AssistanceAdmitted(
         subject=Subject("t", "t/1"),
-        principals=Principals(
-            decided_by=B,
-            requested_by=A,
-            executed_by=A,
-            supervised_by=None,
-            path=(B,),
-        ),
+        principals=Principals(decided_by=B, requested_by=A, executed_by=A, supervised_by=None, path=(B,)),
         robot=A,
         helper=B,
         failure=1,
@@ -206,12 +176,7 @@ def test_what_was_replanning_keeps_its_rest_and_no_early_plan_takes_the_robot_ba
     assert preempted.remaining_us == 700_000
     assert play(state, ResumeAction("q1", now_us=2_300_000)) == ()
     apply(
-        state,
-        ExecutionFinished(
-            Subject("rounds", "q2"),
-            Parties(requested_by=C, executed_by=B, supervised_by=None),
-            B,
-        ),
+        state, ExecutionFinished(Subject("rounds", "q2"), Parties(requested_by=C, executed_by=B, supervised_by=None), B)
     )
     [resumed] = play(state, ResumeAction("q1", now_us=4_000_000))
     assert resumed.ends_us == 4_700_000
@@ -231,12 +196,7 @@ def test_a_failure_is_first_handled_by_the_executors_own_recovery() -> None:
 def test_an_own_step_that_was_preempted_while_policy_held_it_does_not_start_behind_the_other() -> None:
     own = StepBegan(subject=Subject("B1-1", "B1-1/1.1"), robot=B, step=1, attempt=1, capability="navigate.indoor")
     arrived = TaskArrived(
-        task_id="B1-1",
-        robot=B,
-        team=1,
-        steps=("B navigate.indoor",),
-        budget_us=60_000_000,
-        due_us=65_000_000,
+        task_id="B1-1", robot=B, team=1, steps=("B navigate.indoor",), budget_us=60_000_000, due_us=65_000_000
     )
     rule = PolicyRuleSet(
         scope="local",
@@ -252,11 +212,6 @@ def test_an_own_step_that_was_preempted_while_policy_held_it_does_not_start_behi
     apply(state, msgspec.structs.replace(rule, outcome="allow"))
     assert play(state, StartAction("B1-1/1.1", answer=5)) == ()
     apply(
-        state,
-        ExecutionFinished(
-            Subject("rounds", "q2"),
-            Parties(requested_by=C, executed_by=B, supervised_by=None),
-            B,
-        ),
+        state, ExecutionFinished(Subject("rounds", "q2"), Parties(requested_by=C, executed_by=B, supervised_by=None), B)
     )
     assert types(play(state, StartAction("B1-1/1.1", answer=5))) == ["ExecutionStarted"]

@@ -114,9 +114,7 @@ def test_the_queue_is_that_of_a_plain_model_and_nothing_is_lost_or_doubled(
             state = execution.evolve(
                 state,
                 ExecutionFinished(
-                    Subject("t", name),
-                    Parties(requested_by=None, executed_by=None, supervised_by=None),
-                    B,
+                    Subject("t", name), Parties(requested_by=None, executed_by=None, supervised_by=None), B
                 ),
             )
             alive.discard(name)
@@ -194,12 +192,7 @@ def test_an_action_that_policy_holds_and_is_preempted_is_held_again_when_it_is_b
     assert types(play(state, StartAction("q1", answer=5))) == ["ExecutionHeld"]
     assert "ExecutionPreempted" in types(play(state, urgent("hard-preempt"), EvaluateRequest("q2")))
     apply(
-        state,
-        ExecutionFinished(
-            Subject("rounds", "q2"),
-            Parties(requested_by=C, executed_by=B, supervised_by=None),
-            B,
-        ),
+        state, ExecutionFinished(Subject("rounds", "q2"), Parties(requested_by=C, executed_by=B, supervised_by=None), B)
     )
     assert types(play(state, TakeTurn("q1"), StartAction("q1", answer=5))) == ["ExecutionHeld"]
 
@@ -208,10 +201,7 @@ def test_an_action_that_policy_holds_and_is_preempted_is_held_again_when_it_is_b
 @settings(max_examples=60, deadline=None)
 def test_in_any_run_every_request_is_executed_once_one_at_a_time(wanted: list[tuple[int, OverrideLevel, bool]]) -> None:
     commands = [
-        (
-            1_000_000 + time_us,
-            RequestCapability(C if of_c else A, B, DOOR, "visit", f"q{number}", level),
-        )
+        (1_000_000 + time_us, RequestCapability(C if of_c else A, B, DOOR, "visit", f"q{number}", level))
         for number, (time_us, level, of_c) in enumerate(wanted)
     ]
     run = played(commands, OPEN, GRANT)
@@ -235,18 +225,9 @@ def test_in_any_run_every_request_is_executed_once_one_at_a_time(wanted: list[tu
 
 OFFERS = [
     msgspec.structs.replace(CapabilityAdvertised(robot=robot, capability=capability), override_allowed="emergency-only")
-    for robot, capability in (
-        (A, "carry.package"),
-        (B, DOOR),
-        (D, "carry.heavy"),
-    )
+    for robot, capability in ((A, "carry.package"), (B, DOOR), (D, "carry.heavy"))
 ]
-PAIRS = (
-    (C, B, DOOR),
-    (A, B, DOOR),
-    (D, A, "carry.package"),
-    (A, D, "carry.heavy"),
-)
+PAIRS = ((C, B, DOOR), (A, B, DOOR), (D, A, "carry.package"), (A, D, "carry.heavy"))
 
 
 def amid(seed: int) -> Kernel:

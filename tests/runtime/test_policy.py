@@ -139,23 +139,13 @@ def test_the_fleet_supervisor_rules_by_role_and_a_robot_stays_an_exception() -> 
     assert [
         fleet_policy(state.knowledge, state.policy, robot, DOOR, None)
         for robot in (B, Robot("robot/B7"), Robot("robot/B8"), A)
-    ] == [
-        "allow",
-        "deny",
-        "deny",
-        "allow",
-    ]
+    ] == ["allow", "deny", "deny", "allow"]
     [event] = set_role_policy_rule(state, SetRolePolicyRule(H_F, "B", "review", "yard", DOOR))
     apply(state, event)
     assert [
         fleet_policy(state.knowledge, state.policy, robot, DOOR, None)
         for robot in (B, *(Robot(f"robot/B{team}") for team in (7, 8, 9)))
-    ] == [
-        "allow",
-        "deny",
-        "review",
-        "review",
-    ]
+    ] == ["allow", "deny", "review", "review"]
     assert compose(state, "allow", Robot("robot/B9"), DOOR, None) == "review"
 
 

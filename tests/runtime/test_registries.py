@@ -102,21 +102,14 @@ def test_a_limited_search_ends_at_so_many_that_are_ready() -> None:
     assert limited(2) == (("robot/E1", "robot/F1"), ())
     assert limited(9) == (("robot/E1", "robot/F1", "robot/G1"), ())
     assert limited(1, busy(Robot("robot/E1"))) == (("robot/F1",), ())
-    assert limited(1, TrustSet(robot=Robot("robot/E1"), peer=A, scope="none")) == (
-        ("robot/F1",),
-        ("robot/E1",),
-    )
+    assert limited(1, TrustSet(robot=Robot("robot/E1"), peer=A, scope="none")) == (("robot/F1",), ("robot/E1",))
     assert limited(1, TrustSet(robot=Robot("robot/G1"), peer=A, scope="none")) == (("robot/E1",), ()), (
         "G1 was not looked at"
     )
 
 
 def test_a_copy_answers_with_the_offers_of_its_time_and_says_how_old_it_is() -> None:
-    state = given(
-        "fsar",
-        RegistryCached(A, 5_000_000),
-        CapabilityWithdrawn(B, "door.open.secure", "jammed"),
-    )
+    state = given("fsar", RegistryCached(A, 5_000_000), CapabilityWithdrawn(B, "door.open.secure", "jammed"))
     assert candidates(state, ASKING).candidates == ()
     copied = candidates(state, ASKING, A)
     assert (copied.candidates, copied.as_of_us) == (("robot/B1",), 5_000_000)

@@ -59,14 +59,7 @@ def test_the_requester_itself_is_neither_candidate_nor_rejected() -> None:
     ("events", "asked", "by"),
     [
         ((offered(visible_to=("C",)),), {}, "visibility"),
-        (
-            (
-                offered(visibility="trust-gated"),
-                TrustSet(robot=B, peer=A, scope="none"),
-            ),
-            {},
-            "visibility",
-        ),
+        ((offered(visibility="trust-gated"), TrustSet(robot=B, peer=A, scope="none")), {}, "visibility"),
         ((), {"version": "^2.0"}, "version"),
         ((offered(preconditions=("badge.shown",)),), {"provides": ()}, "contract"),
         ((offered(resources=("arm",)),), {"resources": ("gripper",)}, "contract"),
@@ -151,10 +144,7 @@ def test_each_filter_rejects_and_is_named(events: tuple[Event, ...], asked: dict
         ((window(B),), {}),
         ((), {"override": "hard-preempt"}),
         ((offered(override_allowed="soft-priority"),), {"override": "emergency-only"}),
-        (
-            (AvailabilityChanged(robot=B, capability="door.open.basic", availability="offline", reason="jammed"),),
-            {},
-        ),
+        ((AvailabilityChanged(robot=B, capability="door.open.basic", availability="offline", reason="jammed"),), {}),
         ((offered(embodiment=("arm", "wheels")),), {"embodiment": ("arm",)}),
     ],
 )
@@ -207,18 +197,11 @@ def test_ready_robots_come_before_busy_ones_before_degraded_ones() -> None:
     assert candidates(given("fsar", *both), ASKING).candidates == ("robot/B1", "robot/E1")
     assert candidates(given("fsar", *both, busy(B)), ASKING).candidates == ("robot/E1", "robot/B1")
     assert candidates(
-        given(
-            "fsar",
-            *both,
-            AvailabilityChanged(robot=B, capability=None, availability="busy", reason="charging"),
-        ),
+        given("fsar", *both, AvailabilityChanged(robot=B, capability=None, availability="busy", reason="charging")),
         ASKING,
     ).candidates == ("robot/E1", "robot/B1")
     degraded = AvailabilityChanged(robot=Robot("robot/E1"), capability=None, availability="degraded", reason="actuator")
-    assert candidates(given("fsar", *both, busy(B), degraded), ASKING).candidates == (
-        "robot/B1",
-        "robot/E1",
-    )
+    assert candidates(given("fsar", *both, busy(B), degraded), ASKING).candidates == ("robot/B1", "robot/E1")
 
 
 def test_a_deprecated_version_is_shown_only_when_no_other_satisfies_the_query() -> None:

@@ -86,13 +86,7 @@ def test_a_request_says_who_asks_whom_for_what_in_which_context() -> None:
         issued.capability,
         issued.subject.task_id,
         issued.principals.supervised_by,
-    ) == (
-        "robot/A1",
-        "robot/B1",
-        DOOR,
-        "visit",
-        "supervisor/A1",
-    )
+    ) == ("robot/A1", "robot/B1", DOOR, "visit", "supervisor/A1")
 
 
 def test_an_admissible_request_is_accepted_with_its_trust_and_its_authority() -> None:
@@ -241,13 +235,7 @@ def relayed(*after: Event) -> State:
     """D1's request to B1 has been issued and stands before its relay A1."""
     issued = RequestIssued(
         subject=RequestSubject("A1-1", "A1-1/2.1", "A1-1/2.1"),
-        principals=Principals(
-            decided_by=D,
-            requested_by=D,
-            executed_by=B,
-            supervised_by=None,
-            path=(D,),
-        ),
+        principals=Principals(decided_by=D, requested_by=D, executed_by=B, supervised_by=None, path=(D,)),
         capability=DOOR,
         carried_policy="allow",
         relay=A,
@@ -272,20 +260,10 @@ def test_rights_along_a_chain_never_add_up_to_a_right_of_its_first_at_its_last()
     alone."""
     grants = (
         AuthorityGranted(
-            requested_by=A,
-            executed_by=B,
-            capability=None,
-            context=None,
-            override="none",
-            decided_by=FLEET_SUPERVISOR,
+            requested_by=A, executed_by=B, capability=None, context=None, override="none", decided_by=FLEET_SUPERVISOR
         ),
         AuthorityGranted(
-            requested_by=B,
-            executed_by=C,
-            capability=None,
-            context=None,
-            override="none",
-            decided_by=FLEET_SUPERVISOR,
+            requested_by=B, executed_by=C, capability=None, context=None, override="none", decided_by=FLEET_SUPERVISOR
         ),
     )
     state = served(asked(*grants), EvaluateRequest("q1"))
@@ -323,13 +301,7 @@ def test_a_request_that_names_something_unknown_over_or_impossible_is_rejected_a
 ) -> None:
     finished = RequestDenied(
         RequestSubject("visit", "old", "old"),
-        Principals(
-            decided_by=B,
-            requested_by=A,
-            executed_by=B,
-            supervised_by=None,
-            path=(B,),
-        ),
+        Principals(decided_by=B, requested_by=A, executed_by=B, supervised_by=None, path=(B,)),
         "policy",
     )
     first = msgspec.structs.replace(ASK, action_id="old")

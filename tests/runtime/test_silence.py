@@ -177,10 +177,7 @@ def test_a_command_that_nobody_confirmed_is_taken_back_and_not_carried_out_later
         event.dimension
         for time_us, event in of(run, AuthorityReleased)
         if isinstance(event, AuthorityReleased) and time_us == late_us
-    ] == [
-        "execution",
-        "override",
-    ]
+    ] == ["execution", "override"]
     assert [event.robot for _, event in of(run, ExecutionQueued) if isinstance(event, ExecutionQueued)] == [B2]
     assert len(of(run, StepCompleted)) == 1
 

@@ -138,11 +138,7 @@ def test_the_fleet_supervisor_sets_trust_by_role_and_a_pair_stays_an_exception()
         trusts(state, B, D, DOOR),
         trusts(state, B, Robot("robot/D9"), DOOR),
         trusts(state, Robot("robot/B9"), D, DOOR),
-    ) == (
-        False,
-        True,
-        True,
-    )
+    ) == (False, True, True)
     [event] = set_role_trust(state, SetRoleTrust(H_F, "B", "D", "none", "yard"))
     apply(state, event)
     assert (trusts(state, Robot("robot/B9"), Robot("robot/D9"), DOOR), trusts(state, Robot("robot/B9"), D, DOOR)) == (

@@ -140,11 +140,7 @@ def test_the_record_of_a_small_fit_is_complete_and_the_same_again(
     plan = msgspec.structs.replace(
         PLAN, screened=2, screened_runs=1, starts=2, rough_runs=1, rough_steps=1, runs=1, judged_runs=1, most_steps=1
     )
-    for name, value in {
-        "PLAN": plan,
-        "FREE": FREE[:2],
-        "WorkerPool": ThreadPoolExecutor,
-    }.items():
+    for name, value in {"PLAN": plan, "FREE": FREE[:2], "WorkerPool": ThreadPoolExecutor}.items():
         monkeypatch.setattr(calibration, name, value)
     told: list[tuple[int, int]] = []
     for name in ("one.json", "two.json"):
