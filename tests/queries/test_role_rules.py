@@ -7,11 +7,11 @@ from random import Random
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import PolicyOutcome, PolicyScope, Robot
-from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.events.policy import PolicyRuleSet, RolePolicyRuleSet
 from fsar_ledger.metrics.database import Database, from_rows
 from fsar_ledger.metrics.invariants import chosen
 from fsar_ledger.projections import policy
+from tests import past
 from tests.queries.histories import answer, event, run
 from tests.queries.test_role_trust import DOMAINS, DOOR, LIFT, MEMBERS, ROBOTS, row
 from tests.queries.test_rules_and_trust import ASKED, REFUSED, rule
@@ -176,10 +176,7 @@ NEARNESS: dict[str, tuple[tuple[Event, ...], PolicyOutcome | None]] = {
 
 
 def test_a_rule_is_replaced_by_a_nearer_one_about_the_same_and_by_nothing_else() -> None:
-    runs = {
-        name: (RobotJoined(robot=B, role="B", team=1, supervisor=None, domain="hall/cell"), *rules)
-        for name, (rules, _) in NEARNESS.items()
-    }
+    runs = {name: (past.joined(B, "B", domain="hall/cell"), *rules) for name, (rules, _) in NEARNESS.items()}
     expected = {name: outcome for name, (_, outcome) in NEARNESS.items()}
     assert {name: policy.ruled(folded(events), "fleet", B, DOOR, "t1") for name, events in runs.items()} == expected
     with from_rows([one for name, events in runs.items() for one in run(*map(row, events), run_id=name)]) as database:

@@ -1,7 +1,6 @@
 """One run in which every command from outside is given that no simulated world gives: what only they emit is here."""
 
 from fsar_ledger.events.envelope import Robot, Supervisor
-from fsar_ledger.events.registry import CapabilityAdvertised
 from fsar_ledger.runtime.handlers.advertising import DeprecateCapability, WithdrawCapability
 from fsar_ledger.runtime.handlers.authority import GrantAuthority, RevokeAuthority
 from fsar_ledger.runtime.handlers.candidates import Query
@@ -15,6 +14,7 @@ from fsar_ledger.runtime.handlers.supervision import SetSupervisionDensity
 from fsar_ledger.runtime.handlers.task import SubmitTask
 from fsar_ledger.runtime.handlers.trust import SetTrust, SetTrustThresholds
 from fsar_ledger.runtime.kernel import Kernel
+from tests import past
 from tests.runtime.live import played
 
 A, B, C, D = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/C1"), Robot("robot/D1")
@@ -47,4 +47,4 @@ COMMANDS: list[tuple[int, Command]] = [
 
 def commanded() -> Kernel:
     """The finished run."""
-    return played(COMMANDS, CapabilityAdvertised(robot=B, capability=DOOR, override_allowed="hard-preempt"))
+    return played(COMMANDS, past.advertised(B, DOOR, override_allowed="hard-preempt"))

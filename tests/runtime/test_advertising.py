@@ -8,10 +8,8 @@ from hypothesis import settings
 from hypothesis import strategies as st
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import Parties, Robot, Subject
-from fsar_ledger.events.execution import ExecutionQueued
+from fsar_ledger.events.envelope import Robot, Subject
 from fsar_ledger.events.registry import (
-    AvailabilityChanged,
     CapabilityAdvertised,
     CapabilityDeprecated,
     CapabilityInstalled,
@@ -36,15 +34,16 @@ from fsar_ledger.runtime.handlers.advertising import (
     withdraw_capability,
 )
 from fsar_ledger.runtime.handlers.commands import Command
+from tests import past
 from tests.runtime.histories import given, happen, types
 
 A, B = Robot("robot/A1"), Robot("robot/B1")
 
 DOOR = (B, Robot("door.open.secure"))
-GRIP = CapabilityInstalled(
-    robot=B,
-    capability="grasp",
-    version="1.4.0",
+GRIP = past.installed(
+    B,
+    "grasp",
+    "1.4.0",
     preconditions=("object.seen",),
     postconditions=("object.held", "object.level"),
     resources=("arm",),
@@ -177,35 +176,14 @@ EMPTY = [CapabilityWithdrawn(B, name, "jammed") for name in ("navigate.indoor", 
         ((), UpgradeCapability(*DOOR, "1.0.0"), "not newer"),
         ((), UpgradeCapability(*DOOR, "new"), "no version"),
         ((), UpgradeCapability(*DOOR, "2.0.0", preconditions=("lit", "not lit")), "contradict"),
+        ((past.available(B, None, "offline", "x"),), UpgradeCapability(*DOOR, "2.0.0"), "is offline"),
         (
-            (AvailabilityChanged(robot=B, capability=None, availability="offline", reason="x"),),
-            UpgradeCapability(*DOOR, "2.0.0"),
-            "is offline",
-        ),
-        (
-            (
-                AvailabilityChanged(
-                    robot=DOOR[0], capability=DOOR[1], availability="restricted", reason="roll-out of 2.0.0"
-                ),
-            ),
+            (past.available(DOOR[0], DOOR[1], "restricted", "roll-out of 2.0.0"),),
             UpgradeCapability(*DOOR, "3.0.0"),
             "in no other roll-out",
         ),
         (
-            (
-                ExecutionQueued(
-                    subject=Subject("t", "t/1"),
-                    principals=Parties(requested_by=None, executed_by=None, supervised_by=None),
-                    robot=B,
-                    on_behalf_of=A,
-                    capability="door.open.secure",
-                    step=1,
-                    attempt=1,
-                    is_delegated=True,
-                    has_approach=True,
-                    is_supervised=True,
-                ),
-            ),
+            (past.queued(Subject("t", "t/1"), B, A, "door.open.secure", principals=past.parties()),),
             UpgradeCapability(*DOOR, "2.0.0"),
             "in use by t/1",
         ),
@@ -235,9 +213,9 @@ def rolling_out(state: State, events: tuple[Event, ...]) -> FinishRollOut:
 
 
 def test_a_roll_out_restricts_the_old_version_until_the_new_one_is_advertised_on_its_terms() -> None:
-    terms = CapabilityAdvertised(
-        robot=DOOR[0],
-        capability=DOOR[1],
+    terms = past.advertised(
+        DOOR[0],
+        DOOR[1],
         visible_to=("A",),
         trust_required="task",
         override_allowed="soft-priority",
@@ -253,9 +231,9 @@ def test_a_roll_out_restricts_the_old_version_until_the_new_one_is_advertised_on
     assert (record.version, record.availability) == ("1.0.0", "restricted")
     assert begun == FinishRollOut(*DOOR)
     [shown] = finish_roll_out(state, begun)
-    assert shown == CapabilityAdvertised(
-        robot=DOOR[0],
-        capability=DOOR[1],
+    assert shown == past.advertised(
+        DOOR[0],
+        DOOR[1],
         visible_to=("A",),
         version="2.0.0",
         postconditions=("door.opened",),
@@ -284,20 +262,12 @@ def test_an_upgrade_puts_nothing_on_the_surface_that_was_not_there() -> None:
     ("before", "meanwhile", "shown"),
     [
         (None, None, "ready"),
-        (
-            AvailabilityChanged(robot=DOOR[0], capability=DOOR[1], availability="degraded", reason="actuator"),
-            None,
-            "degraded",
-        ),
-        (AvailabilityChanged(robot=DOOR[0], capability=DOOR[1], availability="busy", reason="tour"), None, "busy"),
-        (
-            AvailabilityChanged(robot=B, capability="door.open.basic", availability="degraded", reason="actuator"),
-            None,
-            "ready",
-        ),  # that is another capability
+        (past.available(DOOR[0], DOOR[1], "degraded", "actuator"), None, "degraded"),
+        (past.available(DOOR[0], DOOR[1], "busy", "tour"), None, "busy"),
+        (past.available(B, "door.open.basic", "degraded", "actuator"), None, "ready"),  # that is another capability
         (ActuatorDegraded(B), None, "ready"),  # nobody has noticed yet
-        (None, AvailabilityChanged(robot=B, capability=None, availability="ready", reason="all well"), "ready"),
-        (None, AvailabilityChanged(robot=B, capability=None, availability="offline", reason="charging"), "offline"),
+        (None, past.available(B, None, "ready", "all well"), "ready"),
+        (None, past.available(B, None, "offline", "charging"), "offline"),
     ],
 )
 def test_a_new_version_is_as_available_as_the_robot_has_said(
@@ -314,7 +284,7 @@ def test_a_new_version_is_as_available_as_the_robot_has_said(
 def test_an_upgrade_during_a_roll_out_is_shown_once() -> None:
     state = given("fsar")
     first = rolling_out(state, upgrade_capability(state, UpgradeCapability(*DOOR, "2.0.0")))
-    apply(state, AvailabilityChanged(robot=DOOR[0], capability=DOOR[1], availability="ready", reason="in haste"))
+    apply(state, past.available(DOOR[0], DOOR[1], "ready", "in haste"))
     second = rolling_out(state, upgrade_capability(state, UpgradeCapability(*DOOR, "3.0.0")))
     [advertised] = finish_roll_out(state, first)
     apply(state, advertised)

@@ -2,10 +2,9 @@
 
 from fsar_ledger.constants import Constants
 from fsar_ledger.events.authority import AuthorityClaimed
-from fsar_ledger.events.envelope import Parties, Robot, Subject
+from fsar_ledger.events.envelope import Robot, Subject
 from fsar_ledger.events.execution import ExecutionStarted
 from fsar_ledger.events.knowledge import BidReceived, PlannerEngaged, SnapshotTaken
-from fsar_ledger.events.registry import RegistryQueried
 from fsar_ledger.events.request import AwardMade
 from fsar_ledger.events.world import ObstructionAppeared, OutsiderRequestInjected
 from fsar_ledger.projections.fold import State, apply
@@ -54,26 +53,14 @@ from fsar_ledger.runtime.handlers.commands import (
 )
 from fsar_ledger.runtime.handlers.execution import approach, detect_obstruction
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
+from tests import past
 from tests.runtime.histories import ARRIVED, DELEGATED_STEP, OWN_STEP, SECOND, given, happen, types, window
 
 A, B, C, D = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/C1"), Robot("robot/D1")
 
 ACTION = "A1-1/2.1"
-CALLED = (
-    ARRIVED,
-    DELEGATED_STEP,
-    RegistryQueried(
-        subject=Subject("A1-1", ACTION),
-        principals=Parties(requested_by=A, executed_by=None, supervised_by=None),
-        capability="door.open.secure",
-        candidates=(B,),
-    ),
-)
-AWARDED = (
-    *CALLED,
-    BidReceived(Subject("A1-1", ACTION), B, "allow"),
-    AwardMade("A1-1", Parties(requested_by=A, executed_by=None, supervised_by=None), B),
-)
+CALLED = (ARRIVED, DELEGATED_STEP, past.queried(Subject("A1-1", ACTION), past.parties(A), "door.open.secure", B))
+AWARDED = (*CALLED, BidReceived(Subject("A1-1", ACTION), B, "allow"), AwardMade("A1-1", past.parties(A), B))
 
 
 def accepted(*before) -> State:  # type: ignore[no-untyped-def]
@@ -128,7 +115,7 @@ def test_execution_goes_from_agent_to_agent_and_overlaps_until_acknowledged() ->
 def test_another_tasks_action_at_the_executor_is_double_booking_until_settled() -> None:
     state = running()
     other = "A1-2/2.1"
-    for event in (*SECOND, AwardMade("A1-2", Parties(requested_by=A, executed_by=None, supervised_by=None), B)):
+    for event in (*SECOND, AwardMade("A1-2", past.parties(A), B)):
         apply(state, event)
     booked = accept_award(state, AcceptAward(other))
     assert "RequestDeferred" in types(booked)

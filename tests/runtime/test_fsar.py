@@ -1,12 +1,11 @@
 """FSAR's handlers: given events, when a command, then events."""
 
 from fsar_ledger.events.authority import AuthorityClaimed, AuthorityReleased
-from fsar_ledger.events.envelope import Parties, Robot, Subject, Supervisor
+from fsar_ledger.events.envelope import Robot, Subject, Supervisor
 from fsar_ledger.events.execution import ExecutionHeld, ExecutionStarted
 from fsar_ledger.events.knowledge import FleetRuleLearned
 from fsar_ledger.events.registry import RegistryQueried
 from fsar_ledger.events.request import RequestAccepted, RequestAdmitted, RequestDenied, RequestIssued, RequestUnanswered
-from fsar_ledger.events.task import StepBegan
 from fsar_ledger.events.world import SupervisorLeft
 from fsar_ledger.projections.fold import apply
 from fsar_ledger.runtime.architectures.fsar.authority import Revoke, revoke
@@ -26,6 +25,7 @@ from fsar_ledger.runtime.architectures.fsar.request import (
 )
 from fsar_ledger.runtime.handlers.authority import close_execution
 from fsar_ledger.runtime.handlers.commands import CloseExecution, DecideRoutine, StartAction, TakeTurn
+from tests import past
 from tests.runtime.histories import ARRIVED, DELEGATED_STEP, OWN_STEP, SECOND, given, happen, types, window
 
 A, B, C, D = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/C1"), Robot("robot/D1")
@@ -33,12 +33,7 @@ A, B, C, D = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/C1"), Robot("rob
 REQUESTED = (
     ARRIVED,
     DELEGATED_STEP,
-    RegistryQueried(
-        subject=Subject("A1-1", "A1-1/2.1"),
-        principals=Parties(requested_by=A, executed_by=B, supervised_by=None),
-        capability="door.open.secure",
-        candidates=(B,),
-    ),
+    past.queried(Subject("A1-1", "A1-1/2.1"), past.parties(A, B), "door.open.secure", B),
 )
 
 
@@ -77,18 +72,14 @@ def test_the_registry_shows_only_trusted_robots() -> None:
 
 
 def test_a_robot_without_direct_trust_is_reached_through_a_doubly_trusted_peer() -> None:
-    step = StepBegan(
-        subject=DELEGATED_STEP.subject, robot=D, step=2, attempt=1, capability="door.open.secure", target_role="B"
-    )
+    step = past.began(DELEGATED_STEP.subject, D, 2, "door.open.secure", "B")
     [answer] = query_registry(given("fsar", ARRIVED, step), QueryRegistry("A1-1/2.1"))
     assert isinstance(answer, RegistryQueried)
     assert (answer.candidates, answer.relay) == (("robot/B1",), "robot/A1")
 
 
 def test_a_private_zone_is_hidden_from_those_who_may_not_see_it() -> None:
-    step = StepBegan(
-        subject=DELEGATED_STEP.subject, robot=D, step=2, attempt=1, capability="inspect.private_zone", target_role="C"
-    )
+    step = past.began(DELEGATED_STEP.subject, D, 2, "inspect.private_zone", "C")
     [answer] = query_registry(given("fsar", ARRIVED, step), QueryRegistry("A1-1/2.1"))
     assert isinstance(answer, RegistryQueried)
     assert answer.candidates == ()
@@ -149,15 +140,7 @@ def test_a_review_goes_to_the_fleet_supervisor() -> None:
 
 def test_a_busy_executor_defers() -> None:
     state, _ = executing()
-    for event in (
-        *SECOND,
-        RegistryQueried(
-            subject=Subject("A1-2", "A1-2/2.1"),
-            principals=Parties(requested_by=A, executed_by=B, supervised_by=None),
-            capability="door.open.secure",
-            candidates=(B,),
-        ),
-    ):
+    for event in (*SECOND, past.queried(Subject("A1-2", "A1-2/2.1"), past.parties(A, B), "door.open.secure", B)):
         apply(state, event)
     assert types(evaluate_request(state, EvaluateRequest("A1-2/2.1"))) == [
         "RequestAdmitted",

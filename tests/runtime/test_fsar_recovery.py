@@ -4,12 +4,11 @@ import msgspec
 
 from fsar_ledger.constants import Constants
 from fsar_ledger.events.authority import AuthorityClaimed
-from fsar_ledger.events.envelope import Parties, Robot, Subject
-from fsar_ledger.events.execution import ApproachStarted, ExecutionStarted
+from fsar_ledger.events.envelope import Robot, Subject
+from fsar_ledger.events.execution import ApproachStarted
 from fsar_ledger.events.recovery import AssistanceEnded, FailureResolved
 from fsar_ledger.events.registry import RegistryQueried
-from fsar_ledger.events.task import StepBegan
-from fsar_ledger.events.world import ObstructionAppeared, ObstructionCleared, OutsiderRequestInjected, TaskArrived
+from fsar_ledger.events.world import ObstructionAppeared, ObstructionCleared, OutsiderRequestInjected
 from fsar_ledger.projections.fold import apply, fold
 from fsar_ledger.runtime.architectures.fsar.authority import AnswerOutsider, answer_outsider
 from fsar_ledger.runtime.architectures.fsar.discovery import QueryRegistry, query_registry
@@ -27,6 +26,7 @@ from fsar_ledger.runtime.handlers.commands import DetectObstruction, EndAttempt,
 from fsar_ledger.runtime.handlers.execution import _on_running, detect_obstruction, start_after_approach
 from fsar_ledger.runtime.simulation import RunSpec, run_started
 from fsar_ledger.runtime.world.founding import founding
+from tests import past
 from tests.runtime.histories import ARRIVED, OWN_STEP, given, happen, types, window
 from tests.runtime.test_fsar import A, B, C, D, executing
 
@@ -66,7 +66,7 @@ def test_a_spent_time_budget_ends_local_recovery() -> None:
 
 
 def test_a_failed_carry_is_reassigned_to_a_trusted_substitute() -> None:
-    step = StepBegan(subject=OWN_STEP.subject, robot=A, step=1, attempt=1, capability="carry.package")
+    step = past.began(OWN_STEP.subject, A, 1, "carry.package")
     state = given("fsar", ARRIVED, step, ObstructionAppeared(A, "o"))
     happen(state, *decide_own_step(state, DecideOwnStep("A1-1/1.1")))
     happen(state, *start(state, StartAction("A1-1/1.1", now_us=5, answer=7_000_000)))
@@ -114,14 +114,7 @@ def test_without_trust_evaluation_the_outsider_runs_under_contested_audit() -> N
 
 def test_an_execution_that_starts_in_the_way_of_something_finishes_if_that_goes_at_once() -> None:
     state, action_id = executing(ObstructionAppeared(B, "o"))
-    started = ExecutionStarted(
-        subject=Subject("A1-1", action_id),
-        principals=Parties(requested_by=None, executed_by=None, supervised_by=None),
-        robot=B,
-        on_behalf_of=A,
-        capability="door.open.secure",
-        ends_us=11_000_000,
-    )
+    started = past.started(Subject("A1-1", action_id), B, A, "door.open.secure", 11_000_000, past.parties())
     scheduled = [type(one.command).__name__ for one in _on_running(state, started, 9_000_000)]
     assert scheduled == ["DetectObstruction", "FinishAttempt"]
     apply(state, ObstructionCleared(B, "o"))
@@ -142,17 +135,8 @@ def test_a_local_recovery_clears_nothing_but_what_was_clear() -> None:
 
 def test_the_relay_is_the_nearest_teams() -> None:
     spec = RunSpec(1, "fsar", "full", "door-relay", 8, 0)
-    step = StepBegan(
-        subject=Subject("D2-1", "D2-1/1.1"),
-        robot=Robot("robot/D2"),
-        step=1,
-        attempt=1,
-        capability="door.open.secure",
-        target_role="B",
-    )
-    arrived = TaskArrived(
-        task_id="D2-1", robot=Robot("robot/D2"), team=2, steps=("D door.open.secure B",), budget_us=1, due_us=1
-    )
+    step = past.began(Subject("D2-1", "D2-1/1.1"), Robot("robot/D2"), 1, "door.open.secure", "B")
+    arrived = past.arrived("D2-1", Robot("robot/D2"), ("D door.open.secure B",), team=2, budget_us=1, due_us=1)
     state = fold((run_started(spec, Constants()), *founding(8), arrived, step))
     [answer] = query_registry(state, QueryRegistry("D2-1/1.1"))
     assert (answer.candidates, answer.relay) == (("robot/B2",), "robot/A2")  # type: ignore[attr-defined]

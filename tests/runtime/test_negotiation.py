@@ -6,9 +6,9 @@ import msgspec
 import pytest
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.authority import AuthorityGranted, AuthorityReleased
+from fsar_ledger.events.authority import AuthorityReleased
 from fsar_ledger.events.command import CommandRejected
-from fsar_ledger.events.envelope import FLEET_SUPERVISOR, OverrideLevel, Parties, Subject
+from fsar_ledger.events.envelope import OverrideLevel, Subject
 from fsar_ledger.events.execution import ExecutionFinished, ExecutionQueued, ExecutionStarted
 from fsar_ledger.events.registry import RegistryQueried
 from fsar_ledger.events.request import OfferAnswered, RequestAdmitted, RequestClosed, RequestCountered, RequestDenied
@@ -17,6 +17,7 @@ from fsar_ledger.projections.fold import State, apply, fold
 from fsar_ledger.runtime.architectures.fsar.request import EvaluateRequest, evaluate_request
 from fsar_ledger.runtime.handlers.commands import Command, TakeTurn
 from fsar_ledger.runtime.handlers.request import AnswerOffer, ReportResult
+from tests import past
 from tests.runtime.histories import ARRIVED, happen, types
 from tests.runtime.live import decided, of, played
 from tests.runtime.test_requests import ASK, DOOR, A, B, D, asked, offered, served
@@ -37,14 +38,7 @@ def test_an_executor_asked_for_more_override_than_it_allows_offers_what_it_allow
 
 
 def test_a_grant_of_less_than_the_executor_allows_is_the_limit() -> None:
-    grant = AuthorityGranted(
-        requested_by=A,
-        executed_by=B,
-        capability=DOOR,
-        context=None,
-        override="soft-priority",
-        decided_by=FLEET_SUPERVISOR,
-    )
+    grant = past.granted(A, B, "soft-priority", DOOR)
     assert countered("hard-preempt", "hard-preempt", grant).request.open["q1"].offered == "soft-priority"
 
 
@@ -122,17 +116,7 @@ def test_an_answer_to_no_open_offer_is_rejected(command: AnswerOffer, found: str
 def executing(result_of: str = "q1") -> State:
     """Return the state in which the request is being executed."""
     state = served(asked(), EvaluateRequest(result_of), TakeTurn(result_of))
-    apply(
-        state,
-        ExecutionStarted(
-            subject=Subject("visit", "q1"),
-            principals=Parties(requested_by=A, executed_by=B, supervised_by=None),
-            robot=B,
-            on_behalf_of=A,
-            capability=DOOR,
-            ends_us=9_000_000,
-        ),
-    )
+    apply(state, past.started(Subject("visit", "q1"), B, A, DOOR, 9_000_000))
     return state
 
 

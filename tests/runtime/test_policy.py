@@ -8,12 +8,10 @@ from hypothesis import strategies as st
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.command import CommandRejected
-from fsar_ledger.events.envelope import POLICY, Parties, Principals, Robot, Subject, Supervisor
+from fsar_ledger.events.envelope import POLICY, Robot, Subject, Supervisor
 from fsar_ledger.events.execution import ExecutionHeld, ExecutionStarted
-from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.events.knowledge import FleetRuleLearned
 from fsar_ledger.events.policy import PolicyConflictEscalated, PolicyRuleSet, RolePolicyRuleSet
-from fsar_ledger.events.registry import RegistryQueried
 from fsar_ledger.events.request import RequestDenied
 from fsar_ledger.events.task import TaskCompleted
 from fsar_ledger.projections.fold import apply, fold
@@ -33,22 +31,14 @@ from fsar_ledger.runtime.handlers.policy import (
     set_policy_rule,
     set_role_policy_rule,
 )
+from tests import past
 from tests.runtime.governed import H_F, governed
 from tests.runtime.histories import ARRIVED, DELEGATED_STEP, OWN_STEP, given, happen, types, window
 
 A, B, C = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/C1")
 DOOR = "door.open.secure"
 H_B = Supervisor("supervisor/B1")
-REQUESTED = (
-    ARRIVED,
-    DELEGATED_STEP,
-    RegistryQueried(
-        subject=Subject("A1-1", "A1-1/2.1"),
-        principals=Parties(requested_by=A, executed_by=B, supervised_by=None),
-        capability=DOOR,
-        candidates=(B,),
-    ),
-)
+REQUESTED = (ARRIVED, DELEGATED_STEP, past.queried(Subject("A1-1", "A1-1/2.1"), past.parties(A, B), DOOR, B))
 OUTCOME = st.sampled_from(["allow", "deny", "review"])
 RULE = st.builds(
     PolicyRuleSet,
@@ -86,17 +76,13 @@ def refusal(events: tuple[Event, ...]) -> str:
 
 def test_a_robots_own_policy_is_set_by_its_own_supervisor() -> None:
     [event] = set_policy_rule(given("fsar"), SetPolicyRule(H_B, "local", B, DOOR, "A1-1", "deny"))
-    assert event == PolicyRuleSet(
-        scope="local", robot=B, capability=DOOR, context="A1-1", outcome="deny", decided_by=H_B
-    )
+    assert event == past.ruled("deny", B, DOOR, "A1-1")
 
 
 @pytest.mark.parametrize("robot", [None, B])
 def test_the_fleets_rules_are_set_by_the_fleet_supervisor(robot: Robot | None) -> None:
     [event] = set_policy_rule(given("fsar"), SetPolicyRule(H_F, "fleet", robot, None, None, "review"))
-    assert event == PolicyRuleSet(
-        scope="fleet", robot=robot, capability=None, context=None, outcome="review", decided_by=H_F
-    )
+    assert event == past.ruled_for_all("review", robot)
 
 
 @pytest.mark.parametrize(
@@ -126,8 +112,8 @@ def test_a_rule_that_cannot_be_set_is_rejected(command: SetPolicyRule, reason: s
 
 def test_the_fleet_supervisor_rules_by_role_and_a_robot_stays_an_exception() -> None:
     yard = (
-        RobotJoined(robot=Robot("robot/B8"), role="B", team=8, supervisor=None, domain="yard"),
-        RobotJoined(robot=Robot("robot/B9"), role="B", team=9, supervisor=None, domain="yard/gate"),
+        past.joined(Robot("robot/B8"), "B", 8, domain="yard"),
+        past.joined(Robot("robot/B9"), "B", 9, domain="yard/gate"),
     )
     state = given("fsar", rule("allow", capability=DOOR, scope="fleet"), *yard)
     [event] = set_role_policy_rule(state, SetRolePolicyRule(H_F, "B", "deny", capability=DOOR))
@@ -135,7 +121,7 @@ def test_the_fleet_supervisor_rules_by_role_and_a_robot_stays_an_exception() -> 
         scope="fleet", role="B", outcome="deny", domain="", capability=DOOR, context=None, decided_by=H_F
     )
     apply(state, event)
-    apply(state, RobotJoined(robot=Robot("robot/B7"), role="B", team=7, supervisor=None, domain="hall"))
+    apply(state, past.joined(Robot("robot/B7"), "B", 7, domain="hall"))
     assert [
         fleet_policy(state.knowledge, state.policy, robot, DOOR, None)
         for robot in (B, Robot("robot/B7"), Robot("robot/B8"), A)
@@ -213,11 +199,7 @@ def test_a_mandate_against_the_executors_own_denial_is_denied_and_escalated() ->
     state = given("fsar", *REQUESTED, rule("deny"), rule("allow", robot=None, capability=DOOR, scope="fleet"))
     escalated, denied = evaluate_request(state, EvaluateRequest("A1-1/2.1"))
     assert escalated == PolicyConflictEscalated(
-        Subject("A1-1", "A1-1/2.1"),
-        Principals(decided_by=POLICY, requested_by=A, executed_by=B, supervised_by=H_F, path=(POLICY,)),
-        DOOR,
-        "deny",
-        "allow",
+        Subject("A1-1", "A1-1/2.1"), past.principals(POLICY, A, B, H_F), DOOR, "deny", "allow"
     )
     assert isinstance(denied, RequestDenied)
     assert denied.reason == "policy"
@@ -235,11 +217,7 @@ def test_a_mandate_against_a_denial_that_holds_the_start_is_escalated_at_every_h
     happen(state, *take_turn(state, TakeTurn("A1-1/2.1")))
     escalated, held = start(state, StartAction("A1-1/2.1", now_us=5, answer=7))
     assert escalated == PolicyConflictEscalated(
-        Subject("A1-1", "A1-1/2.1"),
-        Principals(decided_by=POLICY, requested_by=A, executed_by=B, supervised_by=H_F, path=(POLICY,)),
-        DOOR,
-        "deny",
-        "allow",
+        Subject("A1-1", "A1-1/2.1"), past.principals(POLICY, A, B, H_F), DOOR, "deny", "allow"
     )
     assert isinstance(held, ExecutionHeld)
     assert held.outcome == "deny"

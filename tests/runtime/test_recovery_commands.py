@@ -12,6 +12,7 @@ from fsar_ledger.events.recovery import RecoveryBudgetSet
 from fsar_ledger.runtime.architectures.fsar.recovery import StartRecovery
 from fsar_ledger.runtime.handlers.recovery import ReportFailure, SetRecoveryBudget, report_failure, set_recovery_budget
 from fsar_ledger.runtime.simulation import handler_table_of
+from tests import past
 from tests.runtime.failures import ACTION, A, B, executing, failed, taken
 from tests.runtime.histories import given
 
@@ -47,14 +48,7 @@ def test_an_impossible_budget_is_rejected(command: SetRecoveryBudget, reason: st
 def test_a_reported_failure_is_recovered_like_any_other() -> None:
     state = executing(B, "door.open.basic")
     [event] = taken(state, report_failure(state, ReportFailure(B, ACTION, "obstruction", now_us=2_000_000)))
-    assert event == ExecutionFailed(
-        subject=Subject("A1-1", ACTION),
-        robot=B,
-        failure=1,
-        cause="obstruction",
-        remaining_us=1_000_000,
-        detected_us=2_000_000,
-    )
+    assert event == past.failed(Subject("A1-1", ACTION), B, "obstruction", 1_000_000, 2_000_000)
     [scheduled] = [
         one.command
         for react in handler_table_of("fsar").reacts[ExecutionFailed]

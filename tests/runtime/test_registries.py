@@ -9,18 +9,13 @@ from msgspec.structs import replace
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import Robot, Supervisor
 from fsar_ledger.events.fleet import RobotJoined
-from fsar_ledger.events.registry import (
-    CapabilityDeprecated,
-    CapabilityInstalled,
-    CapabilityWithdrawn,
-    RegistryCached,
-    RegistryConsulted,
-)
+from fsar_ledger.events.registry import CapabilityDeprecated, CapabilityWithdrawn, RegistryCached, RegistryConsulted
 from fsar_ledger.events.trust import TrustSet
 from fsar_ledger.projections.fold import State, apply, fold
 from fsar_ledger.projections.registry import advertisement
 from fsar_ledger.runtime.handlers.candidates import FILTERS, Query, candidates, rejecting_filter
 from fsar_ledger.runtime.handlers.registry import CacheRegistry, ConsultRegistry, cache_registry, consult_registry
+from tests import past
 from tests.runtime.histories import given, started, types
 from tests.runtime.test_registry import ASKING, A, B, busy, offered, second
 
@@ -66,7 +61,7 @@ def test_the_nearest_registry_around_the_requester_that_has_a_candidate_answers(
 
 
 def test_a_registry_without_a_candidate_hands_the_query_on_with_its_rejections() -> None:
-    distrust = TrustSet(robot=Robot("robot/F1"), peer=A, scope="none")
+    distrust = past.trusted(Robot("robot/F1"), A, "none")
     answer = candidates(from_domain("hall/north/cell", distrust), ASKING)
     assert (answer.domain, answer.candidates, answer.rejected, answer.rejected_by) == (
         "hall/north",
@@ -102,10 +97,8 @@ def test_a_limited_search_ends_at_so_many_that_are_ready() -> None:
     assert limited(2) == (("robot/E1", "robot/F1"), ())
     assert limited(9) == (("robot/E1", "robot/F1", "robot/G1"), ())
     assert limited(1, busy(Robot("robot/E1"))) == (("robot/F1",), ())
-    assert limited(1, TrustSet(robot=Robot("robot/E1"), peer=A, scope="none")) == (("robot/F1",), ("robot/E1",))
-    assert limited(1, TrustSet(robot=Robot("robot/G1"), peer=A, scope="none")) == (("robot/E1",), ()), (
-        "G1 was not looked at"
-    )
+    assert limited(1, past.trusted(Robot("robot/E1"), A, "none")) == (("robot/F1",), ("robot/E1",))
+    assert limited(1, past.trusted(Robot("robot/G1"), A, "none")) == (("robot/E1",), ()), "G1 was not looked at"
 
 
 def test_a_copy_answers_with_the_offers_of_its_time_and_says_how_old_it_is() -> None:
@@ -113,7 +106,7 @@ def test_a_copy_answers_with_the_offers_of_its_time_and_says_how_old_it_is() -> 
     assert candidates(state, ASKING).candidates == ()
     copied = candidates(state, ASKING, A)
     assert (copied.candidates, copied.as_of_us) == (("robot/B1",), 5_000_000)
-    apply(state, TrustSet(robot=B, peer=A, scope="none"))
+    apply(state, past.trusted(B, A, "none"))
     assert candidates(state, ASKING, A).rejected_by == ("trust",), "trust is that of now"
 
 
@@ -224,16 +217,11 @@ DOMAINS = st.dictionaries(st.sampled_from(ROBOTS), st.sampled_from(("", "hall", 
 
 def populated(changes: list[Event], domains: dict[str, str]) -> State:
     """A1 and ten more robots, each in its domain, after these changes."""
-    joined = [
-        RobotJoined(robot=robot, role=robot[6], team=int(robot[7]), supervisor=None, domain=domains.get(robot, ""))
-        for robot in (A, *ROBOTS)
-    ]
+    joined = [past.joined(robot, robot[6], int(robot[7]), domain=domains.get(robot, "")) for robot in (A, *ROBOTS)]
     modules = [
-        CapabilityInstalled(robot=robot, capability=name, version="1.0.0")
-        for robot in ROBOTS
-        for name in ("door.open.secure", "door.open.wide", "lift")
+        past.installed(robot, name) for robot in ROBOTS for name in ("door.open.secure", "door.open.wide", "lift")
     ]
-    trusted = [TrustSet(robot=robot, peer=A, scope="task") for robot in ROBOTS]
+    trusted = [past.trusted(robot, A, "task") for robot in ROBOTS]
     return fold((started("fsar")[0], *joined, *modules, *trusted, *changes))
 
 

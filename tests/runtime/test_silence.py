@@ -31,6 +31,7 @@ from fsar_ledger.runtime.ports import Fact
 from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, founding_of, handler_table_of
 from fsar_ledger.runtime.world.draws import Draws, SimulatedEnvironment, run_key
 from fsar_ledger.runtime.world.schedule import schedule
+from tests import past
 from tests.runtime.physics import EVERY, LAWLESS, OURS, QUIET
 
 S = 1_000_000
@@ -39,7 +40,7 @@ CALM = msgspec.structs.replace(
     OURS, **QUIET, **LAWLESS, context_rate_per_s=0.0, routine_rate_per_s=0.0, encounter_mean_s=5.0
 )
 A, B, B2, DOOR = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/B2"), "door.open.secure"
-TASK = TaskArrived(task_id="A1-1", robot=A, team=1, steps=(f"A {DOOR} B",), budget_us=90 * S, due_us=91 * S)
+TASK = past.arrived("A1-1", A, (f"A {DOOR} B",), budget_us=90 * S, due_us=91 * S)
 
 
 def ran(architecture: Architecture, facts: list[Fact], size: int = 8) -> Kernel:
@@ -96,7 +97,7 @@ def test_where_another_robot_could_serve_nobody_waits_for_ever_for_one_that_is_s
 
 def helped(architecture: Architecture) -> Kernel:
     """Something stays in the way of A while B, the first that could help, is off."""
-    own = TaskArrived(task_id="A1-1", robot=A, team=1, steps=("A navigate.indoor",), budget_us=90 * S, due_us=91 * S)
+    own = past.arrived("A1-1", A, ("A navigate.indoor",), budget_us=90 * S, due_us=91 * S)
     return ran(architecture, [(1, RobotWentOff(B)), (S, own), (S + 100, ObstructionAppeared(A, "o"))])
 
 
@@ -135,15 +136,15 @@ def test_the_registry_has_a_silent_robot_offline_until_it_has_reported_back() ->
         assert asked == [("A1-1/1.1", B), ("A1-1/1.2", B2), ("A1-2/1.1", B2), ("A1-3/1.1", B)]
         (gone_us, gone), (back_us, back) = of(run, AvailabilityChanged)
         assert (gone, back) == (
-            AvailabilityChanged(robot=B, capability=None, availability="offline", reason="no answer"),
-            AvailabilityChanged(robot=B, capability=None, availability="ready", reason="answers again"),
+            past.available(B, None, "offline", "no answer"),
+            past.available(B, None, "ready", "answers again"),
         )
         assert gone_us - of(run, RequestIssued)[0][0] == ANSWER_US
         assert 60 * S < back_us < 61 * S
 
 
 def test_what_a_robot_has_said_of_itself_since_stands_when_it_reports_back() -> None:
-    before = AvailabilityChanged(robot=B, capability="door.open.basic", availability="restricted", reason="inspection")
+    before = past.available(B, "door.open.basic", "restricted", "inspection")
     run = ran("fsar", [(1, before), (2, RobotWentOff(B)), (S, TASK), (60 * S, RobotCameBack(B))])
     back = {
         event.capability: event.availability
@@ -263,7 +264,7 @@ def test_a_relayed_request_is_two_messages_and_each_has_its_time() -> None:
 def test_a_robot_that_nobody_can_reach_does_not_know_that_a_task_was_given_up(architecture: Architecture) -> None:
     """Of three robots that are still on their way one is linked, one without a link for long, and one until before it
     would begin."""
-    short = TaskArrived(task_id="A1-1", robot=A, team=1, steps=(f"A {DOOR} B",), budget_us=2 * S, due_us=2 * S)
+    short = past.arrived("A1-1", A, (f"A {DOOR} B",), budget_us=2 * S, due_us=2 * S)
     [(queued_us, queued)] = of(ran(architecture, [(S, short)]), ExecutionQueued)
     assert isinstance(queued, ExecutionQueued)
     down = (queued_us + 1000, LinkWentDown(queued.robot))
@@ -286,8 +287,8 @@ def test_a_robot_that_reports_back_says_what_has_become_of_its_actuator_since(
 ) -> None:
     """Whichever of its two words, that it is back and that it was serviced, comes in first."""
     worn = ActuatorDegraded(B)
-    said = AvailabilityChanged(robot=B, capability=None, availability="degraded", reason="actuator")
-    own_word = AvailabilityChanged(robot=B, capability=None, availability="degraded", reason="dusty lens")
+    said = past.available(B, None, "degraded", "actuator")
+    own_word = past.available(B, None, "degraded", "dusty lens")
     first = set()
     cases: tuple[tuple[list[Fact], list[Fact], Availability], ...] = (
         ([(1, worn), (2, said)], [(30 * S, ActuatorServiced(B))], "ready"),
@@ -307,16 +308,14 @@ def test_a_robot_that_reports_back_says_what_has_become_of_its_actuator_since(
             if isinstance(event, AvailabilityChanged) and 60 * S < time_us < 61 * S
         ]
         first.add(tuple(word.reason for word in words))
-        assert words[-1] == AvailabilityChanged(
-            robot=B, capability=None, availability=after, reason=words[-1].reason
-        ), (start, since, words)
+        assert words[-1] == past.available(B, None, after, words[-1].reason), (start, since, words)
         assert run.state.registry.silent == {}
     assert first == {("answers again",), ("answers again", "actuator")}
 
 
 def test_a_silent_robot_that_nobody_would_choose_is_not_waited_for() -> None:
     """B is the nearest that may help, and those that are off are farther."""
-    own = TaskArrived(task_id="A1-1", robot=A, team=1, steps=("A navigate.indoor",), budget_us=90 * S, due_us=91 * S)
+    own = past.arrived("A1-1", A, ("A navigate.indoor",), budget_us=90 * S, due_us=91 * S)
     facts: list[Fact] = [(S, own), (S + 100, ObstructionAppeared(A, "o"))]
     calm = of(ran("fsar", facts), AssistanceAdmitted)
     assert [event.helper for _, event in calm if isinstance(event, AssistanceAdmitted)] == [B]
@@ -330,9 +329,7 @@ def relayed(low_s: float, high_s: float, *facts: Fact) -> Kernel:
     """The run of one team in which D asks B through A, with messages of this length."""
     slow = msgspec.structs.replace(CALM, message=Range(low_s, high_s))
     spec, constants = RunSpec(5, "fsar", "full", "door-relay", 4, 0), Constants(world=slow)
-    task = TaskArrived(
-        task_id="D1-1", robot=Robot("robot/D1"), team=1, steps=(f"D {DOOR} B",), budget_us=90 * S, due_us=91 * S
-    )
+    task = past.arrived("D1-1", Robot("robot/D1"), (f"D {DOOR} B",), budget_us=90 * S, due_us=91 * S)
     run = Kernel(
         handler_table_of("fsar"),
         SimulatedEnvironment([*facts, (S, task)], Draws(run_key(5, "door-relay", 0), slow)),

@@ -7,11 +7,8 @@ from hypothesis import strategies as st
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.command import CommandRejected
-from fsar_ledger.events.envelope import Parties, Principals, RequestSubject, Robot, Subject, Supervisor
-from fsar_ledger.events.execution import ExecutionFailed, ExecutionQueued, ExecutionStarted
-from fsar_ledger.events.fleet import RobotJoined
+from fsar_ledger.events.envelope import RequestSubject, Robot, Subject, Supervisor
 from fsar_ledger.events.recovery import FailureResolved
-from fsar_ledger.events.registry import RegistryQueried
 from fsar_ledger.events.request import RequestAdmitted, RequestDenied
 from fsar_ledger.events.supervision import (
     ActuatorServiced,
@@ -39,28 +36,18 @@ from fsar_ledger.runtime.handlers.supervision import (
     set_supervision_density,
     supervisor_for,
 )
+from tests import past
 from tests.runtime.governed import H_F, governed
 from tests.runtime.histories import ARRIVED, DELEGATED_STEP, given, happen, types, window
 
 A, B = Robot("robot/A1"), Robot("robot/B1")
 H_A, H_B = Supervisor("supervisor/A1"), Supervisor("supervisor/B1")
 ACTION = "A1-1/2.1"
-REQUESTED = (
-    ARRIVED,
-    DELEGATED_STEP,
-    RegistryQueried(
-        subject=Subject("A1-1", ACTION),
-        principals=Parties(requested_by=A, executed_by=B, supervised_by=None),
-        capability="door.open.secure",
-        candidates=(B,),
-    ),
-)
-REVIEW = SupervisorCalled(subject=Subject("A1-1", ACTION), supervisor=H_F, purpose="review")
-ORDERING = SupervisorCalled(
-    subject=Subject("A1-1", ACTION), supervisor=H_F, purpose="ordering", robot=B, competing="A1-2/2.1"
-)
-LOCAL = SupervisorCalled(subject=Subject("A1-1", ACTION), supervisor=H_B, purpose="recovery")
-FLEETS = SupervisorCalled(subject=Subject("A1-1", ACTION), supervisor=H_F, purpose="recovery")
+REQUESTED = (ARRIVED, DELEGATED_STEP, past.queried(Subject("A1-1", ACTION), past.parties(A, B), "door.open.secure", B))
+REVIEW = past.called(Subject("A1-1", ACTION), H_F, "review")
+ORDERING = past.called(Subject("A1-1", ACTION), H_F, "ordering", robot=B, competing="A1-2/2.1")
+LOCAL = past.called(Subject("A1-1", ACTION), H_B, "recovery")
+FLEETS = past.called(Subject("A1-1", ACTION), H_F, "recovery")
 
 
 def refusal(events: tuple[Event, ...]) -> str:
@@ -72,42 +59,17 @@ def refusal(events: tuple[Event, ...]) -> str:
 def admitted(robot: Robot, ordinal: int = 0) -> RequestAdmitted:
     return RequestAdmitted(
         subject=RequestSubject("t1", f"t1/{ordinal}", f"t1/{ordinal}"),
-        principals=Principals(decided_by=robot, requested_by=A, executed_by=robot, supervised_by=None, path=(robot,)),
+        principals=past.principals(robot, A, robot),
         outcome="allow",
     )
 
 
 def failing(*before: Event) -> State:
     """A state in which B's execution for A has failed."""
-    queued = ExecutionQueued(
-        subject=Subject("A1-1", ACTION),
-        principals=Parties(requested_by=A, executed_by=B, supervised_by=H_B),
-        robot=B,
-        on_behalf_of=A,
-        capability="door.open.secure",
-        step=2,
-        attempt=1,
-        is_delegated=True,
-        has_approach=True,
-        is_supervised=True,
-    )
-    started = ExecutionStarted(
-        subject=Subject("A1-1", ACTION),
-        principals=Parties(requested_by=A, executed_by=B, supervised_by=H_B),
-        robot=B,
-        on_behalf_of=A,
-        capability="door.open.secure",
-        ends_us=9,
-    )
+    queued = past.queued(Subject("A1-1", ACTION), B, A, "door.open.secure", step=2, principals=past.parties(A, B, H_B))
+    started = past.started(Subject("A1-1", ACTION), B, A, "door.open.secure", 9, past.parties(A, B, H_B))
     return given(
-        "fsar",
-        *REQUESTED,
-        queued,
-        started,
-        ExecutionFailed(
-            subject=Subject("A1-1", ACTION), robot=B, failure=1, cause="degradation", remaining_us=1, detected_us=8
-        ),
-        *before,
+        "fsar", *REQUESTED, queued, started, past.failed(Subject("A1-1", ACTION), B, "degradation", 1, 8), *before
     )
 
 
@@ -120,7 +82,7 @@ def test_what_concerns_one_robot_goes_to_its_own_supervisor_and_the_rest_to_the_
 
 
 def test_off_shift_or_without_an_own_supervisor_it_goes_to_the_fleets() -> None:
-    state = given("fsar", SupervisorLeft(H_B), RobotJoined(robot=Robot("robot/X1"), role="A", team=1, supervisor=None))
+    state = given("fsar", SupervisorLeft(H_B), past.joined(Robot("robot/X1"), "A"))
     assert supervisor_for(state.fleet, state.world, B, is_cross_robot=False) == H_F
     assert supervisor_for(state.fleet, state.world, Robot("robot/X1"), is_cross_robot=False) == H_F
     apply(state, SupervisorReturned(H_B))
@@ -132,10 +94,7 @@ def test_the_supervisor_who_was_called_approves_a_review_or_not(approves: bool) 
     state = given("fsar", *REQUESTED, REVIEW)
     [response] = respond_to_call(state, RespondToCall(H_F, ACTION, approves))
     assert response == SupervisorResponded(
-        Subject("A1-1", ACTION),
-        Principals(decided_by=H_F, requested_by=A, executed_by=None, supervised_by=H_F, path=(H_F,)),
-        "review",
-        approves,
+        Subject("A1-1", ACTION), past.principals(H_F, A, None, H_F), "review", approves
     )
     apply(state, response)
     assert (ACTION in state.supervision.approved, state.supervision.calls) == (approves, {})
@@ -152,12 +111,7 @@ def test_a_disapproved_request_is_denied_by_the_executor_for_the_review() -> Non
 
 
 def test_a_coordinator_too_does_not_command_what_was_disapproved() -> None:
-    state = given(
-        "cfc",
-        ARRIVED,
-        DELEGATED_STEP,
-        SupervisorCalled(subject=Subject("A1-1", ACTION), supervisor=H_F, purpose="review", robot=B),
-    )
+    state = given("cfc", ARRIVED, DELEGATED_STEP, past.called(Subject("A1-1", ACTION), H_F, "review", robot=B))
     [response] = respond_to_call(state, RespondToCall(H_F, ACTION, False))
     apply(state, response)
     [scheduled] = [one for react in CFC.reacts[SupervisorResponded] for one in react(state, response, 0)]
@@ -176,11 +130,7 @@ def test_the_order_of_two_commands_names_the_one_that_goes_first() -> None:
 def test_a_robots_own_supervisor_resolves_its_failure_and_has_it_serviced(is_degraded: bool) -> None:
     state = failing(LOCAL, *([ActuatorDegraded(B)] if is_degraded else []))
     for events in (respond_to_call(state, RespondToCall(H_B, ACTION, True)), respond(state, Respond(1))):
-        assert events[0] == SupervisorResponded(
-            Subject("A1-1", ACTION),
-            Principals(decided_by=H_B, requested_by=A, executed_by=B, supervised_by=H_B, path=(H_B,)),
-            "recovery",
-        )
+        assert events[0] == SupervisorResponded(Subject("A1-1", ACTION), past.principals(H_B, A, B, H_B), "recovery")
         assert events[1:] == ((ActuatorServiced(B),) if is_degraded else ()) + (
             FailureResolved(Subject("A1-1", ACTION), B, 1, "human"),
         )
@@ -236,12 +186,7 @@ def test_an_answer_is_that_of_the_supervisor_who_gave_it_even_when_another_was_c
 def test_a_late_answer_about_one_failure_does_not_resolve_the_next() -> None:
     state = failing(LOCAL)
     happen(state, *respond_to_call(state, RespondToCall(H_B, ACTION, True)))
-    apply(
-        state,
-        ExecutionFailed(
-            subject=Subject("A1-1", ACTION), robot=B, failure=2, cause="degradation", remaining_us=1, detected_us=9
-        ),
-    )
+    apply(state, past.failed(Subject("A1-1", ACTION), B, "degradation", 1, 9, 2))
     apply(state, LOCAL)
     assert respond(state, Respond(1)) == ()
     assert types(respond(state, Respond(2))) == ["SupervisorResponded", "FailureResolved"]
@@ -278,7 +223,7 @@ def test_density_that_cannot_be_set_is_rejected(command: SetSupervisionDensity, 
 
 
 def test_nobody_speaks_for_a_robot_without_a_supervisor_but_the_fleets() -> None:
-    state = given("fsar", RobotJoined(robot=Robot("robot/X1"), role="A", team=1, supervisor=None))
+    state = given("fsar", past.joined(Robot("robot/X1"), "A"))
     nobody: Supervisor = None  # type: ignore[assignment]
     assert refusal(set_supervision_density(state, SetSupervisionDensity(nobody, Robot("robot/X1"), 3, ""))).startswith(
         "unknown supervisor"

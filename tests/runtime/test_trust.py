@@ -4,12 +4,10 @@ import pytest
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.command import CommandRejected
-from fsar_ledger.events.envelope import TRUST, Parties, RequestSubject, Robot, Service, Subject, Supervisor
-from fsar_ledger.events.execution import ExecutionFailed, ExecutionQueued
-from fsar_ledger.events.fleet import RobotJoined
+from fsar_ledger.events.envelope import TRUST, RequestSubject, Robot, Service, Subject, Supervisor
 from fsar_ledger.events.request import RequestClosed, RequestDenied, RequestIssued
 from fsar_ledger.events.task import TaskCompleted
-from fsar_ledger.events.trust import RoleTrustSet, TrustSet, TrustThresholdsSet
+from fsar_ledger.events.trust import RoleTrustSet, TrustThresholdsSet
 from fsar_ledger.projections.fold import State, apply
 from fsar_ledger.projections.trust import scope_of
 from fsar_ledger.runtime.handlers.trust import (
@@ -23,6 +21,7 @@ from fsar_ledger.runtime.handlers.trust import (
     set_trust,
     trusts,
 )
+from tests import past
 from tests.runtime.governed import H_F
 from tests.runtime.histories import ARRIVED, given
 
@@ -42,38 +41,14 @@ def results(*outcomes: str, promote: int = 0, downgrade: int = 0) -> State:
     state = given("fsar", TrustThresholdsSet(promote, downgrade, H_F))
     for ordinal, outcome in enumerate(outcomes):
         subject = RequestSubject("t1", f"t1/{ordinal}", f"t1/{ordinal}")
-        parties = Parties(requested_by=A, executed_by=B, supervised_by=None)
+        parties = past.parties(A, B)
         apply(
             state,
             RequestIssued(subject=subject, principals=parties.decided(A), capability=DOOR, carried_policy="allow"),
         )
         if outcome == "failed":
-            apply(
-                state,
-                ExecutionQueued(
-                    subject=Subject("t1", f"t1/{ordinal}"),
-                    principals=Parties(requested_by=A, executed_by=B, supervised_by=None),
-                    robot=B,
-                    on_behalf_of=A,
-                    capability=DOOR,
-                    step=1,
-                    attempt=1,
-                    is_delegated=True,
-                    has_approach=True,
-                    is_supervised=True,
-                ),
-            )
-            apply(
-                state,
-                ExecutionFailed(
-                    subject=Subject("t1", f"t1/{ordinal}"),
-                    robot=B,
-                    failure=1,
-                    cause="degradation",
-                    remaining_us=0,
-                    detected_us=0,
-                ),
-            )
+            apply(state, past.queued(Subject("t1", f"t1/{ordinal}"), B, A, DOOR))
+            apply(state, past.failed(Subject("t1", f"t1/{ordinal}"), B, "degradation", 0, 0))
         elif outcome == "success":
             apply(state, RequestClosed(subject, parties.decided(Service("service/coordination"))))
         else:
@@ -86,9 +61,7 @@ def test_the_robots_own_supervisor_and_the_fleets_may_set_its_trust(supervisor: 
     state = given("fsar")
     assert not trusts(state, B, D, DOOR)
     [event] = set_trust(state, SetTrust(supervisor, B, D, "task", DOOR, "A1-1"))
-    assert event == TrustSet(
-        robot=B, peer=D, scope="task", capability=DOOR, context="A1-1", decided_by=supervisor, reason="operator"
-    )
+    assert event == past.trusted(B, D, "task", DOOR, context="A1-1", decided_by=supervisor, reason="operator")
     apply(state, event)
     assert (
         trusts(state, B, D, DOOR, "A1-1"),
@@ -118,9 +91,9 @@ def test_trust_that_cannot_be_set_is_rejected(command: SetTrust, reason: str) ->
 def test_the_fleet_supervisor_sets_trust_by_role_and_a_pair_stays_an_exception() -> None:
     state = given(
         "fsar",
-        TrustSet(robot=B, peer=D, scope="none"),
-        RobotJoined(robot=Robot("robot/B9"), role="B", team=9, supervisor=None, domain="yard"),
-        RobotJoined(robot=Robot("robot/D9"), role="D", team=9, supervisor=None, domain="yard/gate"),
+        past.trusted(B, D, "none"),
+        past.joined(Robot("robot/B9"), "B", 9, domain="yard"),
+        past.joined(Robot("robot/D9"), "D", 9, domain="yard/gate"),
     )
     [event] = set_role_trust(state, SetRoleTrust(H_F, "B", "D", "task", capability=DOOR))
     assert event == RoleTrustSet(
