@@ -27,15 +27,12 @@ from fsar_ledger.runtime.handlers.advertising import (
     UpgradeCapability,
     WithdrawCapability,
     advertise_capability,
-    deprecate_capability,
     finish_roll_out,
-    report_availability,
-    upgrade_capability,
-    withdraw_capability,
 )
 from fsar_ledger.runtime.handlers.commands import Command
 from tests import past
 from tests.runtime.histories import given, happen, types
+from tests.runtime.live import decided
 
 A, B = Robot("robot/A1"), Robot("robot/B1")
 
@@ -120,17 +117,17 @@ def test_what_cannot_be_advertised_is_refused(command: AdvertiseCapability, reas
 
 
 def test_a_withdrawn_capability_is_off_the_surface_and_still_possessed() -> None:
-    [event] = withdraw_capability(given("fsar"), WithdrawCapability(*DOOR, "jammed"))
+    [event] = decided(given("fsar"), WithdrawCapability(*DOOR, "jammed"))
     assert event == CapabilityWithdrawn(DOOR[0], DOOR[1], "jammed")
     state = given("fsar", event)
     assert advertisement(state.registry, *DOOR) is None
     assert possesses(state.registry, *DOOR)
-    assert types(withdraw_capability(state, WithdrawCapability(*DOOR, "again"))) == ["CommandRejected"]
+    assert types(decided(state, WithdrawCapability(*DOOR, "again"))) == ["CommandRejected"]
 
 
 def test_a_robot_reports_the_availability_of_one_capability_or_of_all() -> None:
-    [one] = report_availability(given("fsar"), ReportAvailability(*DOOR, "restricted", "inspection"))
-    [everything] = report_availability(given("fsar"), ReportAvailability(B, None, "offline", "charging"))
+    [one] = decided(given("fsar"), ReportAvailability(*DOOR, "restricted", "inspection"))
+    [everything] = decided(given("fsar"), ReportAvailability(B, None, "offline", "charging"))
     assert [record.availability for record in surface(given("fsar", one).registry, B)] == [
         "ready",
         "ready",
@@ -140,7 +137,7 @@ def test_a_robot_reports_the_availability_of_one_capability_or_of_all() -> None:
 
 
 def test_a_deprecated_version_names_its_successor() -> None:
-    [event] = deprecate_capability(given("fsar"), DeprecateCapability(*DOOR, "1.0.0", "2.0.0"))
+    [event] = decided(given("fsar"), DeprecateCapability(*DOOR, "1.0.0", "2.0.0"))
     assert event == CapabilityDeprecated(robot=DOOR[0], capability=DOOR[1], version="1.0.0", successor="2.0.0")
     record = advertisement(given("fsar", event).registry, *DOOR)
     assert record is not None
@@ -223,7 +220,7 @@ def test_a_roll_out_restricts_the_old_version_until_the_new_one_is_advertised_on
         embodiment=("arm",),
     )
     state = given("fsar", terms)
-    events = upgrade_capability(state, UpgradeCapability(*DOOR, "2.0.0", postconditions=("door.opened",)))
+    events = decided(state, UpgradeCapability(*DOOR, "2.0.0", postconditions=("door.opened",)))
     assert types(events) == ["CapabilityInstalled", "AvailabilityChanged"]
     begun = rolling_out(state, events)
     record = advertisement(state.registry, *DOOR)
@@ -243,19 +240,17 @@ def test_a_roll_out_restricts_the_old_version_until_the_new_one_is_advertised_on
         visibility="domain",
     )
     apply(state, shown)
-    assert finish_roll_out(state, FinishRollOut(*DOOR)) == ()
+    assert decided(state, FinishRollOut(*DOOR)) == ()
 
 
 def test_a_roll_out_of_what_was_withdrawn_meanwhile_shows_nothing() -> None:
     state = given("fsar")
-    happen(state, *upgrade_capability(state, UpgradeCapability(*DOOR, "2.0.0")), WITHDRAWN)
-    assert finish_roll_out(state, FinishRollOut(*DOOR)) == ()
+    happen(state, *decided(state, UpgradeCapability(*DOOR, "2.0.0")), WITHDRAWN)
+    assert decided(state, FinishRollOut(*DOOR)) == ()
 
 
 def test_an_upgrade_puts_nothing_on_the_surface_that_was_not_there() -> None:
-    assert types(upgrade_capability(given("fsar", WITHDRAWN), UpgradeCapability(*DOOR, "2.0.0"))) == [
-        "CapabilityInstalled"
-    ]
+    assert types(decided(given("fsar", WITHDRAWN), UpgradeCapability(*DOOR, "2.0.0"))) == ["CapabilityInstalled"]
 
 
 @pytest.mark.parametrize(
@@ -274,7 +269,7 @@ def test_a_new_version_is_as_available_as_the_robot_has_said(
     before: Event | None, meanwhile: Event | None, shown: str
 ) -> None:
     state = given("fsar", *([before] if before else []))
-    command = rolling_out(state, upgrade_capability(state, UpgradeCapability(*DOOR, "2.0.0")))
+    command = rolling_out(state, decided(state, UpgradeCapability(*DOOR, "2.0.0")))
     happen(state, *[meanwhile] if meanwhile else [])
     [advertised] = finish_roll_out(state, command)
     assert isinstance(advertised, CapabilityAdvertised)
@@ -283,9 +278,9 @@ def test_a_new_version_is_as_available_as_the_robot_has_said(
 
 def test_an_upgrade_during_a_roll_out_is_shown_once() -> None:
     state = given("fsar")
-    first = rolling_out(state, upgrade_capability(state, UpgradeCapability(*DOOR, "2.0.0")))
+    first = rolling_out(state, decided(state, UpgradeCapability(*DOOR, "2.0.0")))
     apply(state, past.available(DOOR[0], DOOR[1], "ready", "in haste"))
-    second = rolling_out(state, upgrade_capability(state, UpgradeCapability(*DOOR, "3.0.0")))
+    second = rolling_out(state, decided(state, UpgradeCapability(*DOOR, "3.0.0")))
     [advertised] = finish_roll_out(state, first)
     apply(state, advertised)
     assert advertised.version == "3.0.0"  # type: ignore[attr-defined]

@@ -24,7 +24,6 @@ from fsar_ledger.runtime.architectures.handler_table import HandlerTable
 from fsar_ledger.runtime.handlers.commands import BeginStep, Command, StartAction, TakeTurn
 from fsar_ledger.runtime.handlers.request import ReportResult, RequestCapability
 from fsar_ledger.runtime.handlers.supervision import RespondToCall
-from fsar_ledger.runtime.handlers.task import begin_step
 from tests import past
 from tests.runtime.histories import given, happen, types, window
 from tests.runtime.live import decided
@@ -66,17 +65,11 @@ def begins(table: HandlerTable, state: State, event: Event) -> list[BeginStep]:
 # A refusal is the last word about a request
 
 
-def test_a_request_that_was_refused_is_not_judged_again() -> None:
+def test_a_request_that_was_refused_is_not_judged_again_even_once_the_reason_is_gone() -> None:
     state = asked()
     apply(state, window(B))
     assert given_to(state, EvaluateRequest(FIRST)) == ["RequestDenied"]
     assert given_to(state, EvaluateRequest(FIRST)) == []
-
-
-def test_a_request_that_was_refused_is_not_admitted_once_the_reason_is_gone() -> None:
-    state = asked()
-    apply(state, window(B))
-    given_to(state, EvaluateRequest(FIRST))
     apply(state, PolicyWindowClosed(B, "local", "local/B1/0"))
     assert given_to(state, EvaluateRequest(FIRST)) == []
 
@@ -171,22 +164,22 @@ def test_a_new_task_and_a_finished_step_are_followed_by_no_attempt_in_particular
 @pytest.mark.parametrize("architecture", ["fsar", "cfc", "dhma"])
 def test_a_step_begins_anew_after_its_last_attempt(architecture: Architecture) -> None:
     state = given(architecture, ARRIVED, began(FIRST))
-    assert begin_step(state, BeginStep("A1-1", FIRST)) == (began(SECOND, 2),)
+    assert decided(state, BeginStep("A1-1", FIRST)) == (began(SECOND, 2),)
 
 
 @pytest.mark.parametrize("architecture", ["fsar", "cfc", "dhma"])
 @pytest.mark.parametrize("after", [FIRST, ""])
 def test_a_step_does_not_begin_anew_while_a_later_attempt_is_under_way(architecture: Architecture, after: str) -> None:
     state = given(architecture, ARRIVED, began(FIRST), began(SECOND, 2))
-    assert begin_step(state, BeginStep("A1-1", after)) == ()
+    assert decided(state, BeginStep("A1-1", after)) == ()
 
 
 def test_an_attempt_that_the_task_has_left_behind_neither_begins_the_next_step_nor_ends_the_task() -> None:
     state = given("fsar", ARRIVED, began(FIRST), StepCompleted(Subject("A1-1", FIRST)))
-    assert begin_step(state, BeginStep("A1-1", FIRST)) == ()
-    assert begin_step(state, BeginStep("A1-1", FIRST, now_us=10**9)) == ()
-    assert types(begin_step(state, BeginStep("A1-1"))) == ["StepBegan"]
+    assert decided(state, BeginStep("A1-1", FIRST)) == ()
+    assert decided(state, BeginStep("A1-1", FIRST, now_us=10**9)) == ()
+    assert types(decided(state, BeginStep("A1-1"))) == ["StepBegan"]
     apply(state, past.began(Subject("A1-1", "A1-1/2.1"), A, 2, "navigate.indoor"))
     apply(state, StepCompleted(Subject("A1-1", "A1-1/2.1")))
-    assert begin_step(state, BeginStep("A1-1", "A1-1/2.1")) == ()
-    assert begin_step(state, BeginStep("A1-1")) == (TaskCompleted("A1-1"),)
+    assert decided(state, BeginStep("A1-1", "A1-1/2.1")) == ()
+    assert decided(state, BeginStep("A1-1")) == (TaskCompleted("A1-1"),)

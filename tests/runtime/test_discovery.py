@@ -11,13 +11,14 @@ from fsar_ledger.events.registry import CapabilityWithdrawn, RegistryQueried
 from fsar_ledger.events.world import OutsiderRequestInjected
 from fsar_ledger.projections.fold import apply, fold
 from fsar_ledger.projections.registry import Offers
-from fsar_ledger.runtime.architectures.fsar.authority import AnswerOutsider, answer_outsider
-from fsar_ledger.runtime.architectures.fsar.discovery import QueryRegistry, query_registry
+from fsar_ledger.runtime.architectures.fsar.authority import AnswerOutsider
+from fsar_ledger.runtime.architectures.fsar.discovery import QueryRegistry
 from fsar_ledger.runtime.handlers.candidates import Query, candidates
 from fsar_ledger.runtime.simulation import RunSpec, run_started
 from fsar_ledger.runtime.world.founding import founding
 from tests import past
 from tests.runtime.histories import given
+from tests.runtime.live import decided
 
 
 def test_the_registry_says_by_which_filter_it_left_others_out() -> None:
@@ -26,7 +27,7 @@ def test_the_registry_says_by_which_filter_it_left_others_out() -> None:
     arrived = past.arrived("A2-1", Robot("robot/A2"), ("A door.open.secure B",), team=2, budget_us=1, due_us=1)
     distrust = past.trusted(Robot("robot/B1"), Robot("robot/A2"), "none")
     state = fold((run_started(spec, Constants()), *founding(8), arrived, step, distrust))
-    [answer] = query_registry(state, QueryRegistry("A2-1/1.1"))
+    [answer] = decided(state, QueryRegistry("A2-1/1.1"))
     assert isinstance(answer, RegistryQueried)
     assert (answer.candidates, answer.relay, answer.rejected, answer.rejected_by) == (
         ("robot/B2",),
@@ -41,11 +42,12 @@ def test_who_is_reached_through_a_peer_is_not_rejected_beside_it() -> None:
     step = past.began(Subject("D2-1", "D2-1/1.1"), Robot("robot/D2"), 1, "door.open.secure", "B")
     arrived = past.arrived("D2-1", Robot("robot/D2"), ("D door.open.secure B",), team=2, budget_us=1, due_us=1)
     state = fold((run_started(spec, Constants()), *founding(8), arrived, step))
-    [answer] = query_registry(state, QueryRegistry("D2-1/1.1"))
+    [answer] = decided(state, QueryRegistry("D2-1/1.1"))
     assert isinstance(answer, RegistryQueried)
-    assert (answer.candidates, answer.rejected, answer.rejected_by) == (("robot/B2",), ("robot/B1",), ("trust",))
+    assert (answer.candidates, answer.relay) == (("robot/B2",), "robot/A2"), "the nearest team's"
+    assert (answer.rejected, answer.rejected_by) == (("robot/B1",), ("trust",))
     apply(state, past.available(Robot("robot/B2"), None, "offline", "charging"))
-    [answer] = query_registry(state, QueryRegistry("D2-1/1.1"))
+    [answer] = decided(state, QueryRegistry("D2-1/1.1"))
     assert answer.candidates == ("robot/B1",)  # type: ignore[attr-defined]
 
 
@@ -53,8 +55,8 @@ def test_an_outsider_that_asks_for_what_nobody_shows_is_refused_by_visibility() 
     injected = OutsiderRequestInjected(
         task_id="injected-1-1", robot=Robot("robot/D1"), peer=Robot("robot/C1"), capability="inspect.visual"
     )
-    shown, _ = answer_outsider(given("fsar", injected), AnswerOutsider("injected-1-1"))
-    hidden, _ = answer_outsider(
+    shown, _ = decided(given("fsar", injected), AnswerOutsider("injected-1-1"))
+    hidden, _ = decided(
         given("fsar", injected, CapabilityWithdrawn(Robot("robot/C1"), "inspect.visual", "x")),
         AnswerOutsider("injected-1-1"),
     )

@@ -1,97 +1,30 @@
 """FSAR's recovery, outsiders and ways: given events, when a command, then events."""
 
-import msgspec
-
-from fsar_ledger.constants import Constants
 from fsar_ledger.events.authority import AuthorityClaimed
-from fsar_ledger.events.envelope import Robot, Subject
+from fsar_ledger.events.envelope import Subject
 from fsar_ledger.events.execution import ApproachStarted
 from fsar_ledger.events.recovery import AssistanceEnded, FailureResolved
 from fsar_ledger.events.registry import RegistryQueried
 from fsar_ledger.events.world import ObstructionAppeared, ObstructionCleared, OutsiderRequestInjected
-from fsar_ledger.projections.fold import apply, fold
-from fsar_ledger.runtime.architectures.fsar.authority import AnswerOutsider, answer_outsider
-from fsar_ledger.runtime.architectures.fsar.discovery import QueryRegistry, query_registry
-from fsar_ledger.runtime.architectures.fsar.execution import DecideOwnStep, decide_own_step, start
-from fsar_ledger.runtime.architectures.fsar.recovery import (
-    AskPeers,
-    ConsiderReassignment,
-    StartRecovery,
-    ask_peers,
-    consider_reassignment,
-    end_attempt,
-    start_recovery,
-)
-from fsar_ledger.runtime.handlers.commands import DetectObstruction, EndAttempt, StartAction
-from fsar_ledger.runtime.handlers.execution import _on_running, detect_obstruction, start_after_approach
-from fsar_ledger.runtime.simulation import RunSpec, run_started
-from fsar_ledger.runtime.world.founding import founding
+from fsar_ledger.projections.fold import apply
+from fsar_ledger.runtime.architectures.fsar.authority import AnswerOutsider
+from fsar_ledger.runtime.handlers.commands import DetectObstruction
+from fsar_ledger.runtime.handlers.execution import _on_running, start_after_approach
 from tests import past
-from tests.runtime.histories import ARRIVED, OWN_STEP, given, happen, types, window
+from tests.runtime.histories import given, happen
+from tests.runtime.live import decided
 from tests.runtime.test_fsar import A, B, C, D, executing
 
 
 def failed(own: bool = False):  # type: ignore[no-untyped-def]
     state, action_id = executing(ObstructionAppeared(A if own else B, "o"), own=own)
-    happen(state, *detect_obstruction(state, DetectObstruction(action_id, now_us=9_500_000)))
+    happen(state, *decided(state, DetectObstruction(action_id, now_us=9_500_000)))
     return state, action_id
-
-
-def test_recovery_begins_at_the_robot_and_goes_outward_without_skipping() -> None:
-    state, action_id = failed()
-    levels = []
-    happen(state, *start_recovery(state, StartRecovery(action_id)))
-    _, second = end_attempt(state, EndAttempt(action_id, 1, now_us=11_000_000))
-    assert (type(second).__name__, second.number) == ("RecoveryAttempted", 2)  # type: ignore[attr-defined]
-    apply(state, second)
-    _, outward = end_attempt(state, EndAttempt(action_id, 2, now_us=13_000_000))
-    levels.append((outward.level, outward.to_level))  # type: ignore[attr-defined]
-    apply(state, outward)
-    assert types(ask_peers(state, AskPeers(action_id))) == ["AssistanceRequested", "AssistanceAdmitted"]
-    apply(state, window(A))
-    [onward] = ask_peers(state, AskPeers(action_id))
-    levels.append((onward.level, onward.to_level))  # type: ignore[attr-defined]
-    apply(state, onward)
-    decided, human, called = consider_reassignment(state, ConsiderReassignment(action_id))
-    levels.append((human.level, human.to_level))  # type: ignore[attr-defined]
-    assert (decided.helper, type(called).__name__) == (None, "SupervisorCalled")  # type: ignore[attr-defined]
-    assert levels == [("local", "peer"), ("peer", "fleet"), ("fleet", "human")]
-
-
-def test_a_spent_time_budget_ends_local_recovery() -> None:
-    state, action_id = failed()
-    happen(state, *start_recovery(state, StartRecovery(action_id)))
-    _, outward = end_attempt(state, EndAttempt(action_id, 1, now_us=60_000_000))
-    assert outward.to_level == "peer"  # type: ignore[attr-defined]
-
-
-def test_a_failed_carry_is_reassigned_to_a_trusted_substitute() -> None:
-    step = past.began(OWN_STEP.subject, A, 1, "carry.package")
-    state = given("fsar", ARRIVED, step, ObstructionAppeared(A, "o"))
-    happen(state, *decide_own_step(state, DecideOwnStep("A1-1/1.1")))
-    happen(state, *start(state, StartAction("A1-1/1.1", now_us=5, answer=7_000_000)))
-    happen(state, *detect_obstruction(state, DetectObstruction("A1-1/1.1", now_us=6)))
-    state.recovery = {"A1-1/1.1": msgspec.structs.replace(state.recovery["A1-1/1.1"], level="fleet")}
-    reassigned = consider_reassignment(state, ConsiderReassignment("A1-1/1.1"))
-    assert types(reassigned) == [
-        "ReassignmentDecided",
-        "FailureResolved",
-        "ExecutionWithdrawn",
-        "TaskStateTransferred",
-        "ExecutionQueued",
-    ]
-    assert reassigned[0].helper == "robot/D1"  # type: ignore[attr-defined]
-
-
-def test_without_layered_recovery_the_fleet_supervisor_is_called_at_once() -> None:
-    state, action_id = failed()
-    state.fleet = given("fsar", configuration="without-layered-recovery").fleet
-    assert types(start_recovery(state, StartRecovery(action_id))) == ["RecoveryEscalated", "SupervisorCalled"]
 
 
 def test_an_outsider_finds_nothing_and_is_denied_by_the_federation() -> None:
     injected = OutsiderRequestInjected(task_id="injected-1-1", robot=D, peer=C, capability="inspect.private_zone")
-    query, denied = answer_outsider(given("fsar", injected), AnswerOutsider("injected-1-1"))
+    query, denied = decided(given("fsar", injected), AnswerOutsider("injected-1-1"))
     assert isinstance(query, RegistryQueried)
     assert (query.candidates, query.principals.executed_by, query.rejected, query.rejected_by) == (
         (),
@@ -104,9 +37,7 @@ def test_an_outsider_finds_nothing_and_is_denied_by_the_federation() -> None:
 
 def test_without_trust_evaluation_the_outsider_runs_under_contested_audit() -> None:
     injected = OutsiderRequestInjected(task_id="injected-1-1", robot=D, peer=C, capability="inspect.private_zone")
-    events = answer_outsider(
-        given("fsar", injected, configuration="without-trust-evaluation"), AnswerOutsider("injected-1-1")
-    )
+    events = decided(given("fsar", injected, configuration="without-trust-evaluation"), AnswerOutsider("injected-1-1"))
     assert {
         event.claimant for event in events if isinstance(event, AuthorityClaimed) and event.dimension == "audit"
     } == {"robot/D1", "supervisor/fleet"}
@@ -118,7 +49,7 @@ def test_an_execution_that_starts_in_the_way_of_something_finishes_if_that_goes_
     scheduled = [type(one.command).__name__ for one in _on_running(state, started, 9_000_000)]
     assert scheduled == ["DetectObstruction", "FinishAttempt"]
     apply(state, ObstructionCleared(B, "o"))
-    assert detect_obstruction(state, DetectObstruction(action_id, now_us=9_000_001)) == ()
+    assert decided(state, DetectObstruction(action_id, now_us=9_000_001)) == ()
 
 
 def test_a_local_recovery_clears_nothing_but_what_was_clear() -> None:
@@ -131,15 +62,6 @@ def test_a_local_recovery_clears_nothing_but_what_was_clear() -> None:
     assert given("fsar", in_the_way, taken_over).world.obstructions[A] == ("o",)
     assert given("fsar", in_the_way, helped).world.obstructions[A] == ()
     assert given("fsar", in_the_way, cleared_by_hand).world.obstructions[A] == ()
-
-
-def test_the_relay_is_the_nearest_teams() -> None:
-    spec = RunSpec(1, "fsar", "full", "door-relay", 8, 0)
-    step = past.began(Subject("D2-1", "D2-1/1.1"), Robot("robot/D2"), 1, "door.open.secure", "B")
-    arrived = past.arrived("D2-1", Robot("robot/D2"), ("D door.open.secure B",), team=2, budget_us=1, due_us=1)
-    state = fold((run_started(spec, Constants()), *founding(8), arrived, step))
-    [answer] = query_registry(state, QueryRegistry("D2-1/1.1"))
-    assert (answer.candidates, answer.relay) == (("robot/B2",), "robot/A2")  # type: ignore[attr-defined]
 
 
 def test_a_second_approach_for_an_action_is_another_way() -> None:

@@ -14,7 +14,7 @@ from fsar_ledger.events.registry import RegistryQueried
 from fsar_ledger.events.request import OfferAnswered, RequestAdmitted, RequestClosed, RequestCountered, RequestDenied
 from fsar_ledger.events.task import StepBegan, StepCompleted, TaskCompleted
 from fsar_ledger.projections.fold import State, apply, fold
-from fsar_ledger.runtime.architectures.fsar.request import EvaluateRequest, evaluate_request
+from fsar_ledger.runtime.architectures.fsar.request import EvaluateRequest
 from fsar_ledger.runtime.handlers.commands import Command, TakeTurn
 from fsar_ledger.runtime.handlers.request import AnswerOffer, ReportResult
 from tests import past
@@ -30,11 +30,11 @@ def countered(level: OverrideLevel = "hard-preempt", allowed: OverrideLevel = "s
 
 def test_an_executor_asked_for_more_override_than_it_allows_offers_what_it_allows() -> None:
     state = asked(offered("soft-priority"), command=msgspec.structs.replace(ASK, override="hard-preempt"))
-    [counter] = evaluate_request(state, EvaluateRequest("q1"))
+    [counter] = decided(state, EvaluateRequest("q1"))
     assert isinstance(counter, RequestCountered)
     assert (counter.round, counter.override, counter.principals.decided_by) == (1, "soft-priority", "robot/B1")
     apply(state, counter)
-    assert evaluate_request(state, EvaluateRequest("q1")) == (), "it waits for the answer"
+    assert decided(state, EvaluateRequest("q1")) == (), "it waits for the answer"
 
 
 def test_a_grant_of_less_than_the_executor_allows_is_the_limit() -> None:
@@ -48,7 +48,7 @@ def test_a_taken_offer_admits_the_request_on_those_terms() -> None:
     assert isinstance(answer, OfferAnswered)
     assert (answer.round, answer.is_accepted, answer.override) == (1, True, "soft-priority")
     apply(state, answer)
-    admitted, queued = evaluate_request(state, EvaluateRequest("q1"))
+    admitted, queued = decided(state, EvaluateRequest("q1"))
     assert isinstance(admitted, RequestAdmitted)
     assert isinstance(queued, ExecutionQueued)
     assert (admitted.override, queued.override) == ("soft-priority", "soft-priority")
@@ -60,7 +60,7 @@ def test_a_negotiation_ends_after_so_many_rounds() -> None:
     for number in range(1, rounds + 1):
         assert (state.request.open["q1"].offers, state.request.open["q1"].offered) == (number, "soft-priority")
         state = served(state, AnswerOffer(A, "q1", False, "hard-preempt"))
-        events = evaluate_request(state, EvaluateRequest("q1"))
+        events = decided(state, EvaluateRequest("q1"))
         happen(state, *events)
     [denied] = events
     assert isinstance(denied, RequestDenied)
@@ -70,7 +70,7 @@ def test_a_negotiation_ends_after_so_many_rounds() -> None:
 def test_a_requester_that_lets_go_ends_its_request() -> None:
     state = served(countered(), AnswerOffer(A, "q1", False))
     assert state.request.open["q1"].is_over
-    assert evaluate_request(state, EvaluateRequest("q1")) == ()
+    assert decided(state, EvaluateRequest("q1")) == ()
 
 
 @pytest.mark.parametrize(

@@ -18,8 +18,8 @@ from fsar_ledger.projections.fold import apply, fold
 from fsar_ledger.projections.policy import INITIAL, evolve, ruled
 from fsar_ledger.projections.world import stricter
 from fsar_ledger.runtime.architectures.fsar import FSAR
-from fsar_ledger.runtime.architectures.fsar.execution import DecideOwnStep, decide_own_step, start, take_turn
-from fsar_ledger.runtime.architectures.fsar.request import EvaluateRequest, evaluate_request
+from fsar_ledger.runtime.architectures.fsar.execution import DecideOwnStep, start
+from fsar_ledger.runtime.architectures.fsar.request import EvaluateRequest
 from fsar_ledger.runtime.handlers.commands import StartAction, TakeTurn
 from fsar_ledger.runtime.handlers.policy import (
     SetPolicyRule,
@@ -34,6 +34,7 @@ from fsar_ledger.runtime.handlers.policy import (
 from tests import past
 from tests.runtime.governed import H_F, governed
 from tests.runtime.histories import ARRIVED, DELEGATED_STEP, OWN_STEP, given, happen, types, window
+from tests.runtime.live import decided
 
 A, B, C = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/C1")
 DOOR = "door.open.secure"
@@ -75,13 +76,13 @@ def refusal(events: tuple[Event, ...]) -> str:
 
 
 def test_a_robots_own_policy_is_set_by_its_own_supervisor() -> None:
-    [event] = set_policy_rule(given("fsar"), SetPolicyRule(H_B, "local", B, DOOR, "A1-1", "deny"))
+    [event] = decided(given("fsar"), SetPolicyRule(H_B, "local", B, DOOR, "A1-1", "deny"))
     assert event == past.ruled("deny", B, DOOR, "A1-1")
 
 
 @pytest.mark.parametrize("robot", [None, B])
 def test_the_fleets_rules_are_set_by_the_fleet_supervisor(robot: Robot | None) -> None:
-    [event] = set_policy_rule(given("fsar"), SetPolicyRule(H_F, "fleet", robot, None, None, "review"))
+    [event] = decided(given("fsar"), SetPolicyRule(H_F, "fleet", robot, None, None, "review"))
     assert event == past.ruled_for_all("review", robot)
 
 
@@ -116,7 +117,7 @@ def test_the_fleet_supervisor_rules_by_role_and_a_robot_stays_an_exception() -> 
         past.joined(Robot("robot/B9"), "B", 9, domain="yard/gate"),
     )
     state = given("fsar", rule("allow", capability=DOOR, scope="fleet"), *yard)
-    [event] = set_role_policy_rule(state, SetRolePolicyRule(H_F, "B", "deny", capability=DOOR))
+    [event] = decided(state, SetRolePolicyRule(H_F, "B", "deny", capability=DOOR))
     assert event == RolePolicyRuleSet(
         scope="fleet", role="B", outcome="deny", domain="", capability=DOOR, context=None, decided_by=H_F
     )
@@ -126,7 +127,7 @@ def test_the_fleet_supervisor_rules_by_role_and_a_robot_stays_an_exception() -> 
         fleet_policy(state.knowledge, state.policy, robot, DOOR, None)
         for robot in (B, Robot("robot/B7"), Robot("robot/B8"), A)
     ] == ["allow", "deny", "deny", "allow"]
-    [event] = set_role_policy_rule(state, SetRolePolicyRule(H_F, "B", "review", "yard", DOOR))
+    [event] = decided(state, SetRolePolicyRule(H_F, "B", "review", "yard", DOOR))
     apply(state, event)
     assert [
         fleet_policy(state.knowledge, state.policy, robot, DOOR, None)
@@ -197,7 +198,7 @@ def test_a_rule_about_a_capability_or_a_task_leaves_others_alone() -> None:
 
 def test_a_mandate_against_the_executors_own_denial_is_denied_and_escalated() -> None:
     state = given("fsar", *REQUESTED, rule("deny"), rule("allow", robot=None, capability=DOOR, scope="fleet"))
-    escalated, denied = evaluate_request(state, EvaluateRequest("A1-1/2.1"))
+    escalated, denied = decided(state, EvaluateRequest("A1-1/2.1"))
     assert escalated == PolicyConflictEscalated(
         Subject("A1-1", "A1-1/2.1"), past.principals(POLICY, A, B, H_F), DOOR, "deny", "allow"
     )
@@ -213,8 +214,8 @@ def test_a_matter_of_one_robot_alone_is_escalated_to_its_own_supervisor() -> Non
 
 def test_a_mandate_against_a_denial_that_holds_the_start_is_escalated_at_every_hold() -> None:
     state = given("fsar", *REQUESTED, rule("allow", robot=None, capability=DOOR, scope="fleet"))
-    happen(state, *evaluate_request(state, EvaluateRequest("A1-1/2.1")), rule("deny"))
-    happen(state, *take_turn(state, TakeTurn("A1-1/2.1")))
+    happen(state, *decided(state, EvaluateRequest("A1-1/2.1")), rule("deny"))
+    happen(state, *decided(state, TakeTurn("A1-1/2.1")))
     escalated, held = start(state, StartAction("A1-1/2.1", now_us=5, answer=7))
     assert escalated == PolicyConflictEscalated(
         Subject("A1-1", "A1-1/2.1"), past.principals(POLICY, A, B, H_F), DOOR, "deny", "allow"
@@ -265,7 +266,7 @@ def test_without_policy_composition_a_requester_does_not_see_the_mandate() -> No
 
 def test_a_start_that_a_rule_held_goes_on_when_the_rule_is_replaced() -> None:
     state = given("fsar", ARRIVED, OWN_STEP)
-    happen(state, *decide_own_step(state, DecideOwnStep("A1-1/1.1")))
+    happen(state, *decided(state, DecideOwnStep("A1-1/1.1")))
     apply(state, rule("deny", robot=A))
     [held] = start(state, StartAction("A1-1/1.1", now_us=5, answer=7))
     assert isinstance(held, ExecutionHeld)
@@ -286,7 +287,7 @@ def test_what_a_rule_of_the_role_held_goes_on_when_that_or_the_robots_exception_
     for lifted in (RolePolicyRuleSet(scope="local", role="A", outcome="allow"), rule("allow", robot=A)):
         state = given("fsar", ARRIVED, OWN_STEP)
         for event in (
-            *decide_own_step(state, DecideOwnStep("A1-1/1.1")),
+            *decided(state, DecideOwnStep("A1-1/1.1")),
             RolePolicyRuleSet(scope="local", role="A", outcome="deny"),
         ):
             apply(state, event)

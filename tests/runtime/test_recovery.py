@@ -13,22 +13,14 @@ from fsar_ledger.events.registry import RegistryQueried
 from fsar_ledger.events.supervision import SupervisorCalled
 from fsar_ledger.events.world import ObstructionAppeared
 from fsar_ledger.projections.fold import State, apply
-from fsar_ledger.runtime.architectures.fsar.recovery import (
-    AskPeers,
-    CallNext,
-    ConsiderReassignment,
-    StartRecovery,
-    ask_peers,
-    consider_reassignment,
-    end_attempt,
-    start_recovery,
-)
+from fsar_ledger.runtime.architectures.fsar.recovery import AskPeers, CallNext, ConsiderReassignment, StartRecovery
 from fsar_ledger.runtime.handlers.commands import EndAttempt
 from fsar_ledger.runtime.handlers.recovery import budget
 from fsar_ledger.runtime.simulation import handler_table_of
 from tests import past
 from tests.runtime.failures import ACTION, A, B, C, D, executing, failed, taken
 from tests.runtime.histories import types, window
+from tests.runtime.live import decided
 
 
 def escalation(events: tuple[Event, ...]) -> tuple[str, str, str | None]:
@@ -46,30 +38,23 @@ def called(events: tuple[Event, ...]) -> str:
 # Level 1: local
 
 
-def test_local_recovery_is_left_when_its_attempts_are_spent() -> None:
+def test_local_recovery_is_left_when_its_attempts_or_its_time_are_spent() -> None:
     state = failed(executing(A, "carry.package", ObstructionAppeared(A, "o")))
-    [first] = taken(state, start_recovery(state, StartRecovery(ACTION, now_us=2_000_001)))
+    [first] = taken(state, decided(state, StartRecovery(ACTION, now_us=2_000_001)))
     assert isinstance(first, RecoveryAttempted)
     assert (first.number, first.deadline_us) == (1, 32_000_000)
-    assert types(taken(state, end_attempt(state, EndAttempt(ACTION, 1, now_us=4_000_000)))) == [
+    assert escalation(decided(state, EndAttempt(ACTION, 1, now_us=60_000_000)))[2] == "budget exhausted"
+    assert types(taken(state, decided(state, EndAttempt(ACTION, 1, now_us=4_000_000)))) == [
         "RecoveryAttemptFailed",
         "RecoveryAttempted",
     ]
-    assert escalation(end_attempt(state, EndAttempt(ACTION, 2, now_us=6_000_000))) == (
-        "local",
-        "peer",
-        "budget exhausted",
-    )
+    assert escalation(decided(state, EndAttempt(ACTION, 2, now_us=6_000_000))) == ("local", "peer", "budget exhausted")
 
 
 def test_a_robots_own_budget_replaces_the_fleets() -> None:
     state = failed(executing(A, "carry.package", ObstructionAppeared(A, "o"), past.budget(A, "local", 1)))
-    taken(state, start_recovery(state, StartRecovery(ACTION, now_us=2_000_001)))
-    assert escalation(end_attempt(state, EndAttempt(ACTION, 1, now_us=4_000_000))) == (
-        "local",
-        "peer",
-        "budget exhausted",
-    )
+    taken(state, decided(state, StartRecovery(ACTION, now_us=2_000_001)))
+    assert escalation(decided(state, EndAttempt(ACTION, 1, now_us=4_000_000))) == ("local", "peer", "budget exhausted")
     assert budget(state.budget, state.fleet, A, "local").n_max == 1
     assert budget(state.budget, state.fleet, B, "local").n_max == Constants().structure.local_attempts
 
@@ -77,14 +62,14 @@ def test_a_robots_own_budget_replaces_the_fleets() -> None:
 @pytest.mark.parametrize("spent", [(0, 2), (30_000_000, 0)])
 def test_a_level_without_budget_is_recorded_and_left_at_once(spent: tuple[int, int]) -> None:
     state = failed(executing(A, "carry.package", past.budget(A, "local", spent[1], spent[0])))
-    outward = start_recovery(state, StartRecovery(ACTION, now_us=2_000_001))
+    outward = decided(state, StartRecovery(ACTION, now_us=2_000_001))
     assert types(outward) == ["RecoveryEscalated"]
     assert escalation(outward) == ("local", "peer", "budget exhausted")
 
 
 def test_without_layered_recovery_the_one_escalation_says_so() -> None:
     state = failed(executing(configuration="without-layered-recovery"))
-    found = start_recovery(state, StartRecovery(ACTION))
+    found = decided(state, StartRecovery(ACTION))
     assert escalation(found) == ("local", "human", "no layered recovery")
     assert called(found) == "supervisor/fleet"
 
@@ -93,7 +78,7 @@ def test_without_layered_recovery_the_one_escalation_says_so() -> None:
 
 
 def asked(state: State, now_us: int = 3_000_000) -> tuple[Event, ...]:
-    return ask_peers(state, AskPeers(ACTION, 2_500_000, now_us=now_us))
+    return decided(state, AskPeers(ACTION, 2_500_000, now_us=now_us))
 
 
 def test_a_peer_with_a_task_scope_clears_the_way() -> None:
@@ -197,7 +182,7 @@ def test_without_a_registry_no_peer_can_be_found() -> None:
 
 
 def considered(state: State, now_us: int = 3_000_000) -> tuple[Event, ...]:
-    return consider_reassignment(state, ConsiderReassignment(ACTION, 2_500_000, now_us=now_us))
+    return decided(state, ConsiderReassignment(ACTION, 2_500_000, now_us=now_us))
 
 
 # Actuators

@@ -14,9 +14,10 @@ from fsar_ledger.events.trust import TrustSet
 from fsar_ledger.projections.fold import State, apply, fold
 from fsar_ledger.projections.registry import advertisement
 from fsar_ledger.runtime.handlers.candidates import FILTERS, Query, candidates, rejecting_filter
-from fsar_ledger.runtime.handlers.registry import CacheRegistry, ConsultRegistry, cache_registry, consult_registry
+from fsar_ledger.runtime.handlers.registry import CacheRegistry, ConsultRegistry, consult_registry
 from tests import past
 from tests.runtime.histories import given, started, types
+from tests.runtime.live import decided
 from tests.runtime.test_registry import ASKING, A, B, busy, offered, second
 
 HALL = (
@@ -118,7 +119,7 @@ def test_that_a_robot_executes_just_now_is_in_no_copy() -> None:
 
 def test_a_query_from_outside_is_answered_and_recorded_with_its_rejections() -> None:
     state = given("fsar", *second(trust_required="persistent"))
-    [answer] = consult_registry(state, ConsultRegistry(ASKING))
+    [answer] = decided(state, ConsultRegistry(ASKING))
     assert answer == RegistryConsulted(
         requested_by=A,
         capability="door.open.secure",
@@ -131,7 +132,7 @@ def test_a_query_from_outside_is_answered_and_recorded_with_its_rejections() -> 
 
 
 def test_that_nobody_offers_it_is_an_answer() -> None:
-    [answer] = consult_registry(given("fsar"), ConsultRegistry(Query(A, "teleport")))
+    [answer] = decided(given("fsar"), ConsultRegistry(Query(A, "teleport")))
     assert answer == RegistryConsulted(
         requested_by=A, capability="teleport", candidates=(), rejected=(), rejected_by=()
     )
@@ -139,10 +140,10 @@ def test_that_nobody_offers_it_is_an_answer() -> None:
 
 def test_a_copy_is_taken_and_asked() -> None:
     state = given("fsar")
-    [cached] = cache_registry(state, CacheRegistry(A, now_us=7))
+    [cached] = decided(state, CacheRegistry(A, now_us=7))
     assert cached == RegistryCached(A, 7)
     apply(state, cached)
-    [answer] = consult_registry(state, ConsultRegistry(ASKING, A, now_us=9))
+    [answer] = decided(state, ConsultRegistry(ASKING, A, now_us=9))
     assert (answer.candidates, answer.as_of_us) == (("robot/B1",), 7)  # type: ignore[attr-defined]
 
 
@@ -167,7 +168,7 @@ def test_a_query_that_cannot_be_asked_is_rejected(command: ConsultRegistry, reas
 
 
 def test_a_copy_for_nobody_is_rejected() -> None:
-    assert types(cache_registry(given("fsar"), CacheRegistry(Robot("robot/Z9")))) == ["CommandRejected"]
+    assert types(decided(given("fsar"), CacheRegistry(Robot("robot/Z9")))) == ["CommandRejected"]
 
 
 ROBOTS = tuple(Robot(f"robot/{letter}{team}") for letter in "EFGHK" for team in (1, 2))

@@ -13,12 +13,7 @@ from fsar_ledger.events.request import RequestAdmitted, RequestDenied, RequestIs
 from fsar_ledger.events.task import TaskCompleted
 from fsar_ledger.projections.fold import State, apply
 from fsar_ledger.projections.registry import Registry
-from fsar_ledger.runtime.architectures.fsar.request import (
-    EvaluateRequest,
-    RelayRequest,
-    evaluate_request,
-    relay_request,
-)
+from fsar_ledger.runtime.architectures.fsar.request import EvaluateRequest, RelayRequest
 from fsar_ledger.runtime.handlers.admissibility import evaluate
 from fsar_ledger.runtime.handlers.commands import Command
 from fsar_ledger.runtime.handlers.request import RequestCapability
@@ -74,7 +69,7 @@ def test_a_request_says_who_asks_whom_for_what_in_which_context() -> None:
 
 
 def test_an_admissible_request_is_accepted_with_its_trust_and_its_authority() -> None:
-    admitted, _ = evaluate_request(asked(), EvaluateRequest("q1"))
+    admitted, _ = decided(asked(), EvaluateRequest("q1"))
     assert isinstance(admitted, RequestAdmitted)
     assert (admitted.trust, admitted.may_request, admitted.may_execute, admitted.override, admitted.is_audited) == (
         "task",
@@ -117,11 +112,11 @@ def test_the_first_conjunct_that_fails_is_the_reason(
 ) -> None:
     state = asked(command=RequestCapability(**{**msgspec.structs.asdict(ASK), **changes}), after=after)
     assert verdict(state) == ("reject", conjunct)
-    [denied] = evaluate_request(state, EvaluateRequest("q1"))
+    [denied] = decided(state, EvaluateRequest("q1"))
     assert isinstance(denied, RequestDenied)
-    assert denied.reason == conjunct
+    assert (denied.reason, denied.principals.path) == (conjunct, state.request.open["q1"].candidates)
     apply(state, denied)
-    assert evaluate_request(state, EvaluateRequest("q1")) == (), "a denied request is over"
+    assert decided(state, EvaluateRequest("q1")) == (), "a denied request is over"
 
 
 def test_a_requester_outside_the_executors_domain_sees_no_advertisement_of_it() -> None:
@@ -143,20 +138,20 @@ def test_a_requester_outside_the_executors_domain_sees_no_advertisement_of_it() 
 
 def test_without_trust_evaluation_trust_is_no_conjunct_and_no_part_of_the_admission() -> None:
     state = asked(after=(DISTRUST,), configuration="without-trust-evaluation")
-    admitted, _ = evaluate_request(state, EvaluateRequest("q1"))
+    admitted, _ = decided(state, EvaluateRequest("q1"))
     assert isinstance(admitted, RequestAdmitted)
     assert admitted.trust is None
 
 
 def test_policy_that_wants_a_review_is_put_before_a_supervisor_only_if_all_else_holds() -> None:
     reviewed = asked(after=(window(B, "review"),))
-    assert types(evaluate_request(reviewed, EvaluateRequest("q1"))) == ["SupervisorCalled"]
+    assert types(decided(reviewed, EvaluateRequest("q1"))) == ["SupervisorCalled"]
     assert verdict(asked(after=(window(B, "review"), EXPIRED))) == ("reject", "authority")
 
 
 def test_what_was_approved_is_still_denied_when_trust_is_gone_by_then() -> None:
     state = asked(after=(window(B, "review"),))
-    happen(state, *evaluate_request(state, EvaluateRequest("q1")))
+    happen(state, *decided(state, EvaluateRequest("q1")))
     apply(state, past.approved(Subject("visit", "q1"), A, B))
     request = state.request.open["q1"]
     assert evaluate(state, request, B, is_reviewed=True).verdict == "accept"
@@ -168,11 +163,7 @@ def test_a_busy_executor_defers_and_the_request_is_served_in_its_turn() -> None:
     state = served(asked(), EvaluateRequest("q1"))
     second = msgspec.structs.replace(ASK, action_id="q2")
     happen(state, *decided(state, second))
-    assert types(evaluate_request(state, EvaluateRequest("q2"))) == [
-        "RequestAdmitted",
-        "RequestDeferred",
-        "ExecutionQueued",
-    ]
+    assert types(decided(state, EvaluateRequest("q2"))) == ["RequestAdmitted", "RequestDeferred", "ExecutionQueued"]
 
 
 RELAYED = past.queried(Subject("A1-1", "A1-1/2.1"), past.parties(D, B), DOOR, B, relay=A)
@@ -187,11 +178,11 @@ def relayed(*after: Event) -> State:
 
 def test_each_link_of_a_relayed_request_rests_on_its_own_trust() -> None:
     state = relayed()
-    assert types(relay_request(state, RelayRequest("A1-1/2.1"))) == ["RequestRelayed"]
-    admitted, _ = evaluate_request(state, EvaluateRequest("A1-1/2.1"))
+    assert types(decided(state, RelayRequest("A1-1/2.1"))) == ["RequestRelayed"]
+    admitted, _ = decided(state, EvaluateRequest("A1-1/2.1"))
     assert isinstance(admitted, RequestAdmitted)
     assert admitted.trust == "task", "of B1 in A1; B1 does not trust D1"
-    [denied] = relay_request(relayed(past.trusted(A, D, "none")), RelayRequest("A1-1/2.1"))
+    [denied] = decided(relayed(past.trusted(A, D, "none")), RelayRequest("A1-1/2.1"))
     assert isinstance(denied, RequestDenied)
     assert (denied.reason, denied.principals.decided_by) == ("trust", "robot/A1")
     assert verdict(relayed(DISTRUST), "A1-1/2.1") == ("reject", "trust")

@@ -20,18 +20,12 @@ from fsar_ledger.events.world import ActuatorDegraded, SupervisorLeft, Superviso
 from fsar_ledger.projections.fold import State, apply, fold
 from fsar_ledger.runtime.architectures.cfc import CFC
 from fsar_ledger.runtime.architectures.fsar import FSAR
-from fsar_ledger.runtime.architectures.fsar.request import (
-    AdmitReviewed,
-    EvaluateRequest,
-    admit_reviewed,
-    evaluate_request,
-)
+from fsar_ledger.runtime.architectures.fsar.request import AdmitReviewed, EvaluateRequest, admit_reviewed
 from fsar_ledger.runtime.handlers.commands import Respond
 from fsar_ledger.runtime.handlers.supervision import (
     RespondToCall,
     SetSupervisionDensity,
     is_due_for_review,
-    respond,
     respond_to_call,
     set_supervision_density,
     supervisor_for,
@@ -39,6 +33,7 @@ from fsar_ledger.runtime.handlers.supervision import (
 from tests import past
 from tests.runtime.governed import H_F, governed
 from tests.runtime.histories import ARRIVED, DELEGATED_STEP, given, happen, types, window
+from tests.runtime.live import decided
 
 A, B = Robot("robot/A1"), Robot("robot/B1")
 H_A, H_B = Supervisor("supervisor/A1"), Supervisor("supervisor/B1")
@@ -92,7 +87,7 @@ def test_off_shift_or_without_an_own_supervisor_it_goes_to_the_fleets() -> None:
 @pytest.mark.parametrize("approves", [True, False])
 def test_the_supervisor_who_was_called_approves_a_review_or_not(approves: bool) -> None:
     state = given("fsar", *REQUESTED, REVIEW)
-    [response] = respond_to_call(state, RespondToCall(H_F, ACTION, approves))
+    [response] = decided(state, RespondToCall(H_F, ACTION, approves))
     assert response == SupervisorResponded(
         Subject("A1-1", ACTION), past.principals(H_F, A, None, H_F), "review", approves
     )
@@ -105,14 +100,14 @@ def test_the_supervisor_who_was_called_approves_a_review_or_not(approves: bool) 
 
 
 def test_a_disapproved_request_is_denied_by_the_executor_for_the_review() -> None:
-    [denied] = admit_reviewed(given("fsar", *REQUESTED), AdmitReviewed(ACTION, False))
+    [denied] = decided(given("fsar", *REQUESTED), AdmitReviewed(ACTION, False))
     assert isinstance(denied, RequestDenied)
     assert (denied.principals.decided_by, denied.reason) == (B, "review")
 
 
 def test_a_coordinator_too_does_not_command_what_was_disapproved() -> None:
     state = given("cfc", ARRIVED, DELEGATED_STEP, past.called(Subject("A1-1", ACTION), H_F, "review", robot=B))
-    [response] = respond_to_call(state, RespondToCall(H_F, ACTION, False))
+    [response] = decided(state, RespondToCall(H_F, ACTION, False))
     apply(state, response)
     [scheduled] = [one for react in CFC.reacts[SupervisorResponded] for one in react(state, response, 0)]
     [denied] = CFC.decides[type(scheduled.command)](state, scheduled.command)
@@ -120,16 +115,14 @@ def test_a_coordinator_too_does_not_command_what_was_disapproved() -> None:
 
 
 def test_the_order_of_two_commands_names_the_one_that_goes_first() -> None:
-    [response] = respond_to_call(
-        given("fsar", *REQUESTED, ORDERING), RespondToCall(H_F, ACTION, True, preferred="A1-2/2.1")
-    )
+    [response] = decided(given("fsar", *REQUESTED, ORDERING), RespondToCall(H_F, ACTION, True, preferred="A1-2/2.1"))
     assert response.preferred == "A1-2/2.1"  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize("is_degraded", [True, False])
 def test_a_robots_own_supervisor_resolves_its_failure_and_has_it_serviced(is_degraded: bool) -> None:
     state = failing(LOCAL, *([ActuatorDegraded(B)] if is_degraded else []))
-    for events in (respond_to_call(state, RespondToCall(H_B, ACTION, True)), respond(state, Respond(1))):
+    for events in (decided(state, RespondToCall(H_B, ACTION, True)), decided(state, Respond(1))):
         assert events[0] == SupervisorResponded(Subject("A1-1", ACTION), past.principals(H_B, A, B, H_B), "recovery")
         assert events[1:] == ((ActuatorServiced(B),) if is_degraded else ()) + (
             FailureResolved(Subject("A1-1", ACTION), B, 1, "human"),
@@ -155,41 +148,41 @@ def test_an_answer_that_does_not_fit_is_rejected(call: SupervisorCalled, command
 
 def test_an_answer_about_what_has_ended_is_rejected_as_it_would_name_nobody() -> None:
     state = given("fsar", REVIEW)
-    refused = refusal(respond_to_call(state, RespondToCall(H_F, ACTION, True)))
+    refused = refusal(decided(state, RespondToCall(H_F, ACTION, True)))
     assert refused == "what the call was about has ended, expected an action or a request under way"
-    assert respond(state, Respond(1)) == ()
+    assert decided(state, Respond(1)) == ()
 
 
 def test_a_call_is_answered_once() -> None:
     state = given("fsar", *REQUESTED, REVIEW)
-    happen(state, *respond_to_call(state, RespondToCall(H_F, ACTION, True)))
-    assert refusal(respond_to_call(state, RespondToCall(H_F, ACTION, True))).startswith("no open call")
-    assert respond(state, Respond(1)) == ()
+    happen(state, *decided(state, RespondToCall(H_F, ACTION, True)))
+    assert refusal(decided(state, RespondToCall(H_F, ACTION, True))).startswith("no open call")
+    assert decided(state, Respond(1)) == ()
 
 
 def test_an_answer_to_one_call_leaves_another_about_the_same_action_open() -> None:
     state = failing(REVIEW, LOCAL)
-    happen(state, *respond_to_call(state, RespondToCall(H_F, ACTION, True)))
+    happen(state, *decided(state, RespondToCall(H_F, ACTION, True)))
     assert list(state.supervision.calls.values()) == [LOCAL]
 
 
 def test_an_answer_is_that_of_the_supervisor_who_gave_it_even_when_another_was_called_meanwhile() -> None:
     state = failing(LOCAL, FLEETS)
-    first, *_ = respond(state, Respond(1))
-    second, *_ = respond(state, Respond(2))
+    first, *_ = decided(state, Respond(1))
+    second, *_ = decided(state, Respond(2))
     answers = [event.principals for event in (first, second) if isinstance(event, SupervisorResponded)]
     assert [(one.decided_by, one.supervised_by) for one in answers] == [(H_B, H_B), (H_F, H_F)]
-    happen(state, *respond(state, Respond(1)))
-    assert respond(state, Respond(2)) == ()
+    happen(state, *decided(state, Respond(1)))
+    assert decided(state, Respond(2)) == ()
 
 
 def test_a_late_answer_about_one_failure_does_not_resolve_the_next() -> None:
     state = failing(LOCAL)
-    happen(state, *respond_to_call(state, RespondToCall(H_B, ACTION, True)))
+    happen(state, *decided(state, RespondToCall(H_B, ACTION, True)))
     apply(state, past.failed(Subject("A1-1", ACTION), B, "degradation", 1, 9, 2))
     apply(state, LOCAL)
-    assert respond(state, Respond(1)) == ()
-    assert types(respond(state, Respond(2))) == ["SupervisorResponded", "FailureResolved"]
+    assert decided(state, Respond(1)) == ()
+    assert types(decided(state, Respond(2))) == ["SupervisorResponded", "FailureResolved"]
 
 
 def test_a_failure_that_is_over_leaves_no_call_about_it() -> None:
@@ -204,7 +197,7 @@ def test_a_supervisor_who_answers_says_whether_they_approve() -> None:
 
 @pytest.mark.parametrize(("issued_by", "robot"), [(H_B, B), (H_F, B), (H_F, None)])
 def test_density_is_set_by_the_robots_own_supervisor_or_the_fleets(issued_by: Supervisor, robot: Robot | None) -> None:
-    [event] = set_supervision_density(given("fsar"), SetSupervisionDensity(issued_by, robot, 3, "night shift"))
+    [event] = decided(given("fsar"), SetSupervisionDensity(issued_by, robot, 3, "night shift"))
     assert event == SupervisionDensitySet(robot=robot, review_every=3, decided_by=issued_by, reason="night shift")
 
 
@@ -225,12 +218,10 @@ def test_density_that_cannot_be_set_is_rejected(command: SetSupervisionDensity, 
 def test_nobody_speaks_for_a_robot_without_a_supervisor_but_the_fleets() -> None:
     state = given("fsar", past.joined(Robot("robot/X1"), "A"))
     nobody: Supervisor = None  # type: ignore[assignment]
-    assert refusal(set_supervision_density(state, SetSupervisionDensity(nobody, Robot("robot/X1"), 3, ""))).startswith(
+    assert refusal(decided(state, SetSupervisionDensity(nobody, Robot("robot/X1"), 3, ""))).startswith(
         "unknown supervisor"
     )
-    assert types(set_supervision_density(state, SetSupervisionDensity(H_F, Robot("robot/X1"), 3, ""))) == [
-        "SupervisionDensitySet"
-    ]
+    assert types(decided(state, SetSupervisionDensity(H_F, Robot("robot/X1"), 3, ""))) == ["SupervisionDensitySet"]
 
 
 @for_all(st.integers(0, 5), st.integers(0, 5), st.integers(0, 14))
@@ -257,16 +248,16 @@ def test_exactly_every_nth_admission_is_due_and_a_robots_own_density_comes_befor
 
 def test_an_admission_that_is_due_goes_to_review_and_a_denial_stays_a_denial() -> None:
     dense = SupervisionDensitySet(robot=B, review_every=2, decided_by=H_B, reason="")
-    assert types(evaluate_request(given("fsar", *REQUESTED, dense, admitted(B)), EvaluateRequest(ACTION))) == [
+    assert types(decided(given("fsar", *REQUESTED, dense, admitted(B)), EvaluateRequest(ACTION))) == [
         "SupervisorCalled"
     ]
-    assert types(evaluate_request(given("fsar", *REQUESTED, dense), EvaluateRequest(ACTION))) == [
+    assert types(decided(given("fsar", *REQUESTED, dense), EvaluateRequest(ACTION))) == [
         "RequestAdmitted",
         "ExecutionQueued",
     ]
-    assert types(
-        evaluate_request(given("fsar", *REQUESTED, dense, admitted(B), window(B)), EvaluateRequest(ACTION))
-    ) == ["RequestDenied"]
+    assert types(decided(given("fsar", *REQUESTED, dense, admitted(B), window(B)), EvaluateRequest(ACTION))) == [
+        "RequestDenied"
+    ]
 
 
 def test_density_changes_while_a_run_goes_on() -> None:

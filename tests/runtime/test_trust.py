@@ -15,8 +15,6 @@ from fsar_ledger.runtime.handlers.trust import (
     ExpireTrust,
     SetRoleTrust,
     SetTrust,
-    assess_trust,
-    expire_trust,
     set_role_trust,
     set_trust,
     trusts,
@@ -24,6 +22,7 @@ from fsar_ledger.runtime.handlers.trust import (
 from tests import past
 from tests.runtime.governed import H_F
 from tests.runtime.histories import ARRIVED, given
+from tests.runtime.live import decided
 
 A, B, C, D = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/C1"), Robot("robot/D1")
 DOOR = "door.open.secure"
@@ -60,7 +59,7 @@ def results(*outcomes: str, promote: int = 0, downgrade: int = 0) -> State:
 def test_the_robots_own_supervisor_and_the_fleets_may_set_its_trust(supervisor: Supervisor) -> None:
     state = given("fsar")
     assert not trusts(state, B, D, DOOR)
-    [event] = set_trust(state, SetTrust(supervisor, B, D, "task", DOOR, "A1-1"))
+    [event] = decided(state, SetTrust(supervisor, B, D, "task", DOOR, "A1-1"))
     assert event == past.trusted(B, D, "task", DOOR, context="A1-1", decided_by=supervisor, reason="operator")
     apply(state, event)
     assert (
@@ -95,7 +94,7 @@ def test_the_fleet_supervisor_sets_trust_by_role_and_a_pair_stays_an_exception()
         past.joined(Robot("robot/B9"), "B", 9, domain="yard"),
         past.joined(Robot("robot/D9"), "D", 9, domain="yard/gate"),
     )
-    [event] = set_role_trust(state, SetRoleTrust(H_F, "B", "D", "task", capability=DOOR))
+    [event] = decided(state, SetRoleTrust(H_F, "B", "D", "task", capability=DOOR))
     assert event == RoleTrustSet(
         role="B",
         peer_role="D",
@@ -112,7 +111,7 @@ def test_the_fleet_supervisor_sets_trust_by_role_and_a_pair_stays_an_exception()
         trusts(state, B, Robot("robot/D9"), DOOR),
         trusts(state, Robot("robot/B9"), D, DOOR),
     ) == (False, True, True)
-    [event] = set_role_trust(state, SetRoleTrust(H_F, "B", "D", "none", "yard"))
+    [event] = decided(state, SetRoleTrust(H_F, "B", "D", "none", "yard"))
     apply(state, event)
     assert (trusts(state, Robot("robot/B9"), Robot("robot/D9"), DOOR), trusts(state, Robot("robot/B9"), D, DOOR)) == (
         False,
@@ -139,7 +138,7 @@ def test_trust_by_role_that_cannot_be_set_is_rejected(command: SetRoleTrust, rea
 
 def test_the_record_moves_the_pair_and_not_its_roles() -> None:
     state = results("trust", downgrade=1)
-    [downgraded] = assess_trust(state, AssessTrust(B, A, DOOR))
+    [downgraded] = decided(state, AssessTrust(B, A, DOOR))
     apply(state, downgraded)
     assert (scope_of(state.trust, B, A, DOOR), scope_of(state.trust, B, A)) == ("capability", "task")
     assert state.trust.of_roles == given("fsar").trust.of_roles
@@ -150,7 +149,7 @@ def test_trust_by_role_in_a_context_ends_with_it_and_begins_the_rows_again() -> 
         "fsar", RoleTrustSet(role="B", peer_role="D", scope="task", domain="", capability=DOOR, context="A1-1")
     )
     assert "A1-1" in state.trust.contexts
-    assert expire_trust(state, ExpireTrust("A1-1")) == (
+    assert decided(state, ExpireTrust("A1-1")) == (
         RoleTrustSet(
             role="B",
             peer_role="D",

@@ -11,73 +11,65 @@ from fsar_ledger.projections.fold import State, apply, fold
 from fsar_ledger.projections.trust import scope_of
 from fsar_ledger.runtime.architectures.fsar import FSAR
 from fsar_ledger.runtime.handlers.commands import Command
-from fsar_ledger.runtime.handlers.trust import (
-    AssessTrust,
-    ExpireTrust,
-    SetTrustThresholds,
-    assess_trust,
-    expire_trust,
-    set_trust_thresholds,
-)
+from fsar_ledger.runtime.handlers.trust import AssessTrust, ExpireTrust, SetTrustThresholds, assess_trust, expire_trust
 from tests import past
 from tests.runtime.governed import H_F, governed
 from tests.runtime.histories import ARRIVED, given
+from tests.runtime.live import decided
 from tests.runtime.test_trust import DOOR, H_B, A, B, C, D, refusal, results
 
 
 def test_only_the_fleet_supervisor_has_trust_follow_the_record() -> None:
     state = given("fsar")
-    assert set_trust_thresholds(state, SetTrustThresholds(H_F, 3, 1)) == (TrustThresholdsSet(3, 1, H_F),)
-    assert refusal(set_trust_thresholds(state, SetTrustThresholds(H_B, 3, 1))).startswith(
-        "supervisor/B1 supervises one robot"
-    )
-    assert refusal(set_trust_thresholds(state, SetTrustThresholds(Supervisor("supervisor/X9"), 3, 1))).startswith(
+    assert decided(state, SetTrustThresholds(H_F, 3, 1)) == (TrustThresholdsSet(3, 1, H_F),)
+    assert refusal(decided(state, SetTrustThresholds(H_B, 3, 1))).startswith("supervisor/B1 supervises one robot")
+    assert refusal(decided(state, SetTrustThresholds(Supervisor("supervisor/X9"), 3, 1))).startswith(
         "unknown supervisor"
     )
-    assert refusal(set_trust_thresholds(state, SetTrustThresholds(H_F, -1, 1))).startswith("thresholds -1 and 1")
+    assert refusal(decided(state, SetTrustThresholds(H_F, -1, 1))).startswith("thresholds -1 and 1")
 
 
 def test_so_many_successes_in_a_row_promote_one_scope() -> None:
-    assert assess_trust(results("success", promote=2), AssessTrust(B, A, DOOR)) == ()
-    [promoted] = assess_trust(results("success", "success", promote=2), AssessTrust(B, A, DOOR))
+    assert decided(results("success", promote=2), AssessTrust(B, A, DOOR)) == ()
+    [promoted] = decided(results("success", "success", promote=2), AssessTrust(B, A, DOOR))
     assert promoted == past.trusted(B, A, "session", DOOR, decided_by=TRUST, reason="record")
-    assert assess_trust(results("success", "trust", "success", promote=2), AssessTrust(B, A, DOOR)) == ()
+    assert decided(results("success", "trust", "success", promote=2), AssessTrust(B, A, DOOR)) == ()
 
 
 def test_a_promotion_begins_the_row_again_and_never_gives_persistent_trust() -> None:
     state = results("success", "success", promote=1)
-    [promoted] = assess_trust(state, AssessTrust(B, A, DOOR))
+    [promoted] = decided(state, AssessTrust(B, A, DOOR))
     apply(state, promoted)
     assert (B, A, DOOR, None) not in state.trust.records
     again = results("success", promote=1)
     apply(again, past.trusted(B, A, "session"))
     apply(again, past.issued("t1/9", past.principals(A, A, B), DOOR))
     apply(again, past.closed("t1/9", past.principals(None, A, B)))
-    assert assess_trust(again, AssessTrust(B, A, DOOR)) == ()
+    assert decided(again, AssessTrust(B, A, DOOR)) == ()
 
 
 def test_violations_downgrade_the_requester_and_failures_the_executor() -> None:
-    [downgraded] = assess_trust(results("trust", downgrade=1), AssessTrust(B, A, DOOR))
+    [downgraded] = decided(results("trust", downgrade=1), AssessTrust(B, A, DOOR))
     assert downgraded == past.trusted(B, A, "capability", DOOR, decided_by=TRUST, reason="record")
-    [downgraded] = assess_trust(results("failed", downgrade=1), AssessTrust(A, B, DOOR))
+    [downgraded] = decided(results("failed", downgrade=1), AssessTrust(A, B, DOOR))
     assert downgraded == past.trusted(A, B, "capability", DOOR, decided_by=TRUST, reason="record")
-    assert assess_trust(results("failed", downgrade=1), AssessTrust(B, A, DOOR)) == ()
-    assert assess_trust(results("policy", downgrade=1), AssessTrust(B, A, DOOR)) == ()
+    assert decided(results("failed", downgrade=1), AssessTrust(B, A, DOOR)) == ()
+    assert decided(results("policy", downgrade=1), AssessTrust(B, A, DOOR)) == ()
 
 
 def test_a_revocation_by_a_supervisor_counts_against_the_requester() -> None:
     def revoked(reason: Any) -> State:
         return given("fsar", TrustThresholdsSet(0, 1, H_F), past.revoked(A, B, DOOR, None, reason))
 
-    assert [type(event) for event in assess_trust(revoked("human override"), AssessTrust(B, A, DOOR))] == [TrustSet]
-    assert assess_trust(revoked("context expired"), AssessTrust(B, A, DOOR)) == ()
+    assert [type(event) for event in decided(revoked("human override"), AssessTrust(B, A, DOOR))] == [TrustSet]
+    assert decided(revoked("context expired"), AssessTrust(B, A, DOOR)) == ()
 
 
 def test_the_record_makes_no_trust_where_there_is_none() -> None:
     state = given("fsar", TrustThresholdsSet(1, 1, H_F), past.trusted(B, A, "none", DOOR))
     apply(state, past.issued("t1/1", past.principals(A, A, B), DOOR))
     apply(state, past.closed("t1/1", past.principals(None, A, B)))
-    assert assess_trust(state, AssessTrust(B, A, DOOR)) == ()
+    assert decided(state, AssessTrust(B, A, DOOR)) == ()
 
 
 def test_what_happens_in_a_context_moves_the_trust_that_was_set_for_it() -> None:
@@ -102,14 +94,14 @@ def test_what_happens_in_a_context_moves_the_trust_that_was_set_for_it() -> None
 
 
 def test_an_assessment_without_a_record_is_stale() -> None:
-    assert assess_trust(given("fsar"), AssessTrust(B, A, DOOR)) == ()
+    assert decided(given("fsar"), AssessTrust(B, A, DOOR)) == ()
 
 
 def test_an_injected_request_that_is_refused_counts_against_who_made_it() -> None:
     injected = OutsiderRequestInjected(task_id="i1", robot=D, peer=C, capability="inspect.private_zone")
     refused = past.denied("i1", past.principals(Service("service/registry"), D), "advertisement", "i1")
     state = given("fsar", TrustThresholdsSet(0, 1, H_F), past.trusted(C, D, "task"), injected, refused)
-    [downgraded] = assess_trust(state, AssessTrust(C, D, "inspect.private_zone"))
+    [downgraded] = decided(state, AssessTrust(C, D, "inspect.private_zone"))
     assert downgraded.scope == "capability"  # type: ignore[attr-defined]
 
 

@@ -35,14 +35,14 @@ from fsar_ledger.events.task import TaskCompleted
 from fsar_ledger.events.world import ActuatorDegraded, TaskArrived
 from fsar_ledger.projections.fold import State, apply, fold
 from fsar_ledger.projections.trust import scope_of
-from fsar_ledger.runtime.architectures.fsar.request import EvaluateRequest, evaluate_request
+from fsar_ledger.runtime.architectures.fsar.request import EvaluateRequest
 from fsar_ledger.runtime.experiment import Experiment, workflow_experiment
 from fsar_ledger.runtime.handlers.commands import Respond
-from fsar_ledger.runtime.handlers.supervision import respond
 from fsar_ledger.runtime.simulation import RunSpec, handler_table_of, simulate_run
 from fsar_ledger.runtime.world.schedule import schedule
 from tests import past
 from tests.runtime.histories import given, happen, types, window
+from tests.runtime.live import decided
 from tests.runtime.test_resume import assert_resumes
 
 SEEDS = (1, 2, 3, 42, 2026)
@@ -219,7 +219,7 @@ def competing(is_critical: tuple[bool, bool] = (True, False), *before: Event) ->
 
 def evaluated(state: State, action_id: str) -> tuple[Event, ...]:
     """What the executor decides about the request, which the state has taken in."""
-    events = evaluate_request(state, EvaluateRequest(action_id))
+    events = decided(state, EvaluateRequest(action_id))
     happen(state, *events)
     return events
 
@@ -231,7 +231,7 @@ def answered(state: State, action_id: str) -> list[str]:
         for number, call in state.supervision.calls.items()
         if (call.subject.action_id, call.purpose) == (action_id, "ordering")
     ]
-    [answer] = respond(state, Respond(number))
+    [answer] = decided(state, Respond(number))
     apply(state, answer)
     again = [one for react in handler_table_of("fsar").reacts[SupervisorResponded] for one in react(state, answer, 0)]
     return [
