@@ -160,8 +160,7 @@ def test_a_ledger_without_its_ledger_json_is_not_taken_for_one_that_was_only_beg
     (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
     (tmp_path / name).write_bytes(b"")
     called = call("verify", tmp_path)
-    assert called.code == 3
-    assert "ledger.json" in called.err
+    assert (called.code, "ledger.json" in called.err) == (3, True)
 
 
 @pytest.mark.parametrize(
@@ -207,24 +206,19 @@ def test_after_ctrl_c_each_command_says_what_is_left(call: Call, monkeypatch: py
     one_message(call(*command.split(), "x"), 130, "interrupted; ", left.get(command, "nothing was changed"))
 
 
-@pytest.mark.parametrize("command", ["info", "metrics", "simulate"])
-def test_a_ledger_of_another_format_version_is_refused(call: Call, copy: Path, command: str) -> None:
-    of_another_version(copy)
-    before = contents_of(copy)
-    one_message(call(command, copy), 2, "99", "version")
-    assert contents_of(copy) == before
-
-
-def of_another_version(ledger: Path) -> None:
-    manifest = ledger / "ledger.json"
+@pytest.mark.parametrize(
+    ("command", "code", "part"),
+    [("info", 2, "version"), ("metrics", 2, "version"), ("simulate", 2, "version"), ("verify", 3, "format version 99")],
+)
+def test_a_ledger_of_another_format_version_is_refused(
+    call: Call, copy: Path, command: str, code: int, part: str
+) -> None:
+    manifest = copy / "ledger.json"
     manifest.write_text(re.sub('"version":[12]', '"version":99', manifest.read_text()))
-
-
-def test_verify_doubts_another_format_version(call: Call, copy: Path) -> None:
-    of_another_version(copy)
-    called = call("verify", copy)
-    assert called.code == 3
-    assert "format version 99" in called.err
+    before = contents_of(copy)
+    called = call(command, copy)
+    assert (called.code, "99" in called.err, part in called.err) == (code, True, True)
+    assert contents_of(copy) == before
 
 
 @pytest.mark.parametrize(
@@ -253,17 +247,6 @@ def test_a_missing_segment_is_named(
     segment.unlink()
     one_message(call(*before, copy, *after), 3, segment.name)
     assert list(tmp_path.iterdir()) == [copy]
-
-
-def test_an_unreadable_segment_is_named(call: Call, copy: Path) -> None:
-    segment = next((copy / "segments").iterdir())
-    data = bytearray(segment.read_bytes())
-    data[4 : len(data) // 2] = bytes(len(data) // 2 - 4)
-    segment.write_bytes(data)
-    called = call("metrics", copy)
-    assert called.code == 3
-    assert segment.name in called.err
-    assert "Traceback" not in called.err
 
 
 def test_verify_names_each_place_and_ends_with_3(call: Call, copy: Path) -> None:
