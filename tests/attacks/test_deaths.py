@@ -17,7 +17,7 @@ from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.runtime.experiment import ORIGIN, Experiment
 from fsar_ledger.runtime.simulation import ARCHITECTURES, RunSpec, plan_record, simulate_run
-from tests.attacks.conftest import Attack, attacked
+from tests.attacks.conftest import Attack
 from tests.cli.conftest import one_message
 from tests.ledger.hostile import stage_anything
 from tests.quick import few
@@ -60,12 +60,9 @@ def until(moment: float, seconds: float) -> Iterator[None]:
 
 
 def begun(*arguments: object) -> subprocess.Popen[str]:
-    """Start a command of the checkout under attack without waiting for it."""
+    """Start a command without waiting for it."""
     call = [sys.executable, "-m", "fsar_ledger", *map(str, arguments)]
-    environment = {**os.environ, "PYTHONPATH": str(attacked())}
-    return subprocess.Popen(
-        call, cwd=Path(sys.prefix), env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
+    return subprocess.Popen(call, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
 def workers_of(process: subprocess.Popen[str], count: int = 2) -> list[int]:
