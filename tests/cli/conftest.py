@@ -24,16 +24,8 @@ class Called(NamedTuple):
 Call = Callable[..., Called]
 
 SMALL = (
-    "--scenario",
-    "door-relay",
-    "--scenario",
-    "failure-recovery-chain",
-    "--runs",
-    "2",
-    "--seed",
-    "7",
-    "--workers",
-    "1",
+    *("--scenario", "door-relay", "--scenario", "failure-recovery-chain"),
+    *("--runs", "2", "--seed", "7", "--workers", "1"),
 )
 
 

@@ -264,13 +264,8 @@ def test_verify_names_each_place_and_ends_with_3(call: Call, copy: Path) -> None
     "text",
     few(
         [
-            "SELEKT 1",
-            "SELECT",
-            "SELECT nothing FROM events",
-            "SELECT * FROM eventz",
-            "",
-            "DROP VIEW events",
-            "SELECT 1; SELECT 2",
+            *("SELEKT 1", "SELECT", "SELECT nothing FROM events"),
+            *("SELECT * FROM eventz", "", "DROP VIEW events", "SELECT 1; SELECT 2"),
         ],
         ["SELEKT 1", "SELECT * FROM eventz", "DROP VIEW events"],
     ),

@@ -28,14 +28,8 @@ VERBS = {
 }
 """Every verb that shows a table of a ledger, but for `query`, which names one first."""
 QUERIES = (
-    "runs",
-    "failures",
-    "requests",
-    "denials",
-    "supervisor_of",
-    "policy_windows",
-    "metric_summary",
-    "event_principals",
+    *("runs", "failures", "requests", "denials", "supervisor_of"),
+    *("policy_windows", "metric_summary", "event_principals"),
 )
 RUNS = [f"fsar.full.{scenario}.n4.s42.r{number:04}-abc" for scenario in ("door", "relay") for number in (1, 2)]
 

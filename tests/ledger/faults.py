@@ -27,24 +27,9 @@ COUNTED = (
 )
 HARMLESS = frozenset(
     [
-        "path",
-        "listdir",
-        "scandir",
-        "stat",
-        "lstat",
-        "fstat",
-        "lseek",
-        "access",
-        "F_OK",
-        "fspath",
-        "strerror",
-        "getpid",
-        "DirEntry",
-        "PathLike",
-        "SEEK_SET",
-        "SEEK_END",
-        "POSIX_FADV_DONTNEED",
-        "error",
+        *("path", "listdir", "scandir", "stat", "lstat", "fstat", "lseek", "access"),
+        *("F_OK", "fspath", "strerror", "getpid", "DirEntry", "PathLike", "SEEK_SET"),
+        *("SEEK_END", "POSIX_FADV_DONTNEED", "error"),
     ]
 )
 NEED_ROOM = (*WRITES, "link", "rename", "replace", "mkdir", *SYNCS)

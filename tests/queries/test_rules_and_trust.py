@@ -244,14 +244,8 @@ def test_each_conflict_of_mandate_and_own_denial_must_be_escalated_at_the_reques
         (MANDATE, rule(2), event("FleetRuleLearned", 2, robot="robot/B1", outcome="deny", as_of_us=1)),
     ],
     ids=[
-        "no mandate",
-        "no denial",
-        "own review",
-        "fleet denies this",
-        "mandate for another",
-        "mandate replaced",
-        "denies another task",
-        "zone denies",
+        *("no mandate", "no denial", "own review", "fleet denies this"),
+        *("mandate for another", "mandate replaced", "denies another task", "zone denies"),
     ],
 )
 def test_other_refusals_are_no_conflict(before: tuple[Row, ...]) -> None:

@@ -243,13 +243,8 @@ def test_a_mandate_against_a_denial_that_holds_the_start_is_escalated_at_every_h
         (rule("allow", scope="fleet"),),
     ],
     ids=[
-        "no mandate",
-        "own review",
-        "fleet reviews",
-        "fleet also denies",
-        "zone denies",
-        "mandate for another",
-        "no denial",
+        *("no mandate", "own review", "fleet reviews", "fleet also denies"),
+        *("zone denies", "mandate for another", "no denial"),
     ],
 )
 def test_without_a_mandate_or_without_a_denial_there_is_no_conflict(happened: tuple[Event, ...]) -> None:
