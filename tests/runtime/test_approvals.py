@@ -18,7 +18,8 @@ from fsar_ledger.runtime.handlers.commands import StartAction, TakeTurn
 from fsar_ledger.runtime.handlers.request import ReportResult
 from tests import past
 from tests.runtime.histories import given, happen, types
-from tests.runtime.test_authority import ASK, DOOR, H_B, A, B, play, scheduled
+from tests.runtime.live import play
+from tests.runtime.test_authority import ASK, DOOR, H_B, A, B, scheduled
 
 APPROVAL = past.approved(Subject("visit", "q1"), A, B)
 

@@ -30,8 +30,8 @@ from fsar_ledger.runtime.handlers.commands import Command, StartAction, TakeTurn
 from fsar_ledger.runtime.handlers.request import RequestCapability
 from fsar_ledger.runtime.handlers.withdrawal import EndClaims
 from tests import past
-from tests.runtime.histories import given, happen, types
-from tests.runtime.live import decided, of, played
+from tests.runtime.histories import given, types
+from tests.runtime.live import decided, of, play, played
 from tests.runtime.test_requests import relayed, verdict
 
 A, B, C, D = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/C1"), Robot("robot/D1")
@@ -42,15 +42,6 @@ ASK = RequestCapability(A, B, DOOR, "visit", "q1")
 NEXT = msgspec.structs.replace(ASK, action_id="q2")
 GRANTED = past.granted(A, B, "soft-priority", DOOR, "visit")
 REVOKED = past.revoked(A, B)
-
-
-def play(state: State, *commands: Command) -> tuple[Any, ...]:
-    """The events of the last command, all of them applied."""
-    events: tuple[Any, ...] = ()
-    for command in commands:
-        events = decided(state, command)
-        happen(state, *events)
-    return events
 
 
 def evaluated(state: State, command: RequestCapability = NEXT) -> Any:

@@ -11,14 +11,14 @@ from fsar_ledger.runtime.architectures.fsar.authority import AnswerOutsider
 from fsar_ledger.runtime.handlers.commands import DetectObstruction
 from fsar_ledger.runtime.handlers.execution import _on_running, start_after_approach
 from tests import past
-from tests.runtime.histories import given, happen
-from tests.runtime.live import decided
+from tests.runtime.histories import given
+from tests.runtime.live import decided, play
 from tests.runtime.test_fsar import A, B, C, D, executing
 
 
 def failed(own: bool = False):  # type: ignore[no-untyped-def]
     state, action_id = executing(ObstructionAppeared(A if own else B, "o"), own=own)
-    happen(state, *decided(state, DetectObstruction(action_id, now_us=9_500_000)))
+    play(state, DetectObstruction(action_id, now_us=9_500_000))
     return state, action_id
 
 

@@ -14,8 +14,8 @@ from fsar_ledger.runtime.handlers.commands import Command, TakeTurn
 from fsar_ledger.runtime.handlers.request import ReportResult, RequestCapability
 from fsar_ledger.runtime.handlers.task import SubmitTask
 from tests import past
-from tests.runtime.histories import given, happen, types
-from tests.runtime.live import decided
+from tests.runtime.histories import given, types
+from tests.runtime.live import decided, play
 
 A, B = Robot("robot/A1"), Robot("robot/B1")
 
@@ -28,7 +28,7 @@ def after(*commands: Command) -> State:
     """The state after these commands."""
     state = given("fsar")
     for command in commands:
-        happen(state, *decided(state, command))
+        play(state, command)
     return state
 
 

@@ -19,8 +19,8 @@ from fsar_ledger.runtime.architectures.fsar.request import EvaluateRequest
 from fsar_ledger.runtime.handlers.commands import DetectObstruction, ResumeAction, StartAction, TakeTurn
 from fsar_ledger.runtime.handlers.request import RequestCapability
 from tests import past
-from tests.runtime.histories import given, happen, types
-from tests.runtime.live import decided
+from tests.runtime.histories import given, types
+from tests.runtime.live import play
 
 A, B, C, D = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/C1"), Robot("robot/D1")
 
@@ -44,15 +44,6 @@ def busy(*before: Any, stage: str = "running", level: OverrideLevel = "none") ->
     if stage == "running":
         play(state, StartAction("q1", now_us=1_000_000, answer=2_000_000))
     return state
-
-
-def play(state: State, *commands: Any) -> tuple[Any, ...]:
-    """The events of the last command, all of them applied."""
-    events: tuple[Any, ...] = ()
-    for command in commands:
-        events = decided(state, command)
-        happen(state, *events)
-    return events
 
 
 @pytest.mark.parametrize("level", ["none", "soft-priority"])

@@ -41,8 +41,8 @@ from fsar_ledger.runtime.world.schedule import schedule
 from tests import past
 from tests.recycled import from_table
 from tests.runtime.histories import types
-from tests.runtime.live import of, played
-from tests.runtime.test_override import ASK, DOOR, GRANT, OPEN, A, B, C, D, busy, play, urgent
+from tests.runtime.live import of, play, played
+from tests.runtime.test_override import ASK, DOOR, GRANT, OPEN, A, B, C, D, busy, urgent
 
 
 def entry(name: str, level: OverrideLevel) -> ExecutionQueued:

@@ -34,7 +34,7 @@ from fsar_ledger.runtime.handlers.policy import (
 from tests import past
 from tests.runtime.governed import H_F, governed
 from tests.runtime.histories import ARRIVED, DELEGATED_STEP, OWN_STEP, given, happen, types, window
-from tests.runtime.live import decided
+from tests.runtime.live import decided, play
 
 A, B, C = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/C1")
 DOOR = "door.open.secure"
@@ -215,7 +215,7 @@ def test_a_matter_of_one_robot_alone_is_escalated_to_its_own_supervisor() -> Non
 def test_a_mandate_against_a_denial_that_holds_the_start_is_escalated_at_every_hold() -> None:
     state = given("fsar", *REQUESTED, rule("allow", robot=None, capability=DOOR, scope="fleet"))
     happen(state, *decided(state, EvaluateRequest("A1-1/2.1")), rule("deny"))
-    happen(state, *decided(state, TakeTurn("A1-1/2.1")))
+    play(state, TakeTurn("A1-1/2.1"))
     escalated, held = start(state, StartAction("A1-1/2.1", now_us=5, answer=7))
     assert escalated == PolicyConflictEscalated(
         Subject("A1-1", "A1-1/2.1"), past.principals(POLICY, A, B, H_F), DOOR, "deny", "allow"
@@ -261,7 +261,7 @@ def test_without_policy_composition_a_requester_does_not_see_the_mandate() -> No
 
 def test_a_start_that_a_rule_held_goes_on_when_the_rule_is_replaced() -> None:
     state = given("fsar", ARRIVED, OWN_STEP)
-    happen(state, *decided(state, DecideOwnStep("A1-1/1.1")))
+    play(state, DecideOwnStep("A1-1/1.1"))
     apply(state, rule("deny", robot=A))
     [held] = start(state, StartAction("A1-1/1.1", now_us=5, answer=7))
     assert isinstance(held, ExecutionHeld)

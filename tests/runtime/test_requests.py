@@ -19,7 +19,7 @@ from fsar_ledger.runtime.handlers.commands import Command
 from fsar_ledger.runtime.handlers.request import RequestCapability
 from tests import past
 from tests.runtime.histories import ARRIVED, DELEGATED_STEP, OWN_STEP, given, happen, types, window
-from tests.runtime.live import decided
+from tests.runtime.live import decided, play
 
 A, B, C, D = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/C1"), Robot("robot/D1")
 
@@ -51,7 +51,7 @@ def verdict(state: State, action_id: str = "q1") -> tuple[str, str | None]:
 def served(state: State, *commands: Command) -> State:
     """The state after these commands."""
     for command in commands:
-        happen(state, *decided(state, command))
+        play(state, command)
     return state
 
 
@@ -151,7 +151,7 @@ def test_policy_that_wants_a_review_is_put_before_a_supervisor_only_if_all_else_
 
 def test_what_was_approved_is_still_denied_when_trust_is_gone_by_then() -> None:
     state = asked(after=(window(B, "review"),))
-    happen(state, *decided(state, EvaluateRequest("q1")))
+    play(state, EvaluateRequest("q1"))
     apply(state, past.approved(Subject("visit", "q1"), A, B))
     request = state.request.open["q1"]
     assert evaluate(state, request, B, is_reviewed=True).verdict == "accept"
@@ -162,7 +162,7 @@ def test_what_was_approved_is_still_denied_when_trust_is_gone_by_then() -> None:
 def test_a_busy_executor_defers_and_the_request_is_served_in_its_turn() -> None:
     state = served(asked(), EvaluateRequest("q1"))
     second = msgspec.structs.replace(ASK, action_id="q2")
-    happen(state, *decided(state, second))
+    play(state, second)
     assert types(decided(state, EvaluateRequest("q2"))) == ["RequestAdmitted", "RequestDeferred", "ExecutionQueued"]
 
 
@@ -194,11 +194,11 @@ def test_rights_along_a_chain_never_add_up_to_a_right_of_its_first_at_its_last()
     grants = (past.granted(A, B), past.granted(B, C))
     state = served(asked(*grants), EvaluateRequest("q1"))
     onward = RequestCapability(B, C, "inspect.visual", "visit", "q2", parent="q1")
-    happen(state, *decided(state, onward))
+    play(state, onward)
     assert state.request.open["q2"].parent == "q1"
     assert verdict(state, "q2") == ("accept", None)
     direct = RequestCapability(A, C, "inspect.visual", "visit", "q3")
-    happen(state, *decided(state, direct))
+    play(state, direct)
     assert verdict(state, "q3") == ("reject", "trust")
     apply(state, past.trusted(C, B, "none"))
     assert verdict(state, "q2") == ("reject", "trust"), "the parent's admission does not carry its link"

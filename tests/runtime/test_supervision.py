@@ -32,8 +32,8 @@ from fsar_ledger.runtime.handlers.supervision import (
 )
 from tests import past
 from tests.runtime.governed import H_F, governed
-from tests.runtime.histories import ARRIVED, DELEGATED_STEP, given, happen, types, window
-from tests.runtime.live import decided
+from tests.runtime.histories import ARRIVED, DELEGATED_STEP, given, types, window
+from tests.runtime.live import decided, play
 
 A, B = Robot("robot/A1"), Robot("robot/B1")
 H_A, H_B = Supervisor("supervisor/A1"), Supervisor("supervisor/B1")
@@ -155,14 +155,14 @@ def test_an_answer_about_what_has_ended_is_rejected_as_it_would_name_nobody() ->
 
 def test_a_call_is_answered_once() -> None:
     state = given("fsar", *REQUESTED, REVIEW)
-    happen(state, *decided(state, RespondToCall(H_F, ACTION, True)))
+    play(state, RespondToCall(H_F, ACTION, True))
     assert refusal(decided(state, RespondToCall(H_F, ACTION, True))).startswith("no open call")
     assert decided(state, Respond(1)) == ()
 
 
 def test_an_answer_to_one_call_leaves_another_about_the_same_action_open() -> None:
     state = failing(REVIEW, LOCAL)
-    happen(state, *decided(state, RespondToCall(H_F, ACTION, True)))
+    play(state, RespondToCall(H_F, ACTION, True))
     assert list(state.supervision.calls.values()) == [LOCAL]
 
 
@@ -172,13 +172,13 @@ def test_an_answer_is_that_of_the_supervisor_who_gave_it_even_when_another_was_c
     second, *_ = decided(state, Respond(2))
     answers = [event.principals for event in (first, second) if isinstance(event, SupervisorResponded)]
     assert [(one.decided_by, one.supervised_by) for one in answers] == [(H_B, H_B), (H_F, H_F)]
-    happen(state, *decided(state, Respond(1)))
+    play(state, Respond(1))
     assert decided(state, Respond(2)) == ()
 
 
 def test_a_late_answer_about_one_failure_does_not_resolve_the_next() -> None:
     state = failing(LOCAL)
-    happen(state, *decided(state, RespondToCall(H_B, ACTION, True)))
+    play(state, RespondToCall(H_B, ACTION, True))
     apply(state, past.failed(Subject("A1-1", ACTION), B, "degradation", 1, 9, 2))
     apply(state, LOCAL)
     assert decided(state, Respond(1)) == ()
