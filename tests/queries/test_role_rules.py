@@ -12,7 +12,7 @@ from fsar_ledger.metrics.database import Database, from_rows
 from fsar_ledger.metrics.invariants import chosen
 from fsar_ledger.projections import policy
 from tests import past
-from tests.queries.histories import answer, event, run
+from tests.queries.histories import act, answer, event, run
 from tests.queries.test_role_trust import DOMAINS, DOOR, LIFT, MEMBERS, ROBOTS, row
 from tests.queries.test_rules_and_trust import ASKED, REFUSED, rule
 from tests.runtime.governed import H_F
@@ -229,16 +229,7 @@ def test_a_supervisors_rule_of_a_role_is_on_the_list_of_what_it_decided() -> Non
 def test_a_hold_ends_when_a_rule_comes_into_force_for_the_robot() -> None:
     joined = event("RobotJoined", robot="robot/B1", role="B", team=1, domain="yard")
     held = event("ExecutionHeld", 2, robot="robot/B1", action_id="t1/1", outcome="deny")
-    began = event(
-        "ExecutionStarted",
-        4,
-        task_id="t1",
-        action_id="t1/1",
-        robot="robot/B1",
-        on_behalf_of="robot/B1",
-        capability=DOOR,
-        ends_us=9,
-    )
+    began = act("ExecutionStarted", 4, "t1/1", robot="robot/B1", on_behalf_of="robot/B1", capability=DOOR, ends_us=9)
     of_role = event("RolePolicyRuleSet", 3, scope="local", role="B", domain="", outcome="allow")
     own = event("PolicyRuleSet", 1, scope="local", robot="robot/B1", outcome="allow")
 

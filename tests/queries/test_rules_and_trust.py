@@ -7,7 +7,7 @@ import pytest
 from fsar_ledger.events.envelope import POLICY, Supervisor
 from fsar_ledger.metrics.database import plain_rows
 from fsar_ledger.metrics.invariants import chosen
-from tests.queries.histories import Row, answer, event, measured, run
+from tests.queries.histories import Row, act, answer, event, measured, run
 from tests.recycled import from_rows
 from tests.runtime.governed import H_F
 
@@ -48,7 +48,7 @@ def reviewed(time_us: int, approves: bool | None) -> Row:
 
 
 def admitted(time_us: int) -> Row:
-    return event("RequestAdmitted", time_us, task_id="t1", action_id="t1/1", outcome="allow", decided_by="robot/B1")
+    return act("RequestAdmitted", time_us, "t1/1", outcome="allow", decided_by="robot/B1")
 
 
 def asked(name: str, columns: str, *events: Row, **given: Any) -> list[tuple[Any, ...]]:
@@ -146,7 +146,7 @@ def test_a_disapproval_is_no_approval(approves: bool | None, count: int) -> None
 
 
 FLEETS, LIFTED = rule(1, scope="fleet"), rule(3, "allow", scope="fleet")
-CARRIED = event("RequestIssued", 1, task_id="t1", action_id="t1/1", carried_policy="deny")
+CARRIED = act("RequestIssued", 1, "t1/1", carried_policy="deny")
 HELD = event("ExecutionHeld", 2, robot="robot/B1", action_id="t1/1", outcome="deny")
 BROKEN: dict[str, tuple[tuple[str, tuple[Row, ...], list[int]], ...]] = {
     "a start under the robot's own rule is known to be denied": (
@@ -190,24 +190,16 @@ def test_what_is_known_of_rules_is_heeded(name: str) -> None:
         assert broken(invariant, *events) == times
 
 
-ASKED = event("RequestIssued", 3, task_id="t1", action_id="t1/1", capability=DOOR, carried_policy="allow")
-REFUSED = event(
-    "RequestDenied", 6, task_id="t1", action_id="t1/1", executed_by="robot/B1", decided_by="robot/B1", reason="policy"
-)
-ESCALATED = event(
-    "PolicyConflictEscalated",
-    6,
-    task_id="t1",
-    action_id="t1/1",
-    decided_by=POLICY,
-    requested_by="robot/A1",
-    executed_by="robot/B1",
+ASKED = act("RequestIssued", 3, "t1/1", capability=DOOR, carried_policy="allow")
+REFUSED = act("RequestDenied", 6, "t1/1", executed_by="robot/B1", decided_by="robot/B1", reason="policy")
+ESCALATED = act(
+    "PolicyConflictEscalated", 6, "t1/1", decided_by=POLICY, requested_by="robot/A1", executed_by="robot/B1"
 )
 MANDATE = rule(1, "allow", robot=None, scope="fleet")
 
 
 TOLD = {**ESCALATED, "supervised_by": H_F}
-QUEUED = event("ExecutionQueued", 4, task_id="t1", action_id="t1/1", robot="robot/B1", capability=DOOR)
+QUEUED = act("ExecutionQueued", 4, "t1/1", robot="robot/B1", capability=DOOR)
 NOT_STARTED = {**HELD, "time_us": 6, "task_id": "t1", "reason": "local-policy"}
 
 
