@@ -21,6 +21,7 @@ from tests.attacks.conftest import Attack
 from tests.cli.conftest import one_message
 from tests.ledger.hostile import stage_anything
 from tests.quick import few
+from tests.running import ran
 from tests.runtime.forgeries import changed, renamed
 
 SOME = ("--scenario", "door-relay", "--seed", "3", "--workers", "2", "--runs", "17")
@@ -43,9 +44,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def children(parent: int) -> list[tuple[int, str]]:
     """Return number and command line of the living descendants of this process."""
-    listed = subprocess.run(
-        ["ps", "-A", "-ww", "-o", "pid=,ppid=,stat=,args="], check=True, capture_output=True, text=True
-    ).stdout
+    listed = ran(["ps", "-A", "-ww", "-o", "pid=,ppid=,stat=,args="], check=True).stdout
     rows = [line.split(None, 3) for line in listed.splitlines()]
     return [
         (int(row[0]), row[3]) for row in rows if len(row) == 4 and int(row[1]) == parent and not row[2].startswith("Z")
@@ -75,9 +74,7 @@ def workers_of(process: subprocess.Popen[str], count: int = 2) -> list[int]:
 
 
 def is_alive(number: int) -> bool:
-    listed = subprocess.run(
-        ["ps", "-o", "stat=", "-p", str(number)], capture_output=True, text=True, check=False
-    ).stdout.strip()
+    listed = ran(["ps", "-o", "stat=", "-p", str(number)]).stdout.strip()
     return bool(listed) and not listed.startswith("Z")
 
 

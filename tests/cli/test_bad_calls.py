@@ -281,6 +281,7 @@ def test_wrong_sql_is_explained(call: Call, ledger: Path, text: str) -> None:
 WRITERS = [
     ("export", "LEDGER", "--out", "PLACE.parquet"),
     ("export", "LEDGER", "--query", "metrics/run_metrics", "--out", "PLACE.csv"),
+    ("open", "LEDGER", "--out", "PLACE.duckdb"),
     ("prove", "LEDGER", "8", "--out", "PLACE.tlog-proof"),
     ("report", "LEDGER", "--out", "PLACE.pdf"),
     ("explain", "LEDGER", "--run", "1", "--request", "A1-1/2.1", "--svg", "PLACE.svg"),

@@ -2,7 +2,6 @@
 fault."""
 
 import os
-import subprocess
 import sys
 from pathlib import Path
 
@@ -15,6 +14,7 @@ from fsar_ledger.errors import LimitReached, UsageError
 from fsar_ledger.ledger.store.problem import unexpected
 from fsar_ledger.metrics.database import from_rows
 from tests.ledger.bomb_trial import cost_of
+from tests.running import ran
 
 from .conftest import Call, one_message
 
@@ -57,7 +57,7 @@ def many(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_child_that_has_not_begun_its_program_is_not_counted_twice() -> None:
-    done = subprocess.run([sys.executable, "-c", FORKING], capture_output=True, text=True, check=False)
+    done = ran([sys.executable, "-c", FORKING])
     assert (done.stdout, done.stderr) == ("True True\n", "")
 
 
@@ -73,7 +73,7 @@ def test_a_query_with_a_name_states_it_too(call: Call, ledger: Path) -> None:
 
 
 def test_what_takes_more_is_ended_with_one_message_and_leaves_no_half_file(tmp_path: Path) -> None:
-    done = subprocess.run([sys.executable, "-c", HUNGRY], cwd=tmp_path, capture_output=True, text=True, check=False)
+    done = ran([sys.executable, "-c", HUNGRY], cwd=tmp_path)
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.startswith(f"fsar-ledger: {LITTLE}; ")
     assert len(done.stderr.splitlines()) == 1
@@ -90,9 +90,7 @@ def test_the_processes_that_it_starts_count_too(tmp_path: Path) -> None:
         f"{grow!r}])\n"
     )
     code = f"from pathlib import Path\nfrom fsar_ledger.cli.memory import bounded\n{within}"
-    done = subprocess.run(
-        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False, timeout=60
-    )
+    done = ran([sys.executable, "-c", code], cwd=tmp_path, timeout=60)
     assert done.returncode == 2
     assert LITTLE in done.stderr
 
@@ -102,7 +100,7 @@ def test_what_is_asked_for_at_once_is_refused_by_the_system(tmp_path: Path) -> N
         "from pathlib import Path\nfrom fsar_ledger.cli.memory import bounded\nwith bounded(256, "
         "Path('ledger')):\n    bytearray(64 << 30)\n"
     )
-    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False)
+    done = ran([sys.executable, "-c", code], cwd=tmp_path)
     assert "LimitReached: memory: this needs more than 256 MiB" in done.stderr
 
 
@@ -112,9 +110,7 @@ def test_a_process_that_has_reserved_much_already_is_limited_like_another(tmp_pa
         "reserved = [mmap.mmap(-1, 1 << 30, mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS) for _ in range(8)]\n"
         "with bounded(256, Path('ledger')):\n    kept = bytearray(32 << 20)\nprint('done')\n"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False, timeout=60
-    )
+    done = ran([sys.executable, "-c", code], cwd=tmp_path, timeout=60)
     assert (done.returncode, done.stdout, done.stderr) == (0, "done\n", "")
 
 

@@ -1,7 +1,6 @@
 """Tables fit the terminal they are shown on, and are plain text, the same at any width, where there is none."""
 
 import re
-import subprocess
 import sys
 from pathlib import Path
 
@@ -13,6 +12,7 @@ from fsar_ledger.cli.terminal import columns_of
 from fsar_ledger.metrics.groups import GROUPS
 from tests.cli.conftest import Call, one_message
 from tests.cli.terminals import left_of, on_a_terminal, on_a_terminal_here, stream_of
+from tests.running import ran
 from tests.terminal import CLAIM, PAINT, painted
 
 WIDTHS = (80, 120, 200)
@@ -374,5 +374,5 @@ def test_a_report_tells_each_step_of_its_work(call: Call, tmp_path: Path) -> Non
 @pytest.mark.slow
 def test_progress_is_for_terminals_that_can_erase_it() -> None:
     assert on_a_terminal(100, "-c", WORK, surroundings={"TERM": "dumb"}) == ("False\n", "False\n")
-    piped = subprocess.run([sys.executable, "-c", WORK], capture_output=True, text=True, check=True)
+    piped = ran([sys.executable, "-c", WORK], check=True)
     assert (piped.stdout, piped.stderr) == ("False\n", "")

@@ -15,6 +15,7 @@ from fsar_ledger.errors import (
     UsageError,
     WriteFailed,
 )
+from fsar_ledger.ledger.log.note import Signer
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows import segment
 from fsar_ledger.ledger.store.append import Writer
@@ -55,10 +56,16 @@ def test_staging_into_no_ledger_fails_clearly(tmp_path: Path) -> None:
         stage(tmp_path / "nowhere", BATCHES[0])
 
 
-@pytest.mark.parametrize("origin", ["", "two words", "a+b", "line\nfeed"])
+@pytest.mark.parametrize("origin", ["", "two words", "a+b", "line\nfeed", "x" * 300_000])
 def test_an_origin_that_no_note_can_carry_is_refused(path: Path, origin: str) -> None:
-    with pytest.raises(ValueError, match="expected a printable name"):
+    with pytest.raises(ValueError, match=r"found (an )?origin"):
         Writer(path, origin)
+    assert not path.exists()
+
+
+def test_a_key_of_another_origin_makes_no_ledger(path: Path) -> None:
+    with pytest.raises(UsageError, match=f"found a key named example.org/other, expected {ORIGIN}"):
+        Writer(path, ORIGIN, Signer("example.org/other", bytes(32)))
     assert not path.exists()
 
 

@@ -3,7 +3,8 @@
 from typing import Any
 
 from tests.queries.histories import Row, S, act, event
-from tests.queries.test_timelines import B, C, about, asked, failed
+from tests.queries.test_audit_questions import asked
+from tests.queries.test_timelines import B, C, about, failed
 
 
 def step(name: str, time_us: int, level: str | None = None, **fields: Any) -> Row:

@@ -103,74 +103,29 @@ def test_handlers_and_queries_find_the_same_rules_of_robot_role_domain_capabilit
     assert seen == {*OUTCOMES, None}
 
 
-OF_B = RolePolicyRuleSet(scope="fleet", role="B", outcome="deny", domain="", capability=DOOR)
+def of_b(outcome: PolicyOutcome, domain: str = "") -> RolePolicyRuleSet:
+    """A rule of the fleet's about the door of every robot of B's role."""
+    return RolePolicyRuleSet(scope="fleet", role="B", outcome=outcome, domain=domain, capability=DOOR)
+
+
+OF_B = of_b("deny")
 NEARNESS: dict[str, tuple[tuple[Event, ...], PolicyOutcome | None]] = {
     "its role": ((OF_B,), "deny"),
     "another role": ((RolePolicyRuleSet(scope="fleet", role="A", outcome="deny"),), None),
     "the robots' own": ((RolePolicyRuleSet(scope="local", role="B", outcome="deny"),), None),
-    "the robot": (
-        (OF_B, PolicyRuleSet(scope="fleet", robot=B, capability=DOOR, context=None, outcome="allow", decided_by=None)),
-        "allow",
-    ),
-    "the robot before": (
-        (PolicyRuleSet(scope="fleet", robot=B, capability=DOOR, context=None, outcome="review", decided_by=None), OF_B),
-        "review",
-    ),
-    "another robot": (
-        (
-            OF_B,
-            PolicyRuleSet(
-                scope="fleet", robot=Robot("robot/B2"), capability=DOOR, context=None, outcome="allow", decided_by=None
-            ),
-        ),
-        "deny",
-    ),
-    "its own, not the fleet's": (
-        (OF_B, PolicyRuleSet(scope="local", robot=B, capability=DOOR, context=None, outcome="allow", decided_by=None)),
-        "deny",
-    ),
-    "about everything": (
-        (OF_B, PolicyRuleSet(scope="fleet", robot=B, capability=None, context=None, outcome="allow", decided_by=None)),
-        "deny",
-    ),
-    "in one context": (
-        (OF_B, PolicyRuleSet(scope="fleet", robot=B, capability=DOOR, context="t1", outcome="allow", decided_by=None)),
-        "deny",
-    ),
-    "every robot": (
-        (
-            OF_B,
-            PolicyRuleSet(scope="fleet", robot=None, capability=DOOR, context=None, outcome="allow", decided_by=None),
-        ),
-        "deny",
-    ),
-    "every robot before": (
-        (
-            PolicyRuleSet(scope="fleet", robot=None, capability=DOOR, context=None, outcome="deny", decided_by=None),
-            RolePolicyRuleSet(scope="fleet", role="B", outcome="allow", domain="", capability=DOOR),
-        ),
-        "deny",
-    ),
-    "replaced": (
-        (OF_B, RolePolicyRuleSet(scope="fleet", role="B", outcome="review", domain="", capability=DOOR)),
-        "review",
-    ),
-    "its domain": (
-        (OF_B, RolePolicyRuleSet(scope="fleet", role="B", outcome="allow", domain="hall", capability=DOOR)),
-        "allow",
-    ),
-    "its domain before": (
-        (RolePolicyRuleSet(scope="fleet", role="B", outcome="allow", domain="hall/cell", capability=DOOR), OF_B),
-        "allow",
-    ),
-    "another domain": (
-        (OF_B, RolePolicyRuleSet(scope="fleet", role="B", outcome="allow", domain="yard", capability=DOOR)),
-        "deny",
-    ),
-    "half a name": (
-        (OF_B, RolePolicyRuleSet(scope="fleet", role="B", outcome="allow", domain="hal", capability=DOOR)),
-        "deny",
-    ),
+    "the robot": ((OF_B, past.ruled_for_all("allow", B, DOOR)), "allow"),
+    "the robot before": ((past.ruled_for_all("review", B, DOOR), OF_B), "review"),
+    "another robot": ((OF_B, past.ruled_for_all("allow", Robot("robot/B2"), DOOR)), "deny"),
+    "its own, not the fleet's": ((OF_B, past.ruled("allow", B, DOOR)), "deny"),
+    "about everything": ((OF_B, past.ruled_for_all("allow", B)), "deny"),
+    "in one context": ((OF_B, past.ruled_for_all("allow", B, DOOR, "t1")), "deny"),
+    "every robot": ((OF_B, past.ruled_for_all("allow", None, DOOR)), "deny"),
+    "every robot before": ((past.ruled_for_all("deny", None, DOOR), of_b("allow")), "deny"),
+    "replaced": ((OF_B, of_b("review")), "review"),
+    "its domain": ((OF_B, of_b("allow", "hall")), "allow"),
+    "its domain before": ((of_b("allow", "hall/cell"), OF_B), "allow"),
+    "another domain": ((OF_B, of_b("allow", "yard")), "deny"),
+    "half a name": ((OF_B, of_b("allow", "hal")), "deny"),
 }
 """Rules of the fleet about robot/B1, which works in hall/cell, and what they make of the secure door in t1."""
 

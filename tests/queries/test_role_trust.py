@@ -2,6 +2,7 @@
 
 from itertools import permutations
 from random import Random
+from typing import Any
 
 import pytest
 
@@ -106,41 +107,22 @@ def test_handlers_and_queries_find_the_same_entry_of_pair_role_domain_capability
                     )
 
 
+def of_roles(scope: TrustScope, **about: Any) -> RoleTrustSet:
+    """Every B trusts every A."""
+    return RoleTrustSet(role="B", peer_role="A", scope=scope, **about)
+
+
 @pytest.mark.parametrize(
     ("entries", "scope"),
     [
-        ((RoleTrustSet(role="B", peer_role="A", scope="task"),), "task"),
+        ((of_roles("task"),), "task"),
         ((RoleTrustSet(role="A", peer_role="B", scope="task"),), "none"),
-        ((past.trusted(B, A, "none"), RoleTrustSet(role="B", peer_role="A", scope="task")), "none"),
-        ((past.trusted(B, A, "none", LIFT), RoleTrustSet(role="B", peer_role="A", scope="task")), "task"),
-        (
-            (
-                RoleTrustSet(role="B", peer_role="A", scope="session", domain="hall"),
-                RoleTrustSet(role="B", peer_role="A", scope="task", domain="", capability=DOOR, context="t1"),
-            ),
-            "session",
-        ),
-        (
-            (
-                RoleTrustSet(role="B", peer_role="A", scope="session", domain="yard"),
-                RoleTrustSet(role="B", peer_role="A", scope="task"),
-            ),
-            "task",
-        ),
-        (
-            (
-                RoleTrustSet(role="B", peer_role="A", scope="session", domain="hal"),
-                RoleTrustSet(role="B", peer_role="A", scope="task"),
-            ),
-            "task",
-        ),
-        (
-            (
-                RoleTrustSet(role="B", peer_role="A", scope="task", domain="", capability=DOOR),
-                RoleTrustSet(role="B", peer_role="A", scope="none"),
-            ),
-            "task",
-        ),
+        ((past.trusted(B, A, "none"), of_roles("task")), "none"),
+        ((past.trusted(B, A, "none", LIFT), of_roles("task")), "task"),
+        ((of_roles("session", domain="hall"), of_roles("task", capability=DOOR, context="t1")), "session"),
+        ((of_roles("session", domain="yard"), of_roles("task")), "task"),
+        ((of_roles("session", domain="hal"), of_roles("task")), "task"),
+        ((of_roles("task", capability=DOOR), of_roles("none")), "task"),
     ],
 )
 def test_the_pair_goes_before_its_roles_and_the_smaller_domain_before_the_larger(

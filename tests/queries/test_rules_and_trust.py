@@ -5,8 +5,8 @@ from typing import Any
 import pytest
 
 from fsar_ledger.events.envelope import POLICY, Supervisor
-from fsar_ledger.metrics.database import plain_rows
 from fsar_ledger.metrics.invariants import chosen
+from tests.queries import test_audit_questions
 from tests.queries.histories import Row, act, answer, event, measured, run
 from tests.recycled import from_rows
 from tests.runtime.governed import H_F
@@ -53,9 +53,7 @@ def admitted(time_us: int) -> Row:
 
 def asked(name: str, columns: str, *events: Row, **given: Any) -> list[tuple[Any, ...]]:
     """These columns of the answer to a question over one run of two robots with these events."""
-    with from_rows(run(*ROBOTS, *events)) as database:
-        rows = plain_rows(database.query(f"audit/{name}", {key: str(value) for key, value in given.items()}))
-    return [tuple(row[column] for column in columns.split()) for row in rows]
+    return test_audit_questions.asked(name, columns, *ROBOTS, *events, **given)
 
 
 def violations(*events: Row) -> int:

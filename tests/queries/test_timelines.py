@@ -7,16 +7,10 @@ import pytest
 from fsar_ledger.ledger.rows.schema import LAYOUTS
 from fsar_ledger.metrics.database import plain_rows
 from tests.queries.histories import Row, S, act, event, run
+from tests.queries.test_audit_questions import asked
 from tests.recycled import from_rows
 
 A, B, C = "robot/A1", "robot/B1", "robot/C1"
-
-
-def asked(name: str, columns: str, *events: Row, **given: str) -> list[tuple[Any, ...]]:
-    """These columns of the answer over one run with these events."""
-    with from_rows(run(*events)) as database:
-        rows = plain_rows(database.query(f"audit/{name}", given))
-    return [tuple(row[column] for column in columns.split()) for row in rows]
 
 
 def about(action: str = "t1/1.1", by: str | None = None, **fields: Any) -> dict[str, Any]:

@@ -5,6 +5,7 @@ from typing import Any
 
 from fsar_ledger.constants import Constants
 from fsar_ledger.events import Event
+from fsar_ledger.events.command import CommandRejected
 from fsar_ledger.projections.fold import State
 from fsar_ledger.runtime.architectures.fsar import FSAR
 from fsar_ledger.runtime.architectures.handler_table import HandlerTable
@@ -17,6 +18,13 @@ from tests.runtime.histories import happen, started
 def decided(state: State, command: Command, table: HandlerTable = FSAR) -> tuple[Event, ...]:
     """What FSAR makes of the command, or the architecture of another table."""
     return table.decides[type(command)](state, command)
+
+
+def refusal(events: tuple[Event, ...]) -> str:
+    """Why the command was rejected."""
+    [one] = events
+    assert isinstance(one, CommandRejected)
+    return one.reason
 
 
 def play(state: State, *commands: Command, table: HandlerTable = FSAR) -> tuple[Any, ...]:

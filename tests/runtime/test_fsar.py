@@ -92,6 +92,11 @@ def test_without_policy_composition_a_robots_own_steps_and_routine_keep_the_flee
         assert held.reason == "fleet-rule"
 
 
+def test_a_review_goes_to_the_fleet_supervisor() -> None:
+    [called] = evaluate_request(given("fsar", *REQUESTED, window(B, "review")), EvaluateRequest("A1-1/2.1"))
+    assert (type(called).__name__, called.supervisor) == ("SupervisorCalled", "supervisor/fleet")  # type: ignore[attr-defined]
+
+
 def test_acceptance_claims_execution_and_override_for_the_executor() -> None:
     state = given("fsar", *REQUESTED)
     happen(state, *evaluate_request(state, EvaluateRequest("A1-1/2.1")))

@@ -1,5 +1,7 @@
 """FSAR's recovery, outsiders and ways: given events, when a command, then events."""
 
+import msgspec
+
 from fsar_ledger.events.authority import AuthorityClaimed
 from fsar_ledger.events.envelope import Subject
 from fsar_ledger.events.execution import ApproachStarted
@@ -8,10 +10,12 @@ from fsar_ledger.events.registry import RegistryQueried
 from fsar_ledger.events.world import ObstructionAppeared, ObstructionCleared, OutsiderRequestInjected
 from fsar_ledger.projections.fold import apply
 from fsar_ledger.runtime.architectures.fsar.authority import AnswerOutsider
-from fsar_ledger.runtime.handlers.commands import DetectObstruction
+from fsar_ledger.runtime.architectures.fsar.execution import DecideOwnStep
+from fsar_ledger.runtime.architectures.fsar.recovery import AskPeers, ConsiderReassignment, StartRecovery
+from fsar_ledger.runtime.handlers.commands import DetectObstruction, EndAttempt, StartAction
 from fsar_ledger.runtime.handlers.execution import _on_running, start_after_approach
 from tests import past
-from tests.runtime.histories import given
+from tests.runtime.histories import ARRIVED, OWN_STEP, given, types, window
 from tests.runtime.live import decided, play
 from tests.runtime.test_fsar import A, B, C, D, executing
 
@@ -20,6 +24,30 @@ def failed(own: bool = False):  # type: ignore[no-untyped-def]
     state, action_id = executing(ObstructionAppeared(A if own else B, "o"), own=own)
     play(state, DetectObstruction(action_id, now_us=9_500_000))
     return state, action_id
+
+
+def test_recovery_begins_at_the_robot_and_goes_outward_without_skipping() -> None:
+    state, action_id = failed()
+    play(state, StartRecovery(action_id), EndAttempt(action_id, 1, now_us=11_000_000))
+    _, local = play(state, EndAttempt(action_id, 2, now_us=13_000_000))
+    assert types(decided(state, AskPeers(action_id))) == ["AssistanceRequested", "AssistanceAdmitted"]
+    apply(state, window(A))
+    [peer] = play(state, AskPeers(action_id))
+    reassigned, fleet, called = decided(state, ConsiderReassignment(action_id))
+    assert (reassigned.helper, type(called).__name__) == (None, "SupervisorCalled")  # type: ignore[attr-defined]
+    levels = [(one.level, one.to_level) for one in (local, peer, fleet)]  # type: ignore[attr-defined]
+    assert levels == [("local", "peer"), ("peer", "fleet"), ("fleet", "human")]
+
+
+def test_a_failed_carry_is_reassigned_to_a_trusted_substitute() -> None:
+    step = past.began(OWN_STEP.subject, A, 1, "carry.package")
+    state = given("fsar", ARRIVED, step, ObstructionAppeared(A, "o"))
+    play(state, DecideOwnStep("A1-1/1.1"), StartAction("A1-1/1.1", now_us=5, answer=7_000_000))
+    play(state, DetectObstruction("A1-1/1.1", now_us=6))
+    state.recovery = {"A1-1/1.1": msgspec.structs.replace(state.recovery["A1-1/1.1"], level="fleet")}
+    reassigned = decided(state, ConsiderReassignment("A1-1/1.1"))
+    assert reassigned[0].helper == "robot/D1"  # type: ignore[attr-defined]
+    assert types(reassigned)[1:] == ["FailureResolved", "ExecutionWithdrawn", "TaskStateTransferred", "ExecutionQueued"]
 
 
 def test_an_outsider_finds_nothing_and_is_denied_by_the_federation() -> None:

@@ -1,7 +1,6 @@
 """A designer's own fleet, scenario and constants: in event 0, so that their runs replay without the files."""
 
 import shutil
-import subprocess
 import sys
 from pathlib import Path
 
@@ -38,6 +37,7 @@ from fsar_ledger.runtime.replay import replay
 from fsar_ledger.runtime.simulation import ARCHITECTURES, RunSpec, run_id, run_started, simulate_run
 from fsar_ledger.runtime.world.checks import problems_of_fleet, problems_of_scenario
 from fsar_ledger.runtime.world.schedule import schedule
+from tests.running import ran
 from tests.runtime.test_replay import committed
 from tests.runtime.test_replay_refused import restarted
 
@@ -276,9 +276,7 @@ def test_a_scenario_is_one_file_and_an_architecture_a_folder_and_a_line(tmp_path
         "print({name for one in parts for name in one.scenarios + one.architectures} & {'sixth', 'mine'})\n"
         "print(Experiment(('mine', 'fsar'), ('sixth', 'fleet-contention'), 1).scenarios)\n"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, env={"PYTHONPATH": str(tmp_path)}
-    )
+    done = ran([sys.executable, "-c", program], cwd=tmp_path, env={"PYTHONPATH": str(tmp_path)})
     assert (done.stdout, done.stderr) == ("set()\n('fleet-contention', 'sixth')\n", "")
 
 

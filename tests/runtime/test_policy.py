@@ -7,7 +7,6 @@ from hypothesis import settings
 from hypothesis import strategies as st
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.command import CommandRejected
 from fsar_ledger.events.envelope import POLICY, Robot, Subject, Supervisor
 from fsar_ledger.events.execution import ExecutionHeld, ExecutionStarted
 from fsar_ledger.events.knowledge import FleetRuleLearned
@@ -34,7 +33,7 @@ from fsar_ledger.runtime.handlers.policy import (
 from tests import past
 from tests.runtime.governed import H_F, governed
 from tests.runtime.histories import ARRIVED, DELEGATED_STEP, OWN_STEP, given, happen, types, window
-from tests.runtime.live import decided, play
+from tests.runtime.live import decided, play, refusal
 
 A, B, C = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/C1")
 DOOR = "door.open.secure"
@@ -69,10 +68,9 @@ def rule(
     )
 
 
-def refusal(events: tuple[Event, ...]) -> str:
-    [one] = events
-    assert isinstance(one, CommandRejected)
-    return one.reason
+def conflicts(*happened: Event) -> tuple[Event, ...]:
+    """What is escalated when A asks B for its door after this."""
+    return conflict(given("fsar", *happened), "A1-1", "A1-1/2.1", A, B, DOOR)
 
 
 def test_a_robots_own_policy_is_set_by_its_own_supervisor() -> None:
@@ -248,7 +246,7 @@ def test_a_mandate_against_a_denial_that_holds_the_start_is_escalated_at_every_h
     ],
 )
 def test_without_a_mandate_or_without_a_denial_there_is_no_conflict(happened: tuple[Event, ...]) -> None:
-    assert conflict(given("fsar", *happened), "A1-1", "A1-1/2.1", A, B, DOOR) == ()
+    assert conflicts(*happened) == ()
 
 
 def test_without_policy_composition_a_requester_does_not_see_the_mandate() -> None:
@@ -298,31 +296,9 @@ def test_what_a_rule_of_the_role_held_goes_on_when_that_or_the_robots_exception_
 
 def test_a_rule_of_the_role_is_a_mandate_for_each_of_its_robots_without_an_exception() -> None:
     mandate = RolePolicyRuleSet(scope="fleet", role="B", outcome="allow", domain="", capability=DOOR)
-    assert types(conflict(given("fsar", rule("deny"), mandate), "A1-1", "A1-1/2.1", A, B, DOOR)) == [
-        "PolicyConflictEscalated"
-    ]
-    assert (
-        conflict(
-            given("fsar", rule("deny"), mandate, rule("deny", capability=DOOR, scope="fleet")),
-            "A1-1",
-            "A1-1/2.1",
-            A,
-            B,
-            DOOR,
-        )
-        == ()
-    )
-    assert (
-        conflict(
-            given("fsar", rule("deny"), RolePolicyRuleSet(scope="fleet", role="A", outcome="allow")),
-            "A1-1",
-            "A1-1/2.1",
-            A,
-            B,
-            DOOR,
-        )
-        == ()
-    )
+    assert types(conflicts(rule("deny"), mandate)) == ["PolicyConflictEscalated"]
+    assert conflicts(rule("deny"), mandate, rule("deny", capability=DOOR, scope="fleet")) == ()
+    assert conflicts(rule("deny"), RolePolicyRuleSet(scope="fleet", role="A", outcome="allow")) == ()
 
 
 def test_in_a_run_nothing_starts_under_a_rule_that_denies_and_it_all_goes_on_when_the_rule_is_lifted() -> None:

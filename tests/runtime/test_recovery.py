@@ -38,7 +38,7 @@ def called(events: tuple[Event, ...]) -> str:
 # Level 1: local
 
 
-def test_local_recovery_is_left_when_its_attempts_or_its_time_are_spent() -> None:
+def test_local_recovery_is_left_when_its_attempts_are_spent() -> None:
     state = failed(executing(A, "carry.package", ObstructionAppeared(A, "o")))
     [first] = taken(state, decided(state, StartRecovery(ACTION, now_us=2_000_001)))
     assert isinstance(first, RecoveryAttempted)

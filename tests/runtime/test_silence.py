@@ -1,12 +1,13 @@
 """Nobody knows that a robot is off before it has not answered, and whether a message was delivered is waited for no
 longer than is said. Reading: R44."""
 
+from collections.abc import Sequence
 from functools import cache
 
 import msgspec
 import pytest
 
-from fsar_ledger.constants import Constants, Outages, Range
+from fsar_ledger.constants import Constants, Outages, Range, WorldConstants
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityReleased
 from fsar_ledger.events.envelope import Architecture, Availability, Robot
@@ -43,30 +44,27 @@ A, B, B2, DOOR = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/B2"), "door.
 TASK = past.arrived("A1-1", A, (f"A {DOOR} B",), budget_us=90 * S, due_us=91 * S)
 
 
-def ran(architecture: Architecture, facts: list[Fact], size: int = 8) -> Kernel:
-    """The run of two teams in a calm world, in which this happens and nothing else."""
-    spec, constants = RunSpec(5, architecture, "full", "door-relay", size, 0), Constants(world=CALM)
+def in_a_world(spec: RunSpec, world: WorldConstants, facts: Sequence[Fact]) -> Kernel:
+    """The finished run in a world of these constants, in which this happens and nothing else."""
     one = Kernel(
-        handler_table_of(architecture),
-        SimulatedEnvironment(facts, Draws(run_key(5, "door-relay", 0), CALM)),
-        *founding_of(spec, constants),
+        handler_table_of(spec.architecture),
+        SimulatedEnvironment(facts, Draws(run_key(5, spec.scenario, spec.run), world)),
+        *founding_of(spec, Constants(world=world)),
     )
     one.run()
     return one
+
+
+def ran(architecture: Architecture, facts: list[Fact], size: int = 8) -> Kernel:
+    """The run of two teams in a calm world, in which this happens and nothing else."""
+    return in_a_world(RunSpec(5, architecture, "full", "door-relay", size, 0), CALM, facts)
 
 
 @cache
 def without(architecture: Architecture, scenario: str, robot: str, ends: type[Event]) -> Kernel:
     """The run of a scenario for two teams in a calm world, one robot off or without a link from the beginning."""
     spec, constants = RunSpec(5, architecture, "full", scenario, 8, 0), Constants(world=CALM)
-    facts = ((1, ends(robot)), *schedule(constants, 5, spec.scenario, 0, 8))
-    one = Kernel(
-        handler_table_of(architecture),
-        SimulatedEnvironment(facts, Draws(run_key(5, spec.scenario, 0), CALM)),
-        *founding_of(spec, constants),
-    )
-    one.run()
-    return one
+    return in_a_world(spec, CALM, ((1, ends(robot)), *schedule(constants, 5, spec.scenario, 0, 8)))
 
 
 def of(run: Kernel, *kinds: type[Event]) -> list[tuple[int, Event]]:
@@ -226,27 +224,14 @@ def test_where_nobody_is_off_nobody_is_found_silent_as_long_as_each_message_is_d
     slow = msgspec.structs.replace(CALM, message=Range(0.49, 4.9))
     for run in range(3):
         spec, constants = RunSpec(5, architecture, "full", "door-relay", 4, run), Constants(world=slow)
-        facts = schedule(constants, 5, spec.scenario, run, 4)
-        one = Kernel(
-            handler_table_of(architecture),
-            SimulatedEnvironment(facts, Draws(run_key(5, spec.scenario, run), slow)),
-            *founding_of(spec, constants),
-        )
-        one.run()
+        one = in_a_world(spec, slow, schedule(constants, 5, spec.scenario, run, 4))
         assert of(one, RequestIssued, CommandIssued, AwardMade)
         assert of(one, RequestUnanswered, AvailabilityChanged) == []
 
 
 def test_a_bid_on_its_way_is_waited_for_when_another_candidate_is_silent() -> None:
     slow = msgspec.structs.replace(CALM, message=Range(2.0, 2.5))
-    spec, constants = RunSpec(5, "dhma", "full", "door-relay", 8, 0), Constants(world=slow)
-    facts: list[Fact] = [(1, RobotWentOff(B)), (S, TASK)]
-    run = Kernel(
-        handler_table_of("dhma"),
-        SimulatedEnvironment(facts, Draws(run_key(5, "door-relay", 0), slow)),
-        *founding_of(spec, constants),
-    )
-    run.run()
+    run = in_a_world(RunSpec(5, "dhma", "full", "door-relay", 8, 0), slow, [(1, RobotWentOff(B)), (S, TASK)])
     (asked_us, _), *_ = of(run, RequestIssued)
     assert [time_us - asked_us > ANSWER_US for time_us, _ in of(run, BidReceived)] == [True]
     assert [event.robot for _, event in of(run, AwardMade) if isinstance(event, AwardMade)] == [B2]
@@ -328,15 +313,8 @@ def test_a_silent_robot_that_nobody_would_choose_is_not_waited_for() -> None:
 def relayed(low_s: float, high_s: float, *facts: Fact) -> Kernel:
     """The run of one team in which D asks B through A, with messages of this length."""
     slow = msgspec.structs.replace(CALM, message=Range(low_s, high_s))
-    spec, constants = RunSpec(5, "fsar", "full", "door-relay", 4, 0), Constants(world=slow)
     task = past.arrived("D1-1", Robot("robot/D1"), (f"D {DOOR} B",), budget_us=90 * S, due_us=91 * S)
-    run = Kernel(
-        handler_table_of("fsar"),
-        SimulatedEnvironment([*facts, (S, task)], Draws(run_key(5, "door-relay", 0), slow)),
-        *founding_of(spec, constants),
-    )
-    run.run()
-    return run
+    return in_a_world(RunSpec(5, "fsar", "full", "door-relay", 4, 0), slow, [*facts, (S, task)])
 
 
 def test_where_the_relay_is_silent_the_relay_is_named_and_heard_when_its_word_comes_late() -> None:

@@ -6,7 +6,6 @@ from hypothesis import settings
 from hypothesis import strategies as st
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.command import CommandRejected
 from fsar_ledger.events.envelope import RequestSubject, Robot, Subject, Supervisor
 from fsar_ledger.events.recovery import FailureResolved
 from fsar_ledger.events.request import RequestAdmitted, RequestDenied
@@ -33,7 +32,7 @@ from fsar_ledger.runtime.handlers.supervision import (
 from tests import past
 from tests.runtime.governed import H_F, governed
 from tests.runtime.histories import ARRIVED, DELEGATED_STEP, given, types, window
-from tests.runtime.live import decided, play
+from tests.runtime.live import decided, play, refusal
 
 A, B = Robot("robot/A1"), Robot("robot/B1")
 H_A, H_B = Supervisor("supervisor/A1"), Supervisor("supervisor/B1")
@@ -43,12 +42,6 @@ REVIEW = past.called(Subject("A1-1", ACTION), H_F, "review")
 ORDERING = past.called(Subject("A1-1", ACTION), H_F, "ordering", robot=B, competing="A1-2/2.1")
 LOCAL = past.called(Subject("A1-1", ACTION), H_B, "recovery")
 FLEETS = past.called(Subject("A1-1", ACTION), H_F, "recovery")
-
-
-def refusal(events: tuple[Event, ...]) -> str:
-    [one] = events
-    assert isinstance(one, CommandRejected)
-    return one.reason
 
 
 def admitted(robot: Robot, ordinal: int = 0) -> RequestAdmitted:

@@ -2,8 +2,6 @@
 
 import pytest
 
-from fsar_ledger.events import Event
-from fsar_ledger.events.command import CommandRejected
 from fsar_ledger.events.envelope import TRUST, RequestSubject, Robot, Service, Subject, Supervisor
 from fsar_ledger.events.request import RequestClosed, RequestDenied, RequestIssued
 from fsar_ledger.events.task import TaskCompleted
@@ -22,17 +20,11 @@ from fsar_ledger.runtime.handlers.trust import (
 from tests import past
 from tests.runtime.governed import H_F
 from tests.runtime.histories import ARRIVED, given
-from tests.runtime.live import decided
+from tests.runtime.live import decided, refusal
 
 A, B, C, D = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/C1"), Robot("robot/D1")
 DOOR = "door.open.secure"
 H_B = Supervisor("supervisor/B1")
-
-
-def refusal(events: tuple[Event, ...]) -> str:
-    [one] = events
-    assert isinstance(one, CommandRejected)
-    return one.reason
 
 
 def results(*outcomes: str, promote: int = 0, downgrade: int = 0) -> State:

@@ -15,8 +15,8 @@ from fsar_ledger.runtime.handlers.trust import AssessTrust, ExpireTrust, SetTrus
 from tests import past
 from tests.runtime.governed import H_F, governed
 from tests.runtime.histories import ARRIVED, given
-from tests.runtime.live import decided
-from tests.runtime.test_trust import DOOR, H_B, A, B, C, D, refusal, results
+from tests.runtime.live import decided, refusal
+from tests.runtime.test_trust import DOOR, H_B, A, B, C, D, results
 
 
 def test_only_the_fleet_supervisor_has_trust_follow_the_record() -> None:
