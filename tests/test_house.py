@@ -184,12 +184,8 @@ def test_only_the_terminal_prints() -> None:
     "line",
     [
         *(
-            "print(1)",
-            "import sys; sys.stdout.write('x')",
-            "import sys; out = sys.stderr",
-            "from sys import stdout",
-            "import sys as s",
-            "import logging",
+            *("print(1)", "import sys; sys.stdout.write('x')", "import sys; out = sys.stderr"),
+            *("from sys import stdout", "import sys as s", "import logging"),
         ),
         *(
             "import typer; typer.echo('x')",

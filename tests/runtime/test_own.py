@@ -220,12 +220,8 @@ def test_settings_change_the_constants_that_they_name_and_no_others() -> None:
     found = with_settings(
         default,
         [
-            "world.review_share=0.5",
-            'world.durations["carry.heavy"].low_s=1',
-            "load.task_sets=2",
-            "outages.off_rate_per_s=0.01",
-            "structure.local_attempts=3",
-            "world.absence_from_s=-10",
+            *("world.review_share=0.5", 'world.durations["carry.heavy"].low_s=1', "load.task_sets=2"),
+            *("outages.off_rate_per_s=0.01", "structure.local_attempts=3", "world.absence_from_s=-10"),
         ],
     )
     assert sorted(unlike_ours(write_constants(found))) == [
