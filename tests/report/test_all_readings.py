@@ -12,6 +12,7 @@ from fsar_ledger.metrics.verdicts import published
 from fsar_ledger.report import all_readings, document
 from fsar_ledger.report.findings import Findings
 from fsar_ledger.report.gather import SETTING, gather
+from tests.report.test_numbers import words
 
 NAMES = ("level_four_is_fleet", "reviews_are_no_interventions")
 Means = dict[ReadingNames, tuple[float | None, float, float]]
@@ -142,10 +143,6 @@ def found(
     return Multiverse(
         tuple(one for one in readings() if metric in one.moves), tuple(cells(universes)), (), tuple(universes)
     )
-
-
-def words(svg: bytes) -> list[str]:
-    return re.findall(r"<!-- (.*?) -->", svg.decode())
 
 
 def test_combinations_stand_in_the_order_of_fsars_lead_over_the_better_of_the_others() -> None:

@@ -35,7 +35,7 @@ def test_recovery_begins_at_the_robot_and_goes_outward_without_skipping() -> Non
     [peer] = play(state, AskPeers(action_id))
     reassigned, fleet, called = decided(state, ConsiderReassignment(action_id))
     assert (reassigned.helper, type(called).__name__) == (None, "SupervisorCalled")  # type: ignore[attr-defined]
-    levels = [(one.level, one.to_level) for one in (local, peer, fleet)]  # type: ignore[attr-defined]
+    levels = [(one.level, one.to_level) for one in (local, peer, fleet)]  # type: ignore[union-attr]
     assert levels == [("local", "peer"), ("peer", "fleet"), ("fleet", "human")]
 
 

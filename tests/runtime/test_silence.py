@@ -33,6 +33,7 @@ from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, founding_of, hand
 from fsar_ledger.runtime.world.draws import Draws, SimulatedEnvironment, run_key
 from fsar_ledger.runtime.world.schedule import schedule
 from tests import past
+from tests.runtime.live import of
 from tests.runtime.physics import EVERY, LAWLESS, OURS, QUIET
 
 S = 1_000_000
@@ -65,13 +66,6 @@ def without(architecture: Architecture, scenario: str, robot: str, ends: type[Ev
     """The run of a scenario for two teams in a calm world, one robot off or without a link from the beginning."""
     spec, constants = RunSpec(5, architecture, "full", scenario, 8, 0), Constants(world=CALM)
     return in_a_world(spec, CALM, ((1, ends(robot)), *schedule(constants, 5, spec.scenario, 0, 8)))
-
-
-def of(run: Kernel, *kinds: type[Event]) -> list[tuple[int, Event]]:
-    """The events of these kinds with their times."""
-    return [
-        (time_us, event) for time_us, event in zip(run.times_us, run.events, strict=True) if isinstance(event, kinds)
-    ]
 
 
 @EVERY
