@@ -16,6 +16,7 @@ from itertools import pairwise
 from pathlib import Path
 
 from fsar_ledger.metrics.registration import registration
+from tests.running import ran
 
 ROOT = Path(__file__).parent.parent
 STAGES = (
@@ -35,9 +36,7 @@ CONSTANTS = "fsar_ledger/constants.py"
 
 def git(root: Path, *arguments: str) -> str:
     """Return what git prints in this repository. Raises: subprocess.CalledProcessError."""
-    return subprocess.run(
-        ["git", "-C", str(root), *arguments], capture_output=True, text=True, check=True
-    ).stdout.strip()
+    return ran(["git", "-C", str(root), *arguments], check=True).stdout.strip()
 
 
 def findings(root: Path = ROOT, stages: Sequence[tuple[str, str]] = STAGES) -> Iterator[str]:

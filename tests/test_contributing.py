@@ -6,7 +6,6 @@
 import os
 import re
 import shlex
-import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,6 +14,7 @@ import msgspec
 import pytest
 
 from tests.reverts.soak import copy_tree
+from tests.running import ran
 
 ROOT = Path(__file__).resolve().parent.parent
 FOLDER = ROOT / "docs" / "contributing"
@@ -164,9 +164,7 @@ def called(command: list[str], place: Path) -> None:
 
     Raises: AssertionError unless it ends with 0.
     """
-    environment = os.environ | {
-        "PYTHONPATH": os.pathsep.join([str(place.parent / "site"), str(place)]),
-    }
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(place.parent / "site"), str(place)])}
     modules = {
         "ruff": ["ruff"],
         "mypy": ["mypy"],
@@ -180,7 +178,7 @@ def called(command: list[str], place: Path) -> None:
         words = [sys.executable, "-m", *modules[program], *arguments]
     else:
         words = [str(Path(sys.executable).with_name(program)), *arguments]
-    done = subprocess.run(words, cwd=place, env=environment, capture_output=True, text=True, check=False)
+    done = ran(words, cwd=place, env=environment)
     assert done.returncode == 0, f"{shlex.join(command)}\n{done.stdout[-6000:]}{done.stderr[-3000:]}"
 
 

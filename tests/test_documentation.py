@@ -5,7 +5,6 @@ import re
 import runpy
 import shlex
 import shutil
-import subprocess
 import sys
 import tomllib
 from collections.abc import Iterator
@@ -24,6 +23,7 @@ from fsar_ledger.metrics.library import library
 from fsar_ledger.witness.cosignature import Cosigner
 from tests.cli.conftest import SMALL
 from tests.ledger.keep_release import LEDGERS
+from tests.running import ran
 
 ROOT = Path(__file__).resolve().parent.parent
 README = (ROOT / "README.md").read_text("utf-8")
@@ -206,9 +206,7 @@ def test_every_command_of_the_readme_runs_as_printed_after_a_reproduction(tmp_pa
     _, *blocks = readme_blocks()
     surroundings = {**os.environ, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
     for line in "".join(blocks).splitlines():  # each alone: a shell goes on after one that fails
-        done = subprocess.run(
-            ["sh", "-c", line], cwd=tmp_path, env=surroundings, capture_output=True, text=True, check=False
-        )
+        done = ran(["sh", "-c", line], cwd=tmp_path, env=surroundings)
         assert done.returncode == 0, f"{line}\n{done.stdout}{done.stderr}"
         assert done.stdout.strip(), line
 
@@ -274,16 +272,10 @@ def test_a_row_of_the_model_without_code_or_with_a_wrong_name_is_found() -> None
     head = "## The model, line by line\n\n| paper | label | lives in | held by |\n|---|---|---|---|\n"
     assert unfounded(
         model_rows(head + "| trust | `eq:trust` | `fsar_ledger/events/task.py` | `tests/nothing.py` |\n")
-    ) == [
-        "tests/nothing.py does not exist",
-        "no file of the row names eq:trust",
-    ]
+    ) == ["tests/nothing.py does not exist", "no file of the row names eq:trust"]
     assert unfounded(
         model_rows(head + "| I1: coherence | `sec:model:invariants` | | `tests/test_house.py::test_no` |\n")
-    ) == [
-        "['I1', 'sec:model:invariants']: no code or no test",
-        "tests/test_house.py has no test_no",
-    ]
+    ) == ["['I1', 'sec:model:invariants']: no code or no test", "tests/test_house.py has no test_no"]
 
 
 @pytest.mark.parametrize(("name", "example"), list(examples()))
@@ -379,9 +371,7 @@ def test_every_quick_example_runs(
 
 @pytest.mark.slow
 def test_the_output_in_the_pages_is_what_the_commands_print() -> None:
-    done = subprocess.run(
-        [sys.executable, str(ROOT / "docs" / "write.py"), "--check"], capture_output=True, text=True, check=False
-    )
+    done = ran([sys.executable, str(ROOT / "docs" / "write.py"), "--check"])
     assert done.returncode == 0, done.stdout + done.stderr
 
 

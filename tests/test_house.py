@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 from fsar_ledger.metrics.library import generated
+from tests.running import ran
 
 ROOT = Path(__file__).resolve().parent.parent
 CODE = ("fsar_ledger", "queries", "reports", "tests", "benchmarks", "docs")
@@ -141,13 +142,7 @@ def architectures_named(root: Path) -> list[str]:
 
 
 def test_the_top_level_is_as_agreed() -> None:
-    tracked = subprocess.run(
-        ["git", "ls-files", "--cached", "--others", "--exclude-standard"],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    tracked = ran(["git", "ls-files", "--cached", "--others", "--exclude-standard"], cwd=ROOT)
     if tracked.returncode:
         pytest.skip("not a git work tree")
     found = {Path(name).parts[0] for name in tracked.stdout.splitlines()}
@@ -189,12 +184,8 @@ def test_only_the_terminal_prints() -> None:
     "line",
     [
         *(
-            "print(1)",
-            "import sys; sys.stdout.write('x')",
-            "import sys; out = sys.stderr",
-            "from sys import stdout",
-            "import sys as s",
-            "import logging",
+            *("print(1)", "import sys; sys.stdout.write('x')", "import sys; out = sys.stderr"),
+            *("from sys import stdout", "import sys as s", "import logging"),
         ),
         *(
             "import typer; typer.echo('x')",
@@ -228,14 +219,7 @@ def test_nothing_names_a_registry_or_a_machine() -> None:
     ]
     files += [
         ROOT / name
-        for name in (
-            "Makefile",
-            "pyproject.toml",
-            *sorted(REQUIREMENTS),
-            "README.md",
-            "CHANGELOG.md",
-            ".ci/run",
-        )
+        for name in ("Makefile", "pyproject.toml", *sorted(REQUIREMENTS), "README.md", "CHANGELOG.md", ".ci/run")
     ]
     assert foreign_places(ROOT, files) == []
 
@@ -313,9 +297,7 @@ def installed_queries(place: Path) -> set[str]:
         "sys.exit(run(['query', '--list', '--json']))"
     )
     environment = {**os.environ, "PYTHONPATH": str(place / "site")}
-    done = subprocess.run(
-        [sys.executable, "-c", code], cwd=place, env=environment, check=True, capture_output=True, text=True
-    )
+    done = ran([sys.executable, "-c", code], cwd=place, env=environment, check=True)
     file, _, answer = done.stdout.partition("\n")
     assert file.startswith(str(place / "site"))
     return {query["name"] for query in json.loads(answer)["queries"]} - {query.name for query in generated()}

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.running import ran
 from tests.test_house import ROOT, code_files
 
 
@@ -54,9 +55,7 @@ def circle(graph: dict[str, set[str]]) -> list[str]:
 
 def contracts(root: Path) -> subprocess.CompletedProcess[str]:
     command = [str(Path(sys.executable).with_name("lint-imports")), "--no-cache", "--no-logo"]
-    return subprocess.run(
-        command, cwd=root, capture_output=True, text=True, check=False, env={**os.environ, "COLUMNS": "500"}
-    )
+    return ran(command, cwd=root, env={**os.environ, "COLUMNS": "500"})
 
 
 def test_no_modules_import_each_other_in_a_circle() -> None:
@@ -93,11 +92,7 @@ def test_imports_go_one_way(tree: Path) -> None:
 
 
 BREAKS = (
-    (
-        "runtime/architectures/fixture.py",
-        "import random",
-        "fsar_ledger.runtime.architectures.fixture imports random",
-    ),
+    ("runtime/architectures/fixture.py", "import random", "fsar_ledger.runtime.architectures.fixture imports random"),
     (
         "runtime/architectures/fixture.py",
         "from os import urandom",

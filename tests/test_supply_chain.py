@@ -3,7 +3,6 @@
 import importlib.util
 import json
 import re
-import subprocess
 import sys
 import tomllib
 from importlib.metadata import distribution
@@ -15,6 +14,8 @@ import msgspec
 import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
+
+from tests.running import ran
 
 ROOT = Path(__file__).resolve().parent.parent
 SCRIPT = ROOT / ".ci" / "sbom.py"
@@ -97,7 +98,7 @@ def script() -> ModuleType:
 @pytest.fixture(scope="module")
 def bom(tmp_path_factory: pytest.TempPathFactory) -> tuple[Bom, bytes]:
     out = tmp_path_factory.mktemp("sbom") / "new" / "bom.json"
-    done = subprocess.run([sys.executable, str(SCRIPT), str(out)], capture_output=True, text=True, check=False)
+    done = ran([sys.executable, str(SCRIPT), str(out)])
     assert (done.returncode, done.stderr) == (0, "")
     data = out.read_bytes()
     return msgspec.json.decode(data, type=Bom), data
@@ -213,7 +214,7 @@ def test_an_unsupported_system_is_refused_with_a_message() -> None:
         "import os, sys; sys.argv = ['fsar-ledger', 'info', 'x']; "
         "from fsar_ledger.__main__ import main; os.name = 'nt'; main()"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    done = ran([sys.executable, "-c", code])
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr == (
         "fsar-ledger: found an operating system that is not POSIX (nt), expected Linux or macOS; on Windows use WSL\n"

@@ -17,6 +17,7 @@ from fsar_ledger.constants import Constants, read_constants
 from fsar_ledger.errors import LedgerCorrupted, WorkerDied
 from fsar_ledger.parameters import BadParameters, read_parameters
 from fsar_ledger.workers import WorkerPool
+from tests.running import ran
 
 
 class Untransportable(Exception):
@@ -169,9 +170,7 @@ def test_workers_do_not_outlive_the_process_that_started_them(tmp_path: Path, en
 def is_alive(number: int) -> bool:
     with contextlib.suppress(ProcessLookupError):
         os.kill(number, 0)
-        listed = subprocess.run(
-            ["ps", "-o", "stat=", "-p", str(number)], capture_output=True, text=True, check=False
-        ).stdout.strip()
+        listed = ran(["ps", "-o", "stat=", "-p", str(number)]).stdout.strip()
         return bool(listed) and not listed.startswith("Z")
     return False
 

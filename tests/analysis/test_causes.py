@@ -101,12 +101,8 @@ def outcomes_of(record: LedgerRun, draw: Random) -> list[str]:
     """Conditions that the run meets, on some metrics."""
     found = []
     for name, worse in (
-        ("policy_violations", ">"),
-        ("authority_conflicts", ">"),
-        ("human_intervention", ">"),
-        ("coordination_success", "<"),
-        ("recovery_containment", "<"),
-        ("reassignment_latency_s", ">"),
+        *(("policy_violations", ">"), ("authority_conflicts", ">"), ("human_intervention", ">")),
+        *(("coordination_success", "<"), ("recovery_containment", "<"), ("reassignment_latency_s", ">")),
     ):
         value = metric(record, name)
         if value is not None and ((worse == ">" and value > 0) or (worse == "<" and value < 1)):

@@ -11,7 +11,6 @@ from fsar_ledger.analysis.why import decisions, first_of
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import Robot
 from fsar_ledger.events.fleet import RunStarted
-from fsar_ledger.events.trust import TrustSet
 from fsar_ledger.events.world import PolicyWindowClosed, PolicyWindowOpened
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.projections.execution import Action, Execution
@@ -21,6 +20,7 @@ from fsar_ledger.projections.world import World
 from fsar_ledger.runtime.handlers.commands import Command, Decide, Scheduled
 from fsar_ledger.runtime.knockouts import KNOCKOUTS
 from fsar_ledger.runtime.simulation import RunSpec, handler_table_of, simulate_run
+from tests import past
 from tests.analysis.conftest import OUTAGES
 from tests.analysis.emptied import emptied
 
@@ -185,7 +185,7 @@ def test_each_window_is_known_by_the_event_that_opened_it() -> None:
 
 def test_what_lies_beyond_an_absent_key_was_written_by_nobody() -> None:
     pair = (Robot("robot/A1"), Robot("robot/B1"))
-    entry = TrustSet(robot=pair[0], peer=pair[1], scope="task", capability="carry", context=None, reason="founding")
+    entry = past.trusted(pair[0], pair[1], "task", "carry", reason="founding")
     of_pair = (Step("field", "trust"), Step("field", "entries"), Step("key", pair))
     other, own = (*of_pair, Step("has", ("lift", None))), (*of_pair, Step("has", ("carry", None)))
     nothing = (*of_pair, Step("key", ("lift", None)))
@@ -224,11 +224,7 @@ def test_whether_there_is_anything_is_less_than_what_there_is() -> None:
     assert world.local
     assert not world.off
     assert len(world.local) == 1
-    assert reads.values == {
-        (*LOCAL, Step("any")): True,
-        (*OFF, Step("any")): False,
-        (*LOCAL, Step("size")): 1,
-    }
+    assert reads.values == {(*LOCAL, Step("any")): True, (*OFF, Step("any")): False, (*LOCAL, Step("size")): 1}
 
 
 def test_a_member_of_a_set_is_asked_for_alone() -> None:

@@ -5,7 +5,6 @@ import inspect
 import json
 import os
 import re
-import subprocess
 import sys
 from pathlib import Path
 
@@ -14,6 +13,7 @@ import pytest
 import fsar_ledger
 from fsar_ledger.api.verbs import VERBS
 from tests.quick import few
+from tests.running import ran
 from tests.test_documentation import COMMANDS
 
 DOCS = Path(fsar_ledger.__file__).resolve().parent.parent / "docs"
@@ -55,7 +55,7 @@ def test_an_import_takes_no_library() -> None:
         "sys.stdlib_module_names}; "
         "print(*sorted(loaded))"
     )
-    done = subprocess.run([sys.executable, "-S", "-c", code], capture_output=True, text=True, env=_here(), check=True)
+    done = ran([sys.executable, "-S", "-c", code], env=_here(), check=True)
     assert done.stdout.split() == ["fsar_ledger"]
 
 
@@ -102,13 +102,10 @@ def run_in_order(parts: list[str], folder: Path) -> None:
     assert len(parts) > 3
     for part in parts:
         ast.parse(part)
-    done = subprocess.run(
+    done = ran(
         [sys.executable, "-W", "error", "-c", "\n".join(parts)],
         cwd=folder,
         env=_here() | {"MPLBACKEND": "agg", "XDG_CACHE_HOME": str(folder / "cache"), "MPLCONFIGDIR": str(folder)},
-        capture_output=True,
-        text=True,
-        check=False,
     )
     assert done.returncode == 0, done.stderr
 

@@ -7,22 +7,10 @@ import pytest
 
 import fsar_ledger
 from fsar_ledger.api.table import Table
-from fsar_ledger.errors import (
-    InvalidExperiment,
-    LedgerCorrupted,
-    NotALedger,
-    QueryFailed,
-    UnknownQuery,
-    UsageError,
-)
+from fsar_ledger.errors import InvalidExperiment, LedgerCorrupted, QueryFailed, UnknownQuery, UsageError
 from fsar_ledger.metrics import definitions
 from fsar_ledger.projections.fold import fold
 from tests.api.conftest import RUN
-
-
-def test_a_folder_that_is_no_ledger_is_refused_at_once(tmp_path: Path) -> None:
-    with pytest.raises(NotALedger, match="no such path"):
-        fsar_ledger.open_ledger(tmp_path / "nothing")
 
 
 def test_a_run_is_found_by_a_part_that_only_one_has(ledger: fsar_ledger.Ledger) -> None:

@@ -1,10 +1,11 @@
 """A plain script, without `if __name__ == "__main__"`, may call whatever starts processes."""
 
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+
+from tests.running import ran
 
 SCRIPT = """
 import fsar_ledger
@@ -19,6 +20,6 @@ print(made.made.made, made.ledger.verify(workers=2).ok, made.ledger.sql("SELECT 
 def test_a_script_runs_once_whatever_processes_it_starts(tmp_path: Path) -> None:
     script = tmp_path / "script.py"
     script.write_text(SCRIPT)
-    done = subprocess.run([sys.executable, str(script)], cwd=tmp_path, capture_output=True, text=True, check=False)
+    done = ran([sys.executable, str(script)], cwd=tmp_path)
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout.splitlines() == ["begun", "26 True [{'n': 26}]"]

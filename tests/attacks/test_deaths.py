@@ -17,10 +17,11 @@ from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.runtime.experiment import ORIGIN, Experiment
 from fsar_ledger.runtime.simulation import ARCHITECTURES, RunSpec, plan_record, simulate_run
-from tests.attacks.conftest import Attack, attacked
+from tests.attacks.conftest import Attack
 from tests.cli.conftest import one_message
 from tests.ledger.hostile import stage_anything
 from tests.quick import few
+from tests.running import ran
 from tests.runtime.forgeries import changed, renamed
 
 SOME = ("--scenario", "door-relay", "--seed", "3", "--workers", "2", "--runs", "17")
@@ -43,9 +44,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def children(parent: int) -> list[tuple[int, str]]:
     """Return number and command line of the living descendants of this process."""
-    listed = subprocess.run(
-        ["ps", "-A", "-ww", "-o", "pid=,ppid=,stat=,args="], check=True, capture_output=True, text=True
-    ).stdout
+    listed = ran(["ps", "-A", "-ww", "-o", "pid=,ppid=,stat=,args="], check=True).stdout
     rows = [line.split(None, 3) for line in listed.splitlines()]
     return [
         (int(row[0]), row[3]) for row in rows if len(row) == 4 and int(row[1]) == parent and not row[2].startswith("Z")
@@ -60,12 +59,9 @@ def until(moment: float, seconds: float) -> Iterator[None]:
 
 
 def begun(*arguments: object) -> subprocess.Popen[str]:
-    """Start a command of the checkout under attack without waiting for it."""
+    """Start a command without waiting for it."""
     call = [sys.executable, "-m", "fsar_ledger", *map(str, arguments)]
-    environment = {**os.environ, "PYTHONPATH": str(attacked())}
-    return subprocess.Popen(
-        call, cwd=Path(sys.prefix), env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
+    return subprocess.Popen(call, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
 def workers_of(process: subprocess.Popen[str], count: int = 2) -> list[int]:
@@ -78,9 +74,7 @@ def workers_of(process: subprocess.Popen[str], count: int = 2) -> list[int]:
 
 
 def is_alive(number: int) -> bool:
-    listed = subprocess.run(
-        ["ps", "-o", "stat=", "-p", str(number)], capture_output=True, text=True, check=False
-    ).stdout.strip()
+    listed = ran(["ps", "-o", "stat=", "-p", str(number)]).stdout.strip()
     return bool(listed) and not listed.startswith("Z")
 
 
@@ -151,10 +145,7 @@ def test_a_verification_that_could_not_finish_calls_a_ledger_neither_good_nor_ba
     assert not any(word in err for word in ("consistent", "damaged", "do not rely"))
 
 
-BAD = {
-    "nested without end": '{"world":' + "[" * 100_000,
-    "a number of 6,000 digits": '{"world":' + "9" * 6000 + "}",
-}
+BAD = {"nested without end": '{"world":' + "[" * 100_000, "a number of 6,000 digits": '{"world":' + "9" * 6000 + "}"}
 
 
 @pytest.mark.parametrize("name", few(BAD, ["nested without end"]))

@@ -25,20 +25,9 @@ def without_policy(table: pa.Table) -> pa.Table:
 @pytest.fixture
 def ledger(command: Attack, tmp_path: Path) -> Path:
     """Make a signed ledger of one run with violations of policy."""
-    call = (
-        "--runs",
-        "1",
-        "--architecture",
-        "dhma",
-        "--scenario",
-        "mixed-trust-inspection",
-        "--key",
-        "key",
-        "--origin",
-        "example.org/fleet",
-    )
+    small = ("--runs", "1", "--architecture", "dhma", "--scenario", "mixed-trust-inspection")
     assert command("key", "new", "key", "--name", "example.org/fleet").code == 0
-    assert command("simulate", "ledger", *call).code == 0
+    assert command("simulate", "ledger", *small, "--key", "key", "--origin", "example.org/fleet").code == 0
     return tmp_path / "ledger"
 
 

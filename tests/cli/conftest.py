@@ -1,7 +1,6 @@
 """Commands as users call them: in a process of their own, or (quicker) in this one."""
 
 import os
-import subprocess
 import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -11,6 +10,7 @@ import pytest
 
 from fsar_ledger.cli import app
 from tests.ledger.keep_release import LEDGERS
+from tests.running import ran
 
 
 class Called(NamedTuple):
@@ -24,24 +24,14 @@ class Called(NamedTuple):
 Call = Callable[..., Called]
 
 SMALL = (
-    "--scenario",
-    "door-relay",
-    "--scenario",
-    "failure-recovery-chain",
-    "--runs",
-    "2",
-    "--seed",
-    "7",
-    "--workers",
-    "1",
+    *("--scenario", "door-relay", "--scenario", "failure-recovery-chain"),
+    *("--runs", "2", "--seed", "7", "--workers", "1"),
 )
 
 
 def in_a_process(*arguments: object, cwd: Path | None = None, surroundings: Mapping[str, str] = {}) -> Called:
     command = [sys.executable, "-m", "fsar_ledger", *map(str, arguments)]
-    done = subprocess.run(
-        command, cwd=cwd, capture_output=True, text=True, check=False, env={**os.environ, **surroundings}
-    )
+    done = ran(command, cwd=cwd, env={**os.environ, **surroundings})
     return Called(done.returncode, done.stdout, done.stderr)
 
 

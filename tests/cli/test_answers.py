@@ -3,7 +3,6 @@
 import csv
 import io
 import json
-import subprocess
 import sys
 from pathlib import Path
 
@@ -15,6 +14,7 @@ from fsar_ledger.api.simulate import SCENARIOS, named_in
 from fsar_ledger.designs import registered
 from fsar_ledger.metrics.definitions import metrics
 from tests.cli.conftest import SMALL, Call, Called, in_a_process
+from tests.running import ran
 
 HEAVY = {"duckdb", "pyarrow", "polars", "scipy", "numpy", "matplotlib", "pydantic", "typst", "msgspec"}
 
@@ -29,7 +29,7 @@ def test_help_imports_nothing_heavy() -> None:
         "import sys; from fsar_ledger.cli.app import run; run(['--help']); run(['simulate', '--help']); "
         f"run(['query', '--help']); print(*{HEAVY} & sys.modules.keys(), file=sys.stderr)"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    done = ran([sys.executable, "-c", code], check=True)
     assert done.stderr.split() == []
 
 
@@ -47,7 +47,7 @@ def test_the_version_is_told_without_typer() -> None:
         "import sys; sys.argv[1:] = ['--version']; from fsar_ledger.__main__ import main; main(); print('typer' in "
         "sys.modules)"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    done = ran([sys.executable, "-c", code], check=True)
     assert done.stdout == f"fsar-ledger {__version__}\nFalse\n"
 
 
@@ -99,16 +99,8 @@ def test_metrics_have_the_agreed_columns_in_every_format(call: Call, ledger: Pat
     assert set(answer) == {"head", "rows_verified", "rows", "complete", "missing_count"}
     assert set(answer["head"]) == {"size", "root"}
     agreed = {
-        "architecture",
-        "configuration",
-        "fleet_size",
-        "metric",
-        "mean",
-        "sd",
-        "n",
-        "ci_low",
-        "ci_high",
-        "published_convention_mean",
+        *("architecture", "configuration", "fleet_size", "metric", "mean", "sd"),
+        *("n", "ci_low", "ci_high", "published_convention_mean"),
     }
     assert agreed <= set(answer["rows"][0])
     assert len(answer["rows"]) == 3 * len(metrics())

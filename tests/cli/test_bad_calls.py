@@ -151,8 +151,7 @@ def test_an_interrupted_creation_is_no_damage_and_can_be_finished(call: Call, tm
 
 
 @pytest.mark.parametrize(
-    "name",
-    ["chain.jsonl", "segments/000000000000-000000000001.parquet", "nodes", "staging/x.parquet", "checkpoint"],
+    "name", ["chain.jsonl", "segments/000000000000-000000000001.parquet", "nodes", "staging/x.parquet", "checkpoint"]
 )
 def test_a_ledger_without_its_ledger_json_is_not_taken_for_one_that_was_only_begun(
     call: Call, tmp_path: Path, name: str
@@ -161,8 +160,7 @@ def test_a_ledger_without_its_ledger_json_is_not_taken_for_one_that_was_only_beg
     (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
     (tmp_path / name).write_bytes(b"")
     called = call("verify", tmp_path)
-    assert called.code == 3
-    assert "ledger.json" in called.err
+    assert (called.code, "ledger.json" in called.err) == (3, True)
 
 
 @pytest.mark.parametrize(
@@ -208,24 +206,19 @@ def test_after_ctrl_c_each_command_says_what_is_left(call: Call, monkeypatch: py
     one_message(call(*command.split(), "x"), 130, "interrupted; ", left.get(command, "nothing was changed"))
 
 
-@pytest.mark.parametrize("command", ["info", "metrics", "simulate"])
-def test_a_ledger_of_another_format_version_is_refused(call: Call, copy: Path, command: str) -> None:
-    of_another_version(copy)
-    before = contents_of(copy)
-    one_message(call(command, copy), 2, "99", "version")
-    assert contents_of(copy) == before
-
-
-def of_another_version(ledger: Path) -> None:
-    manifest = ledger / "ledger.json"
+@pytest.mark.parametrize(
+    ("command", "code", "part"),
+    [("info", 2, "version"), ("metrics", 2, "version"), ("simulate", 2, "version"), ("verify", 3, "format version 99")],
+)
+def test_a_ledger_of_another_format_version_is_refused(
+    call: Call, copy: Path, command: str, code: int, part: str
+) -> None:
+    manifest = copy / "ledger.json"
     manifest.write_text(re.sub('"version":[12]', '"version":99', manifest.read_text()))
-
-
-def test_verify_doubts_another_format_version(call: Call, copy: Path) -> None:
-    of_another_version(copy)
-    called = call("verify", copy)
-    assert called.code == 3
-    assert "format version 99" in called.err
+    before = contents_of(copy)
+    called = call(command, copy)
+    assert (called.code, "99" in called.err, part in called.err) == (code, True, True)
+    assert contents_of(copy) == before
 
 
 @pytest.mark.parametrize(
@@ -256,17 +249,6 @@ def test_a_missing_segment_is_named(
     assert list(tmp_path.iterdir()) == [copy]
 
 
-def test_an_unreadable_segment_is_named(call: Call, copy: Path) -> None:
-    segment = next((copy / "segments").iterdir())
-    data = bytearray(segment.read_bytes())
-    data[4 : len(data) // 2] = bytes(len(data) // 2 - 4)
-    segment.write_bytes(data)
-    called = call("metrics", copy)
-    assert called.code == 3
-    assert segment.name in called.err
-    assert "Traceback" not in called.err
-
-
 def test_verify_names_each_place_and_ends_with_3(call: Call, copy: Path) -> None:
     place = "chain.jsonl"
     (copy / place).write_bytes((copy / place).read_bytes().replace(b"rows", b"rowz", 1))
@@ -282,13 +264,8 @@ def test_verify_names_each_place_and_ends_with_3(call: Call, copy: Path) -> None
     "text",
     few(
         [
-            "SELEKT 1",
-            "SELECT",
-            "SELECT nothing FROM events",
-            "SELECT * FROM eventz",
-            "",
-            "DROP VIEW events",
-            "SELECT 1; SELECT 2",
+            *("SELEKT 1", "SELECT", "SELECT nothing FROM events"),
+            *("SELECT * FROM eventz", "", "DROP VIEW events", "SELECT 1; SELECT 2"),
         ],
         ["SELEKT 1", "SELECT * FROM eventz", "DROP VIEW events"],
     ),
@@ -304,6 +281,7 @@ def test_wrong_sql_is_explained(call: Call, ledger: Path, text: str) -> None:
 WRITERS = [
     ("export", "LEDGER", "--out", "PLACE.parquet"),
     ("export", "LEDGER", "--query", "metrics/run_metrics", "--out", "PLACE.csv"),
+    ("open", "LEDGER", "--out", "PLACE.duckdb"),
     ("prove", "LEDGER", "8", "--out", "PLACE.tlog-proof"),
     ("report", "LEDGER", "--out", "PLACE.pdf"),
     ("explain", "LEDGER", "--run", "1", "--request", "A1-1/2.1", "--svg", "PLACE.svg"),

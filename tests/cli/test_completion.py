@@ -11,11 +11,7 @@ from tests.cli.conftest import in_a_process
 def completed(*words: object) -> list[str]:
     """Return what is offered for the last word of the line."""
     line = ["fsar-ledger", *map(str, words)]
-    asked = {
-        "_FSAR_LEDGER_COMPLETE": "complete_bash",
-        "COMP_WORDS": "\n".join(line),
-        "COMP_CWORD": str(len(line) - 1),
-    }
+    asked = {"_FSAR_LEDGER_COMPLETE": "complete_bash", "COMP_WORDS": "\n".join(line), "COMP_CWORD": str(len(line) - 1)}
     called = in_a_process(surroundings=asked)
     assert (called.code, called.err) == (0, "")
     return called.out.split()

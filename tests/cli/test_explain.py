@@ -75,16 +75,9 @@ def test_the_door_relay_is_told_from_gap_to_result(call: Call, workflows: Path) 
     said = call("explain", workflows, "--run", DOOR, "--request", "A1-1/2.1")
     lines = [line[22:] for line in said.out.splitlines() if line.startswith("    ")]
     assert [line.split("  ")[0] for line in lines] == [
-        "robot/A1",
-        "robot/A1 -> service/registry",
-        "service/registry -> robot/A1",
-        "robot/A1 -> robot/B1",
-        "robot/B1",
-        "robot/B1 -> robot/A1",
-        "robot/B1",
-        "robot/B1",
-        "robot/B1 -> robot/A1",
-        "service/coordination -> robot/A1",
+        *("robot/A1", "robot/A1 -> service/registry", "service/registry -> robot/A1"),
+        *("robot/A1 -> robot/B1", "robot/B1", "robot/B1 -> robot/A1", "robot/B1", "robot/B1"),
+        *("robot/B1 -> robot/A1", "service/coordination -> robot/A1"),
     ]
     for party in (
         "asked by       robot/A1",

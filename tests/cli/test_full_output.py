@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests.quick import few
+from tests.running import ran
 
 FULL = Path("/dev/full")
 
@@ -71,7 +72,7 @@ def with_closed(ledger: Path, call: str, stream: int) -> subprocess.CompletedPro
     """Run the command with this stream closed."""
     words = call.replace("LEDGER", f'"{ledger}"')
     command = f"{sys.executable} -m fsar_ledger {words} {stream}>&-"
-    return subprocess.run(["sh", "-c", command], capture_output=True, text=True, check=False)
+    return ran(["sh", "-c", command])
 
 
 @pytest.mark.slow
@@ -93,9 +94,7 @@ def test_an_unbuffered_answer_that_fits_in_part_is_said_to_be_incomplete(ledger:
         f'ulimit -f 8; exec {sys.executable} -m fsar_ledger sql "{ledger}" "SELECT * FROM events" --csv > '
         f'"{tmp_path / "part"}"'
     )
-    done = subprocess.run(
-        ["sh", "-c", call], env={**os.environ, "PYTHONUNBUFFERED": "1"}, capture_output=True, text=True, check=False
-    )
+    done = ran(["sh", "-c", call], env={**os.environ, "PYTHONUNBUFFERED": "1"})
     assert (tmp_path / "part").stat().st_size > 0
     assert done.returncode == 1
     assert "the output is incomplete (File too large); write it where there is free space" in done.stderr

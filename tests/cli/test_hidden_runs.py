@@ -111,15 +111,9 @@ def exchange_two_lines(lines: list[Line]) -> None:
 
 
 CHANGES = (
-    hide_a_run,
-    hide_the_first_run,
-    hide_the_end_of_a_run,
-    give_the_end_of_a_run_to_another,
-    shorten_a_run,
-    rename_a_run,
-    make_a_run_a_plan,
-    exchange_two_runs_of_a_segment,
-    exchange_two_lines,
+    *(hide_a_run, hide_the_first_run, hide_the_end_of_a_run, give_the_end_of_a_run_to_another),
+    *(shorten_a_run, rename_a_run, make_a_run_a_plan),
+    *(exchange_two_runs_of_a_segment, exchange_two_lines),
 )
 QUESTIONS: dict[str, Callable[[Path, str | int], tuple[object, ...]]] = {
     "log": lambda ledger, run: ("log", ledger, "--run", run),

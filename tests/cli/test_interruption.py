@@ -17,6 +17,7 @@ import pytest
 
 from fsar_ledger.metrics.database import connect
 from tests.cli.conftest import SMALL, Call, in_a_process
+from tests.running import ran
 
 COMMAND = [sys.executable, "-m", "fsar_ledger"]
 SEVERAL_COMMITS = ("--scenario", "door-relay", "--runs", "60", "--seed", "11")
@@ -103,9 +104,7 @@ def limited_disk(*arguments: object, file_bytes_max: int) -> subprocess.Complete
     def limit() -> None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (file_bytes_max, file_bytes_max))
 
-    return subprocess.run(
-        [*COMMAND, *map(str, arguments)], capture_output=True, text=True, check=False, preexec_fn=limit
-    )
+    return ran([*COMMAND, *map(str, arguments)], preexec_fn=limit)
 
 
 @pytest.mark.parametrize("workers", [pytest.param("1", marks=pytest.mark.slow), "2"])
@@ -151,7 +150,7 @@ def test_an_interrupted_whatif_keeps_whole_pairs_and_the_same_call_goes_on(call:
     runs = {group["changes"]: group["runs"] for group in held["groups"]}
     assert 0 < runs["drop window:*"] == runs[None] < 100
     assert call("verify", out, "--replay").code == 0
-    assert subprocess.run(arguments, capture_output=True, text=True, check=False).returncode == 0
+    assert ran(arguments).returncode == 0
     assert json.loads(call("info", out, "--json").out)["runs"] == 200
 
 

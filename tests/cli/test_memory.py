@@ -2,7 +2,6 @@
 fault."""
 
 import os
-import subprocess
 import sys
 from pathlib import Path
 
@@ -10,17 +9,12 @@ import pytest
 
 from fsar_ledger import memory
 from fsar_ledger.api.workload import WORTH_BYTES, readers_of, workers_of
-from fsar_ledger.cli.memory import (
-    BASE_BYTES,
-    PER_BYTE,
-    PER_WORKER_BYTES,
-    bounded,
-    default_bytes,
-)
+from fsar_ledger.cli.memory import BASE_BYTES, PER_BYTE, PER_WORKER_BYTES, bounded, default_bytes
 from fsar_ledger.errors import LimitReached, UsageError
 from fsar_ledger.ledger.store.problem import unexpected
 from fsar_ledger.metrics.database import from_rows
 from tests.ledger.bomb_trial import cost_of
+from tests.running import ran
 
 from .conftest import Call, one_message
 
@@ -63,7 +57,7 @@ def many(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_child_that_has_not_begun_its_program_is_not_counted_twice() -> None:
-    done = subprocess.run([sys.executable, "-c", FORKING], capture_output=True, text=True, check=False)
+    done = ran([sys.executable, "-c", FORKING])
     assert (done.stdout, done.stderr) == ("True True\n", "")
 
 
@@ -79,7 +73,7 @@ def test_a_query_with_a_name_states_it_too(call: Call, ledger: Path) -> None:
 
 
 def test_what_takes_more_is_ended_with_one_message_and_leaves_no_half_file(tmp_path: Path) -> None:
-    done = subprocess.run([sys.executable, "-c", HUNGRY], cwd=tmp_path, capture_output=True, text=True, check=False)
+    done = ran([sys.executable, "-c", HUNGRY], cwd=tmp_path)
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.startswith(f"fsar-ledger: {LITTLE}; ")
     assert len(done.stderr.splitlines()) == 1
@@ -96,9 +90,7 @@ def test_the_processes_that_it_starts_count_too(tmp_path: Path) -> None:
         f"{grow!r}])\n"
     )
     code = f"from pathlib import Path\nfrom fsar_ledger.cli.memory import bounded\n{within}"
-    done = subprocess.run(
-        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False, timeout=60
-    )
+    done = ran([sys.executable, "-c", code], cwd=tmp_path, timeout=60)
     assert done.returncode == 2
     assert LITTLE in done.stderr
 
@@ -108,7 +100,7 @@ def test_what_is_asked_for_at_once_is_refused_by_the_system(tmp_path: Path) -> N
         "from pathlib import Path\nfrom fsar_ledger.cli.memory import bounded\nwith bounded(256, "
         "Path('ledger')):\n    bytearray(64 << 30)\n"
     )
-    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False)
+    done = ran([sys.executable, "-c", code], cwd=tmp_path)
     assert "LimitReached: memory: this needs more than 256 MiB" in done.stderr
 
 
@@ -118,9 +110,7 @@ def test_a_process_that_has_reserved_much_already_is_limited_like_another(tmp_pa
         "reserved = [mmap.mmap(-1, 1 << 30, mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS) for _ in range(8)]\n"
         "with bounded(256, Path('ledger')):\n    kept = bytearray(32 << 20)\nprint('done')\n"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False, timeout=60
-    )
+    done = ran([sys.executable, "-c", code], cwd=tmp_path, timeout=60)
     assert (done.returncode, done.stdout, done.stderr) == (0, "done\n", "")
 
 
@@ -172,15 +162,7 @@ def test_a_command_over_a_ledger_of_its_size_stays_within_it(ledger: Path, tmp_p
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "verb",
-    [
-        "info",
-        "metrics",
-        "statistics",
-        "audit",
-        "study run multiverse",
-        "explain",
-        "compare --first fsar --second cfc",
-    ],
+    ["info", "metrics", "statistics", "audit", "study run multiverse", "explain", "compare --first fsar --second cfc"],
 )
 def test_a_command_over_three_hundred_runs_stays_within_its_default(many: Path, tmp_path: Path, verb: str) -> None:
     words = verb.split()

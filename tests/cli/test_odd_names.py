@@ -17,20 +17,8 @@ from tests.quick import few
 PLAIN = "plain-one"
 PREDICTIONS = Path(__file__).parents[2] / "reports" / "predictions.json"
 NAMES = (
-    "led*b",
-    "led?b",
-    "led[xy]b",
-    "~/led",
-    "led b",
-    "led's",
-    'the "led"',
-    "led\nfeed",
-    "ledäm€",
-    "-led",
-    "$HOME/led",
-    "file:led",
-    "led%2a",
-    "#led",
+    *("led*b", "led?b", "led[xy]b", "~/led", "led b", "led's", 'the "led"', "led\nfeed"),
+    *("ledäm€", "-led", "$HOME/led", "file:led", "led%2a", "#led"),
 )
 ALL_IN_ONE = "-~*?[xy] 'led' \"m\"\n$ä"
 MATCHED = ("ledxb", "led*xb", "led", "led feed", "ledxm€", "-~x1x 'led' \"m\"\n$ä")

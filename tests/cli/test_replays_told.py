@@ -16,14 +16,14 @@ VIOLATED = "policy_violations > 0"
 
 
 def test_a_moment_shows_each_robot_and_what_is_open(call: Call, ledger: Path) -> None:
-    answer = call("state", str(ledger), "--run", "1", "--at", "40s")
+    answer = call("state", ledger, "--run", "1", "--at", "40s")
     assert answer.code == 0
     for robot in ("robot/A1", "robot/B1", "robot/C1", "robot/D1"):
         assert f"\n{robot}  role " in answer.out
     assert "\nat 40.000 s of " in answer.out
     assert "recorded with commit 2" in answer.out
     assert max(map(len, answer.out.splitlines())) <= 120
-    told = json.loads(call("state", str(ledger), "--run", "1", "--at", "40s", "--robot", "B1", "--json").out)
+    told = json.loads(call("state", ledger, "--run", "1", "--at", "40s", "--robot", "B1", "--json").out)
     assert [one["robot"] for one in told["standing"]["robots"]] == ["robot/B1"]
     assert told["head"]["size"]
 
@@ -40,80 +40,61 @@ def test_a_moment_shows_each_robot_and_what_is_open(call: Call, ledger: Path) ->
 def test_what_a_decider_had_been_told_has_an_age(
     call: Call, ledger: Path, number: str, decider: str, what: str
 ) -> None:
-    answer = call("state", str(ledger), "--run", number, "--at", "40s", "--as-known-by", decider)
+    answer = call("state", ledger, "--run", number, "--at", "40s", "--as-known-by", decider)
     assert answer.code == 0
     assert what in answer.out.partition("what it had been told")[2]
 
 
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (("--run", "99"), "there is no run of this number"),
-        (("--run", "1", "--at", "9000s"), "expected at most"),
-        (("--run", "1", "--at", "soon"), "expected seconds"),
-        (("--run", "1", "--robot", "Z9"), "there is no such robot"),
-        (("--run", "1", "--as-known-by", "cordinator"), "did you mean coordinator"),
-        (("--run", "1", "--as-known-by", "supervisor/fleet"), "keeps no copies"),
-        (("--run", "1", "--by-commit", "1"), "came with commit 2"),
-        (("--run", "1", "--by-commit", "99"), "expected 0 to"),
-    ],
-)
-def test_a_moment_that_there_is_not_is_an_error(call: Call, ledger: Path, words: tuple[str, ...], message: str) -> None:
-    answer = call("state", str(ledger), *words)
-    one_message(answer, 2)
-    assert message in answer.err
-
-
 @pytest.mark.slow
 def test_the_same_run_has_no_differences_and_two_have_a_story(call: Call, ledger: Path) -> None:
-    same = call("diff", str(ledger), "1", "1")
+    same = call("diff", ledger, "1", "1")
     assert same.code == 0
     assert "the same " in same.out
-    other = call("diff", str(ledger), "1", "2", "--all")
+    other = call("diff", ledger, "1", "2", "--all")
     assert other.code == 0
     assert "architecture: fsar and cfc" in other.out
     assert "they part at " in other.out
     assert "because " in other.out
-    told = json.loads(call("diff", str(ledger), "1", "2", "--json").out)
+    told = json.loads(call("diff", ledger, "1", "2", "--json").out)
     assert len(told["differences"]) == sum(told["counts"].values())
     assert told["parting"]["first"]
     for words in (("1", "99"), ("none", "1")):
-        assert call("diff", str(ledger), *words).code == 2
-    assert call("diff", str(ledger), "1", "1", "--other", str(ledger / "none")).code == 2
+        assert call("diff", ledger, *words).code == 2
+    assert call("diff", ledger, "1", "1", "--other", str(ledger / "none")).code == 2
 
 
 def test_a_fork_is_told_kept_and_replays(call: Call, ledger: Path, tmp_path: Path) -> None:
     place = tmp_path / "forks"
-    answer = call("whatif", str(ledger), "--run", "1", "--change", "drop window:*", "--out", str(place))
+    answer = call("whatif", ledger, "--run", "1", "--change", "drop window:*", "--out", place)
     assert answer.code == 0
     assert "they part at " in answer.out
     assert "kept in " in answer.out
-    assert call("verify", str(place), "--replay").code == 0
+    assert call("verify", place, "--replay").code == 0
     size = (place / "checkpoint").read_bytes()
-    again = call("whatif", str(ledger), "--run", "1", "--change", "drop window:*", "--out", str(place))
+    again = call("whatif", ledger, "--run", "1", "--change", "drop window:*", "--out", place)
     assert again.code == 0
     assert (place / "checkpoint").read_bytes() == size
-    assert call("prove", str(place), "2:0").code == 0
-    told = json.loads(call("compare", str(place), "--first", "fsar+fork", "--second", "fsar@A/4", "--json").out)
+    assert call("prove", place, "2:0").code == 0
+    told = json.loads(call("compare", place, "--first", "fsar+fork", "--second", "fsar@A/4", "--json").out)
     assert told["pairs"] == 1
-    info = call("info", str(place)).out
+    info = call("info", place).out
     assert "2 runs; no plan is on record" in info
     assert "1 fork among them; the query forks says of which runs" in info
     assert "drop window:*" in info
-    groups = json.loads(call("info", str(place), "--json").out)["groups"]
+    groups = json.loads(call("info", place, "--json").out)["groups"]
     assert {(group["changes"], group["runs_to_rectangle"]) for group in groups} == {("drop window:*", None), (None, 0)}
 
 
 @pytest.mark.slow
 def test_where_the_same_event_holds_something_else_its_fields_are_told(call: Call, ledger: Path) -> None:
-    words = ("whatif", str(ledger), "--run", "1", "--change")
+    words = ("whatif", ledger, "--run", "1", "--change")
     out = call(*words, "answer execution:A1-1/1.1 9s").out
     assert re.search(r"^the same event with another ends: base [0-9.]+ s, fork [0-9.]+ s$", out, re.MULTILINE)
     assert "the same event with another" not in call(*words, "drop window:*").out
 
 
 def test_all_runs_of_an_architecture_are_compared_with_their_forks(call: Call, ledger: Path) -> None:
-    words = ("whatif", str(ledger), "--all-runs", "--architecture", "fsar", "--change", "drop window:*")
+    words = ("whatif", ledger, "--all-runs", "--architecture", "fsar", "--change", "drop window:*")
     answer = call(*words)
     assert answer.code == 0
     assert "fsar: 4 pairs, 4 of them part" in answer.out
@@ -123,35 +104,9 @@ def test_all_runs_of_an_architecture_are_compared_with_their_forks(call: Call, l
 
 
 def test_what_a_change_can_name_is_listed(call: Call, ledger: Path) -> None:
-    told = json.loads(call("whatif", str(ledger), "--run", "1", "--list", "--json").out)
+    told = json.loads(call("whatif", ledger, "--run", "1", "--list", "--json").out)
     names = {one["name"].partition(":")[0] for one in told["changeable"]}
     assert {"window", "task", "message", "execution"} <= names
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        ((), "found neither --run nor --all-runs"),
-        (("--run", "1", "--all-runs", "--change", "drop window:*"), "expected one of them"),
-        (("--run", "1"), "found no change"),
-        (("--list",), "expected --run"),
-        (("--run", "1", "--change", "jump"), "expected one of drop"),
-        (("--run", "99", "--change", "drop window:*"), "there is no run of this number"),
-        (("--all-runs", "--architecture", "fsr", "--change", "drop window:*"), "did you mean fsar"),
-        (("--all-runs", "--change", "rule fleet deny"), "decides no such command"),
-        (("--all-runs", "--change", "drop window:none/*"), "the run has no fact"),
-        (("--run", "1", "--changes", "none.toml"), "No such file"),
-        (("--run", "1", "--changes", "none.txt"), "expected a .toml file"),
-        (("--run", "1", "--architecture", "fsar", "--change", "drop window:*"), "expected --architecture with"),
-    ],
-)
-def test_a_call_of_whatif_that_makes_no_sense_is_an_error(
-    call: Call, ledger: Path, tmp_path: Path, words: tuple[str, ...], message: str
-) -> None:
-    answer = call("whatif", str(ledger), *words, "--out", str(tmp_path / "forks"))
-    one_message(answer, 2)
-    assert message in answer.err
-    assert not (tmp_path / "forks").exists()
 
 
 @pytest.mark.parametrize(
@@ -177,19 +132,18 @@ def test_forks_are_not_stored_in_the_ledger_of_their_bases(call: Call, ledger: P
     copy = Path(shutil.copytree(ledger, tmp_path / "copy"))
     before = (copy / "checkpoint").read_bytes()
     for place in (copy, copy / "segments" / "forks"):
-        answer = call("whatif", str(copy), "--run", "1", "--change", "drop window:*", "--out", str(place))
-        one_message(answer, 2)
+        one_message(call("whatif", copy, "--run", "1", "--change", "drop window:*", "--out", place), 2)
     assert (copy / "checkpoint").read_bytes() == before
 
 
 @pytest.mark.slow
 def test_a_cause_is_told_with_the_call_that_takes_it_away(call: Call, ledger: Path) -> None:
-    answer = call("cause", str(ledger), "--run", "1", "--outcome", VIOLATED, "--futures", "3")
+    answer = call("cause", ledger, "--run", "1", "--outcome", VIOLATED, "--futures", "3")
     assert answer.code == 0
     assert "suffice together" in answer.out
     assert "futures that avoid it, of 3" in answer.out
     assert "whatif " in answer.out
-    told = json.loads(call("cause", str(ledger), "--run", "1", "--outcome", VIOLATED, "--futures", "0", "--json").out)
+    told = json.loads(call("cause", ledger, "--run", "1", "--outcome", VIOLATED, "--futures", "0", "--json").out)
     assert told["elements"]
     assert told["chances"] == []
 
@@ -221,32 +175,15 @@ def test_a_pair_without_a_value_does_not_disagree(call: Call, ledger: Path) -> N
     assert (sides["pairs"], sides["diff"]) == (sides["both"], None)
 
 
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (("--outcome", "policy_violatons > 0"), "did you mean policy_violations"),
-        (("--outcome", "policy_violations > 99"), "the run does not have it"),
-        (("--outcome", VIOLATED, "--futures", "-1"), "expected 0"),
-        (("--outcome", "SELECT 1 AS one"), "expected run_id"),
-    ],
-)
-def test_an_outcome_that_has_no_cause_is_an_error(
-    call: Call, ledger: Path, words: tuple[str, ...], message: str
-) -> None:
-    answer = call("cause", str(ledger), "--run", "1", *words)
-    one_message(answer, 2)
-    assert message in answer.err
-
-
 @pytest.mark.slow
 def test_the_first_pair_that_disagrees_is_told(call: Call, ledger: Path) -> None:
-    answer = call("bisect", str(ledger), "--first", "fsar", "--second", "dhma", "--outcome", "authority_conflicts > 3")
+    answer = call("bisect", ledger, "--first", "fsar", "--second", "dhma", "--outcome", "authority_conflicts > 3")
     assert answer.code == 0
     assert "4 pairs: " in answer.out
     assert "the first pair that disagrees: " in answer.out
-    agree = call("bisect", str(ledger), "--first", "fsar", "--second", "dhma", "--outcome", "authority_conflicts >= 0")
+    agree = call("bisect", ledger, "--first", "fsar", "--second", "dhma", "--outcome", "authority_conflicts >= 0")
     assert "no pair disagrees" in agree.out
-    changed = call("bisect", str(ledger), "--change", "drop window:*", "--architecture", "fsar", "--outcome", VIOLATED)
+    changed = call("bisect", ledger, "--change", "drop window:*", "--architecture", "fsar", "--outcome", VIOLATED)
     assert changed.code == 0
     assert "as recorded" in changed.out
 
@@ -254,15 +191,45 @@ def test_the_first_pair_that_disagrees_is_told(call: Call, ledger: Path) -> None
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (("--first", "fsar", "--second", "dhma"), "--outcome: found none"),
-        (("--first", "fsr", "--second", "dhma", "--outcome", VIOLATED), "found no such runs"),
-        (("--first", "fsar", "--change", "drop window:*", "--outcome", VIOLATED), "expected one or the other"),
-        (("--architecture", "fsar", "--outcome", VIOLATED), "found an architecture without changes"),
+        (("state", "--run", "99"), "there is no run of this number"),
+        (("state", "--run", "1", "--at", "9000s"), "expected at most"),
+        (("state", "--run", "1", "--at", "soon"), "expected seconds"),
+        (("state", "--run", "1", "--robot", "Z9"), "there is no such robot"),
+        (("state", "--run", "1", "--as-known-by", "cordinator"), "did you mean coordinator"),
+        (("state", "--run", "1", "--as-known-by", "supervisor/fleet"), "keeps no copies"),
+        (("state", "--run", "1", "--by-commit", "1"), "came with commit 2"),
+        (("state", "--run", "1", "--by-commit", "99"), "expected 0 to"),
+        (("whatif",), "found neither --run nor --all-runs"),
+        (("whatif", "--run", "1", "--all-runs", "--change", "drop window:*"), "expected one of them"),
+        (("whatif", "--run", "1"), "found no change"),
+        (("whatif", "--list"), "expected --run"),
+        (("whatif", "--run", "1", "--change", "jump"), "expected one of drop"),
+        (("whatif", "--run", "99", "--change", "drop window:*"), "there is no run of this number"),
+        (("whatif", "--all-runs", "--architecture", "fsr", "--change", "drop window:*"), "did you mean fsar"),
+        (("whatif", "--all-runs", "--change", "rule fleet deny"), "decides no such command"),
+        (("whatif", "--all-runs", "--change", "drop window:none/*"), "the run has no fact"),
+        (("whatif", "--run", "1", "--changes", "none.toml"), "No such file"),
+        (("whatif", "--run", "1", "--changes", "none.txt"), "expected a .toml file"),
+        (
+            ("whatif", "--run", "1", "--architecture", "fsar", "--change", "drop window:*"),
+            "expected --architecture with",
+        ),
+        (("cause", "--run", "1", "--outcome", "policy_violatons > 0"), "did you mean policy_violations"),
+        (("cause", "--run", "1", "--outcome", "policy_violations > 99"), "the run does not have it"),
+        (("cause", "--run", "1", "--outcome", VIOLATED, "--futures", "-1"), "expected 0"),
+        (("cause", "--run", "1", "--outcome", "SELECT 1 AS one"), "expected run_id"),
+        (("bisect", "--first", "fsar", "--second", "dhma"), "--outcome: found none"),
+        (("bisect", "--first", "fsr", "--second", "dhma", "--outcome", VIOLATED), "found no such runs"),
+        (
+            ("bisect", "--first", "fsar", "--change", "drop window:*", "--outcome", VIOLATED),
+            "expected one or the other",
+        ),
+        (("bisect", "--architecture", "fsar", "--outcome", VIOLATED), "found an architecture without changes"),
     ],
 )
-def test_sides_that_cannot_be_bisected_are_an_error(
-    call: Call, ledger: Path, words: tuple[str, ...], message: str
+def test_a_call_that_makes_no_sense_is_an_error_and_writes_nothing(
+    call: Call, ledger: Path, tmp_path: Path, words: tuple[str, ...], message: str
 ) -> None:
-    answer = call("bisect", str(ledger), *words)
-    one_message(answer, 2)
-    assert message in answer.err
+    out = ("--out", tmp_path / "forks") if words[0] == "whatif" else ()
+    one_message(call(words[0], ledger, *words[1:], *out), 2, message)
+    assert list(tmp_path.iterdir()) == []

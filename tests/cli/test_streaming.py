@@ -90,9 +90,10 @@ def test_a_reader_that_has_enough_ends_a_long_answer(ledger: Path, form: str) ->
 
 
 @pytest.mark.slow
-def test_memory_does_not_grow_with_the_text(ledger: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("form", ["--ndjson", "--json"])
+def test_memory_does_not_grow_with_the_text(ledger: Path, tmp_path: Path, form: str) -> None:
     few, many = (
-        cost_of(["sql", str(ledger), f"SELECT {LONG_NAMES} FROM range({count})", "--ndjson"], tmp_path)
+        cost_of(["sql", str(ledger), f"SELECT {LONG_NAMES} FROM range({count})", form], tmp_path)
         for count in (1_000, 500_000)
     )
     assert (few.code, many.code) == (0, 0), many.said

@@ -1,7 +1,6 @@
 """Tables fit the terminal they are shown on, and are plain text, the same at any width, where there is none."""
 
 import re
-import subprocess
 import sys
 from pathlib import Path
 
@@ -13,6 +12,7 @@ from fsar_ledger.cli.terminal import columns_of
 from fsar_ledger.metrics.groups import GROUPS
 from tests.cli.conftest import Call, one_message
 from tests.cli.terminals import left_of, on_a_terminal, on_a_terminal_here, stream_of
+from tests.running import ran
 from tests.terminal import CLAIM, PAINT, painted
 
 WIDTHS = (80, 120, 200)
@@ -28,23 +28,13 @@ VERBS = {
 }
 """Every verb that shows a table of a ledger, but for `query`, which names one first."""
 QUERIES = (
-    "runs",
-    "failures",
-    "requests",
-    "denials",
-    "supervisor_of",
-    "policy_windows",
-    "metric_summary",
-    "event_principals",
+    *("runs", "failures", "requests", "denials", "supervisor_of"),
+    *("policy_windows", "metric_summary", "event_principals"),
 )
 RUNS = [f"fsar.full.{scenario}.n4.s42.r{number:04}-abc" for scenario in ("door", "relay") for number in (1, 2)]
 
 
-STORIES = (
-    ("explain", "--run", "3", "--request", "A1-1/2.1"),
-    ("log", "--run", "3"),
-    ("verify",),
-)
+STORIES = (("explain", "--run", "3", "--request", "A1-1/2.1"), ("log", "--run", "3"), ("verify",))
 """Verbs that tell a story, or say a sentence."""
 
 
@@ -112,10 +102,7 @@ TEXTS: dict[str, tuple[list[dict[str, object]], str]] = {
         "in every row: robot 'A1, seed 43'\n\nn\n-\n1\n2\n",
     ),
     "rows that are all alike keep a column": ([{"a": 1, "b": 2}] * 2, "in every row: b 2\n\na\n-\n1\n1\n"),
-    "numbers stand to the right": (
-        [{"a": "x", "n": 1}, {"a": "yy", "n": 100}],
-        "a     n\n--  ---\nx     1\nyy  100\n",
-    ),
+    "numbers stand to the right": ([{"a": "x", "n": 1}, {"a": "yy", "n": 100}], "a     n\n--  ---\nx     1\nyy  100\n"),
     "a single row that does not fit is a list": (
         [{"run_id": "r" * 80, "robot": "robot/A1", "note": None}],
         f"run_id  {'r' * 80}\nrobot   robot/A1\nnote    -\n",
@@ -387,5 +374,5 @@ def test_a_report_tells_each_step_of_its_work(call: Call, tmp_path: Path) -> Non
 @pytest.mark.slow
 def test_progress_is_for_terminals_that_can_erase_it() -> None:
     assert on_a_terminal(100, "-c", WORK, surroundings={"TERM": "dumb"}) == ("False\n", "False\n")
-    piped = subprocess.run([sys.executable, "-c", WORK], capture_output=True, text=True, check=True)
+    piped = ran([sys.executable, "-c", WORK], check=True)
     assert (piped.stdout, piped.stderr) == ("False\n", "")

@@ -70,9 +70,7 @@ def test_a_key_in_the_environment_signs_as_well(folder: Path, tmp_path: Path) ->
     called = in_a_process(
         "simulate",
         tmp_path / "ledger",
-        *SMALL[:2],
-        "--runs",
-        "1",
+        *(*SMALL[:2], "--runs", "1"),
         surroundings={"FSAR_LEDGER_KEY": str(folder / "fleet.key")},
     )
     assert (called.code, called.err) == (0, "")
@@ -197,29 +195,12 @@ def test_verify_says_how_it_looked_who_signed_and_since_when_it_only_grew(call: 
 
 
 def test_verify_says_the_same_as_json(call: Call, folder: Path) -> None:
-    answer = json.loads(
-        call(
-            "verify",
-            folder / "ledger",
-            "--quick",
-            "--json",
-            "--trusted-key",
-            folder / "fleet.key.pub",
-            "--anchor",
-            folder / "ledger" / "checkpoint",
-        ).out
-    )
-    assert (answer["ok"], answer["is_quick"], answer["signature"], answer["signer"]) == (
-        True,
-        True,
-        "signed",
-        key_of(folder),
-    )
-    assert (answer["signed"], answer["commits"], answer["anchored"], answer["head"]["size"]) == (
-        2,
-        2,
-        *[size_of(folder / "ledger")] * 2,
-    )
+    ledger, size = folder / "ledger", size_of(folder / "ledger")
+    trusted = ("--trusted-key", folder / "fleet.key.pub", "--anchor", ledger / "checkpoint")
+    answer = json.loads(call("verify", ledger, "--quick", "--json", *trusted).out)
+    assert (answer["ok"], answer["is_quick"], answer["signature"]) == (True, True, "signed")
+    assert answer["signer"] == key_of(folder)
+    assert (answer["signed"], answer["commits"], answer["anchored"], answer["head"]["size"]) == (2, 2, size, size)
 
 
 def test_verify_ends_with_3_where_the_key_or_the_anchor_does_not_agree(

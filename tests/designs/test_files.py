@@ -139,34 +139,18 @@ def test_a_number_of_thousands_of_digits_is_refused_with_its_line(digits: str, s
             'bodies = ["porters"]',
             "bodies[0]: found porters, expected one of the roles of the fleet (porter, door); did you mean porter?",
         ),
-        (
-            'name = "porter"',
-            'name = "porter1"',
-            "robots[0].name: found porter1, expected letters, digits, - and _, with a letter at both ends",
-        ),
+        ('name = "porter"', 'name = "porter1"', "robots[0].name: found porter1, expected letters, digits, - and _,"),
         (
             'name = "door"\n',
             'name = "porter"\n',
             "robots[1].name: found another robot of this name: porter, expected each once",
         ),
-        (
-            '"door.lock",\n]',
-            '"door.look",\n]',
-            "robots[1].capabilities[1]: found door.look, expected one of the capabilities of the fleet",
-        ),
-        (
-            "lasts_s = [1, 2.5]",
-            "lasts_s = [3, 2.5]",
-            "capabilities[1].lasts_s: found 3 to 2.5, expected two durations, the shorter first",
-        ),
+        ('"door.lock",\n]', '"door.look",\n]', "robots[1].capabilities[1]: found door.look, expected one of the"),
+        ("lasts_s = [1, 2.5]", "lasts_s = [3, 2.5]", "capabilities[1].lasts_s: found 3 to 2.5, expected two"),
         ("lasts_s = [1, 2.5]\n", "", "capabilities[1].lasts_s: found nothing, expected how long it takes"),
         ("to_s = 9.5", "to_s = 5", "off_shift[0].to_s: found 5, expected more than from_s"),
         ("from_s = 5", "from_s = -5", "off_shift[0].from_s: found -5, expected seconds from 0"),
-        (
-            "to_s = 9.5",
-            'robots = ["lift"]',
-            "off_shift[0].robots[0]: found lift, expected one of the robots that have a supervisor",
-        ),
+        ("to_s = 9.5", 'robots = ["lift"]', "off_shift[0].robots[0]: found lift, expected one of the robots that"),
         (
             "to_s = 9.5",
             'to_s = 9.5\n[[trust]]\nrole = "door"\npeer_role = "porter"\nscope = "task"\n'
@@ -224,16 +208,8 @@ def test_a_fleet_that_cannot_be_is_said_to_be_wrong_in_the_field_that_is(now: st
             'owner = "porter"\ncheckpoints = ["3"]',
             "tasks[0].checkpoints[0]: found 3, expected one of the numbers of its steps (1, 2)",
         ),
-        (
-            'owner = "porter"',
-            'owner = "porter"\noffset_s = inf',
-            "tasks[0].offset_s: found inf, expected seconds from 0",
-        ),
-        (
-            'name = "night"',
-            'name = "night"\ndegradable = ["lift"]',
-            "degradable[0]: found lift, expected one of the robots",
-        ),
+        ('owner = "porter"', 'owner = "porter"\noffset_s = inf', "tasks[0].offset_s: found inf, expected seconds"),
+        ('name = "night"', 'name = "night"\ndegradable = ["lift"]', "degradable[0]: found lift, expected one of the"),
         (
             'door"]\n',
             'door"]\n[[injections]]\nrequester = "porter"\ntarget = "door"\ncapability = "door.open"\ntimes = 0',

@@ -1,9 +1,10 @@
 """Designs that are added to the package are checked as a designer's own files are, before anything is simulated."""
 
 import shutil
-import subprocess
 import sys
 from pathlib import Path
+
+from tests.running import ran
 
 ROOT = Path(__file__).parents[2]
 TASK = '[[tasks]]\nowner = "A"\nsteps = ["A door.open.basic B"]\n'
@@ -43,13 +44,7 @@ def test_a_registered_scenario_or_workflow_that_cannot_happen_is_refused_with_it
         folder = "workflows" if name.startswith("workflow-") else "scenarios"
         files[name] = tmp_path / "fsar_ledger/runtime/world" / folder / f"{name}.toml"
         files[name].write_text(text)
-    done = subprocess.run(
-        [sys.executable, "-c", PROGRAM, *WRONG],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        env={"PYTHONPATH": str(tmp_path)},
-    )
+    done = ran([sys.executable, "-c", PROGRAM, *WRONG], cwd=tmp_path, env={"PYTHONPATH": str(tmp_path)})
     assert done.stderr == ""
     for line, (name, (_, message)) in zip(done.stdout.splitlines(), WRONG.items(), strict=True):
         assert line.startswith(f"{files[name]}:{message}"), line

@@ -28,7 +28,7 @@ TOLD: dict[str, set[str]] = {
     "audit/failure_timeline": {"step", "until_s"},
     "audit/supervisor_of": {"first_us", "last_us", "first_seq", "last_seq", "records"},
     "audit/unattributed_records": {
-        *("records", "unattributed", "without_origin", "without_executor", "without_supervisor"),
+        *("records", "unattributed", "without_origin", "without_executor", "without_supervisor")
     },
     "audit/requests": {"began_s", "ended_s", "seq", "asked_by", "allowed_by", "supervised_by"},
     "audit/interventions": {"asked_by"},

@@ -16,15 +16,7 @@ from fsar_ledger.metrics.database import Database
 from fsar_ledger.metrics.library import library
 from fsar_ledger.metrics.observing import types_read, unobserved
 from fsar_ledger.runtime.simulation import ARCHITECTURES, RunSpec, simulate_run
-from tests.foreign.claims import (
-    BY_RUN,
-    GAPS,
-    OF_GAPS,
-    WHOLE,
-    recorded_without,
-    vain_claims,
-    without,
-)
+from tests.foreign.claims import BY_RUN, GAPS, OF_GAPS, WHOLE, recorded_without, vain_claims, without
 from tests.foreign.histories import append
 from tests.foreign.verbs import ask
 from tests.queries.keys import required

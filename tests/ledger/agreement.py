@@ -28,25 +28,8 @@ KEY, STRANGER = Signer(ORIGIN, b"\1" * 32), Signer(ORIGIN, b"\2" * 32)
 VERSION = pa.__version__.encode()
 OTHER_VERSION = b"9" * len(VERSION)
 ODD = [
-    "",
-    "A",
-    '"',
-    "\\",
-    "/",
-    "\n",
-    "\x00",
-    "\x1f",
-    "\x7f",
-    "\u0085",
-    "é",
-    "e\u0301",
-    "\u2028",
-    "\ufeff",
-    "\uffff",
-    "\U0001f916",
-    "\U0010ffff",
-    "0",
-    " ",
+    *("", "A", '"', "\\", "/", "\n", "\x00", "\x1f", "\x7f", "\u0085", "é", "e\u0301"),
+    *("\u2028", "\ufeff", "\uffff", "\U0001f916", "\U0010ffff", "0", " "),
 ]
 
 

@@ -14,15 +14,7 @@ from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.paths import CHAIN, INDEX, JOURNAL, NODES, SEALING
 from fsar_ledger.ledger.store.record import segment_of
 from tests.ledger.agreement import KEY, STRANGER, Case, Make, files_of, note_of, with_value
-from tests.ledger.agreement_chain import (
-    anchor_at,
-    records_of,
-    relink,
-    rewrite,
-    tables_of,
-    tree_at,
-    view_of,
-)
+from tests.ledger.agreement_chain import anchor_at, records_of, relink, rewrite, tables_of, tree_at, view_of
 from tests.ledger.samples import ORIGIN
 
 HASH = "ab" * 32
@@ -329,29 +321,11 @@ def a_run_again(path: Path, draw: random.Random, beside: Path) -> Case | None:
 
 
 GOOD: tuple[Make, ...] = (
-    as_it_is,
-    with_its_key,
-    with_an_anchor,
-    a_segment_in_staging,
-    left_open,
-    cut_short,
-    a_torn_end,
-    a_sealed_journal,
-    a_journal_handed_over_and_sealed,
-    superseded_segments,
-    another_history,
+    *(as_it_is, with_its_key, with_an_anchor, a_segment_in_staging, left_open, cut_short, a_torn_end),
+    *(a_sealed_journal, a_journal_handed_over_and_sealed, superseded_segments, another_history),
 )
 DAMAGED: tuple[Make, ...] = (
-    a_flipped_bit,
-    a_cut_or_longer_file,
-    a_file_gone_or_swapped,
-    lines_out_of_order,
-    a_forged_record,
-    a_forged_record,
-    a_foreign_signature,
-    a_wrong_anchor,
-    wrong_derived_files,
-    a_broken_rule,
-    a_broken_rule,
-    a_run_again,
+    *(a_flipped_bit, a_cut_or_longer_file, a_file_gone_or_swapped, lines_out_of_order),
+    *(a_forged_record, a_forged_record, a_foreign_signature, a_wrong_anchor),
+    *(wrong_derived_files, a_broken_rule, a_broken_rule, a_run_again),
 )

@@ -135,10 +135,6 @@ def a_structure_that_disagrees(path: Path, draw: random.Random, beside: Path) ->
 
 
 FORGED: tuple[Make, ...] = (
-    other_rows,
-    other_parquet,
-    a_flipped_bit_whose_hash_fits,
-    lying_statistics,
-    two_faces,
-    a_structure_that_disagrees,
+    *(other_rows, other_parquet, a_flipped_bit_whose_hash_fits),
+    *(lying_statistics, two_faces, a_structure_that_disagrees),
 )

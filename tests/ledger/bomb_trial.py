@@ -14,6 +14,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from tests.running import ran
+
 ROOT = Path(__file__).resolve().parents[2]
 
 
@@ -65,7 +67,7 @@ def cost_of(arguments: Sequence[str], place: Path, patience_s: float = 120, chec
     """Run the command of this checkout in that folder, with its cache there."""
     environment = {**os.environ, "PYTHONPATH": str(checkout), "XDG_CACHE_HOME": str(place / "cache")}
     call = [sys.executable, "-S", str(Path(__file__).resolve()), str(patience_s), *arguments]
-    done = subprocess.run(call, cwd=place, env=environment, capture_output=True, text=True, check=True)
+    done = ran(call, cwd=place, env=environment, check=True)
     return Cost(*json.loads(done.stdout))
 
 

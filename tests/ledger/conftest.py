@@ -6,8 +6,10 @@ from pathlib import Path
 
 import pytest
 
+from tests.ledger.crash_trials import write_with
 from tests.ledger.crash_writer import Nursery
 from tests.ledger.damage import write_ledger
+from tests.ledger.faults import FaultyOs, calls_of
 from tests.ledger.once import decoded_once
 
 
@@ -33,3 +35,11 @@ def path(snapshots: Path, tmp_path: Path) -> Iterator[Path]:
     path = Path(shutil.copytree(snapshots / "whole", tmp_path / "ledger"))
     with decoded_once():
         yield path
+
+
+@pytest.fixture
+def calls(tmp_path: Path) -> list[str]:
+    """Return the calls with which a writer changes the disk."""
+    root = tmp_path / "calls"
+    root.mkdir()
+    return calls_of(root, lambda: write_with(FaultyOs(root), root / "out" / "ledger"))

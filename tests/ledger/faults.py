@@ -27,23 +27,9 @@ COUNTED = (
 )
 HARMLESS = frozenset(
     [
-        "path",
-        "listdir",
-        "scandir",
-        "stat",
-        "lstat",
-        "fstat",
-        "lseek",
-        "access",
-        "F_OK",
-        "fspath",
-        "strerror",
-        "getpid",
-        "DirEntry",
-        "PathLike",
-        "SEEK_SET",
-        "SEEK_END",
-        "error",
+        *("path", "listdir", "scandir", "stat", "lstat", "fstat", "lseek", "access"),
+        *("F_OK", "fspath", "strerror", "getpid", "DirEntry", "PathLike", "SEEK_SET"),
+        *("SEEK_END", "error"),
     ]
 )
 NEED_ROOM = (*WRITES, "link", "rename", "replace", "mkdir", *SYNCS)

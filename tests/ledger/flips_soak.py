@@ -74,8 +74,7 @@ def soak(count: int) -> bool:
     print(*wrong, sep="\n", end="\n" if wrong else "")
     answers = sum(tally[verb, outcome] for verb in VERBS for outcome in OUTCOMES)
     print(
-        f"{len(flips):,} flips, {answers:,} answers, {len(wrong):,} wrong, {time.monotonic() - began:.0f} s",
-        flush=True,
+        f"{len(flips):,} flips, {answers:,} answers, {len(wrong):,} wrong, {time.monotonic() - began:.0f} s", flush=True
     )
     return not wrong and answers > 0
 

@@ -4,20 +4,7 @@ from collections.abc import Callable
 from typing import cast
 
 from tests.ledger.parts import Parts
-from tests.ledger.thrift import (
-    BINARY,
-    I32,
-    I64,
-    LIST,
-    STRUCT,
-    TRUE,
-    Field,
-    Listed,
-    Raw,
-    Struct,
-    field,
-    put,
-)
+from tests.ledger.thrift import BINARY, I32, I64, LIST, STRUCT, TRUE, Field, Listed, Raw, Struct, field, put
 
 Change = Callable[[Parts], object]
 

@@ -26,13 +26,9 @@ from tests.ledger.thrift import (
 )
 
 WRITERS = (
-    b"parquet-cpp version 1.2.0",
-    b"parquet-mr version 1.8.0",
-    b"parquet-cpp-arrow version 1.0.0",
-    b"DuckDB",
-    b"impala version 1.0",
-    b"",
-    b"\xff",
+    *(b"parquet-cpp version 1.2.0", b"parquet-mr version 1.8.0"),
+    *(b"parquet-cpp-arrow version 1.0.0", b"DuckDB", b"impala version 1.0"),
+    *(b"", b"\xff"),
 )
 NUMBERS = (0, 1, 2, 3, 4, 5, 8, -1, 127, 128, 1 << 20, (1 << 31) - 1, 1 << 31, 1 << 32, (1 << 63) - 1, -(1 << 63))
 
@@ -354,25 +350,9 @@ def moved_pages(draft: Draft) -> bytes:
 KINDS: dict[str, Callable[[Draft], bytes | None]] = {
     make.__name__.replace("_", " "): make
     for make in (
-        a_number,
-        a_place,
-        a_field_twice,
-        an_unknown_field,
-        a_missing_field,
-        another_order,
-        another_kind,
-        a_varint,
-        a_list,
-        some_text,
-        the_writer,
-        the_columns,
-        the_schema,
-        key_values,
-        statistics,
-        bytes_of_the_footer,
-        the_length_of_the_footer,
-        the_header_of_a_page,
-        moved_pages,
+        *(a_number, a_place, a_field_twice, an_unknown_field, a_missing_field, another_order),
+        *(another_kind, a_varint, a_list, some_text, the_writer, the_columns, the_schema, key_values),
+        *(statistics, bytes_of_the_footer, the_length_of_the_footer, the_header_of_a_page, moved_pages),
     )
 }
 

@@ -19,7 +19,7 @@ from fsar_ledger.ledger.store.staging import stage
 from tests.ledger.crash_trials import ROWS, RUNS, Laboratory, write_with
 from tests.ledger.crash_writer import Nursery, Order
 from tests.ledger.crowd import NAMES, judge, part
-from tests.ledger.faults import KINDS, REFUSED, Fault, FaultyOs, calls_of, faults_at, one_fault_a_call
+from tests.ledger.faults import KINDS, REFUSED, Fault, FaultyOs, faults_at, one_fault_a_call
 from tests.ledger.power import choices
 from tests.ledger.readers_beside_soak import trial
 from tests.ledger.samples import ORIGIN, append_all, contents
@@ -29,13 +29,6 @@ from tests.quick import few
 @pytest.fixture
 def laboratory(tmp_path: Path) -> Laboratory:
     return Laboratory(tmp_path)
-
-
-@pytest.fixture
-def calls(tmp_path: Path) -> list[str]:
-    root = tmp_path / "calls"
-    root.mkdir()
-    return calls_of(root, lambda: write_with(FaultyOs(root), root / "out" / "ledger"))
 
 
 def test_without_faults_every_event_is_there(tmp_path: Path) -> None:

@@ -185,11 +185,7 @@ def test_a_ledger_of_a_later_release_is_refused_by_its_name(mixed: Path) -> None
 
 def test_verify_names_the_release_that_it_cannot_judge_first(mixed: Path) -> None:
     problem = verify(mixed).problems[0]
-    assert (problem.where, problem.field, problem.found) == (
-        "chain.jsonl",
-        "release",
-        f"'{later_release.RELEASE}'",
-    )
+    assert (problem.where, problem.field, problem.found) == ("chain.jsonl", "release", f"'{later_release.RELEASE}'")
     assert verify(mixed).commits == 3
 
 

@@ -18,15 +18,8 @@ from tests.ledger.samples import ORIGIN, contents
 ALL_LOST, ALL_KEPT = Choice("lost", "lost", random.Random(1)), Choice("kept", "kept", random.Random(1))
 CHANGES = {"os.rename": "rename", "os.link": "link", "os.remove": "unlink", "os.mkdir": "mkdir", "os.rmdir": "rmdir"}
 NEVER = (
-    "os.symlink",
-    "os.truncate",
-    "os.chmod",
-    "os.chown",
-    "os.utime",
-    "os.setxattr",
-    "shutil.move",
-    "shutil.copyfile",
-    "shutil.rmtree",
+    *("os.symlink", "os.truncate", "os.chmod", "os.chown", "os.utime"),
+    *("os.setxattr", "shutil.move", "shutil.copyfile", "shutil.rmtree"),
 )
 
 _watched: list[Path] = []

@@ -3,7 +3,6 @@ import os
 import resource
 import shutil
 import socket
-import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -25,6 +24,7 @@ from tests.ledger.hostile import documents, lying_pages, parquets, records
 from tests.ledger.once import decoded_once
 from tests.ledger.samples import ORIGIN, append_all, made_up_batches, made_up_run
 from tests.quick import few
+from tests.running import ran
 
 MEMORY_BYTES = 3 << 30
 PROCESSOR_S = 20
@@ -74,7 +74,7 @@ def within_limits(command: tuple[str, ...], path: Path) -> tuple[int, str]:
         resource.setrlimit(resource.RLIMIT_CPU, (PROCESSOR_S, PROCESSOR_S))
 
     call = [sys.executable, "-m", "fsar_ledger", *arguments_of(command, path)]
-    done = subprocess.run(call, capture_output=True, text=True, check=False, preexec_fn=limit, timeout=300)
+    done = ran(call, preexec_fn=limit, timeout=300)
     assert "Traceback" not in done.stderr, done.stderr
     return done.returncode, done.stderr
 
@@ -82,13 +82,7 @@ def within_limits(command: tuple[str, ...], path: Path) -> tuple[int, str]:
 # --- JSON and notes ---
 
 
-@pytest.mark.parametrize(
-    "name",
-    few(
-        ["ledger.json", "checkpoint"],
-        ["checkpoint"],
-    ),
-)
+@pytest.mark.parametrize("name", few(["ledger.json", "checkpoint"], ["checkpoint"]))
 def test_a_malformed_document_is_refused_by_every_command(
     path: Path, capsys: pytest.CaptureFixture[str], name: str
 ) -> None:
@@ -231,15 +225,7 @@ def in_place_of(file: Path) -> dict[str, Callable[[], object]]:
 
 
 @pytest.mark.parametrize(
-    "name",
-    [
-        "ledger.json",
-        "checkpoint",
-        CHAIN,
-        "segments/000000000130-000000000133.parquet",
-        NODES,
-        INDEX,
-    ],
+    "name", ["ledger.json", "checkpoint", CHAIN, "segments/000000000130-000000000133.parquet", NODES, INDEX]
 )
 def test_what_is_no_file_is_refused_by_every_command(
     path: Path, intact: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str

@@ -4,7 +4,6 @@ import ast
 import hashlib
 import json
 import re
-import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -13,15 +12,9 @@ import pytest
 
 from fsar_ledger.ledger.rows.releases import FINGERPRINTS
 from fsar_ledger.ledger.rows.schema import COLUMNS, STORED
-from tests.ledger.agreement import (
-    KEY,
-    ROOT,
-    Case,
-    event_types,
-    independent,
-    judged,
-)
+from tests.ledger.agreement import KEY, ROOT, Case, event_types, independent, judged
 from tests.ledger.samples import append_all, made_up_batches
+from tests.running import ran
 
 VERIFIER = ROOT / "tests" / "independent_verifier.py"
 PAGE = (ROOT / "docs" / "ledger-format.md").read_text("utf-8")
@@ -91,10 +84,10 @@ def test_the_independent_verifier_works_from_a_shell(path: Path, tmp_path: Path)
         str(tmp_path / "anchor"),
     ]
     command += ["--event-types", str(ROOT / "docs" / "event-types.json")]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    done = ran(command)
     assert (done.returncode, done.stdout.split()[:2], done.stderr) == (0, ["consistent:", "72"], "")
     (path / "nodes").write_bytes(b"")
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    done = ran(command)
     assert (done.returncode, done.stdout.partition(":")[0], done.stderr) == (3, "nodes", "")
 
 

@@ -19,19 +19,7 @@ from tests.ledger.keep_release import LEDGERS
 from tests.ledger.layout_changes import CHANGES, Change, about, add
 from tests.ledger.parts import Page, Parts, two_faced
 from tests.ledger.samples import made_up_run
-from tests.ledger.thrift import (
-    I32,
-    I64,
-    LIST,
-    STRUCT,
-    Field,
-    Listed,
-    Raw,
-    Struct,
-    field,
-    has,
-    varint,
-)
+from tests.ledger.thrift import I32, I64, LIST, STRUCT, Field, Listed, Raw, Struct, field, has, varint
 from tests.quick import few
 
 TABLE = encode([made_up_run("run-0", 60, 1), made_up_run("run-1", 60, 2)])

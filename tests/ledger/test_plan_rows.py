@@ -41,9 +41,7 @@ def write(path: Path, *batches: list[LedgerRun]) -> Path:
 
 def test_a_plan_alone_is_no_run_and_no_doubt(tmp_path: Path) -> None:
     path = write(
-        tmp_path / "ledger",
-        [of("plan", PLAN)],
-        [of("run-1", TASK, TASK), of("another plan", PLAN), of("run-2", TASK)],
+        tmp_path / "ledger", [of("plan", PLAN)], [of("run-1", TASK, TASK), of("another plan", PLAN), of("run-2", TASK)]
     )
     assert judged(Case("plans", path, True)).difference == ""
     report = verify(path)

@@ -13,15 +13,7 @@ from fsar_ledger.ledger.log.note import Checkpoint, Note, Signer
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows import canonical, codec
 from fsar_ledger.ledger.store.places import place_of
-from fsar_ledger.ledger.store.proof import (
-    Proof,
-    Value,
-    check_proof,
-    parse_proof,
-    prove,
-    prove_inclusion,
-    read_proof,
-)
+from fsar_ledger.ledger.store.proof import Proof, Value, check_proof, parse_proof, prove, prove_inclusion, read_proof
 from fsar_ledger.ledger.store.view import RunNames
 from tests.ledger.forgery import changed, forge_segment, segment_at, table_of
 from tests.ledger.samples import ORIGIN, append_all, made_up_batches

@@ -13,7 +13,7 @@ import pytest
 from fsar_ledger.errors import InvalidRun, LedgerCorrupted, WriteFailed
 from fsar_ledger.events import CONCERNS
 from fsar_ledger.events.envelope import Robot, with_columns
-from fsar_ledger.events.fleet import RobotJoined, RunStarted
+from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.events.task import TaskCompleted
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows.codec import LedgerRun
@@ -21,6 +21,7 @@ from fsar_ledger.ledger.rows.schema import CONCERNED, OPENINGS, STORED
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.ledger.verify.verify import verify
+from tests import past
 from tests.ledger.agreement import Case, judged
 from tests.ledger.hostile import stage_anything
 from tests.ledger.samples import ORIGIN, append_all, contents, made_up_run
@@ -180,8 +181,8 @@ def observing(*concerns: str) -> LedgerRun:
     """Return a run whose start says so, with two robots that join and a task that is done."""
     events = [
         RunStarted(kind="foreign", observes=concerns),
-        RobotJoined(robot=Robot("robot/A1"), role="carrier", team=1, supervisor=None),
-        RobotJoined(robot=Robot("robot/A2"), role="carrier", team=1, supervisor=None),
+        past.joined(Robot("robot/A1"), "carrier"),
+        past.joined(Robot("robot/A2"), "carrier"),
         TaskCompleted("T1"),
     ]
     return LedgerRun("seen", [0, 0, 0, 5], [None, 0, 0, 0], events)

@@ -14,7 +14,6 @@ import pytest
 
 from fsar_ledger.errors import InvalidRun, UsageError
 from fsar_ledger.events.envelope import with_columns
-from fsar_ledger.events.fleet import ExperimentPlanned
 from fsar_ledger.ledger.rows.check import first_flaw
 from fsar_ledger.ledger.rows.codec import LedgerRun, encode
 from fsar_ledger.ledger.rows.schema import LAYOUTS, OPENINGS, STANDS_ALONE, STORED, StoredType
@@ -23,6 +22,7 @@ from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.forgery import changed
 from tests.ledger.samples import append_all, contents, made_up_batches, run_of_every_type
+from tests.ledger.test_plan_rows import PLAN
 from tests.ledger.test_writer_property import Number, Pair, Posing, Stranger, Word, with_event
 
 RUN = run_of_every_type("run-1", seed=3)
@@ -59,6 +59,11 @@ def of_kind(kind: str, *, closed: bool = False, is_nullable: bool = False) -> tu
         return (field.kind, field.values is not None, field.is_nullable) == (kind, closed, is_nullable)
 
     return seq_with(fits)
+
+
+def one(**changes: Any) -> LedgerRun:
+    """The run with these changes."""
+    return msgspec.structs.replace(RUN, **changes)
 
 
 def refused(path: Path, runs: list[LedgerRun], said: str) -> None:
@@ -129,24 +134,18 @@ def test_what_is_no_event_of_today_is_refused(path: Path, event: object) -> None
 )
 def test_a_time_that_is_none_is_refused(path: Path, time: Any, said: str) -> None:
     times = [*RUN.times_us[:-1], time]
-    refused(
-        path,
-        [msgspec.structs.replace(RUN, times_us=times)],
-        f"run run-1, seq {len(times) - 1}, field time_us: found {said}",
-    )
+    refused(path, [one(times_us=times)], f"run run-1, seq {len(times) - 1}, field time_us: found {said}")
 
 
 def test_time_that_runs_backwards_is_refused(path: Path) -> None:
     times = [*RUN.times_us[:5], RUN.times_us[4] - 1, *RUN.times_us[6:]]
     refused(
         path,
-        [BATCHES[2][0], msgspec.structs.replace(RUN, times_us=times)],
+        [BATCHES[2][0], one(times_us=times)],
         f"run run-1, seq 5, field time_us: found {times[5]}, expected no less",
     )
     same = [*RUN.times_us[:5], RUN.times_us[4], *RUN.times_us[6:]]
-    assert stage(path, [BATCHES[2][0], msgspec.structs.replace(RUN, times_us=same)]).rows == len(
-        BATCHES[2][0].events
-    ) + len(RUN.events)
+    assert stage(path, [BATCHES[2][0], one(times_us=same)]).rows == len(BATCHES[2][0].events) + len(RUN.events)
 
 
 @pytest.mark.parametrize(
@@ -154,11 +153,7 @@ def test_time_that_runs_backwards_is_refused(path: Path) -> None:
 )
 def test_a_cause_that_is_no_earlier_event_is_refused(path: Path, seq: int, cause: Any) -> None:
     causes = [*RUN.caused_by[:seq], cause, *RUN.caused_by[seq + 1 :]]
-    refused(
-        path,
-        [msgspec.structs.replace(RUN, caused_by=causes)],
-        f"run run-1, seq {seq}, field caused_by: found {cause!r}, expected",
-    )
+    refused(path, [one(caused_by=causes)], f"run run-1, seq {seq}, field caused_by: found {cause!r}, expected")
 
 
 def test_a_run_begins_with_its_start_and_has_no_other(path: Path) -> None:
@@ -177,46 +172,32 @@ def test_a_run_begins_with_its_start_and_has_no_other(path: Path) -> None:
 
 
 def test_what_stands_alone_is_in_no_run(path: Path) -> None:
-    plan = ExperimentPlanned(
-        architectures=("fsar",),
-        configurations=("full",),
-        scenarios=("door-relay",),
-        run_count=20,
-        seed=42,
-        fleet_size=4,
-        model_version="2",
-        parameters="{}",
-    )
-    assert stage(path, [LedgerRun("plan", [0], [None], [plan])]).rows == 1
+    assert stage(path, [LedgerRun("plan", [0], [None], [PLAN])]).rows == 1
     refused(
         path,
-        [with_event(RUN, 0, plan)],
+        [with_event(RUN, 0, PLAN)],
         r"run run-1, seq 0, field type: found 'ExperimentPlanned.v1', expected the only event of its run",
     )
     refused(
         path,
-        [with_event(RUN, 7, plan)],
+        [with_event(RUN, 7, PLAN)],
         "run run-1, seq 7, field type: found 'ExperimentPlanned.v1', expected no second beginning",
     )
 
 
 @pytest.mark.parametrize("name", [None, 1, b"run", Word.LIVE, Posing("run"), ("run",), ["run"]])
 def test_a_run_whose_name_is_no_string_is_refused(path: Path, name: Any) -> None:
-    refused(path, [msgspec.structs.replace(RUN, run_id=name)], "field run_id: found .*, expected a string")
+    refused(path, [one(run_id=name)], "field run_id: found .*, expected a string")
 
 
 def test_a_name_that_no_file_can_hold_as_text_is_refused(path: Path) -> None:
     with pytest.raises(InvalidRun, match=r"field run_id: found '\\ud800', expected text without surrogates"):
-        stage(path, [msgspec.structs.replace(RUN, run_id="\ud800")])
+        stage(path, [one(run_id="\ud800")])
 
 
 def test_a_name_that_no_record_could_carry_is_refused(path: Path) -> None:
-    refused(
-        path,
-        [msgspec.structs.replace(RUN, run_id="é" * 2049)],
-        "field run_id: found a name of 4098 bytes, expected at most 4096",
-    )
-    append_all(path, [[msgspec.structs.replace(RUN, run_id='"' * 4096)]])
+    refused(path, [one(run_id="é" * 2049)], "field run_id: found a name of 4098 bytes, expected at most 4096")
+    append_all(path, [[one(run_id='"' * 4096)]])
     assert verify(path).ok
     with pytest.raises(ValueError, match="found an origin of 5000 characters, expected at most 4096 bytes"):
         Writer(path.parent / "other", "x" * 5000)
@@ -225,11 +206,7 @@ def test_a_name_that_no_record_could_carry_is_refused(path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["times_us", "caused_by", "events"])
 def test_a_run_that_lacks_something_or_all_is_refused(path: Path, name: str) -> None:
-    refused(
-        path,
-        [msgspec.structs.replace(RUN, **{name: getattr(RUN, name)[:-1]})],
-        "run run-1: found .* expected as many of each",
-    )
+    refused(path, [one(**{name: getattr(RUN, name)[:-1]})], "run run-1: found .* expected as many of each")
     refused(
         path,
         [LedgerRun("run-1", [], [], [])],

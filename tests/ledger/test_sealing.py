@@ -10,18 +10,17 @@ from unittest.mock import patch
 import pytest
 
 from fsar_ledger.errors import LedgerCorrupted
-from fsar_ledger.ledger.opening import open_for_answers, open_ledger
+from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.rows import pieces
 from fsar_ledger.ledger.rows.codec import encode_lines
 from fsar_ledger.ledger.store import append, growing, sealing
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.paths import CHAIN, JOURNAL, SEALING, SEGMENTS
-from fsar_ledger.ledger.store.read import View
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.ledger.verify.recover import recover
 from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.agreement import Case, judged
-from tests.ledger.agreement_chain import hand_over
+from tests.ledger.agreement_chain import hand_over, view_of
 from tests.ledger.damage import piece, write_handed_over
 from tests.ledger.faults import is_free
 from tests.ledger.samples import ORIGIN, contents, made_up_run
@@ -29,12 +28,6 @@ from tests.quick import few
 
 PARTS = [piece(1, 2 * number, 2 * number + 2) for number in range(6)]
 ROWS = [row for part in PARTS for row in encode_lines([part])]
-
-
-def view_of(path: Path) -> View:
-    view = open_ledger(path)
-    assert isinstance(view, View)
-    return view
 
 
 def rows_in(path: Path) -> list[bytes]:

@@ -19,7 +19,7 @@ from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.agreement import Case, judged
 from tests.ledger.crash_trials import write_with
-from tests.ledger.faults import SYNCS, WRITES, Fault, FaultyOs, calls_of
+from tests.ledger.faults import SYNCS, WRITES, Fault, FaultyOs
 from tests.ledger.power import choices
 from tests.ledger.samples import ORIGIN, made_up_run
 from tests.quick import few
@@ -63,13 +63,6 @@ def impatient() -> Iterator[None]:
     """Let readers not wait for a writer, which is in the same thread here and does not go on meanwhile."""
     with patch.object(snapshot, "_PATIENCE_S", 0.0):
         yield
-
-
-@pytest.fixture
-def calls(tmp_path: Path) -> list[str]:
-    root = tmp_path / "calls"
-    root.mkdir()
-    return calls_of(root, lambda: write_with(FaultyOs(root), root / "out" / "ledger"))
 
 
 @pytest.mark.parametrize("step", few([3, 23], [23]))

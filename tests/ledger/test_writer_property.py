@@ -169,16 +169,8 @@ def with_event(run: LedgerRun, seq: int, event: object) -> LedgerRun:
 
 
 CHANGES: tuple[Change, ...] = (
-    another_value,
-    another_value,
-    another_value,
-    other_concerns,
-    another_event,
-    another_time,
-    another_cause,
-    another_name,
-    another_length,
-    cut,
+    *(another_value, another_value, another_value, other_concerns, another_event),
+    *(another_time, another_cause, another_name, another_length, cut),
 )
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import pyarrow as pa
 import pytest
 
-from fsar_ledger.errors import FsarLedgerError, LedgerCorrupted, NotALedger, QueryFailed, UnknownQuery
+from fsar_ledger.errors import FsarLedgerError, LedgerCorrupted, QueryFailed, UnknownQuery
 from fsar_ledger.events import CONCERNS
 from fsar_ledger.ledger.rows.schema import LAYOUTS, SCHEMA
 from fsar_ledger.metrics.database import Database, Value, connect, from_rows, from_table, plain_rows, table_of
@@ -57,18 +57,6 @@ def test_a_type_without_rows_is_looked_for_nowhere(ledger: Path) -> None:
             plan = "".join(str(row) for row in database.rows(f"EXPLAIN {view}"))
             assert ("PARQUET" in plan) == (tag in held), (tag, plan)
             assert database.rows(f"DESCRIBE {view}") == database.rows(f"DESCRIBE {staging_sql(tag)}")
-
-
-def test_a_path_without_a_ledger_is_said(tmp_path: Path) -> None:
-    with pytest.raises(NotALedger):
-        connect(tmp_path)
-
-
-def test_a_missing_segment_is_named(ledger: Path) -> None:
-    segment = sorted((ledger / "segments").iterdir())[1]
-    segment.unlink()
-    with pytest.raises(LedgerCorrupted, match=segment.name):
-        connect(ledger)
 
 
 def damaged(ledger: Path, place: str) -> str:

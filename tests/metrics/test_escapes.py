@@ -172,15 +172,8 @@ READS = {"a name of one's own", "a summary", "a recursion that ends"}
 """What only reads and is asked each time; `make test-all` asks the rest."""
 
 OFTEN = {
-    "read a csv",
-    "fetch",
-    "log to a file",
-    "a NUL",
-    "half a character",
-    "one text",
-    "JSON that nests too deep",
-    "too many bytes",
-    "a date beyond the calendar",
+    *("read a csv", "fetch", "log to a file", "a NUL", "half a character", "one text"),
+    *("JSON that nests too deep", "too many bytes", "a date beyond the calendar"),
 }
 """Ways that are tried in a process each time. The others, which one lock or one limit stops with these, `make test-all`
 tries in a process each; those that reach out are all tried on the locks (`test_duckdbs_locks_hold_by_themselves`)."""
@@ -366,12 +359,8 @@ def test_without_the_locks_these_escape(surrounded: Path) -> None:
     for path in (surrounded / "out", surrounded / ".tmp" / "out"):
         path.unlink()
     assert escaped >= {
-        "read a csv",
-        "read by name",
-        "read a blob",
-        "list a folder",
-        "copy in a step",
-        "copy in a step where DuckDB spills",
+        *("read a csv", "read by name", "read a blob", "list a folder"),
+        *("copy in a step", "copy in a step where DuckDB spills"),
     }
     assert escaped >= {
         "copy explained",

@@ -148,10 +148,7 @@ def test_the_papers_number_stands_beside_cells_of_its_table_alone() -> None:
         one.paper
         for changed in ({"fleet_size": 8}, {"configuration": "no-trust"})
         for one in cells([structs.replace(shown[0], **changed)])
-    ] == [
-        None,
-        None,
-    ]
+    ] == [None, None]
 
 
 def test_settings_are_never_ranked_together() -> None:

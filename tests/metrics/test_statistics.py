@@ -63,16 +63,8 @@ def run_metrics(
         for number, value in enumerate(numbers)
     ]
     names = (
-        "run_id",
-        "architecture",
-        "configuration",
-        "scenario",
-        "metric",
-        "kind",
-        "source",
-        "model_version",
-        "setting",
-        "constants",
+        *("run_id", "architecture", "configuration", "scenario", "metric", "kind"),
+        *("source", "model_version", "setting", "constants"),
     )
     kinds = {
         "value": pa.float64(),
@@ -209,14 +201,8 @@ def test_the_interval_of_an_effect_size_holds_the_truth_in_93_to_97_of_100_exper
             **{
                 name: pa.array(["x"] * first.size)
                 for name in (
-                    "holm_family",
-                    "basis",
-                    "family",
-                    "configuration",
-                    "kind",
-                    "source",
-                    "model_version",
-                    "constants",
+                    *("holm_family", "basis", "family", "configuration", "kind"),
+                    *("source", "model_version", "constants"),
                 )
             },
             **{name: pa.array(np.full(first.size, 4)) for name in ("fleet_size", "seed", "position")},

@@ -7,7 +7,7 @@ from pathlib import Path
 import pyarrow as pa
 import pytest
 
-from fsar_ledger.errors import LedgerCorrupted, NotALedger, QueryFailed
+from fsar_ledger.errors import QueryFailed
 from fsar_ledger.metrics import untrusted
 from fsar_ledger.metrics.definitions import metrics
 from fsar_ledger.metrics.sandbox import SLICE_BYTES, Limits, slices, weight
@@ -37,14 +37,6 @@ def test_an_empty_ledger_and_an_empty_answer_keep_their_columns(empty_ledger: Pa
 
 def test_a_plan_may_be_asked_for(ledger: Path) -> None:
     assert run_untrusted(ledger, "EXPLAIN SELECT count(*) FROM events").rows
-
-
-def test_a_missing_ledger_or_segment_is_said(ledger: Path, tmp_path: Path) -> None:
-    with pytest.raises(NotALedger):
-        run_untrusted(tmp_path / "nowhere", "SELECT 1")
-    sorted((ledger / "segments").iterdir())[0].unlink()
-    with pytest.raises(LedgerCorrupted):
-        run_untrusted(ledger, "SELECT 1")
 
 
 def test_too_few_open_files_are_said_and_no_reason_to_look_for_damage(

@@ -70,15 +70,9 @@ def test_a_model_gives_a_number_gives_it_not_or_cannot_be_told() -> None:
 @pytest.mark.parametrize(
     ("low", "high", "expected"),
     [
-        (-0.25, 0.25, "yes"),
-        (-0.26, 0.25, "undecided"),
-        (-0.25, 0.26, "undecided"),
-        (0.01, 0.1, "yes"),
-        (0.25, 0.4, "undecided"),
-        (0.26, 0.4, "no"),
-        (-0.4, -0.26, "no"),
-        (-0.4, 0.4, "undecided"),
-        (None, None, "undecided"),
+        *((-0.25, 0.25, "yes"), (-0.26, 0.25, "undecided"), (-0.25, 0.26, "undecided")),
+        *((0.01, 0.1, "yes"), (0.25, 0.4, "undecided"), (0.26, 0.4, "no")),
+        *((-0.4, -0.26, "no"), (-0.4, 0.4, "undecided"), (None, None, "undecided")),
     ],
 )
 def test_the_answer_is_fixed_by_interval_and_margin(low: float | None, high: float | None, expected: str) -> None:

@@ -154,15 +154,9 @@ def a_file_in_place_of_the_folder(cache: Path) -> None:
     "spoil",
     few(
         [
-            a_folder_others_can_write,
-            a_file_others_can_write,
-            a_link_to_the_folder,
-            a_link_to_the_file,
-            half_a_file,
-            a_file_of_another_head,
-            a_folder_in_its_place,
-            a_pipe_in_its_place,
-            a_file_in_place_of_the_folder,
+            *(a_folder_others_can_write, a_file_others_can_write, a_link_to_the_folder),
+            *(a_link_to_the_file, half_a_file, a_file_of_another_head, a_folder_in_its_place),
+            *(a_pipe_in_its_place, a_file_in_place_of_the_folder),
         ],
         [a_folder_others_can_write, a_link_to_the_file, a_file_of_another_head, a_pipe_in_its_place],
     ),

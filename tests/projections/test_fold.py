@@ -11,7 +11,7 @@ from fsar_ledger.constants import Constants, Outages
 from fsar_ledger.designs.registered import PAPER_WORKFLOWS
 from fsar_ledger.events import EVENT_TYPES, Event
 from fsar_ledger.events.configuration import CONFIGURATIONS
-from fsar_ledger.events.envelope import Parties, Robot, Subject
+from fsar_ledger.events.envelope import Robot, Subject
 from fsar_ledger.events.execution import ExecutionFinished, ExecutionQueued, ExecutionWithdrawn
 from fsar_ledger.events.world import PolicyWindowClosed, PolicyWindowOpened
 from fsar_ledger.projections import execution, world
@@ -19,6 +19,7 @@ from fsar_ledger.projections.fold import ROUTES, STATELESS, State, apply, fold
 from fsar_ledger.projections.world import in_force, stricter
 from fsar_ledger.runtime.experiment import Experiment
 from fsar_ledger.runtime.simulation import ARCHITECTURES, SCENARIOS, RunSpec, simulate_run
+from tests import past
 from tests.foreign.histories import foreign_run
 from tests.runtime.commanded import commanded
 from tests.runtime.histories import happen
@@ -138,18 +139,7 @@ def test_the_policy_in_force_is_the_strictest_open_window(windows: list[tuple[in
 
 
 def queued(name: str, robot: Robot) -> ExecutionQueued:
-    return ExecutionQueued(
-        subject=Subject(name, name),
-        principals=Parties(requested_by=None, executed_by=None, supervised_by=None),
-        robot=robot,
-        on_behalf_of=robot,
-        capability="carry.package",
-        step=1,
-        attempt=1,
-        is_delegated=False,
-        has_approach=False,
-        is_supervised=True,
-    )
+    return past.queued(Subject(name, name), robot, robot, "carry.package", principals=past.parties())
 
 
 @given(st.lists(st.integers(0, 9), max_size=40))
@@ -164,22 +154,12 @@ def test_a_robot_serves_one_at_a_time_in_order_of_arrival(moves: list[int]) -> N
             state = execution.evolve(state, queued(name, A))
             model.append(name)
         elif move < 6:
-            state = execution.evolve(
-                state,
-                ExecutionFinished(
-                    Subject(model[0], model[0]),
-                    Parties(requested_by=None, executed_by=None, supervised_by=None),
-                    A,
-                ),
-            )
+            state = execution.evolve(state, ExecutionFinished(Subject(model[0], model[0]), past.parties(), A))
             model.pop(0)
         else:
             state = execution.evolve(state, ExecutionWithdrawn(Subject(model[-1], model[-1]), A))
             model.pop()
-        assert [
-            *([state.current[A]] if model else []),
-            *state.queues.get(A, ()),
-        ] == model
+        assert [*([state.current[A]] if model else []), *state.queues.get(A, ())] == model
 
 
 def test_events_are_immutable_to_the_leaves() -> None:

@@ -6,7 +6,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fsar_ledger.events.envelope import Robot
-from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.events.registry import (
     AvailabilityChanged,
     CapabilityAdvertised,
@@ -18,24 +17,20 @@ from fsar_ledger.events.registry import (
 )
 from fsar_ledger.projections import registry
 from fsar_ledger.projections.registry import Offers, Registry, advertisement, enclosing, offers, surface
+from tests import past
 
 A, B, C, D = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/C1"), Robot("robot/D1")
 
-DOMAINS = {
-    A: "",
-    B: "hall",
-    C: "hall/cell",
-    D: "yard/cell/rack",
-}
+DOMAINS = {A: "", B: "hall", C: "hall/cell", D: "yard/cell/rack"}
 
 
 def populated() -> Registry:
     """Four robots in four domains, each with two modules."""
     state = registry.INITIAL
     for robot, domain in DOMAINS.items():
-        state = registry.evolve(state, RobotJoined(robot=robot, role=robot[6], team=1, supervisor=None, domain=domain))
+        state = registry.evolve(state, past.joined(robot, robot[6], domain=domain))
         for capability in ("lift", "open"):
-            state = registry.evolve(state, CapabilityInstalled(robot=robot, capability=capability, version="1.0.0"))
+            state = registry.evolve(state, past.installed(robot, capability))
     return state
 
 
@@ -77,7 +72,7 @@ def test_the_records_are_those_of_a_plain_table(changes: list[Any]) -> None:
                 installed.add(key)
             case CapabilityAdvertised():
                 table[key] = (event.version, "ready", False)
-                again = CapabilityInstalled(robot=event.robot, capability=event.capability, version=event.version)
+                again = past.installed(event.robot, event.capability, event.version)
                 state, installed = registry.evolve(state, again), installed | {key}
             case CapabilityWithdrawn():
                 table.pop(key, None)
@@ -112,7 +107,7 @@ def assert_tidy(found: Offers) -> None:
 
 
 def test_the_registries_around_a_domain_go_outward_and_name_the_one_just_left() -> None:
-    state = evolved(populated(), *[CapabilityAdvertised(robot=robot, capability="lift") for robot in DOMAINS])
+    state = evolved(populated(), *[past.advertised(robot, "lift") for robot in DOMAINS])
     levels = [
         (path, [record.robot for record in offers(level, "lift", but)])
         for path, level, but in enclosing(state.offers, "hall/cell")
@@ -121,14 +116,14 @@ def test_the_registries_around_a_domain_go_outward_and_name_the_one_just_left() 
 
 
 def test_a_domain_that_nobody_advertises_in_is_passed_over() -> None:
-    state = evolved(populated(), CapabilityAdvertised(robot=B, capability="lift"))
+    state = evolved(populated(), past.advertised(B, "lift"))
     assert [path for path, _, _ in enclosing(state.offers, "hall/other/corner")] == ["hall", ""]
     assert [path for path, _, _ in enclosing(registry.INITIAL.offers, "hall")] == [""]
 
 
 def test_a_change_touches_only_the_registries_on_its_path() -> None:
-    before = evolved(populated(), *[CapabilityAdvertised(robot=robot, capability="lift") for robot in DOMAINS])
-    after = evolved(before, AvailabilityChanged(robot=C, capability="lift", availability="busy", reason="x"))
+    before = evolved(populated(), *[past.advertised(robot, "lift") for robot in DOMAINS])
+    after = evolved(before, past.available(C, "lift", "busy", "x"))
     assert after.offers.below["yard"] is before.offers.below["yard"]
     assert after.offers.records is before.offers.records
     assert after.offers.ways is before.offers.ways
@@ -136,11 +131,7 @@ def test_a_change_touches_only_the_registries_on_its_path() -> None:
 
 
 def test_a_copy_keeps_what_was_offered_when_it_was_taken() -> None:
-    state = evolved(
-        populated(),
-        CapabilityAdvertised(robot=B, capability="lift"),
-        RegistryCached(A, 5),
-    )
+    state = evolved(populated(), past.advertised(B, "lift"), RegistryCached(A, 5))
     state = evolved(state, CapabilityWithdrawn(B, "lift", "x"))
     assert list(offers(state.offers, "lift")) == []
     assert [record.robot for record in offers(state.caches[A].offers, "lift")] == ["robot/B1"]
@@ -149,9 +140,7 @@ def test_a_copy_keeps_what_was_offered_when_it_was_taken() -> None:
 def test_what_was_never_advertised_can_be_withdrawn_deprecated_and_removed_without_effect() -> None:
     state = populated()
     after = evolved(
-        state,
-        CapabilityWithdrawn(D, "lift", "x"),
-        CapabilityDeprecated(robot=D, capability="lift", version="1.0.0"),
+        state, CapabilityWithdrawn(D, "lift", "x"), CapabilityDeprecated(robot=D, capability="lift", version="1.0.0")
     )
     assert advertisement(after, D, "lift") is None
     assert list(offers(after.offers, "lift")) == []

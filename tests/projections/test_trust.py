@@ -1,13 +1,18 @@
 """Trust entries and the record of results: the most specific entry holds, and rows of results end each other."""
 
+from typing import Any
+
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fsar_ledger.events.envelope import Principals, RequestSubject, Robot, Service, Subject, Supervisor
+from fsar_ledger.events import Event
+from fsar_ledger.events.envelope import RequestSubject, Robot, Service, Subject, Supervisor
 from fsar_ledger.events.execution import ExecutionFailed
 from fsar_ledger.events.request import RequestClosed, RequestDenied, RequestIssued
-from fsar_ledger.events.trust import TrustSet, TrustThresholdsSet
+from fsar_ledger.events.trust import TrustThresholdsSet
 from fsar_ledger.projections.trust import INITIAL, SCOPES, Record, Trust, covers, evolve, scope_of
+from tests import past
 
 A, B = Robot("robot/A1"), Robot("robot/B1")
 DOOR = "door.open.secure"
@@ -25,41 +30,23 @@ def folded(*events: object, of: Trust | None = None) -> Trust:
 
 
 def issued(action: str = "t1/1", relay: Robot | None = None) -> RequestIssued:
-    return RequestIssued(
-        subject=RequestSubject("t1", action, action),
-        principals=Principals(decided_by=A, requested_by=A, executed_by=B, supervised_by=None, path=(A,)),
-        capability=DOOR,
-        carried_policy="allow",
-        relay=relay,
-    )
+    return past.issued(action, past.principals(A, A, B), DOOR, relay=relay)
 
 
 def closed(action: str = "t1/1", result: str = "success", by: Robot | None = B) -> RequestClosed:
     return RequestClosed(
         RequestSubject("t1", action, action),
-        Principals(
-            decided_by=Service("service/coordination"),
-            requested_by=A,
-            executed_by=by,
-            supervised_by=None,
-            path=(Service("service/coordination"),),
-        ),
+        past.principals(Service("service/coordination"), A, by),
         result,  # type: ignore[arg-type]
     )
 
 
 def denied(reason: str, action: str = "t1/1") -> RequestDenied:
-    return RequestDenied(
-        RequestSubject("t1", action, action),
-        Principals(decided_by=B, requested_by=A, executed_by=B, supervised_by=None, path=(B,)),
-        reason,
-    )
+    return past.denied(action, past.principals(B, A, B), reason)
 
 
 def failed(action: str = "t1/1", robot: Robot = B) -> ExecutionFailed:
-    return ExecutionFailed(
-        subject=Subject("t1", action), robot=robot, failure=1, cause="obstruction", remaining_us=0, detected_us=0
-    )
+    return past.failed(Subject("t1", action), robot, "obstruction", 0, 0)
 
 
 @given(st.lists(st.tuples(ABOUT, SCOPE), max_size=9), ABOUT)
@@ -68,7 +55,7 @@ def test_the_most_specific_entry_holds_and_of_one_entry_the_last_word(
 ) -> None:
     state = folded(
         *[
-            TrustSet(robot=A, peer=B, scope=scope, capability=about[0], context=about[1])  # type: ignore[arg-type]
+            past.trusted(A, B, scope, about[0], context=about[1])  # type: ignore[arg-type]
             for about, scope in entries
         ],
         of=INITIAL,
@@ -108,39 +95,37 @@ def test_a_record_counts_the_last_results_that_were_alike(results: list[bool]) -
     assert state.asked == {}
 
 
-def test_a_success_counts_for_both_ends() -> None:
-    assert folded(issued(), closed()).records == {OF_REQUESTER: Record(1, 0), OF_EXECUTOR: Record(1, 0)}
+D = Robot("robot/D1")
 
 
-def test_a_violation_counts_against_the_requester_alone() -> None:
-    for reason in ("trust", "authority", "advertisement"):
-        assert folded(issued(), denied(reason)).records == {OF_REQUESTER: Record(0, 1)}
-    assert folded(issued(), denied("policy")).records == {}
-
-
-def test_a_failed_execution_counts_against_the_robot_that_failed() -> None:
-    assert folded(issued(), failed()).records == {OF_EXECUTOR: Record(0, 1)}
-    assert folded(issued(), closed(), issued("t1/2"), failed("t1/2")).records[OF_EXECUTOR] == Record(0, 1)
-    assert folded(failed("t1/own", A)).records == {}
-
-
-def test_a_failed_result_counts_against_the_executor_and_a_partial_one_only_ends_the_row_of_successes() -> None:
-    assert folded(issued(), closed(result="failure")).records == {OF_EXECUTOR: Record(0, 1)}
-    partial = folded(issued(), closed(), issued("t1/2"), closed("t1/2", "partial")).records
-    assert partial == {OF_REQUESTER: Record(1, 0), OF_EXECUTOR: Record(0, 0)}
-
-
-def test_success_after_a_reassignment_is_that_of_the_robot_that_executed() -> None:
-    other = Robot("robot/D1")
-    assert folded(issued(), failed(), closed(by=other)).records == {
-        OF_EXECUTOR: Record(0, 1),
-        (A, other, DOOR, None): Record(1, 0),
-        (other, A, DOOR, None): Record(1, 0),
-    }
-
-
-def test_results_through_a_relay_count_for_nobody() -> None:
-    assert folded(issued(relay=Robot("robot/C1")), closed()).records == {}
+@pytest.mark.parametrize(
+    ("events", "records"),
+    [
+        ((issued(), closed()), {OF_REQUESTER: Record(1, 0), OF_EXECUTOR: Record(1, 0)}),
+        *(
+            ((issued(), denied(reason)), {OF_REQUESTER: Record(0, 1)})
+            for reason in ("trust", "authority", "advertisement")
+        ),
+        ((issued(), denied("policy")), {}),
+        ((issued(), failed()), {OF_EXECUTOR: Record(0, 1)}),
+        ((issued(), closed(), issued("t1/2"), failed("t1/2")), {OF_REQUESTER: Record(1, 0), OF_EXECUTOR: Record(0, 1)}),
+        ((failed("t1/own", A),), {}),
+        ((issued(), closed(result="failure")), {OF_EXECUTOR: Record(0, 1)}),
+        (  # a partial result only ends the row of successes
+            (issued(), closed(), issued("t1/2"), closed("t1/2", "partial")),
+            {OF_REQUESTER: Record(1, 0), OF_EXECUTOR: Record(0, 0)},
+        ),
+        (  # another robot has taken over
+            (issued(), failed(), closed(by=D)),
+            {OF_EXECUTOR: Record(0, 1), (A, D, DOOR, None): Record(1, 0), (D, A, DOOR, None): Record(1, 0)},
+        ),
+        ((issued(relay=Robot("robot/C1")), closed()), {}),
+    ],
+)
+def test_a_success_counts_for_both_ends_a_violation_against_the_requester_and_a_failure_against_who_failed(
+    events: tuple[Event, ...], records: dict[Any, Record]
+) -> None:
+    assert folded(*events).records == records
 
 
 def test_without_thresholds_nothing_is_kept_and_without_them_again_it_is_forgotten() -> None:
@@ -150,42 +135,28 @@ def test_without_thresholds_nothing_is_kept_and_without_them_again_it_is_forgott
 
 def test_what_is_set_begins_the_rows_that_it_is_about_again() -> None:
     state = folded(issued(), closed())
-    assert folded(TrustSet(robot=B, peer=A, scope="task", capability=DOOR), of=state).records == {
-        OF_EXECUTOR: Record(1, 0)
-    }
-    assert folded(TrustSet(robot=B, peer=A, scope="task"), of=state).records == {OF_EXECUTOR: Record(1, 0)}
-    assert folded(TrustSet(robot=B, peer=A, scope="task", capability="carry.heavy"), of=state).records == state.records
+    assert folded(past.trusted(B, A, "task", DOOR), of=state).records == {OF_EXECUTOR: Record(1, 0)}
+    assert folded(past.trusted(B, A, "task"), of=state).records == {OF_EXECUTOR: Record(1, 0)}
+    assert folded(past.trusted(B, A, "task", "carry.heavy"), of=state).records == state.records
 
 
-def test_results_count_for_the_trust_that_holds_in_their_context() -> None:
-    of_context = (B, A, DOOR, "t1")
-    assert folded(
-        TrustSet(robot=B, peer=A, scope="task", capability=DOOR, context="t1"), issued(), denied("trust")
-    ).records == {of_context: Record(0, 1)}
-    assert folded(
-        TrustSet(robot=B, peer=A, scope="task", capability=None, context="t1"), issued(), denied("trust")
-    ).records == {of_context: Record(0, 1)}
-    assert folded(
-        TrustSet(robot=B, peer=A, scope="task", capability=None, context="t1"),
-        TrustSet(robot=B, peer=A, scope="task", capability=DOOR),
-        issued(),
-        denied("trust"),
-    ).records == {OF_REQUESTER: Record(0, 1)}
-    assert folded(
-        TrustSet(robot=B, peer=A, scope="task", capability=DOOR, context="t2"), issued(), denied("trust")
-    ).records == {OF_REQUESTER: Record(0, 1)}
+@pytest.mark.parametrize(
+    ("entries", "about"),
+    [
+        ((past.trusted(B, A, "task", DOOR, context="t1"),), (B, A, DOOR, "t1")),
+        ((past.trusted(B, A, "task", context="t1"),), (B, A, DOOR, "t1")),
+        ((past.trusted(B, A, "task", context="t1"), past.trusted(B, A, "task", DOOR)), OF_REQUESTER),
+        ((past.trusted(B, A, "task", DOOR, context="t2"),), OF_REQUESTER),
+    ],
+)
+def test_results_count_for_the_trust_that_holds_in_their_context(entries: tuple[Event, ...], about: Any) -> None:
+    assert folded(*entries, issued(), denied("trust")).records == {about: Record(0, 1)}
 
 
 def test_what_is_set_for_one_context_leaves_the_rows_of_the_others() -> None:
-    state = folded(TrustSet(robot=B, peer=A, scope="task", capability=DOOR, context="t1"), issued(), closed())
+    state = folded(past.trusted(B, A, "task", DOOR, context="t1"), issued(), closed())
     assert (
-        folded(
-            TrustSet(robot=B, peer=A, scope="task", capability=DOOR),
-            TrustSet(robot=B, peer=A, scope="task", capability=DOOR, context="t2"),
-            of=state,
-        ).records
+        folded(past.trusted(B, A, "task", DOOR), past.trusted(B, A, "task", DOOR, context="t2"), of=state).records
         == state.records
     )
-    assert folded(TrustSet(robot=B, peer=A, scope="session", capability=None, context="t1"), of=state).records == {
-        OF_EXECUTOR: Record(1, 0)
-    }
+    assert folded(past.trusted(B, A, "session", context="t1"), of=state).records == {OF_EXECUTOR: Record(1, 0)}

@@ -119,12 +119,8 @@ def before_start(name: str, change: dict[str, Any]) -> Seeds:
 
 def is_free(row: Row) -> bool:
     return row["type"] in (
-        "RoutineDue.v1",
-        "RoutinePerformed.v1",
-        "ContextChanged.v1",
-        "PeersMet.v1",
-        "ObstructionAppeared.v1",
-        "ApproachStarted.v1",
+        *("RoutineDue.v1", "RoutinePerformed.v1", "ContextChanged.v1"),
+        *("PeersMet.v1", "ObstructionAppeared.v1", "ApproachStarted.v1"),
     )
 
 

@@ -17,6 +17,11 @@ def event(name: str, time_us: int = 0, /, **fields: Any) -> dict[str, Value]:
     return {"type": f"{name}.v1", "time_us": time_us, **fields}
 
 
+def act(name: str, time_us: int, action_id: str, /, **fields: Any) -> dict[str, Value]:
+    """One event about this action of its task."""
+    return event(name, time_us, task_id=action_id.partition("/")[0], action_id=action_id, **fields)
+
+
 def run(*events: Row, run_id: str = "r1", **dimensions: Value) -> list[Row]:
     """The rows of one run: RunStarted, then these events in this order."""
     started: dict[str, Value] = {

@@ -1,5 +1,7 @@
 """One case for each reading of the paper: its rows, the mean of ours and the mean under the reading."""
 
+from typing import NamedTuple
+
 from tests.queries.histories import Row, S, event
 
 WHOLE = {"requested_by": "robot/A1", "executed_by": "robot/B1", "supervised_by": "supervisor/B1"}
@@ -62,36 +64,41 @@ HALF = decided("agent/A1/planning", "agent/A1/planning", "agent/A1/execution")
 """A decision that is never local: with one that is, locality is a half."""
 
 Runs = list[list[Row]]
-CASES: dict[str, tuple[str, Runs, float, float]] = {
-    # Reading: metric, events of each run, the mean as we read them, and the mean under the reading.
-    "late_tasks_succeed": (
-        "coordination_success",
-        [[*task("t1", 5), *task("t2", 11), *task("t3", None)]],
-        1 / 3,
-        2 / 3,
+
+
+class Case(NamedTuple):
+    """The mean of a metric of these runs as we read them, and under the reading."""
+
+    metric: str
+    ours: float
+    read: float
+    runs: Runs
+
+
+CASES: dict[str, Case] = {
+    "late_tasks_succeed": Case(
+        "coordination_success", 1 / 3, 2 / 3, [[*task("t1", 5), *task("t2", 11), *task("t3", None)]]
     ),
-    "whole_runs_succeed": (
-        "coordination_success",
-        [[*task("t1", 5), *task("t2", None)], task("t1", 5), []],
-        3 / 4,
-        1 / 2,
+    "whole_runs_succeed": Case(
+        "coordination_success", 3 / 4, 1 / 2, [[*task("t1", 5), *task("t2", None)], task("t1", 5), []]
     ),
-    "tasks_are_pooled": (
-        "coordination_success",
-        [[*task("t1", 5), *task("t2", 6), *task("t3", 7)], task("t1", None)],
-        1 / 2,
-        3 / 4,
+    "tasks_are_pooled": Case(
+        "coordination_success", 1 / 2, 3 / 4, [[*task("t1", 5), *task("t2", 6), *task("t3", 7)], task("t1", None)]
     ),
-    "routine_decides_nothing": ("governance_locality", [[MOTION, decided("robot/A1"), HALF]], 2 / 3, 1 / 2),
-    "only_listed_decisions": (
+    "routine_decides_nothing": Case("governance_locality", 2 / 3, 1 / 2, [[MOTION, decided("robot/A1"), HALF]]),
+    "only_listed_decisions": Case(
         "governance_locality",
+        3 / 4,
+        1 / 2,
         [[MOTION, decided("robot/A1", name="OwnStepDecided"), decided("robot/A1"), HALF]],
-        3 / 4,
-        1 / 2,
     ),
-    "denials_decide_each_time": ("governance_locality", [[decided("robot/A1"), DENIED, DENIED, DENIED]], 1 / 2, 1 / 4),
-    "only_agents_are_traversed": (
+    "denials_decide_each_time": Case(
+        "governance_locality", 1 / 2, 1 / 4, [[decided("robot/A1"), DENIED, DENIED, DENIED]]
+    ),
+    "only_agents_are_traversed": Case(
         "governance_locality",
+        0.0,
+        1 / 4,
         [
             [
                 decided("robot/A1", "robot/A1", "robot/B1"),
@@ -100,11 +107,11 @@ CASES: dict[str, tuple[str, Runs, float, float]] = {
                 HALF,
             ]
         ],
+    ),
+    "closings_are_the_requesters": Case(
+        "governance_locality",
         0.0,
         1 / 4,
-    ),
-    "closings_are_the_requesters": (
-        "governance_locality",
         [
             [
                 decided("service/coordination", name="RequestClosed"),
@@ -113,17 +120,17 @@ CASES: dict[str, tuple[str, Runs, float, float]] = {
                 HALF,
             ]
         ],
-        0.0,
-        1 / 4,
     ),
-    "closings_decide_nothing": (
+    "closings_decide_nothing": Case(
         "governance_locality",
-        [[decided("service/coordination", name="RequestClosed"), decided("robot/A1"), HALF]],
         1 / 3,
         1 / 2,
+        [[decided("service/coordination", name="RequestClosed"), decided("robot/A1"), HALF]],
     ),
-    "ordered_retry_is_fleet": (
+    "ordered_retry_is_fleet": Case(
         "recovery_containment",
+        1.0,
+        2 / 3,
         [
             [
                 row
@@ -131,119 +138,104 @@ CASES: dict[str, tuple[str, Runs, float, float]] = {
                 for row in failed(0, "local", after_us=S, ordered_by=by, action=name)
             ]
         ],
-        1.0,
-        2 / 3,
     ),
-    "failures_by_run": (
+    "failures_by_run": Case(
         "recovery_containment",
+        2 / 3,
+        3 / 4,
         [
             [*failed(0, "local", after_us=S), *failed(0, "human", after_us=S, action="a2")],
             failed(0, "local", after_us=S),
             [],
         ],
-        2 / 3,
-        3 / 4,
     ),
-    "published_convention": ("recovery_containment", [failed(0, "human", after_us=S), []], 0.0, 1 / 2),
-    "latency_of_departures": (
+    "published_convention": Case("recovery_containment", 0.0, 1 / 2, [failed(0, "human", after_us=S), []]),
+    "latency_of_departures": Case(
         "reassignment_latency_s",
-        [[*failed(0, "local", after_us=S), *failed(0, "human", after_us=9 * S, left_after_us=3 * S, action="a2")]],
         2.0,
         3.0,
+        [[*failed(0, "local", after_us=S), *failed(0, "human", after_us=9 * S, left_after_us=3 * S, action="a2")]],
     ),
-    "latency_until_helped": (
+    "latency_until_helped": Case(
         "reassignment_latency_s",
+        1.0,
+        3.0,
         [
             [
                 *failed(0, "peer", after_us=5 * S, left_after_us=S),
                 *failed(0, "human", after_us=9 * S, left_after_us=S, action="a2"),
             ]
         ],
+    ),
+    "conflict_of_pair": Case(
+        "authority_conflicts",
         1.0,
         3.0,
-    ),
-    "conflict_of_pair": (
-        "authority_conflicts",
         [[*claimed(0, "x", 9), *claimed(1, "y", 9), *claimed(2, "z", 9), *claimed(3, "x", 9)]],
+    ),
+    "conflict_of_claim": Case(
+        "authority_conflicts",
         1.0,
         3.0,
-    ),
-    "conflict_of_claim": (
-        "authority_conflicts",
         [[*claimed(0, "x", 9), *claimed(1, "y", 9), *claimed(2, "y", 9), *claimed(3, "x", 9), *claimed(9, "w", 10)]],
-        1.0,
-        3.0,
     ),
-    "conflict_of_action": (
+    "conflict_of_action": Case(
         "authority_conflicts",
-        [[row for name in ("override", "audit") for by in "xy" for row in claimed(1, by, 9, name)]],
         2.0,
         1.0,
+        [[row for name in ("override", "audit") for by in "xy" for row in claimed(1, by, 9, name)]],
     ),
-    "instants_are_shared": ("authority_conflicts", [[*claimed(0, "x", 5), *claimed(5, "y", 9)]], 0.0, 1.0),
-    "review_is_no_denial": (
-        "policy_violations",
-        [[window("review"), started()], [window("deny"), started()]],
-        1.0,
-        1 / 2,
+    "instants_are_shared": Case("authority_conflicts", 0.0, 1.0, [[*claimed(0, "x", 5), *claimed(5, "y", 9)]]),
+    "review_is_no_denial": Case(
+        "policy_violations", 1.0, 1 / 2, [[window("review"), started()], [window("deny"), started()]]
     ),
-    "motions_are_no_actions": ("policy_violations", [[window("deny"), MOTION, started()]], 2.0, 1.0),
-    "violation_of_action": (
-        "policy_violations",
-        [[window("deny"), MOTION, started(), started(), started("a2")]],
-        4.0,
-        3.0,
+    "motions_are_no_actions": Case("policy_violations", 2.0, 1.0, [[window("deny"), MOTION, started()]]),
+    "violation_of_action": Case(
+        "policy_violations", 4.0, 3.0, [[window("deny"), MOTION, started(), started(), started("a2")]]
     ),
-    "reviews_are_no_interventions": (
+    "reviews_are_no_interventions": Case(
         "human_intervention",
+        1.0,
+        2 / 3,
         [
             [event("SupervisorCalled", supervisor="supervisor/fleet", purpose=purpose)]
             for purpose in ("review", "recovery", "ordering")
         ],
-        1.0,
-        2 / 3,
     ),
-    "level_four_is_fleet": (
+    "level_four_is_fleet": Case(
         "human_intervention",
+        0.0,
+        1 / 2,
         [
             [event("SupervisorCalled", supervisor="supervisor/A1", purpose=purpose)]
             for purpose in ("review", "recovery")
         ],
-        0.0,
-        1 / 2,
     ),
-    "routine_leaves_no_records": (
-        "audit_attributability",
-        [[MOTION, started(), event("InternalHandoff", executed_by="robot/B1")]],
-        2 / 3,
-        1 / 2,
+    "routine_leaves_no_records": Case(
+        "audit_attributability", 2 / 3, 1 / 2, [[MOTION, started(), event("InternalHandoff", executed_by="robot/B1")]]
     ),
-    "only_listed_records": (
+    "only_listed_records": Case(
         "audit_attributability",
-        [[MOTION, started(), event("RequestIssued"), event("InternalHandoff"), event("BidSubmitted")]],
         2 / 5,
         1 / 2,
+        [[MOTION, started(), event("RequestIssued"), event("InternalHandoff"), event("BidSubmitted")]],
     ),
-    "denials_are_records": (
+    "denials_are_records": Case(
+        "audit_attributability", 1.0, 2 / 3, [[started(), DENIED, decided("coordinator", name="RequestDenied")]]
+    ),
+    "handoffs_leave_no_records": Case(
+        "audit_attributability", 1 / 2, 2 / 3, [[MOTION, started(), event("InternalHandoff"), event("BidSubmitted")]]
+    ),
+    "principals_on_the_record": Case(
         "audit_attributability",
-        [[started(), DENIED, decided("coordinator", name="RequestDenied")]],
         1.0,
-        2 / 3,
-    ),
-    "handoffs_leave_no_records": (
-        "audit_attributability",
-        [[MOTION, started(), event("InternalHandoff"), event("BidSubmitted")]],
         1 / 2,
-        2 / 3,
-    ),
-    "principals_on_the_record": (
-        "audit_attributability",
         [[started(), event("ExecutionFinished", action_id="a1", robot="robot/B1", executed_by="robot/B1")]],
-        1.0,
-        1 / 2,
     ),
-    "principals_of_the_action": (
+    "principals_of_the_action": Case(
         "audit_attributability",
+        1 / 3,
+        2 / 3,
         [
             [
                 started(),
@@ -251,11 +243,11 @@ CASES: dict[str, tuple[str, Runs, float, float]] = {
                 event("BidSubmitted"),
             ]
         ],
-        1 / 3,
-        2 / 3,
     ),
-    "absent_supervisors_are_excused": (
+    "absent_supervisors_are_excused": Case(
         "audit_attributability",
+        1 / 4,
+        1 / 2,
         [
             [
                 event("SupervisorLeft", supervisor="supervisor/B1"),
@@ -266,7 +258,5 @@ CASES: dict[str, tuple[str, Runs, float, float]] = {
                 started(),
             ]
         ],
-        1 / 4,
-        1 / 2,
     ),
 }

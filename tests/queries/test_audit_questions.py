@@ -182,15 +182,8 @@ def test_why_a_robot_was_no_candidate() -> None:
 @pytest.mark.parametrize(
     ("at_us", "doing"),
     [
-        (0, "idle"),
-        (1, "queued"),
-        (2, "held by policy"),
-        (3, "executing"),
-        (4, "recovering"),
-        (5, "executing"),
-        (6, "paused"),
-        (7, "executing"),
-        (8, "idle"),
+        *((0, "idle"), (1, "queued"), (2, "held by policy"), (3, "executing"), (4, "recovering")),
+        *((5, "executing"), (6, "paused"), (7, "executing"), (8, "idle")),
     ],
 )
 def test_a_robot_does_what_its_last_event_by_then_says(at_us: int, doing: str) -> None:

@@ -1,5 +1,7 @@
 """Claims and conflicts: half-open, one conflict per action and dimension."""
 
+import pytest
+
 from tests.queries.histories import Row, S, answer, event, measured, run
 
 
@@ -20,70 +22,52 @@ def conflicts(*events: Row) -> int:
     return measured("authority_conflicts", *events)[0]
 
 
-def test_a_claim_ends_at_the_first_later_release_by_its_claimant() -> None:
-    assert claims(claim("a", 1), release("b", 2), release("a", 3), release("a", 4)) == [("a", 1, 3)]
+ENDS: dict[str, tuple[tuple[Row, ...], list[tuple[str, int, int | None]]]] = {
+    "at the first later release by its claimant": (
+        (claim("a", 1), release("b", 2), release("a", 3), release("a", 4)),
+        [("a", 1, 3)],
+    ),
+    "at no earlier release and none of another dimension or action": (
+        (release("a", 1), claim("a", 1), release("a", 2, dimension="audit"), release("a", 3, action_id="t1/2")),
+        [("a", 1, None)],
+    ),
+    "a second time, if it is made again after its release": (
+        (claim("a", 1), release("a", 2), claim("a", 3), release("a", 4)),
+        [("a", 1, 2), ("a", 3, 4)],
+    ),
+}
+OTHER = (
+    claim("a", 1, "execution"),
+    claim("b", 2, "execution"),
+    claim("a", 1, action_id="t1/2"),
+    claim("b", 2, action_id="t1/2"),
+)
+THREE = (claim("a", 1), claim("b", 2), claim("c", 3), release("a", 4), claim("a", 5), release("b", 6), release("c", 7))
+CONFLICTS: dict[str, tuple[tuple[Row, ...], int]] = {
+    "two principals' overlapping claims": ((claim("a", 1), claim("b", 2), release("a", 3), release("b", 4)), 1),
+    "claims that touch": ((claim("a", 1), release("a", 2), claim("b", 2), release("b", 3)), 0),
+    "claims that touch, of the other first": ((claim("b", 1), release("b", 2), claim("a", 2), release("a", 3)), 0),
+    "logged before the release that it touches": ((claim("a", 1), claim("b", 2), release("a", 2), release("b", 3)), 0),
+    "a claim that was never released and a later one": ((claim("a", 1), claim("b", 900)), 1),
+    "a claim of no duration was never held": ((claim("a", 1), claim("b", 2), release("b", 2), release("a", 3)), 0),
+    "two claims of one principal": ((claim("a", 1), claim("a", 2), release("a", 3)), 0),
+    "three principals and many pairs are one": (THREE, 1),
+    "dimensions and actions apart": ((claim("a", 1), claim("b", 2), *OTHER), 3),
+    "one in each dimension": ((claim("a", 1, "execution"), claim("b", 2, "override"), claim("c", 2, "audit")), 0),
+    "one about each action": ((claim("a", 1), claim("b", 2, action_id="t1/2")), 0),
+}
 
 
-def test_a_claim_is_not_ended_by_an_earlier_release_or_one_of_another_dimension_or_action() -> None:
-    assert claims(
-        release("a", 1), claim("a", 1), release("a", 2, dimension="audit"), release("a", 3, action_id="t1/2")
-    ) == [("a", 1, None)]
+@pytest.mark.parametrize("where", ENDS)
+def test_a_claim_ends(where: str) -> None:
+    events, expected = ENDS[where]
+    assert claims(*events) == expected
 
 
-def test_a_second_claim_after_a_release_has_its_own_end() -> None:
-    assert claims(claim("a", 1), release("a", 2), claim("a", 3), release("a", 4)) == [("a", 1, 2), ("a", 3, 4)]
-
-
-def test_overlapping_claims_of_two_principals_conflict() -> None:
-    assert conflicts(claim("a", 1), claim("b", 2), release("a", 3), release("b", 4)) == 1
-
-
-def test_claims_that_touch_do_not_conflict() -> None:
-    assert conflicts(claim("a", 1), release("a", 2), claim("b", 2), release("b", 3)) == 0
-    assert conflicts(claim("b", 1), release("b", 2), claim("a", 2), release("a", 3)) == 0
-
-
-def test_claims_that_touch_do_not_conflict_even_if_the_second_is_logged_before_the_release() -> None:
-    assert conflicts(claim("a", 1), claim("b", 2), release("a", 2), release("b", 3)) == 0
-
-
-def test_a_claim_that_was_never_released_overlaps_all_later_ones() -> None:
-    assert conflicts(claim("a", 1), claim("b", 900)) == 1
-
-
-def test_a_claim_of_no_duration_was_never_held() -> None:
-    assert conflicts(claim("a", 1), claim("b", 2), release("b", 2), release("a", 3)) == 0
-
-
-def test_two_claims_of_one_principal_do_not_conflict() -> None:
-    assert conflicts(claim("a", 1), claim("a", 2), release("a", 3)) == 0
-
-
-def test_three_principals_and_many_pairs_are_one_conflict() -> None:
-    assert (
-        conflicts(
-            claim("a", 1),
-            claim("b", 2),
-            claim("c", 3),
-            release("a", 4),
-            claim("a", 5),
-            release("b", 6),
-            release("c", 7),
-        )
-        == 1
-    )
-
-
-def test_dimensions_and_actions_conflict_separately() -> None:
-    other = [
-        claim("a", 1, "execution"),
-        claim("b", 2, "execution"),
-        claim("a", 1, action_id="t1/2"),
-        claim("b", 2, action_id="t1/2"),
-    ]
-    assert conflicts(claim("a", 1), claim("b", 2), *other) == 3
-    assert conflicts(claim("a", 1, "execution"), claim("b", 2, "override"), claim("c", 2, "audit")) == 0
-    assert conflicts(claim("a", 1), claim("b", 2, action_id="t1/2")) == 0
+@pytest.mark.parametrize("name", CONFLICTS)
+def test_claims_of_two_principals_that_overlap_are_one_conflict_for_each_action_and_dimension(name: str) -> None:
+    events, count = CONFLICTS[name]
+    assert conflicts(*events) == count
 
 
 def test_claims_of_two_runs_do_not_conflict() -> None:

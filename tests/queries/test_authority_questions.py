@@ -5,16 +5,8 @@ from typing import Any
 
 import pytest
 
-from fsar_ledger.metrics.database import plain_rows
 from tests.queries.histories import Row, answer, event, run
-from tests.recycled import from_rows
-
-
-def asked(name: str, columns: str, *events: Row, **given: Any) -> list[tuple[Any, ...]]:
-    """These columns of the answer over one run with these events; the run starts with event 0."""
-    with from_rows(run(*events)) as database:
-        rows = plain_rows(database.query(f"audit/{name}", {key: str(value) for key, value in given.items()}))
-    return [tuple(row[column] for column in columns.split()) for row in rows]
+from tests.queries.test_audit_questions import asked
 
 
 def request(time_us: int, action_id: str, requester: str, executor: str, **fields: Any) -> Row:

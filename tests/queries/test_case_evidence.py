@@ -59,14 +59,8 @@ def test_a_claim_has_no_number_where_its_scenario_was_not_run_or_is_not_observed
         runs += [run(scenario=scenario, architecture=f"blind {number}", run_id=f"blind {number}", observes=[])]
         runs += [run(scenario=scenario, architecture=f"empty {number}", run_id=f"empty {number}")]
     columns = (
-        "architecture",
-        "case_number",
-        "runs",
-        "runs_with_case",
-        "runs_not_observed",
-        "numerator",
-        "denominator",
-        "value",
+        *("architecture", "case_number", "runs", "runs_with_case"),
+        *("runs_not_observed", "numerator", "denominator", "value"),
     )
     for architecture, number, *found in answer("cases/case_claims", *runs, columns=columns):
         expected = {f"blind {number}": [0, 0, 1, None, None, None], f"empty {number}": [1, 0, 0, 0, 0, None]}

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import Any
 
-from tests.queries.histories import Row, answer, event, run
+from tests.queries.histories import Row, act, answer, event, run
 
 TRUST, RECOVERY, CONTENTION, DELIVERY = (
     "mixed-trust-inspection",
@@ -35,16 +35,15 @@ def of(claim: str, found: dict[str, dict[str, int]]) -> dict[str, int | None]:
 INJECTED = event(
     "OutsiderRequestInjected", 1, task_id="x1", robot="robot/D1", peer="robot/C1", capability="inspect.private_zone"
 )
-ISSUED = event("RequestIssued", 3, task_id="x1", action_id="x1", requested_by="robot/D1")
+ISSUED = act("RequestIssued", 3, "x1", requested_by="robot/D1")
 DENIED = event("RequestDenied", 4, task_id="x1", reason="advertisement")
 
 
 def queried(*candidates: str) -> Row:
-    return event(
+    return act(
         "RegistryQueried",
         2,
-        task_id="x1",
-        action_id="x1",
+        "x1",
         requested_by="robot/D1",
         capability="inspect.private_zone",
         candidates=list(candidates),
@@ -57,7 +56,7 @@ def test_a_request_without_trust_discovers_whom_it_is_told_or_asks_and_is_execut
         hidden=[INJECTED, queried(), DENIED],
         shown=[INJECTED, queried("robot/C1"), DENIED],
         asked=[INJECTED, ISSUED],
-        begun=[INJECTED, ISSUED, event("ExecutionStarted", 5, task_id="x1", action_id="x1")],
+        begun=[INJECTED, ISSUED, act("ExecutionStarted", 5, "x1")],
     )
     assert of("discovered", found) == {"hidden": 0, "shown": 1, "asked": 1, "begun": 1}
     assert of("attempted", found) == {"hidden": 0, "shown": 0, "asked": 1, "begun": 1}
@@ -65,9 +64,10 @@ def test_a_request_without_trust_discovers_whom_it_is_told_or_asks_and_is_execut
 
 
 def test_a_request_of_which_nothing_more_is_recorded_is_no_case() -> None:
-    assert counted(
-        1, alone=[INJECTED], others=[INJECTED, event("ExecutionStarted", 5, task_id="t1", action_id="t1/1")]
-    ) == {"alone": {}, "others": {}}
+    assert counted(1, alone=[INJECTED], others=[INJECTED, act("ExecutionStarted", 5, "t1/1")]) == {
+        "alone": {},
+        "others": {},
+    }
 
 
 # --- case 2 ---
@@ -79,7 +79,7 @@ RECOVERING, PLANNING = "agent/D1/recovery", "agent/D1/planning"
 
 
 def failed(time_us: int = 1, failure: int = 1, cause: str = "obstruction", robot: str = "robot/D1") -> Row:
-    return event("ExecutionFailed", time_us, task_id="t1", action_id="t1/1", failure=failure, robot=robot, cause=cause)
+    return act("ExecutionFailed", time_us, "t1/1", failure=failure, robot=robot, cause=cause)
 
 
 def attempted(by: str, failure: int = 1) -> Row:
@@ -201,36 +201,20 @@ def test_only_a_worn_actuator_of_d_is_degradation() -> None:
 
 
 def begun(task: str, time_us: int, capability: str = "door.open.secure") -> Row:
-    return event(
-        "StepBegan",
-        time_us,
-        task_id=task,
-        action_id=f"{task}/1",
-        robot="robot/A1",
-        step=1,
-        attempt=1,
-        capability=capability,
-        target_role="B",
+    return act(
+        "StepBegan", time_us, f"{task}/1", robot="robot/A1", step=1, attempt=1, capability=capability, target_role="B"
     )
 
 
 def over(task: str, *claimants: str, dimension: str = "execution") -> list[Row]:
     return [
-        event(
-            "AuthorityClaimed",
-            5,
-            task_id=task,
-            action_id=f"{task}/1",
-            dimension=dimension,
-            claimant=claimant,
-            reason="command",
-        )
+        act("AuthorityClaimed", 5, f"{task}/1", dimension=dimension, claimant=claimant, reason="command")
         for claimant in claimants
     ]
 
 
 def called(task: str, supervisor: str = "supervisor/fleet", purpose: str = "ordering") -> Row:
-    return event("SupervisorCalled", 6, task_id=task, action_id=f"{task}/1", supervisor=supervisor, purpose=purpose)
+    return act("SupervisorCalled", 6, f"{task}/1", supervisor=supervisor, purpose=purpose)
 
 
 BOTH = [begun("t1", 1), begun("t2", 2)]
@@ -286,18 +270,8 @@ def test_a_conflict_is_for_h_f_if_it_is_called_after_it_to_order_the_two() -> No
 # --- case 4 ---
 
 KNOWN = {"requested_by": "robot/A1", "executed_by": "robot/D1", "supervised_by": "supervisor/D1"}
-ENDED = event("ExecutionFinished", 8, task_id="t1", action_id="t1/1", robot="robot/D1", result="success", **KNOWN)
-STEP = event(
-    "StepBegan",
-    1,
-    task_id="t1",
-    action_id="t1/1",
-    robot="robot/A1",
-    step=1,
-    attempt=1,
-    capability="carry.heavy",
-    target_role="D",
-)
+ENDED = act("ExecutionFinished", 8, "t1/1", robot="robot/D1", result="success", **KNOWN)
+STEP = act("StepBegan", 1, "t1/1", robot="robot/A1", step=1, attempt=1, capability="carry.heavy", target_role="D")
 ORPHAN = event("CandidateMatched", 2, task_id="t1", decided_by="coordinator", supervised_by="supervisor/fleet")
 """It has no origin, no executor and no action; what comes before it in the history caused it."""
 
@@ -311,7 +285,7 @@ def test_the_events_of_a_handoff_are_counted_and_those_that_lack_a_principal() -
     found = counted(
         4,
         result=[*JOINED, STEP, ENDED],
-        complete=[*JOINED, STEP, event("RequestAccepted", 2, task_id="t1", action_id="t1/1", **KNOWN), ENDED],
+        complete=[*JOINED, STEP, act("RequestAccepted", 2, "t1/1", **KNOWN), ENDED],
         tied_by_its_cause=[*JOINED, STEP, ORPHAN, ORPHAN, ENDED],
         tied_to_nothing=[*JOINED, STEP, {**ORPHAN, "caused_by": 0}, ENDED],
         disturbed=[
@@ -371,11 +345,7 @@ def test_only_what_a_asks_and_d_has_ended_is_a_handoff() -> None:
     found = counted(
         4,
         of_d=[*JOINED, {**STEP, "robot": "robot/D1"}, ENDED],
-        unfinished=[
-            *JOINED,
-            STEP,
-            event("ExecutionStarted", 8, task_id="t1", action_id="t1/1", robot="robot/D1", **KNOWN),
-        ],
+        unfinished=[*JOINED, STEP, act("ExecutionStarted", 8, "t1/1", robot="robot/D1", **KNOWN)],
         to_b=[*JOINED, STEP, {**ENDED, "robot": "robot/B1"}],
     )
     assert found == {"of_d": {}, "unfinished": {}, "to_b": {}}

@@ -2,8 +2,9 @@
 
 from typing import Any
 
-from tests.queries.histories import Row, S, event
-from tests.queries.test_timelines import B, C, about, asked, failed
+from tests.queries.histories import Row, S, act, event
+from tests.queries.test_audit_questions import asked
+from tests.queries.test_timelines import B, C, about, failed
 
 
 def step(name: str, time_us: int, level: str | None = None, **fields: Any) -> Row:
@@ -11,11 +12,10 @@ def step(name: str, time_us: int, level: str | None = None, **fields: Any) -> Ro
 
 
 def ended(time_us: int, number: int, result: str, *achieved: str) -> Row:
-    return event(
+    return act(
         "RecoveryAttemptFailed",
         time_us,
-        task_id="t1",
-        action_id="t1/1.1",
+        "t1/1.1",
         robot=B,
         failure=1,
         number=number,
@@ -24,10 +24,8 @@ def ended(time_us: int, number: int, result: str, *achieved: str) -> Row:
     )
 
 
-CALLED = event(
-    "SupervisorCalled", 50 * S, task_id="t1", action_id="t1/1.1", supervisor="supervisor/fleet", purpose="recovery"
-)
-RESOLVED = event("FailureResolved", 80 * S, task_id="t1", action_id="t1/1.1", robot=B, failure=1, level="human")
+CALLED = act("SupervisorCalled", 50 * S, "t1/1.1", supervisor="supervisor/fleet", purpose="recovery")
+RESOLVED = act("FailureResolved", 80 * S, "t1/1.1", robot=B, failure=1, level="human")
 TO_THE_END = (
     failed(10 * S),
     step("RecoveryAttempted", 11 * S, "local", number=1, deadline_us=40 * S),
@@ -79,7 +77,7 @@ def test_a_helper_helped_or_was_busy_and_a_reassignment_names_its_checkpoint() -
         f"asks {C} for help",
         "helped",
     )
-    busy = event("AssistanceDeclined", 32 * S, task_id="t1", action_id="t1/1.1", robot=B, helper=C, failure=1)
+    busy = act("AssistanceDeclined", 32 * S, "t1/1.1", robot=B, helper=C, failure=1)
     assert asked("failure_timeline", "result", failed(10 * S), helped, busy, resolved)[0] == ("busy",)
     moved = event(
         "ReassignmentDecided", 50 * S, **about(by="service/recovery"), robot=B, failure=1, helper=C, checkpoint="t1/1"

@@ -12,6 +12,7 @@ from fsar_ledger.runtime.architectures.fsar import FSAR
 from fsar_ledger.runtime.architectures.fsar.request import EvaluateRequest, evaluate_request
 from fsar_ledger.runtime.architectures.handler_table import HandlerTable
 from fsar_ledger.runtime.handlers.commands import StartAction
+from tests import past
 from tests.queries.histories import S
 from tests.queries.test_mutated_handlers import unchecked_start
 from tests.queries.test_rules_and_trust import DOOR, H_B
@@ -22,11 +23,11 @@ B1 = Robot("robot/B1")
 GOVERNANCE = (
     (2, TrustThresholdsSet(2, 1, H_F)),
     (3, SupervisionDensitySet(robot=None, review_every=2, decided_by=H_F, reason="start-up")),
-    (4, PolicyRuleSet(scope="fleet", robot=None, capability=DOOR, context=None, outcome="allow", decided_by=H_F)),
+    (4, past.ruled_for_all("allow", None, DOOR)),
     (5, PolicyRuleSet(scope="local", robot=B1, capability=DOOR, context=None, outcome="deny", decided_by=H_B)),
     (50 * S, PolicyRuleSet(scope="local", robot=B1, capability=DOOR, context=None, outcome="review", decided_by=H_B)),
-    (90 * S, PolicyRuleSet(scope="fleet", robot=B1, capability=None, context=None, outcome="deny", decided_by=H_F)),
-    (110 * S, PolicyRuleSet(scope="fleet", robot=B1, capability=None, context=None, outcome="allow", decided_by=H_F)),
+    (90 * S, past.ruled_for_all("deny", B1)),
+    (110 * S, past.ruled_for_all("allow", B1)),
 )
 
 

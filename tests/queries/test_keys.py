@@ -14,7 +14,7 @@ from fsar_ledger.ledger.rows.codec import LedgerRun, encode
 from fsar_ledger.ledger.v1 import upgrade
 from fsar_ledger.metrics.database import Database, connect, from_rows, from_table
 from fsar_ledger.metrics.library import REQUIRED_KEYS, Library, Query, library
-from tests.queries.histories import event, run
+from tests.queries.histories import act, event, run
 from tests.queries.keys import broken_keys
 from tests.runtime.commanded import commanded
 
@@ -63,9 +63,7 @@ def test_a_query_that_fans_out_is_found() -> None:
         "facts/planted", f"{joined} ON tasks.run_id = steps.run_id AND tasks.task_id = steps.task_id", header
     )
     history = run(
-        event("TaskArrived", task_id="t"),
-        event("StepBegan", task_id="t", action_id="t/1", step=1),
-        event("StepBegan", task_id="t", action_id="t/2", step=2),
+        event("TaskArrived", task_id="t"), act("StepBegan", 0, "t/1", step=1), act("StepBegan", 0, "t/2", step=2)
     )
     queries = Library([*library().queries.values(), planted])
     with from_rows(history) as database:

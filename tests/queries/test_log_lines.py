@@ -7,7 +7,7 @@ import pytest
 from fsar_ledger.events import CONCERNS
 from fsar_ledger.ledger.rows.schema import COLUMNS, LAYOUTS
 from fsar_ledger.metrics.database import Value
-from tests.queries.histories import Row, S, answer, event, run
+from tests.queries.histories import Row, S, act, answer, event, run
 from tests.recycled import from_rows
 
 A, B = "robot/A1", "robot/B1"
@@ -59,7 +59,7 @@ def test_the_parts_of_an_event_are_named_where_they_are_known() -> None:
     assert line(opened) == (B, B, "policy window opens: fleet/B1/0", "fleet deny")
     trusted = event("TrustSet", S, robot=A, peer=B, scope="task", capability="lift", decided_by="H_F", reason="met")
     assert line(trusted) == (A, B, "trust: task", "lift; met; decided by H_F")
-    begun = event("StepBegan", S, task_id="t1", action_id="t1/1.1", robot=A, step=1, attempt=2, capability="lift")
+    begun = act("StepBegan", S, "t1/1.1", robot=A, step=1, attempt=2, capability="lift")
     assert line(begun) == (A, A, "turns to: lift", "step 1; attempt 2")
     budget = event("RecoveryBudgetSet", S, robot=A, level="peer", t_max_us=5 * S, n_max=2, decided_by=SUPERVISOR)
     assert line(budget) == (SUPERVISOR, A, "sets recovery budget: peer, 2 attempts within 5.0 s", None)

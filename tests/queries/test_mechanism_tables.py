@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from fsar_ledger.metrics.database import Value, plain_rows
-from tests.queries.histories import Row, S, event, run
+from tests.queries.histories import Row, S, act, event, run
 from tests.queries.test_tables import (
     FOUND,
     JOINED,
@@ -38,15 +38,8 @@ STANDARD: dict[str, Value] = {
     "override": "none",
     "is_audited": True,
 }
-CALL = event(
-    "SupervisorCalled",
-    3 * S,
-    task_id="t1",
-    action_id="t1/1.1",
-    supervisor="supervisor/fleet",
-    purpose="ordering",
-    robot=B,
-    competing="t2/1.1",
+CALL = act(
+    "SupervisorCalled", 3 * S, "t1/1.1", supervisor="supervisor/fleet", purpose="ordering", robot=B, competing="t2/1.1"
 )
 
 

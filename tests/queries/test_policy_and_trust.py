@@ -33,74 +33,60 @@ def violations(*events: Row) -> int:
     return measured("policy_violations", *events)[0]
 
 
-@pytest.mark.parametrize(("time_us", "count"), [(9, 0), (10, 1), (19, 1), (20, 0), (21, 0)])
-def test_a_window_holds_from_its_opening_until_just_before_its_closing(time_us: int, count: int) -> None:
-    assert violations(opened(10), started(time_us), closed(20)) == count
+MANY = (
+    opened(1),
+    opened(1, window="w2"),
+    opened(1, robot="robot/A1", window="w3"),
+    opened(1, scope="fleet", window="w4"),
+)
+REVIEW = opened(1, "review")
+VIOLATIONS: dict[str, tuple[tuple[tuple[Row, ...], int], ...]] = {
+    "a window holds from its opening until just before its closing": tuple(
+        ((opened(10), started(time_us), closed(20)), count)
+        for time_us, count in ((9, 0), (10, 1), (19, 1), (20, 0), (21, 0))
+    ),
+    "a window that never closes holds for ever": (((opened(10), started(10**9)), 1),),
+    "a window of no duration never held": (((opened(10), closed(10), started(10)), 0),),
+    "own policy of executor and requester and the fleet rule of the executor count": (
+        ((opened(1, robot="robot/B1"), started(2)), 1),
+        ((opened(1, robot="robot/A1"), started(2)), 1),
+        ((opened(1, robot="robot/B1", scope="fleet"), started(2)), 1),
+    ),
+    "the fleet rule of the requester and the policy of others do not count": (
+        ((opened(1, robot="robot/A1", scope="fleet"), started(2)), 0),
+        ((opened(1, robot="robot/C1"), started(2)), 0),
+    ),
+    "one execution is one violation however many windows are open": (
+        ((*MANY, started(2)), 1),
+        ((*MANY, started(2), started(3)), 2),
+    ),
+    "a window that closed hides no other that is open": (
+        ((opened(1), opened(2, window="w2"), closed(3), started(4)), 1),
+    ),
+    "the first closing of a window counts": (((opened(1), closed(3), started(4), closed(5)), 0),),
+    "a review with an earlier approval of the same action is none": (((REVIEW, responded(2), started(3)), 0),),
+    "the first approval of an action counts": (((REVIEW, responded(2), started(3), responded(4)), 0),),
+    "a review without approval is one": (((REVIEW, started(3)), 1),),
+    "a review that was approved too late is one": (((REVIEW, started(3), responded(3)), 1),),
+    "the approval of another action is none": (((REVIEW, responded(2, action_id="t1/2"), started(3)), 1),),
+    "the decision of another matter is no approval": (((REVIEW, responded(2, purpose="recovery"), started(3)), 1),),
+    "an approval does not lift a denial": (
+        ((opened(1, "deny"), responded(2), started(3)), 1),
+        ((REVIEW, opened(1, "deny", window="w2"), responded(2), started(3)), 1),
+    ),
+    "motion in a window is one and sensing is none": (
+        ((opened(1), performed(2)), 1),
+        ((opened(1, "review", scope="fleet"), performed(2)), 1),
+        ((opened(1), performed(2, "sensing")), 0),
+        ((opened(1, robot="robot/A1"), performed(2)), 0),
+    ),
+}
 
 
-def test_a_window_that_never_closes_holds_for_ever() -> None:
-    assert violations(opened(10), started(10**9)) == 1
-
-
-def test_a_window_of_no_duration_never_held() -> None:
-    assert violations(opened(10), closed(10), started(10)) == 0
-
-
-def test_own_policy_of_executor_and_requester_and_the_fleet_rule_of_the_executor_count() -> None:
-    assert violations(opened(1, robot="robot/B1"), started(2)) == 1
-    assert violations(opened(1, robot="robot/A1"), started(2)) == 1
-    assert violations(opened(1, robot="robot/B1", scope="fleet"), started(2)) == 1
-
-
-def test_the_fleet_rule_of_the_requester_and_the_policy_of_others_do_not_count() -> None:
-    assert violations(opened(1, robot="robot/A1", scope="fleet"), started(2)) == 0
-    assert violations(opened(1, robot="robot/C1"), started(2)) == 0
-
-
-def test_one_execution_is_one_violation_however_many_windows_are_open() -> None:
-    windows = [
-        opened(1),
-        opened(1, window="w2"),
-        opened(1, robot="robot/A1", window="w3"),
-        opened(1, scope="fleet", window="w4"),
-    ]
-    assert violations(*windows, started(2)) == 1
-    assert violations(*windows, started(2), started(3)) == 2
-
-
-def test_a_window_that_closed_hides_no_other_that_is_open() -> None:
-    assert violations(opened(1), opened(2, window="w2"), closed(3), started(4)) == 1
-
-
-def test_a_review_with_an_earlier_approval_of_the_same_action_is_no_violation() -> None:
-    assert violations(opened(1, "review"), responded(2), started(3)) == 0
-
-
-def test_the_first_approval_of_an_action_counts() -> None:
-    assert violations(opened(1, "review"), responded(2), started(3), responded(4)) == 0
-
-
-def test_a_review_without_approval_is_a_violation() -> None:
-    assert violations(opened(1, "review"), started(3)) == 1
-    assert violations(opened(1, "review"), started(3), responded(3)) == 1, "approved too late"
-    assert violations(opened(1, "review"), responded(2, action_id="t1/2"), started(3)) == 1, (
-        "another action was approved"
-    )
-    assert violations(opened(1, "review"), responded(2, purpose="recovery"), started(3)) == 1, (
-        "another matter was decided"
-    )
-
-
-def test_an_approval_does_not_lift_a_denial() -> None:
-    assert violations(opened(1, "deny"), responded(2), started(3)) == 1
-    assert violations(opened(1, "review"), opened(1, "deny", window="w2"), responded(2), started(3)) == 1
-
-
-def test_motion_in_a_window_is_a_violation_and_sensing_is_not() -> None:
-    assert violations(opened(1), performed(2)) == 1
-    assert violations(opened(1, "review", scope="fleet"), performed(2)) == 1
-    assert violations(opened(1), performed(2, "sensing")) == 0
-    assert violations(opened(1, robot="robot/A1"), performed(2)) == 0
+@pytest.mark.parametrize("name", VIOLATIONS)
+def test_what_starts_in_a_window_is_a_violation(name: str) -> None:
+    for events, count in VIOLATIONS[name]:
+        assert violations(*events) == count
 
 
 def test_a_run_without_starts_has_no_violations() -> None:
@@ -116,35 +102,23 @@ def test_governed_starts_show_the_true_policy_and_the_approval() -> None:
     assert rows == [(3, "review", True, False), (5, "allow", False, False), (6, "allow", False, False)]
 
 
-def test_policy_in_force_is_the_strictest_of_the_open_windows() -> None:
-    rows = answer(
-        "facts/policy_in_force",
-        run(opened(1, "review"), opened(2, "deny", window="w2"), closed(3, window="w2"), closed(4)),
-        columns=("since_us", "until_us", "outcome"),
-    )
-    assert rows == [(1, 2, "review"), (2, 3, "deny"), (3, 4, "review"), (4, None, "allow")]
-
-
-def test_policy_in_force_at_one_moment_is_what_holds_after_all_of_its_edges() -> None:
-    rows = answer(
-        "facts/policy_in_force",
-        run(opened(1), closed(2), opened(2, "review", window="w2")),
-        columns=("since_us", "until_us", "outcome"),
-    )
-    assert rows == [(1, 2, "deny"), (2, None, "review")]
-
-
-def test_two_windows_that_open_together_are_two() -> None:
-    rows = answer(
-        "facts/policy_in_force",
-        run(opened(1), opened(1, window="w2"), closed(2), closed(3, window="w2")),
-        columns=("since_us", "outcome"),
-    )
-    assert rows == [(1, "deny"), (2, "deny"), (3, "allow")]
-
-
-def test_the_first_closing_of_a_window_counts() -> None:
-    assert violations(opened(1), closed(3), started(4), closed(5)) == 0
+@pytest.mark.parametrize(
+    ("events", "periods"),
+    [
+        (
+            (REVIEW, opened(2, "deny", window="w2"), closed(3, window="w2"), closed(4)),
+            [(1, 2, "review"), (2, 3, "deny"), (3, 4, "review"), (4, None, "allow")],
+        ),
+        ((opened(1), closed(2), opened(2, "review", window="w2")), [(1, 2, "deny"), (2, None, "review")]),
+        (
+            (opened(1), opened(1, window="w2"), closed(2), closed(3, window="w2")),
+            [(1, 2, "deny"), (2, 3, "deny"), (3, None, "allow")],
+        ),
+    ],
+    ids=["at every time", "at one moment after all of its edges", "of two that open together"],
+)
+def test_policy_in_force_is_the_strictest_of_the_open_windows(events: tuple[Row, ...], periods: list[object]) -> None:
+    assert answer("facts/policy_in_force", run(*events), columns=("since_us", "until_us", "outcome")) == periods
 
 
 def test_policy_windows_pair_each_opening_with_its_closing() -> None:

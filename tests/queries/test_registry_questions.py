@@ -233,22 +233,11 @@ def doing(name: str, time_us: int, **fields: Any) -> Row:
 @pytest.mark.parametrize(
     ("at_us", "state", "action"),
     [
-        (0, "idle", None),
-        (1, "executing", "t1/1"),
-        (2, "executing", "t1/1"),
-        (3, "degraded", "t1/1"),
-        (4, "failed", "t1/1"),
-        (5, "failed", "t1/1"),
-        (6, "failed", "t1/1"),
-        (7, "failed", "t1/1"),
-        (8, "executing", "t1/1"),
-        (9, "idle", None),
-        (10, "degraded", None),
-        (11, "idle", None),
-        (12, "executing", "t9/1"),
-        (13, "idle", None),
-        (14, "off", None),
-        (15, "idle", None),
+        *((0, "idle", None), (1, "executing", "t1/1"), (2, "executing", "t1/1")),
+        *((3, "degraded", "t1/1"), (4, "failed", "t1/1"), (5, "failed", "t1/1"), (6, "failed", "t1/1")),
+        *((7, "failed", "t1/1"), (8, "executing", "t1/1"), (9, "idle", None), (10, "degraded", None)),
+        *((11, "idle", None), (12, "executing", "t9/1"), (13, "idle", None)),
+        *((14, "off", None), (15, "idle", None)),
     ],
 )
 def test_a_robot_is_in_the_state_that_the_events_by_then_make(at_us: int, state: str, action: str | None) -> None:
@@ -285,14 +274,8 @@ def test_a_robot_is_in_the_state_that_the_events_by_then_make(at_us: int, state:
 
 def test_outages_are_spells_that_what_brings_them_back_ends() -> None:
     facts = (
-        "RobotWentOff",
-        "LinkWentDown",
-        "RobotCameBack",
-        "ActuatorDegraded",
-        "ActuatorDegraded",
-        "LinkCameUp",
-        "RobotWentOff",
-        "ActuatorServiced",
+        *("RobotWentOff", "LinkWentDown", "RobotCameBack", "ActuatorDegraded"),
+        *("ActuatorDegraded", "LinkCameUp", "RobotWentOff", "ActuatorServiced"),
     )
     events = [doing(name, at, action_id=None) for at, name in enumerate(facts)]
     found = set(answer("facts/outages", run(*events), columns=("what", "since_us", "until_us")))

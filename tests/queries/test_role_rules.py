@@ -7,12 +7,12 @@ from random import Random
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import PolicyOutcome, PolicyScope, Robot
-from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.events.policy import PolicyRuleSet, RolePolicyRuleSet
 from fsar_ledger.metrics.database import Database, from_rows
 from fsar_ledger.metrics.invariants import chosen
 from fsar_ledger.projections import policy
-from tests.queries.histories import answer, event, run
+from tests import past
+from tests.queries.histories import act, answer, event, run
 from tests.queries.test_role_trust import DOMAINS, DOOR, LIFT, MEMBERS, ROBOTS, row
 from tests.queries.test_rules_and_trust import ASKED, REFUSED, rule
 from tests.runtime.governed import H_F
@@ -103,98 +103,35 @@ def test_handlers_and_queries_find_the_same_rules_of_robot_role_domain_capabilit
     assert seen == {*OUTCOMES, None}
 
 
-OF_B = RolePolicyRuleSet(scope="fleet", role="B", outcome="deny", domain="", capability=DOOR)
+def of_b(outcome: PolicyOutcome, domain: str = "") -> RolePolicyRuleSet:
+    """A rule of the fleet's about the door of every robot of B's role."""
+    return RolePolicyRuleSet(scope="fleet", role="B", outcome=outcome, domain=domain, capability=DOOR)
+
+
+OF_B = of_b("deny")
 NEARNESS: dict[str, tuple[tuple[Event, ...], PolicyOutcome | None]] = {
     "its role": ((OF_B,), "deny"),
     "another role": ((RolePolicyRuleSet(scope="fleet", role="A", outcome="deny"),), None),
     "the robots' own": ((RolePolicyRuleSet(scope="local", role="B", outcome="deny"),), None),
-    "the robot": (
-        (
-            OF_B,
-            PolicyRuleSet(scope="fleet", robot=B, capability=DOOR, context=None, outcome="allow", decided_by=None),
-        ),
-        "allow",
-    ),
-    "the robot before": (
-        (
-            PolicyRuleSet(scope="fleet", robot=B, capability=DOOR, context=None, outcome="review", decided_by=None),
-            OF_B,
-        ),
-        "review",
-    ),
-    "another robot": (
-        (
-            OF_B,
-            PolicyRuleSet(
-                scope="fleet", robot=Robot("robot/B2"), capability=DOOR, context=None, outcome="allow", decided_by=None
-            ),
-        ),
-        "deny",
-    ),
-    "its own, not the fleet's": (
-        (
-            OF_B,
-            PolicyRuleSet(scope="local", robot=B, capability=DOOR, context=None, outcome="allow", decided_by=None),
-        ),
-        "deny",
-    ),
-    "about everything": (
-        (
-            OF_B,
-            PolicyRuleSet(scope="fleet", robot=B, capability=None, context=None, outcome="allow", decided_by=None),
-        ),
-        "deny",
-    ),
-    "in one context": (
-        (
-            OF_B,
-            PolicyRuleSet(scope="fleet", robot=B, capability=DOOR, context="t1", outcome="allow", decided_by=None),
-        ),
-        "deny",
-    ),
-    "every robot": (
-        (
-            OF_B,
-            PolicyRuleSet(scope="fleet", robot=None, capability=DOOR, context=None, outcome="allow", decided_by=None),
-        ),
-        "deny",
-    ),
-    "every robot before": (
-        (
-            PolicyRuleSet(scope="fleet", robot=None, capability=DOOR, context=None, outcome="deny", decided_by=None),
-            RolePolicyRuleSet(scope="fleet", role="B", outcome="allow", domain="", capability=DOOR),
-        ),
-        "deny",
-    ),
-    "replaced": (
-        (OF_B, RolePolicyRuleSet(scope="fleet", role="B", outcome="review", domain="", capability=DOOR)),
-        "review",
-    ),
-    "its domain": (
-        (OF_B, RolePolicyRuleSet(scope="fleet", role="B", outcome="allow", domain="hall", capability=DOOR)),
-        "allow",
-    ),
-    "its domain before": (
-        (RolePolicyRuleSet(scope="fleet", role="B", outcome="allow", domain="hall/cell", capability=DOOR), OF_B),
-        "allow",
-    ),
-    "another domain": (
-        (OF_B, RolePolicyRuleSet(scope="fleet", role="B", outcome="allow", domain="yard", capability=DOOR)),
-        "deny",
-    ),
-    "half a name": (
-        (OF_B, RolePolicyRuleSet(scope="fleet", role="B", outcome="allow", domain="hal", capability=DOOR)),
-        "deny",
-    ),
+    "the robot": ((OF_B, past.ruled_for_all("allow", B, DOOR)), "allow"),
+    "the robot before": ((past.ruled_for_all("review", B, DOOR), OF_B), "review"),
+    "another robot": ((OF_B, past.ruled_for_all("allow", Robot("robot/B2"), DOOR)), "deny"),
+    "its own, not the fleet's": ((OF_B, past.ruled("allow", B, DOOR)), "deny"),
+    "about everything": ((OF_B, past.ruled_for_all("allow", B)), "deny"),
+    "in one context": ((OF_B, past.ruled_for_all("allow", B, DOOR, "t1")), "deny"),
+    "every robot": ((OF_B, past.ruled_for_all("allow", None, DOOR)), "deny"),
+    "every robot before": ((past.ruled_for_all("deny", None, DOOR), of_b("allow")), "deny"),
+    "replaced": ((OF_B, of_b("review")), "review"),
+    "its domain": ((OF_B, of_b("allow", "hall")), "allow"),
+    "its domain before": ((of_b("allow", "hall/cell"), OF_B), "allow"),
+    "another domain": ((OF_B, of_b("allow", "yard")), "deny"),
+    "half a name": ((OF_B, of_b("allow", "hal")), "deny"),
 }
 """Rules of the fleet about robot/B1, which works in hall/cell, and what they make of the secure door in t1."""
 
 
 def test_a_rule_is_replaced_by_a_nearer_one_about_the_same_and_by_nothing_else() -> None:
-    runs = {
-        name: (RobotJoined(robot=B, role="B", team=1, supervisor=None, domain="hall/cell"), *rules)
-        for name, (rules, _) in NEARNESS.items()
-    }
+    runs = {name: (past.joined(B, "B", domain="hall/cell"), *rules) for name, (rules, _) in NEARNESS.items()}
     expected = {name: outcome for name, (_, outcome) in NEARNESS.items()}
     assert {name: policy.ruled(folded(events), "fleet", B, DOOR, "t1") for name, events in runs.items()} == expected
     with from_rows([one for name, events in runs.items() for one in run(*map(row, events), run_id=name)]) as database:
@@ -247,16 +184,7 @@ def test_a_supervisors_rule_of_a_role_is_on_the_list_of_what_it_decided() -> Non
 def test_a_hold_ends_when_a_rule_comes_into_force_for_the_robot() -> None:
     joined = event("RobotJoined", robot="robot/B1", role="B", team=1, domain="yard")
     held = event("ExecutionHeld", 2, robot="robot/B1", action_id="t1/1", outcome="deny")
-    began = event(
-        "ExecutionStarted",
-        4,
-        task_id="t1",
-        action_id="t1/1",
-        robot="robot/B1",
-        on_behalf_of="robot/B1",
-        capability=DOOR,
-        ends_us=9,
-    )
+    began = act("ExecutionStarted", 4, "t1/1", robot="robot/B1", on_behalf_of="robot/B1", capability=DOOR, ends_us=9)
     of_role = event("RolePolicyRuleSet", 3, scope="local", role="B", domain="", outcome="allow")
     own = event("PolicyRuleSet", 1, scope="local", robot="robot/B1", outcome="allow")
 

@@ -5,7 +5,7 @@ from itertools import product
 
 from fsar_ledger.events.envelope import Robot, Supervisor
 from fsar_ledger.events.execution import ExecutionStarted
-from fsar_ledger.events.policy import PolicyRuleSet, RolePolicyRuleSet
+from fsar_ledger.events.policy import RolePolicyRuleSet
 from fsar_ledger.events.request import RequestDenied
 from fsar_ledger.ledger.rows.codec import LedgerRun, encode
 from fsar_ledger.metrics.database import Database, from_table
@@ -18,6 +18,7 @@ from fsar_ledger.runtime.handlers.commands import StartAction
 from fsar_ledger.runtime.handlers.fleet import InstallCapability, JoinFleet
 from fsar_ledger.runtime.handlers.policy import SetPolicyRule, SetRolePolicyRule
 from fsar_ledger.runtime.handlers.request import RequestCapability
+from tests import past
 from tests.queries.histories import S
 from tests.queries.test_mutated_handlers import unchecked_start
 from tests.queries.test_role_rules import SCOPES, A, B, folded, in_force
@@ -76,7 +77,7 @@ def test_in_a_commanded_run_the_role_is_ruled_the_exception_is_not_and_the_queri
 INTERVENTIONS = (
     (2, RolePolicyRuleSet(scope="fleet", role="B", outcome="deny", domain="", capability=DOOR, decided_by=H_F)),
     (3, RolePolicyRuleSet(scope="local", role="A", outcome="deny", domain="", capability="carry.package")),
-    (60 * S, PolicyRuleSet(scope="fleet", robot=B1, capability=DOOR, context=None, outcome="allow", decided_by=H_F)),
+    (60 * S, past.ruled_for_all("allow", B1, DOOR)),
     (70 * S, RolePolicyRuleSet(scope="fleet", role="B", outcome="deny", domain="", capability=DOOR, decided_by=H_F)),
     (80 * S, RolePolicyRuleSet(scope="local", role="A", outcome="allow", domain="", capability="carry.package")),
 )

@@ -2,16 +2,17 @@
 
 from itertools import permutations
 from random import Random
+from typing import Any
 
 import pytest
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import Robot, TrustScope, flat
-from fsar_ledger.events.fleet import RobotJoined
-from fsar_ledger.events.trust import RoleTrustSet, TrustSet
+from fsar_ledger.events.trust import RoleTrustSet
 from fsar_ledger.projections import trust
 from fsar_ledger.projections.fold import fold
 from fsar_ledger.runtime.world.founding import founding
+from tests import past
 from tests.queries.histories import Row, answer, event, run
 from tests.recycled import from_rows
 
@@ -20,13 +21,7 @@ A, B = Robot("robot/A1"), Robot("robot/B1")
 DOOR, LIFT = "door.open.secure", "carry.heavy"
 DOMAINS = ("", "hall", "hall/cell", "hall/cell/bay", "hallway", "yard")
 MEMBERS = [
-    RobotJoined(
-        robot=Robot(f"robot/{role}{team}"),
-        role=role,
-        team=team,
-        supervisor=None,
-        domain=DOMAINS[(team * 3 + offset) % len(DOMAINS)],
-    )
+    past.joined(Robot(f"robot/{role}{team}"), role, team, domain=DOMAINS[(team * 3 + offset) % len(DOMAINS)])
     for team in (1, 2)
     for offset, role in enumerate("AB")
 ]
@@ -41,11 +36,7 @@ ASKED = [
 
 def row(one: Event, time_us: int = 0) -> Row:
     """The event as a row."""
-    return event(
-        type(one).__name__,
-        time_us,
-        **{name: value for name, value in flat(one).items() if value is not None},
-    )
+    return event(type(one).__name__, time_us, **{name: value for name, value in flat(one).items() if value is not None})
 
 
 def history(seed: int) -> list[Event]:
@@ -57,7 +48,7 @@ def history(seed: int) -> list[Event]:
         about = (draw.choice((None, None, DOOR, LIFT)), draw.choice((None, None, "t1", "t2")))
         if draw.random() < 0.3:
             robot, peer = draw.sample(ROBOTS, 2)
-            events.append(TrustSet(robot=robot, peer=peer, scope=scope, capability=about[0], context=about[1]))
+            events.append(past.trusted(robot, peer, scope, about[0], context=about[1]))
         else:
             events.append(
                 RoleTrustSet(
@@ -116,62 +107,28 @@ def test_handlers_and_queries_find_the_same_entry_of_pair_role_domain_capability
                     )
 
 
+def of_roles(scope: TrustScope, **about: Any) -> RoleTrustSet:
+    """Every B trusts every A."""
+    return RoleTrustSet(role="B", peer_role="A", scope=scope, **about)
+
+
 @pytest.mark.parametrize(
     ("entries", "scope"),
     [
-        ((RoleTrustSet(role="B", peer_role="A", scope="task"),), "task"),
+        ((of_roles("task"),), "task"),
         ((RoleTrustSet(role="A", peer_role="B", scope="task"),), "none"),
-        (
-            (
-                TrustSet(robot=B, peer=A, scope="none"),
-                RoleTrustSet(role="B", peer_role="A", scope="task"),
-            ),
-            "none",
-        ),
-        (
-            (
-                TrustSet(robot=B, peer=A, scope="none", capability=LIFT),
-                RoleTrustSet(role="B", peer_role="A", scope="task"),
-            ),
-            "task",
-        ),
-        (
-            (
-                RoleTrustSet(role="B", peer_role="A", scope="session", domain="hall"),
-                RoleTrustSet(role="B", peer_role="A", scope="task", domain="", capability=DOOR, context="t1"),
-            ),
-            "session",
-        ),
-        (
-            (
-                RoleTrustSet(role="B", peer_role="A", scope="session", domain="yard"),
-                RoleTrustSet(role="B", peer_role="A", scope="task"),
-            ),
-            "task",
-        ),
-        (
-            (
-                RoleTrustSet(role="B", peer_role="A", scope="session", domain="hal"),
-                RoleTrustSet(role="B", peer_role="A", scope="task"),
-            ),
-            "task",
-        ),
-        (
-            (
-                RoleTrustSet(role="B", peer_role="A", scope="task", domain="", capability=DOOR),
-                RoleTrustSet(role="B", peer_role="A", scope="none"),
-            ),
-            "task",
-        ),
+        ((past.trusted(B, A, "none"), of_roles("task")), "none"),
+        ((past.trusted(B, A, "none", LIFT), of_roles("task")), "task"),
+        ((of_roles("session", domain="hall"), of_roles("task", capability=DOOR, context="t1")), "session"),
+        ((of_roles("session", domain="yard"), of_roles("task")), "task"),
+        ((of_roles("session", domain="hal"), of_roles("task")), "task"),
+        ((of_roles("task", capability=DOOR), of_roles("none")), "task"),
     ],
 )
 def test_the_pair_goes_before_its_roles_and_the_smaller_domain_before_the_larger(
     entries: tuple[Event, ...], scope: str
 ) -> None:
-    joined = (
-        RobotJoined(robot=A, role="A", team=1, supervisor=None, domain="hall/cell"),
-        RobotJoined(robot=B, role="B", team=1, supervisor=None, domain="hall"),
-    )
+    joined = (past.joined(A, "A", domain="hall/cell"), past.joined(B, "B", domain="hall"))
     state = folded([*joined, *entries])
     assert trust.scope_of(state, B, A, DOOR, "t1") == scope
     rows = run(*(row(one) for one in (*joined, *entries)))
@@ -182,11 +139,7 @@ def test_the_pair_goes_before_its_roles_and_the_smaller_domain_before_the_larger
 
 def test_a_robot_that_is_no_member_is_trusted_only_by_name() -> None:
     state = folded(
-        [
-            MEMBERS[0],
-            RoleTrustSet(role="A", peer_role="A", scope="task"),
-            TrustSet(robot=A, peer=Robot("robot/X9"), scope="session"),
-        ]
+        [MEMBERS[0], RoleTrustSet(role="A", peer_role="A", scope="task"), past.trusted(A, Robot("robot/X9"), "session")]
     )
     assert trust.scope_of(state, A, Robot("robot/X9")) == "session"
     assert trust.scope_of(state, A, Robot("robot/X8")) == "none"
@@ -219,11 +172,7 @@ def test_no_trust_is_in_force_before_both_robots_are_members() -> None:
 
 
 def test_a_robot_that_is_recorded_as_joining_twice_is_one_member_as_in_the_state() -> None:
-    joined = [
-        RobotJoined(robot=B, role="A", team=1, supervisor=None, domain="hall"),
-        RobotJoined(robot=A, role="A", team=1, supervisor=None),
-        RobotJoined(robot=B, role="B", team=2, supervisor=None, domain="yard"),
-    ]
+    joined = [past.joined(B, "A", domain="hall"), past.joined(A, "A"), past.joined(B, "B", 2, domain="yard")]
     state = fold(joined)
     rows = run(*(row(one, number) for number, one in enumerate(joined)))
     members = answer("facts/fleet_members", rows, columns=("robot", "role", "team", "domain", "joined_us"))

@@ -5,9 +5,9 @@ from typing import Any
 import pytest
 
 from fsar_ledger.events.envelope import POLICY, Supervisor
-from fsar_ledger.metrics.database import plain_rows
 from fsar_ledger.metrics.invariants import chosen
-from tests.queries.histories import Row, answer, event, measured, run
+from tests.queries import test_audit_questions
+from tests.queries.histories import Row, act, answer, event, measured, run
 from tests.recycled import from_rows
 from tests.runtime.governed import H_F
 
@@ -48,14 +48,12 @@ def reviewed(time_us: int, approves: bool | None) -> Row:
 
 
 def admitted(time_us: int) -> Row:
-    return event("RequestAdmitted", time_us, task_id="t1", action_id="t1/1", outcome="allow", decided_by="robot/B1")
+    return act("RequestAdmitted", time_us, "t1/1", outcome="allow", decided_by="robot/B1")
 
 
 def asked(name: str, columns: str, *events: Row, **given: Any) -> list[tuple[Any, ...]]:
     """These columns of the answer to a question over one run of two robots with these events."""
-    with from_rows(run(*ROBOTS, *events)) as database:
-        rows = plain_rows(database.query(f"audit/{name}", {key: str(value) for key, value in given.items()}))
-    return [tuple(row[column] for column in columns.split()) for row in rows]
+    return test_audit_questions.asked(name, columns, *ROBOTS, *events, **given)
 
 
 def violations(*events: Row) -> int:
@@ -102,37 +100,39 @@ def test_rules_that_deny_or_ask_for_review_are_windows_and_those_that_allow_are_
     assert rows == [(5, 9, None, DOOR, None, "deny"), (6, None, None, None, "t1", "review")]
 
 
-@pytest.mark.parametrize(("time_us", "count"), [(4, 0), (5, 1), (8, 1), (9, 0)])
-def test_a_start_under_a_rule_that_denies_is_a_violation_from_its_setting_until_just_before_its_replacement(
-    time_us: int, count: int
-) -> None:
-    assert violations(rule(5), started(time_us), rule(9, "allow")) == count
+VIOLATIONS: dict[str, tuple[tuple[tuple[Row, ...], int], ...]] = {
+    "from the setting of a rule that denies until just before its replacement": tuple(
+        ((rule(5), started(time_us), rule(9, "allow")), count) for time_us, count in ((4, 0), (5, 1), (8, 1), (9, 0))
+    ),
+    "not under a rule about another capability or task": (
+        ((rule(1, capability=DOOR), started(2)), 1),
+        ((rule(1, capability="carry.package"), started(2)), 0),
+        ((rule(1, context="t1"), started(2)), 1),
+        ((rule(1, context="t2"), started(2)), 0),
+        ((rule(1, capability=DOOR, context="t2"), started(2)), 0),
+    ),
+    "of a motion, which is about no capability and no task": (
+        ((rule(1), motion(2)), 1),
+        ((rule(1, capability=DOOR), motion(2)), 0),
+        ((rule(1, context="t1"), motion(2)), 0),
+    ),
+    "under own rules of executor and requester and fleet rules of the executor": (
+        ((rule(1, robot="robot/A1"), started(2)), 1),
+        ((rule(1, robot="robot/A1", scope="fleet"), started(2)), 0),
+        ((rule(1, scope="fleet"), started(2)), 1),
+        ((rule(1, robot=None, scope="fleet"), started(2)), 1),
+    ),
+    "although another rule allows": (
+        ((rule(1), rule(2, "allow", capability=DOOR), started(3)), 1),
+        ((rule(1), rule(2, "allow", scope="fleet"), started(3)), 1),
+    ),
+}
 
 
-def test_a_rule_about_another_capability_or_task_does_not_count() -> None:
-    assert violations(rule(1, capability=DOOR), started(2)) == 1
-    assert violations(rule(1, capability="carry.package"), started(2)) == 0
-    assert violations(rule(1, context="t1"), started(2)) == 1
-    assert violations(rule(1, context="t2"), started(2)) == 0
-    assert violations(rule(1, capability=DOOR, context="t2"), started(2)) == 0
-
-
-def test_a_motion_is_about_no_capability_and_no_task() -> None:
-    assert violations(rule(1), motion(2)) == 1
-    assert violations(rule(1, capability=DOOR), motion(2)) == 0
-    assert violations(rule(1, context="t1"), motion(2)) == 0
-
-
-def test_own_rules_of_executor_and_requester_and_fleet_rules_of_the_executor_count() -> None:
-    assert violations(rule(1, robot="robot/A1"), started(2)) == 1
-    assert violations(rule(1, robot="robot/A1", scope="fleet"), started(2)) == 0
-    assert violations(rule(1, scope="fleet"), started(2)) == 1
-    assert violations(rule(1, robot=None, scope="fleet"), started(2)) == 1
-
-
-def test_a_rule_that_allows_lifts_no_other() -> None:
-    assert violations(rule(1), rule(2, "allow", capability=DOOR), started(3)) == 1
-    assert violations(rule(1), rule(2, "allow", scope="fleet"), started(3)) == 1
+@pytest.mark.parametrize("name", VIOLATIONS)
+def test_what_starts_under_a_rule_is_a_violation(name: str) -> None:
+    for events, count in VIOLATIONS[name]:
+        assert violations(*events) == count
 
 
 @pytest.mark.parametrize(("approves", "count"), [(True, 0), (None, 0), (False, 1)])
@@ -143,89 +143,82 @@ def test_a_disapproval_is_no_approval(approves: bool | None, count: int) -> None
     assert len(asked("unapproved_executions", "action_id", *history)) == count
 
 
-def test_a_start_under_the_robots_own_rule_is_known_to_be_denied() -> None:
-    assert broken("i3", rule(1), started(2)) == [2]
-    assert broken("i3", rule(1, "review"), started(2)) == []
-    assert broken("a3", rule(1, "review"), started(2)) == [2]
-    assert broken("i3", rule(1, capability="carry.package"), started(2)) == []
-    assert broken("i3", rule(1), rule(2, "allow"), started(3)) == []
+FLEETS, LIFTED = rule(1, scope="fleet"), rule(3, "allow", scope="fleet")
+CARRIED = act("RequestIssued", 1, "t1/1", carried_policy="deny")
+HELD = event("ExecutionHeld", 2, robot="robot/B1", action_id="t1/1", outcome="deny")
+BROKEN: dict[str, tuple[tuple[str, tuple[Row, ...], list[int]], ...]] = {
+    "a start under the robot's own rule is known to be denied": (
+        ("i3", (rule(1), started(2)), [2]),
+        ("i3", (rule(1, "review"), started(2)), []),
+        ("a3", (rule(1, "review"), started(2)), [2]),
+        ("i3", (rule(1, capability="carry.package"), started(2)), []),
+        ("i3", (rule(1), rule(2, "allow"), started(3)), []),
+    ),
+    "an approval lifts no denial that is known": (
+        *(
+            (name, (rule(1, scope=scope), reviewed(2, True), admitted(3), started(4)), [4])
+            for scope in ("local", "fleet")
+            for name in ("i3", "a3")
+        ),
+        ("i3", (CARRIED, reviewed(2, True), admitted(3), started(4)), [4]),
+        ("a3", (rule(1, "review"), reviewed(2, True), admitted(3), started(4)), []),
+        ("a3", (reviewed(1, True), admitted(2), rule(3, "review"), started(4)), [4]),
+    ),
+    "a rule of the fleet counts as known at the decision": (
+        ("i3", (FLEETS, admitted(2), started(3)), [3]),
+        ("i3", (admitted(1), rule(2, scope="fleet"), started(3)), []),  # set after the executor had decided
+        ("i3", (FLEETS, rule(2, "allow", scope="fleet"), admitted(3), started(4)), []),
+        ("i3", (FLEETS, admitted(2), LIFTED, started(4)), [4]),
+        ("i3", (rule(1, robot=None, scope="fleet"), started(2, on_behalf_of="robot/B1")), [2]),  # its own step
+        ("i3", (rule(1, robot="robot/A1", scope="fleet"), started(2)), []),
+    ),
+    "a hold ends when a rule is set for the robot": (
+        ("a3", (HELD, started(4)), [4]),
+        ("a3", (HELD, rule(3, "allow"), started(4)), []),
+        ("a3", (HELD, rule(3, "allow", robot=None, scope="fleet"), started(4)), []),
+        ("a3", (HELD, rule(3, "allow", robot="robot/A1"), started(4)), [4]),
+        ("a3", (HELD, reviewed(3, False), started(4)), [4]),  # a disapproval ends no hold
+    ),
+}
 
 
-def test_an_approval_lifts_no_denial_that_is_known() -> None:
-    for robots in ("local", "fleet"):
-        history = (rule(1, scope=robots), reviewed(2, True), admitted(3), started(4))
-        assert broken("i3", *history) == broken("a3", *history) == [4]
-    carried = event("RequestIssued", 1, task_id="t1", action_id="t1/1", carried_policy="deny")
-    assert broken("i3", carried, reviewed(2, True), admitted(3), started(4)) == [4]
-    assert broken("a3", rule(1, "review"), reviewed(2, True), admitted(3), started(4)) == []
-    assert broken("a3", reviewed(1, True), admitted(2), rule(3, "review"), started(4)) == [4]
+@pytest.mark.parametrize("name", BROKEN)
+def test_what_is_known_of_rules_is_heeded(name: str) -> None:
+    for invariant, events, times in BROKEN[name]:
+        assert broken(invariant, *events) == times
 
 
-def test_a_rule_of_the_fleet_counts_as_known_at_the_decision() -> None:
-    assert broken("i3", rule(1, scope="fleet"), admitted(2), started(3)) == [3]
-    assert broken("i3", admitted(1), rule(2, scope="fleet"), started(3)) == [], "set after the executor had decided"
-    assert broken("i3", rule(1, scope="fleet"), rule(2, "allow", scope="fleet"), admitted(3), started(4)) == []
-    assert broken("i3", rule(1, scope="fleet"), admitted(2), rule(3, "allow", scope="fleet"), started(4)) == [4]
-    assert broken("i3", rule(1, robot=None, scope="fleet"), started(2, robot="robot/B1", on_behalf_of="robot/B1")) == [
-        2
-    ], "its own step"
-    assert broken("i3", rule(1, robot="robot/A1", scope="fleet"), started(2)) == []
-
-
-def test_a_hold_ends_when_a_rule_is_set_for_the_robot() -> None:
-    held = event("ExecutionHeld", 2, robot="robot/B1", action_id="t1/1", outcome="deny")
-    assert broken("a3", held, started(4)) == [4]
-    assert broken("a3", held, rule(3, "allow"), started(4)) == []
-    assert broken("a3", held, rule(3, "allow", robot=None, scope="fleet"), started(4)) == []
-    assert broken("a3", held, rule(3, "allow", robot="robot/A1"), started(4)) == [4]
-    assert broken("a3", held, reviewed(3, False), started(4)) == [4], "a disapproval ends no hold"
-
-
-ASKED = event("RequestIssued", 3, task_id="t1", action_id="t1/1", capability=DOOR, carried_policy="allow")
-REFUSED = event(
-    "RequestDenied", 6, task_id="t1", action_id="t1/1", executed_by="robot/B1", decided_by="robot/B1", reason="policy"
-)
-ESCALATED = event(
-    "PolicyConflictEscalated",
-    6,
-    task_id="t1",
-    action_id="t1/1",
-    decided_by=POLICY,
-    requested_by="robot/A1",
-    executed_by="robot/B1",
+ASKED = act("RequestIssued", 3, "t1/1", capability=DOOR, carried_policy="allow")
+REFUSED = act("RequestDenied", 6, "t1/1", executed_by="robot/B1", decided_by="robot/B1", reason="policy")
+ESCALATED = act(
+    "PolicyConflictEscalated", 6, "t1/1", decided_by=POLICY, requested_by="robot/A1", executed_by="robot/B1"
 )
 MANDATE = rule(1, "allow", robot=None, scope="fleet")
 
 
-def test_a_conflict_of_mandate_and_own_denial_must_be_escalated() -> None:
-    assert broken("a3", MANDATE, rule(2), ASKED, REFUSED) == [6]
-    assert broken("a3", MANDATE, rule(2), ASKED, {**ESCALATED, "supervised_by": H_F}, REFUSED) == []
+TOLD = {**ESCALATED, "supervised_by": H_F}
+QUEUED = act("ExecutionQueued", 4, "t1/1", robot="robot/B1", capability=DOOR)
+NOT_STARTED = {**HELD, "time_us": 6, "task_id": "t1", "reason": "local-policy"}
 
 
-def test_a_conflict_of_mandate_and_own_denial_at_the_start_must_be_escalated() -> None:
-    queued = event("ExecutionQueued", 4, task_id="t1", action_id="t1/1", robot="robot/B1", capability=DOOR)
-    held = event(
-        "ExecutionHeld", 6, task_id="t1", action_id="t1/1", robot="robot/B1", outcome="deny", reason="local-policy"
-    )
-    told = {**ESCALATED, "supervised_by": H_F}
-    assert broken("a3", MANDATE, queued, rule(5), held) == [6]
-    assert broken("a3", MANDATE, queued, rule(5), told, held) == []
-    assert broken("a3", queued, rule(5), held) == []
-    assert broken("a3", MANDATE, queued, rule(5, "review"), {**held, "outcome": "review"}) == []
-
-
-def test_every_refusal_is_told_of_by_itself() -> None:
-    told = {**ESCALATED, "supervised_by": H_F}
-    again, held = (
-        {**REFUSED, "time_us": 8},
-        event(
-            "ExecutionHeld", 9, task_id="t1", action_id="t1/1", robot="robot/B1", outcome="deny", reason="local-policy"
-        ),
-    )
-    queued = event("ExecutionQueued", 8, task_id="t1", action_id="t1/1", robot="robot/B1", capability=DOOR)
-    assert broken("a3", MANDATE, rule(2), ASKED, told, REFUSED, again) == [8]
-    assert broken("a3", MANDATE, rule(2), ASKED, told, REFUSED, {**told, "time_us": 8}, again) == []
-    assert broken("a3", MANDATE, rule(2), ASKED, told, REFUSED, queued, held) == [9]
+@pytest.mark.parametrize(
+    ("events", "times"),
+    [
+        ((MANDATE, rule(2), ASKED, REFUSED), [6]),
+        ((MANDATE, rule(2), ASKED, TOLD, REFUSED), []),
+        ((MANDATE, QUEUED, rule(5), NOT_STARTED), [6]),
+        ((MANDATE, QUEUED, rule(5), TOLD, NOT_STARTED), []),
+        ((QUEUED, rule(5), NOT_STARTED), []),
+        ((MANDATE, QUEUED, rule(5, "review"), {**NOT_STARTED, "outcome": "review"}), []),
+        ((MANDATE, rule(2), ASKED, TOLD, REFUSED, {**REFUSED, "time_us": 8}), [8]),
+        ((MANDATE, rule(2), ASKED, TOLD, REFUSED, {**TOLD, "time_us": 8}, {**REFUSED, "time_us": 8}), []),
+        ((MANDATE, rule(2), ASKED, TOLD, REFUSED, {**QUEUED, "time_us": 8}, {**NOT_STARTED, "time_us": 9}), [9]),
+    ],
+)
+def test_each_conflict_of_mandate_and_own_denial_must_be_escalated_at_the_request_and_at_the_start(
+    events: tuple[Row, ...], times: list[int]
+) -> None:
+    assert broken("a3", *events) == times
 
 
 @pytest.mark.parametrize(
@@ -241,14 +234,8 @@ def test_every_refusal_is_told_of_by_itself() -> None:
         (MANDATE, rule(2), event("FleetRuleLearned", 2, robot="robot/B1", outcome="deny", as_of_us=1)),
     ],
     ids=[
-        "no mandate",
-        "no denial",
-        "own review",
-        "fleet denies this",
-        "mandate for another",
-        "mandate replaced",
-        "denies another task",
-        "zone denies",
+        *("no mandate", "no denial", "own review", "fleet denies this"),
+        *("mandate for another", "mandate replaced", "denies another task", "zone denies"),
     ],
 )
 def test_other_refusals_are_no_conflict(before: tuple[Row, ...]) -> None:

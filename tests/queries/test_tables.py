@@ -8,7 +8,7 @@ from fsar_ledger.events.configuration import CONFIGURATIONS
 from fsar_ledger.events.envelope import Scenario
 from fsar_ledger.metrics.database import connect, plain_rows
 from fsar_ledger.runtime.experiment import Experiment, run_experiment
-from tests.queries.histories import Row, S, event, run
+from tests.queries.histories import Row, S, act, event, run
 from tests.recycled import from_rows
 
 A, B, C = "robot/A1", "robot/B1", "robot/C1"
@@ -152,16 +152,7 @@ def test_the_most_specific_trust_holds(narrower: dict[str, str], untrusted: str)
 
 def failed(*steps: Row) -> tuple[Row, ...]:
     return (
-        event(
-            "ExecutionFailed",
-            10 * S,
-            task_id="t1",
-            action_id="t1/1.1",
-            robot=B,
-            failure=1,
-            cause="obstruction",
-            detected_us=10 * S,
-        ),
+        act("ExecutionFailed", 10 * S, "t1/1.1", robot=B, failure=1, cause="obstruction", detected_us=10 * S),
         *steps,
     )
 
@@ -188,21 +179,11 @@ def test_recovery_is_layered_when_the_robot_begins_and_all_four_levels_follow_in
     assert grades(*failed(tried("coordinator"), *whole))["layered_recovery"] == "none"
 
 
-BEGAN = event(
-    "StepBegan", 0, task_id="t1", action_id="t1/1.1", robot=A, step=1, attempt=1, capability="lift", target_role="B"
-)
+BEGAN = act("StepBegan", 0, "t1/1.1", robot=A, step=1, attempt=1, capability="lift", target_role="B")
 OWN = event("PolicyWindowOpened", 0, robot=A, scope="local", window="w1", outcome="deny")
 RULE = event("PolicyWindowOpened", 0, robot=B, scope="fleet", window="w2", outcome="review")
 DENIED = event("RequestDenied", 3 * S, **about(B), reason="policy")
-REVIEW = event(
-    "SupervisorCalled",
-    3 * S,
-    task_id="t1",
-    action_id="t1/1.1",
-    supervisor="supervisor/fleet",
-    purpose="review",
-    robot=B,
-)
+REVIEW = act("SupervisorCalled", 3 * S, "t1/1.1", supervisor="supervisor/fleet", purpose="review", robot=B)
 APPROVED = event("SupervisorResponded", 3 * S, **about("supervisor/fleet"), purpose="review", approves=True)
 
 

@@ -6,17 +6,11 @@ import pytest
 
 from fsar_ledger.ledger.rows.schema import LAYOUTS
 from fsar_ledger.metrics.database import plain_rows
-from tests.queries.histories import Row, S, event, run
+from tests.queries.histories import Row, S, act, event, run
+from tests.queries.test_audit_questions import asked
 from tests.recycled import from_rows
 
 A, B, C = "robot/A1", "robot/B1", "robot/C1"
-
-
-def asked(name: str, columns: str, *events: Row, **given: str) -> list[tuple[Any, ...]]:
-    """These columns of the answer over one run with these events."""
-    with from_rows(run(*events)) as database:
-        rows = plain_rows(database.query(f"audit/{name}", given))
-    return [tuple(row[column] for column in columns.split()) for row in rows]
 
 
 def about(action: str = "t1/1.1", by: str | None = None, **fields: Any) -> dict[str, Any]:
@@ -86,17 +80,7 @@ def test_a_request_goes_to_its_relay_and_a_registry_that_shows_nobody_says_so() 
 
 def test_records_without_an_action_belong_to_it_through_their_causes() -> None:
     rows = run(
-        event(
-            "StepBegan",
-            1 * S,
-            task_id="t1",
-            action_id="t1/1.1",
-            robot=A,
-            step=1,
-            attempt=1,
-            capability="lift",
-            target_role="B",
-        ),
+        act("StepBegan", 1 * S, "t1/1.1", robot=A, step=1, attempt=1, capability="lift", target_role="B"),
         event("GapDetected", 1 * S, task_id="t1", capability="lift"),
         event(
             "CandidateMatched", 2 * S, task_id="t1", decided_by="coordinator", path=["coordinator"], capability="lift"
@@ -115,22 +99,12 @@ def test_records_without_an_action_belong_to_it_through_their_causes() -> None:
 
 
 def test_what_the_record_does_not_say_stays_open() -> None:
-    call = event(
-        "RequestIssued",
-        1 * S,
-        task_id="t1",
-        action_id="t1/1.1",
-        requested_by=A,
-        decided_by="agent/A1/communication",
-        capability="lift",
-    )
+    call = act("RequestIssued", 1 * S, "t1/1.1", requested_by=A, decided_by="agent/A1/communication", capability="lift")
     assert asked("request_timeline", "sender receiver kind", call) == [("agent/A1/communication", None, "message")]
 
 
 def test_the_caller_of_a_supervisor_is_the_executor_the_last_decider_or_the_coordinator() -> None:
-    review = event(
-        "SupervisorCalled", 4 * S, task_id="t1", action_id="t1/1.1", supervisor="supervisor/fleet", purpose="review"
-    )
+    review = act("SupervisorCalled", 4 * S, "t1/1.1", supervisor="supervisor/fleet", purpose="review")
     assert asked("request_timeline", "sender receiver message", request(), review)[-1] == (
         B,
         "supervisor/fleet",
@@ -142,11 +116,10 @@ def test_the_caller_of_a_supervisor_is_the_executor_the_last_decider_or_the_coor
 
 
 def test_an_order_of_two_requests_stands_in_both_timelines() -> None:
-    call = event(
+    call = act(
         "SupervisorCalled",
         2 * S,
-        task_id="t1",
-        action_id="t1/1.1",
+        "t1/1.1",
         supervisor="supervisor/fleet",
         purpose="ordering",
         robot=B,
@@ -218,16 +191,8 @@ def test_an_outsiders_attempt_is_a_request_even_where_no_record_names_an_action(
 
 def test_an_own_step_is_listed_when_it_fails_or_is_asked_for() -> None:
     own = event("OwnStepDecided", 1 * S, **about(by=A), capability="walk")
-    failed = event(
-        "ExecutionFailed",
-        2 * S,
-        task_id="t1",
-        action_id="t1/1.1",
-        robot=A,
-        failure=1,
-        cause="obstruction",
-        remaining_us=1,
-        detected_us=2 * S,
+    failed = act(
+        "ExecutionFailed", 2 * S, "t1/1.1", robot=A, failure=1, cause="obstruction", remaining_us=1, detected_us=2 * S
     )
     assert asked("requests", "failures", own) == []
     assert asked("requests", "failures", own, action="t1/1.1") == [(0,)]
@@ -235,16 +200,7 @@ def test_an_own_step_is_listed_when_it_fails_or_is_asked_for() -> None:
 
 
 def failed(time_us: int, number: int = 1) -> Row:
-    return event(
-        "ExecutionFailed",
-        time_us,
-        task_id="t1",
-        action_id="t1/1.1",
-        robot=B,
-        failure=number,
-        cause="degradation",
-        detected_us=time_us,
-    )
+    return act("ExecutionFailed", time_us, "t1/1.1", robot=B, failure=number, cause="degradation", detected_us=time_us)
 
 
 SILENT = {  # what names an action and is not told: claims, queues and plans are behind the deeds that are
@@ -342,15 +298,7 @@ def test_each_event_is_told_by_whom_to_whom_in_its_words(
 
 
 def test_a_claim_that_revokes_nothing_is_not_told() -> None:
-    claim = event(
-        "AuthorityClaimed",
-        1 * S,
-        task_id="t1",
-        action_id="t1/1.1",
-        claimant=A,
-        dimension="override",
-        reason="acceptance",
-    )
+    claim = act("AuthorityClaimed", 1 * S, "t1/1.1", claimant=A, dimension="override", reason="acceptance")
     assert asked("request_timeline", "message", claim) == []
 
 

@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from tests.queries.histories import Row, S, answer, event, run
+from tests.queries.histories import Row, S, act, answer, event, run
 from tests.queries.test_rules_and_trust import DOOR, H_B, admitted, asked, broken, reviewed, rule, started
 from tests.runtime.governed import H_F
 
@@ -159,15 +159,8 @@ def test_the_absence_that_excuses_is_that_of_the_robots_own_supervisor(
 def test_the_entry_of_the_capability_goes_before_that_of_the_context_for_an_execution_too() -> None:
     events = (trust(1, "session", DOOR), trust(2, "none", None, "t1"))
     pair = {key: events[0][key] for key in ("robot", "peer")}
-    began = event(
-        "ExecutionStarted",
-        3,
-        task_id="t1",
-        action_id="t1/1",
-        robot=pair["robot"],
-        on_behalf_of=pair["peer"],
-        capability=DOOR,
-        ends_us=9,
+    began = act(
+        "ExecutionStarted", 3, "t1/1", robot=pair["robot"], on_behalf_of=pair["peer"], capability=DOOR, ends_us=9
     )
     assert answer("facts/delegated_trust", run(*events, began), columns=("is_direct",)) == [(True,)]
     assert answer(
@@ -188,12 +181,8 @@ def test_the_entry_of_the_capability_goes_before_that_of_the_context_for_an_exec
 def test_a_decision_is_against_a_rule_only_where_the_rule_is_about_it(about: dict[str, str], is_against: bool) -> None:
     joined = event("RobotJoined", robot="robot/A1", role="A")
     rule = event("PolicyRuleSet", 1, scope="local", robot="robot/A1", outcome="deny", **about)
-    step = event(
-        "StepBegan", 5_000_000, task_id="t1", action_id="t1/1", robot="robot/A1", capability=DOOR, target_role="B"
-    )
-    admitted = event(
-        "RequestAdmitted", 5_000_001, task_id="t1", action_id="t1/1", decided_by="robot/B1", executed_by="robot/B1"
-    )
+    step = act("StepBegan", 5_000_000, "t1/1", robot="robot/A1", capability=DOOR, target_role="B")
+    admitted = act("RequestAdmitted", 5_000_001, "t1/1", decided_by="robot/B1", executed_by="robot/B1")
     assert answer("facts/policy_decisions", run(joined, rule, step, admitted), columns=("is_against_requester",)) == [
         (is_against,)
     ]

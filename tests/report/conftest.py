@@ -20,12 +20,11 @@ from fsar_ledger.events.envelope import (
     Subject,
     Supervisor,
 )
-from fsar_ledger.events.execution import ExecutionFailed, OwnStepDecided, RoutinePerformed
+from fsar_ledger.events.execution import OwnStepDecided, RoutinePerformed
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.events.recovery import FailureResolved
-from fsar_ledger.events.supervision import SupervisorCalled
 from fsar_ledger.events.task import TaskCompleted
-from fsar_ledger.events.world import PolicyWindowOpened, TaskArrived
+from fsar_ledger.events.world import PolicyWindowOpened
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.staging import stage
@@ -33,14 +32,11 @@ from fsar_ledger.report.build import write_report
 from fsar_ledger.report.findings import SCENARIOS, Findings
 from fsar_ledger.report.gather import gather
 from fsar_ledger.runtime.experiment import run_experiment, workflow_experiment
+from tests import past
 
 A = Robot("robot/A1")
-ARRIVED = TaskArrived(
-    task_id="t1", robot=A, team=1, steps=("A navigate.indoor",), budget_us=60_000_000, due_us=60_000_001
-)
-FAILED = ExecutionFailed(
-    subject=Subject("t1", "t1/1"), robot=A, failure=1, cause="obstruction", remaining_us=1_000_000, detected_us=6
-)
+ARRIVED = past.arrived("t1", A, ("A navigate.indoor",), due_us=60_000_001)
+FAILED = past.failed(Subject("t1", "t1/1"), A, "obstruction", 1_000_000, 6)
 ARCHITECTURES: tuple[Architecture, ...] = ("fsar", "cfc", "dhma")
 PARAMETERS = '{"structure":{"poll_us":1000000},"world":{"message":{"high_s":0.5,"low_s":0.05},"motion_share":0.24}}'
 Make = Callable[..., Path]
@@ -82,15 +78,9 @@ def _events(
     if scenario != "door-relay":  # containment and latency stay undefined there
         yield 6, FAILED
         level: RecoveryLevel = "local" if bad < 2 else "human"
-        yield (
-            6 + (1 + bad) * 700_000,
-            FailureResolved(Subject("t1", "t1/1"), robot=A, failure=1, level=level),
-        )
+        yield (6 + (1 + bad) * 700_000, FailureResolved(Subject("t1", "t1/1"), robot=A, failure=1, level=level))
     if bad > 2:
-        yield (
-            9_000_000,
-            SupervisorCalled(subject=Subject("t1", "t1/1"), supervisor=FLEET_SUPERVISOR, purpose="recovery"),
-        )
+        yield (9_000_000, past.called(Subject("t1", "t1/1"), FLEET_SUPERVISOR, "recovery"))
     if bad < 3:
         yield 10_000_000, TaskCompleted(task_id="t1")
 
@@ -111,17 +101,7 @@ def _decision(action: str, decided_by: Principal, path: tuple[Principal, ...]) -
 
 
 def _motion() -> Event:
-    return RoutinePerformed(
-        Principals(
-            decided_by=A,
-            requested_by=A,
-            executed_by=A,
-            supervised_by=None,
-            path=(A,),
-        ),
-        robot=A,
-        operation="motion",
-    )
+    return RoutinePerformed(past.principals(A, A, A), robot=A, operation="motion")
 
 
 def _record(

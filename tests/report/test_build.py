@@ -62,13 +62,6 @@ def test_report_of_no_ledger_is_refused(tmp_path: Path) -> None:
     assert not (tmp_path / "report.pdf").exists()
 
 
-def test_report_inside_the_ledger_is_refused(ledger: Path) -> None:
-    before = sorted(ledger.rglob("*"))
-    with pytest.raises(UsageError, match="inside the ledger"):
-        write_report(ledger, ledger / "segments" / "report.pdf")
-    assert sorted(ledger.rglob("*")) == before
-
-
 @pytest.mark.parametrize("numbers", ["report.pdf", "folder/../report.pdf", "link"])
 def test_report_and_numbers_in_the_same_file_are_refused(ledger: Path, tmp_path: Path, numbers: str) -> None:
     out = tmp_path / "report.pdf"
@@ -84,18 +77,6 @@ def test_report_and_numbers_in_the_same_file_are_refused(ledger: Path, tmp_path:
 def test_figure_is_written_as_svg(ledger: Path, tmp_path: Path) -> None:
     result_figure_svg(ledger, tmp_path / "results.svg")
     assert b"<svg" in (tmp_path / "results.svg").read_bytes()
-
-
-def test_folder_as_output_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(WriteFailed, match="folder"):
-        publish(tmp_path, b"content")
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_file_where_a_folder_is_needed_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "file").write_bytes(b"")
-    with pytest.raises(WriteFailed, match="cannot be written"):
-        publish(tmp_path / "file" / "report.pdf", b"content")
 
 
 @contextmanager

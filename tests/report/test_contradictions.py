@@ -17,88 +17,73 @@ def fact(check: str, name: str) -> float:
     return float(contradictions.facts()[check][name])
 
 
-def test_printed_half_widths_of_success_follow_from_its_printed_sds() -> None:
-    # 1.96 * 9.8 / 10 = 1.9208 and 1.96 * 4.9 / 10 = 0.9604
-    assert fact("printed-intervals", "half_fsar") == pytest.approx(1.9208)
-    assert fact("printed-intervals", "half_cfc") == pytest.approx(0.9604)
+CONFLICTS = math.log(14.1 / 8.1) / math.log(4)
+FACTS = [  # the check, the number, its value, and to how much of a digit it is known
+    ("printed-intervals", "half_fsar", 1.9208, 1e-9),  # 1.96 * 9.8 / 10
+    ("printed-intervals", "half_cfc", 0.9604, 1e-9),  # 1.96 * 4.9 / 10
+    ("printed-intervals", "low", 86.3, 0.05),
+    ("printed-intervals", "high", 96.6, 0.05),
+    ("printed-intervals", "human_half", 6.80, 0.005),  # sqrt(0.14 * 0.86) = 0.34699, 1.96 * 34.699 / 10; printed: 3.8
+    ("printed-intervals", "human_printed", 3.8, 0),
+    ("without-layered-recovery", "failing", 3, 1e-9),
+    ("without-layered-recovery", "injected", 12, 1e-9),
+    ("without-layered-recovery", "undegraded", 70, 1e-9),
+    ("without-layered-recovery", "lost", 21, 1e-9),
+    ("fractions-of-runs", "runs_fsar", 13.4, 1e-9),
+    ("fractions-of-runs", "runs_dhma", 4.6, 1e-9),
+    ("zero-conflicts", "sd", 0.52, 1e-9),  # 4 means of 1.3 and a 0: sqrt((1.04^2 + 4 * 0.26^2) / 5) = sqrt(0.2704)
+    ("zero-conflicts", "half", 0.10, 0.005),  # 1.96 * 0.52 / 10 = 0.1019
+    ("zero-conflicts", "printed", 0.03, 0),
+    ("abstract", "said", 4.88, 0),
+    ("abstract", "locality_dhma", 4.88, 0),
+    ("abstract", "containment_cfc", 1.44, 0),
+    ("abstract", "containment_dhma", 0.48, 0),
+    ("negative-variance", "variance", -2.1179, 1e-4),  # (2.75 / 4.12)^2 + (7.07 / 5.16)^2 - (4.32 / 2.05)^2
+    ("binary-effects", "d_fc", 0.4379, 5e-5),  # 0.18 / sqrt((0.1204 + 0.2176) / 2)
+    ("binary-effects", "d_fd", 0.1350, 5e-5),  # 0.05 / sqrt((0.1204 + 0.1539) / 2)
+    ("binary-effects", "d_cd", 0.3016, 5e-5),  # 0.13 / sqrt((0.2176 + 0.1539) / 2)
+    ("binary-effects", "printed_fc", 0.42, 0),
+    ("binary-effects", "printed_fd", 0.12, 0),
+    ("binary-effects", "printed_cd", 0.29, 0),
+    ("two-full-systems", "count", 4, 0),
+    ("two-full-systems", "compared", 6, 0),
+    ("growth", "agents_exponent", 1, 1e-9),
+    ("growth", "exponent", CONFLICTS, 1e-9),
+    ("caption", "text", 2, 0),
+    ("caption", "caption", 3, 0),
+]
 
 
-def test_binomial_interval_of_93_out_of_100_is_86_3_to_96_6() -> None:
-    assert round(fact("printed-intervals", "low"), 1) == 86.3
-    assert round(fact("printed-intervals", "high"), 1) == 96.6
+@pytest.mark.parametrize(("check", "name", "value", "within"), FACTS)
+def test_a_number_of_a_contradiction_is_what_the_printed_ones_give(
+    check: str, name: str, value: float, within: float
+) -> None:
+    assert fact(check, name) == pytest.approx(value, rel=0, abs=within)
 
 
-def test_half_width_of_a_share_of_14_percent_is_6_8_not_3_8() -> None:
-    # sqrt(0.14 * 0.86) = 0.34699, 1.96 * 34.699 / 10 = 6.80
-    assert round(fact("printed-intervals", "human_half"), 2) == 6.80
-    assert contradictions.facts()["printed-intervals"]["human_printed"] == "3.8"
+def test_conflicts_grow_sublinearly_and_what_is_printed_is_quoted() -> None:
+    facts = contradictions.facts()
+    assert fact("growth", "exponent") < 1
+    assert facts["fractions-of-runs"]["fit_dhma"] == "3/13"
+    assert "20" not in str(facts["fractions-of-runs"]["fit_fsar"]).replace("/", " ").split()
+    assert "policy violations 0.40 and 0.46" in str(facts["two-full-systems"]["pairs"])
 
 
 def test_conflicts_of_fsar_and_cfc_have_a_smaller_sd_by_the_half_widths_than_by_d() -> None:
-    row = next(
+    [row] = [
         row
         for row in contradictions.interval_rows()
         if (row["metric"], row["pair"]) == ("authority_conflicts", "FSAR vs CFC")
-    )
+    ]
     # half widths 0.03 and 0.12: sqrt((0.15306^2 + 0.61224^2) / 2) = 0.44625; d: 2.75 / 4.12 = 0.66748
     assert row["interval_sd"] == pytest.approx(0.446246, abs=1e-6)
     assert row["effect_sd"] == pytest.approx(0.667476, abs=1e-6)
 
 
-def test_containment_without_layered_recovery_leaves_failures_in_3_percent_of_runs_where_12_are_degraded() -> None:
-    assert fact("without-layered-recovery", "failing") == pytest.approx(3)
-    assert fact("without-layered-recovery", "injected") == pytest.approx(12)
-    assert fact("without-layered-recovery", "undegraded") == pytest.approx(70)
-    assert fact("without-layered-recovery", "lost") == pytest.approx(21)
-
-
-def test_67_and_23_percent_of_20_runs_are_no_whole_numbers() -> None:
-    assert fact("fractions-of-runs", "runs_fsar") == pytest.approx(13.4)
-    assert fact("fractions-of-runs", "runs_dhma") == pytest.approx(4.6)
-    assert contradictions.facts()["fractions-of-runs"]["fit_dhma"] == "3/13"
-    assert "20" not in str(contradictions.facts()["fractions-of-runs"]["fit_fsar"]).replace("/", " ").split()
-
-
-def test_one_zero_among_five_means_of_1_04_forces_an_sd_of_0_52() -> None:
-    # 4 means of 1.3 and a 0: sqrt((1.04^2 + 4 * 0.26^2) / 5) = sqrt(0.2704) = 0.52; 1.96 * 0.52 / 10 = 0.1019
-    assert fact("zero-conflicts", "sd") == pytest.approx(0.52)
-    assert round(fact("zero-conflicts", "half"), 2) == 0.10
-    assert contradictions.facts()["zero-conflicts"]["printed"] == "0.03"
-
-
-def test_effect_size_of_the_abstract_is_that_of_locality_against_dhma() -> None:
-    assert fact("abstract", "said") == fact("abstract", "locality_dhma") == 4.88
-    assert (fact("abstract", "containment_cfc"), fact("abstract", "containment_dhma")) == (1.44, 0.48)
-
-
 def test_effect_sizes_of_conflicts_violations_and_audit_imply_a_negative_variance_of_fsar() -> None:
-    # conflicts: (2.75 / 4.12)^2 + (7.07 / 5.16)^2 - (4.32 / 2.05)^2 = 0.4455 + 1.8773 - 4.4408 = -2.1179
-    assert fact("negative-variance", "variance") == pytest.approx(-2.1179, abs=1e-4)
     negative = {one.metric for one in contradictions.variances() if one.implied["FSAR"] < 0}
     assert negative == {"authority_conflicts", "policy_violations", "audit_attributability"}
     assert all(one.largest["FSAR"] < 0 for one in contradictions.variances() if one.metric in negative)
-
-
-def test_effect_sizes_of_human_intervention_do_not_follow_from_its_means() -> None:
-    # 0.18 / sqrt((0.1204 + 0.2176) / 2) = 0.4379; 0.05 / sqrt((0.1204 + 0.1539) / 2) = 0.1350; 0.13 / sqrt((0.2176 +
-    # 0.1539) / 2) = 0.3016
-    assert [round(fact("binary-effects", f"d_{pair}"), 4) for pair in ("fc", "fd", "cd")] == [0.4379, 0.1350, 0.3016]
-    assert [fact("binary-effects", f"printed_{pair}") for pair in ("fc", "fd", "cd")] == [0.42, 0.12, 0.29]
-
-
-def test_four_of_six_means_of_full_fsar_differ_between_two_tables() -> None:
-    assert (fact("two-full-systems", "count"), fact("two-full-systems", "compared")) == (4, 6)
-    assert "policy violations 0.40 and 0.46" in str(contradictions.facts()["two-full-systems"]["pairs"])
-
-
-def test_agents_grow_linearly_and_conflicts_sublinearly() -> None:
-    assert fact("growth", "agents_exponent") == pytest.approx(1)
-    assert fact("growth", "exponent") == pytest.approx(math.log(14.1 / 8.1) / math.log(4))
-    assert fact("growth", "exponent") < 1
-
-
-def test_workflow_is_2_in_the_text_and_3_in_the_caption() -> None:
-    assert (fact("caption", "text"), fact("caption", "caption")) == (2, 3)
 
 
 def test_every_contradiction_has_its_numbers_and_uses_them_and_nothing_else() -> None:

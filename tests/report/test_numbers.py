@@ -168,12 +168,9 @@ def test_every_number_of_a_table_is_counted_once_under_its_class_and_all_of_them
     )
     rows = tally(found)
     assert [(row["table"], row["class"], row["printed"]) for row in rows] == [
-        ("Evaluation results", "fitted", 2),
-        ("Ablation", "informed", 1),
-        ("Ablation", "cannot follow", 1),
-        ("Ablation", "unspecified", 1),
-        ("Scaling", "informed", 1),
-        ("All", "", 6),
+        *(("Evaluation results", "fitted", 2), ("Ablation", "informed", 1)),
+        *(("Ablation", "cannot follow", 1), ("Ablation", "unspecified", 1)),
+        *(("Scaling", "informed", 1), ("All", "", 6)),
     ]
     assert all(sum(row[name] for name in OUTCOMES) == row["printed"] for row in rows)
     assert [rows[-1][name] for name in OUTCOMES] == [2, 2, 1, 1]

@@ -57,12 +57,8 @@ def cells() -> Iterator[Row]:
         "one_interval": (0.8, 1.0),
     }
     for metric in (
-        "coordination_success",
-        "governance_locality",
-        "recovery_containment",
-        "authority_conflicts",
-        "policy_violations",
-        "audit_attributability",
+        *("coordination_success", "governance_locality", "recovery_containment"),
+        *("authority_conflicts", "policy_violations", "audit_attributability"),
     ):
         for configuration in (
             "full",

@@ -20,14 +20,8 @@ def test_number_has_a_real_minus_and_no_negative_zero(value: float, decimals: in
 @pytest.mark.parametrize(
     ("value", "printed"),
     [
-        (365.4, "365"),
-        (0.00823, "0.00823"),
-        (-2.118, "\u22122.12"),
-        (1563.3, "1563"),
-        (0, "0"),
-        (1.0, "1.00"),
-        (0.1, "0.100"),
-        (10.0, "10.0"),
+        *((365.4, "365"), (0.00823, "0.00823"), (-2.118, "\u22122.12"), (1563.3, "1563")),
+        *((0, "0"), (1.0, "1.00"), (0.1, "0.100"), (10.0, "10.0")),
     ],
 )
 def test_three_significant_digits(value: float, printed: str) -> None:

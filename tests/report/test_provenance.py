@@ -31,12 +31,8 @@ from tests.quick import few
 RECORD = json.loads(files("fsar_ledger.reports").joinpath("calibration.json").read_text())
 INFORMED = {  # chosen after the held-out tables had been seen, or part of the study that came before the first fit
     *(
-        "world.response",
-        "world.encounter_mean_s",
-        "world.routine_until_s",
-        "world.approach",
-        "world.budget_delegated_s",
-        "world.budget_own_s",
+        *("world.response", "world.encounter_mean_s", "world.routine_until_s"),
+        *("world.approach", "world.budget_delegated_s", "world.budget_own_s"),
     ),
     *(
         "structure.expiry_budgets",

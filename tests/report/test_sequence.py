@@ -56,15 +56,8 @@ def test_every_principal_has_one_life_line_in_order_of_appearance() -> None:
 def test_the_sequence_shows_principals_messages_times_and_the_evaluation() -> None:
     drawn = words(sequence.sequence(TIMELINE))
     for text in (
-        "robot",
-        "A1",
-        "service",
-        "registry",
-        "B1",
-        "query: lift",
-        "candidates: robot/B1",
-        "request: lift (carries policy allow)",
-        "accept",
+        *("robot", "A1", "service", "registry", "B1", "query: lift"),
+        *("candidates: robot/B1", "request: lift (carries policy allow)", "accept"),
     ):
         assert text in drawn
     assert {"evaluate: policy allow", "trust task", "authority (1, 1, 0, 1)"} <= set(drawn)
@@ -158,22 +151,13 @@ RECOVERY = [
 def test_the_ladder_shows_levels_steps_results_and_the_exhausted_budget() -> None:
     drawn = words(sequence.ladder(RECOVERY))
     for text in (
-        "attempt 1",
-        "partial: load.gripped",
-        "robot/B1: attempt 2",
-        "failure",
-        "budget exhausted (30 s, 2)",
-        "asks the registry for grasp.*",
-        "no peer",
+        *("attempt 1", "partial: load.gripped", "robot/B1: attempt 2", "failure"),
+        *("budget exhausted (30 s, 2)", "asks the registry for grasp.*", "no peer"),
     ):
         assert text in drawn
     assert {
-        "level 1: local",
-        "level 2: peer",
-        "level 4: human",
-        "4.500 s",
-        "resolved at 30.250 s",
-        "leaves peer for fleet",
+        *("level 1: local", "level 2: peer", "level 4: human", "4.500 s"),
+        *("resolved at 30.250 s", "leaves peer for fleet"),
     } <= set(drawn)
     with sequence.drawn_ladder(RECOVERY) as figure:
         assert_nothing_is_clipped(figure)

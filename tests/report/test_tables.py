@@ -48,11 +48,7 @@ def test_the_papers_marks_are_printed_as_they_are() -> None:
         rows["policy_composition"]["fsar_paper"],
         rows["policy_composition"]["cfc_paper"],
         rows["policy_composition"]["jade"],
-    ) == (
-        "full",
-        "partial",
-        "partial",
-    )
+    ) == ("full", "partial", "partial")
     assert {row["verdict"] for row in rows.values()} == {None}
 
 

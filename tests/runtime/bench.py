@@ -17,14 +17,13 @@ from fsar_ledger.constants import DURATIONS, Constants, Range, WorldConstants
 from fsar_ledger.events import CONCERNS, EVENT_TYPES, Event
 from fsar_ledger.events.envelope import Robot, Supervisor, robot_named
 from fsar_ledger.events.fleet import RobotJoined, RunStarted
-from fsar_ledger.events.registry import CapabilityAdvertised, CapabilityInstalled
-from fsar_ledger.events.trust import TrustSet
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.projections.fold import State, apply, fold
 from fsar_ledger.runtime.architectures.fsar import FSAR
 from fsar_ledger.runtime.handlers.commands import Command, PublicCommand
 from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.world.draws import Draws, SimulatedEnvironment, run_key
+from tests import past
 
 CAPABILITIES = ("navigate.indoor", "carry.package", "door.open.secure", "grasp.robust", "carry.heavy")
 HELPER = Robot("robot/F1")
@@ -117,21 +116,15 @@ def founding(
         )
     for name, (*_, capabilities) in zip(names, fleet, strict=True):
         for capability in sorted(capabilities):
-            events += [
-                CapabilityInstalled(robot=name, capability=capability, version="1.0.0"),
-                CapabilityAdvertised(robot=name, capability=capability),
-            ]
+            events += [past.installed(name, capability), past.advertised(name, capability)]
     for one, other, scope in trust:
         if one % len(names) != other % len(names):
-            events.append(TrustSet(robot=names[one % len(names)], peer=names[other % len(names)], scope=scope))
+            events.append(past.trusted(names[one % len(names)], names[other % len(names)], scope))
     if has_helper:
         events.append(RobotJoined(robot=HELPER, role="F", team=1, supervisor=Supervisor("supervisor/F1")))
         for capability in (*CAPABILITIES, "fly"):
-            events += [
-                CapabilityInstalled(robot=HELPER, capability=capability, version="1.0.0"),
-                CapabilityAdvertised(robot=HELPER, capability=capability),
-            ]
-        events += [TrustSet(robot=HELPER, peer=name, scope="persistent") for name in names]
+            events += [past.installed(HELPER, capability), past.advertised(HELPER, capability)]
+        events += [past.trusted(HELPER, name, "persistent") for name in names]
     return tuple(events)
 
 

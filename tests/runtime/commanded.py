@@ -1,7 +1,6 @@
 """One run in which every command from outside is given that no simulated world gives: what only they emit is here."""
 
 from fsar_ledger.events.envelope import Robot, Supervisor
-from fsar_ledger.events.registry import CapabilityAdvertised
 from fsar_ledger.runtime.handlers.advertising import DeprecateCapability, WithdrawCapability
 from fsar_ledger.runtime.handlers.authority import GrantAuthority, RevokeAuthority
 from fsar_ledger.runtime.handlers.candidates import Query
@@ -15,6 +14,7 @@ from fsar_ledger.runtime.handlers.supervision import SetSupervisionDensity
 from fsar_ledger.runtime.handlers.task import SubmitTask
 from fsar_ledger.runtime.handlers.trust import SetTrust, SetTrustThresholds
 from fsar_ledger.runtime.kernel import Kernel
+from tests import past
 from tests.runtime.live import played
 
 A, B, C, D = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/C1"), Robot("robot/D1")
@@ -25,27 +25,18 @@ COMMANDS: list[tuple[int, Command]] = [
     (2 * S, CacheRegistry(A)),
     (3 * S, ConsultRegistry(Query(A, "grasp.*"), A)),
     (4 * S, SetTrustThresholds(H_F, 3, 2)),
-    (
-        5 * S,
-        SetTrust(Supervisor("supervisor/B1"), B, D, "session", reason="worked well"),
-    ),
+    (5 * S, SetTrust(Supervisor("supervisor/B1"), B, D, "session", reason="worked well")),
     (6 * S, SetSupervisionDensity(H_F, B, 40, "quiet hour")),
     (7 * S, SetRecoveryBudget(Supervisor("supervisor/B1"), B, "local", 20 * S, 1)),
     (8 * S, GrantAuthority(H_F, D, B, "hard-preempt")),
     (9 * S, RequestCapability(A, B, DOOR, "visit", "q1")),
     (13 * S, RequestCapability(D, B, DOOR, "visit", "q2", "hard-preempt")),
-    (
-        40 * S,
-        RequestCapability(A, B, "door.open.basic", "visit", "q3", "soft-priority"),
-    ),  # more than is allowed
+    (40 * S, RequestCapability(A, B, "door.open.basic", "visit", "q3", "soft-priority")),  # more than is allowed
     (45 * S, AnswerOffer(A, "q3", True)),
     (60 * S, RevokeAuthority(H_F, A, B)),
     (61 * S, SetPolicyRule(H_F, "fleet", None, "carry.heavy", None, "allow")),
     (62 * S, SetPolicyRule(Supervisor("supervisor/D1"), "local", D, "carry.heavy", None, "deny")),
-    (
-        63 * S,
-        RequestCapability(A, D, "carry.heavy", "visit", "q4"),
-    ),  # mandated, and denied
+    (63 * S, RequestCapability(A, D, "carry.heavy", "visit", "q4")),  # mandated, and denied
     (64 * S, SetRolePolicyRule(H_F, "B", "review", capability=DOOR)),
     (70 * S, SubmitTask(C, "round", ("C navigate.indoor", "C inspect.visual"), 60 * S)),
     (80 * S, DeprecateCapability(C, "inspect.visual", "1.0.0")),
@@ -56,4 +47,4 @@ COMMANDS: list[tuple[int, Command]] = [
 
 def commanded() -> Kernel:
     """The finished run."""
-    return played(COMMANDS, CapabilityAdvertised(robot=B, capability=DOOR, override_allowed="hard-preempt"))
+    return played(COMMANDS, past.advertised(B, DOOR, override_allowed="hard-preempt"))

@@ -3,11 +3,10 @@
 import msgspec
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import Parties, RecoveryLevel, Robot, Subject
-from fsar_ledger.events.execution import ExecutionFailed, ExecutionQueued, ExecutionStarted
-from fsar_ledger.events.task import StepBegan
-from fsar_ledger.events.world import TaskArrived
+from fsar_ledger.events.envelope import RecoveryLevel, Robot, Subject
+from fsar_ledger.events.execution import ExecutionFailed
 from fsar_ledger.projections.fold import State, apply
+from tests import past
 from tests.runtime.histories import given, happen
 
 A, B, C, D = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/C1"), Robot("robot/D1")
@@ -29,36 +28,10 @@ def executing(
     return given(
         "fsar",
         *before,
-        TaskArrived(
-            task_id="A1-1",
-            robot=owner,
-            team=1,
-            steps=STEPS,
-            budget_us=60_000_000,
-            due_us=65_000_000,
-            checkpoints=checkpoints,
-        ),
-        StepBegan(subject=Subject("A1-1", ACTION), robot=behalf, step=2, attempt=1, capability=capability),
-        ExecutionQueued(
-            subject=Subject("A1-1", ACTION),
-            principals=Parties(requested_by=behalf, executed_by=robot, supervised_by=None),
-            robot=robot,
-            on_behalf_of=behalf,
-            capability=capability,
-            step=2,
-            attempt=1,
-            is_delegated=robot != behalf,
-            has_approach=robot != behalf,
-            is_supervised=True,
-        ),
-        ExecutionStarted(
-            subject=Subject("A1-1", ACTION),
-            principals=Parties(requested_by=behalf, executed_by=robot, supervised_by=None),
-            robot=robot,
-            on_behalf_of=behalf,
-            capability=capability,
-            ends_us=3_000_000,
-        ),
+        past.arrived("A1-1", owner, STEPS, checkpoints=checkpoints),
+        past.began(Subject("A1-1", ACTION), behalf, 2, capability),
+        past.queued(Subject("A1-1", ACTION), robot, behalf, capability, step=2),
+        past.started(Subject("A1-1", ACTION), robot, behalf, capability, 3_000_000),
         configuration=configuration,
     )
 

@@ -19,11 +19,11 @@ from fsar_ledger.events.execution import (
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.events.recovery import FailureResolved, RecoveryAttempted
 from fsar_ledger.events.request import RequestAccepted, RequestAdmitted, RequestDenied, RequestIssued
-from fsar_ledger.events.task import StepBegan
-from fsar_ledger.events.trust import RoleTrustSet, TrustSet
+from fsar_ledger.events.trust import RoleTrustSet
 from fsar_ledger.events.world import ObstructionAppeared, RoutineDue
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.runtime.simulation import RunSpec, run_id, simulate_run
+from tests import past
 
 HONEST = simulate_run(RunSpec(42, "fsar", "full", "failure-recovery-chain", 4, 59), Constants())
 
@@ -152,7 +152,7 @@ FORGERIES = {
         restated(TRUST, scope="persistent"), TRUST, "scope", "world.founding.founding"
     ),
     "a robot trusts one robot more at the founding": Forgery(
-        added(HONEST, TRUST, TrustSet(robot=Robot("robot/A1"), peer=Robot("robot/C1"), scope="task"), 0, 0),
+        added(HONEST, TRUST, past.trusted(Robot("robot/A1"), Robot("robot/C1"), "task"), 0, 0),
         TRUST,
         "type",
         "world.founding.founding",
@@ -198,14 +198,7 @@ FORGERIES = {
         added(
             HONEST,
             DUE,
-            StepBegan(
-                subject=Subject("A9-1", "A9-1/1.1"),
-                robot=Robot("robot/A1"),
-                step=1,
-                attempt=1,
-                capability="carry.package",
-                target_role=None,
-            ),
+            past.began(Subject("A9-1", "A9-1/1.1"), Robot("robot/A1"), 1, "carry.package", None),
             HONEST.times_us[DUE],
             0,
         ),

@@ -6,39 +6,21 @@ from fsar_ledger.constants import Constants
 from fsar_ledger.events import Event
 from fsar_ledger.events.configuration import Configuration
 from fsar_ledger.events.envelope import Architecture, Robot, Subject
-from fsar_ledger.events.task import StepBegan
-from fsar_ledger.events.world import PolicyWindowOpened, TaskArrived
+from fsar_ledger.events.world import PolicyWindowOpened
 from fsar_ledger.projections.fold import State, apply, fold
 from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.simulation import RunSpec, kernel, run_started
 from fsar_ledger.runtime.world.founding import founding
+from tests import past
 
 STEPS = ("A navigate.indoor", "A door.open.secure B")
-ARRIVED = TaskArrived(
-    task_id="A1-1", robot=Robot("robot/A1"), team=1, steps=STEPS, budget_us=60_000_000, due_us=65_000_000
-)
+ARRIVED = past.arrived("A1-1", Robot("robot/A1"), STEPS)
 SECOND: tuple[Event, ...] = (  # another task of the same robot that needs the same door
-    TaskArrived(task_id="A1-2", robot=Robot("robot/A1"), team=1, steps=STEPS, budget_us=60_000_000, due_us=65_000_000),
-    StepBegan(
-        subject=Subject("A1-2", "A1-2/2.1"),
-        robot=Robot("robot/A1"),
-        step=2,
-        attempt=1,
-        capability="door.open.secure",
-        target_role="B",
-    ),
+    past.arrived("A1-2", Robot("robot/A1"), STEPS),
+    past.began(Subject("A1-2", "A1-2/2.1"), Robot("robot/A1"), 2, "door.open.secure", "B"),
 )
-OWN_STEP = StepBegan(
-    subject=Subject("A1-1", "A1-1/1.1"), robot=Robot("robot/A1"), step=1, attempt=1, capability="navigate.indoor"
-)
-DELEGATED_STEP = StepBegan(
-    subject=Subject("A1-1", "A1-1/2.1"),
-    robot=Robot("robot/A1"),
-    step=2,
-    attempt=1,
-    capability="door.open.secure",
-    target_role="B",
-)
+OWN_STEP = past.began(Subject("A1-1", "A1-1/1.1"), Robot("robot/A1"), 1, "navigate.indoor")
+DELEGATED_STEP = past.began(Subject("A1-1", "A1-1/2.1"), Robot("robot/A1"), 2, "door.open.secure", "B")
 
 
 def started(architecture: Architecture, configuration: Configuration = "full") -> tuple[Event, ...]:

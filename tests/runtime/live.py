@@ -1,20 +1,39 @@
 """A run that is played by public commands: nothing happens in the world but what is given."""
 
 from collections.abc import Iterable
+from typing import Any
 
 from fsar_ledger.constants import Constants
 from fsar_ledger.events import Event
+from fsar_ledger.events.command import CommandRejected
 from fsar_ledger.projections.fold import State
 from fsar_ledger.runtime.architectures.fsar import FSAR
+from fsar_ledger.runtime.architectures.handler_table import HandlerTable
 from fsar_ledger.runtime.handlers.commands import Command, Scheduled
 from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.world.draws import Draws, SimulatedEnvironment, run_key
-from tests.runtime.histories import started
+from tests.runtime.histories import happen, started
 
 
-def decided(state: State, command: Command) -> tuple[Event, ...]:
-    """What FSAR makes of the command."""
-    return FSAR.decides[type(command)](state, command)
+def decided(state: State, command: Command, table: HandlerTable = FSAR) -> tuple[Event, ...]:
+    """What FSAR makes of the command, or the architecture of another table."""
+    return table.decides[type(command)](state, command)
+
+
+def refusal(events: tuple[Event, ...]) -> str:
+    """Why the command was rejected."""
+    [one] = events
+    assert isinstance(one, CommandRejected)
+    return one.reason
+
+
+def play(state: State, *commands: Command, table: HandlerTable = FSAR) -> tuple[Any, ...]:
+    """The events of the last command, all of them applied."""
+    events: tuple[Any, ...] = ()
+    for command in commands:
+        events = decided(state, command, table)
+        happen(state, *events)
+    return events
 
 
 def played(commands: Iterable[tuple[int, Command]], *before: Event, facts: Iterable[tuple[int, Event]] = ()) -> Kernel:

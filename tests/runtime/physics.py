@@ -74,8 +74,7 @@ def _measured(constants: Constants, runs: int) -> dict[str, dict[str, float | No
     """Of every architecture, since opening a database costs more than judging three times as many runs."""
     found: dict[str, dict[str, float | None]] = {architecture: {} for architecture in ARCHITECTURES}
     with from_table(
-        encode([record for one in ARCHITECTURES for record in in_world(one, constants, runs).records]),
-        threads=1,
+        encode([record for one in ARCHITECTURES for record in in_world(one, constants, runs).records]), threads=1
     ) as database:
         for row in metric_rows(database):
             found[row.architecture or ""][row.metric] = row.mean

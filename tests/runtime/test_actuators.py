@@ -8,10 +8,10 @@ from fsar_ledger.events.recovery import RecoveryAttemptFailed
 from fsar_ledger.events.supervision import ActuatorServiced
 from fsar_ledger.events.world import ActuatorDegraded, Grade
 from fsar_ledger.projections.fold import apply
-from fsar_ledger.runtime.architectures.fsar.recovery import StartRecovery, end_attempt, start_recovery
+from fsar_ledger.runtime.architectures.fsar.recovery import StartRecovery
 from fsar_ledger.runtime.handlers.commands import EndAttempt, FinishAttempt
-from fsar_ledger.runtime.handlers.execution import finish_attempt
 from tests.runtime.failures import ACTION, D, executing, failed, taken
+from tests.runtime.live import decided
 
 
 @pytest.mark.parametrize(
@@ -20,7 +20,7 @@ from tests.runtime.failures import ACTION, D, executing, failed, taken
 )
 def test_an_actuator_holds_as_far_as_it_is_sound(grade: Grade | None, drawn: int, holds: bool) -> None:
     worn = () if grade is None else (ActuatorDegraded(D, grade),)
-    [ended] = finish_attempt(
+    [ended] = decided(
         executing(D, "grasp.robust", *worn), FinishAttempt(ACTION, 3_000_000, now_us=3_000_000, answer=drawn)
     )
     assert isinstance(ended, ExecutionFailed) is not holds
@@ -28,13 +28,13 @@ def test_an_actuator_holds_as_far_as_it_is_sound(grade: Grade | None, drawn: int
 
 def test_a_slipping_grip_achieves_part_of_its_contract_and_is_lost_after_it() -> None:
     state = failed(executing(D, "grasp.robust", ActuatorDegraded(D, "slipping")), cause="degradation")
-    taken(state, start_recovery(state, StartRecovery(ACTION, now_us=2_000_001)))
-    first, _ = taken(state, end_attempt(state, EndAttempt(ACTION, 1, now_us=4_000_000, answer=1)))
+    taken(state, decided(state, StartRecovery(ACTION, now_us=2_000_001)))
+    first, _ = taken(state, decided(state, EndAttempt(ACTION, 1, now_us=4_000_000, answer=1)))
     assert first == RecoveryAttemptFailed(
         subject=Subject("A1-1", ACTION), robot=D, failure=1, number=1, result="partial", achieved=("load.gripped",)
     )
     assert state.world.degraded == {D: "lost"}
-    second, _ = taken(state, end_attempt(state, EndAttempt(ACTION, 2, now_us=6_000_000, answer=1)))
+    second, _ = taken(state, decided(state, EndAttempt(ACTION, 2, now_us=6_000_000, answer=1)))
     assert second == RecoveryAttemptFailed(
         subject=Subject("A1-1", ACTION), robot=D, failure=1, number=2, result="failure", achieved=()
     )
@@ -44,7 +44,7 @@ def test_a_slipping_grip_achieves_part_of_its_contract_and_is_lost_after_it() ->
 
 def test_an_unreliable_actuator_that_fails_is_not_worn_by_it() -> None:
     state = failed(executing(D, "grasp.robust", ActuatorDegraded(D)), cause="degradation")
-    taken(state, start_recovery(state, StartRecovery(ACTION, now_us=2_000_001)))
-    ended, _ = taken(state, end_attempt(state, EndAttempt(ACTION, 1, now_us=4_000_000, answer=0)))
+    taken(state, decided(state, StartRecovery(ACTION, now_us=2_000_001)))
+    ended, _ = taken(state, decided(state, EndAttempt(ACTION, 1, now_us=4_000_000, answer=0)))
     assert ended == RecoveryAttemptFailed(subject=Subject("A1-1", ACTION), robot=D, failure=1, number=1)
     assert state.world.degraded == {D: "unreliable"}

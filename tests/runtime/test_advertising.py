@@ -8,10 +8,8 @@ from hypothesis import settings
 from hypothesis import strategies as st
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import Parties, Robot, Subject
-from fsar_ledger.events.execution import ExecutionQueued
+from fsar_ledger.events.envelope import Robot, Subject
 from fsar_ledger.events.registry import (
-    AvailabilityChanged,
     CapabilityAdvertised,
     CapabilityDeprecated,
     CapabilityInstalled,
@@ -29,22 +27,20 @@ from fsar_ledger.runtime.handlers.advertising import (
     UpgradeCapability,
     WithdrawCapability,
     advertise_capability,
-    deprecate_capability,
     finish_roll_out,
-    report_availability,
-    upgrade_capability,
-    withdraw_capability,
 )
 from fsar_ledger.runtime.handlers.commands import Command
+from tests import past
 from tests.runtime.histories import given, happen, types
+from tests.runtime.live import decided
 
 A, B = Robot("robot/A1"), Robot("robot/B1")
 
 DOOR = (B, Robot("door.open.secure"))
-GRIP = CapabilityInstalled(
-    robot=B,
-    capability="grasp",
-    version="1.4.0",
+GRIP = past.installed(
+    B,
+    "grasp",
+    "1.4.0",
     preconditions=("object.seen",),
     postconditions=("object.held", "object.level"),
     resources=("arm",),
@@ -121,17 +117,17 @@ def test_what_cannot_be_advertised_is_refused(command: AdvertiseCapability, reas
 
 
 def test_a_withdrawn_capability_is_off_the_surface_and_still_possessed() -> None:
-    [event] = withdraw_capability(given("fsar"), WithdrawCapability(*DOOR, "jammed"))
+    [event] = decided(given("fsar"), WithdrawCapability(*DOOR, "jammed"))
     assert event == CapabilityWithdrawn(DOOR[0], DOOR[1], "jammed")
     state = given("fsar", event)
     assert advertisement(state.registry, *DOOR) is None
     assert possesses(state.registry, *DOOR)
-    assert types(withdraw_capability(state, WithdrawCapability(*DOOR, "again"))) == ["CommandRejected"]
+    assert types(decided(state, WithdrawCapability(*DOOR, "again"))) == ["CommandRejected"]
 
 
 def test_a_robot_reports_the_availability_of_one_capability_or_of_all() -> None:
-    [one] = report_availability(given("fsar"), ReportAvailability(*DOOR, "restricted", "inspection"))
-    [everything] = report_availability(given("fsar"), ReportAvailability(B, None, "offline", "charging"))
+    [one] = decided(given("fsar"), ReportAvailability(*DOOR, "restricted", "inspection"))
+    [everything] = decided(given("fsar"), ReportAvailability(B, None, "offline", "charging"))
     assert [record.availability for record in surface(given("fsar", one).registry, B)] == [
         "ready",
         "ready",
@@ -141,7 +137,7 @@ def test_a_robot_reports_the_availability_of_one_capability_or_of_all() -> None:
 
 
 def test_a_deprecated_version_names_its_successor() -> None:
-    [event] = deprecate_capability(given("fsar"), DeprecateCapability(*DOOR, "1.0.0", "2.0.0"))
+    [event] = decided(given("fsar"), DeprecateCapability(*DOOR, "1.0.0", "2.0.0"))
     assert event == CapabilityDeprecated(robot=DOOR[0], capability=DOOR[1], version="1.0.0", successor="2.0.0")
     record = advertisement(given("fsar", event).registry, *DOOR)
     assert record is not None
@@ -177,35 +173,14 @@ EMPTY = [CapabilityWithdrawn(B, name, "jammed") for name in ("navigate.indoor", 
         ((), UpgradeCapability(*DOOR, "1.0.0"), "not newer"),
         ((), UpgradeCapability(*DOOR, "new"), "no version"),
         ((), UpgradeCapability(*DOOR, "2.0.0", preconditions=("lit", "not lit")), "contradict"),
+        ((past.available(B, None, "offline", "x"),), UpgradeCapability(*DOOR, "2.0.0"), "is offline"),
         (
-            (AvailabilityChanged(robot=B, capability=None, availability="offline", reason="x"),),
-            UpgradeCapability(*DOOR, "2.0.0"),
-            "is offline",
-        ),
-        (
-            (
-                AvailabilityChanged(
-                    robot=DOOR[0], capability=DOOR[1], availability="restricted", reason="roll-out of 2.0.0"
-                ),
-            ),
+            (past.available(DOOR[0], DOOR[1], "restricted", "roll-out of 2.0.0"),),
             UpgradeCapability(*DOOR, "3.0.0"),
             "in no other roll-out",
         ),
         (
-            (
-                ExecutionQueued(
-                    subject=Subject("t", "t/1"),
-                    principals=Parties(requested_by=None, executed_by=None, supervised_by=None),
-                    robot=B,
-                    on_behalf_of=A,
-                    capability="door.open.secure",
-                    step=1,
-                    attempt=1,
-                    is_delegated=True,
-                    has_approach=True,
-                    is_supervised=True,
-                ),
-            ),
+            (past.queued(Subject("t", "t/1"), B, A, "door.open.secure", principals=past.parties()),),
             UpgradeCapability(*DOOR, "2.0.0"),
             "in use by t/1",
         ),
@@ -235,9 +210,9 @@ def rolling_out(state: State, events: tuple[Event, ...]) -> FinishRollOut:
 
 
 def test_a_roll_out_restricts_the_old_version_until_the_new_one_is_advertised_on_its_terms() -> None:
-    terms = CapabilityAdvertised(
-        robot=DOOR[0],
-        capability=DOOR[1],
+    terms = past.advertised(
+        DOOR[0],
+        DOOR[1],
         visible_to=("A",),
         trust_required="task",
         override_allowed="soft-priority",
@@ -245,7 +220,7 @@ def test_a_roll_out_restricts_the_old_version_until_the_new_one_is_advertised_on
         embodiment=("arm",),
     )
     state = given("fsar", terms)
-    events = upgrade_capability(state, UpgradeCapability(*DOOR, "2.0.0", postconditions=("door.opened",)))
+    events = decided(state, UpgradeCapability(*DOOR, "2.0.0", postconditions=("door.opened",)))
     assert types(events) == ["CapabilityInstalled", "AvailabilityChanged"]
     begun = rolling_out(state, events)
     record = advertisement(state.registry, *DOOR)
@@ -253,9 +228,9 @@ def test_a_roll_out_restricts_the_old_version_until_the_new_one_is_advertised_on
     assert (record.version, record.availability) == ("1.0.0", "restricted")
     assert begun == FinishRollOut(*DOOR)
     [shown] = finish_roll_out(state, begun)
-    assert shown == CapabilityAdvertised(
-        robot=DOOR[0],
-        capability=DOOR[1],
+    assert shown == past.advertised(
+        DOOR[0],
+        DOOR[1],
         visible_to=("A",),
         version="2.0.0",
         postconditions=("door.opened",),
@@ -265,54 +240,36 @@ def test_a_roll_out_restricts_the_old_version_until_the_new_one_is_advertised_on
         visibility="domain",
     )
     apply(state, shown)
-    assert finish_roll_out(state, FinishRollOut(*DOOR)) == ()
+    assert decided(state, FinishRollOut(*DOOR)) == ()
 
 
 def test_a_roll_out_of_what_was_withdrawn_meanwhile_shows_nothing() -> None:
     state = given("fsar")
-    happen(state, *upgrade_capability(state, UpgradeCapability(*DOOR, "2.0.0")), WITHDRAWN)
-    assert finish_roll_out(state, FinishRollOut(*DOOR)) == ()
+    happen(state, *decided(state, UpgradeCapability(*DOOR, "2.0.0")), WITHDRAWN)
+    assert decided(state, FinishRollOut(*DOOR)) == ()
 
 
 def test_an_upgrade_puts_nothing_on_the_surface_that_was_not_there() -> None:
-    assert types(upgrade_capability(given("fsar", WITHDRAWN), UpgradeCapability(*DOOR, "2.0.0"))) == [
-        "CapabilityInstalled"
-    ]
+    assert types(decided(given("fsar", WITHDRAWN), UpgradeCapability(*DOOR, "2.0.0"))) == ["CapabilityInstalled"]
 
 
 @pytest.mark.parametrize(
     ("before", "meanwhile", "shown"),
     [
         (None, None, "ready"),
-        (
-            AvailabilityChanged(robot=DOOR[0], capability=DOOR[1], availability="degraded", reason="actuator"),
-            None,
-            "degraded",
-        ),
-        (AvailabilityChanged(robot=DOOR[0], capability=DOOR[1], availability="busy", reason="tour"), None, "busy"),
-        (
-            AvailabilityChanged(robot=B, capability="door.open.basic", availability="degraded", reason="actuator"),
-            None,
-            "ready",
-        ),  # that is another capability
+        (past.available(DOOR[0], DOOR[1], "degraded", "actuator"), None, "degraded"),
+        (past.available(DOOR[0], DOOR[1], "busy", "tour"), None, "busy"),
+        (past.available(B, "door.open.basic", "degraded", "actuator"), None, "ready"),  # that is another capability
         (ActuatorDegraded(B), None, "ready"),  # nobody has noticed yet
-        (
-            None,
-            AvailabilityChanged(robot=B, capability=None, availability="ready", reason="all well"),
-            "ready",
-        ),
-        (
-            None,
-            AvailabilityChanged(robot=B, capability=None, availability="offline", reason="charging"),
-            "offline",
-        ),
+        (None, past.available(B, None, "ready", "all well"), "ready"),
+        (None, past.available(B, None, "offline", "charging"), "offline"),
     ],
 )
 def test_a_new_version_is_as_available_as_the_robot_has_said(
     before: Event | None, meanwhile: Event | None, shown: str
 ) -> None:
     state = given("fsar", *([before] if before else []))
-    command = rolling_out(state, upgrade_capability(state, UpgradeCapability(*DOOR, "2.0.0")))
+    command = rolling_out(state, decided(state, UpgradeCapability(*DOOR, "2.0.0")))
     happen(state, *[meanwhile] if meanwhile else [])
     [advertised] = finish_roll_out(state, command)
     assert isinstance(advertised, CapabilityAdvertised)
@@ -321,9 +278,9 @@ def test_a_new_version_is_as_available_as_the_robot_has_said(
 
 def test_an_upgrade_during_a_roll_out_is_shown_once() -> None:
     state = given("fsar")
-    first = rolling_out(state, upgrade_capability(state, UpgradeCapability(*DOOR, "2.0.0")))
-    apply(state, AvailabilityChanged(robot=DOOR[0], capability=DOOR[1], availability="ready", reason="in haste"))
-    second = rolling_out(state, upgrade_capability(state, UpgradeCapability(*DOOR, "3.0.0")))
+    first = rolling_out(state, decided(state, UpgradeCapability(*DOOR, "2.0.0")))
+    apply(state, past.available(DOOR[0], DOOR[1], "ready", "in haste"))
+    second = rolling_out(state, decided(state, UpgradeCapability(*DOOR, "3.0.0")))
     [advertised] = finish_roll_out(state, first)
     apply(state, advertised)
     assert advertised.version == "3.0.0"  # type: ignore[attr-defined]

@@ -129,11 +129,7 @@ def _rights_at(state: State, seq: int, event: Event, asked: dict[str, RequestIss
     said: Said = {}
     for asker in {asked_by, issued.relay or asked_by}:
         right = right_of(
-            state.authority,
-            Robot(str(asker)),
-            Robot(str(executor)),
-            issued.capability,
-            issued.subject.task_id or "",
+            state.authority, Robot(str(asker)), Robot(str(executor)), issued.capability, issued.subject.task_id or ""
         )
         if right is not None:
             said["right", seq, asker] = type(right).__name__ == "AuthorityRevoked"

@@ -6,24 +6,22 @@ import msgspec
 import pytest
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import Principals, Subject
+from fsar_ledger.events.envelope import Subject
 from fsar_ledger.events.execution import ExecutionHeld
 from fsar_ledger.events.knowledge import FleetRuleLearned
 from fsar_ledger.events.policy import PolicyRuleSet, RolePolicyRuleSet
-from fsar_ledger.events.supervision import SupervisionDensitySet, SupervisorResponded
+from fsar_ledger.events.supervision import SupervisionDensitySet
 from fsar_ledger.events.world import PolicyWindowClosed, PolicyWindowOpened
 from fsar_ledger.projections.fold import State, apply
 from fsar_ledger.runtime.architectures.fsar.request import EvaluateRequest
 from fsar_ledger.runtime.handlers.commands import StartAction, TakeTurn
 from fsar_ledger.runtime.handlers.request import ReportResult
+from tests import past
 from tests.runtime.histories import given, happen, types
-from tests.runtime.test_authority import ASK, DOOR, H_B, H_F, A, B, play, scheduled
+from tests.runtime.live import play
+from tests.runtime.test_authority import ASK, DOOR, H_B, A, B, scheduled
 
-APPROVAL = SupervisorResponded(
-    Subject("visit", "q1"),
-    Principals(decided_by=H_F, requested_by=A, executed_by=B, supervised_by=H_F, path=(H_F,)),
-    "review",
-)
+APPROVAL = past.approved(Subject("visit", "q1"), A, B)
 
 
 def approved(*before: Event) -> State:
@@ -44,9 +42,9 @@ START = StartAction("q1", answer=5)
 def test_an_approval_lifts_no_rule_that_denies_by_then() -> None:
     """Whether the review was wanted by policy or by density alone, the executor does not act against a rule; a mandate
     against it is escalated."""
-    mandate = PolicyRuleSet(scope="fleet", robot=None, capability=DOOR, context=None, outcome="allow", decided_by=H_F)
+    mandate = past.ruled_for_all("allow", None, DOOR)
     own = PolicyRuleSet(scope="local", robot=B, capability=DOOR, context=None, outcome="deny", decided_by=H_B)
-    fleets = PolicyRuleSet(scope="fleet", robot=None, capability=DOOR, context=None, outcome="deny", decided_by=H_F)
+    fleets = past.ruled_for_all("deny", None, DOOR)
     heard = FleetRuleLearned(B, "deny", 1)
     dense = SupervisionDensitySet(robot=B, review_every=1, decided_by=H_B, reason="")
     cases: list[tuple[Event, tuple[Event, ...], list[str]]] = [

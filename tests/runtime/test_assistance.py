@@ -2,29 +2,22 @@
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import FailureCause, Robot, Subject, Supervisor
-from fsar_ledger.events.recovery import (
-    AssistanceAdmitted,
-    AssistanceFailed,
-    AssistanceRequested,
-    RecoveryBudgetSet,
-    RecoveryEscalated,
-)
-from fsar_ledger.events.registry import AvailabilityChanged
-from fsar_ledger.events.trust import TrustSet
+from fsar_ledger.events.recovery import AssistanceAdmitted, AssistanceFailed, AssistanceRequested, RecoveryEscalated
 from fsar_ledger.events.world import ActuatorDegraded, Grade, ObstructionAppeared, RobotWentOff
 from fsar_ledger.projections.fold import State, apply
 from fsar_ledger.runtime.architectures.cfc.coordinator import ProcessWork
 from fsar_ledger.runtime.architectures.cfc.request import process
 from fsar_ledger.runtime.architectures.fsar import FSAR
-from fsar_ledger.runtime.architectures.fsar.recovery import AskPeers, ask_peers, end_assistance
-from fsar_ledger.runtime.handlers.assistance import stop_assistance
+from fsar_ledger.runtime.architectures.fsar.recovery import AskPeers, ask_peers
 from fsar_ledger.runtime.handlers.commands import EndAssistance, StopAssistance
+from tests import past
 from tests.runtime.failures import ACTION, A, B, D, executing, failed
 from tests.runtime.histories import happen, types
+from tests.runtime.live import decided
 
 DOOR = "door.open.basic"
-D_TOO = TrustSet(
-    robot=D, peer=B, scope="session", capability=None, context=None, decided_by=Supervisor("supervisor/D1"), reason=""
+D_TOO = past.trusted(
+    D, B, "session", decided_by=Supervisor("supervisor/D1"), reason=""
 )  # D's body could help B as well
 
 
@@ -33,14 +26,14 @@ def helped(
 ) -> tuple[State, Robot]:
     """A failure with which a peer is helping now, and that peer."""
     state = failed(executing(robot, capability, *before), "peer", cause)
-    made = ask_peers(state, AskPeers(ACTION, 2_500_000, now_us=3_000_000))
+    made = decided(state, AskPeers(ACTION, 2_500_000, now_us=3_000_000))
     happen(state, *made)
     [admitted] = [event for event in made if isinstance(event, AssistanceAdmitted)]
     return state, admitted.helper
 
 
 def ended(state: State, helper: Robot, answer: int = 1) -> tuple[Event, ...]:
-    return end_assistance(state, EndAssistance(ACTION, helper, 1, answer=answer))
+    return decided(state, EndAssistance(ACTION, helper, 1, answer=answer))
 
 
 def asked_again(state: State, now_us: int = 9_000_000) -> tuple[Event, ...]:
@@ -74,13 +67,13 @@ def asked_again(state: State, now_us: int = 9_000_000) -> tuple[Event, ...]:
 def test_a_helper_with_a_clear_way_resolves_the_failure() -> None:
     state, helper = helped()
     assert types(ended(state, helper)) == ["AssistanceEnded", "FailureResolved"]
-    assert stop_assistance(state, StopAssistance(ACTION, helper)) == ()
+    assert decided(state, StopAssistance(ACTION, helper)) == ()
 
 
 def test_what_is_in_the_way_of_the_helper_stops_it_at_once() -> None:
     state, helper = helped()
     apply(state, ObstructionAppeared(helper, "o"))
-    for [found] in (stop_assistance(state, StopAssistance(ACTION, helper)), ended(state, helper)):
+    for [found] in (decided(state, StopAssistance(ACTION, helper)), ended(state, helper)):
         assert isinstance(found, AssistanceFailed)
         assert (found.robot, found.helper, found.cause) == (B, A, "obstruction")
 
@@ -107,13 +100,11 @@ def test_help_ends_once() -> None:
     state, helper = helped()
     apply(state, ended(state, helper)[0])
     assert ended(state, helper) == ()
-    assert stop_assistance(state, StopAssistance(ACTION, helper)) == ()
+    assert decided(state, StopAssistance(ACTION, helper)) == ()
 
 
 def test_a_peer_that_could_not_help_is_not_asked_again() -> None:
-    more = RecoveryBudgetSet(
-        robot=B, level="peer", t_max_us=30_000_000, n_max=3, decided_by=Supervisor("supervisor/B1")
-    )
+    more = past.budget(B, "peer", 3)
     state, helper = helped(more)
     assert helper == A
     escalated = asked_again(state)[0]
@@ -122,9 +113,7 @@ def test_a_peer_that_could_not_help_is_not_asked_again() -> None:
 
 
 def test_the_next_peer_is_asked_as_long_as_the_budget_lasts() -> None:
-    more = RecoveryBudgetSet(
-        robot=B, level="peer", t_max_us=30_000_000, n_max=3, decided_by=Supervisor("supervisor/B1")
-    )
+    more = past.budget(B, "peer", 3)
     requested, _ = asked_again(helped(more, D_TOO)[0])
     assert isinstance(requested, AssistanceRequested)
     assert (requested.helper, requested.since_us) == (D, 2_500_000)
@@ -138,9 +127,9 @@ def test_the_next_peer_is_asked_as_long_as_the_budget_lasts() -> None:
 def test_a_peer_that_does_not_answer_is_nobodys_help() -> None:
     state = failed(executing(B, DOOR), "peer")
     apply(state, RobotWentOff(A))
-    assert ask_peers(state, AskPeers(ACTION, 2_500_000, now_us=3_000_000)) == ()
-    escalated, silent = ask_peers(state, AskPeers(ACTION, 2_500_000, failure=1, is_last=True, now_us=8_000_000))[:2]
-    assert silent == AvailabilityChanged(robot=A, capability=None, availability="offline", reason="no answer")
+    assert decided(state, AskPeers(ACTION, 2_500_000, now_us=3_000_000)) == ()
+    escalated, silent = decided(state, AskPeers(ACTION, 2_500_000, failure=1, is_last=True, now_us=8_000_000))[:2]
+    assert silent == past.available(A, None, "offline", "no answer")
     assert isinstance(escalated, RecoveryEscalated)
     assert escalated.reason == "no trusted peer"
 

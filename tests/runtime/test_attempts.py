@@ -3,10 +3,9 @@
 import pytest
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import Architecture, Parties, Principals, RequestSubject, Robot, Subject, Supervisor
+from fsar_ledger.events.envelope import Architecture, RequestSubject, Robot, Subject, Supervisor
 from fsar_ledger.events.execution import ExecutionFinished
 from fsar_ledger.events.knowledge import BidReceived
-from fsar_ledger.events.registry import RegistryQueried
 from fsar_ledger.events.request import (
     OfferAnswered,
     PeerSought,
@@ -16,7 +15,7 @@ from fsar_ledger.events.request import (
     RequestUnanswered,
 )
 from fsar_ledger.events.task import StepBegan, StepCompleted, TaskCompleted
-from fsar_ledger.events.world import PolicyWindowClosed, TaskArrived
+from fsar_ledger.events.world import PolicyWindowClosed
 from fsar_ledger.projections.fold import State, apply
 from fsar_ledger.runtime.architectures.dhma import DHMA
 from fsar_ledger.runtime.architectures.fsar import FSAR
@@ -25,17 +24,15 @@ from fsar_ledger.runtime.architectures.handler_table import HandlerTable
 from fsar_ledger.runtime.handlers.commands import BeginStep, Command, StartAction, TakeTurn
 from fsar_ledger.runtime.handlers.request import ReportResult, RequestCapability
 from fsar_ledger.runtime.handlers.supervision import RespondToCall
-from fsar_ledger.runtime.handlers.task import begin_step
+from tests import past
 from tests.runtime.histories import given, happen, types, window
 from tests.runtime.live import decided
 
 A, B, DOOR, H_F = Robot("robot/A1"), Robot("robot/B1"), "door.open.secure", Supervisor("supervisor/fleet")
-ARRIVED = TaskArrived(
-    task_id="A1-1", robot=A, team=1, steps=(f"A {DOOR} B", "A navigate.indoor"), budget_us=60_000_000, due_us=61_000_000
-)
+ARRIVED = past.arrived("A1-1", A, (f"A {DOOR} B", "A navigate.indoor"), due_us=61_000_000)
 FIRST, SECOND = "A1-1/1.1", "A1-1/1.2"
 SUBJECT = RequestSubject("A1-1", FIRST, FIRST)
-PARTIES = Parties(requested_by=A, executed_by=B, supervised_by=None)
+PARTIES = past.parties(A, B)
 
 
 def began(action_id: str, attempt: int = 1, target: str | None = "B") -> StepBegan:
@@ -46,12 +43,7 @@ def began(action_id: str, attempt: int = 1, target: str | None = "B") -> StepBeg
 
 def asked() -> State:
     """A's first request for B's door is on its way."""
-    shown = RegistryQueried(
-        subject=Subject("A1-1", FIRST),
-        principals=Parties(requested_by=A, executed_by=B, supervised_by=None),
-        capability=DOOR,
-        candidates=(B,),
-    )
+    shown = past.queried(Subject("A1-1", FIRST), past.parties(A, B), DOOR, B)
     issued = RequestIssued(subject=SUBJECT, principals=PARTIES.decided(A), capability=DOOR, carried_policy="allow")
     return given("fsar", ARRIVED, began(FIRST), shown, issued)
 
@@ -73,17 +65,11 @@ def begins(table: HandlerTable, state: State, event: Event) -> list[BeginStep]:
 # A refusal is the last word about a request
 
 
-def test_a_request_that_was_refused_is_not_judged_again() -> None:
+def test_a_request_that_was_refused_is_not_judged_again_even_once_the_reason_is_gone() -> None:
     state = asked()
     apply(state, window(B))
     assert given_to(state, EvaluateRequest(FIRST)) == ["RequestDenied"]
     assert given_to(state, EvaluateRequest(FIRST)) == []
-
-
-def test_a_request_that_was_refused_is_not_admitted_once_the_reason_is_gone() -> None:
-    state = asked()
-    apply(state, window(B))
-    given_to(state, EvaluateRequest(FIRST))
     apply(state, PolicyWindowClosed(B, "local", "local/B1/0"))
     assert given_to(state, EvaluateRequest(FIRST)) == []
 
@@ -137,11 +123,7 @@ def test_nobody_asks_in_the_service_of_a_request_that_was_refused() -> None:
     "event",
     [
         RequestDenied(SUBJECT, PARTIES.decided(B), "policy"),
-        RequestUnanswered(
-            Subject("A1-1", FIRST),
-            Principals(decided_by=A, requested_by=A, executed_by=None, supervised_by=None, path=(A,)),
-            DOOR,
-        ),
+        RequestUnanswered(Subject("A1-1", FIRST), past.principals(A, A), DOOR),
         PeerSought(Subject("A1-1", FIRST), A),
         OfferAnswered(SUBJECT, PARTIES.decided(A), 1, False, None),
         RequestClosed(SUBJECT, PARTIES.decided(B), "failure"),
@@ -155,37 +137,17 @@ def test_the_next_attempt_follows_the_one_that_came_to_nothing(event: Event) -> 
 
 def test_an_own_step_that_failed_is_followed_by_its_next_attempt() -> None:
     state = given("fsar", ARRIVED, began(FIRST, target=None))
-    assert begins(
-        FSAR,
-        state,
-        ExecutionFinished(
-            Subject("A1-1", FIRST), Parties(requested_by=A, executed_by=A, supervised_by=None), A, "failure"
-        ),
-    ) == [BeginStep("A1-1", FIRST)]
+    assert begins(FSAR, state, ExecutionFinished(Subject("A1-1", FIRST), past.parties(A, A), A, "failure")) == [
+        BeginStep("A1-1", FIRST)
+    ]
 
 
 def test_in_dhma_the_next_attempt_follows_the_refused_own_step_and_the_call_without_a_good_bid() -> None:
     own = given("dhma", ARRIVED, began(FIRST, target=None))
     assert begins(
-        DHMA,
-        own,
-        RequestDenied(
-            RequestSubject("A1-1", FIRST, None),
-            Principals(decided_by=A, requested_by=A, executed_by=A, supervised_by=None, path=(A,)),
-            "own step",
-        ),
+        DHMA, own, RequestDenied(RequestSubject("A1-1", FIRST, None), past.principals(A, A, A), "own step")
     ) == [BeginStep("A1-1", FIRST)]
-    called = given(
-        "dhma",
-        ARRIVED,
-        began(FIRST),
-        RegistryQueried(
-            subject=Subject("A1-1", FIRST),
-            principals=Parties(requested_by=A, executed_by=None, supervised_by=None),
-            capability=DOOR,
-            candidates=(B,),
-        ),
-    )
+    called = given("dhma", ARRIVED, began(FIRST), past.queried(Subject("A1-1", FIRST), past.parties(A), DOOR, B))
     assert begins(DHMA, called, BidReceived(Subject("A1-1", FIRST), B, "deny")) == [BeginStep("A1-1", FIRST)]
 
 
@@ -202,24 +164,22 @@ def test_a_new_task_and_a_finished_step_are_followed_by_no_attempt_in_particular
 @pytest.mark.parametrize("architecture", ["fsar", "cfc", "dhma"])
 def test_a_step_begins_anew_after_its_last_attempt(architecture: Architecture) -> None:
     state = given(architecture, ARRIVED, began(FIRST))
-    assert begin_step(state, BeginStep("A1-1", FIRST)) == (began(SECOND, 2),)
+    assert decided(state, BeginStep("A1-1", FIRST)) == (began(SECOND, 2),)
 
 
 @pytest.mark.parametrize("architecture", ["fsar", "cfc", "dhma"])
 @pytest.mark.parametrize("after", [FIRST, ""])
 def test_a_step_does_not_begin_anew_while_a_later_attempt_is_under_way(architecture: Architecture, after: str) -> None:
     state = given(architecture, ARRIVED, began(FIRST), began(SECOND, 2))
-    assert begin_step(state, BeginStep("A1-1", after)) == ()
+    assert decided(state, BeginStep("A1-1", after)) == ()
 
 
 def test_an_attempt_that_the_task_has_left_behind_neither_begins_the_next_step_nor_ends_the_task() -> None:
     state = given("fsar", ARRIVED, began(FIRST), StepCompleted(Subject("A1-1", FIRST)))
-    assert begin_step(state, BeginStep("A1-1", FIRST)) == ()
-    assert begin_step(state, BeginStep("A1-1", FIRST, now_us=10**9)) == ()
-    assert types(begin_step(state, BeginStep("A1-1"))) == ["StepBegan"]
-    apply(
-        state, StepBegan(subject=Subject("A1-1", "A1-1/2.1"), robot=A, step=2, attempt=1, capability="navigate.indoor")
-    )
+    assert decided(state, BeginStep("A1-1", FIRST)) == ()
+    assert decided(state, BeginStep("A1-1", FIRST, now_us=10**9)) == ()
+    assert types(decided(state, BeginStep("A1-1"))) == ["StepBegan"]
+    apply(state, past.began(Subject("A1-1", "A1-1/2.1"), A, 2, "navigate.indoor"))
     apply(state, StepCompleted(Subject("A1-1", "A1-1/2.1")))
-    assert begin_step(state, BeginStep("A1-1", "A1-1/2.1")) == ()
-    assert begin_step(state, BeginStep("A1-1")) == (TaskCompleted("A1-1"),)
+    assert decided(state, BeginStep("A1-1", "A1-1/2.1")) == ()
+    assert decided(state, BeginStep("A1-1")) == (TaskCompleted("A1-1"),)

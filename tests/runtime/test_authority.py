@@ -9,13 +9,13 @@ import msgspec
 import pytest
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.authority import AuthorityClaimed, AuthorityGranted, AuthorityReleased, AuthorityRevoked
+from fsar_ledger.events.authority import AuthorityClaimed, AuthorityReleased
 from fsar_ledger.events.command import CommandRejected
 from fsar_ledger.events.envelope import FLEET_SUPERVISOR, TRUST, Robot, Subject, Supervisor
 from fsar_ledger.events.execution import ExecutionStarted
 from fsar_ledger.events.request import RequestAdmitted, RequestClosed, RequestDenied
 from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
-from fsar_ledger.events.trust import RoleTrustSet, TrustSet
+from fsar_ledger.events.trust import RoleTrustSet
 from fsar_ledger.projections.fold import State, apply, fold
 from fsar_ledger.runtime.architectures.fsar import FSAR
 from fsar_ledger.runtime.architectures.fsar.request import EvaluateRequest
@@ -29,8 +29,9 @@ from fsar_ledger.runtime.handlers.authority import (
 from fsar_ledger.runtime.handlers.commands import Command, StartAction, TakeTurn
 from fsar_ledger.runtime.handlers.request import RequestCapability
 from fsar_ledger.runtime.handlers.withdrawal import EndClaims
-from tests.runtime.histories import given, happen, types
-from tests.runtime.live import decided, of, played
+from tests import past
+from tests.runtime.histories import given, types
+from tests.runtime.live import decided, of, play, played
 from tests.runtime.test_requests import relayed, verdict
 
 A, B, C, D = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/C1"), Robot("robot/D1")
@@ -39,31 +40,8 @@ DOOR = "door.open.secure"
 H_F, H_A, H_B = FLEET_SUPERVISOR, Supervisor("supervisor/A1"), Supervisor("supervisor/B1")
 ASK = RequestCapability(A, B, DOOR, "visit", "q1")
 NEXT = msgspec.structs.replace(ASK, action_id="q2")
-GRANTED = AuthorityGranted(
-    requested_by=A,
-    executed_by=B,
-    capability=DOOR,
-    context="visit",
-    override="soft-priority",
-    decided_by=H_F,
-)
-REVOKED = AuthorityRevoked(
-    requested_by=A,
-    executed_by=B,
-    capability=None,
-    context=None,
-    reason="human override",
-    decided_by=H_F,
-)
-
-
-def play(state: State, *commands: Command) -> tuple[Any, ...]:
-    """The events of the last command, all of them applied."""
-    events: tuple[Any, ...] = ()
-    for command in commands:
-        events = decided(state, command)
-        happen(state, *events)
-    return events
+GRANTED = past.granted(A, B, "soft-priority", DOOR, "visit")
+REVOKED = past.revoked(A, B)
 
 
 def evaluated(state: State, command: RequestCapability = NEXT) -> Any:
@@ -79,23 +57,9 @@ def scheduled(state: State, event: Event) -> list[Command]:
 
 def test_a_supervisor_grants_authority_and_it_is_on_record_who() -> None:
     [granted] = decided(given("fsar"), GrantAuthority(H_F, C, None, "emergency-only"))
-    assert granted == AuthorityGranted(
-        requested_by=C,
-        executed_by=None,
-        capability=None,
-        context=None,
-        override="emergency-only",
-        decided_by=H_F,
-    )
+    assert granted == past.granted(C, None, "emergency-only")
     [own] = decided(given("fsar"), GrantAuthority(H_B, A, B, "hard-preempt", DOOR, "visit"))
-    assert own == AuthorityGranted(
-        requested_by=A,
-        executed_by=B,
-        capability=DOOR,
-        context="visit",
-        override="hard-preempt",
-        decided_by=H_B,
-    )
+    assert own == past.granted(A, B, "hard-preempt", DOOR, "visit", decided_by=H_B)
 
 
 @pytest.mark.parametrize(
@@ -103,14 +67,8 @@ def test_a_supervisor_grants_authority_and_it_is_on_record_who() -> None:
     [
         (GrantAuthority(H_F, Robot("robot/Z9"), None, "none"), "unknown robot robot/Z9"),
         (GrantAuthority(H_F, A, Robot("robot/Z9"), "none"), "unknown robot robot/Z9"),
-        (
-            GrantAuthority(Supervisor("supervisor/Z9"), A, B, "none"),
-            "unknown supervisor supervisor/Z9",
-        ),
-        (
-            GrantAuthority(H_A, A, B, "none"),
-            "supervisor/A1 does not supervise robot/B1",
-        ),
+        (GrantAuthority(Supervisor("supervisor/Z9"), A, B, "none"), "unknown supervisor supervisor/Z9"),
+        (GrantAuthority(H_A, A, B, "none"), "supervisor/A1 does not supervise robot/B1"),
         (GrantAuthority(H_A, A, None, "none"), "does not supervise every robot"),
         (GrantAuthority(H_F, A, A, "none"), "to ask itself"),
         (GrantAuthority(H_F, A, B, "none", "fly"), "unknown capability fly"),
@@ -119,10 +77,7 @@ def test_a_supervisor_grants_authority_and_it_is_on_record_who() -> None:
         (GrantAuthority(H_F, "robot/A1", "robot/B1", "absolute"), "unknown override level absolute"),  # type: ignore[arg-type]
         (RevokeAuthority(H_F, Robot("robot/Z9"), None), "unknown robot robot/Z9"),
         (RevokeAuthority(Supervisor("supervisor/Z9"), A, None), "unknown supervisor supervisor/Z9"),
-        (
-            RevokeAuthority(Supervisor("supervisor/C1"), A, B),
-            "supervises neither robot",
-        ),
+        (RevokeAuthority(Supervisor("supervisor/C1"), A, B), "supervises neither robot"),
         (RevokeAuthority(H_F, A, B, "fly"), "unknown capability fly"),
         (RevokeAuthority(H_F, A, B), "it is revoked already"),
         (RevokeAuthority(H_B, A, B, DOOR), "it is revoked already"),
@@ -142,14 +97,7 @@ def test_a_right_that_nobody_may_give_or_take_is_rejected_and_changes_nothing(co
 @pytest.mark.parametrize("supervisor", [H_F, H_A, H_B])
 def test_either_robots_supervisor_may_revoke(supervisor: Supervisor) -> None:
     [revoked] = decided(given("fsar"), RevokeAuthority(supervisor, A, B, DOOR))
-    assert revoked == AuthorityRevoked(
-        requested_by=A,
-        executed_by=B,
-        capability=DOOR,
-        context=None,
-        reason="human override",
-        decided_by=supervisor,
-    )
+    assert revoked == past.revoked(A, B, DOOR, decided_by=supervisor)
 
 
 def test_a_revocation_takes_effect_at_the_next_request_and_leaves_alone_what_was_admitted() -> None:
@@ -164,13 +112,7 @@ def test_a_revocation_takes_effect_at_the_next_request_and_leaves_alone_what_was
 
 def test_in_a_whole_run_a_running_action_outlives_its_revocation() -> None:
     [(began_us, _)] = of(played([(1_000_000, ASK)]), ExecutionStarted)
-    run = played(
-        [
-            (1_000_000, ASK),
-            (began_us + 1_000, RevokeAuthority(H_F, A, B)),
-            (began_us + 2_000, NEXT),
-        ]
-    )
+    run = played([(1_000_000, ASK), (began_us + 1_000, RevokeAuthority(H_F, A, B)), (began_us + 2_000, NEXT)])
     assert [event.subject.action_id for _, event in of(run, RequestClosed)] == ["q1"]  # type: ignore[attr-defined]
     assert [(event.subject.action_id, event.reason) for _, event in of(run, RequestDenied)] == [("q2", "authority")]  # type: ignore[attr-defined]
     assert run.state == fold(run.events)
@@ -190,17 +132,7 @@ def test_in_a_whole_run_a_running_action_outlives_its_revocation() -> None:
 def test_a_revocation_is_about_what_it_names(
     about: tuple[Robot | None, str | None, str | None], is_denied: bool
 ) -> None:
-    state = given(
-        "fsar",
-        AuthorityRevoked(
-            requested_by=A,
-            executed_by=about[0],
-            capability=about[1],
-            context=about[2],
-            reason="human override",
-            decided_by=H_F,
-        ),
-    )
+    state = given("fsar", past.revoked(A, about[0], about[1], about[2]))
     assert isinstance(evaluated(state), RequestDenied if is_denied else RequestAdmitted)
     assert isinstance(evaluated(state, RequestCapability(C, B, DOOR, "visit", "q3")), RequestAdmitted), (
         "of another requester"
@@ -218,46 +150,17 @@ def test_a_later_grant_lifts_a_revocation() -> None:
 def test_what_the_relay_may_ask_does_not_lift_a_revocation_of_the_requester() -> None:
     assert verdict(relayed(), "A1-1/2.1") == ("accept", None)
     for robot in (D, A):
-        assert verdict(
-            relayed(
-                AuthorityRevoked(
-                    requested_by=robot,
-                    executed_by=B,
-                    capability=None,
-                    context=None,
-                    reason="human override",
-                    decided_by=H_F,
-                )
-            ),
-            "A1-1/2.1",
-        ) == (
-            "reject",
-            "authority",
-        )
+        assert verdict(relayed(past.revoked(robot, B)), "A1-1/2.1") == ("reject", "authority")
 
 
 def test_a_context_that_ends_ends_the_rights_that_were_given_for_it_and_no_others() -> None:
-    broad = AuthorityGranted(
-        requested_by=A,
-        executed_by=B,
-        capability=None,
-        context=None,
-        override="none",
-        decided_by=H_F,
-    )
+    broad = past.granted(A, B)
     for over in (TaskCompleted("visit"), TaskAbandoned("visit")):
         state = given("fsar", broad, GRANTED)
         [command] = [one for one in scheduled(state, over) if not isinstance(one, EndClaims)]
         assert command == ExpireContext("visit")
         [revoked] = play(state, command)
-        assert revoked == AuthorityRevoked(
-            requested_by=A,
-            executed_by=B,
-            capability=DOOR,
-            context="visit",
-            reason="context expired",
-            decided_by=TRUST,
-        )
+        assert revoked == past.revoked(A, B, DOOR, "visit", "context expired", decided_by=TRUST)
         assert play(state, command) == ()
 
 
@@ -276,23 +179,14 @@ def test_a_context_without_rights_ends_without_a_word() -> None:
 def test_trust_that_falls_below_what_is_required_revokes_what_the_peer_holds_admitted() -> None:
     state = given("fsar")
     play(state, ASK, EvaluateRequest("q1"))
-    assert scheduled(state, TrustSet(robot=B, peer=A, scope="capability")) == [], "enough"
-    assert scheduled(state, TrustSet(robot=B, peer=D, scope="none")) == [], "somebody else"
-    [command] = [
-        one for one in scheduled(state, TrustSet(robot=B, peer=A, scope="none")) if isinstance(one, RevokeDistrusted)
-    ]
+    assert scheduled(state, past.trusted(B, A, "capability")) == [], "enough"
+    assert scheduled(state, past.trusted(B, D, "none")) == [], "somebody else"
+    [command] = [one for one in scheduled(state, past.trusted(B, A, "none")) if isinstance(one, RevokeDistrusted)]
     [revoked] = play(state, command)
-    assert revoked == AuthorityRevoked(
-        requested_by=A,
-        executed_by=B,
-        capability=DOOR,
-        context="visit",
-        reason="trust downgrade",
-        decided_by=TRUST,
-    )
+    assert revoked == past.revoked(A, B, DOOR, "visit", "trust downgrade", decided_by=TRUST)
     assert play(state, command) == (), "once"
     assert "RequestAccepted" in types(play(state, TakeTurn("q1"))), "what was admitted goes on"
-    apply(state, TrustSet(robot=B, peer=A, scope="task"))
+    apply(state, past.trusted(B, A, "task"))
     assert evaluated(state).reason == "authority", "trust regained does not give back what was revoked"
 
 
@@ -303,7 +197,7 @@ def test_trust_of_the_roles_that_falls_revokes_what_their_pairs_hold_admitted() 
         "they are in no hall"
     )
     assert scheduled(state, RoleTrustSet(role="B", peer_role="D", scope="none")) == [], "others"
-    state = given("fsar", TrustSet(robot=B, peer=A, scope="task"))
+    state = given("fsar", past.trusted(B, A, "task"))
     play(state, ASK, EvaluateRequest("q1"))
     assert scheduled(state, RoleTrustSet(role="B", peer_role="A", scope="none")) == [], "the pair is an exception"
     state = given("fsar")
@@ -314,7 +208,7 @@ def test_trust_of_the_roles_that_falls_revokes_what_their_pairs_hold_admitted() 
 def test_trust_that_falls_while_nothing_is_admitted_revokes_nothing() -> None:
     state = given("fsar")
     play(state, ASK)
-    assert scheduled(state, TrustSet(robot=B, peer=A, scope="none")) == []
+    assert scheduled(state, past.trusted(B, A, "none")) == []
 
 
 def test_a_claim_is_released_by_who_holds_it_and_execution_not_before_its_end() -> None:

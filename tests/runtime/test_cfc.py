@@ -1,5 +1,7 @@
 """CFC's handlers: given events, when a command, then events."""
 
+from functools import partial
+
 import msgspec
 
 from fsar_ledger.events.authority import AuthorityClaimed
@@ -10,24 +12,10 @@ from fsar_ledger.events.request import CommandIssued, GapDetected, RequestDenied
 from fsar_ledger.events.world import ActuatorDegraded, ObstructionAppeared
 from fsar_ledger.projections.fold import State, apply
 from fsar_ledger.runtime.architectures.cfc import CFC
-from fsar_ledger.runtime.architectures.cfc.coordinator import (
-    ProcessWork,
-    ReachCoordinator,
-    Sync,
-    reach_coordinator,
-    sync,
-    until_next_sync_us,
-)
-from fsar_ledger.runtime.architectures.cfc.execution import SafeStop, decide_routine, safe_stop, start
-from fsar_ledger.runtime.architectures.cfc.recovery import ReachHelper, end_attempt, reach_helper
-from fsar_ledger.runtime.architectures.cfc.request import (
-    QueueOrdered,
-    ReceiveCommand,
-    close_execution,
-    process,
-    queue_ordered,
-    receive_command,
-)
+from fsar_ledger.runtime.architectures.cfc.coordinator import ProcessWork, ReachCoordinator, Sync, until_next_sync_us
+from fsar_ledger.runtime.architectures.cfc.execution import SafeStop
+from fsar_ledger.runtime.architectures.cfc.recovery import ReachHelper
+from fsar_ledger.runtime.architectures.cfc.request import QueueOrdered, ReceiveCommand
 from fsar_ledger.runtime.handlers.commands import (
     CloseExecution,
     DecideRoutine,
@@ -36,31 +24,30 @@ from fsar_ledger.runtime.handlers.commands import (
     StartAction,
     TakeTurn,
 )
-from fsar_ledger.runtime.handlers.execution import approach, detect_obstruction
+from tests.runtime import live
 from tests.runtime.histories import ARRIVED, DELEGATED_STEP, OWN_STEP, SECOND, given, happen, types, window
 
 A, B, C, D = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/C1"), Robot("robot/D1")
 
+decided, play = partial(live.decided, table=CFC), partial(live.play, table=CFC)
 ACTION = "A1-1/2.1"
 DELEGATED = (ARRIVED, DELEGATED_STEP)
 
 
 def commanded(*before) -> State:  # type: ignore[no-untyped-def]
     state = given("cfc", *DELEGATED, *before)
-    happen(state, *process(state, ProcessWork(ACTION, "step")))
+    play(state, ProcessWork(ACTION, "step"))
     return state
 
 
 def running(*before) -> State:  # type: ignore[no-untyped-def]
     state = commanded(*before)
-    happen(state, *receive_command(state, ReceiveCommand(ACTION, B)))
-    happen(state, *approach(state, TakeTurn(ACTION)))
-    happen(state, *start(state, StartAction(ACTION, now_us=9_000_000, answer=2_000_000)))
+    play(state, ReceiveCommand(ACTION, B), TakeTurn(ACTION), StartAction(ACTION, now_us=9_000_000, answer=2_000_000))
     return state
 
 
 def test_the_coordinator_records_a_gap_without_saying_whose() -> None:
-    gap, queued = reach_coordinator(given("cfc", *DELEGATED), ReachCoordinator(ACTION, "step", now_us=1_000_000))
+    gap, queued = decided(given("cfc", *DELEGATED), ReachCoordinator(ACTION, "step", now_us=1_000_000))
     assert isinstance(gap, GapDetected)
     assert (
         gap.subject.action_id,
@@ -73,19 +60,19 @@ def test_the_coordinator_records_a_gap_without_saying_whose() -> None:
 
 def test_work_is_served_in_order_of_arrival_and_takes_longer_with_candidates() -> None:
     state = given("cfc", *DELEGATED)
-    *_, first = reach_coordinator(state, ReachCoordinator(ACTION, "step", now_us=1_000_000))
+    *_, first = decided(state, ReachCoordinator(ACTION, "step", now_us=1_000_000))
     apply(state, first)
-    *_, second = reach_coordinator(state, ReachCoordinator(ACTION, "completion", now_us=1_000_001))
+    *_, second = decided(state, ReachCoordinator(ACTION, "completion", now_us=1_000_001))
     structure = state.fleet.structure
     assert (
-        first.ready_us  # type: ignore[union-attr]
+        first.ready_us  # type: ignore[attr-defined]
         == 1_000_000 + structure.service_us + structure.service_us * structure.candidate_cost_ppm // 1_000_000
     )
-    assert second.ready_us == first.ready_us + structure.service_us  # type: ignore[union-attr]
+    assert second.ready_us == first.ready_us + structure.service_us  # type: ignore[attr-defined]
 
 
 def test_a_delegation_is_decided_committed_and_claimed_by_the_coordinator() -> None:
-    events = process(given("cfc", *DELEGATED), ProcessWork(ACTION, "step"))
+    events = decided(given("cfc", *DELEGATED), ProcessWork(ACTION, "step"))
     assert types(events) == [
         "RequestIssued",
         "CandidateMatched",
@@ -99,50 +86,50 @@ def test_a_delegation_is_decided_committed_and_claimed_by_the_coordinator() -> N
 
 def test_the_gate_reads_the_copied_policy_and_not_the_true_one() -> None:
     unseen = given("cfc", *DELEGATED, window(B))
-    assert "CommandIssued" in types(process(unseen, ProcessWork(ACTION, "step")))
+    assert "CommandIssued" in types(decided(unseen, ProcessWork(ACTION, "step")))
     seen = given("cfc", *DELEGATED, window(B), CopySynced(local_deny=(B,)))
-    assert types(process(seen, ProcessWork(ACTION, "step")))[-1] == "RequestDenied"
+    assert types(decided(seen, ProcessWork(ACTION, "step")))[-1] == "RequestDenied"
 
 
 def test_the_gate_reads_the_fleet_rule_live_and_the_requesters_policy_not_at_all() -> None:
     assert (
-        types(process(given("cfc", *DELEGATED, window(B, scope="fleet")), ProcessWork(ACTION, "step")))[-1]
+        types(decided(given("cfc", *DELEGATED, window(B, scope="fleet")), ProcessWork(ACTION, "step")))[-1]
         == "RequestDenied"
     )
     requester = given("cfc", *DELEGATED, window(A), CopySynced(local_deny=(A,)))
-    assert "CommandIssued" in types(process(requester, ProcessWork(ACTION, "step")))
+    assert "CommandIssued" in types(decided(requester, ProcessWork(ACTION, "step")))
 
 
 def test_an_own_step_leaves_one_decision_without_requester() -> None:
-    events = process(given("cfc", ARRIVED, OWN_STEP), ProcessWork("A1-1/1.1", "step"))
+    events = decided(given("cfc", ARRIVED, OWN_STEP), ProcessWork("A1-1/1.1", "step"))
     assert types(events) == ["OwnStepDecided", "AuthorityClaimed", "AuthorityClaimed"]
     assert events[0].principals.requested_by is None  # type: ignore[attr-defined]
 
 
 def second_delegation(state: State) -> None:
     happen(state, *SECOND)
-    happen(state, *process(state, ProcessWork("A1-2/2.1", "step")))
+    play(state, ProcessWork("A1-2/2.1", "step"))
 
 
 def test_a_second_command_for_a_robot_not_seen_busy_disputes_the_running_action() -> None:
     state = running()
     second_delegation(state)
-    claim, called = receive_command(state, ReceiveCommand("A1-2/2.1", B))
+    claim, called = decided(state, ReceiveCommand("A1-2/2.1", B))
     assert claim == AuthorityClaimed(Subject("A1-1", ACTION), "execution", A, "assigned again: A1-2/2.1")
     assert called.purpose == "ordering"  # type: ignore[attr-defined]
     apply(state, claim)
-    assert types(queue_ordered(state, QueueOrdered("A1-2/2.1"))) == ["AuthorityReleased", "ExecutionQueued"]
+    assert types(decided(state, QueueOrdered("A1-2/2.1"))) == ["AuthorityReleased", "ExecutionQueued"]
 
 
 def test_a_second_command_for_a_robot_seen_busy_only_waits() -> None:
     state = running()
     apply(state, CopySynced(busy=(B,)))
     second_delegation(state)
-    assert types(receive_command(state, ReceiveCommand("A1-2/2.1", B))) == ["ExecutionQueued"]
+    assert types(decided(state, ReceiveCommand("A1-2/2.1", B))) == ["ExecutionQueued"]
 
 
 def test_the_command_says_whether_the_robot_was_seen_busy() -> None:
-    events = process(given("cfc", *DELEGATED, CopySynced(busy=(B,))), ProcessWork(ACTION, "step"))
+    events = decided(given("cfc", *DELEGATED, CopySynced(busy=(B,))), ProcessWork(ACTION, "step"))
     [issued] = [event for event in events if isinstance(event, CommandIssued)]
     assert issued.seen_busy
     assert "RequestDeferred" in types(events)
@@ -151,13 +138,13 @@ def test_the_command_says_whether_the_robot_was_seen_busy() -> None:
 def test_a_context_change_of_either_party_claims_override_against_the_coordinator() -> None:
     state = running()
     for robot in (A, B):
-        [claim] = safe_stop(state, SafeStop(robot, None))
+        [claim] = decided(state, SafeStop(robot, None))
         assert claim == AuthorityClaimed(Subject("A1-1", ACTION), "override", robot, "safe stop")
-    assert safe_stop(state, SafeStop(C, None)) == ()
+    assert decided(state, SafeStop(C, None)) == ()
 
 
 def test_a_window_brings_both_supervisors_to_claim_supervision() -> None:
-    claims = safe_stop(running(), SafeStop(B, "local/B1/0"))
+    claims = decided(running(), SafeStop(B, "local/B1/0"))
     assert {(event.dimension, event.claimant) for event in claims} == {  # type: ignore[attr-defined]
         ("override", "robot/B1"),
         ("audit", FLEET_SUPERVISOR),
@@ -167,39 +154,39 @@ def test_a_window_brings_both_supervisors_to_claim_supervision() -> None:
 
 def test_the_coordinator_keeps_override_until_it_has_processed_the_completion() -> None:
     state = running()
-    [released] = close_execution(state, CloseExecution(ACTION))
+    [released] = decided(state, CloseExecution(ACTION))
     assert (released.dimension, released.claimant) == ("execution", COORDINATOR)  # type: ignore[attr-defined]
-    closed, last = process(state, ProcessWork(ACTION, "completion"))
+    closed, last = decided(state, ProcessWork(ACTION, "completion"))
     assert type(closed).__name__ == "RequestClosed"
     assert (last.dimension, last.claimant) == ("override", COORDINATOR)  # type: ignore[attr-defined]
 
 
 def test_a_motion_is_withheld_by_the_copy_alone() -> None:
     unseen = given("cfc", window(A))
-    assert types(decide_routine(unseen, DecideRoutine(A, "motion"))) == ["RoutinePerformed"]
+    assert types(decided(unseen, DecideRoutine(A, "motion"))) == ["RoutinePerformed"]
     seen = given("cfc", CopySynced(fleet_deny=(A,)))
-    assert types(decide_routine(seen, DecideRoutine(A, "motion"))) == ["RoutineWithheld"]
+    assert types(decided(seen, DecideRoutine(A, "motion"))) == ["RoutineWithheld"]
 
 
 def failed(*before) -> State:  # type: ignore[no-untyped-def]
     state = running(*before, ObstructionAppeared(B, "o"))
-    happen(state, *detect_obstruction(state, DetectObstruction(ACTION, now_us=9_500_000)))
+    play(state, DetectObstruction(ACTION, now_us=9_500_000))
     return state
 
 
 def test_a_failure_gets_one_ordered_retry() -> None:
     state = failed()
-    [attempt] = process(state, ProcessWork(ACTION, "failure", now_us=10_000_000))
+    [attempt] = decided(state, ProcessWork(ACTION, "failure", now_us=10_000_000))
     apply(state, attempt)
-    [report] = end_attempt(state, EndAttempt(ACTION, 1))
+    [report] = decided(state, EndAttempt(ACTION, 1))
     assert type(report).__name__ == "RecoveryAttemptFailed"
-    assert types(process(state, ProcessWork(ACTION, "retry-failed"))) == ["AssistanceRequested"]
+    assert types(decided(state, ProcessWork(ACTION, "retry-failed"))) == ["AssistanceRequested"]
 
 
 def test_a_retry_that_failed_says_of_which_failure_it_was() -> None:
     state = failed()
     state.recovery = {ACTION: msgspec.structs.replace(state.recovery[ACTION], failure=2)}
-    [report] = end_attempt(state, EndAttempt(ACTION, 1))
+    [report] = decided(state, EndAttempt(ACTION, 1))
     assert isinstance(report, RecoveryAttemptFailed)
     assert (report.failure, report.number) == (2, 1)
 
@@ -207,30 +194,27 @@ def test_a_retry_that_failed_says_of_which_failure_it_was() -> None:
 def test_a_robot_that_the_copy_shows_degraded_gets_no_retry() -> None:
     state = failed(ActuatorDegraded(B))
     apply(state, CopySynced(degraded=(B,)))
-    assert types(process(state, ProcessWork(ACTION, "failure"))) == ["AssistanceRequested"]
+    assert types(decided(state, ProcessWork(ACTION, "failure"))) == ["AssistanceRequested"]
 
 
 def test_a_busy_helper_declines_and_the_next_is_tried() -> None:
     state = failed()
-    [order] = process(state, ProcessWork(ACTION, "retry-failed"))
+    [order] = decided(state, ProcessWork(ACTION, "retry-failed"))
     apply(state, order)
     state.execution = msgspec.structs.replace(state.execution, current={order.helper: "something"})  # type: ignore[attr-defined]
-    assert types(reach_helper(state, ReachHelper(ACTION, order.helper))) == ["AssistanceDeclined"]  # type: ignore[attr-defined]
-    [second] = process(state, ProcessWork(ACTION, "declined"))
+    assert types(decided(state, ReachHelper(ACTION, order.helper))) == ["AssistanceDeclined"]  # type: ignore[attr-defined]
+    [second] = decided(state, ProcessWork(ACTION, "declined"))
     assert second.helper != order.helper  # type: ignore[attr-defined]
 
 
 def test_without_an_idle_helper_the_fleet_supervisor_is_called() -> None:
     state = failed()
     apply(state, CopySynced(busy=(A, D)))
-    assert types(process(state, ProcessWork(ACTION, "retry-failed"))) == ["RecoveryEscalated", "SupervisorCalled"]
+    assert types(decided(state, ProcessWork(ACTION, "retry-failed"))) == ["RecoveryEscalated", "SupervisorCalled"]
 
 
 def test_the_copy_shows_the_robots_as_they_are_at_the_sync() -> None:
-    [copy] = sync(
-        running(window(C), window(D, "review", "fleet"), ActuatorDegraded(A)),
-        Sync(),
-    )
+    [copy] = play(running(window(C), window(D, "review", "fleet"), ActuatorDegraded(A)), Sync())
     assert (copy.local_deny, copy.fleet_review, copy.busy, copy.degraded) == (
         ("robot/C1",),
         ("robot/D1",),
@@ -249,7 +233,7 @@ def test_the_next_sync_is_never_now() -> None:
 def test_a_step_given_up_before_the_coordinator_comes_to_it_is_denied_by_the_coordinator() -> None:
     for begun in (DELEGATED_STEP, OWN_STEP):
         state = given("cfc", ARRIVED, begun, WorkQueued(Subject("A1-9", "A1-9/1.1"), "step", 900_000_000))
-        made = reach_coordinator(state, ReachCoordinator(begun.subject.action_id, "step", now_us=2_000_000))
+        made = decided(state, ReachCoordinator(begun.subject.action_id, "step", now_us=2_000_000))
         denied = [event for event in made if isinstance(event, RequestDenied)]
         assert len(denied) == 1
         assert (denied[0].principals.decided_by, denied[0].principals.path, denied[0].reason) == (

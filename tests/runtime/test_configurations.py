@@ -32,13 +32,8 @@ def test_a_configuration_has_one_name_and_the_name_says_what_it_lacks(mechanisms
 @pytest.mark.parametrize(
     "name",
     [
-        "",
-        "without-",
-        "without-luck",
-        "without-trust-evaluation+luck",
-        "without-shared-registry+trust-evaluation",
-        "without-a+a",
-        "trust-evaluation",
+        *("", "without-", "without-luck", "without-trust-evaluation+luck"),
+        *("without-shared-registry+trust-evaluation", "without-a+a", "trust-evaluation"),
     ],
 )
 def test_any_other_text_names_no_configuration_and_is_not_simulated(name: str) -> None:
@@ -77,12 +72,8 @@ def test_a_mechanism_that_does_not_exist_is_named(asked: str, said: str) -> None
 @pytest.mark.parametrize(
     "asked",
     [
-        "",
-        "+",
-        "trust-evaluation+",
-        "+trust-evaluation",
-        "trust-evaluation,shared-registry",
-        "trust-evaluation+trust-evaluation",
+        *("", "+", "trust-evaluation+", "+trust-evaluation"),
+        *("trust-evaluation,shared-registry", "trust-evaluation+trust-evaluation"),
     ],
 )
 def test_mechanisms_that_are_joined_otherwise_are_refused_with_how_to_join_them(asked: str) -> None:

@@ -8,33 +8,29 @@ from itertools import permutations
 import pytest
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import Parties, Robot, Subject
+from fsar_ledger.events.envelope import Robot, Subject
 from fsar_ledger.events.execution import ExecutionStarted
-from fsar_ledger.events.registry import RegistryQueried
 from fsar_ledger.events.request import RequestAdmitted, RequestDenied
 from fsar_ledger.events.supervision import SupervisorCalled, SupervisorResponded
-from fsar_ledger.events.task import StepBegan, TaskCompleted
-from fsar_ledger.events.trust import TrustSet
-from fsar_ledger.events.world import TaskArrived
+from fsar_ledger.events.task import TaskCompleted
 from fsar_ledger.projections.fold import State, apply, fold
 from fsar_ledger.runtime.architectures.fsar import FSAR
 from fsar_ledger.runtime.architectures.fsar.request import EvaluateRequest
 from fsar_ledger.runtime.handlers.commands import CloseRequest, Respond, StartAction, TakeTurn
 from fsar_ledger.runtime.handlers.request import ReportResult, RequestCapability
+from tests import past
 from tests.runtime.histories import given, happen, types, window
 from tests.runtime.live import decided, of, played
 
 DOOR, B = "door.open.secure", Robot("robot/B1")
-TRUSTED = tuple(TrustSet(robot=B, peer=Robot(f"robot/{name}1"), scope="session") for name in "ACD")
+TRUSTED = tuple(past.trusted(B, Robot(f"robot/{name}1"), "session") for name in "ACD")
 ARRIVED = tuple(
-    TaskArrived(
-        task_id=f"{name}-1",
-        robot=Robot(f"robot/{name}1"),
-        team=1,
-        steps=(f"{name} {DOOR} B",),
+    past.arrived(
+        f"{name}-1",
+        Robot(f"robot/{name}1"),
+        (f"{name} {DOOR} B",),
         budget_us=600_000_000,
         due_us=900_000_000,
-        checkpoints=None,
         is_time_critical=name == "D",
     )
     for name in "ACD"
@@ -45,24 +41,9 @@ URGENT = "D-1/1.1"
 
 def competing() -> State:
     """A, C and D have all asked B for its door; D's task is time-critical, and no request has been evaluated."""
-    began = [
-        StepBegan(
-            subject=Subject(f"{name}-1", f"{name}-1/1.1"),
-            robot=Robot(f"robot/{name}1"),
-            step=1,
-            attempt=1,
-            capability=DOOR,
-            target_role="B",
-        )
-        for name in "ACD"
-    ]
+    began = [past.began(Subject(f"{name}-1", f"{name}-1/1.1"), Robot(f"robot/{name}1"), 1, DOOR, "B") for name in "ACD"]
     shown = [
-        RegistryQueried(
-            subject=Subject(f"{name}-1", f"{name}-1/1.1"),
-            principals=Parties(requested_by=Robot(f"robot/{name}1"), executed_by=B, supervised_by=None),
-            capability=DOOR,
-            candidates=(B,),
-        )
+        past.queried(Subject(f"{name}-1", f"{name}-1/1.1"), past.parties(Robot(f"robot/{name}1"), B), DOOR, B)
         for name in "ACD"
     ]
     return given("fsar", *TRUSTED, *ARRIVED, *began, *shown)
@@ -113,7 +94,7 @@ def test_a_denial_of_the_one_that_goes_first_lets_the_others_go_on() -> None:
     evaluated(state, *NAMES)
     answered(state, "A-1/1.1")
     answered(state, "C-1/1.1")
-    apply(state, TrustSet(robot=B, peer=Robot("robot/D1"), scope="none"))
+    apply(state, past.trusted(B, Robot("robot/D1"), "none"))
     denied = decided(state, EvaluateRequest(URGENT))
     assert isinstance(denied[0], RequestDenied)
     assert sorted(again(state, *denied)) == ["A-1/1.1", "C-1/1.1"]
@@ -155,26 +136,8 @@ def test_a_request_that_has_its_result_is_no_rival(is_closed: bool) -> None:
         events = decided(state, command)
         assert "CommandRejected" not in types(events)
         happen(state, *events)
-    apply(
-        state,
-        StepBegan(
-            subject=Subject("C-1", "C-1/1.1"),
-            robot=Robot("robot/C1"),
-            step=1,
-            attempt=1,
-            capability=DOOR,
-            target_role="B",
-        ),
-    )
-    apply(
-        state,
-        RegistryQueried(
-            subject=Subject("C-1", "C-1/1.1"),
-            principals=Parties(requested_by=Robot("robot/C1"), executed_by=B, supervised_by=None),
-            capability=DOOR,
-            candidates=(B,),
-        ),
-    )
+    apply(state, past.began(Subject("C-1", "C-1/1.1"), Robot("robot/C1"), 1, DOOR, "B"))
+    apply(state, past.queried(Subject("C-1", "C-1/1.1"), past.parties(Robot("robot/C1"), B), DOOR, B))
     assert evaluated(state, "C-1/1.1") == ["RequestAdmitted", "ExecutionQueued"]
 
 

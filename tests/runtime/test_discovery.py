@@ -7,43 +7,27 @@ import pytest
 
 from fsar_ledger.constants import Constants
 from fsar_ledger.events.envelope import Robot, Subject
-from fsar_ledger.events.fleet import RobotJoined
-from fsar_ledger.events.registry import (
-    AvailabilityChanged,
-    CapabilityAdvertised,
-    CapabilityInstalled,
-    CapabilityWithdrawn,
-    RegistryQueried,
-)
-from fsar_ledger.events.task import StepBegan
-from fsar_ledger.events.trust import TrustSet
-from fsar_ledger.events.world import OutsiderRequestInjected, TaskArrived
+from fsar_ledger.events.registry import CapabilityWithdrawn, RegistryQueried
+from fsar_ledger.events.world import OutsiderRequestInjected
 from fsar_ledger.projections.fold import apply, fold
 from fsar_ledger.projections.registry import Offers
-from fsar_ledger.runtime.architectures.fsar.authority import AnswerOutsider, answer_outsider
-from fsar_ledger.runtime.architectures.fsar.discovery import QueryRegistry, query_registry
+from fsar_ledger.runtime.architectures.fsar.authority import AnswerOutsider
+from fsar_ledger.runtime.architectures.fsar.discovery import QueryRegistry
 from fsar_ledger.runtime.handlers.candidates import Query, candidates
 from fsar_ledger.runtime.simulation import RunSpec, run_started
 from fsar_ledger.runtime.world.founding import founding
+from tests import past
 from tests.runtime.histories import given
+from tests.runtime.live import decided
 
 
 def test_the_registry_says_by_which_filter_it_left_others_out() -> None:
     spec = RunSpec(1, "fsar", "full", "door-relay", 8, 0)
-    step = StepBegan(
-        subject=Subject("A2-1", "A2-1/1.1"),
-        robot=Robot("robot/A2"),
-        step=1,
-        attempt=1,
-        capability="door.open.secure",
-        target_role="B",
-    )
-    arrived = TaskArrived(
-        task_id="A2-1", robot=Robot("robot/A2"), team=2, steps=("A door.open.secure B",), budget_us=1, due_us=1
-    )
-    distrust = TrustSet(robot=Robot("robot/B1"), peer=Robot("robot/A2"), scope="none")
+    step = past.began(Subject("A2-1", "A2-1/1.1"), Robot("robot/A2"), 1, "door.open.secure", "B")
+    arrived = past.arrived("A2-1", Robot("robot/A2"), ("A door.open.secure B",), team=2, budget_us=1, due_us=1)
+    distrust = past.trusted(Robot("robot/B1"), Robot("robot/A2"), "none")
     state = fold((run_started(spec, Constants()), *founding(8), arrived, step, distrust))
-    [answer] = query_registry(state, QueryRegistry("A2-1/1.1"))
+    [answer] = decided(state, QueryRegistry("A2-1/1.1"))
     assert isinstance(answer, RegistryQueried)
     assert (answer.candidates, answer.relay, answer.rejected, answer.rejected_by) == (
         ("robot/B2",),
@@ -55,25 +39,15 @@ def test_the_registry_says_by_which_filter_it_left_others_out() -> None:
 
 def test_who_is_reached_through_a_peer_is_not_rejected_beside_it() -> None:
     spec = RunSpec(1, "fsar", "full", "door-relay", 8, 0)
-    step = StepBegan(
-        subject=Subject("D2-1", "D2-1/1.1"),
-        robot=Robot("robot/D2"),
-        step=1,
-        attempt=1,
-        capability="door.open.secure",
-        target_role="B",
-    )
-    arrived = TaskArrived(
-        task_id="D2-1", robot=Robot("robot/D2"), team=2, steps=("D door.open.secure B",), budget_us=1, due_us=1
-    )
+    step = past.began(Subject("D2-1", "D2-1/1.1"), Robot("robot/D2"), 1, "door.open.secure", "B")
+    arrived = past.arrived("D2-1", Robot("robot/D2"), ("D door.open.secure B",), team=2, budget_us=1, due_us=1)
     state = fold((run_started(spec, Constants()), *founding(8), arrived, step))
-    [answer] = query_registry(state, QueryRegistry("D2-1/1.1"))
+    [answer] = decided(state, QueryRegistry("D2-1/1.1"))
     assert isinstance(answer, RegistryQueried)
-    assert (answer.candidates, answer.rejected, answer.rejected_by) == (("robot/B2",), ("robot/B1",), ("trust",))
-    apply(
-        state, AvailabilityChanged(robot=Robot("robot/B2"), capability=None, availability="offline", reason="charging")
-    )
-    [answer] = query_registry(state, QueryRegistry("D2-1/1.1"))
+    assert (answer.candidates, answer.relay) == (("robot/B2",), "robot/A2"), "the nearest team's"
+    assert (answer.rejected, answer.rejected_by) == (("robot/B1",), ("trust",))
+    apply(state, past.available(Robot("robot/B2"), None, "offline", "charging"))
+    [answer] = decided(state, QueryRegistry("D2-1/1.1"))
     assert answer.candidates == ("robot/B1",)  # type: ignore[attr-defined]
 
 
@@ -81,8 +55,8 @@ def test_an_outsider_that_asks_for_what_nobody_shows_is_refused_by_visibility() 
     injected = OutsiderRequestInjected(
         task_id="injected-1-1", robot=Robot("robot/D1"), peer=Robot("robot/C1"), capability="inspect.visual"
     )
-    shown, _ = answer_outsider(given("fsar", injected), AnswerOutsider("injected-1-1"))
-    hidden, _ = answer_outsider(
+    shown, _ = decided(given("fsar", injected), AnswerOutsider("injected-1-1"))
+    hidden, _ = decided(
         given("fsar", injected, CapabilityWithdrawn(Robot("robot/C1"), "inspect.visual", "x")),
         AnswerOutsider("injected-1-1"),
     )
@@ -92,25 +66,25 @@ def test_an_outsider_that_asks_for_what_nobody_shows_is_refused_by_visibility() 
 def test_a_search_that_ends_in_its_own_domain_reads_no_other() -> None:
     """What lies in the other domain here cannot be read at all."""
     founding_of_two = (
-        RobotJoined(robot=Robot("robot/A9"), role="A", team=1, supervisor=None, domain="hall"),
-        RobotJoined(robot=Robot("robot/B9"), role="B", team=1, supervisor=None, domain="hall"),
-        TrustSet(robot=Robot("robot/B9"), peer=Robot("robot/A9"), scope="task"),
+        past.joined(Robot("robot/A9"), "A", domain="hall"),
+        past.joined(Robot("robot/B9"), "B", domain="hall"),
+        past.trusted(Robot("robot/B9"), Robot("robot/A9"), "task"),
     )
     state = given(
         "fsar",
         *founding_of_two,
-        RobotJoined(robot=Robot("robot/B8"), role="B", team=1, supervisor=None, domain="yard"),
-        TrustSet(robot=Robot("robot/B8"), peer=Robot("robot/A9"), scope="task"),
+        past.joined(Robot("robot/B8"), "B", domain="yard"),
+        past.trusted(Robot("robot/B8"), Robot("robot/A9"), "task"),
     )
     for robot in (Robot("robot/B9"), Robot("robot/B8")):
-        apply(state, CapabilityInstalled(robot=robot, capability="lift", version="1.0.0"))
-        apply(state, CapabilityAdvertised(robot=robot, capability="lift"))
+        apply(state, past.installed(robot, "lift"))
+        apply(state, past.advertised(robot, "lift"))
     whole = state.registry.offers
     unreadable: Any = None
     state.registry = msgspec.structs.replace(
         state.registry, offers=Offers(whole.records, {**whole.below, "yard": unreadable}, whole.ways)
     )
     assert candidates(state, Query(Robot("robot/A9"), "lift")).candidates == ("robot/B9",)
-    apply(state, TrustSet(robot=Robot("robot/B9"), peer=Robot("robot/A9"), scope="none"))
+    apply(state, past.trusted(Robot("robot/B9"), Robot("robot/A9"), "none"))
     with pytest.raises(AttributeError):
         candidates(state, Query(Robot("robot/A9"), "lift"))

@@ -23,7 +23,6 @@ from fsar_ledger.events.envelope import OverrideLevel, Result, Robot
 from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.events.registry import RegistryQueried
 from fsar_ledger.events.request import RequestIssued
-from fsar_ledger.events.trust import TrustSet
 from fsar_ledger.events.world import (
     ActuatorDegraded,
     ContextChanged,
@@ -44,6 +43,7 @@ from fsar_ledger.runtime.handlers.request import AnswerOffer, ReportResult, Requ
 from fsar_ledger.runtime.handlers.supervision import RespondToCall
 from fsar_ledger.runtime.handlers.task import SubmitTask
 from fsar_ledger.runtime.handlers.trust import SetTrustThresholds
+from tests import past
 from tests.recycled import from_table
 from tests.runtime.bench import HELPER, PUBLIC, ROBOTS, TRUST, Bench, arguments, founding
 
@@ -102,7 +102,7 @@ class Federation(RuleBasedStateMachine):
             and isinstance(command, JoinFleet)
             and any(isinstance(event, RobotJoined) for event in events)
         ):
-            self.live.happen(TrustSet(robot=HELPER, peer=command.robot, scope="persistent"))
+            self.live.happen(past.trusted(HELPER, command.robot, "persistent"))
 
     @rule(data=st.data(), override=st.sampled_from(get_args(OverrideLevel)), urgent=st.booleans())
     def ask_whom_one_trusts(self, data: st.DataObject, override: OverrideLevel, urgent: bool) -> None:

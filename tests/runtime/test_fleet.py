@@ -4,11 +4,11 @@ import pytest
 
 from fsar_ledger.constants import Constants
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import Parties, Principals, Robot, Subject, Supervisor
-from fsar_ledger.events.execution import ExecutionFailed, ExecutionQueued, ExecutionResumed, ExecutionStarted
+from fsar_ledger.events.envelope import Robot, Subject, Supervisor
+from fsar_ledger.events.execution import ExecutionFailed, ExecutionResumed
 from fsar_ledger.events.fleet import RobotJoined
-from fsar_ledger.events.recovery import AssistanceAdmitted, RecoveryEscalated
-from fsar_ledger.events.registry import AvailabilityChanged, CapabilityInstalled, CapabilityRemoved
+from fsar_ledger.events.recovery import RecoveryEscalated
+from fsar_ledger.events.registry import AvailabilityChanged, CapabilityRemoved
 from fsar_ledger.events.supervision import ActuatorServiced
 from fsar_ledger.events.world import ActuatorDegraded
 from fsar_ledger.projections.fold import apply
@@ -20,6 +20,7 @@ from fsar_ledger.runtime.handlers.attribution import nearest_first
 from fsar_ledger.runtime.handlers.commands import Command
 from fsar_ledger.runtime.handlers.fleet import HANDLERS, InstallCapability, JoinFleet, RemoveCapability, execution_state
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
+from tests import past
 from tests.runtime.histories import given, happen, types
 
 A, B = Robot("robot/A1"), Robot("robot/B1")
@@ -40,10 +41,7 @@ def test_a_robot_joins_and_neither_possesses_nor_trusts_anything_yet() -> None:
 
 
 def test_robots_of_other_teams_come_by_name_whenever_they_joined() -> None:
-    state = given(
-        "fsar",
-        *(RobotJoined(robot=Robot(f"robot/E{team}"), role="E", team=team, supervisor=None) for team in (4, 3, 2)),
-    )
+    state = given("fsar", *(past.joined(Robot(f"robot/E{team}"), "E", team) for team in (4, 3, 2)))
     near = [Robot(f"robot/{name}") for name in ("B1", "E2", "E3", "E4")]
     assert nearest_first(state.fleet, near, Robot("robot/E3")) == ("robot/E3", "robot/B1", "robot/E2", "robot/E4")
 
@@ -54,13 +52,8 @@ def test_a_robot_without_a_supervisor_of_its_own_may_join() -> None:
 
 def test_an_installed_capability_is_possessed_and_advertised_to_nobody() -> None:
     [installed] = decided(InstallCapability(B, "lift", "0.1.0", ("seen",), ("held",), ("arm",)))
-    assert installed == CapabilityInstalled(
-        robot=B,
-        capability="lift",
-        version="0.1.0",
-        preconditions=("seen",),
-        postconditions=("held",),
-        resources=("arm",),
+    assert installed == past.installed(
+        B, "lift", "0.1.0", preconditions=("seen",), postconditions=("held",), resources=("arm",)
     )
     state = given("fsar", installed)
     assert possesses(state.registry, B, "lift")
@@ -75,18 +68,7 @@ def test_a_removed_capability_is_neither_possessed_nor_advertised() -> None:
     assert advertisement(state.registry, B, "door.open.secure") is None
 
 
-QUEUED = ExecutionQueued(
-    subject=Subject("t", "t/1"),
-    principals=Parties(requested_by=A, executed_by=B, supervised_by=None),
-    robot=B,
-    on_behalf_of=A,
-    capability="door.open.secure",
-    step=1,
-    attempt=1,
-    is_delegated=True,
-    has_approach=True,
-    is_supervised=True,
-)
+QUEUED = past.queued(Subject("t", "t/1"), B, A, "door.open.secure")
 
 
 @pytest.mark.parametrize(
@@ -122,23 +104,12 @@ def test_what_is_unknown_doubled_or_impossible_is_rejected(
     assert reason in rejection.reason  # type: ignore[attr-defined]
 
 
-STARTED = ExecutionStarted(
-    subject=Subject("t", "t/1"),
-    principals=Parties(requested_by=A, executed_by=B, supervised_by=None),
-    robot=B,
-    on_behalf_of=A,
-    capability="door.open.secure",
-    ends_us=9,
-)
-FAILED = ExecutionFailed(
-    subject=Subject("t", "t/1"), robot=B, failure=1, cause="obstruction", remaining_us=4, detected_us=5
-)
-WEAK = ExecutionFailed(
-    subject=Subject("t", "t/1"), robot=B, failure=1, cause="degradation", remaining_us=4, detected_us=5
-)
+STARTED = past.started(Subject("t", "t/1"), B, A, "door.open.secure", 9)
+FAILED = past.failed(Subject("t", "t/1"), B, "obstruction", 4, 5)
+WEAK = past.failed(Subject("t", "t/1"), B, "degradation", 4, 5)
 OUTWARD = RecoveryEscalated(
     subject=Subject("t", "t/1"),
-    principals=Principals(decided_by=None, requested_by=None, executed_by=None, supervised_by=None, path=()),
+    principals=past.principals(),
     robot=B,
     failure=1,
     level="local",
@@ -162,29 +133,9 @@ RESUMED = ExecutionResumed(Subject("t", "t/1"), B, 12)
         ((ActuatorDegraded(B), QUEUED, STARTED), "degraded"),
         ((ActuatorDegraded(B), QUEUED, STARTED, WEAK), "failed"),
         ((ActuatorDegraded(B), ActuatorServiced(B)), "idle"),
-        (
-            (AvailabilityChanged(robot=B, capability="door.open.basic", availability="degraded", reason="worn"),),
-            "degraded",
-        ),
-        (
-            (AvailabilityChanged(robot=B, capability=None, availability="offline", reason="charging"),),
-            "idle",
-        ),
-        (
-            (
-                AssistanceAdmitted(
-                    subject=Subject("t", "t/9"),
-                    principals=Principals(
-                        decided_by=None, requested_by=None, executed_by=None, supervised_by=None, path=()
-                    ),
-                    robot=A,
-                    helper=B,
-                    failure=1,
-                    level="peer",
-                ),
-            ),
-            "executing",
-        ),
+        ((past.available(B, "door.open.basic", "degraded", "worn"),), "degraded"),
+        ((past.available(B, None, "offline", "charging"),), "idle"),
+        ((past.assisted(Subject("t", "t/9"), A, B, past.principals()),), "executing"),
     ],
 )
 def test_a_robot_is_failed_before_degraded_before_executing_before_idle(events: tuple[Event, ...], state: str) -> None:
@@ -195,9 +146,7 @@ def test_a_failure_of_the_actuator_is_reported_and_an_obstruction_is_not() -> No
     state = given("fsar", ActuatorDegraded(B), QUEUED, STARTED, WEAK)
     [word] = AVAILABILITY.reacts[ExecutionFailed](state, WEAK, 5)
     assert word.command == ReportActuator(B, True)
-    assert report_actuator(state, ReportActuator(B, True)) == (
-        AvailabilityChanged(robot=B, capability=None, availability="degraded", reason="actuator"),
-    )
+    assert report_actuator(state, ReportActuator(B, True)) == (past.available(B, None, "degraded", "actuator"),)
     assert AVAILABILITY.reacts[ExecutionFailed](state, FAILED, 5) == ()
 
 
@@ -209,15 +158,11 @@ def test_what_was_reported_is_not_reported_again_and_a_serviced_robot_is_ready()
     serviced = ActuatorServiced(B)
     apply(state, serviced)
     [word] = AVAILABILITY.reacts[ActuatorServiced](state, serviced, 5)
-    assert FSAR.decides[ReportActuator](state, word.command) == (
-        AvailabilityChanged(robot=B, capability=None, availability="ready", reason="actuator"),
-    )
+    assert FSAR.decides[ReportActuator](state, word.command) == (past.available(B, None, "ready", "actuator"),)
 
 
 def test_word_of_the_actuator_lifts_no_restriction() -> None:
-    held_back = AvailabilityChanged(
-        robot=B, capability="door.open.secure", availability="restricted", reason="inspection"
-    )
+    held_back = past.available(B, "door.open.secure", "restricted", "inspection")
     state = given("fsar", held_back, ActuatorDegraded(B))
     words = report_actuator(state, ReportActuator(B, True))
     assert [event.capability for event in words] == ["navigate.indoor", "door.open.basic"]  # type: ignore[attr-defined]

@@ -2,96 +2,57 @@
 
 import msgspec
 
-from fsar_ledger.constants import Constants
 from fsar_ledger.events.authority import AuthorityClaimed
-from fsar_ledger.events.envelope import Parties, Robot, Subject
-from fsar_ledger.events.execution import ApproachStarted, ExecutionStarted
+from fsar_ledger.events.envelope import Subject
+from fsar_ledger.events.execution import ApproachStarted
 from fsar_ledger.events.recovery import AssistanceEnded, FailureResolved
 from fsar_ledger.events.registry import RegistryQueried
-from fsar_ledger.events.task import StepBegan
-from fsar_ledger.events.world import ObstructionAppeared, ObstructionCleared, OutsiderRequestInjected, TaskArrived
-from fsar_ledger.projections.fold import apply, fold
-from fsar_ledger.runtime.architectures.fsar.authority import AnswerOutsider, answer_outsider
-from fsar_ledger.runtime.architectures.fsar.discovery import QueryRegistry, query_registry
-from fsar_ledger.runtime.architectures.fsar.execution import DecideOwnStep, decide_own_step, start
-from fsar_ledger.runtime.architectures.fsar.recovery import (
-    AskPeers,
-    ConsiderReassignment,
-    StartRecovery,
-    ask_peers,
-    consider_reassignment,
-    end_attempt,
-    start_recovery,
-)
+from fsar_ledger.events.world import ObstructionAppeared, ObstructionCleared, OutsiderRequestInjected
+from fsar_ledger.projections.fold import apply
+from fsar_ledger.runtime.architectures.fsar.authority import AnswerOutsider
+from fsar_ledger.runtime.architectures.fsar.execution import DecideOwnStep
+from fsar_ledger.runtime.architectures.fsar.recovery import AskPeers, ConsiderReassignment, StartRecovery
 from fsar_ledger.runtime.handlers.commands import DetectObstruction, EndAttempt, StartAction
-from fsar_ledger.runtime.handlers.execution import _on_running, detect_obstruction, start_after_approach
-from fsar_ledger.runtime.simulation import RunSpec, run_started
-from fsar_ledger.runtime.world.founding import founding
-from tests.runtime.histories import ARRIVED, OWN_STEP, given, happen, types, window
+from fsar_ledger.runtime.handlers.execution import _on_running, start_after_approach
+from tests import past
+from tests.runtime.histories import ARRIVED, OWN_STEP, given, types, window
+from tests.runtime.live import decided, play
 from tests.runtime.test_fsar import A, B, C, D, executing
 
 
 def failed(own: bool = False):  # type: ignore[no-untyped-def]
     state, action_id = executing(ObstructionAppeared(A if own else B, "o"), own=own)
-    happen(state, *detect_obstruction(state, DetectObstruction(action_id, now_us=9_500_000)))
+    play(state, DetectObstruction(action_id, now_us=9_500_000))
     return state, action_id
 
 
 def test_recovery_begins_at_the_robot_and_goes_outward_without_skipping() -> None:
     state, action_id = failed()
-    levels = []
-    happen(state, *start_recovery(state, StartRecovery(action_id)))
-    _, second = end_attempt(state, EndAttempt(action_id, 1, now_us=11_000_000))
-    assert (type(second).__name__, second.number) == ("RecoveryAttempted", 2)  # type: ignore[attr-defined]
-    apply(state, second)
-    _, outward = end_attempt(state, EndAttempt(action_id, 2, now_us=13_000_000))
-    levels.append((outward.level, outward.to_level))  # type: ignore[attr-defined]
-    apply(state, outward)
-    assert types(ask_peers(state, AskPeers(action_id))) == ["AssistanceRequested", "AssistanceAdmitted"]
+    play(state, StartRecovery(action_id), EndAttempt(action_id, 1, now_us=11_000_000))
+    _, local = play(state, EndAttempt(action_id, 2, now_us=13_000_000))
+    assert types(decided(state, AskPeers(action_id))) == ["AssistanceRequested", "AssistanceAdmitted"]
     apply(state, window(A))
-    [onward] = ask_peers(state, AskPeers(action_id))
-    levels.append((onward.level, onward.to_level))  # type: ignore[attr-defined]
-    apply(state, onward)
-    decided, human, called = consider_reassignment(state, ConsiderReassignment(action_id))
-    levels.append((human.level, human.to_level))  # type: ignore[attr-defined]
-    assert (decided.helper, type(called).__name__) == (None, "SupervisorCalled")  # type: ignore[attr-defined]
+    [peer] = play(state, AskPeers(action_id))
+    reassigned, fleet, called = decided(state, ConsiderReassignment(action_id))
+    assert (reassigned.helper, type(called).__name__) == (None, "SupervisorCalled")  # type: ignore[attr-defined]
+    levels = [(one.level, one.to_level) for one in (local, peer, fleet)]  # type: ignore[union-attr]
     assert levels == [("local", "peer"), ("peer", "fleet"), ("fleet", "human")]
 
 
-def test_a_spent_time_budget_ends_local_recovery() -> None:
-    state, action_id = failed()
-    happen(state, *start_recovery(state, StartRecovery(action_id)))
-    _, outward = end_attempt(state, EndAttempt(action_id, 1, now_us=60_000_000))
-    assert outward.to_level == "peer"  # type: ignore[attr-defined]
-
-
 def test_a_failed_carry_is_reassigned_to_a_trusted_substitute() -> None:
-    step = StepBegan(subject=OWN_STEP.subject, robot=A, step=1, attempt=1, capability="carry.package")
+    step = past.began(OWN_STEP.subject, A, 1, "carry.package")
     state = given("fsar", ARRIVED, step, ObstructionAppeared(A, "o"))
-    happen(state, *decide_own_step(state, DecideOwnStep("A1-1/1.1")))
-    happen(state, *start(state, StartAction("A1-1/1.1", now_us=5, answer=7_000_000)))
-    happen(state, *detect_obstruction(state, DetectObstruction("A1-1/1.1", now_us=6)))
+    play(state, DecideOwnStep("A1-1/1.1"), StartAction("A1-1/1.1", now_us=5, answer=7_000_000))
+    play(state, DetectObstruction("A1-1/1.1", now_us=6))
     state.recovery = {"A1-1/1.1": msgspec.structs.replace(state.recovery["A1-1/1.1"], level="fleet")}
-    reassigned = consider_reassignment(state, ConsiderReassignment("A1-1/1.1"))
-    assert types(reassigned) == [
-        "ReassignmentDecided",
-        "FailureResolved",
-        "ExecutionWithdrawn",
-        "TaskStateTransferred",
-        "ExecutionQueued",
-    ]
+    reassigned = decided(state, ConsiderReassignment("A1-1/1.1"))
     assert reassigned[0].helper == "robot/D1"  # type: ignore[attr-defined]
-
-
-def test_without_layered_recovery_the_fleet_supervisor_is_called_at_once() -> None:
-    state, action_id = failed()
-    state.fleet = given("fsar", configuration="without-layered-recovery").fleet
-    assert types(start_recovery(state, StartRecovery(action_id))) == ["RecoveryEscalated", "SupervisorCalled"]
+    assert types(reassigned)[1:] == ["FailureResolved", "ExecutionWithdrawn", "TaskStateTransferred", "ExecutionQueued"]
 
 
 def test_an_outsider_finds_nothing_and_is_denied_by_the_federation() -> None:
     injected = OutsiderRequestInjected(task_id="injected-1-1", robot=D, peer=C, capability="inspect.private_zone")
-    query, denied = answer_outsider(given("fsar", injected), AnswerOutsider("injected-1-1"))
+    query, denied = decided(given("fsar", injected), AnswerOutsider("injected-1-1"))
     assert isinstance(query, RegistryQueried)
     assert (query.candidates, query.principals.executed_by, query.rejected, query.rejected_by) == (
         (),
@@ -104,9 +65,7 @@ def test_an_outsider_finds_nothing_and_is_denied_by_the_federation() -> None:
 
 def test_without_trust_evaluation_the_outsider_runs_under_contested_audit() -> None:
     injected = OutsiderRequestInjected(task_id="injected-1-1", robot=D, peer=C, capability="inspect.private_zone")
-    events = answer_outsider(
-        given("fsar", injected, configuration="without-trust-evaluation"), AnswerOutsider("injected-1-1")
-    )
+    events = decided(given("fsar", injected, configuration="without-trust-evaluation"), AnswerOutsider("injected-1-1"))
     assert {
         event.claimant for event in events if isinstance(event, AuthorityClaimed) and event.dimension == "audit"
     } == {"robot/D1", "supervisor/fleet"}
@@ -114,18 +73,11 @@ def test_without_trust_evaluation_the_outsider_runs_under_contested_audit() -> N
 
 def test_an_execution_that_starts_in_the_way_of_something_finishes_if_that_goes_at_once() -> None:
     state, action_id = executing(ObstructionAppeared(B, "o"))
-    started = ExecutionStarted(
-        subject=Subject("A1-1", action_id),
-        principals=Parties(requested_by=None, executed_by=None, supervised_by=None),
-        robot=B,
-        on_behalf_of=A,
-        capability="door.open.secure",
-        ends_us=11_000_000,
-    )
+    started = past.started(Subject("A1-1", action_id), B, A, "door.open.secure", 11_000_000, past.parties())
     scheduled = [type(one.command).__name__ for one in _on_running(state, started, 9_000_000)]
     assert scheduled == ["DetectObstruction", "FinishAttempt"]
     apply(state, ObstructionCleared(B, "o"))
-    assert detect_obstruction(state, DetectObstruction(action_id, now_us=9_000_001)) == ()
+    assert decided(state, DetectObstruction(action_id, now_us=9_000_001)) == ()
 
 
 def test_a_local_recovery_clears_nothing_but_what_was_clear() -> None:
@@ -138,24 +90,6 @@ def test_a_local_recovery_clears_nothing_but_what_was_clear() -> None:
     assert given("fsar", in_the_way, taken_over).world.obstructions[A] == ("o",)
     assert given("fsar", in_the_way, helped).world.obstructions[A] == ()
     assert given("fsar", in_the_way, cleared_by_hand).world.obstructions[A] == ()
-
-
-def test_the_relay_is_the_nearest_teams() -> None:
-    spec = RunSpec(1, "fsar", "full", "door-relay", 8, 0)
-    step = StepBegan(
-        subject=Subject("D2-1", "D2-1/1.1"),
-        robot=Robot("robot/D2"),
-        step=1,
-        attempt=1,
-        capability="door.open.secure",
-        target_role="B",
-    )
-    arrived = TaskArrived(
-        task_id="D2-1", robot=Robot("robot/D2"), team=2, steps=("D door.open.secure B",), budget_us=1, due_us=1
-    )
-    state = fold((run_started(spec, Constants()), *founding(8), arrived, step))
-    [answer] = query_registry(state, QueryRegistry("D2-1/1.1"))
-    assert (answer.candidates, answer.relay) == (("robot/B2",), "robot/A2")  # type: ignore[attr-defined]
 
 
 def test_a_second_approach_for_an_action_is_another_way() -> None:

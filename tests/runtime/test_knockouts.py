@@ -5,16 +5,16 @@ import pytest
 
 from fsar_ledger.constants import Constants, Outages
 from fsar_ledger.events.configuration import Configuration
-from fsar_ledger.events.envelope import Architecture, Principal, Principals, RequestSubject, Robot, Scenario, Service
+from fsar_ledger.events.envelope import Architecture, Principal, Robot, Scenario, Service
 from fsar_ledger.events.execution import ExecutionHeld, ExecutionQueued, RoutineWithheld
 from fsar_ledger.events.knowledge import WorkQueued
 from fsar_ledger.events.recovery import RecoveryAttempted, RecoveryAttemptFailed
-from fsar_ledger.events.request import RequestClosed
 from fsar_ledger.ledger.rows.codec import LedgerRun, encode
 from fsar_ledger.metrics.database import from_table
 from fsar_ledger.metrics.results import metric_rows
 from fsar_ledger.runtime.knockouts import decided_by
 from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, simulate_run
+from tests import past
 
 
 def played(
@@ -97,16 +97,7 @@ def test_without_the_queue_nothing_waits_for_the_coordinator_not_even_what_no_he
 
 
 def test_who_is_not_known_is_on_record_as_nobody_and_not_as_an_empty_name() -> None:
-    closed = RequestClosed(
-        RequestSubject("task", "action", "action"),
-        Principals(
-            decided_by=Service("coordination"),
-            requested_by=None,
-            executed_by=None,
-            supervised_by=None,
-            path=(Service("coordination"),),
-        ),
-    )
+    closed = past.closed("action", past.principals(Service("coordination")), "task")
     [(unknown, no_path), (known, path)] = [
         (one.principals.decided_by, one.principals.path)  # type: ignore[attr-defined]
         for one in (decided_by(closed, name) for name in (None, Robot("robot/a")))

@@ -47,20 +47,11 @@ def test_version_ranges_obey_their_laws(version: str, wanted: str, other: str) -
 @pytest.mark.parametrize(
     ("version", "wanted", "is_in"),
     [
-        ("1.2.0", "1.2", True),
-        ("1.2.1", "1.2", False),
-        ("1.10.0", "^1.2", True),
-        ("1.1.9", "^1.2", False),
-        ("2.0.0", "^1.2", False),
-        ("0.2.9", "^0.2", True),
-        ("0.3.0", "^0.2", False),
-        ("0.0.3", "^0.0.3", True),
-        ("0.0.4", "^0.0.3", False),
-        ("0.9.0", "^0", True),
-        ("1.0.0", "^0", False),
-        ("1.10.0", ">=1.9.9", True),
-        ("beta", "", True),
-        ("beta", ">=0", False),
+        *(("1.2.0", "1.2", True), ("1.2.1", "1.2", False), ("1.10.0", "^1.2", True)),
+        *(("1.1.9", "^1.2", False), ("2.0.0", "^1.2", False), ("0.2.9", "^0.2", True)),
+        *(("0.3.0", "^0.2", False), ("0.0.3", "^0.0.3", True), ("0.0.4", "^0.0.3", False)),
+        *(("0.9.0", "^0", True), ("1.0.0", "^0", False), ("1.10.0", ">=1.9.9", True)),
+        *(("beta", "", True), ("beta", ">=0", False)),
     ],
 )
 def test_versions_are_compared_by_number(version: str, wanted: str, is_in: bool) -> None:
@@ -77,15 +68,8 @@ def test_any_text_is_a_range_or_not_and_never_an_error(text: str) -> None:
 @pytest.mark.parametrize(
     "names",
     [
-        ("not not lit",),
-        (" lit",),
-        ("not ",),
-        ("not",),
-        ("lit", "not lit"),
-        ("not lit", "lit"),
-        ("lit", "lit"),
-        ("not lit", "not lit"),
-        ("",),
+        *(("not not lit",), (" lit",), ("not ",), ("not",), ("lit", "not lit")),
+        *(("not lit", "lit"), ("lit", "lit"), ("not lit", "not lit"), ("",)),
     ],
 )
 def test_names_that_contradict_each_other_or_name_nothing_are_found(names: tuple[str, ...]) -> None:

@@ -6,16 +6,16 @@ import msgspec
 import pytest
 
 from fsar_ledger.events.command import CommandRejected
-from fsar_ledger.events.envelope import Parties, Robot, Subject
-from fsar_ledger.events.execution import ExecutionStarted
+from fsar_ledger.events.envelope import Robot, Subject
 from fsar_ledger.events.world import TaskArrived
 from fsar_ledger.projections.fold import State, apply
 from fsar_ledger.runtime.architectures.fsar.request import EvaluateRequest
 from fsar_ledger.runtime.handlers.commands import Command, TakeTurn
 from fsar_ledger.runtime.handlers.request import ReportResult, RequestCapability
 from fsar_ledger.runtime.handlers.task import SubmitTask
-from tests.runtime.histories import given, happen, types
-from tests.runtime.live import decided
+from tests import past
+from tests.runtime.histories import given, types
+from tests.runtime.live import decided, play
 
 A, B = Robot("robot/A1"), Robot("robot/B1")
 
@@ -28,7 +28,7 @@ def after(*commands: Command) -> State:
     """The state after these commands."""
     state = given("fsar")
     for command in commands:
-        happen(state, *decided(state, command))
+        play(state, command)
     return state
 
 
@@ -40,17 +40,7 @@ def refusal(state: State, command: Command) -> str:
 
 def test_a_result_that_is_none_is_rejected() -> None:
     state = after(ASK, EvaluateRequest("q1"), TakeTurn("q1"))
-    apply(
-        state,
-        ExecutionStarted(
-            subject=Subject("visit", "q1"),
-            principals=Parties(requested_by=A, executed_by=B, supervised_by=None),
-            robot=B,
-            on_behalf_of=A,
-            capability=DOOR,
-            ends_us=9_000_000,
-        ),
-    )
+    apply(state, past.started(Subject("visit", "q1"), B, A, DOOR, 9_000_000))
     wrong: Any = "weird"
     assert (
         refusal(state, ReportResult(B, "q1", wrong))

@@ -6,17 +6,18 @@ import msgspec
 import pytest
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.authority import AuthorityGranted, AuthorityReleased
+from fsar_ledger.events.authority import AuthorityReleased
 from fsar_ledger.events.command import CommandRejected
-from fsar_ledger.events.envelope import FLEET_SUPERVISOR, OverrideLevel, Parties, Subject
+from fsar_ledger.events.envelope import OverrideLevel, Subject
 from fsar_ledger.events.execution import ExecutionFinished, ExecutionQueued, ExecutionStarted
 from fsar_ledger.events.registry import RegistryQueried
 from fsar_ledger.events.request import OfferAnswered, RequestAdmitted, RequestClosed, RequestCountered, RequestDenied
 from fsar_ledger.events.task import StepBegan, StepCompleted, TaskCompleted
 from fsar_ledger.projections.fold import State, apply, fold
-from fsar_ledger.runtime.architectures.fsar.request import EvaluateRequest, evaluate_request
+from fsar_ledger.runtime.architectures.fsar.request import EvaluateRequest
 from fsar_ledger.runtime.handlers.commands import Command, TakeTurn
 from fsar_ledger.runtime.handlers.request import AnswerOffer, ReportResult
+from tests import past
 from tests.runtime.histories import ARRIVED, happen, types
 from tests.runtime.live import decided, of, played
 from tests.runtime.test_requests import ASK, DOOR, A, B, D, asked, offered, served
@@ -29,22 +30,15 @@ def countered(level: OverrideLevel = "hard-preempt", allowed: OverrideLevel = "s
 
 def test_an_executor_asked_for_more_override_than_it_allows_offers_what_it_allows() -> None:
     state = asked(offered("soft-priority"), command=msgspec.structs.replace(ASK, override="hard-preempt"))
-    [counter] = evaluate_request(state, EvaluateRequest("q1"))
+    [counter] = decided(state, EvaluateRequest("q1"))
     assert isinstance(counter, RequestCountered)
     assert (counter.round, counter.override, counter.principals.decided_by) == (1, "soft-priority", "robot/B1")
     apply(state, counter)
-    assert evaluate_request(state, EvaluateRequest("q1")) == (), "it waits for the answer"
+    assert decided(state, EvaluateRequest("q1")) == (), "it waits for the answer"
 
 
 def test_a_grant_of_less_than_the_executor_allows_is_the_limit() -> None:
-    grant = AuthorityGranted(
-        requested_by=A,
-        executed_by=B,
-        capability=DOOR,
-        context=None,
-        override="soft-priority",
-        decided_by=FLEET_SUPERVISOR,
-    )
+    grant = past.granted(A, B, "soft-priority", DOOR)
     assert countered("hard-preempt", "hard-preempt", grant).request.open["q1"].offered == "soft-priority"
 
 
@@ -54,7 +48,7 @@ def test_a_taken_offer_admits_the_request_on_those_terms() -> None:
     assert isinstance(answer, OfferAnswered)
     assert (answer.round, answer.is_accepted, answer.override) == (1, True, "soft-priority")
     apply(state, answer)
-    admitted, queued = evaluate_request(state, EvaluateRequest("q1"))
+    admitted, queued = decided(state, EvaluateRequest("q1"))
     assert isinstance(admitted, RequestAdmitted)
     assert isinstance(queued, ExecutionQueued)
     assert (admitted.override, queued.override) == ("soft-priority", "soft-priority")
@@ -64,12 +58,9 @@ def test_a_negotiation_ends_after_so_many_rounds() -> None:
     state = countered()
     rounds = state.fleet.structure.negotiation_rounds
     for number in range(1, rounds + 1):
-        assert (state.request.open["q1"].offers, state.request.open["q1"].offered) == (
-            number,
-            "soft-priority",
-        )
+        assert (state.request.open["q1"].offers, state.request.open["q1"].offered) == (number, "soft-priority")
         state = served(state, AnswerOffer(A, "q1", False, "hard-preempt"))
-        events = evaluate_request(state, EvaluateRequest("q1"))
+        events = decided(state, EvaluateRequest("q1"))
         happen(state, *events)
     [denied] = events
     assert isinstance(denied, RequestDenied)
@@ -79,7 +70,7 @@ def test_a_negotiation_ends_after_so_many_rounds() -> None:
 def test_a_requester_that_lets_go_ends_its_request() -> None:
     state = served(countered(), AnswerOffer(A, "q1", False))
     assert state.request.open["q1"].is_over
-    assert evaluate_request(state, EvaluateRequest("q1")) == ()
+    assert decided(state, EvaluateRequest("q1")) == ()
 
 
 @pytest.mark.parametrize(
@@ -125,17 +116,7 @@ def test_an_answer_to_no_open_offer_is_rejected(command: AnswerOffer, found: str
 def executing(result_of: str = "q1") -> State:
     """Return the state in which the request is being executed."""
     state = served(asked(), EvaluateRequest(result_of), TakeTurn(result_of))
-    apply(
-        state,
-        ExecutionStarted(
-            subject=Subject("visit", "q1"),
-            principals=Parties(requested_by=A, executed_by=B, supervised_by=None),
-            robot=B,
-            on_behalf_of=A,
-            capability=DOOR,
-            ends_us=9_000_000,
-        ),
-    )
+    apply(state, past.started(Subject("visit", "q1"), B, A, DOOR, 9_000_000))
     return state
 
 
@@ -192,8 +173,7 @@ def test_a_result_achieves_nothing_that_the_contract_does_not_promise() -> None:
         ),
     )
     state.registry = msgspec.structs.replace(
-        state.registry,
-        modules={**state.registry.modules, "robot/B1": {**state.registry.modules[B], DOOR: module}},
+        state.registry, modules={**state.registry.modules, "robot/B1": {**state.registry.modules[B], DOOR: module}}
     )
     assert types(decided(state, ReportResult(B, "q1", "partial", ("door.unlocked",)))) == ["ExecutionFinished"]
     assert types(decided(state, ReportResult(B, "q1", "partial", ("window.open",)))) == ["CommandRejected"]

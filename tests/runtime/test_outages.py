@@ -28,7 +28,6 @@ from fsar_ledger.events.world import (
     RobotCameBack,
     RobotWentOff,
     SyncPhaseSet,
-    TaskArrived,
     WorldEvent,
 )
 from fsar_ledger.ledger.rows.codec import LedgerRun, decode, encode
@@ -44,13 +43,14 @@ from fsar_ledger.runtime.replay import replay_run
 from fsar_ledger.runtime.simulation import ARCHITECTURES, SCENARIOS, RunSpec, handler_table_of, simulate_run
 from fsar_ledger.runtime.world.draws import Draws, SimulatedEnvironment, Stream, run_key
 from fsar_ledger.runtime.world.schedule import schedule
+from tests import past
 from tests.runtime.histories import started
 
 EVERY = pytest.mark.parametrize("architecture", ARCHITECTURES)
 A, B, DOOR, S = Robot("robot/A1"), Robot("robot/B1"), "door.open.secure", 1_000_000
 MIXED = Outages(0.02, 8.0, 0.03, 6.0, 0.002)
-OWN = TaskArrived(task_id="A1-1", robot=A, team=1, steps=("A navigate.indoor",), budget_us=60 * S, due_us=61 * S)
-DELEGATED = TaskArrived(task_id="A1-1", robot=A, team=1, steps=(f"A {DOOR} B",), budget_us=60 * S, due_us=61 * S)
+OWN = past.arrived("A1-1", A, ("A navigate.indoor",), budget_us=60 * S, due_us=61 * S)
+DELEGATED = past.arrived("A1-1", A, (f"A {DOOR} B",), budget_us=60 * S, due_us=61 * S)
 
 
 def nameless(one: HandlerTable) -> set[type[Command]]:

@@ -8,42 +8,26 @@ from typing import Any
 import msgspec
 import pytest
 
-from fsar_ledger.events.authority import AuthorityClaimed, AuthorityGranted
-from fsar_ledger.events.envelope import FLEET_SUPERVISOR, OverrideLevel, Parties, Principals, Robot, Subject, Supervisor
-from fsar_ledger.events.execution import (
-    ExecutionFinished,
-    ExecutionPaused,
-    ExecutionPreempted,
-    ExecutionQueued,
-    ExecutionResumed,
-)
-from fsar_ledger.events.policy import PolicyRuleSet
-from fsar_ledger.events.recovery import AssistanceAdmitted
-from fsar_ledger.events.registry import CapabilityAdvertised
+from fsar_ledger.events.authority import AuthorityClaimed
+from fsar_ledger.events.envelope import OverrideLevel, Robot, Subject
+from fsar_ledger.events.execution import ExecutionPaused, ExecutionPreempted, ExecutionQueued, ExecutionResumed
 from fsar_ledger.events.request import RequestAdmitted
-from fsar_ledger.events.task import StepBegan
-from fsar_ledger.events.world import ObstructionAppeared, TaskArrived
+from fsar_ledger.events.world import ObstructionAppeared
 from fsar_ledger.projections.fold import State, apply
 from fsar_ledger.runtime.architectures.fsar.execution import DecideOwnStep
 from fsar_ledger.runtime.architectures.fsar.request import EvaluateRequest
 from fsar_ledger.runtime.handlers.commands import DetectObstruction, ResumeAction, StartAction, TakeTurn
 from fsar_ledger.runtime.handlers.request import RequestCapability
-from tests.runtime.histories import given, happen, types
-from tests.runtime.live import decided
+from tests import past
+from tests.runtime.histories import given, types
+from tests.runtime.live import play
 
 A, B, C, D = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/C1"), Robot("robot/D1")
 
 DOOR = "door.open.secure"
-OPEN = msgspec.structs.replace(CapabilityAdvertised(robot=B, capability=DOOR), override_allowed="emergency-only")
+OPEN = msgspec.structs.replace(past.advertised(B, DOOR), override_allowed="emergency-only")
 ASK = RequestCapability(A, B, DOOR, "visit", "q1")
-GRANT = AuthorityGranted(
-    requested_by=C,
-    executed_by=None,
-    capability=None,
-    context=None,
-    override="emergency-only",
-    decided_by=FLEET_SUPERVISOR,
-)
+GRANT = past.granted(C, None, "emergency-only")
 
 
 def urgent(level: OverrideLevel, name: str = "q2") -> RequestCapability:
@@ -62,15 +46,6 @@ def busy(*before: Any, stage: str = "running", level: OverrideLevel = "none") ->
     return state
 
 
-def play(state: State, *commands: Any) -> tuple[Any, ...]:
-    """The events of the last command, all of them applied."""
-    events: tuple[Any, ...] = ()
-    for command in commands:
-        events = decided(state, command)
-        happen(state, *events)
-    return events
-
-
 @pytest.mark.parametrize("level", ["none", "soft-priority"])
 def test_a_weak_request_never_interrupts(level: OverrideLevel) -> None:
     assert types(play(busy(), urgent(level), EvaluateRequest("q2", now_us=1_500_000))) == [
@@ -84,10 +59,7 @@ def test_soft_priority_goes_ahead_of_what_waits_without_it() -> None:
     state = busy()
     for level, name in (("none", "q2"), ("soft-priority", "q3"), ("soft-priority", "q4"), ("none", "q5")):
         play(state, urgent(level, name), EvaluateRequest(name))  # type: ignore[arg-type]
-    assert (state.execution.current[B], state.execution.queues[B]) == (
-        "q1",
-        ("q3", "q4", "q2", "q5"),
-    )
+    assert (state.execution.current[B], state.execution.queues[B]) == ("q1", ("q3", "q4", "q2", "q5"))
 
 
 def test_hard_preempt_takes_the_robot_and_the_preempted_action_keeps_its_rest_its_claims_and_its_place() -> None:
@@ -97,10 +69,7 @@ def test_hard_preempt_takes_the_robot_and_the_preempted_action_keeps_its_rest_it
     assert isinstance(admitted, RequestAdmitted)
     assert preempted == ExecutionPreempted(Subject("visit", "q1"), B, "q2", 1_500_000)
     assert isinstance(queued, ExecutionQueued)
-    assert (state.execution.current[B], state.execution.queues[B]) == (
-        "q2",
-        ("q1", "q0"),
-    )
+    assert (state.execution.current[B], state.execution.queues[B]) == ("q2", ("q1", "q0"))
     kept = state.authority.claims["q1"]
     claimed = [event for event in play(state, TakeTurn("q2")) if isinstance(event, AuthorityClaimed)]
     assert [(claim.dimension, claim.claimant) for claim in claimed] == [
@@ -109,14 +78,7 @@ def test_hard_preempt_takes_the_robot_and_the_preempted_action_keeps_its_rest_it
     ]
     assert state.authority.claims["q1"] == kept != ()
     assert play(state, ResumeAction("q1")) == (), "not before the robot is free"
-    apply(
-        state,
-        ExecutionFinished(
-            Subject("rounds", "q2"),
-            Parties(requested_by=C, executed_by=B, supervised_by=None),
-            B,
-        ),
-    )
+    apply(state, past.finished(Subject("rounds", "q2"), B, C))
     [resumed] = play(state, ResumeAction("q1", now_us=4_000_000))
     assert resumed == ExecutionResumed(Subject("visit", "q1"), B, 5_500_000)
 
@@ -126,14 +88,7 @@ def test_what_was_preempted_on_its_way_is_on_its_way_again_and_is_accepted_once(
     _, preempted, _ = play(state, urgent("hard-preempt"), EvaluateRequest("q2"))
     assert preempted.remaining_us is None
     assert play(state, StartAction("q1", answer=5)) == (), "it is not there"
-    apply(
-        state,
-        ExecutionFinished(
-            Subject("rounds", "q2"),
-            Parties(requested_by=C, executed_by=B, supervised_by=None),
-            B,
-        ),
-    )
+    apply(state, past.finished(Subject("rounds", "q2"), B, C))
     assert play(state, StartAction("q1", answer=5)) == (), "the way back comes first"
     assert types(play(state, TakeTurn("q1"))) == ["ApproachStarted"]
     assert len(state.authority.claims["q1"]) == 2
@@ -144,14 +99,7 @@ def test_what_was_preempted_before_its_turn_is_accepted_at_its_turn() -> None:
     state = busy(stage="queued")
     play(state, urgent("hard-preempt"), EvaluateRequest("q2"))
     assert play(state, TakeTurn("q1")) == ()
-    apply(
-        state,
-        ExecutionFinished(
-            Subject("rounds", "q2"),
-            Parties(requested_by=C, executed_by=B, supervised_by=None),
-            B,
-        ),
-    )
+    apply(state, past.finished(Subject("rounds", "q2"), B, C))
     assert types(play(state, TakeTurn("q1"))) == [
         "RequestAccepted",
         "AuthorityClaimed",
@@ -164,10 +112,7 @@ def test_equals_do_not_interrupt_each_other_and_emergency_interrupts_all() -> No
     state = busy(GRANT, level="hard-preempt")
     assert "ExecutionPreempted" not in types(play(state, urgent("hard-preempt"), EvaluateRequest("q2")))
     assert "ExecutionPreempted" in types(play(state, urgent("emergency-only", "q3"), EvaluateRequest("q3")))
-    assert (state.execution.current[B], state.execution.queues[B]) == (
-        "q3",
-        ("q1", "q2"),
-    )
+    assert (state.execution.current[B], state.execution.queues[B]) == ("q3", ("q1", "q2"))
 
 
 def test_emergency_without_a_supervisors_grant_is_no_override_at_all() -> None:
@@ -180,20 +125,7 @@ def test_emergency_without_a_supervisors_grant_is_no_override_at_all() -> None:
 
 
 def test_a_robot_that_helps_another_is_not_interrupted() -> None:
-    help_given = AssistanceAdmitted(
-        subject=Subject("t", "t/1"),
-        principals=Principals(
-            decided_by=B,
-            requested_by=A,
-            executed_by=A,
-            supervised_by=None,
-            path=(B,),
-        ),
-        robot=A,
-        helper=B,
-        failure=1,
-        level="peer",
-    )
+    help_given = past.assisted(Subject("t", "t/1"), A, B, past.principals(B, A, A))
     state = given("fsar", OPEN, help_given)
     events = play(state, urgent("hard-preempt"), EvaluateRequest("q2"))
     assert types(events) == ["RequestAdmitted", "RequestDeferred", "ExecutionQueued"]
@@ -205,14 +137,7 @@ def test_what_was_replanning_keeps_its_rest_and_no_early_plan_takes_the_robot_ba
     _, preempted, _ = play(state, urgent("hard-preempt"), EvaluateRequest("q2", now_us=1_900_000))
     assert preempted.remaining_us == 700_000
     assert play(state, ResumeAction("q1", now_us=2_300_000)) == ()
-    apply(
-        state,
-        ExecutionFinished(
-            Subject("rounds", "q2"),
-            Parties(requested_by=C, executed_by=B, supervised_by=None),
-            B,
-        ),
-    )
+    apply(state, past.finished(Subject("rounds", "q2"), B, C))
     [resumed] = play(state, ResumeAction("q1", now_us=4_000_000))
     assert resumed.ends_us == 4_700_000
 
@@ -229,34 +154,13 @@ def test_a_failure_is_first_handled_by_the_executors_own_recovery() -> None:
 
 
 def test_an_own_step_that_was_preempted_while_policy_held_it_does_not_start_behind_the_other() -> None:
-    own = StepBegan(subject=Subject("B1-1", "B1-1/1.1"), robot=B, step=1, attempt=1, capability="navigate.indoor")
-    arrived = TaskArrived(
-        task_id="B1-1",
-        robot=B,
-        team=1,
-        steps=("B navigate.indoor",),
-        budget_us=60_000_000,
-        due_us=65_000_000,
-    )
-    rule = PolicyRuleSet(
-        scope="local",
-        robot=B,
-        capability="navigate.indoor",
-        context=None,
-        outcome="deny",
-        decided_by=Supervisor("supervisor/B1"),
-    )
+    own = past.began(Subject("B1-1", "B1-1/1.1"), B, 1, "navigate.indoor")
+    arrived = past.arrived("B1-1", B, ("B navigate.indoor",))
+    rule = past.ruled("deny", B, "navigate.indoor")
     state = given("fsar", OPEN, rule, arrived, own)
     assert types(play(state, DecideOwnStep("B1-1/1.1"), StartAction("B1-1/1.1", answer=5))) == ["ExecutionHeld"]
     assert "ExecutionPreempted" in types(play(state, urgent("hard-preempt"), EvaluateRequest("q2")))
     apply(state, msgspec.structs.replace(rule, outcome="allow"))
     assert play(state, StartAction("B1-1/1.1", answer=5)) == ()
-    apply(
-        state,
-        ExecutionFinished(
-            Subject("rounds", "q2"),
-            Parties(requested_by=C, executed_by=B, supervised_by=None),
-            B,
-        ),
-    )
+    apply(state, past.finished(Subject("rounds", "q2"), B, C))
     assert types(play(state, StartAction("B1-1/1.1", answer=5))) == ["ExecutionStarted"]

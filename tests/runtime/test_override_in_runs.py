@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from fsar_ledger.constants import Constants
 from fsar_ledger.events.authority import AuthorityClaimed, AuthorityReleased
-from fsar_ledger.events.envelope import OverrideLevel, Parties, Subject, Supervisor
+from fsar_ledger.events.envelope import OverrideLevel, Subject
 from fsar_ledger.events.execution import (
     ApproachStarted,
     ExecutionFailed,
@@ -25,8 +25,6 @@ from fsar_ledger.events.execution import (
     ExecutionStarted,
     ExecutionWithdrawn,
 )
-from fsar_ledger.events.policy import PolicyRuleSet
-from fsar_ledger.events.registry import CapabilityAdvertised
 from fsar_ledger.events.request import RequestAccepted, RequestAdmitted, RequestClosed, RequestDenied
 from fsar_ledger.events.task import TaskAbandoned
 from fsar_ledger.ledger.rows.codec import LedgerRun, encode
@@ -40,26 +38,15 @@ from fsar_ledger.runtime.handlers.commands import StartAction, TakeTurn
 from fsar_ledger.runtime.handlers.request import RequestCapability
 from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.world.schedule import schedule
+from tests import past
 from tests.recycled import from_table
 from tests.runtime.histories import types
-from tests.runtime.live import of, played
-from tests.runtime.test_override import ASK, DOOR, GRANT, OPEN, A, B, C, D, busy, play, urgent
+from tests.runtime.live import of, play, played
+from tests.runtime.test_override import ASK, DOOR, GRANT, OPEN, A, B, C, D, busy, urgent
 
 
 def entry(name: str, level: OverrideLevel) -> ExecutionQueued:
-    return ExecutionQueued(
-        subject=Subject("t", name),
-        principals=Parties(requested_by=A, executed_by=B, supervised_by=None),
-        robot=B,
-        on_behalf_of=A,
-        capability=DOOR,
-        step=1,
-        attempt=1,
-        is_delegated=True,
-        has_approach=True,
-        is_supervised=True,
-        override=level,
-    )
+    return past.queued(Subject("t", name), B, A, DOOR, override=level)
 
 
 class Model:
@@ -111,14 +98,7 @@ def test_the_queue_is_that_of_a_plain_model_and_nothing_is_lost_or_doubled(
         elif move == 4 or not model.waiting:
             name = model.serving
             model.ends()
-            state = execution.evolve(
-                state,
-                ExecutionFinished(
-                    Subject("t", name),
-                    Parties(requested_by=None, executed_by=None, supervised_by=None),
-                    B,
-                ),
-            )
+            state = execution.evolve(state, ExecutionFinished(Subject("t", name), past.parties(), B))
             alive.discard(name)
         else:
             name = model.leaves(ordinal % len(model.waiting))
@@ -180,27 +160,10 @@ def test_in_a_whole_run_what_was_interrupted_on_its_way_begins_once() -> None:
 
 def test_an_action_that_policy_holds_and_is_preempted_is_held_again_when_it_is_back() -> None:
     state = busy(stage="approaching")
-    apply(
-        state,
-        PolicyRuleSet(
-            scope="local",
-            robot=B,
-            capability=DOOR,
-            context="visit",
-            outcome="deny",
-            decided_by=Supervisor("supervisor/B1"),
-        ),
-    )
+    apply(state, past.ruled("deny", B, DOOR, "visit"))
     assert types(play(state, StartAction("q1", answer=5))) == ["ExecutionHeld"]
     assert "ExecutionPreempted" in types(play(state, urgent("hard-preempt"), EvaluateRequest("q2")))
-    apply(
-        state,
-        ExecutionFinished(
-            Subject("rounds", "q2"),
-            Parties(requested_by=C, executed_by=B, supervised_by=None),
-            B,
-        ),
-    )
+    apply(state, past.finished(Subject("rounds", "q2"), B, C))
     assert types(play(state, TakeTurn("q1"), StartAction("q1", answer=5))) == ["ExecutionHeld"]
 
 
@@ -208,10 +171,7 @@ def test_an_action_that_policy_holds_and_is_preempted_is_held_again_when_it_is_b
 @settings(max_examples=60, deadline=None)
 def test_in_any_run_every_request_is_executed_once_one_at_a_time(wanted: list[tuple[int, OverrideLevel, bool]]) -> None:
     commands = [
-        (
-            1_000_000 + time_us,
-            RequestCapability(C if of_c else A, B, DOOR, "visit", f"q{number}", level),
-        )
+        (1_000_000 + time_us, RequestCapability(C if of_c else A, B, DOOR, "visit", f"q{number}", level))
         for number, (time_us, level, of_c) in enumerate(wanted)
     ]
     run = played(commands, OPEN, GRANT)
@@ -234,19 +194,10 @@ def test_in_any_run_every_request_is_executed_once_one_at_a_time(wanted: list[tu
 
 
 OFFERS = [
-    msgspec.structs.replace(CapabilityAdvertised(robot=robot, capability=capability), override_allowed="emergency-only")
-    for robot, capability in (
-        (A, "carry.package"),
-        (B, DOOR),
-        (D, "carry.heavy"),
-    )
+    msgspec.structs.replace(past.advertised(robot, capability), override_allowed="emergency-only")
+    for robot, capability in ((A, "carry.package"), (B, DOOR), (D, "carry.heavy"))
 ]
-PAIRS = (
-    (C, B, DOOR),
-    (A, B, DOOR),
-    (D, A, "carry.package"),
-    (A, D, "carry.heavy"),
-)
+PAIRS = ((C, B, DOOR), (A, B, DOOR), (D, A, "carry.package"), (A, D, "carry.heavy"))
 
 
 def amid(seed: int) -> Kernel:

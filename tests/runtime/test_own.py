@@ -1,7 +1,6 @@
 """A designer's own fleet, scenario and constants: in event 0, so that their runs replay without the files."""
 
 import shutil
-import subprocess
 import sys
 from pathlib import Path
 
@@ -38,6 +37,7 @@ from fsar_ledger.runtime.replay import replay
 from fsar_ledger.runtime.simulation import ARCHITECTURES, RunSpec, run_id, run_started, simulate_run
 from fsar_ledger.runtime.world.checks import problems_of_fleet, problems_of_scenario
 from fsar_ledger.runtime.world.schedule import schedule
+from tests.running import ran
 from tests.runtime.test_replay import committed
 from tests.runtime.test_replay_refused import restarted
 
@@ -220,12 +220,8 @@ def test_settings_change_the_constants_that_they_name_and_no_others() -> None:
     found = with_settings(
         default,
         [
-            "world.review_share=0.5",
-            'world.durations["carry.heavy"].low_s=1',
-            "load.task_sets=2",
-            "outages.off_rate_per_s=0.01",
-            "structure.local_attempts=3",
-            "world.absence_from_s=-10",
+            *("world.review_share=0.5", 'world.durations["carry.heavy"].low_s=1', "load.task_sets=2"),
+            *("outages.off_rate_per_s=0.01", "structure.local_attempts=3", "world.absence_from_s=-10"),
         ],
     )
     assert sorted(unlike_ours(write_constants(found))) == [
@@ -276,9 +272,7 @@ def test_a_scenario_is_one_file_and_an_architecture_a_folder_and_a_line(tmp_path
         "print({name for one in parts for name in one.scenarios + one.architectures} & {'sixth', 'mine'})\n"
         "print(Experiment(('mine', 'fsar'), ('sixth', 'fleet-contention'), 1).scenarios)\n"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, env={"PYTHONPATH": str(tmp_path)}
-    )
+    done = ran([sys.executable, "-c", program], cwd=tmp_path, env={"PYTHONPATH": str(tmp_path)})
     assert (done.stdout, done.stderr) == ("set()\n('fleet-contention', 'sixth')\n", "")
 
 

@@ -53,13 +53,8 @@ from tests.runtime.physics import (
 def test_our_world_has_what_the_statements_take_away(architecture: Architecture) -> None:
     ours = played(architecture)
     for kind in (
-        PolicyWindowOpened,
-        ExecutionFailed,
-        ActuatorDegraded,
-        ExecutionPaused,
-        RoutinePerformed,
-        RoutineWithheld,
-        SupervisorCalled,
+        *(PolicyWindowOpened, ExecutionFailed, ActuatorDegraded, ExecutionPaused),
+        *(RoutinePerformed, RoutineWithheld, SupervisorCalled),
     ):
         assert of(ours.events, kind), kind.__name__
     assert ours.metrics["coordination_success"] != 0

@@ -141,12 +141,6 @@ def test_wherever_an_enlargement_is_interrupted_its_plans_decide_the_bytes(
     assert plans(tmp_path / "stopped") == [4, 7]
 
 
-@pytest.mark.slow
-def test_the_number_of_workers_changes_no_byte_of_an_enlargement(tmp_path: Path, enlarged: tuple[Path, Head]) -> None:
-    run_experiment(tmp_path / "ledger", SMALL, 1)
-    assert run_experiment(tmp_path / "ledger", LARGE, 2).head == enlarged[1]
-
-
 @pytest.mark.parametrize(
     ("first", "then", "made"),
     [
@@ -169,12 +163,6 @@ def test_what_is_there_is_not_made_again_whatever_else_is_asked_for(
     assert len(runs(tmp_path / "ledger")) == after.held == first.size + made
     assert after.head.commits > before.commits
     assert verify(tmp_path / "ledger").ok
-
-
-def test_fewer_runs_than_there_are_change_nothing(enlarged: tuple[Path, Head]) -> None:
-    path, head = enlarged
-    made = run_experiment(path, Experiment(BOTH, ("door-relay",), 4, 3), 1)
-    assert (made.asked, made.made, made.held, made.head) == (8, 0, 10, head)
 
 
 @pytest.mark.slow

@@ -7,21 +7,18 @@ from hypothesis import settings
 from hypothesis import strategies as st
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.command import CommandRejected
-from fsar_ledger.events.envelope import POLICY, Parties, Principals, Robot, Subject, Supervisor
+from fsar_ledger.events.envelope import POLICY, Robot, Subject, Supervisor
 from fsar_ledger.events.execution import ExecutionHeld, ExecutionStarted
-from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.events.knowledge import FleetRuleLearned
 from fsar_ledger.events.policy import PolicyConflictEscalated, PolicyRuleSet, RolePolicyRuleSet
-from fsar_ledger.events.registry import RegistryQueried
 from fsar_ledger.events.request import RequestDenied
 from fsar_ledger.events.task import TaskCompleted
 from fsar_ledger.projections.fold import apply, fold
 from fsar_ledger.projections.policy import INITIAL, evolve, ruled
 from fsar_ledger.projections.world import stricter
 from fsar_ledger.runtime.architectures.fsar import FSAR
-from fsar_ledger.runtime.architectures.fsar.execution import DecideOwnStep, decide_own_step, start, take_turn
-from fsar_ledger.runtime.architectures.fsar.request import EvaluateRequest, evaluate_request
+from fsar_ledger.runtime.architectures.fsar.execution import DecideOwnStep, start
+from fsar_ledger.runtime.architectures.fsar.request import EvaluateRequest
 from fsar_ledger.runtime.handlers.commands import StartAction, TakeTurn
 from fsar_ledger.runtime.handlers.policy import (
     SetPolicyRule,
@@ -33,22 +30,15 @@ from fsar_ledger.runtime.handlers.policy import (
     set_policy_rule,
     set_role_policy_rule,
 )
+from tests import past
 from tests.runtime.governed import H_F, governed
 from tests.runtime.histories import ARRIVED, DELEGATED_STEP, OWN_STEP, given, happen, types, window
+from tests.runtime.live import decided, play, refusal
 
 A, B, C = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/C1")
 DOOR = "door.open.secure"
 H_B = Supervisor("supervisor/B1")
-REQUESTED = (
-    ARRIVED,
-    DELEGATED_STEP,
-    RegistryQueried(
-        subject=Subject("A1-1", "A1-1/2.1"),
-        principals=Parties(requested_by=A, executed_by=B, supervised_by=None),
-        capability=DOOR,
-        candidates=(B,),
-    ),
-)
+REQUESTED = (ARRIVED, DELEGATED_STEP, past.queried(Subject("A1-1", "A1-1/2.1"), past.parties(A, B), DOOR, B))
 OUTCOME = st.sampled_from(["allow", "deny", "review"])
 RULE = st.builds(
     PolicyRuleSet,
@@ -78,25 +68,20 @@ def rule(
     )
 
 
-def refusal(events: tuple[Event, ...]) -> str:
-    [one] = events
-    assert isinstance(one, CommandRejected)
-    return one.reason
+def conflicts(*happened: Event) -> tuple[Event, ...]:
+    """What is escalated when A asks B for its door after this."""
+    return conflict(given("fsar", *happened), "A1-1", "A1-1/2.1", A, B, DOOR)
 
 
 def test_a_robots_own_policy_is_set_by_its_own_supervisor() -> None:
-    [event] = set_policy_rule(given("fsar"), SetPolicyRule(H_B, "local", B, DOOR, "A1-1", "deny"))
-    assert event == PolicyRuleSet(
-        scope="local", robot=B, capability=DOOR, context="A1-1", outcome="deny", decided_by=H_B
-    )
+    [event] = decided(given("fsar"), SetPolicyRule(H_B, "local", B, DOOR, "A1-1", "deny"))
+    assert event == past.ruled("deny", B, DOOR, "A1-1")
 
 
 @pytest.mark.parametrize("robot", [None, B])
 def test_the_fleets_rules_are_set_by_the_fleet_supervisor(robot: Robot | None) -> None:
-    [event] = set_policy_rule(given("fsar"), SetPolicyRule(H_F, "fleet", robot, None, None, "review"))
-    assert event == PolicyRuleSet(
-        scope="fleet", robot=robot, capability=None, context=None, outcome="review", decided_by=H_F
-    )
+    [event] = decided(given("fsar"), SetPolicyRule(H_F, "fleet", robot, None, None, "review"))
+    assert event == past.ruled_for_all("review", robot)
 
 
 @pytest.mark.parametrize(
@@ -126,36 +111,26 @@ def test_a_rule_that_cannot_be_set_is_rejected(command: SetPolicyRule, reason: s
 
 def test_the_fleet_supervisor_rules_by_role_and_a_robot_stays_an_exception() -> None:
     yard = (
-        RobotJoined(robot=Robot("robot/B8"), role="B", team=8, supervisor=None, domain="yard"),
-        RobotJoined(robot=Robot("robot/B9"), role="B", team=9, supervisor=None, domain="yard/gate"),
+        past.joined(Robot("robot/B8"), "B", 8, domain="yard"),
+        past.joined(Robot("robot/B9"), "B", 9, domain="yard/gate"),
     )
     state = given("fsar", rule("allow", capability=DOOR, scope="fleet"), *yard)
-    [event] = set_role_policy_rule(state, SetRolePolicyRule(H_F, "B", "deny", capability=DOOR))
+    [event] = decided(state, SetRolePolicyRule(H_F, "B", "deny", capability=DOOR))
     assert event == RolePolicyRuleSet(
         scope="fleet", role="B", outcome="deny", domain="", capability=DOOR, context=None, decided_by=H_F
     )
     apply(state, event)
-    apply(state, RobotJoined(robot=Robot("robot/B7"), role="B", team=7, supervisor=None, domain="hall"))
+    apply(state, past.joined(Robot("robot/B7"), "B", 7, domain="hall"))
     assert [
         fleet_policy(state.knowledge, state.policy, robot, DOOR, None)
         for robot in (B, Robot("robot/B7"), Robot("robot/B8"), A)
-    ] == [
-        "allow",
-        "deny",
-        "deny",
-        "allow",
-    ]
-    [event] = set_role_policy_rule(state, SetRolePolicyRule(H_F, "B", "review", "yard", DOOR))
+    ] == ["allow", "deny", "deny", "allow"]
+    [event] = decided(state, SetRolePolicyRule(H_F, "B", "review", "yard", DOOR))
     apply(state, event)
     assert [
         fleet_policy(state.knowledge, state.policy, robot, DOOR, None)
         for robot in (B, *(Robot(f"robot/B{team}") for team in (7, 8, 9)))
-    ] == [
-        "allow",
-        "deny",
-        "review",
-        "review",
-    ]
+    ] == ["allow", "deny", "review", "review"]
     assert compose(state, "allow", Robot("robot/B9"), DOOR, None) == "review"
 
 
@@ -221,13 +196,9 @@ def test_a_rule_about_a_capability_or_a_task_leaves_others_alone() -> None:
 
 def test_a_mandate_against_the_executors_own_denial_is_denied_and_escalated() -> None:
     state = given("fsar", *REQUESTED, rule("deny"), rule("allow", robot=None, capability=DOOR, scope="fleet"))
-    escalated, denied = evaluate_request(state, EvaluateRequest("A1-1/2.1"))
+    escalated, denied = decided(state, EvaluateRequest("A1-1/2.1"))
     assert escalated == PolicyConflictEscalated(
-        Subject("A1-1", "A1-1/2.1"),
-        Principals(decided_by=POLICY, requested_by=A, executed_by=B, supervised_by=H_F, path=(POLICY,)),
-        DOOR,
-        "deny",
-        "allow",
+        Subject("A1-1", "A1-1/2.1"), past.principals(POLICY, A, B, H_F), DOOR, "deny", "allow"
     )
     assert isinstance(denied, RequestDenied)
     assert denied.reason == "policy"
@@ -241,15 +212,11 @@ def test_a_matter_of_one_robot_alone_is_escalated_to_its_own_supervisor() -> Non
 
 def test_a_mandate_against_a_denial_that_holds_the_start_is_escalated_at_every_hold() -> None:
     state = given("fsar", *REQUESTED, rule("allow", robot=None, capability=DOOR, scope="fleet"))
-    happen(state, *evaluate_request(state, EvaluateRequest("A1-1/2.1")), rule("deny"))
-    happen(state, *take_turn(state, TakeTurn("A1-1/2.1")))
+    happen(state, *decided(state, EvaluateRequest("A1-1/2.1")), rule("deny"))
+    play(state, TakeTurn("A1-1/2.1"))
     escalated, held = start(state, StartAction("A1-1/2.1", now_us=5, answer=7))
     assert escalated == PolicyConflictEscalated(
-        Subject("A1-1", "A1-1/2.1"),
-        Principals(decided_by=POLICY, requested_by=A, executed_by=B, supervised_by=H_F, path=(POLICY,)),
-        DOOR,
-        "deny",
-        "allow",
+        Subject("A1-1", "A1-1/2.1"), past.principals(POLICY, A, B, H_F), DOOR, "deny", "allow"
     )
     assert isinstance(held, ExecutionHeld)
     assert held.outcome == "deny"
@@ -274,17 +241,12 @@ def test_a_mandate_against_a_denial_that_holds_the_start_is_escalated_at_every_h
         (rule("allow", scope="fleet"),),
     ],
     ids=[
-        "no mandate",
-        "own review",
-        "fleet reviews",
-        "fleet also denies",
-        "zone denies",
-        "mandate for another",
-        "no denial",
+        *("no mandate", "own review", "fleet reviews", "fleet also denies"),
+        *("zone denies", "mandate for another", "no denial"),
     ],
 )
 def test_without_a_mandate_or_without_a_denial_there_is_no_conflict(happened: tuple[Event, ...]) -> None:
-    assert conflict(given("fsar", *happened), "A1-1", "A1-1/2.1", A, B, DOOR) == ()
+    assert conflicts(*happened) == ()
 
 
 def test_without_policy_composition_a_requester_does_not_see_the_mandate() -> None:
@@ -297,7 +259,7 @@ def test_without_policy_composition_a_requester_does_not_see_the_mandate() -> No
 
 def test_a_start_that_a_rule_held_goes_on_when_the_rule_is_replaced() -> None:
     state = given("fsar", ARRIVED, OWN_STEP)
-    happen(state, *decide_own_step(state, DecideOwnStep("A1-1/1.1")))
+    play(state, DecideOwnStep("A1-1/1.1"))
     apply(state, rule("deny", robot=A))
     [held] = start(state, StartAction("A1-1/1.1", now_us=5, answer=7))
     assert isinstance(held, ExecutionHeld)
@@ -318,7 +280,7 @@ def test_what_a_rule_of_the_role_held_goes_on_when_that_or_the_robots_exception_
     for lifted in (RolePolicyRuleSet(scope="local", role="A", outcome="allow"), rule("allow", robot=A)):
         state = given("fsar", ARRIVED, OWN_STEP)
         for event in (
-            *decide_own_step(state, DecideOwnStep("A1-1/1.1")),
+            *decided(state, DecideOwnStep("A1-1/1.1")),
             RolePolicyRuleSet(scope="local", role="A", outcome="deny"),
         ):
             apply(state, event)
@@ -334,31 +296,9 @@ def test_what_a_rule_of_the_role_held_goes_on_when_that_or_the_robots_exception_
 
 def test_a_rule_of_the_role_is_a_mandate_for_each_of_its_robots_without_an_exception() -> None:
     mandate = RolePolicyRuleSet(scope="fleet", role="B", outcome="allow", domain="", capability=DOOR)
-    assert types(conflict(given("fsar", rule("deny"), mandate), "A1-1", "A1-1/2.1", A, B, DOOR)) == [
-        "PolicyConflictEscalated"
-    ]
-    assert (
-        conflict(
-            given("fsar", rule("deny"), mandate, rule("deny", capability=DOOR, scope="fleet")),
-            "A1-1",
-            "A1-1/2.1",
-            A,
-            B,
-            DOOR,
-        )
-        == ()
-    )
-    assert (
-        conflict(
-            given("fsar", rule("deny"), RolePolicyRuleSet(scope="fleet", role="A", outcome="allow")),
-            "A1-1",
-            "A1-1/2.1",
-            A,
-            B,
-            DOOR,
-        )
-        == ()
-    )
+    assert types(conflicts(rule("deny"), mandate)) == ["PolicyConflictEscalated"]
+    assert conflicts(rule("deny"), mandate, rule("deny", capability=DOOR, scope="fleet")) == ()
+    assert conflicts(rule("deny"), RolePolicyRuleSet(scope="fleet", role="A", outcome="allow")) == ()
 
 
 def test_in_a_run_nothing_starts_under_a_rule_that_denies_and_it_all_goes_on_when_the_rule_is_lifted() -> None:

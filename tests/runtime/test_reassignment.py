@@ -6,20 +6,11 @@ Paper: eq:recovery, app:foundations.
 import pytest
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.authority import AuthorityRevoked
-from fsar_ledger.events.envelope import Parties, Robot, Subject, Supervisor
+from fsar_ledger.events.envelope import Robot, Subject, Supervisor
 from fsar_ledger.events.execution import ExecutionQueued
-from fsar_ledger.events.policy import PolicyRuleSet
-from fsar_ledger.events.recovery import FailureResolved, ReassignmentDecided, RecoveryBudgetSet, TaskStateTransferred
-from fsar_ledger.events.registry import (
-    AvailabilityChanged,
-    CapabilityAdvertised,
-    CapabilityInstalled,
-    CapabilityWithdrawn,
-    RegistryQueried,
-)
+from fsar_ledger.events.recovery import FailureResolved, ReassignmentDecided, TaskStateTransferred
+from fsar_ledger.events.registry import CapabilityAdvertised, CapabilityWithdrawn, RegistryQueried
 from fsar_ledger.events.supervision import SupervisorCalled
-from fsar_ledger.events.trust import TrustSet
 from fsar_ledger.events.world import ObstructionAppeared, SupervisorLeft, SupervisorReturned
 from fsar_ledger.projections.fold import apply
 from fsar_ledger.runtime.architectures.fsar.recovery import (
@@ -32,6 +23,7 @@ from fsar_ledger.runtime.architectures.fsar.recovery import (
 from fsar_ledger.runtime.handlers.commands import Command, EndAttempt
 from fsar_ledger.runtime.handlers.trust import trusts
 from fsar_ledger.runtime.simulation import handler_table_of
+from tests import past
 from tests.runtime.failures import ACTION, A, B, C, D, executing, failed, taken
 from tests.runtime.histories import types, window
 from tests.runtime.test_recovery import asked, called, considered, escalation
@@ -68,37 +60,9 @@ def test_without_a_declared_checkpoint_nobody_takes_over() -> None:
     [
         (D, "grasp.robust", (), "no capable robot"),
         (A, "navigate.indoor", (), "the robot's own way"),
-        (A, "carry.package", (TrustSet(robot=D, peer=A, scope="none"),), "no trusted robot"),
-        (
-            A,
-            "carry.package",
-            (
-                AuthorityRevoked(
-                    requested_by=A,
-                    executed_by=D,
-                    capability=None,
-                    context=None,
-                    reason="human override",
-                    decided_by=Supervisor("supervisor/fleet"),
-                ),
-            ),
-            "authority",
-        ),
-        (
-            A,
-            "carry.package",
-            (
-                AuthorityRevoked(
-                    requested_by=D,
-                    executed_by=A,
-                    capability=None,
-                    context=None,
-                    reason="human override",
-                    decided_by=Supervisor("supervisor/fleet"),
-                ),
-            ),
-            "",
-        ),  # the other way round
+        (A, "carry.package", (past.trusted(D, A, "none"),), "no trusted robot"),
+        (A, "carry.package", (past.revoked(A, D),), "authority"),
+        (A, "carry.package", (past.revoked(D, A),), ""),  # the other way round
         (A, "carry.package", (window(D),), "policy"),
         (A, "carry.package", (window(A, "review"),), "policy"),
         (A, "carry.package", (window(D, "deny", "fleet"),), ""),  # D has not heard of it
@@ -114,28 +78,12 @@ def test_a_robot_takes_over_nothing_that_it_may_not_do(
 
 def test_a_busy_robot_takes_nothing_over() -> None:
     state = failed(executing(), "fleet")
-    apply(
-        state,
-        ExecutionQueued(
-            subject=Subject("D1-2", "D1-2/1.1"),
-            principals=Parties(requested_by=D, executed_by=D, supervised_by=None),
-            robot=D,
-            on_behalf_of=D,
-            capability="carry.heavy",
-            step=1,
-            attempt=1,
-            is_delegated=False,
-            has_approach=False,
-            is_supervised=True,
-        ),
-    )
+    apply(state, past.queued(Subject("D1-2", "D1-2/1.1"), D, D, "carry.heavy"))
     assert escalation(considered(state)) == ("fleet", "human", "no feasible reassignment: robot busy")
 
 
 def test_a_spent_fleet_budget_ends_the_fleet_level() -> None:
-    closed = RecoveryBudgetSet(
-        robot=A, level="fleet", t_max_us=30_000_000, n_max=0, decided_by=Supervisor("supervisor/A1")
-    )
+    closed = past.budget(A, "fleet", 0)
     events = considered(failed(executing(A, "carry.package", closed), "fleet"))
     assert types(events) == ["RecoveryEscalated", "SupervisorCalled"]
     assert escalation(events) == ("fleet", "human", "budget exhausted")
@@ -148,67 +96,19 @@ HEAVY = (D, "carry.heavy")
 @pytest.mark.parametrize(
     ("before", "reason", "left_out_by"),
     [
-        (CapabilityAdvertised(robot=D, capability="carry.heavy", trust_required="persistent"), "no trusted", "trust"),
-        (CapabilityAdvertised(robot=D, capability="carry.heavy", visible_to=("Z",)), "no capable", "visibility"),
-        (CapabilityAdvertised(robot=D, capability="carry.heavy", visibility="trust-gated"), "", None),
-        (CapabilityAdvertised(robot=D, capability="carry.heavy", policy_required=("other",)), "policy", "policy"),
-        (CapabilityAdvertised(robot=D, capability="carry.heavy", policy_required=("A1-1",)), "", None),
+        (past.advertised(D, "carry.heavy", trust_required="persistent"), "no trusted", "trust"),
+        (past.advertised(D, "carry.heavy", visible_to=("Z",)), "no capable", "visibility"),
+        (past.advertised(D, "carry.heavy", visibility="trust-gated"), "", None),
+        (past.advertised(D, "carry.heavy", policy_required=("other",)), "policy", "policy"),
+        (past.advertised(D, "carry.heavy", policy_required=("A1-1",)), "", None),
         (CapabilityWithdrawn(D, "carry.heavy", "jammed"), "no capable", None),
-        (
-            AvailabilityChanged(robot=D, capability="carry.heavy", availability="restricted", reason="inspection"),
-            "no capable",
-            "availability",
-        ),
-        (TrustSet(robot=D, peer=A, scope="none", capability="carry.heavy"), "no trusted", "trust"),
-        (TrustSet(robot=D, peer=A, scope="none", capability="carry.package"), "no trusted", "trust"),
-        (
-            PolicyRuleSet(
-                scope="local",
-                robot=D,
-                capability="carry.heavy",
-                context=None,
-                outcome="deny",
-                decided_by=Supervisor("supervisor/D1"),
-            ),
-            "policy",
-            "policy",
-        ),
-        (
-            PolicyRuleSet(
-                scope="local",
-                robot=A,
-                capability="carry.heavy",
-                context=None,
-                outcome="review",
-                decided_by=Supervisor("supervisor/A1"),
-            ),
-            "policy",
-            None,
-        ),
-        (
-            PolicyRuleSet(
-                scope="fleet",
-                robot=None,
-                capability="carry.heavy",
-                context=None,
-                outcome="deny",
-                decided_by=Supervisor("supervisor/fleet"),
-            ),
-            "policy",
-            None,
-        ),
-        (
-            AuthorityRevoked(
-                requested_by=A,
-                executed_by=D,
-                capability="carry.heavy",
-                context=None,
-                reason="human override",
-                decided_by=Supervisor("supervisor/fleet"),
-            ),
-            "authority",
-            None,
-        ),
+        (past.available(D, "carry.heavy", "restricted", "inspection"), "no capable", "availability"),
+        (past.trusted(D, A, "none", "carry.heavy"), "no trusted", "trust"),
+        (past.trusted(D, A, "none", "carry.package"), "no trusted", "trust"),
+        (past.ruled("deny", D, "carry.heavy"), "policy", "policy"),
+        (past.ruled("review", A, "carry.heavy"), "policy", None),
+        (past.ruled_for_all("deny", None, "carry.heavy"), "policy", None),
+        (past.revoked(A, D, "carry.heavy"), "authority", None),
     ],
 )
 def test_a_substitute_is_asked_for_its_own_capability_on_its_own_terms(
@@ -232,18 +132,15 @@ def test_a_robot_with_the_same_capability_is_asked_on_the_terms_of_its_advertise
         ({"policy_required": ("other",)}, "policy"),
     ):
         owned = (
-            CapabilityInstalled(robot=B, capability="carry.heavy", version="1.0.0"),
+            past.installed(B, "carry.heavy"),
             CapabilityAdvertised(robot=B, capability="carry.heavy", **terms),
-            TrustSet(robot=B, peer=D, scope="session"),
+            past.trusted(B, D, "session"),
         )
         assert escalation(asked(failed(executing(D, "carry.heavy", *owned), "peer", "degradation")))[2] == reason
 
 
 def test_where_one_capability_does_not_suit_another_of_the_same_robot_may() -> None:
-    owned = (
-        CapabilityInstalled(robot=D, capability="carry.package", version="1.0.0"),
-        CapabilityAdvertised(robot=D, capability="carry.package", trust_required="persistent"),
-    )
+    owned = (past.installed(D, "carry.package"), past.advertised(D, "carry.package", trust_required="persistent"))
     query, *helped = asked(failed(executing(A, "carry.package", *owned), "peer", "degradation"))
     assert isinstance(query, RegistryQueried)
     assert (query.candidates, query.rejected) == ((D,), ())
@@ -271,16 +168,11 @@ def test_a_supervisor_who_is_off_shift_is_not_called() -> None:
 
 def test_a_supervisor_who_does_not_answer_in_time_is_followed_by_the_fleets_once() -> None:
     state = failed(executing(D, "grasp.robust", owner=D), "human")
-    apply(
-        state,
-        SupervisorCalled(subject=Subject("A1-1", ACTION), supervisor=Supervisor("supervisor/D1"), purpose="recovery"),
-    )
+    apply(state, past.called(Subject("A1-1", ACTION), Supervisor("supervisor/D1"), "recovery"))
     late = [
         one
         for react in handler_table_of("fsar").reacts[SupervisorCalled]
-        for one in react(
-            state, SupervisorCalled(subject=Subject("A1-1", ACTION), supervisor=Supervisor(""), purpose="recovery"), 0
-        )
+        for one in react(state, past.called(Subject("A1-1", ACTION), Supervisor(""), "recovery"), 0)
     ]
     assert [(one.command, one.after_us) for one in late if isinstance(one.command, CallNext)] == [
         (CallNext(ACTION, 1, 1), 120_000_000)
@@ -293,14 +185,7 @@ def test_a_supervisor_who_does_not_answer_in_time_is_followed_by_the_fleets_once
 
 
 def test_a_failure_creates_no_authority() -> None:
-    state = failed(
-        executing(
-            D,
-            "carry.heavy",
-            CapabilityInstalled(robot=C, capability="carry.heavy", version="1.0.0"),
-            CapabilityAdvertised(robot=C, capability="carry.heavy"),
-        )
-    )
+    state = failed(executing(D, "carry.heavy", past.installed(C, "carry.heavy"), past.advertised(C, "carry.heavy")))
     trust, rights = state.trust, state.authority
     commands: tuple[Command, ...] = (
         StartRecovery(ACTION, now_us=2_000_001),

@@ -7,35 +7,20 @@ import pytest
 
 from fsar_ledger.constants import Constants
 from fsar_ledger.events import Event
-from fsar_ledger.events.authority import AuthorityRevoked
-from fsar_ledger.events.envelope import Parties, Robot, Subject, Supervisor
-from fsar_ledger.events.execution import ExecutionQueued
-from fsar_ledger.events.recovery import (
-    AssistanceAdmitted,
-    AssistanceRequested,
-    RecoveryAttempted,
-    RecoveryBudgetSet,
-    RecoveryEscalated,
-)
-from fsar_ledger.events.registry import AvailabilityChanged, CapabilityAdvertised, CapabilityInstalled, RegistryQueried
+from fsar_ledger.events.envelope import Robot, Subject, Supervisor
+from fsar_ledger.events.recovery import AssistanceAdmitted, AssistanceRequested, RecoveryAttempted, RecoveryEscalated
+from fsar_ledger.events.registry import RegistryQueried
 from fsar_ledger.events.supervision import SupervisorCalled
 from fsar_ledger.events.world import ObstructionAppeared
 from fsar_ledger.projections.fold import State, apply
-from fsar_ledger.runtime.architectures.fsar.recovery import (
-    AskPeers,
-    CallNext,
-    ConsiderReassignment,
-    StartRecovery,
-    ask_peers,
-    consider_reassignment,
-    end_attempt,
-    start_recovery,
-)
+from fsar_ledger.runtime.architectures.fsar.recovery import AskPeers, CallNext, ConsiderReassignment, StartRecovery
 from fsar_ledger.runtime.handlers.commands import EndAttempt
 from fsar_ledger.runtime.handlers.recovery import budget
 from fsar_ledger.runtime.simulation import handler_table_of
+from tests import past
 from tests.runtime.failures import ACTION, A, B, C, D, executing, failed, taken
 from tests.runtime.histories import types, window
+from tests.runtime.live import decided
 
 
 def escalation(events: tuple[Event, ...]) -> tuple[str, str, str | None]:
@@ -55,60 +40,36 @@ def called(events: tuple[Event, ...]) -> str:
 
 def test_local_recovery_is_left_when_its_attempts_are_spent() -> None:
     state = failed(executing(A, "carry.package", ObstructionAppeared(A, "o")))
-    [first] = taken(state, start_recovery(state, StartRecovery(ACTION, now_us=2_000_001)))
+    [first] = taken(state, decided(state, StartRecovery(ACTION, now_us=2_000_001)))
     assert isinstance(first, RecoveryAttempted)
     assert (first.number, first.deadline_us) == (1, 32_000_000)
-    assert types(taken(state, end_attempt(state, EndAttempt(ACTION, 1, now_us=4_000_000)))) == [
+    assert escalation(decided(state, EndAttempt(ACTION, 1, now_us=60_000_000)))[2] == "budget exhausted"
+    assert types(taken(state, decided(state, EndAttempt(ACTION, 1, now_us=4_000_000)))) == [
         "RecoveryAttemptFailed",
         "RecoveryAttempted",
     ]
-    assert escalation(end_attempt(state, EndAttempt(ACTION, 2, now_us=6_000_000))) == (
-        "local",
-        "peer",
-        "budget exhausted",
-    )
+    assert escalation(decided(state, EndAttempt(ACTION, 2, now_us=6_000_000))) == ("local", "peer", "budget exhausted")
 
 
 def test_a_robots_own_budget_replaces_the_fleets() -> None:
-    state = failed(
-        executing(
-            A,
-            "carry.package",
-            ObstructionAppeared(A, "o"),
-            RecoveryBudgetSet(
-                robot=A, level="local", t_max_us=30_000_000, n_max=1, decided_by=Supervisor("supervisor/A1")
-            ),
-        )
-    )
-    taken(state, start_recovery(state, StartRecovery(ACTION, now_us=2_000_001)))
-    assert escalation(end_attempt(state, EndAttempt(ACTION, 1, now_us=4_000_000))) == (
-        "local",
-        "peer",
-        "budget exhausted",
-    )
+    state = failed(executing(A, "carry.package", ObstructionAppeared(A, "o"), past.budget(A, "local", 1)))
+    taken(state, decided(state, StartRecovery(ACTION, now_us=2_000_001)))
+    assert escalation(decided(state, EndAttempt(ACTION, 1, now_us=4_000_000))) == ("local", "peer", "budget exhausted")
     assert budget(state.budget, state.fleet, A, "local").n_max == 1
     assert budget(state.budget, state.fleet, B, "local").n_max == Constants().structure.local_attempts
 
 
 @pytest.mark.parametrize("spent", [(0, 2), (30_000_000, 0)])
 def test_a_level_without_budget_is_recorded_and_left_at_once(spent: tuple[int, int]) -> None:
-    state = failed(
-        executing(
-            A,
-            "carry.package",
-            RecoveryBudgetSet(
-                robot=A, level="local", t_max_us=spent[0], n_max=spent[1], decided_by=Supervisor("supervisor/A1")
-            ),
-        )
-    )
-    outward = start_recovery(state, StartRecovery(ACTION, now_us=2_000_001))
+    state = failed(executing(A, "carry.package", past.budget(A, "local", spent[1], spent[0])))
+    outward = decided(state, StartRecovery(ACTION, now_us=2_000_001))
     assert types(outward) == ["RecoveryEscalated"]
     assert escalation(outward) == ("local", "peer", "budget exhausted")
 
 
 def test_without_layered_recovery_the_one_escalation_says_so() -> None:
     state = failed(executing(configuration="without-layered-recovery"))
-    found = start_recovery(state, StartRecovery(ACTION))
+    found = decided(state, StartRecovery(ACTION))
     assert escalation(found) == ("local", "human", "no layered recovery")
     assert called(found) == "supervisor/fleet"
 
@@ -117,7 +78,7 @@ def test_without_layered_recovery_the_one_escalation_says_so() -> None:
 
 
 def asked(state: State, now_us: int = 3_000_000) -> tuple[Event, ...]:
-    return ask_peers(state, AskPeers(ACTION, 2_500_000, now_us=now_us))
+    return decided(state, AskPeers(ACTION, 2_500_000, now_us=now_us))
 
 
 def test_a_peer_with_a_task_scope_clears_the_way() -> None:
@@ -131,21 +92,7 @@ def test_a_peer_with_a_task_scope_clears_the_way() -> None:
     ("robot", "capability", "before", "reason"),
     [
         (D, "carry.heavy", (), "no trusted peer"),  # capability scope does not cover assistance
-        (
-            B,
-            "door.open.basic",
-            (
-                AuthorityRevoked(
-                    requested_by=B,
-                    executed_by=None,
-                    capability=None,
-                    context=None,
-                    reason="human override",
-                    decided_by=Supervisor("supervisor/B1"),
-                ),
-            ),
-            "authority",
-        ),
+        (B, "door.open.basic", (past.revoked(B, decided_by=Supervisor("supervisor/B1")),), "authority"),
         (B, "door.open.basic", (window(A),), "policy"),
         (B, "door.open.basic", (window(B),), "policy"),
     ],
@@ -158,18 +105,7 @@ def test_a_peer_level_that_has_nothing_to_try_says_why(
 
 def test_a_busy_peer_does_not_help() -> None:
     state = failed(executing(B, "door.open.basic"), "peer")
-    busy = ExecutionQueued(
-        subject=Subject("A1-2", "A1-2/1.1"),
-        principals=Parties(requested_by=A, executed_by=A, supervised_by=None),
-        robot=A,
-        on_behalf_of=A,
-        capability="carry.package",
-        step=1,
-        attempt=1,
-        is_delegated=False,
-        has_approach=False,
-        is_supervised=True,
-    )
+    busy = past.queued(Subject("A1-2", "A1-2/1.1"), A, A, "carry.package")
     apply(state, busy)
     assert escalation(asked(state)) == ("peer", "fleet", "peer busy")
 
@@ -185,10 +121,7 @@ def test_the_answer_says_why_a_peer_of_the_family_is_no_help() -> None:
     query, _ = asked(failed(executing(D, "carry.heavy"), "peer", "degradation"))
     assert isinstance(query, RegistryQueried)
     assert (query.rejected, query.rejected_by) == ((A,), ("contract",))
-    untrusting = (
-        CapabilityInstalled(robot=C, capability="carry.heavy", version="1.0.0"),
-        CapabilityAdvertised(robot=C, capability="carry.heavy"),
-    )
+    untrusting = (past.installed(C, "carry.heavy"), past.advertised(C, "carry.heavy"))
     query, outward = asked(failed(executing(D, "carry.heavy", *untrusting), "peer", "degradation"))
     assert isinstance(query, RegistryQueried)
     assert (query.rejected, query.rejected_by) == ((A, C), ("contract", "trust"))
@@ -196,7 +129,7 @@ def test_the_answer_says_why_a_peer_of_the_family_is_no_help() -> None:
 
 
 def test_a_robot_that_is_offline_neither_helps_nor_takes_over() -> None:
-    offline = AvailabilityChanged(robot=D, capability=None, availability="offline", reason="charging")
+    offline = past.available(D, None, "offline", "charging")
     query, outward = asked(failed(executing(A, "carry.package", offline), "peer", "degradation"))
     assert isinstance(query, RegistryQueried)
     assert (query.rejected, query.rejected_by) == ((D,), ("availability",))
@@ -230,9 +163,7 @@ def test_a_spent_peer_budget_ends_the_peer_level() -> None:
         "fleet",
         "budget exhausted",
     )
-    closed = RecoveryBudgetSet(
-        robot=B, level="peer", t_max_us=30_000_000, n_max=0, decided_by=Supervisor("supervisor/B1")
-    )
+    closed = past.budget(B, "peer", 0)
     assert escalation(asked(failed(executing(B, "door.open.basic", closed), "peer"))) == (
         "peer",
         "fleet",
@@ -251,7 +182,7 @@ def test_without_a_registry_no_peer_can_be_found() -> None:
 
 
 def considered(state: State, now_us: int = 3_000_000) -> tuple[Event, ...]:
-    return consider_reassignment(state, ConsiderReassignment(ACTION, 2_500_000, now_us=now_us))
+    return decided(state, ConsiderReassignment(ACTION, 2_500_000, now_us=now_us))
 
 
 # Actuators

@@ -12,13 +12,15 @@ from fsar_ledger.events.recovery import RecoveryBudgetSet
 from fsar_ledger.runtime.architectures.fsar.recovery import StartRecovery
 from fsar_ledger.runtime.handlers.recovery import ReportFailure, SetRecoveryBudget, report_failure, set_recovery_budget
 from fsar_ledger.runtime.simulation import handler_table_of
+from tests import past
 from tests.runtime.failures import ACTION, A, B, executing, failed, taken
 from tests.runtime.histories import given
+from tests.runtime.live import decided
 
 
 @pytest.mark.parametrize("issued_by", ["supervisor/A1", "supervisor/fleet"])
 def test_a_supervisor_in_charge_sets_a_recovery_budget(issued_by: Supervisor) -> None:
-    assert set_recovery_budget(given("fsar"), SetRecoveryBudget(issued_by, A, "peer", 5_000_000, 0)) == (
+    assert decided(given("fsar"), SetRecoveryBudget(issued_by, A, "peer", 5_000_000, 0)) == (
         RecoveryBudgetSet(robot=A, level="peer", t_max_us=5_000_000, n_max=0, decided_by=issued_by),
     )
 
@@ -46,15 +48,8 @@ def test_an_impossible_budget_is_rejected(command: SetRecoveryBudget, reason: st
 
 def test_a_reported_failure_is_recovered_like_any_other() -> None:
     state = executing(B, "door.open.basic")
-    [event] = taken(state, report_failure(state, ReportFailure(B, ACTION, "obstruction", now_us=2_000_000)))
-    assert event == ExecutionFailed(
-        subject=Subject("A1-1", ACTION),
-        robot=B,
-        failure=1,
-        cause="obstruction",
-        remaining_us=1_000_000,
-        detected_us=2_000_000,
-    )
+    [event] = taken(state, decided(state, ReportFailure(B, ACTION, "obstruction", now_us=2_000_000)))
+    assert event == past.failed(Subject("A1-1", ACTION), B, "obstruction", 1_000_000, 2_000_000)
     [scheduled] = [
         one.command
         for react in handler_table_of("fsar").reacts[ExecutionFailed]
@@ -80,6 +75,6 @@ def test_a_report_about_what_the_robot_does_not_execute_is_rejected(command: Rep
 
 
 def test_a_second_report_of_the_same_failure_is_rejected() -> None:
-    [found] = report_failure(failed(executing()), ReportFailure(A, ACTION, "obstruction"))
+    [found] = decided(failed(executing()), ReportFailure(A, ACTION, "obstruction"))
     assert isinstance(found, CommandRejected)
     assert "is failed, expected running" in found.reason

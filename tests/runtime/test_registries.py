@@ -9,19 +9,15 @@ from msgspec.structs import replace
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import Robot, Supervisor
 from fsar_ledger.events.fleet import RobotJoined
-from fsar_ledger.events.registry import (
-    CapabilityDeprecated,
-    CapabilityInstalled,
-    CapabilityWithdrawn,
-    RegistryCached,
-    RegistryConsulted,
-)
+from fsar_ledger.events.registry import CapabilityDeprecated, CapabilityWithdrawn, RegistryCached, RegistryConsulted
 from fsar_ledger.events.trust import TrustSet
 from fsar_ledger.projections.fold import State, apply, fold
 from fsar_ledger.projections.registry import advertisement
 from fsar_ledger.runtime.handlers.candidates import FILTERS, Query, candidates, rejecting_filter
-from fsar_ledger.runtime.handlers.registry import CacheRegistry, ConsultRegistry, cache_registry, consult_registry
+from fsar_ledger.runtime.handlers.registry import CacheRegistry, ConsultRegistry, consult_registry
+from tests import past
 from tests.runtime.histories import given, started, types
+from tests.runtime.live import decided
 from tests.runtime.test_registry import ASKING, A, B, busy, offered, second
 
 HALL = (
@@ -66,7 +62,7 @@ def test_the_nearest_registry_around_the_requester_that_has_a_candidate_answers(
 
 
 def test_a_registry_without_a_candidate_hands_the_query_on_with_its_rejections() -> None:
-    distrust = TrustSet(robot=Robot("robot/F1"), peer=A, scope="none")
+    distrust = past.trusted(Robot("robot/F1"), A, "none")
     answer = candidates(from_domain("hall/north/cell", distrust), ASKING)
     assert (answer.domain, answer.candidates, answer.rejected, answer.rejected_by) == (
         "hall/north",
@@ -102,25 +98,16 @@ def test_a_limited_search_ends_at_so_many_that_are_ready() -> None:
     assert limited(2) == (("robot/E1", "robot/F1"), ())
     assert limited(9) == (("robot/E1", "robot/F1", "robot/G1"), ())
     assert limited(1, busy(Robot("robot/E1"))) == (("robot/F1",), ())
-    assert limited(1, TrustSet(robot=Robot("robot/E1"), peer=A, scope="none")) == (
-        ("robot/F1",),
-        ("robot/E1",),
-    )
-    assert limited(1, TrustSet(robot=Robot("robot/G1"), peer=A, scope="none")) == (("robot/E1",), ()), (
-        "G1 was not looked at"
-    )
+    assert limited(1, past.trusted(Robot("robot/E1"), A, "none")) == (("robot/F1",), ("robot/E1",))
+    assert limited(1, past.trusted(Robot("robot/G1"), A, "none")) == (("robot/E1",), ()), "G1 was not looked at"
 
 
 def test_a_copy_answers_with_the_offers_of_its_time_and_says_how_old_it_is() -> None:
-    state = given(
-        "fsar",
-        RegistryCached(A, 5_000_000),
-        CapabilityWithdrawn(B, "door.open.secure", "jammed"),
-    )
+    state = given("fsar", RegistryCached(A, 5_000_000), CapabilityWithdrawn(B, "door.open.secure", "jammed"))
     assert candidates(state, ASKING).candidates == ()
     copied = candidates(state, ASKING, A)
     assert (copied.candidates, copied.as_of_us) == (("robot/B1",), 5_000_000)
-    apply(state, TrustSet(robot=B, peer=A, scope="none"))
+    apply(state, past.trusted(B, A, "none"))
     assert candidates(state, ASKING, A).rejected_by == ("trust",), "trust is that of now"
 
 
@@ -132,7 +119,7 @@ def test_that_a_robot_executes_just_now_is_in_no_copy() -> None:
 
 def test_a_query_from_outside_is_answered_and_recorded_with_its_rejections() -> None:
     state = given("fsar", *second(trust_required="persistent"))
-    [answer] = consult_registry(state, ConsultRegistry(ASKING))
+    [answer] = decided(state, ConsultRegistry(ASKING))
     assert answer == RegistryConsulted(
         requested_by=A,
         capability="door.open.secure",
@@ -145,7 +132,7 @@ def test_a_query_from_outside_is_answered_and_recorded_with_its_rejections() -> 
 
 
 def test_that_nobody_offers_it_is_an_answer() -> None:
-    [answer] = consult_registry(given("fsar"), ConsultRegistry(Query(A, "teleport")))
+    [answer] = decided(given("fsar"), ConsultRegistry(Query(A, "teleport")))
     assert answer == RegistryConsulted(
         requested_by=A, capability="teleport", candidates=(), rejected=(), rejected_by=()
     )
@@ -153,10 +140,10 @@ def test_that_nobody_offers_it_is_an_answer() -> None:
 
 def test_a_copy_is_taken_and_asked() -> None:
     state = given("fsar")
-    [cached] = cache_registry(state, CacheRegistry(A, now_us=7))
+    [cached] = decided(state, CacheRegistry(A, now_us=7))
     assert cached == RegistryCached(A, 7)
     apply(state, cached)
-    [answer] = consult_registry(state, ConsultRegistry(ASKING, A, now_us=9))
+    [answer] = decided(state, ConsultRegistry(ASKING, A, now_us=9))
     assert (answer.candidates, answer.as_of_us) == (("robot/B1",), 7)  # type: ignore[attr-defined]
 
 
@@ -181,7 +168,7 @@ def test_a_query_that_cannot_be_asked_is_rejected(command: ConsultRegistry, reas
 
 
 def test_a_copy_for_nobody_is_rejected() -> None:
-    assert types(cache_registry(given("fsar"), CacheRegistry(Robot("robot/Z9")))) == ["CommandRejected"]
+    assert types(decided(given("fsar"), CacheRegistry(Robot("robot/Z9")))) == ["CommandRejected"]
 
 
 ROBOTS = tuple(Robot(f"robot/{letter}{team}") for letter in "EFGHK" for team in (1, 2))
@@ -231,16 +218,11 @@ DOMAINS = st.dictionaries(st.sampled_from(ROBOTS), st.sampled_from(("", "hall", 
 
 def populated(changes: list[Event], domains: dict[str, str]) -> State:
     """A1 and ten more robots, each in its domain, after these changes."""
-    joined = [
-        RobotJoined(robot=robot, role=robot[6], team=int(robot[7]), supervisor=None, domain=domains.get(robot, ""))
-        for robot in (A, *ROBOTS)
-    ]
+    joined = [past.joined(robot, robot[6], int(robot[7]), domain=domains.get(robot, "")) for robot in (A, *ROBOTS)]
     modules = [
-        CapabilityInstalled(robot=robot, capability=name, version="1.0.0")
-        for robot in ROBOTS
-        for name in ("door.open.secure", "door.open.wide", "lift")
+        past.installed(robot, name) for robot in ROBOTS for name in ("door.open.secure", "door.open.wide", "lift")
     ]
-    trusted = [TrustSet(robot=robot, peer=A, scope="task") for robot in ROBOTS]
+    trusted = [past.trusted(robot, A, "task") for robot in ROBOTS]
     return fold((started("fsar")[0], *joined, *modules, *trusted, *changes))
 
 

@@ -5,19 +5,11 @@ from typing import Any
 import pytest
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import Parties, Robot, Subject, Supervisor
+from fsar_ledger.events.envelope import Robot, Subject
 from fsar_ledger.events.execution import ExecutionQueued
-from fsar_ledger.events.fleet import RobotJoined
-from fsar_ledger.events.policy import PolicyRuleSet
-from fsar_ledger.events.registry import (
-    AvailabilityChanged,
-    CapabilityAdvertised,
-    CapabilityDeprecated,
-    CapabilityInstalled,
-    CapabilityWithdrawn,
-)
-from fsar_ledger.events.trust import TrustSet
+from fsar_ledger.events.registry import CapabilityAdvertised, CapabilityDeprecated, CapabilityWithdrawn
 from fsar_ledger.runtime.handlers.candidates import Query, candidates
+from tests import past
 from tests.runtime.histories import given, window
 
 A, B = Robot("robot/A1"), Robot("robot/B1")
@@ -59,50 +51,18 @@ def test_the_requester_itself_is_neither_candidate_nor_rejected() -> None:
     ("events", "asked", "by"),
     [
         ((offered(visible_to=("C",)),), {}, "visibility"),
-        (
-            (
-                offered(visibility="trust-gated"),
-                TrustSet(robot=B, peer=A, scope="none"),
-            ),
-            {},
-            "visibility",
-        ),
+        ((offered(visibility="trust-gated"), past.trusted(B, A, "none")), {}, "visibility"),
         ((), {"version": "^2.0"}, "version"),
         ((offered(preconditions=("badge.shown",)),), {"provides": ()}, "contract"),
         ((offered(resources=("arm",)),), {"resources": ("gripper",)}, "contract"),
         ((), {"needs": ("door.opened",)}, "contract"),
-        ((TrustSet(robot=B, peer=A, scope="none"),), {}, "trust"),
+        ((past.trusted(B, A, "none"),), {}, "trust"),
         ((offered(trust_required="session"),), {}, "trust"),
         ((offered(policy_required=("delivery",)),), {}, "policy"),
-        (
-            (
-                PolicyRuleSet(
-                    scope="local",
-                    robot=B,
-                    capability="door.open.secure",
-                    context=None,
-                    outcome="deny",
-                    decided_by=Supervisor("supervisor/B1"),
-                ),
-            ),
-            {},
-            "policy",
-        ),
+        ((past.ruled("deny", B, "door.open.secure"),), {}, "policy"),
         ((), {"override": "emergency-only"}, "authority"),
-        (
-            (AvailabilityChanged(robot=B, capability=None, availability="offline", reason="charging"),),
-            {},
-            "availability",
-        ),
-        (
-            (
-                AvailabilityChanged(
-                    robot=B, capability="door.open.secure", availability="restricted", reason="roll-out"
-                ),
-            ),
-            {},
-            "availability",
-        ),
+        ((past.available(B, None, "offline", "charging"),), {}, "availability"),
+        ((past.available(B, "door.open.secure", "restricted", "roll-out"),), {}, "availability"),
         ((), {"embodiment": ("arm",)}, "embodiment"),
     ],
 )
@@ -122,39 +82,12 @@ def test_each_filter_rejects_and_is_named(events: tuple[Event, ...], asked: dict
         ((offered(postconditions=("door.opened", "door.logged")),), {"needs": ("door.opened",)}),
         ((offered(trust_required="task"),), {}),
         ((offered(policy_required=("delivery",)),), {"context": "delivery"}),
-        (
-            (
-                PolicyRuleSet(
-                    scope="local",
-                    robot=B,
-                    capability="door.open.secure",
-                    context=None,
-                    outcome="review",
-                    decided_by=Supervisor("supervisor/B1"),
-                ),
-            ),
-            {},
-        ),
-        (
-            (
-                PolicyRuleSet(
-                    scope="local",
-                    robot=B,
-                    capability="door.open.basic",
-                    context=None,
-                    outcome="deny",
-                    decided_by=Supervisor("supervisor/B1"),
-                ),
-            ),
-            {},
-        ),
+        ((past.ruled("review", B, "door.open.secure"),), {}),
+        ((past.ruled("deny", B, "door.open.basic"),), {}),
         ((window(B),), {}),
         ((), {"override": "hard-preempt"}),
         ((offered(override_allowed="soft-priority"),), {"override": "emergency-only"}),
-        (
-            (AvailabilityChanged(robot=B, capability="door.open.basic", availability="offline", reason="jammed"),),
-            {},
-        ),
+        ((past.available(B, "door.open.basic", "offline", "jammed"),), {}),
         ((offered(embodiment=("arm", "wheels")),), {"embodiment": ("arm",)}),
     ],
 )
@@ -163,15 +96,15 @@ def test_what_no_filter_rejects_is_a_candidate(events: tuple[Event, ...], asked:
 
 
 def test_of_several_filters_the_first_in_their_order_is_named() -> None:
-    distrust = TrustSet(robot=B, peer=A, scope="none")
-    offline = AvailabilityChanged(robot=B, capability=None, availability="offline", reason="charging")
+    distrust = past.trusted(B, A, "none")
+    offline = past.available(B, None, "offline", "charging")
     assert why_not(distrust, offline, version="^2") == ("version",)
     assert why_not(distrust, offline) == ("trust",)
     assert why_not(offline) == ("availability",)
 
 
 def test_without_trust_evaluation_nobody_hides_and_nobody_distrusts() -> None:
-    events = (offered(visible_to=("C",)), TrustSet(robot=B, peer=A, scope="none"))
+    events = (offered(visible_to=("C",)), past.trusted(B, A, "none"))
     assert candidates(given("fsar", *events, configuration="without-trust-evaluation"), ASKING).candidates == (
         "robot/B1",
     )
@@ -180,45 +113,27 @@ def test_without_trust_evaluation_nobody_hides_and_nobody_distrusts() -> None:
 def second(robot: Robot = E1, version: str = "1.0.0", domain: str = "", **fields: Any) -> tuple[Event, ...]:
     """Another robot that can open the door and trusts A1."""
     return (
-        RobotJoined(robot=robot, role="B", team=1, supervisor=None, domain=domain),
-        CapabilityInstalled(robot=robot, capability="door.open.secure", version=version),
+        past.joined(robot, "B", domain=domain),
+        past.installed(robot, "door.open.secure", version),
         offered(robot, version=version, **fields),
-        TrustSet(robot=robot, peer=A, scope="task"),
+        past.trusted(robot, A, "task"),
     )
 
 
 def busy(robot: Robot) -> ExecutionQueued:
-    return ExecutionQueued(
-        subject=Subject("t", "t/1"),
-        principals=Parties(requested_by=None, executed_by=None, supervised_by=None),
-        robot=robot,
-        on_behalf_of=robot,
-        capability="navigate.indoor",
-        step=1,
-        attempt=1,
-        is_delegated=False,
-        has_approach=False,
-        is_supervised=True,
-    )
+    return past.queued(Subject("t", "t/1"), robot, robot, "navigate.indoor", principals=past.parties())
 
 
 def test_ready_robots_come_before_busy_ones_before_degraded_ones() -> None:
     both = second()
     assert candidates(given("fsar", *both), ASKING).candidates == ("robot/B1", "robot/E1")
     assert candidates(given("fsar", *both, busy(B)), ASKING).candidates == ("robot/E1", "robot/B1")
-    assert candidates(
-        given(
-            "fsar",
-            *both,
-            AvailabilityChanged(robot=B, capability=None, availability="busy", reason="charging"),
-        ),
-        ASKING,
-    ).candidates == ("robot/E1", "robot/B1")
-    degraded = AvailabilityChanged(robot=Robot("robot/E1"), capability=None, availability="degraded", reason="actuator")
-    assert candidates(given("fsar", *both, busy(B), degraded), ASKING).candidates == (
-        "robot/B1",
+    assert candidates(given("fsar", *both, past.available(B, None, "busy", "charging")), ASKING).candidates == (
         "robot/E1",
+        "robot/B1",
     )
+    degraded = past.available(Robot("robot/E1"), None, "degraded", "actuator")
+    assert candidates(given("fsar", *both, busy(B), degraded), ASKING).candidates == ("robot/B1", "robot/E1")
 
 
 def test_a_deprecated_version_is_shown_only_when_no_other_satisfies_the_query() -> None:

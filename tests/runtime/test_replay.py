@@ -30,6 +30,7 @@ from fsar_ledger.runtime.handlers.commands import Command, Decide
 from fsar_ledger.runtime.knockouts import KNOCKOUTS, Knockout
 from fsar_ledger.runtime.replay import ReplayReport, replay, replay_run
 from fsar_ledger.runtime.simulation import ARCHITECTURES, SCENARIOS, RunSpec, handler_table_of, simulate_run
+from tests import past
 from tests.cli.conftest import Call, call, one_message  # noqa: F401
 from tests.ledger.forgery import segment_at
 from tests.ledger.hostile import stage_anything
@@ -257,9 +258,7 @@ def test_a_handler_that_was_changed_since_decides_otherwise(monkeypatch: pytest.
 
 
 def test_a_decision_from_outside_is_not_a_fact_of_the_world() -> None:
-    one = governed.governed(
-        "door-relay", (30_000_000, TrustSet(robot=Robot("robot/A1"), peer=Robot("robot/C1"), scope="task"))
-    )
+    one = governed.governed("door-relay", (30_000_000, past.trusted(Robot("robot/A1"), Robot("robot/C1"), "task")))
     difference = replay_run(governed.record(one))
     assert difference is not None
     assert (difference.seq, difference.field, difference.actual) == (

@@ -11,10 +11,11 @@ import pytest
 from fsar_ledger.constants import Constants, Range, Structure, WorldConstants
 from fsar_ledger.events import CONCERNS, Event
 from fsar_ledger.events.envelope import Architecture, Robot
-from fsar_ledger.events.world import RoutineDue, TaskArrived
+from fsar_ledger.events.world import RoutineDue
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.runtime.replay import NOT_REPLAYED, ReplayReport, replay, replay_commit, replay_run
 from fsar_ledger.runtime.simulation import ARCHITECTURES, RunSpec, simulate_run
+from tests import past
 from tests.cli.conftest import Call, call, one_message  # noqa: F401
 from tests.quick import few
 from tests.runtime.commanded import commanded
@@ -74,14 +75,12 @@ def test_a_run_that_cannot_be_replayed_is_a_doubt_and_says_why(tmp_path: Path, n
 
 ODD_FACTS: dict[str, Event] = {
     "an unknown robot": RoutineDue(Robot("robot/Z9"), "sensing"),
-    "a step that is none": TaskArrived(
-        task_id="odd", robot=Robot("robot/A1"), team=1, steps=("nonsense",), budget_us=10, due_us=10
+    "a step that is none": past.arrived("odd", Robot("robot/A1"), ("nonsense",), budget_us=10, due_us=10),
+    "a step of an unknown robot": past.arrived(
+        "odd", Robot("robot/A1"), ("Z navigate.indoor",), budget_us=10, due_us=10
     ),
-    "a step of an unknown robot": TaskArrived(
-        task_id="odd", robot=Robot("robot/A1"), team=1, steps=("Z navigate.indoor",), budget_us=10, due_us=10
-    ),
-    "a capability without a duration": TaskArrived(
-        task_id="odd", robot=Robot("robot/A1"), team=1, steps=("A fly",), budget_us=10**9, due_us=LATE + 10**9
+    "a capability without a duration": past.arrived(
+        "odd", Robot("robot/A1"), ("A fly",), budget_us=10**9, due_us=LATE + 10**9
     ),
 }
 

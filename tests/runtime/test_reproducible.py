@@ -2,7 +2,6 @@
 
 import hashlib
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -13,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from fsar_ledger.ledger.verify.verify import verify
+from tests.running import ran
 
 SEED = ["--seed", "9"]
 PINNED = "2157cbb864921c4a48bee5eea6fea6ced75a1d0d1e7ab02e39fdc53dc4e838bb"
@@ -127,18 +127,10 @@ def test_a_killed_enlargement_resumes_to_the_bytes_of_one_that_nobody_killed(tmp
     assert verify(tmp_path / "killed").ok
 
 
-def test_simulating_again_adds_nothing(tmp_path: Path, made: Path, expected: dict[str, str]) -> None:
-    shutil.copytree(made, tmp_path / "ledger")
-    simulate(tmp_path / "ledger")
-    assert fingerprint(tmp_path / "ledger") == expected
-
-
 @pytest.mark.slow
 def test_the_default_experiment_has_the_root_that_is_pinned(tmp_path: Path) -> None:
-    done = subprocess.run(
+    done = ran(
         [sys.executable, "-m", "fsar_ledger", "simulate", str(tmp_path / "ledger"), "--runs", "20", "--seed", "42"],
         check=True,
-        capture_output=True,
-        text=True,
     )
     assert done.stdout.splitlines()[1] == f"root {PINNED}"

@@ -6,41 +6,20 @@ import msgspec
 import pytest
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.authority import AuthorityGranted, AuthorityRevoked
 from fsar_ledger.events.command import CommandRejected
-from fsar_ledger.events.envelope import (
-    FLEET_SUPERVISOR,
-    OverrideLevel,
-    Parties,
-    Principals,
-    RequestSubject,
-    Robot,
-    Subject,
-)
-from fsar_ledger.events.registry import (
-    AvailabilityChanged,
-    CapabilityAdvertised,
-    CapabilityRemoved,
-    CapabilityWithdrawn,
-    RegistryQueried,
-)
+from fsar_ledger.events.envelope import OverrideLevel, Robot, Subject
+from fsar_ledger.events.registry import CapabilityAdvertised, CapabilityRemoved, CapabilityWithdrawn
 from fsar_ledger.events.request import RequestAdmitted, RequestDenied, RequestIssued
-from fsar_ledger.events.supervision import SupervisorResponded
-from fsar_ledger.events.task import StepBegan, TaskCompleted
-from fsar_ledger.events.trust import TrustSet
+from fsar_ledger.events.task import TaskCompleted
 from fsar_ledger.projections.fold import State, apply
 from fsar_ledger.projections.registry import Registry
-from fsar_ledger.runtime.architectures.fsar.request import (
-    EvaluateRequest,
-    RelayRequest,
-    evaluate_request,
-    relay_request,
-)
+from fsar_ledger.runtime.architectures.fsar.request import EvaluateRequest, RelayRequest
 from fsar_ledger.runtime.handlers.admissibility import evaluate
 from fsar_ledger.runtime.handlers.commands import Command
 from fsar_ledger.runtime.handlers.request import RequestCapability
+from tests import past
 from tests.runtime.histories import ARRIVED, DELEGATED_STEP, OWN_STEP, given, happen, types, window
-from tests.runtime.live import decided
+from tests.runtime.live import decided, play
 
 A, B, C, D = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/C1"), Robot("robot/D1")
 
@@ -51,7 +30,7 @@ RUNNING = ("RequestAdmitted", "ExecutionQueued")
 
 def offered(level: OverrideLevel, **changes: Any) -> CapabilityAdvertised:
     """B1 lets requests for its door carry this override level."""
-    return msgspec.structs.replace(CapabilityAdvertised(robot=B, capability=DOOR), override_allowed=level, **changes)
+    return msgspec.structs.replace(past.advertised(B, DOOR), override_allowed=level, **changes)
 
 
 def asked(
@@ -72,7 +51,7 @@ def verdict(state: State, action_id: str = "q1") -> tuple[str, str | None]:
 def served(state: State, *commands: Command) -> State:
     """The state after these commands."""
     for command in commands:
-        happen(state, *decided(state, command))
+        play(state, command)
     return state
 
 
@@ -86,17 +65,11 @@ def test_a_request_says_who_asks_whom_for_what_in_which_context() -> None:
         issued.capability,
         issued.subject.task_id,
         issued.principals.supervised_by,
-    ) == (
-        "robot/A1",
-        "robot/B1",
-        DOOR,
-        "visit",
-        "supervisor/A1",
-    )
+    ) == ("robot/A1", "robot/B1", DOOR, "visit", "supervisor/A1")
 
 
 def test_an_admissible_request_is_accepted_with_its_trust_and_its_authority() -> None:
-    admitted, _ = evaluate_request(asked(), EvaluateRequest("q1"))
+    admitted, _ = decided(asked(), EvaluateRequest("q1"))
     assert isinstance(admitted, RequestAdmitted)
     assert (admitted.trust, admitted.may_request, admitted.may_execute, admitted.override, admitted.is_audited) == (
         "task",
@@ -109,7 +82,7 @@ def test_an_admissible_request_is_accepted_with_its_trust_and_its_authority() ->
 
 BUSY = (ARRIVED, OWN_STEP)
 EXPIRED = TaskCompleted("visit")
-DISTRUST = TrustSet(robot=B, peer=A, scope="none")
+DISTRUST = past.trusted(B, A, "none")
 
 
 @pytest.mark.parametrize(
@@ -126,26 +99,9 @@ DISTRUST = TrustSet(robot=B, peer=A, scope="none")
         ((window(B),), {}, "policy"),
         ((offered("none", policy_required=("rounds",)),), {}, "policy"),
         ((), {"directives": ("plan",)}, "local-execution"),
-        (
-            (AvailabilityChanged(robot=B, capability=None, availability="offline", reason="battery"),),
-            {},
-            "local-execution",
-        ),
+        ((past.available(B, None, "offline", "battery"),), {}, "local-execution"),
         ((EXPIRED,), {}, "authority"),
-        (
-            (
-                AuthorityRevoked(
-                    requested_by=A,
-                    executed_by=B,
-                    capability=None,
-                    context=None,
-                    reason="human override",
-                    decided_by=FLEET_SUPERVISOR,
-                ),
-            ),
-            {},
-            "authority",
-        ),
+        ((past.revoked(A, B),), {}, "authority"),
         ((DISTRUST, window(B), EXPIRED), {"directives": ("policy",)}, "trust"),
         ((window(B), EXPIRED), {"directives": ("recovery",)}, "policy"),
         ((EXPIRED,), {"directives": ("plan",)}, "local-execution"),
@@ -156,11 +112,11 @@ def test_the_first_conjunct_that_fails_is_the_reason(
 ) -> None:
     state = asked(command=RequestCapability(**{**msgspec.structs.asdict(ASK), **changes}), after=after)
     assert verdict(state) == ("reject", conjunct)
-    [denied] = evaluate_request(state, EvaluateRequest("q1"))
+    [denied] = decided(state, EvaluateRequest("q1"))
     assert isinstance(denied, RequestDenied)
-    assert denied.reason == conjunct
+    assert (denied.reason, denied.principals.path) == (conjunct, state.request.open["q1"].candidates)
     apply(state, denied)
-    assert evaluate_request(state, EvaluateRequest("q1")) == (), "a denied request is over"
+    assert decided(state, EvaluateRequest("q1")) == (), "a denied request is over"
 
 
 def test_a_requester_outside_the_executors_domain_sees_no_advertisement_of_it() -> None:
@@ -182,34 +138,21 @@ def test_a_requester_outside_the_executors_domain_sees_no_advertisement_of_it() 
 
 def test_without_trust_evaluation_trust_is_no_conjunct_and_no_part_of_the_admission() -> None:
     state = asked(after=(DISTRUST,), configuration="without-trust-evaluation")
-    admitted, _ = evaluate_request(state, EvaluateRequest("q1"))
+    admitted, _ = decided(state, EvaluateRequest("q1"))
     assert isinstance(admitted, RequestAdmitted)
     assert admitted.trust is None
 
 
 def test_policy_that_wants_a_review_is_put_before_a_supervisor_only_if_all_else_holds() -> None:
     reviewed = asked(after=(window(B, "review"),))
-    assert types(evaluate_request(reviewed, EvaluateRequest("q1"))) == ["SupervisorCalled"]
+    assert types(decided(reviewed, EvaluateRequest("q1"))) == ["SupervisorCalled"]
     assert verdict(asked(after=(window(B, "review"), EXPIRED))) == ("reject", "authority")
 
 
 def test_what_was_approved_is_still_denied_when_trust_is_gone_by_then() -> None:
     state = asked(after=(window(B, "review"),))
-    happen(state, *evaluate_request(state, EvaluateRequest("q1")))
-    apply(
-        state,
-        SupervisorResponded(
-            Subject("visit", "q1"),
-            Principals(
-                decided_by=FLEET_SUPERVISOR,
-                requested_by=A,
-                executed_by=B,
-                supervised_by=FLEET_SUPERVISOR,
-                path=(FLEET_SUPERVISOR,),
-            ),
-            "review",
-        ),
-    )
+    play(state, EvaluateRequest("q1"))
+    apply(state, past.approved(Subject("visit", "q1"), A, B))
     request = state.request.open["q1"]
     assert evaluate(state, request, B, is_reviewed=True).verdict == "accept"
     apply(state, DISTRUST)
@@ -219,49 +162,27 @@ def test_what_was_approved_is_still_denied_when_trust_is_gone_by_then() -> None:
 def test_a_busy_executor_defers_and_the_request_is_served_in_its_turn() -> None:
     state = served(asked(), EvaluateRequest("q1"))
     second = msgspec.structs.replace(ASK, action_id="q2")
-    happen(state, *decided(state, second))
-    assert types(evaluate_request(state, EvaluateRequest("q2"))) == [
-        "RequestAdmitted",
-        "RequestDeferred",
-        "ExecutionQueued",
-    ]
+    play(state, second)
+    assert types(decided(state, EvaluateRequest("q2"))) == ["RequestAdmitted", "RequestDeferred", "ExecutionQueued"]
 
 
-RELAYED = RegistryQueried(
-    subject=Subject("A1-1", "A1-1/2.1"),
-    principals=Parties(requested_by=D, executed_by=B, supervised_by=None),
-    capability=DOOR,
-    candidates=(B,),
-    relay=A,
-)
-D_STEP = StepBegan(subject=Subject("A1-1", "A1-1/2.1"), robot=D, step=2, attempt=1, capability=DOOR, target_role="B")
+RELAYED = past.queried(Subject("A1-1", "A1-1/2.1"), past.parties(D, B), DOOR, B, relay=A)
+D_STEP = past.began(Subject("A1-1", "A1-1/2.1"), D, 2, DOOR, "B")
 
 
 def relayed(*after: Event) -> State:
     """D1's request to B1 has been issued and stands before its relay A1."""
-    issued = RequestIssued(
-        subject=RequestSubject("A1-1", "A1-1/2.1", "A1-1/2.1"),
-        principals=Principals(
-            decided_by=D,
-            requested_by=D,
-            executed_by=B,
-            supervised_by=None,
-            path=(D,),
-        ),
-        capability=DOOR,
-        carried_policy="allow",
-        relay=A,
-    )
+    issued = past.issued("A1-1/2.1", past.principals(D, D, B), DOOR, "A1-1", relay=A)
     return given("fsar", ARRIVED, D_STEP, RELAYED, issued, *after)
 
 
 def test_each_link_of_a_relayed_request_rests_on_its_own_trust() -> None:
     state = relayed()
-    assert types(relay_request(state, RelayRequest("A1-1/2.1"))) == ["RequestRelayed"]
-    admitted, _ = evaluate_request(state, EvaluateRequest("A1-1/2.1"))
+    assert types(decided(state, RelayRequest("A1-1/2.1"))) == ["RequestRelayed"]
+    admitted, _ = decided(state, EvaluateRequest("A1-1/2.1"))
     assert isinstance(admitted, RequestAdmitted)
     assert admitted.trust == "task", "of B1 in A1; B1 does not trust D1"
-    [denied] = relay_request(relayed(TrustSet(robot=A, peer=D, scope="none")), RelayRequest("A1-1/2.1"))
+    [denied] = decided(relayed(past.trusted(A, D, "none")), RelayRequest("A1-1/2.1"))
     assert isinstance(denied, RequestDenied)
     assert (denied.reason, denied.principals.decided_by) == ("trust", "robot/A1")
     assert verdict(relayed(DISTRUST), "A1-1/2.1") == ("reject", "trust")
@@ -270,33 +191,16 @@ def test_each_link_of_a_relayed_request_rests_on_its_own_trust() -> None:
 def test_rights_along_a_chain_never_add_up_to_a_right_of_its_first_at_its_last() -> None:
     """A1 may ask B1 and B1 may ask C1; A1 at C1 has no trust whatever was granted along the way, and C1 judges B1
     alone."""
-    grants = (
-        AuthorityGranted(
-            requested_by=A,
-            executed_by=B,
-            capability=None,
-            context=None,
-            override="none",
-            decided_by=FLEET_SUPERVISOR,
-        ),
-        AuthorityGranted(
-            requested_by=B,
-            executed_by=C,
-            capability=None,
-            context=None,
-            override="none",
-            decided_by=FLEET_SUPERVISOR,
-        ),
-    )
+    grants = (past.granted(A, B), past.granted(B, C))
     state = served(asked(*grants), EvaluateRequest("q1"))
     onward = RequestCapability(B, C, "inspect.visual", "visit", "q2", parent="q1")
-    happen(state, *decided(state, onward))
+    play(state, onward)
     assert state.request.open["q2"].parent == "q1"
     assert verdict(state, "q2") == ("accept", None)
     direct = RequestCapability(A, C, "inspect.visual", "visit", "q3")
-    happen(state, *decided(state, direct))
+    play(state, direct)
     assert verdict(state, "q3") == ("reject", "trust")
-    apply(state, TrustSet(robot=C, peer=B, scope="none"))
+    apply(state, past.trusted(C, B, "none"))
     assert verdict(state, "q2") == ("reject", "trust"), "the parent's admission does not carry its link"
 
 
@@ -321,17 +225,7 @@ def test_rights_along_a_chain_never_add_up_to_a_right_of_its_first_at_its_last()
 def test_a_request_that_names_something_unknown_over_or_impossible_is_rejected_and_changes_nothing(
     changes: dict[str, Any], found: str
 ) -> None:
-    finished = RequestDenied(
-        RequestSubject("visit", "old", "old"),
-        Principals(
-            decided_by=B,
-            requested_by=A,
-            executed_by=B,
-            supervised_by=None,
-            path=(B,),
-        ),
-        "policy",
-    )
+    finished = past.denied("old", past.principals(B, A, B), "policy", "visit")
     first = msgspec.structs.replace(ASK, action_id="old")
     state = asked(ARRIVED, DELEGATED_STEP, TaskCompleted("A1-9"), command=first, after=(finished,))
     before = {slot: getattr(state, slot) for slot in State.__slots__}

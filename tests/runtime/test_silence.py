@@ -1,12 +1,13 @@
 """Nobody knows that a robot is off before it has not answered, and whether a message was delivered is waited for no
 longer than is said. Reading: R44."""
 
+from collections.abc import Sequence
 from functools import cache
 
 import msgspec
 import pytest
 
-from fsar_ledger.constants import Constants, Outages, Range
+from fsar_ledger.constants import Constants, Outages, Range, WorldConstants
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityReleased
 from fsar_ledger.events.envelope import Architecture, Availability, Robot
@@ -31,6 +32,8 @@ from fsar_ledger.runtime.ports import Fact
 from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, founding_of, handler_table_of
 from fsar_ledger.runtime.world.draws import Draws, SimulatedEnvironment, run_key
 from fsar_ledger.runtime.world.schedule import schedule
+from tests import past
+from tests.runtime.live import of
 from tests.runtime.physics import EVERY, LAWLESS, OURS, QUIET
 
 S = 1_000_000
@@ -39,40 +42,30 @@ CALM = msgspec.structs.replace(
     OURS, **QUIET, **LAWLESS, context_rate_per_s=0.0, routine_rate_per_s=0.0, encounter_mean_s=5.0
 )
 A, B, B2, DOOR = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/B2"), "door.open.secure"
-TASK = TaskArrived(task_id="A1-1", robot=A, team=1, steps=(f"A {DOOR} B",), budget_us=90 * S, due_us=91 * S)
+TASK = past.arrived("A1-1", A, (f"A {DOOR} B",), budget_us=90 * S, due_us=91 * S)
+
+
+def in_a_world(spec: RunSpec, world: WorldConstants, facts: Sequence[Fact]) -> Kernel:
+    """The finished run in a world of these constants, in which this happens and nothing else."""
+    one = Kernel(
+        handler_table_of(spec.architecture),
+        SimulatedEnvironment(facts, Draws(run_key(5, spec.scenario, spec.run), world)),
+        *founding_of(spec, Constants(world=world)),
+    )
+    one.run()
+    return one
 
 
 def ran(architecture: Architecture, facts: list[Fact], size: int = 8) -> Kernel:
     """The run of two teams in a calm world, in which this happens and nothing else."""
-    spec, constants = RunSpec(5, architecture, "full", "door-relay", size, 0), Constants(world=CALM)
-    one = Kernel(
-        handler_table_of(architecture),
-        SimulatedEnvironment(facts, Draws(run_key(5, "door-relay", 0), CALM)),
-        *founding_of(spec, constants),
-    )
-    one.run()
-    return one
+    return in_a_world(RunSpec(5, architecture, "full", "door-relay", size, 0), CALM, facts)
 
 
 @cache
 def without(architecture: Architecture, scenario: str, robot: str, ends: type[Event]) -> Kernel:
     """The run of a scenario for two teams in a calm world, one robot off or without a link from the beginning."""
     spec, constants = RunSpec(5, architecture, "full", scenario, 8, 0), Constants(world=CALM)
-    facts = ((1, ends(robot)), *schedule(constants, 5, spec.scenario, 0, 8))
-    one = Kernel(
-        handler_table_of(architecture),
-        SimulatedEnvironment(facts, Draws(run_key(5, spec.scenario, 0), CALM)),
-        *founding_of(spec, constants),
-    )
-    one.run()
-    return one
-
-
-def of(run: Kernel, *kinds: type[Event]) -> list[tuple[int, Event]]:
-    """The events of these kinds with their times."""
-    return [
-        (time_us, event) for time_us, event in zip(run.times_us, run.events, strict=True) if isinstance(event, kinds)
-    ]
+    return in_a_world(spec, CALM, ((1, ends(robot)), *schedule(constants, 5, spec.scenario, 0, 8)))
 
 
 @EVERY
@@ -96,7 +89,7 @@ def test_where_another_robot_could_serve_nobody_waits_for_ever_for_one_that_is_s
 
 def helped(architecture: Architecture) -> Kernel:
     """Something stays in the way of A while B, the first that could help, is off."""
-    own = TaskArrived(task_id="A1-1", robot=A, team=1, steps=("A navigate.indoor",), budget_us=90 * S, due_us=91 * S)
+    own = past.arrived("A1-1", A, ("A navigate.indoor",), budget_us=90 * S, due_us=91 * S)
     return ran(architecture, [(1, RobotWentOff(B)), (S, own), (S + 100, ObstructionAppeared(A, "o"))])
 
 
@@ -135,15 +128,15 @@ def test_the_registry_has_a_silent_robot_offline_until_it_has_reported_back() ->
         assert asked == [("A1-1/1.1", B), ("A1-1/1.2", B2), ("A1-2/1.1", B2), ("A1-3/1.1", B)]
         (gone_us, gone), (back_us, back) = of(run, AvailabilityChanged)
         assert (gone, back) == (
-            AvailabilityChanged(robot=B, capability=None, availability="offline", reason="no answer"),
-            AvailabilityChanged(robot=B, capability=None, availability="ready", reason="answers again"),
+            past.available(B, None, "offline", "no answer"),
+            past.available(B, None, "ready", "answers again"),
         )
         assert gone_us - of(run, RequestIssued)[0][0] == ANSWER_US
         assert 60 * S < back_us < 61 * S
 
 
 def test_what_a_robot_has_said_of_itself_since_stands_when_it_reports_back() -> None:
-    before = AvailabilityChanged(robot=B, capability="door.open.basic", availability="restricted", reason="inspection")
+    before = past.available(B, "door.open.basic", "restricted", "inspection")
     run = ran("fsar", [(1, before), (2, RobotWentOff(B)), (S, TASK), (60 * S, RobotCameBack(B))])
     back = {
         event.capability: event.availability
@@ -177,10 +170,7 @@ def test_a_command_that_nobody_confirmed_is_taken_back_and_not_carried_out_later
         event.dimension
         for time_us, event in of(run, AuthorityReleased)
         if isinstance(event, AuthorityReleased) and time_us == late_us
-    ] == [
-        "execution",
-        "override",
-    ]
+    ] == ["execution", "override"]
     assert [event.robot for _, event in of(run, ExecutionQueued) if isinstance(event, ExecutionQueued)] == [B2]
     assert len(of(run, StepCompleted)) == 1
 
@@ -228,27 +218,14 @@ def test_where_nobody_is_off_nobody_is_found_silent_as_long_as_each_message_is_d
     slow = msgspec.structs.replace(CALM, message=Range(0.49, 4.9))
     for run in range(3):
         spec, constants = RunSpec(5, architecture, "full", "door-relay", 4, run), Constants(world=slow)
-        facts = schedule(constants, 5, spec.scenario, run, 4)
-        one = Kernel(
-            handler_table_of(architecture),
-            SimulatedEnvironment(facts, Draws(run_key(5, spec.scenario, run), slow)),
-            *founding_of(spec, constants),
-        )
-        one.run()
+        one = in_a_world(spec, slow, schedule(constants, 5, spec.scenario, run, 4))
         assert of(one, RequestIssued, CommandIssued, AwardMade)
         assert of(one, RequestUnanswered, AvailabilityChanged) == []
 
 
 def test_a_bid_on_its_way_is_waited_for_when_another_candidate_is_silent() -> None:
     slow = msgspec.structs.replace(CALM, message=Range(2.0, 2.5))
-    spec, constants = RunSpec(5, "dhma", "full", "door-relay", 8, 0), Constants(world=slow)
-    facts: list[Fact] = [(1, RobotWentOff(B)), (S, TASK)]
-    run = Kernel(
-        handler_table_of("dhma"),
-        SimulatedEnvironment(facts, Draws(run_key(5, "door-relay", 0), slow)),
-        *founding_of(spec, constants),
-    )
-    run.run()
+    run = in_a_world(RunSpec(5, "dhma", "full", "door-relay", 8, 0), slow, [(1, RobotWentOff(B)), (S, TASK)])
     (asked_us, _), *_ = of(run, RequestIssued)
     assert [time_us - asked_us > ANSWER_US for time_us, _ in of(run, BidReceived)] == [True]
     assert [event.robot for _, event in of(run, AwardMade) if isinstance(event, AwardMade)] == [B2]
@@ -266,7 +243,7 @@ def test_a_relayed_request_is_two_messages_and_each_has_its_time() -> None:
 def test_a_robot_that_nobody_can_reach_does_not_know_that_a_task_was_given_up(architecture: Architecture) -> None:
     """Of three robots that are still on their way one is linked, one without a link for long, and one until before it
     would begin."""
-    short = TaskArrived(task_id="A1-1", robot=A, team=1, steps=(f"A {DOOR} B",), budget_us=2 * S, due_us=2 * S)
+    short = past.arrived("A1-1", A, (f"A {DOOR} B",), budget_us=2 * S, due_us=2 * S)
     [(queued_us, queued)] = of(ran(architecture, [(S, short)]), ExecutionQueued)
     assert isinstance(queued, ExecutionQueued)
     down = (queued_us + 1000, LinkWentDown(queued.robot))
@@ -289,8 +266,8 @@ def test_a_robot_that_reports_back_says_what_has_become_of_its_actuator_since(
 ) -> None:
     """Whichever of its two words, that it is back and that it was serviced, comes in first."""
     worn = ActuatorDegraded(B)
-    said = AvailabilityChanged(robot=B, capability=None, availability="degraded", reason="actuator")
-    own_word = AvailabilityChanged(robot=B, capability=None, availability="degraded", reason="dusty lens")
+    said = past.available(B, None, "degraded", "actuator")
+    own_word = past.available(B, None, "degraded", "dusty lens")
     first = set()
     cases: tuple[tuple[list[Fact], list[Fact], Availability], ...] = (
         ([(1, worn), (2, said)], [(30 * S, ActuatorServiced(B))], "ready"),
@@ -310,16 +287,14 @@ def test_a_robot_that_reports_back_says_what_has_become_of_its_actuator_since(
             if isinstance(event, AvailabilityChanged) and 60 * S < time_us < 61 * S
         ]
         first.add(tuple(word.reason for word in words))
-        assert words[-1] == AvailabilityChanged(
-            robot=B, capability=None, availability=after, reason=words[-1].reason
-        ), (start, since, words)
+        assert words[-1] == past.available(B, None, after, words[-1].reason), (start, since, words)
         assert run.state.registry.silent == {}
     assert first == {("answers again",), ("answers again", "actuator")}
 
 
 def test_a_silent_robot_that_nobody_would_choose_is_not_waited_for() -> None:
     """B is the nearest that may help, and those that are off are farther."""
-    own = TaskArrived(task_id="A1-1", robot=A, team=1, steps=("A navigate.indoor",), budget_us=90 * S, due_us=91 * S)
+    own = past.arrived("A1-1", A, ("A navigate.indoor",), budget_us=90 * S, due_us=91 * S)
     facts: list[Fact] = [(S, own), (S + 100, ObstructionAppeared(A, "o"))]
     calm = of(ran("fsar", facts), AssistanceAdmitted)
     assert [event.helper for _, event in calm if isinstance(event, AssistanceAdmitted)] == [B]
@@ -332,17 +307,8 @@ def test_a_silent_robot_that_nobody_would_choose_is_not_waited_for() -> None:
 def relayed(low_s: float, high_s: float, *facts: Fact) -> Kernel:
     """The run of one team in which D asks B through A, with messages of this length."""
     slow = msgspec.structs.replace(CALM, message=Range(low_s, high_s))
-    spec, constants = RunSpec(5, "fsar", "full", "door-relay", 4, 0), Constants(world=slow)
-    task = TaskArrived(
-        task_id="D1-1", robot=Robot("robot/D1"), team=1, steps=(f"D {DOOR} B",), budget_us=90 * S, due_us=91 * S
-    )
-    run = Kernel(
-        handler_table_of("fsar"),
-        SimulatedEnvironment([*facts, (S, task)], Draws(run_key(5, "door-relay", 0), slow)),
-        *founding_of(spec, constants),
-    )
-    run.run()
-    return run
+    task = past.arrived("D1-1", Robot("robot/D1"), (f"D {DOOR} B",), budget_us=90 * S, due_us=91 * S)
+    return in_a_world(RunSpec(5, "fsar", "full", "door-relay", 4, 0), slow, [*facts, (S, task)])
 
 
 def test_where_the_relay_is_silent_the_relay_is_named_and_heard_when_its_word_comes_late() -> None:

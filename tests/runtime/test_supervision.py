@@ -6,12 +6,8 @@ from hypothesis import settings
 from hypothesis import strategies as st
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.command import CommandRejected
-from fsar_ledger.events.envelope import Parties, Principals, RequestSubject, Robot, Subject, Supervisor
-from fsar_ledger.events.execution import ExecutionFailed, ExecutionQueued, ExecutionStarted
-from fsar_ledger.events.fleet import RobotJoined
+from fsar_ledger.events.envelope import RequestSubject, Robot, Subject, Supervisor
 from fsar_ledger.events.recovery import FailureResolved
-from fsar_ledger.events.registry import RegistryQueried
 from fsar_ledger.events.request import RequestAdmitted, RequestDenied
 from fsar_ledger.events.supervision import (
     ActuatorServiced,
@@ -23,91 +19,45 @@ from fsar_ledger.events.world import ActuatorDegraded, SupervisorLeft, Superviso
 from fsar_ledger.projections.fold import State, apply, fold
 from fsar_ledger.runtime.architectures.cfc import CFC
 from fsar_ledger.runtime.architectures.fsar import FSAR
-from fsar_ledger.runtime.architectures.fsar.request import (
-    AdmitReviewed,
-    EvaluateRequest,
-    admit_reviewed,
-    evaluate_request,
-)
+from fsar_ledger.runtime.architectures.fsar.request import AdmitReviewed, EvaluateRequest, admit_reviewed
 from fsar_ledger.runtime.handlers.commands import Respond
 from fsar_ledger.runtime.handlers.supervision import (
     RespondToCall,
     SetSupervisionDensity,
     is_due_for_review,
-    respond,
     respond_to_call,
     set_supervision_density,
     supervisor_for,
 )
+from tests import past
 from tests.runtime.governed import H_F, governed
-from tests.runtime.histories import ARRIVED, DELEGATED_STEP, given, happen, types, window
+from tests.runtime.histories import ARRIVED, DELEGATED_STEP, given, types, window
+from tests.runtime.live import decided, play, refusal
 
 A, B = Robot("robot/A1"), Robot("robot/B1")
 H_A, H_B = Supervisor("supervisor/A1"), Supervisor("supervisor/B1")
 ACTION = "A1-1/2.1"
-REQUESTED = (
-    ARRIVED,
-    DELEGATED_STEP,
-    RegistryQueried(
-        subject=Subject("A1-1", ACTION),
-        principals=Parties(requested_by=A, executed_by=B, supervised_by=None),
-        capability="door.open.secure",
-        candidates=(B,),
-    ),
-)
-REVIEW = SupervisorCalled(subject=Subject("A1-1", ACTION), supervisor=H_F, purpose="review")
-ORDERING = SupervisorCalled(
-    subject=Subject("A1-1", ACTION), supervisor=H_F, purpose="ordering", robot=B, competing="A1-2/2.1"
-)
-LOCAL = SupervisorCalled(subject=Subject("A1-1", ACTION), supervisor=H_B, purpose="recovery")
-FLEETS = SupervisorCalled(subject=Subject("A1-1", ACTION), supervisor=H_F, purpose="recovery")
-
-
-def refusal(events: tuple[Event, ...]) -> str:
-    [one] = events
-    assert isinstance(one, CommandRejected)
-    return one.reason
+REQUESTED = (ARRIVED, DELEGATED_STEP, past.queried(Subject("A1-1", ACTION), past.parties(A, B), "door.open.secure", B))
+REVIEW = past.called(Subject("A1-1", ACTION), H_F, "review")
+ORDERING = past.called(Subject("A1-1", ACTION), H_F, "ordering", robot=B, competing="A1-2/2.1")
+LOCAL = past.called(Subject("A1-1", ACTION), H_B, "recovery")
+FLEETS = past.called(Subject("A1-1", ACTION), H_F, "recovery")
 
 
 def admitted(robot: Robot, ordinal: int = 0) -> RequestAdmitted:
     return RequestAdmitted(
         subject=RequestSubject("t1", f"t1/{ordinal}", f"t1/{ordinal}"),
-        principals=Principals(decided_by=robot, requested_by=A, executed_by=robot, supervised_by=None, path=(robot,)),
+        principals=past.principals(robot, A, robot),
         outcome="allow",
     )
 
 
 def failing(*before: Event) -> State:
     """A state in which B's execution for A has failed."""
-    queued = ExecutionQueued(
-        subject=Subject("A1-1", ACTION),
-        principals=Parties(requested_by=A, executed_by=B, supervised_by=H_B),
-        robot=B,
-        on_behalf_of=A,
-        capability="door.open.secure",
-        step=2,
-        attempt=1,
-        is_delegated=True,
-        has_approach=True,
-        is_supervised=True,
-    )
-    started = ExecutionStarted(
-        subject=Subject("A1-1", ACTION),
-        principals=Parties(requested_by=A, executed_by=B, supervised_by=H_B),
-        robot=B,
-        on_behalf_of=A,
-        capability="door.open.secure",
-        ends_us=9,
-    )
+    queued = past.queued(Subject("A1-1", ACTION), B, A, "door.open.secure", step=2, principals=past.parties(A, B, H_B))
+    started = past.started(Subject("A1-1", ACTION), B, A, "door.open.secure", 9, past.parties(A, B, H_B))
     return given(
-        "fsar",
-        *REQUESTED,
-        queued,
-        started,
-        ExecutionFailed(
-            subject=Subject("A1-1", ACTION), robot=B, failure=1, cause="degradation", remaining_us=1, detected_us=8
-        ),
-        *before,
+        "fsar", *REQUESTED, queued, started, past.failed(Subject("A1-1", ACTION), B, "degradation", 1, 8), *before
     )
 
 
@@ -120,7 +70,7 @@ def test_what_concerns_one_robot_goes_to_its_own_supervisor_and_the_rest_to_the_
 
 
 def test_off_shift_or_without_an_own_supervisor_it_goes_to_the_fleets() -> None:
-    state = given("fsar", SupervisorLeft(H_B), RobotJoined(robot=Robot("robot/X1"), role="A", team=1, supervisor=None))
+    state = given("fsar", SupervisorLeft(H_B), past.joined(Robot("robot/X1"), "A"))
     assert supervisor_for(state.fleet, state.world, B, is_cross_robot=False) == H_F
     assert supervisor_for(state.fleet, state.world, Robot("robot/X1"), is_cross_robot=False) == H_F
     apply(state, SupervisorReturned(H_B))
@@ -130,12 +80,9 @@ def test_off_shift_or_without_an_own_supervisor_it_goes_to_the_fleets() -> None:
 @pytest.mark.parametrize("approves", [True, False])
 def test_the_supervisor_who_was_called_approves_a_review_or_not(approves: bool) -> None:
     state = given("fsar", *REQUESTED, REVIEW)
-    [response] = respond_to_call(state, RespondToCall(H_F, ACTION, approves))
+    [response] = decided(state, RespondToCall(H_F, ACTION, approves))
     assert response == SupervisorResponded(
-        Subject("A1-1", ACTION),
-        Principals(decided_by=H_F, requested_by=A, executed_by=None, supervised_by=H_F, path=(H_F,)),
-        "review",
-        approves,
+        Subject("A1-1", ACTION), past.principals(H_F, A, None, H_F), "review", approves
     )
     apply(state, response)
     assert (ACTION in state.supervision.approved, state.supervision.calls) == (approves, {})
@@ -146,19 +93,14 @@ def test_the_supervisor_who_was_called_approves_a_review_or_not(approves: bool) 
 
 
 def test_a_disapproved_request_is_denied_by_the_executor_for_the_review() -> None:
-    [denied] = admit_reviewed(given("fsar", *REQUESTED), AdmitReviewed(ACTION, False))
+    [denied] = decided(given("fsar", *REQUESTED), AdmitReviewed(ACTION, False))
     assert isinstance(denied, RequestDenied)
     assert (denied.principals.decided_by, denied.reason) == (B, "review")
 
 
 def test_a_coordinator_too_does_not_command_what_was_disapproved() -> None:
-    state = given(
-        "cfc",
-        ARRIVED,
-        DELEGATED_STEP,
-        SupervisorCalled(subject=Subject("A1-1", ACTION), supervisor=H_F, purpose="review", robot=B),
-    )
-    [response] = respond_to_call(state, RespondToCall(H_F, ACTION, False))
+    state = given("cfc", ARRIVED, DELEGATED_STEP, past.called(Subject("A1-1", ACTION), H_F, "review", robot=B))
+    [response] = decided(state, RespondToCall(H_F, ACTION, False))
     apply(state, response)
     [scheduled] = [one for react in CFC.reacts[SupervisorResponded] for one in react(state, response, 0)]
     [denied] = CFC.decides[type(scheduled.command)](state, scheduled.command)
@@ -166,21 +108,15 @@ def test_a_coordinator_too_does_not_command_what_was_disapproved() -> None:
 
 
 def test_the_order_of_two_commands_names_the_one_that_goes_first() -> None:
-    [response] = respond_to_call(
-        given("fsar", *REQUESTED, ORDERING), RespondToCall(H_F, ACTION, True, preferred="A1-2/2.1")
-    )
+    [response] = decided(given("fsar", *REQUESTED, ORDERING), RespondToCall(H_F, ACTION, True, preferred="A1-2/2.1"))
     assert response.preferred == "A1-2/2.1"  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize("is_degraded", [True, False])
 def test_a_robots_own_supervisor_resolves_its_failure_and_has_it_serviced(is_degraded: bool) -> None:
     state = failing(LOCAL, *([ActuatorDegraded(B)] if is_degraded else []))
-    for events in (respond_to_call(state, RespondToCall(H_B, ACTION, True)), respond(state, Respond(1))):
-        assert events[0] == SupervisorResponded(
-            Subject("A1-1", ACTION),
-            Principals(decided_by=H_B, requested_by=A, executed_by=B, supervised_by=H_B, path=(H_B,)),
-            "recovery",
-        )
+    for events in (decided(state, RespondToCall(H_B, ACTION, True)), decided(state, Respond(1))):
+        assert events[0] == SupervisorResponded(Subject("A1-1", ACTION), past.principals(H_B, A, B, H_B), "recovery")
         assert events[1:] == ((ActuatorServiced(B),) if is_degraded else ()) + (
             FailureResolved(Subject("A1-1", ACTION), B, 1, "human"),
         )
@@ -205,46 +141,41 @@ def test_an_answer_that_does_not_fit_is_rejected(call: SupervisorCalled, command
 
 def test_an_answer_about_what_has_ended_is_rejected_as_it_would_name_nobody() -> None:
     state = given("fsar", REVIEW)
-    refused = refusal(respond_to_call(state, RespondToCall(H_F, ACTION, True)))
+    refused = refusal(decided(state, RespondToCall(H_F, ACTION, True)))
     assert refused == "what the call was about has ended, expected an action or a request under way"
-    assert respond(state, Respond(1)) == ()
+    assert decided(state, Respond(1)) == ()
 
 
 def test_a_call_is_answered_once() -> None:
     state = given("fsar", *REQUESTED, REVIEW)
-    happen(state, *respond_to_call(state, RespondToCall(H_F, ACTION, True)))
-    assert refusal(respond_to_call(state, RespondToCall(H_F, ACTION, True))).startswith("no open call")
-    assert respond(state, Respond(1)) == ()
+    play(state, RespondToCall(H_F, ACTION, True))
+    assert refusal(decided(state, RespondToCall(H_F, ACTION, True))).startswith("no open call")
+    assert decided(state, Respond(1)) == ()
 
 
 def test_an_answer_to_one_call_leaves_another_about_the_same_action_open() -> None:
     state = failing(REVIEW, LOCAL)
-    happen(state, *respond_to_call(state, RespondToCall(H_F, ACTION, True)))
+    play(state, RespondToCall(H_F, ACTION, True))
     assert list(state.supervision.calls.values()) == [LOCAL]
 
 
 def test_an_answer_is_that_of_the_supervisor_who_gave_it_even_when_another_was_called_meanwhile() -> None:
     state = failing(LOCAL, FLEETS)
-    first, *_ = respond(state, Respond(1))
-    second, *_ = respond(state, Respond(2))
+    first, *_ = decided(state, Respond(1))
+    second, *_ = decided(state, Respond(2))
     answers = [event.principals for event in (first, second) if isinstance(event, SupervisorResponded)]
     assert [(one.decided_by, one.supervised_by) for one in answers] == [(H_B, H_B), (H_F, H_F)]
-    happen(state, *respond(state, Respond(1)))
-    assert respond(state, Respond(2)) == ()
+    play(state, Respond(1))
+    assert decided(state, Respond(2)) == ()
 
 
 def test_a_late_answer_about_one_failure_does_not_resolve_the_next() -> None:
     state = failing(LOCAL)
-    happen(state, *respond_to_call(state, RespondToCall(H_B, ACTION, True)))
-    apply(
-        state,
-        ExecutionFailed(
-            subject=Subject("A1-1", ACTION), robot=B, failure=2, cause="degradation", remaining_us=1, detected_us=9
-        ),
-    )
+    play(state, RespondToCall(H_B, ACTION, True))
+    apply(state, past.failed(Subject("A1-1", ACTION), B, "degradation", 1, 9, 2))
     apply(state, LOCAL)
-    assert respond(state, Respond(1)) == ()
-    assert types(respond(state, Respond(2))) == ["SupervisorResponded", "FailureResolved"]
+    assert decided(state, Respond(1)) == ()
+    assert types(decided(state, Respond(2))) == ["SupervisorResponded", "FailureResolved"]
 
 
 def test_a_failure_that_is_over_leaves_no_call_about_it() -> None:
@@ -259,7 +190,7 @@ def test_a_supervisor_who_answers_says_whether_they_approve() -> None:
 
 @pytest.mark.parametrize(("issued_by", "robot"), [(H_B, B), (H_F, B), (H_F, None)])
 def test_density_is_set_by_the_robots_own_supervisor_or_the_fleets(issued_by: Supervisor, robot: Robot | None) -> None:
-    [event] = set_supervision_density(given("fsar"), SetSupervisionDensity(issued_by, robot, 3, "night shift"))
+    [event] = decided(given("fsar"), SetSupervisionDensity(issued_by, robot, 3, "night shift"))
     assert event == SupervisionDensitySet(robot=robot, review_every=3, decided_by=issued_by, reason="night shift")
 
 
@@ -278,14 +209,12 @@ def test_density_that_cannot_be_set_is_rejected(command: SetSupervisionDensity, 
 
 
 def test_nobody_speaks_for_a_robot_without_a_supervisor_but_the_fleets() -> None:
-    state = given("fsar", RobotJoined(robot=Robot("robot/X1"), role="A", team=1, supervisor=None))
+    state = given("fsar", past.joined(Robot("robot/X1"), "A"))
     nobody: Supervisor = None  # type: ignore[assignment]
-    assert refusal(set_supervision_density(state, SetSupervisionDensity(nobody, Robot("robot/X1"), 3, ""))).startswith(
+    assert refusal(decided(state, SetSupervisionDensity(nobody, Robot("robot/X1"), 3, ""))).startswith(
         "unknown supervisor"
     )
-    assert types(set_supervision_density(state, SetSupervisionDensity(H_F, Robot("robot/X1"), 3, ""))) == [
-        "SupervisionDensitySet"
-    ]
+    assert types(decided(state, SetSupervisionDensity(H_F, Robot("robot/X1"), 3, ""))) == ["SupervisionDensitySet"]
 
 
 @for_all(st.integers(0, 5), st.integers(0, 5), st.integers(0, 14))
@@ -312,16 +241,16 @@ def test_exactly_every_nth_admission_is_due_and_a_robots_own_density_comes_befor
 
 def test_an_admission_that_is_due_goes_to_review_and_a_denial_stays_a_denial() -> None:
     dense = SupervisionDensitySet(robot=B, review_every=2, decided_by=H_B, reason="")
-    assert types(evaluate_request(given("fsar", *REQUESTED, dense, admitted(B)), EvaluateRequest(ACTION))) == [
+    assert types(decided(given("fsar", *REQUESTED, dense, admitted(B)), EvaluateRequest(ACTION))) == [
         "SupervisorCalled"
     ]
-    assert types(evaluate_request(given("fsar", *REQUESTED, dense), EvaluateRequest(ACTION))) == [
+    assert types(decided(given("fsar", *REQUESTED, dense), EvaluateRequest(ACTION))) == [
         "RequestAdmitted",
         "ExecutionQueued",
     ]
-    assert types(
-        evaluate_request(given("fsar", *REQUESTED, dense, admitted(B), window(B)), EvaluateRequest(ACTION))
-    ) == ["RequestDenied"]
+    assert types(decided(given("fsar", *REQUESTED, dense, admitted(B), window(B)), EvaluateRequest(ACTION))) == [
+        "RequestDenied"
+    ]
 
 
 def test_density_changes_while_a_run_goes_on() -> None:

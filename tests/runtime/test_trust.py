@@ -2,14 +2,10 @@
 
 import pytest
 
-from fsar_ledger.events import Event
-from fsar_ledger.events.command import CommandRejected
-from fsar_ledger.events.envelope import TRUST, Parties, RequestSubject, Robot, Service, Subject, Supervisor
-from fsar_ledger.events.execution import ExecutionFailed, ExecutionQueued
-from fsar_ledger.events.fleet import RobotJoined
+from fsar_ledger.events.envelope import TRUST, RequestSubject, Robot, Service, Subject, Supervisor
 from fsar_ledger.events.request import RequestClosed, RequestDenied, RequestIssued
 from fsar_ledger.events.task import TaskCompleted
-from fsar_ledger.events.trust import RoleTrustSet, TrustSet, TrustThresholdsSet
+from fsar_ledger.events.trust import RoleTrustSet, TrustThresholdsSet
 from fsar_ledger.projections.fold import State, apply
 from fsar_ledger.projections.trust import scope_of
 from fsar_ledger.runtime.handlers.trust import (
@@ -17,24 +13,18 @@ from fsar_ledger.runtime.handlers.trust import (
     ExpireTrust,
     SetRoleTrust,
     SetTrust,
-    assess_trust,
-    expire_trust,
     set_role_trust,
     set_trust,
     trusts,
 )
+from tests import past
 from tests.runtime.governed import H_F
 from tests.runtime.histories import ARRIVED, given
+from tests.runtime.live import decided, refusal
 
 A, B, C, D = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/C1"), Robot("robot/D1")
 DOOR = "door.open.secure"
 H_B = Supervisor("supervisor/B1")
-
-
-def refusal(events: tuple[Event, ...]) -> str:
-    [one] = events
-    assert isinstance(one, CommandRejected)
-    return one.reason
 
 
 def results(*outcomes: str, promote: int = 0, downgrade: int = 0) -> State:
@@ -42,38 +32,14 @@ def results(*outcomes: str, promote: int = 0, downgrade: int = 0) -> State:
     state = given("fsar", TrustThresholdsSet(promote, downgrade, H_F))
     for ordinal, outcome in enumerate(outcomes):
         subject = RequestSubject("t1", f"t1/{ordinal}", f"t1/{ordinal}")
-        parties = Parties(requested_by=A, executed_by=B, supervised_by=None)
+        parties = past.parties(A, B)
         apply(
             state,
             RequestIssued(subject=subject, principals=parties.decided(A), capability=DOOR, carried_policy="allow"),
         )
         if outcome == "failed":
-            apply(
-                state,
-                ExecutionQueued(
-                    subject=Subject("t1", f"t1/{ordinal}"),
-                    principals=Parties(requested_by=A, executed_by=B, supervised_by=None),
-                    robot=B,
-                    on_behalf_of=A,
-                    capability=DOOR,
-                    step=1,
-                    attempt=1,
-                    is_delegated=True,
-                    has_approach=True,
-                    is_supervised=True,
-                ),
-            )
-            apply(
-                state,
-                ExecutionFailed(
-                    subject=Subject("t1", f"t1/{ordinal}"),
-                    robot=B,
-                    failure=1,
-                    cause="degradation",
-                    remaining_us=0,
-                    detected_us=0,
-                ),
-            )
+            apply(state, past.queued(Subject("t1", f"t1/{ordinal}"), B, A, DOOR))
+            apply(state, past.failed(Subject("t1", f"t1/{ordinal}"), B, "degradation", 0, 0))
         elif outcome == "success":
             apply(state, RequestClosed(subject, parties.decided(Service("service/coordination"))))
         else:
@@ -85,10 +51,8 @@ def results(*outcomes: str, promote: int = 0, downgrade: int = 0) -> State:
 def test_the_robots_own_supervisor_and_the_fleets_may_set_its_trust(supervisor: Supervisor) -> None:
     state = given("fsar")
     assert not trusts(state, B, D, DOOR)
-    [event] = set_trust(state, SetTrust(supervisor, B, D, "task", DOOR, "A1-1"))
-    assert event == TrustSet(
-        robot=B, peer=D, scope="task", capability=DOOR, context="A1-1", decided_by=supervisor, reason="operator"
-    )
+    [event] = decided(state, SetTrust(supervisor, B, D, "task", DOOR, "A1-1"))
+    assert event == past.trusted(B, D, "task", DOOR, context="A1-1", decided_by=supervisor, reason="operator")
     apply(state, event)
     assert (
         trusts(state, B, D, DOOR, "A1-1"),
@@ -118,11 +82,11 @@ def test_trust_that_cannot_be_set_is_rejected(command: SetTrust, reason: str) ->
 def test_the_fleet_supervisor_sets_trust_by_role_and_a_pair_stays_an_exception() -> None:
     state = given(
         "fsar",
-        TrustSet(robot=B, peer=D, scope="none"),
-        RobotJoined(robot=Robot("robot/B9"), role="B", team=9, supervisor=None, domain="yard"),
-        RobotJoined(robot=Robot("robot/D9"), role="D", team=9, supervisor=None, domain="yard/gate"),
+        past.trusted(B, D, "none"),
+        past.joined(Robot("robot/B9"), "B", 9, domain="yard"),
+        past.joined(Robot("robot/D9"), "D", 9, domain="yard/gate"),
     )
-    [event] = set_role_trust(state, SetRoleTrust(H_F, "B", "D", "task", capability=DOOR))
+    [event] = decided(state, SetRoleTrust(H_F, "B", "D", "task", capability=DOOR))
     assert event == RoleTrustSet(
         role="B",
         peer_role="D",
@@ -138,12 +102,8 @@ def test_the_fleet_supervisor_sets_trust_by_role_and_a_pair_stays_an_exception()
         trusts(state, B, D, DOOR),
         trusts(state, B, Robot("robot/D9"), DOOR),
         trusts(state, Robot("robot/B9"), D, DOOR),
-    ) == (
-        False,
-        True,
-        True,
-    )
-    [event] = set_role_trust(state, SetRoleTrust(H_F, "B", "D", "none", "yard"))
+    ) == (False, True, True)
+    [event] = decided(state, SetRoleTrust(H_F, "B", "D", "none", "yard"))
     apply(state, event)
     assert (trusts(state, Robot("robot/B9"), Robot("robot/D9"), DOOR), trusts(state, Robot("robot/B9"), D, DOOR)) == (
         False,
@@ -170,7 +130,7 @@ def test_trust_by_role_that_cannot_be_set_is_rejected(command: SetRoleTrust, rea
 
 def test_the_record_moves_the_pair_and_not_its_roles() -> None:
     state = results("trust", downgrade=1)
-    [downgraded] = assess_trust(state, AssessTrust(B, A, DOOR))
+    [downgraded] = decided(state, AssessTrust(B, A, DOOR))
     apply(state, downgraded)
     assert (scope_of(state.trust, B, A, DOOR), scope_of(state.trust, B, A)) == ("capability", "task")
     assert state.trust.of_roles == given("fsar").trust.of_roles
@@ -181,7 +141,7 @@ def test_trust_by_role_in_a_context_ends_with_it_and_begins_the_rows_again() -> 
         "fsar", RoleTrustSet(role="B", peer_role="D", scope="task", domain="", capability=DOOR, context="A1-1")
     )
     assert "A1-1" in state.trust.contexts
-    assert expire_trust(state, ExpireTrust("A1-1")) == (
+    assert decided(state, ExpireTrust("A1-1")) == (
         RoleTrustSet(
             role="B",
             peer_role="D",

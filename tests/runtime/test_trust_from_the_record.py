@@ -3,9 +3,7 @@
 from typing import Any
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.authority import AuthorityRevoked
-from fsar_ledger.events.envelope import TRUST, Principals, RequestSubject, Service, Supervisor
-from fsar_ledger.events.request import RequestClosed, RequestDenied, RequestIssued
+from fsar_ledger.events.envelope import TRUST, Service, Supervisor
 from fsar_ledger.events.task import TaskCompleted
 from fsar_ledger.events.trust import TrustSet, TrustThresholdsSet
 from fsar_ledger.events.world import OutsiderRequestInjected
@@ -13,112 +11,65 @@ from fsar_ledger.projections.fold import State, apply, fold
 from fsar_ledger.projections.trust import scope_of
 from fsar_ledger.runtime.architectures.fsar import FSAR
 from fsar_ledger.runtime.handlers.commands import Command
-from fsar_ledger.runtime.handlers.trust import (
-    AssessTrust,
-    ExpireTrust,
-    SetTrustThresholds,
-    assess_trust,
-    expire_trust,
-    set_trust_thresholds,
-)
+from fsar_ledger.runtime.handlers.trust import AssessTrust, ExpireTrust, SetTrustThresholds, assess_trust, expire_trust
+from tests import past
 from tests.runtime.governed import H_F, governed
 from tests.runtime.histories import ARRIVED, given
-from tests.runtime.test_trust import DOOR, H_B, A, B, C, D, refusal, results
+from tests.runtime.live import decided, refusal
+from tests.runtime.test_trust import DOOR, H_B, A, B, C, D, results
 
 
 def test_only_the_fleet_supervisor_has_trust_follow_the_record() -> None:
     state = given("fsar")
-    assert set_trust_thresholds(state, SetTrustThresholds(H_F, 3, 1)) == (TrustThresholdsSet(3, 1, H_F),)
-    assert refusal(set_trust_thresholds(state, SetTrustThresholds(H_B, 3, 1))).startswith(
-        "supervisor/B1 supervises one robot"
-    )
-    assert refusal(set_trust_thresholds(state, SetTrustThresholds(Supervisor("supervisor/X9"), 3, 1))).startswith(
+    assert decided(state, SetTrustThresholds(H_F, 3, 1)) == (TrustThresholdsSet(3, 1, H_F),)
+    assert refusal(decided(state, SetTrustThresholds(H_B, 3, 1))).startswith("supervisor/B1 supervises one robot")
+    assert refusal(decided(state, SetTrustThresholds(Supervisor("supervisor/X9"), 3, 1))).startswith(
         "unknown supervisor"
     )
-    assert refusal(set_trust_thresholds(state, SetTrustThresholds(H_F, -1, 1))).startswith("thresholds -1 and 1")
+    assert refusal(decided(state, SetTrustThresholds(H_F, -1, 1))).startswith("thresholds -1 and 1")
 
 
 def test_so_many_successes_in_a_row_promote_one_scope() -> None:
-    assert assess_trust(results("success", promote=2), AssessTrust(B, A, DOOR)) == ()
-    [promoted] = assess_trust(results("success", "success", promote=2), AssessTrust(B, A, DOOR))
-    assert promoted == TrustSet(
-        robot=B, peer=A, scope="session", capability=DOOR, context=None, decided_by=TRUST, reason="record"
-    )
-    assert assess_trust(results("success", "trust", "success", promote=2), AssessTrust(B, A, DOOR)) == ()
+    assert decided(results("success", promote=2), AssessTrust(B, A, DOOR)) == ()
+    [promoted] = decided(results("success", "success", promote=2), AssessTrust(B, A, DOOR))
+    assert promoted == past.trusted(B, A, "session", DOOR, decided_by=TRUST, reason="record")
+    assert decided(results("success", "trust", "success", promote=2), AssessTrust(B, A, DOOR)) == ()
 
 
 def test_a_promotion_begins_the_row_again_and_never_gives_persistent_trust() -> None:
     state = results("success", "success", promote=1)
-    [promoted] = assess_trust(state, AssessTrust(B, A, DOOR))
+    [promoted] = decided(state, AssessTrust(B, A, DOOR))
     apply(state, promoted)
     assert (B, A, DOOR, None) not in state.trust.records
     again = results("success", promote=1)
-    apply(again, TrustSet(robot=B, peer=A, scope="session"))
-    apply(
-        again,
-        RequestIssued(
-            subject=RequestSubject("t1", "t1/9", "t1/9"),
-            principals=Principals(decided_by=A, requested_by=A, executed_by=B, supervised_by=None, path=(A,)),
-            capability=DOOR,
-            carried_policy="allow",
-        ),
-    )
-    apply(
-        again,
-        RequestClosed(
-            RequestSubject("t1", "t1/9", "t1/9"),
-            Principals(decided_by=None, requested_by=A, executed_by=B, supervised_by=None, path=()),
-        ),
-    )
-    assert assess_trust(again, AssessTrust(B, A, DOOR)) == ()
+    apply(again, past.trusted(B, A, "session"))
+    apply(again, past.issued("t1/9", past.principals(A, A, B), DOOR))
+    apply(again, past.closed("t1/9", past.principals(None, A, B)))
+    assert decided(again, AssessTrust(B, A, DOOR)) == ()
 
 
 def test_violations_downgrade_the_requester_and_failures_the_executor() -> None:
-    [downgraded] = assess_trust(results("trust", downgrade=1), AssessTrust(B, A, DOOR))
-    assert downgraded == TrustSet(
-        robot=B, peer=A, scope="capability", capability=DOOR, context=None, decided_by=TRUST, reason="record"
-    )
-    [downgraded] = assess_trust(results("failed", downgrade=1), AssessTrust(A, B, DOOR))
-    assert downgraded == TrustSet(
-        robot=A, peer=B, scope="capability", capability=DOOR, context=None, decided_by=TRUST, reason="record"
-    )
-    assert assess_trust(results("failed", downgrade=1), AssessTrust(B, A, DOOR)) == ()
-    assert assess_trust(results("policy", downgrade=1), AssessTrust(B, A, DOOR)) == ()
+    [downgraded] = decided(results("trust", downgrade=1), AssessTrust(B, A, DOOR))
+    assert downgraded == past.trusted(B, A, "capability", DOOR, decided_by=TRUST, reason="record")
+    [downgraded] = decided(results("failed", downgrade=1), AssessTrust(A, B, DOOR))
+    assert downgraded == past.trusted(A, B, "capability", DOOR, decided_by=TRUST, reason="record")
+    assert decided(results("failed", downgrade=1), AssessTrust(B, A, DOOR)) == ()
+    assert decided(results("policy", downgrade=1), AssessTrust(B, A, DOOR)) == ()
 
 
 def test_a_revocation_by_a_supervisor_counts_against_the_requester() -> None:
     def revoked(reason: Any) -> State:
-        return given(
-            "fsar",
-            TrustThresholdsSet(0, 1, H_F),
-            AuthorityRevoked(
-                requested_by=A, executed_by=B, capability=DOOR, context=None, reason=reason, decided_by=H_F
-            ),
-        )
+        return given("fsar", TrustThresholdsSet(0, 1, H_F), past.revoked(A, B, DOOR, None, reason))
 
-    assert [type(event) for event in assess_trust(revoked("human override"), AssessTrust(B, A, DOOR))] == [TrustSet]
-    assert assess_trust(revoked("context expired"), AssessTrust(B, A, DOOR)) == ()
+    assert [type(event) for event in decided(revoked("human override"), AssessTrust(B, A, DOOR))] == [TrustSet]
+    assert decided(revoked("context expired"), AssessTrust(B, A, DOOR)) == ()
 
 
 def test_the_record_makes_no_trust_where_there_is_none() -> None:
-    state = given("fsar", TrustThresholdsSet(1, 1, H_F), TrustSet(robot=B, peer=A, scope="none", capability=DOOR))
-    apply(
-        state,
-        RequestIssued(
-            subject=RequestSubject("t1", "t1/1", "t1/1"),
-            principals=Principals(decided_by=A, requested_by=A, executed_by=B, supervised_by=None, path=(A,)),
-            capability=DOOR,
-            carried_policy="allow",
-        ),
-    )
-    apply(
-        state,
-        RequestClosed(
-            RequestSubject("t1", "t1/1", "t1/1"),
-            Principals(decided_by=None, requested_by=A, executed_by=B, supervised_by=None, path=()),
-        ),
-    )
-    assert assess_trust(state, AssessTrust(B, A, DOOR)) == ()
+    state = given("fsar", TrustThresholdsSet(1, 1, H_F), past.trusted(B, A, "none", DOOR))
+    apply(state, past.issued("t1/1", past.principals(A, A, B), DOOR))
+    apply(state, past.closed("t1/1", past.principals(None, A, B)))
+    assert decided(state, AssessTrust(B, A, DOOR)) == ()
 
 
 def test_what_happens_in_a_context_moves_the_trust_that_was_set_for_it() -> None:
@@ -127,31 +78,14 @@ def test_what_happens_in_a_context_moves_the_trust_that_was_set_for_it() -> None
         state = given(
             "fsar",
             TrustThresholdsSet(2, 1, H_F),
-            TrustSet(robot=B, peer=A, scope=general),
-            TrustSet(robot=B, peer=A, scope="task", capability=DOOR, context="t1"),
+            past.trusted(B, A, general),
+            past.trusted(B, A, "task", DOOR, context="t1"),
         )
-        apply(
-            state,
-            RequestIssued(
-                subject=RequestSubject("t1", "t1/1", "t1/1"),
-                principals=Principals(decided_by=A, requested_by=A, executed_by=B, supervised_by=None, path=(A,)),
-                capability=DOOR,
-                carried_policy="allow",
-            ),
-        )
-        commands = scheduled(
-            state,
-            RequestDenied(
-                RequestSubject("t1", "t1/1", "t1/1"),
-                Principals(decided_by=B, requested_by=A, executed_by=B, supervised_by=None, path=(B,)),
-                "authority",
-            ),
-        )
+        apply(state, past.issued("t1/1", past.principals(A, A, B), DOOR))
+        commands = scheduled(state, past.denied("t1/1", past.principals(B, A, B), "authority"))
         [command] = [one for one in commands if isinstance(one, AssessTrust)]
         [moved] = assess_trust(state, command)
-        assert moved == TrustSet(
-            robot=B, peer=A, scope="capability", capability=DOOR, context="t1", decided_by=TRUST, reason="record"
-        )
+        assert moved == past.trusted(B, A, "capability", DOOR, context="t1", decided_by=TRUST, reason="record")
         apply(state, moved)
         assert (scope_of(state.trust, B, A, DOOR, "t1"), scope_of(state.trust, B, A, DOOR, "t2")) == (
             "capability",
@@ -160,24 +94,14 @@ def test_what_happens_in_a_context_moves_the_trust_that_was_set_for_it() -> None
 
 
 def test_an_assessment_without_a_record_is_stale() -> None:
-    assert assess_trust(given("fsar"), AssessTrust(B, A, DOOR)) == ()
+    assert decided(given("fsar"), AssessTrust(B, A, DOOR)) == ()
 
 
 def test_an_injected_request_that_is_refused_counts_against_who_made_it() -> None:
     injected = OutsiderRequestInjected(task_id="i1", robot=D, peer=C, capability="inspect.private_zone")
-    refused = RequestDenied(
-        RequestSubject("i1", "i1", "i1"),
-        Principals(
-            decided_by=Service("service/registry"),
-            requested_by=D,
-            executed_by=None,
-            supervised_by=None,
-            path=(Service("service/registry"),),
-        ),
-        "advertisement",
-    )
-    state = given("fsar", TrustThresholdsSet(0, 1, H_F), TrustSet(robot=C, peer=D, scope="task"), injected, refused)
-    [downgraded] = assess_trust(state, AssessTrust(C, D, "inspect.private_zone"))
+    refused = past.denied("i1", past.principals(Service("service/registry"), D), "advertisement", "i1")
+    state = given("fsar", TrustThresholdsSet(0, 1, H_F), past.trusted(C, D, "task"), injected, refused)
+    [downgraded] = decided(state, AssessTrust(C, D, "inspect.private_zone"))
     assert downgraded.scope == "capability"  # type: ignore[attr-defined]
 
 
@@ -188,23 +112,8 @@ def scheduled(state: State, event: Event) -> list[Command]:
 
 def test_trust_is_assessed_in_both_directions_after_a_success_and_only_while_thresholds_are_set() -> None:
     def assessments(*thresholds: Event) -> set[tuple[str, str]]:
-        state = given(
-            "fsar",
-            *thresholds,
-            RequestIssued(
-                subject=RequestSubject("t1", "t1/1", "t1/1"),
-                principals=Principals(decided_by=A, requested_by=A, executed_by=B, supervised_by=None, path=(A,)),
-                capability=DOOR,
-                carried_policy="allow",
-            ),
-        )
-        commands = scheduled(
-            state,
-            RequestClosed(
-                RequestSubject("t1", "t1/1", "t1/1"),
-                Principals(decided_by=None, requested_by=A, executed_by=B, supervised_by=None, path=()),
-            ),
-        )
+        state = given("fsar", *thresholds, past.issued("t1/1", past.principals(A, A, B), DOOR))
+        commands = scheduled(state, past.closed("t1/1", past.principals(None, A, B)))
         return {(one.robot, one.peer) for one in commands if isinstance(one, AssessTrust)}
 
     assert assessments(TrustThresholdsSet(1, 0, H_F)) == {(A, B), (B, A)}
@@ -213,17 +122,15 @@ def test_trust_is_assessed_in_both_directions_after_a_success_and_only_while_thr
 
 def test_task_trust_in_the_context_of_a_task_ends_with_the_task() -> None:
     entries = (
-        TrustSet(robot=B, peer=D, scope="task", capability=None, context="A1-1"),
-        TrustSet(robot=C, peer=D, scope="session", capability=None, context="A1-1"),
-        TrustSet(robot=C, peer=D, scope="task", capability=None, context="A1-2"),
+        past.trusted(B, D, "task", context="A1-1"),
+        past.trusted(C, D, "session", context="A1-1"),
+        past.trusted(C, D, "task", context="A1-2"),
     )
     state = given("fsar", ARRIVED, *entries)
     commands = scheduled(state, TaskCompleted("A1-1"))
     [command] = [one for one in commands if isinstance(one, ExpireTrust)]
     assert expire_trust(state, command) == (
-        TrustSet(
-            robot=B, peer=D, scope="none", capability=None, context="A1-1", decided_by=TRUST, reason="context expired"
-        ),
+        past.trusted(B, D, "none", context="A1-1", decided_by=TRUST, reason="context expired"),
     )
     assert not any(isinstance(one, ExpireTrust) for one in scheduled(given("fsar", ARRIVED), TaskCompleted("A1-1")))
 

@@ -11,7 +11,7 @@ from fsar_ledger.constants import Constants, Outages
 from fsar_ledger.designs.registered import PAPER_WORKFLOWS as WORKFLOWS
 from fsar_ledger.errors import InvalidExperiment
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import Parties, Principals, RequestSubject, Robot, Subject, Workflow
+from fsar_ledger.events.envelope import Robot, Subject, Workflow
 from fsar_ledger.events.execution import ExecutionFailed, ExecutionFinished, ExecutionStarted
 from fsar_ledger.events.recovery import (
     FailureResolved,
@@ -31,17 +31,18 @@ from fsar_ledger.events.request import (
     RequestIssued,
 )
 from fsar_ledger.events.supervision import SupervisorCalled, SupervisorResponded
-from fsar_ledger.events.task import StepBegan, TaskCompleted
+from fsar_ledger.events.task import TaskCompleted
 from fsar_ledger.events.world import ActuatorDegraded, TaskArrived
 from fsar_ledger.projections.fold import State, apply, fold
 from fsar_ledger.projections.trust import scope_of
-from fsar_ledger.runtime.architectures.fsar.request import EvaluateRequest, evaluate_request
+from fsar_ledger.runtime.architectures.fsar.request import EvaluateRequest
 from fsar_ledger.runtime.experiment import Experiment, workflow_experiment
 from fsar_ledger.runtime.handlers.commands import Respond
-from fsar_ledger.runtime.handlers.supervision import respond
 from fsar_ledger.runtime.simulation import RunSpec, handler_table_of, simulate_run
 from fsar_ledger.runtime.world.schedule import schedule
+from tests import past
 from tests.runtime.histories import given, happen, types, window
+from tests.runtime.live import decided
 from tests.runtime.test_resume import assert_resumes
 
 SEEDS = (1, 2, 3, 42, 2026)
@@ -207,37 +208,10 @@ STEP = ("B carry.package A",)
 def competing(is_critical: tuple[bool, bool] = (True, False), *before: Event) -> State:
     """B and D have both asked A for carry.package, and neither request has been evaluated."""
     tasks = (("B1-1", B, is_critical[0]), ("D1-2", D, is_critical[1]))
-    arrived = [
-        TaskArrived(
-            task_id=task,
-            robot=robot,
-            team=1,
-            steps=STEP,
-            budget_us=60_000_000,
-            due_us=65_000_000,
-            checkpoints=None,
-            is_time_critical=critical,
-        )
-        for task, robot, critical in tasks
-    ]
-    began = [
-        StepBegan(
-            subject=Subject(task, f"{task}/1.1"),
-            robot=robot,
-            step=1,
-            attempt=1,
-            capability="carry.package",
-            target_role="A",
-        )
-        for task, robot, _ in tasks
-    ]
+    arrived = [past.arrived(task, robot, STEP, is_time_critical=critical) for task, robot, critical in tasks]
+    began = [past.began(Subject(task, f"{task}/1.1"), robot, 1, "carry.package", "A") for task, robot, _ in tasks]
     shown = [
-        RegistryQueried(
-            subject=Subject(task, f"{task}/1.1"),
-            principals=Parties(requested_by=robot, executed_by=A, supervised_by=None),
-            capability="carry.package",
-            candidates=(A,),
-        )
+        past.queried(Subject(task, f"{task}/1.1"), past.parties(robot, A), "carry.package", A)
         for task, robot, _ in tasks
     ]
     return given("fsar", *before, *arrived, *began, *shown)
@@ -245,7 +219,7 @@ def competing(is_critical: tuple[bool, bool] = (True, False), *before: Event) ->
 
 def evaluated(state: State, action_id: str) -> tuple[Event, ...]:
     """What the executor decides about the request, which the state has taken in."""
-    events = evaluate_request(state, EvaluateRequest(action_id))
+    events = decided(state, EvaluateRequest(action_id))
     happen(state, *events)
     return events
 
@@ -257,7 +231,7 @@ def answered(state: State, action_id: str) -> list[str]:
         for number, call in state.supervision.calls.items()
         if (call.subject.action_id, call.purpose) == (action_id, "ordering")
     ]
-    [answer] = respond(state, Respond(number))
+    [answer] = decided(state, Respond(number))
     apply(state, answer)
     again = [one for react in handler_table_of("fsar").reacts[SupervisorResponded] for one in react(state, answer, 0)]
     return [
@@ -305,14 +279,7 @@ def test_a_request_that_has_not_come_holds_nobody_up() -> None:
 
 def test_a_denied_request_competes_no_more() -> None:
     state = competing()
-    apply(
-        state,
-        RequestDenied(
-            RequestSubject("B1-1", "B1-1/1.1", "B1-1/1.1"),
-            Principals(decided_by=A, requested_by=B, executed_by=A, supervised_by=None, path=(A,)),
-            "policy",
-        ),
-    )
+    apply(state, past.denied("B1-1/1.1", past.principals(A, B, A), "policy", "B1-1"))
     assert types(evaluated(state, "D1-2/1.1")) == ["RequestAdmitted", "ExecutionQueued"]
 
 

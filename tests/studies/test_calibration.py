@@ -1,7 +1,6 @@
 """The fit reads the tables that it names, and the package's constants are those that it accepted."""
 
 import json
-import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from importlib.resources import files
@@ -29,6 +28,7 @@ from fsar_ledger.studies.calibration import (
     with_values,
 )
 from fsar_ledger.studies.evaluations import measured
+from tests.running import ran
 
 RECORD = json.loads(files("fsar_ledger.reports").joinpath("calibration.json").read_text())
 
@@ -76,7 +76,7 @@ print(*sorted(name.rpartition("/")[2].removesuffix(".csv") for name in opened if
 
 @pytest.mark.slow
 def test_the_fit_reads_the_table_that_it_aims_at_and_no_other() -> None:
-    done = subprocess.run([sys.executable, "-c", OPENED], capture_output=True, text=True, check=True)
+    done = ran([sys.executable, "-c", OPENED], check=True)
     assert done.stdout.split() == [PLAN.aims_at]
 
 
@@ -140,11 +140,7 @@ def test_the_record_of_a_small_fit_is_complete_and_the_same_again(
     plan = msgspec.structs.replace(
         PLAN, screened=2, screened_runs=1, starts=2, rough_runs=1, rough_steps=1, runs=1, judged_runs=1, most_steps=1
     )
-    for name, value in {
-        "PLAN": plan,
-        "FREE": FREE[:2],
-        "WorkerPool": ThreadPoolExecutor,
-    }.items():
+    for name, value in {"PLAN": plan, "FREE": FREE[:2], "WorkerPool": ThreadPoolExecutor}.items():
         monkeypatch.setattr(calibration, name, value)
     told: list[tuple[int, int]] = []
     for name in ("one.json", "two.json"):

@@ -40,10 +40,7 @@ def test_ablations_are_those_of_the_paper_and_pairs_lack_two_mechanisms() -> Non
 
 def test_fleets_are_the_papers_those_between_and_one_beyond_at_both_ends_of_the_load() -> None:
     found = {
-        (
-            plan.experiment.fleet_size,
-            plan.experiment.constants.load and plan.experiment.constants.load.teams_working,
-        )
+        (plan.experiment.fleet_size, plan.experiment.constants.load and plan.experiment.constants.load.teams_working)
         for plan in registered("scaling")
     }
     assert found == {(4, None), *((size, teams) for size in (8, 12, 16, 24) for teams in (None, 1))}

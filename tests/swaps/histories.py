@@ -35,13 +35,8 @@ from tests.runtime.live import played
 History = Callable[[], list[Event]]
 
 SCENARIOS: tuple[Scenario | Workflow, ...] = (
-    "door-relay",
-    "mixed-trust-inspection",
-    "failure-recovery-chain",
-    "fleet-contention",
-    "collaborative-delivery",
-    "workflow-layered-recovery",
-    "workflow-human-supervision",
+    *("door-relay", "mixed-trust-inspection", "failure-recovery-chain", "fleet-contention"),
+    *("collaborative-delivery", "workflow-layered-recovery", "workflow-human-supervision"),
 )
 
 

@@ -22,6 +22,7 @@ from pathlib import Path
 from types import CodeType, FunctionType
 
 from fsar_ledger.events import Event
+from tests.running import ran
 from tests.swaps.histories import History, histories
 from tests.swaps.sites import PACKAGE, Swap, calls, swapped, swaps
 
@@ -135,7 +136,7 @@ def _span(call: ast.Call) -> tuple[tuple[int, int], tuple[int, int]]:
 def _errors(root: Path, files: list[Path]) -> dict[tuple[Path, int], set[str]]:
     """The errors of the type checker by file and call; one inside several calls is one of each."""
     command = [sys.executable, "-m", "mypy", "--strict", "--show-column-numbers", "--no-error-summary", PACKAGE.name]
-    done = subprocess.run(command, cwd=root, capture_output=True, text=True)
+    done = ran(command, cwd=root)
     if done.returncode not in (0, 1) or done.stderr:
         raise RuntimeError(f"mypy: found exit code {done.returncode}, expected 0 or 1: {done.stdout}{done.stderr}")
     errors = defaultdict[tuple[Path, int], set[str]](set)

@@ -3,11 +3,12 @@
 import json
 import re
 import shutil
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+
+from tests.running import ran
 
 ROOT = Path(__file__).resolve().parents[2]
 SOURCES = ROOT / "fsar_ledger/view/src"
@@ -17,7 +18,7 @@ SOURCES = ROOT / "fsar_ledger/view/src"
 def test_the_script_and_the_style_are_those_that_their_sources_give() -> None:
     if shutil.which("node") is None or not (ROOT / "build/page/installed.json").exists():
         pytest.skip("make test-all installs what builds the page")
-    done = subprocess.run([sys.executable, ".ci/page.py", "--check"], cwd=ROOT, capture_output=True, text=True)
+    done = ran([sys.executable, ".ci/page.py", "--check"], cwd=ROOT)
     assert (done.returncode, done.stderr) == (0, "")
 
 

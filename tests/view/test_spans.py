@@ -4,16 +4,16 @@ from typing import Any
 
 from msgspec.structs import replace
 
-from fsar_ledger.events.envelope import Parties, Robot, Subject
-from fsar_ledger.events.execution import ExecutionFinished, ExecutionQueued, ExecutionStarted
-from fsar_ledger.events.fleet import RobotJoined, RunStarted
+from fsar_ledger.events.envelope import Robot, Subject
+from fsar_ledger.events.execution import ExecutionFinished, ExecutionQueued
+from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.events.policy import PolicyRuleSet, RolePolicyRuleSet
-from fsar_ledger.events.registry import AvailabilityChanged
 from fsar_ledger.events.world import PolicyWindowOpened
 from fsar_ledger.ledger.rows.codec import LedgerRun, encode
 from fsar_ledger.metrics.database import from_table
 from fsar_ledger.projections.fold import State, apply
 from fsar_ledger.view.spans import FACTS, TRACKS, Fact, Span, lane_of, spans_of
+from tests import past
 from tests.view.conftest import a_run
 
 FOREIGN = RunStarted(kind="foreign", observes=("execution", "policy"), source="example.org")
@@ -66,7 +66,7 @@ def test_what_is_open_at_the_end_has_no_end() -> None:
 
 
 def test_a_rule_that_does_not_allow_is_a_span_for_each_robot_for_which_it_stands() -> None:
-    joined = (RobotJoined(robot=one, role="porter", team=1, domain="ward", supervisor=None) for one in (A1, B1))
+    joined = (past.joined(one, "porter", domain="ward") for one in (A1, B1))
     every: dict[str, Any] = {"capability": None, "context": None, "decided_by": None}
     door = {**every, "capability": "door.open"}
     rules = (
@@ -95,7 +95,7 @@ def test_a_rule_that_does_not_allow_is_a_span_for_each_robot_for_which_it_stands
 
 
 def test_availability_holds_until_the_registry_learns_another() -> None:
-    off = AvailabilityChanged(robot=B1, capability=None, availability="offline", reason="no answer")
+    off = past.available(B1, None, "offline", "no answer")
     on = replace(off, availability="ready")
     (span,) = spans_of(LedgerRun("r", (0, 5, 9), (None, 0, 1), (FOREIGN, off, on)))
     assert (span.fact.kind, span.start_us, span.end_us) == ("offline", 5, 9)
@@ -103,7 +103,7 @@ def test_availability_holds_until_the_registry_learns_another() -> None:
 
 def test_what_begins_without_having_been_queued_is_what_the_robot_does_then() -> None:
     """Another system may record that something began, and never that it was queued."""
-    parties = Parties(requested_by=None, executed_by=None, supervised_by=None)
+    parties = past.parties()
     queued = ExecutionQueued(
         subject=Subject("t", "t/1"),
         principals=parties,
@@ -116,9 +116,7 @@ def test_what_begins_without_having_been_queued_is_what_the_robot_does_then() ->
         has_approach=False,
         is_supervised=False,
     )
-    began = ExecutionStarted(
-        subject=Subject("t", "t/2"), principals=parties, robot=B1, on_behalf_of=B1, capability="lift", ends_us=9
-    )
+    began = past.started(Subject("t", "t/2"), B1, B1, "lift", 9, parties)
     opened = PolicyWindowOpened(robot=B1, scope="fleet", window="fleet/B1/0", outcome="review")
     found = spans_of(LedgerRun("r", (0, 1, 3, 5), (None, 0, 0, 0), (FOREIGN, queued, began, opened)))
     assert [(span.fact.track, span.fact.kind, span.fact.about, span.start_us, span.end_us) for span in found] == [
