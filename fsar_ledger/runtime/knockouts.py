@@ -40,6 +40,7 @@ from fsar_ledger.runtime.architectures.fsar.execution import ready
 from fsar_ledger.runtime.architectures.handler_table import HandlerTable
 from fsar_ledger.runtime.handlers.attribution import parties, recorded_by
 from fsar_ledger.runtime.handlers.commands import (
+    ActionCommand,
     CloseRequest,
     Command,
     Decide,
@@ -205,10 +206,8 @@ def _copy_of_now(state: State) -> Any:
     return state.knowledge.__replace__(copy=copy)
 
 
-class RetryAlone(Command):
+class RetryAlone(ActionCommand):
     """Start the robot's own attempt after a failure that it has seen."""
-
-    action_id: str
 
 
 def _may_try(budgets: Budgets, fleet: Fleet, recovery: Recovery, tried: int, now_us: int) -> bool:

@@ -33,6 +33,12 @@ class Command(msgspec.Struct, kw_only=True, gc=False):
     answer: int = 0
 
 
+class ActionCommand(Command):
+    """A request to decide about one action."""
+
+    action_id: str
+
+
 class PublicCommand(Command, kw_only=True, gc=False):
     """A request from outside, by a robot, an operator or a supervisor.
 
@@ -149,65 +155,46 @@ class ExpireTask(Command):
     task_id: str
 
 
-class CompleteStep(Command):
+class CompleteStep(ActionCommand):
     """Tell the acting robot that the step is done."""
 
-    action_id: str
 
-
-class TakeTurn(Command):
+class TakeTurn(ActionCommand):
     """Take the turn of an action that is first in its robot's queue."""
 
-    action_id: str
 
-
-class StartAction(Command):
+class StartAction(ActionCommand):
     """Start the action at a robot that is where it must be; asks for the duration."""
 
-    action_id: str
 
-
-class HaltAction(Command):
+class HaltAction(ActionCommand):
     """Halt the action of an executing robot that is off."""
 
-    action_id: str
 
-
-class FinishAttempt(Command):
+class FinishAttempt(ActionCommand):
     """End the attempt as planned; asks whether a degraded actuator holds (1) or not (0)."""
 
-    action_id: str
     ends_us: int
 
 
-class DetectObstruction(Command):
+class DetectObstruction(ActionCommand):
     """Stop at something in the way of the executing robot."""
 
-    action_id: str
 
-
-class PauseAction(Command):
+class PauseAction(ActionCommand):
     """Pause for a change in the context of the executing robot."""
 
-    action_id: str
 
-
-class ResumeAction(Command):
+class ResumeAction(ActionCommand):
     """Go on with the new plan, or after the failure."""
 
-    action_id: str
 
-
-class CloseExecution(Command):
+class CloseExecution(ActionCommand):
     """End authority over an execution that has ended."""
 
-    action_id: str
 
-
-class CloseRequest(Command):
+class CloseRequest(ActionCommand):
     """Close the request whose result has come back."""
-
-    action_id: str
 
 
 class Respond(Command):
@@ -219,25 +206,22 @@ class Respond(Command):
     call: int
 
 
-class EndAttempt(Command):
+class EndAttempt(ActionCommand):
     """End an attempt to recover; asks whether a degraded actuator holds (1) or not (0)."""
 
-    action_id: str
     number: int
 
 
-class EndAssistance(Command):
+class EndAssistance(ActionCommand):
     """End the help with this failure; asks whether a degraded actuator of the helper holds (1) or not (0)."""
 
-    action_id: str
     helper: Robot
     failure: int
 
 
-class StopAssistance(Command):
+class StopAssistance(ActionCommand):
     """Stop at something in the way of the robot that helps."""
 
-    action_id: str
     helper: Robot
 
 
@@ -246,11 +230,6 @@ class DecideRoutine(Command):
 
     robot: Robot
     operation: Operation
-
-
-class _OfAction(Protocol):
-    @property
-    def action_id(self) -> str: ...
 
 
 class _OfRobot(Protocol):
@@ -277,31 +256,31 @@ def helping(_state: State, command: _OfHelper) -> Robot:
     return command.helper
 
 
-def body(state: State, command: _OfAction) -> Robot | None:
+def body(state: State, command: ActionCommand) -> Robot | None:
     """Return the robot that has the action."""
     action = state.execution.actions.get(command.action_id)
     return None if action is None else action.robot
 
 
-def requester(state: State, command: _OfAction) -> Robot | None:
+def requester(state: State, command: ActionCommand) -> Robot | None:
     """Return the robot whose step it is."""
     request = state.request.open.get(command.action_id)
     return None if request is None else request.requester
 
 
-def target(state: State, command: _OfAction) -> Robot | None:
+def target(state: State, command: ActionCommand) -> Robot | None:
     """Return the robot picked to execute; for a step of its own, the robot whose step it is."""
     request = state.request.open.get(command.action_id)
     return None if request is None else request.target or request.requester
 
 
-def asked(state: State, command: _OfAction) -> Robot | None:
+def asked(state: State, command: ActionCommand) -> Robot | None:
     """Return the robot that the request goes to."""
     request = state.request.open.get(command.action_id)
     return request.candidates[0] if request is not None and request.candidates else None
 
 
-def relay(state: State, command: _OfAction) -> Robot | None:
+def relay(state: State, command: ActionCommand) -> Robot | None:
     """Return the peer that passes the request on."""
     request = state.request.open.get(command.action_id)
     return None if request is None else request.relay

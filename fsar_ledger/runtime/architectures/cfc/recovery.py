@@ -24,7 +24,7 @@ from fsar_ledger.projections.registry import NO_ANSWER
 from fsar_ledger.runtime.handlers import assistance
 from fsar_ledger.runtime.handlers.attribution import helpers, is_idle
 from fsar_ledger.runtime.handlers.commands import (
-    Command,
+    ActionCommand,
     EndAssistance,
     EndAttempt,
     Handlers,
@@ -43,17 +43,15 @@ from .coordinator import ProcessWork, ReachCoordinator, by_coordinator, copied_p
 HANDLERS = Handlers()
 
 
-class ReachHelper(Command):
+class ReachHelper(ActionCommand):
     """Deliver the order to help to the helper."""
 
-    action_id: str
     helper: Robot
 
 
-class GoOnWithoutHelp(Command):
+class GoOnWithoutHelp(ActionCommand):
     """Stop waiting for the helper's answer."""
 
-    action_id: str
     helper: Robot
     failure: int
 

@@ -31,8 +31,8 @@ from fsar_ledger.projections.world import in_force, stricter
 from fsar_ledger.runtime.handlers.attribution import pending_of_other_task
 from fsar_ledger.runtime.handlers.authority import made_for, release, released
 from fsar_ledger.runtime.handlers.commands import (
+    ActionCommand,
     CloseExecution,
-    Command,
     CompleteStep,
     Handlers,
     Scheduled,
@@ -62,36 +62,28 @@ AGAIN = "assigned again: "
 HANDLERS = Handlers()
 
 
-class CommandReviewed(Command):
+class CommandReviewed(ActionCommand):
     """Take H_F's decision on what policy wanted reviewed."""
 
-    action_id: str
 
-
-class ReceiveCommand(Command):
+class ReceiveCommand(ActionCommand):
     """Deliver the command to the robot."""
 
-    action_id: str
     robot: Robot
 
 
-class GoOnWithout(Command):
+class GoOnWithout(ActionCommand):
     """Stop waiting for the robot to confirm the command."""
 
-    action_id: str
     robot: Robot
 
 
-class QueueOrdered(Command):
+class QueueOrdered(ActionCommand):
     """Take the order in which H_F has put two commands."""
 
-    action_id: str
 
-
-class DenyOutsider(Command):
+class DenyOutsider(ActionCommand):
     """Deny an out-of-trust request that has reached the coordinator."""
-
-    action_id: str
 
 
 @HANDLERS.decide(ProcessWork, nobody)

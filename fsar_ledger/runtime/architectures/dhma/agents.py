@@ -26,6 +26,7 @@ from fsar_ledger.projections.world import in_force
 from fsar_ledger.runtime.handlers.attribution import is_injected, recorded_by
 from fsar_ledger.runtime.handlers.authority import close_execution
 from fsar_ledger.runtime.handlers.commands import (
+    ActionCommand,
     CloseExecution,
     Command,
     Handlers,
@@ -122,10 +123,8 @@ class TakeSnapshot(Command):
     robot: Robot
 
 
-class DetectGap(Command):
+class DetectGap(ActionCommand):
     """Detect that the step needs another robot."""
-
-    action_id: str
 
 
 class EngagePlanner(Command):

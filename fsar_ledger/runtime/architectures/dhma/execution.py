@@ -26,6 +26,7 @@ from fsar_ledger.projections.request import Requests
 from fsar_ledger.runtime.handlers.attribution import recorded_by
 from fsar_ledger.runtime.handlers.authority import release
 from fsar_ledger.runtime.handlers.commands import (
+    ActionCommand,
     Command,
     DecideRoutine,
     Handlers,
@@ -62,33 +63,27 @@ from .agents import (
 HANDLERS = Handlers()
 
 
-class PassExecution(Command):
+class PassExecution(ActionCommand):
     """Deliver the work to the executor's next agent."""
 
-    action_id: str
     round: int
     sender: AgentKind
     receiver: AgentKind
 
 
-class AcknowledgeExecution(Command):
+class AcknowledgeExecution(ActionCommand):
     """Deliver the receiver's acknowledgement to the sender."""
 
-    action_id: str
     round: int
     sender: AgentKind
 
 
-class SettleBooking(Command):
+class SettleBooking(ActionCommand):
     """Settle the double booking that the two agents have agreed about."""
 
-    action_id: str
 
-
-class RunOutsider(Command):
+class RunOutsider(ActionCommand):
     """Run an out-of-trust request that a nested query has carried past visibility."""
-
-    action_id: str
 
 
 def _under_contract(execution: Execution, requests: Requests, action_id: str, contract: int) -> Action | None:
@@ -212,16 +207,12 @@ def _on_outsider(state: State, event: OutsiderRequestInjected, _now_us: int) -> 
     return (Scheduled(RunOutsider(event.task_id), 0, (*said, message(event.robot, event.task_id, 0))), record)
 
 
-class PlanOwnStep(Command):
+class PlanOwnStep(ActionCommand):
     """Plan a step of the robot's own."""
 
-    action_id: str
 
-
-class QueueOwnStep(Command):
+class QueueOwnStep(ActionCommand):
     """Deliver the plan to the execution agent."""
-
-    action_id: str
 
 
 @HANDLERS.decide(PlanOwnStep, requester)

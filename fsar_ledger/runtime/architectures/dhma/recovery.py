@@ -17,7 +17,15 @@ from fsar_ledger.projections.recovery import Recovery
 from fsar_ledger.projections.world import World
 from fsar_ledger.runtime.handlers.attribution import parties
 from fsar_ledger.runtime.handlers.authority import release
-from fsar_ledger.runtime.handlers.commands import Command, EndAttempt, Handlers, Scheduled, body, holds, lasts
+from fsar_ledger.runtime.handlers.commands import (
+    ActionCommand,
+    EndAttempt,
+    Handlers,
+    Scheduled,
+    body,
+    holds,
+    lasts,
+)
 from fsar_ledger.runtime.handlers.recovery import attempt_succeeds, attempted, open_failure
 
 from .agents import RECOVERY, Talk, claims, path, planner, talk
@@ -27,22 +35,16 @@ DISPUTE = "dispute"
 HANDLERS = Handlers()
 
 
-class Dispute(Command):
+class Dispute(ActionCommand):
     """Dispute a recovery while the robot's planner is engaged, or was just before."""
 
-    action_id: str
 
-
-class StartRecovery(Command):
+class StartRecovery(ActionCommand):
     """Start recovery once the recovery agent has been told and has asked the others."""
 
-    action_id: str
 
-
-class Escalate(Command):
+class Escalate(ActionCommand):
     """Escalate a failure that the robot's agents have given up on."""
-
-    action_id: str
 
 
 def _heard_by(fleet: Fleet, world: World, action: Action, heard: Talk = RECOVERY) -> Principals:

@@ -29,9 +29,9 @@ from fsar_ledger.projections.supervision import is_asked
 from fsar_ledger.projections.world import World, is_linked
 from fsar_ledger.runtime.handlers.attribution import capable, is_idle, pending_of_other_task, recorded_by
 from fsar_ledger.runtime.handlers.commands import (
+    ActionCommand,
     CloseExecution,
     CloseRequest,
-    Command,
     CompleteStep,
     Handlers,
     Scheduled,
@@ -50,55 +50,45 @@ from .agents import CALL, EVALUATION, OWN_RESULT, RELAY, RESULT, VOIDING, path, 
 HANDLERS = Handlers()
 
 
-class CallForProposals(Command):
+class CallForProposals(ActionCommand):
     """Deliver the planner's wish to the communication agent."""
 
-    action_id: str
 
-
-class EvaluateBid(Command):
+class EvaluateBid(ActionCommand):
     """Judge the call by the snapshot of a candidate's planner."""
 
-    action_id: str
     robot: Robot
 
 
-class ReceiveBid(Command):
+class ReceiveBid(ActionCommand):
     """Deliver a relayed bid to the requester's planner."""
 
-    action_id: str
     robot: Robot
     outcome: PolicyOutcome
 
 
-class Award(Command):
+class Award(ActionCommand):
     """Award the contract when all bids are in, or when H_F has approved the one under review."""
 
-    action_id: str
 
-
-class CloseBidding(Command):
+class CloseBidding(ActionCommand):
     """End the time in which the calls of this round should have been delivered.
 
     `is_last`: all who were called in time have judged the call as well.
     """
 
-    action_id: str
     round: int
     is_last: bool = False
 
 
-class GoOnWithout(Command):
+class GoOnWithout(ActionCommand):
     """Stop waiting for the robot that was awarded the contract in this round."""
 
-    action_id: str
     round: int
 
 
-class AcceptAward(Command):
+class AcceptAward(ActionCommand):
     """Deliver the award to the executor's communication agent."""
-
-    action_id: str
 
 
 def best_bid(request: Request) -> tuple[Robot, PolicyOutcome] | None:

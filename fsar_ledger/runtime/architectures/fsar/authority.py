@@ -14,7 +14,16 @@ from fsar_ledger.projections.world import is_linked
 from fsar_ledger.runtime.handlers.attribution import recorded_by
 from fsar_ledger.runtime.handlers.authority import close_execution
 from fsar_ledger.runtime.handlers.candidates import Query, rejecting_filter
-from fsar_ledger.runtime.handlers.commands import CloseExecution, Command, Handlers, Scheduled, message, named, nobody
+from fsar_ledger.runtime.handlers.commands import (
+    ActionCommand,
+    CloseExecution,
+    Command,
+    Handlers,
+    Scheduled,
+    message,
+    named,
+    nobody,
+)
 
 HANDLERS = Handlers()
 
@@ -25,10 +34,8 @@ class Revoke(Command):
     robot: Robot
 
 
-class AnswerOutsider(Command):
+class AnswerOutsider(ActionCommand):
     """Answer a request without trust that has reached the registry."""
-
-    action_id: str
 
 
 class RememberPeer(Command):

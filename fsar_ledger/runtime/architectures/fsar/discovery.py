@@ -15,7 +15,14 @@ from fsar_ledger.projections.request import Request
 from fsar_ledger.projections.world import World
 from fsar_ledger.runtime.handlers.attribution import capable, is_idle, nearest_first, recorded_by
 from fsar_ledger.runtime.handlers.candidates import Answer, Query, candidates, rejecting_filter
-from fsar_ledger.runtime.handlers.commands import Command, Handlers, Scheduled, message, nobody, requester
+from fsar_ledger.runtime.handlers.commands import (
+    ActionCommand,
+    Handlers,
+    Scheduled,
+    message,
+    nobody,
+    requester,
+)
 from fsar_ledger.runtime.handlers.registry import queried
 from fsar_ledger.runtime.handlers.trust import trusts
 
@@ -24,16 +31,12 @@ Found = tuple[tuple[Robot, ...], Robot | None]  # candidates, relay
 HANDLERS = Handlers()
 
 
-class DetectGap(Command):
+class DetectGap(ActionCommand):
     """Detect that the step needs another robot."""
 
-    action_id: str
 
-
-class QueryRegistry(Command):
+class QueryRegistry(ActionCommand):
     """Deliver the query to the registry."""
-
-    action_id: str
 
 
 def discover(state: State, request: Request) -> tuple[Answer, Robot | None]:

@@ -23,6 +23,7 @@ from fsar_ledger.projections.world import World, in_force
 from fsar_ledger.runtime.handlers.admissibility import holding
 from fsar_ledger.runtime.handlers.attribution import recorded_by, supervisor_of
 from fsar_ledger.runtime.handlers.commands import (
+    ActionCommand,
     Command,
     DecideRoutine,
     Handlers,
@@ -41,10 +42,8 @@ from fsar_ledger.runtime.handlers.policy import conflict, fleet_policy, own_poli
 HANDLERS = Handlers()
 
 
-class DecideOwnStep(Command):
+class DecideOwnStep(ActionCommand):
     """Decide about a step of the robot's own."""
-
-    action_id: str
 
 
 class LearnFleetRule(Command):

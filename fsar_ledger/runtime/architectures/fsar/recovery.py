@@ -27,7 +27,7 @@ from fsar_ledger.runtime.handlers import assistance
 from fsar_ledger.runtime.handlers.attribution import is_cross_robot, parties, recorded_by, supervisor_of
 from fsar_ledger.runtime.handlers.authority import release
 from fsar_ledger.runtime.handlers.commands import (
-    Command,
+    ActionCommand,
     EndAssistance,
     EndAttempt,
     Handlers,
@@ -57,46 +57,41 @@ EXHAUSTED = "budget exhausted"
 HANDLERS = Handlers()
 
 
-class StartRecovery(Command):
+class StartRecovery(ActionCommand):
     """Start recovery from a failure that was detected."""
 
-    action_id: str
 
-
-class AskPeers(Command):
+class AskPeers(ActionCommand):
     """Deliver the question for help to the peers, after `asked` of them.
 
     `is_last`: the time to answer about this `failure` is over. Units: `since_us` run time at which recovery turned to
     them.
     """
 
-    action_id: str
     since_us: int = 0
     asked: int = 0
     failure: int = 0
     is_last: bool = False
 
 
-class ConsiderReassignment(Command):
+class ConsiderReassignment(ActionCommand):
     """Deliver the failure to the recovery orchestrator, and to those it asks.
 
     `is_last`: the time to answer about this `failure` is over. Units: `since_us` run time at which recovery turned to
     it.
     """
 
-    action_id: str
     since_us: int = 0
     failure: int = 0
     is_last: bool = False
 
 
-class CallNext(Command):
+class CallNext(ActionCommand):
     """End the time in which the called supervisor should have resolved the failure.
 
     `calls` counts the calls until then.
     """
 
-    action_id: str
     failure: int
     calls: int
 

@@ -27,6 +27,7 @@ from fsar_ledger.projections.world import World, stricter
 from fsar_ledger.runtime.handlers.admissibility import Evaluation, evaluate, is_revoked, preemptible
 from fsar_ledger.runtime.handlers.attribution import recorded_by
 from fsar_ledger.runtime.handlers.commands import (
+    ActionCommand,
     CloseRequest,
     Command,
     CompleteStep,
@@ -52,38 +53,30 @@ from .discovery import unanswered
 HANDLERS = Handlers()
 
 
-class IssueRequest(Command):
+class IssueRequest(ActionCommand):
     """Deliver the answer to the requester."""
 
-    action_id: str
 
-
-class RelayRequest(Command):
+class RelayRequest(ActionCommand):
     """Deliver the request to the doubly trusted peer."""
 
-    action_id: str
 
-
-class EvaluateRequest(Command):
+class EvaluateRequest(ActionCommand):
     """Deliver the request to the executor."""
 
-    action_id: str
 
-
-class GoOnWithout(Command):
+class GoOnWithout(ActionCommand):
     """End the time in which the request should have been delivered.
 
     To the robot it was sent to, or (`is_relayed`) to the one that the relay has passed it on to.
     """
 
-    action_id: str
     is_relayed: bool = False
 
 
-class AdmitReviewed(Command):
+class AdmitReviewed(ActionCommand):
     """Take a supervisor's decision on what policy or supervision density wanted reviewed."""
 
-    action_id: str
     approves: bool = True
 
 
