@@ -50,6 +50,7 @@ from fsar_ledger.runtime.handlers.commands import (
     Scheduled,
     StartAction,
     body,
+    open_failure,
 )
 from fsar_ledger.runtime.handlers.execution import started
 from fsar_ledger.runtime.handlers.recovery import (
@@ -58,7 +59,6 @@ from fsar_ledger.runtime.handlers.recovery import (
     attempted,
     budget,
     end_of_attempt,
-    open_failure,
 )
 
 ChangeTable = Callable[[HandlerTable], HandlerTable]
@@ -223,13 +223,13 @@ def _retried(state: State, action: Action, recovery: Recovery) -> RecoveryAttemp
 
 
 def _retry_alone(state: State, command: RetryAlone) -> tuple[Event, ...]:
-    failure = open_failure(state.execution, state.recovery, command.action_id)
+    failure = open_failure(state, command.action_id)
     return () if failure is None else (_retried(state, *failure),)
 
 
 def _end_own_attempt(state: State, command: EndAttempt) -> tuple[Event, ...]:
     """End the robot's attempt; once its budget is spent, the coordinator takes over."""
-    failure = open_failure(state.execution, state.recovery, command.action_id)
+    failure = open_failure(state, command.action_id)
     if failure is None or failure[1].number != command.number:
         return ()
     action, recovery = failure
@@ -255,7 +255,7 @@ def _on_own_attempt(state: State, event: RecoveryAttempted, now_us: int) -> tupl
 
 def _on_own_attempt_failed(state: State, event: RecoveryAttemptFailed, now_us: int) -> tuple[Scheduled, ...]:
     """Tell the coordinator of the last failed attempt only."""
-    failure = open_failure(state.execution, state.recovery, event.subject.action_id)
+    failure = open_failure(state, event.subject.action_id)
     if failure is not None and _may_try(state.budget, state.fleet, failure[1], event.number, now_us):
         return ()
     return HANDLERS.reacts[RecoveryAttemptFailed](state, event, now_us)

@@ -8,6 +8,7 @@ that meets the same hop of the same action meets the same latency.
 """
 
 from collections.abc import Callable, Iterable
+from functools import wraps
 from typing import Any, Protocol, TypeVar
 
 import msgspec
@@ -16,9 +17,12 @@ from fsar_ledger.events import Event
 from fsar_ledger.events.command import CommandRejected
 from fsar_ledger.events.envelope import FLEET_SUPERVISOR, Operation, Principal, Robot, Supervisor, robot_named
 from fsar_ledger.projections.context import Over
+from fsar_ledger.projections.execution import Action
 from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
+from fsar_ledger.projections.recovery import Recovery
 from fsar_ledger.projections.registry import Registry
+from fsar_ledger.projections.request import Request
 from fsar_ledger.projections.task import Task
 from fsar_ledger.runtime.ports import Ask
 
@@ -66,6 +70,11 @@ Actor = Callable[[State, Any], Robot | None]
 None is an actor that is never off: the world, a service, the coordinator, a human.
 """
 _Function = TypeVar("_Function", bound=Callable[..., Any])
+_Found = TypeVar("_Found")
+_OfAction = TypeVar("_OfAction", bound=ActionCommand)
+_Events = TypeVar("_Events", bound=tuple[Event, ...])
+Failure = tuple[Action, Recovery]
+"""The action that has failed, and its failure that is being recovered."""
 
 
 class Handlers:
@@ -88,6 +97,21 @@ class Handlers:
             if actor is not None:
                 self.actors[command] = actor
             return function
+
+        return register
+
+    def decide_on(
+        self, find: Callable[[State, str], _Found | None], command: type[_OfAction], actor: Actor
+    ) -> Callable[[Callable[[State, _OfAction, _Found], _Events]], Callable[[State, _OfAction], _Events]]:
+        """As `decide`, for what is decided about the request, action or failure that `find` finds: else nothing."""
+
+        def register(function: Callable[[State, _OfAction, _Found], _Events]) -> Callable[[State, _OfAction], _Events]:
+            @wraps(function)
+            def decide(state: State, command: _OfAction) -> Any:
+                found = find(state, command.action_id)
+                return () if found is None else function(state, command, found)
+
+            return self.decide(command, actor)(decide)
 
         return register
 
@@ -254,6 +278,22 @@ def named(_state: State, command: _OfRobot) -> Robot:
 def helping(_state: State, command: _OfHelper) -> Robot:
     """Return the robot that helps."""
     return command.helper
+
+
+def open_request(state: State, action_id: str) -> Request | None:
+    """Return the open request for the action, or None."""
+    return state.request.open.get(action_id)
+
+
+def known_action(state: State, action_id: str) -> Action | None:
+    """Return the action, if a robot has it."""
+    return state.execution.actions.get(action_id)
+
+
+def open_failure(state: State, action_id: str) -> Failure | None:
+    """Return the action and its failure that is being recovered, or None when there is none any more."""
+    action, recovery = state.execution.actions.get(action_id), state.recovery.get(action_id)
+    return None if action is None or recovery is None else (action, recovery)
 
 
 def body(state: State, command: ActionCommand) -> Robot | None:

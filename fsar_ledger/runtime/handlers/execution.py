@@ -38,6 +38,7 @@ from .commands import (
     TakeTurn,
     body,
     holds,
+    known_action,
     lasts,
     nobody,
 )
@@ -110,56 +111,47 @@ def approach(state: State, command: TakeTurn) -> tuple[Event, ...]:
     return (ApproachStarted(action.subject, action.robot),)
 
 
-@HANDLERS.decide(FinishAttempt, body)
-def finish_attempt(state: State, command: FinishAttempt) -> tuple[Event, ...]:
+@HANDLERS.decide_on(known_action, FinishAttempt, body)
+def finish_attempt(state: State, command: FinishAttempt, action: Action) -> tuple[Event, ...]:
     """Finish the execution, or fail it at its end where the degraded actuator does not hold."""
-    action = state.execution.actions.get(command.action_id)
-    if action is None or action.stage != "running" or action.ends_us != command.ends_us:
+    if action.stage != "running" or action.ends_us != command.ends_us:
         return ()
     if action.capability != NAVIGATION and not actuator_holds(state.world, action.robot, command.answer):
         return (failed(action, "degradation", command.now_us),)
     return (_finished(state.fleet, state.world, action),)
 
 
-@HANDLERS.decide(DetectObstruction, body)
-def detect_obstruction(state: State, command: DetectObstruction) -> tuple[Event, ...]:
+@HANDLERS.decide_on(known_action, DetectObstruction, body)
+def detect_obstruction(state: State, command: DetectObstruction, action: Action) -> tuple[Event, ...]:
     """Fail the running attempt because something is in the way."""
-    action = state.execution.actions.get(command.action_id)
-    if action is None or action.stage != "running" or not state.world.obstructions.get(action.robot):
+    if action.stage != "running" or not state.world.obstructions.get(action.robot):
         return ()
     return (failed(action, "obstruction", command.now_us),)
 
 
-@HANDLERS.decide(PauseAction, body)
-def pause_action(state: State, command: PauseAction) -> tuple[Event, ...]:
+@HANDLERS.decide_on(known_action, PauseAction, body)
+def pause_action(_state: State, command: PauseAction, action: Action) -> tuple[Event, ...]:
     """Stop the robot to replan, if it still executes."""
-    action = state.execution.actions.get(command.action_id)
-    if action is None or action.stage != "running" or action.ends_us <= command.now_us:
+    if action.stage != "running" or action.ends_us <= command.now_us:
         return ()
     return (ExecutionPaused(action.subject, action.robot, action.ends_us - command.now_us),)
 
 
-@HANDLERS.decide(HaltAction, nobody)
-def halt_action(state: State, command: HaltAction) -> tuple[Event, ...]:
+@HANDLERS.decide_on(known_action, HaltAction, nobody)
+def halt_action(state: State, command: HaltAction, action: Action) -> tuple[Event, ...]:
     """Halt the execution of a robot that is off.
 
     A robot that was off for a moment and is back goes on.
     """
-    action = state.execution.actions.get(command.action_id)
-    if action is None or action.stage != "running" or action.robot not in state.world.off:
+    if action.stage != "running" or action.robot not in state.world.off:
         return ()
     return (ExecutionHalted(action.subject, action.robot, max(0, action.ends_us - command.now_us)),)
 
 
-@HANDLERS.decide(ResumeAction, body)
-def resume_action(state: State, command: ResumeAction) -> tuple[Event, ...]:
+@HANDLERS.decide_on(known_action, ResumeAction, body)
+def resume_action(state: State, command: ResumeAction, action: Action) -> tuple[Event, ...]:
     """Resume the rest of the execution; without a rest it has finished."""
-    action = state.execution.actions.get(command.action_id)
-    if (
-        action is None
-        or action.stage not in ("paused", "halted", "failed", "preempted")
-        or command.action_id in state.recovery
-    ):
+    if action.stage not in ("paused", "halted", "failed", "preempted") or command.action_id in state.recovery:
         return ()
     if action.stage == "preempted" and not (action.has_begun and holds_robot(state.execution, action)):
         return ()

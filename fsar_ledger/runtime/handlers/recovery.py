@@ -10,10 +10,10 @@ from fsar_ledger.events.envelope import FailureCause, Principals, RecoveryLevel,
 from fsar_ledger.events.execution import ExecutionFailed
 from fsar_ledger.events.recovery import RecoveryAttempted, RecoveryAttemptFailed, RecoveryBudgetSet
 from fsar_ledger.projections.budget import Budget, Budgets
-from fsar_ledger.projections.execution import Action, Execution
+from fsar_ledger.projections.execution import Action
 from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
-from fsar_ledger.projections.recovery import Recoveries, Recovery
+from fsar_ledger.projections.recovery import Recovery
 from fsar_ledger.projections.registry import Registry
 from fsar_ledger.projections.world import World
 
@@ -135,12 +135,6 @@ def report_failure(state: State, command: ReportFailure) -> tuple[Event, ...]:
     if refused is not None or action is None or cause is None:
         return rejected(command, command.action_id, refused or "", command.robot)
     return (failed(action, cause, command.now_us),)
-
-
-def open_failure(execution: Execution, recoveries: Recoveries, action_id: str) -> tuple[Action, Recovery] | None:
-    """Return the action and its failure that is being recovered, or None when there is none any more."""
-    action, recovery = execution.actions.get(action_id), recoveries.get(action_id)
-    return None if action is None or recovery is None else (action, recovery)
 
 
 def actuator_holds(world: World, robot: Robot, answer: int) -> bool:

@@ -35,6 +35,7 @@ from fsar_ledger.runtime.handlers.commands import (
     hops,
     named,
     nobody,
+    open_request,
     requester,
 )
 from fsar_ledger.runtime.handlers.execution import pause_running
@@ -149,12 +150,9 @@ def take_snapshot(state: State, command: TakeSnapshot) -> tuple[Event, ...]:
     return (SnapshotTaken(command.robot, in_force(state.world.local, command.robot)),)
 
 
-@HANDLERS.decide(DetectGap, requester)
-def detect_gap(state: State, command: DetectGap) -> tuple[Event, ...]:
+@HANDLERS.decide_on(open_request, DetectGap, requester)
+def detect_gap(state: State, _command: DetectGap, request: Request) -> tuple[Event, ...]:
     """Record the planner's finding that the step needs another robot."""
-    request = state.request.open.get(command.action_id)
-    if request is None:
-        return ()
     robot = request.requester
     parties = recorded_by(state.fleet, state.world, robot, requested_by=robot, executed_by=None)
     return (GapDetected(request.subject, parties, request.capability),)

@@ -22,7 +22,7 @@ from fsar_ledger.events.task import StepBegan
 from fsar_ledger.events.world import OutsiderRequestInjected
 from fsar_ledger.projections.execution import Action, Execution
 from fsar_ledger.projections.fold import State
-from fsar_ledger.projections.request import Requests
+from fsar_ledger.projections.request import Request, Requests
 from fsar_ledger.runtime.handlers.attribution import recorded_by
 from fsar_ledger.runtime.handlers.authority import release
 from fsar_ledger.runtime.handlers.commands import (
@@ -39,6 +39,7 @@ from fsar_ledger.runtime.handlers.commands import (
     body,
     message,
     named,
+    open_request,
     requester,
     target,
 )
@@ -124,11 +125,10 @@ def settle_booking(state: State, command: SettleBooking) -> tuple[Event, ...]:
     return release(state.authority, command.action_id, "double booking")
 
 
-@HANDLERS.decide(RunOutsider, target)
-def run_outsider(state: State, command: RunOutsider) -> tuple[Event, ...]:
+@HANDLERS.decide_on(open_request, RunOutsider, target)
+def run_outsider(_state: State, _command: RunOutsider, request: Request) -> tuple[Event, ...]:
     """Run the request unchecked, without an executor or a supervisor on record."""
-    request = state.request.open.get(command.action_id)
-    if request is None or request.target is None:
+    if request.target is None:
         return ()
     robot, peer, subject = request.requester, request.target, request.request_subject
     unnamed = Parties(requested_by=robot, executed_by=None, supervised_by=None)
@@ -215,12 +215,9 @@ class QueueOwnStep(ActionCommand):
     """Deliver the plan to the execution agent."""
 
 
-@HANDLERS.decide(PlanOwnStep, requester)
-def plan_own_step(state: State, command: PlanOwnStep) -> tuple[Event, ...]:
+@HANDLERS.decide_on(open_request, PlanOwnStep, requester)
+def plan_own_step(state: State, command: PlanOwnStep, request: Request) -> tuple[Event, ...]:
     """Decide to do the step, unless the planner's snapshot forbids it for now."""
-    request = state.request.open.get(command.action_id)
-    if request is None:
-        return ()
     robot, outcome = request.requester, snapshot(state.knowledge, request.requester)
     parties = recorded_by(state.fleet, state.world, robot, requested_by=robot, executed_by=robot)
     principals = parties.decided(*path(robot, ("planning",)))
@@ -232,12 +229,9 @@ def plan_own_step(state: State, command: PlanOwnStep) -> tuple[Event, ...]:
     return (OwnStepDecided(request.subject, principals, request.capability),)
 
 
-@HANDLERS.decide(QueueOwnStep, requester)
-def queue_own_step(state: State, command: QueueOwnStep) -> tuple[Event, ...]:
+@HANDLERS.decide_on(open_request, QueueOwnStep, requester)
+def queue_own_step(state: State, _command: QueueOwnStep, request: Request) -> tuple[Event, ...]:
     """Queue the step for the robot."""
-    request = state.request.open.get(command.action_id)
-    if request is None:
-        return ()
     robot = request.requester
     parties = recorded_by(state.fleet, state.world, robot, requested_by=robot, executed_by=robot)
     return (queued(request, parties, robot),)

@@ -20,13 +20,15 @@ from fsar_ledger.runtime.handlers.authority import release
 from fsar_ledger.runtime.handlers.commands import (
     ActionCommand,
     EndAttempt,
+    Failure,
     Handlers,
     Scheduled,
     body,
     holds,
     lasts,
+    open_failure,
 )
-from fsar_ledger.runtime.handlers.recovery import attempt_succeeds, attempted, open_failure
+from fsar_ledger.runtime.handlers.recovery import attempt_succeeds, attempted
 
 from .agents import RECOVERY, Talk, claims, path, planner, talk
 
@@ -55,25 +57,21 @@ def _is_disputed(authority: Authority, action_id: str) -> bool:
     return any(claim.reason == DISPUTE for claim in authority.claims.get(action_id, ()))
 
 
-@HANDLERS.decide(Dispute, body)
-def dispute(state: State, command: Dispute) -> tuple[Event, ...]:
+@HANDLERS.decide_on(open_failure, Dispute, body)
+def dispute(state: State, _command: Dispute, failure: Failure) -> tuple[Event, ...]:
     """Let the recovery and the planning agent both claim override until the failure is over."""
-    match open_failure(state.execution, state.recovery, command.action_id):
-        case action, recovery if recovery.level == "local":
-            claimants = (agent(action.robot, "recovery"), planner(action.robot))
-            return tuple(claims(state.authority, action, "override", claimants, DISPUTE))
-        case _:
-            return ()
+    action, recovery = failure
+    if recovery.level != "local":
+        return ()
+    claimants = (agent(action.robot, "recovery"), planner(action.robot))
+    return tuple(claims(state.authority, action, "override", claimants, DISPUTE))
 
 
-@HANDLERS.decide(StartRecovery, body)
-def start_recovery(state: State, command: StartRecovery) -> tuple[Event, ...]:
+@HANDLERS.decide_on(open_failure, StartRecovery, body)
+def start_recovery(state: State, _command: StartRecovery, failure: Failure) -> tuple[Event, ...]:
     """Start the first attempt to recover."""
-    match open_failure(state.execution, state.recovery, command.action_id):
-        case action, recovery:
-            return (_attempted(state.fleet, state.world, action, recovery),)
-        case _:
-            return ()
+    action, recovery = failure
+    return (_attempted(state.fleet, state.world, action, recovery),)
 
 
 def _attempted(fleet: Fleet, world: World, action: Action, recovery: Recovery) -> RecoveryAttempted:
@@ -81,41 +79,39 @@ def _attempted(fleet: Fleet, world: World, action: Action, recovery: Recovery) -
     return attempted(action, recovery, _heard_by(fleet, world, action), deadline_us)
 
 
-@HANDLERS.decide(EndAttempt, body)
-def end_attempt(state: State, command: EndAttempt) -> tuple[Event, ...]:
+@HANDLERS.decide_on(open_failure, EndAttempt, body)
+def end_attempt(state: State, command: EndAttempt, failure: Failure) -> tuple[Event, ...]:
     """Resolve the failure or start the next attempt.
 
     A disputed failure gets one attempt only and then loops.
     """
-    match open_failure(state.execution, state.recovery, command.action_id):
-        case action, recovery if recovery.number == command.number and recovery.level == "local":
-            if attempt_succeeds(state.world, recovery, command):
-                resolved = FailureResolved(action.subject, action.robot, recovery.failure, "local")
-                return (resolved, *release(state.authority, action.action_id, DISPUTE))
-            if _is_disputed(state.authority, action.action_id):
-                return (
-                    RecoveryAttemptFailed(
-                        subject=action.subject, robot=action.robot, failure=recovery.failure, number=command.number
-                    ),
-                )
-            if recovery.number < state.fleet.structure.local_attempts:
-                return (_attempted(state.fleet, state.world, action, recovery),)
-            return _escalated(state.fleet, state.world, action, recovery)
-        case _:
-            return ()
+    action, recovery = failure
+    if recovery.level != "local" or recovery.number != command.number:
+        return ()
+    if attempt_succeeds(state.world, recovery, command):
+        resolved = FailureResolved(action.subject, action.robot, recovery.failure, "local")
+        return (resolved, *release(state.authority, action.action_id, DISPUTE))
+    if _is_disputed(state.authority, action.action_id):
+        return (
+            RecoveryAttemptFailed(
+                subject=action.subject, robot=action.robot, failure=recovery.failure, number=command.number
+            ),
+        )
+    if recovery.number < state.fleet.structure.local_attempts:
+        return (_attempted(state.fleet, state.world, action, recovery),)
+    return _escalated(state.fleet, state.world, action, recovery)
 
 
-@HANDLERS.decide(Escalate, body)
-def escalate(state: State, command: Escalate) -> tuple[Event, ...]:
+@HANDLERS.decide_on(open_failure, Escalate, body)
+def escalate(state: State, _command: Escalate, failure: Failure) -> tuple[Event, ...]:
     """Call H_F."""
-    match open_failure(state.execution, state.recovery, command.action_id):
-        case action, recovery if recovery.level == "local":
-            return (
-                *_escalated(state.fleet, state.world, action, recovery, ("recovery",)),
-                *release(state.authority, action.action_id, DISPUTE),
-            )
-        case _:
-            return ()
+    action, recovery = failure
+    if recovery.level != "local":
+        return ()
+    return (
+        *_escalated(state.fleet, state.world, action, recovery, ("recovery",)),
+        *release(state.authority, action.action_id, DISPUTE),
+    )
 
 
 def _escalated(

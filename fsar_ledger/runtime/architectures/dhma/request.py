@@ -39,6 +39,7 @@ from fsar_ledger.runtime.handlers.commands import (
     begin_again,
     message,
     named,
+    open_request,
     requester,
     target,
 )
@@ -100,12 +101,9 @@ def best_bid(request: Request) -> tuple[Robot, PolicyOutcome] | None:
     return None
 
 
-@HANDLERS.decide(CallForProposals, requester)
-def call_for_proposals(state: State, command: CallForProposals) -> tuple[Event, ...]:
+@HANDLERS.decide_on(open_request, CallForProposals, requester)
+def call_for_proposals(state: State, _command: CallForProposals, request: Request) -> tuple[Event, ...]:
     """Call every capable robot."""
-    request = state.request.open.get(command.action_id)
-    if request is None:
-        return ()
     robot = request.requester
     candidates = capable(state.fleet, state.registry, request.capability, robot)
     asking = _parties(state.fleet, state.world, request, robot, None)  # whoever is awarded executes
@@ -121,12 +119,9 @@ def call_for_proposals(state: State, command: CallForProposals) -> tuple[Event, 
     )
 
 
-@HANDLERS.decide(EvaluateBid, named)
-def evaluate_bid(state: State, command: EvaluateBid) -> tuple[Event, ...]:
+@HANDLERS.decide_on(open_request, EvaluateBid, named)
+def evaluate_bid(state: State, command: EvaluateBid, request: Request) -> tuple[Event, ...]:
     """Bid by the snapshot of the candidate's planner, without naming the agent that would execute."""
-    request = state.request.open.get(command.action_id)
-    if request is None:
-        return ()
     robot, outcome = command.robot, snapshot(state.knowledge, command.robot)
     parties = _parties(state.fleet, state.world, request, robot, None)  # a candidate is not yet the executor
     judging = parties.decided(*path(robot, EVALUATION))
@@ -136,11 +131,10 @@ def evaluate_bid(state: State, command: EvaluateBid) -> tuple[Event, ...]:
     return (RequestAdmitted(subject=request.request_subject, principals=judging, outcome=outcome), submitted)
 
 
-@HANDLERS.decide(ReceiveBid, requester)
-def receive_bid(state: State, command: ReceiveBid) -> tuple[Event, ...]:
+@HANDLERS.decide_on(open_request, ReceiveBid, requester)
+def receive_bid(_state: State, command: ReceiveBid, request: Request) -> tuple[Event, ...]:
     """Record the bid at the requester's planner."""
-    request = state.request.open.get(command.action_id)
-    if request is None or request.is_unanswered:
+    if request.is_unanswered:
         return ()
     return (BidReceived(request.subject, command.robot, command.outcome),)
 
@@ -163,17 +157,15 @@ def award(state: State, command: Award) -> tuple[Event, ...]:
     return (AwardMade(request.task_id, parties, best[0]),)
 
 
-@HANDLERS.decide(CloseBidding, requester)
-def close_bidding(state: State, command: CloseBidding) -> tuple[Event, ...]:
+@HANDLERS.decide_on(open_request, CloseBidding, requester)
+def close_bidding(state: State, command: CloseBidding, request: Request) -> tuple[Event, ...]:
     """Count robots that the call did not reach in time as refusals, and award to the best of the others.
 
     The request is unanswered if none is left. A bid that is on its way is waited for, and so is a robot that the call
     has reached but whose agents still judge it. Reading: R44.
     """
-    request = state.request.open.get(command.action_id)
     if (
-        request is None
-        or request.is_unanswered
+        request.is_unanswered
         or request.round != command.round
         or len(request.bids) == len(request.candidates)
         or request.underway
@@ -194,11 +186,10 @@ def _may_answer(world: World, request: Request) -> bool:
     )
 
 
-@HANDLERS.decide(GoOnWithout, requester)
-def go_on_without(state: State, command: GoOnWithout) -> tuple[Event, ...]:
+@HANDLERS.decide_on(open_request, GoOnWithout, requester)
+def go_on_without(state: State, command: GoOnWithout, request: Request) -> tuple[Event, ...]:
     """Void an award that was not accepted in time; the step is tried again later. Reading: R44."""
-    request = state.request.open.get(command.action_id)
-    if request is None or request.round != command.round or request.target is None or request.is_accepted:
+    if request.round != command.round or request.target is None or request.is_accepted:
         return ()
     return (_unanswered(state.fleet, state.world, request, request.target),)
 
@@ -209,11 +200,10 @@ def _unanswered(fleet: Fleet, world: World, request: Request, executor: Robot | 
     return RequestUnanswered(request.subject, principals, request.capability)
 
 
-@HANDLERS.decide(AcceptAward, target)
-def accept_award(state: State, command: AcceptAward) -> tuple[Event, ...]:
+@HANDLERS.decide_on(open_request, AcceptAward, target)
+def accept_award(state: State, _command: AcceptAward, request: Request) -> tuple[Event, ...]:
     """Commit the executor; its communication agent claims execution until the planner acknowledges."""
-    request = state.request.open.get(command.action_id)
-    if request is None or request.target is None:
+    if request.target is None:
         return ()
     robot = request.target
     parties = _parties(state.fleet, state.world, request, robot, robot)
@@ -237,11 +227,10 @@ def _parties(fleet: Fleet, world: World, request: Request, near: Robot, executor
     return recorded_by(fleet, world, near, requested_by=request.requester, executed_by=executor)
 
 
-@HANDLERS.decide(CloseRequest, requester)
-def close_request(state: State, command: CloseRequest) -> tuple[Event, ...]:
+@HANDLERS.decide_on(open_request, CloseRequest, requester)
+def close_request(state: State, _command: CloseRequest, request: Request) -> tuple[Event, ...]:
     """Close the request at the requester's communication agent."""
-    request = state.request.open.get(command.action_id)
-    if request is None or request.target is None:
+    if request.target is None:
         return ()
     parties = _parties(state.fleet, state.world, request, request.target, request.target)
     principals = parties.decided(*path(request.requester, ("communication",)))

@@ -10,6 +10,7 @@ from fsar_ledger.events.request import GapDetected, RequestAccepted, RequestAdmi
 from fsar_ledger.events.world import ContextChanged, OutsiderRequestInjected, PeersMet
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import advertisement
+from fsar_ledger.projections.request import Request
 from fsar_ledger.projections.world import is_linked
 from fsar_ledger.runtime.handlers.attribution import recorded_by
 from fsar_ledger.runtime.handlers.authority import close_execution
@@ -23,6 +24,7 @@ from fsar_ledger.runtime.handlers.commands import (
     message,
     named,
     nobody,
+    open_request,
 )
 
 HANDLERS = Handlers()
@@ -64,11 +66,10 @@ def _claimed(state: State, robot: Robot) -> list[str]:
     return found if len(found) < 2 else [action for action in state.authority.claims if action in found]
 
 
-@HANDLERS.decide(AnswerOutsider, nobody)
-def answer_outsider(state: State, command: AnswerOutsider) -> tuple[Event, ...]:
+@HANDLERS.decide_on(open_request, AnswerOutsider, nobody)
+def answer_outsider(state: State, _command: AnswerOutsider, request: Request) -> tuple[Event, ...]:
     """Deny what the registry does not show; without trust evaluation, run the request."""
-    request = state.request.open.get(command.action_id)
-    if request is None or request.target is None:
+    if request.target is None:
         return ()
     subject, robot, peer, capability = request.subject, request.requester, request.target, request.capability
     if "trust-evaluation" not in state.fleet.without:

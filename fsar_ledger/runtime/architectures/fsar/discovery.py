@@ -21,6 +21,7 @@ from fsar_ledger.runtime.handlers.commands import (
     Scheduled,
     message,
     nobody,
+    open_request,
     requester,
 )
 from fsar_ledger.runtime.handlers.registry import queried
@@ -102,12 +103,9 @@ def _relays(state: State, request: Request, name: Robot) -> list[Robot]:
     ]
 
 
-@HANDLERS.decide(DetectGap, requester)
-def detect_gap(state: State, command: DetectGap) -> tuple[Event, ...]:
+@HANDLERS.decide_on(open_request, DetectGap, requester)
+def detect_gap(state: State, command: DetectGap, request: Request) -> tuple[Event, ...]:
     """Record that the requester needs another robot; without a registry, search the peers it met."""
-    request = state.request.open.get(command.action_id)
-    if request is None:
-        return ()
     found: tuple[Event, ...] = ()
     if "shared-registry" in state.fleet.without:
         peers, relay = _among_met(state, request, command.now_us)
@@ -170,12 +168,9 @@ def _met(
     return queried(fleet, world, query, answer, request.task_id, request.action_id, relay)
 
 
-@HANDLERS.decide(QueryRegistry, nobody)
-def query_registry(state: State, command: QueryRegistry) -> tuple[Event, ...]:
+@HANDLERS.decide_on(open_request, QueryRegistry, nobody)
+def query_registry(state: State, _command: QueryRegistry, request: Request) -> tuple[Event, ...]:
     """Answer the query from the registry, governed by trust and visibility."""
-    request = state.request.open.get(command.action_id)
-    if request is None:
-        return ()
     query = Query(request.requester, request.capability, request.task_id)
     answer, relay = discover(state, request)
     return (queried(state.fleet, state.world, query, answer, request.task_id, request.action_id, relay),)

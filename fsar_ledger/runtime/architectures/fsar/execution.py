@@ -19,6 +19,7 @@ from fsar_ledger.events.world import ContextChanged, PolicyWindowClosed, PolicyW
 from fsar_ledger.projections.execution import Action, Execution, in_hand
 from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
+from fsar_ledger.projections.request import Request
 from fsar_ledger.projections.world import World, in_force
 from fsar_ledger.runtime.handlers.admissibility import holding
 from fsar_ledger.runtime.handlers.attribution import recorded_by, supervisor_of
@@ -32,8 +33,10 @@ from fsar_ledger.runtime.handlers.commands import (
     StartAction,
     TakeTurn,
     body,
+    known_action,
     message,
     named,
+    open_request,
     requester,
 )
 from fsar_ledger.runtime.handlers.execution import holds_robot, pause_running, queued, start_action, started
@@ -54,12 +57,9 @@ class LearnFleetRule(Command):
     as_of_us: int
 
 
-@HANDLERS.decide(DecideOwnStep, requester)
-def decide_own_step(state: State, command: DecideOwnStep) -> tuple[Event, ...]:
+@HANDLERS.decide_on(open_request, DecideOwnStep, requester)
+def decide_own_step(state: State, _command: DecideOwnStep, request: Request) -> tuple[Event, ...]:
     """Decide to do the step, and queue it at the robot itself."""
-    request = state.request.open.get(command.action_id)
-    if request is None:
-        return ()
     robot = request.requester
     parties = recorded_by(state.fleet, state.world, robot, requested_by=robot, executed_by=robot)
     decided = OwnStepDecided(request.subject, parties.decided(robot), request.capability)
@@ -79,14 +79,13 @@ def ready(execution: Execution, action_id: str) -> Action | None:
     return action
 
 
-@HANDLERS.decide(TakeTurn, body)
-def take_turn(state: State, command: TakeTurn) -> tuple[Event, ...]:
+@HANDLERS.decide_on(known_action, TakeTurn, body)
+def take_turn(state: State, _command: TakeTurn, action: Action) -> tuple[Event, ...]:
     """Accept the request, claim execution and override, and approach.
 
     A request that was preempted comes back as accepted. Paper: eq:auth.
     """
-    action = state.execution.actions.get(command.action_id)
-    if action is None or action.stage not in ("queued", "preempted") or not holds_robot(state.execution, action):
+    if action.stage not in ("queued", "preempted") or not holds_robot(state.execution, action):
         return ()
     robot = action.robot
     approach = ApproachStarted(action.subject, robot)

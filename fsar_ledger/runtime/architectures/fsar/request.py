@@ -38,6 +38,7 @@ from fsar_ledger.runtime.handlers.commands import (
     begin_again,
     message,
     nobody,
+    open_request,
     relay,
     requester,
 )
@@ -80,12 +81,9 @@ class AdmitReviewed(ActionCommand):
     approves: bool = True
 
 
-@HANDLERS.decide(IssueRequest, requester)
-def issue_request(state: State, command: IssueRequest) -> tuple[Event, ...]:
+@HANDLERS.decide_on(open_request, IssueRequest, requester)
+def issue_request(state: State, _command: IssueRequest, request: Request) -> tuple[Event, ...]:
     """Send the request with the requester's own policy; back off without a candidate."""
-    request = state.request.open.get(command.action_id)
-    if request is None:
-        return ()
     if not request.candidates:
         return (unanswered(state.fleet, state.world, request),)
     robot, executor = request.requester, request.candidates[0]
@@ -101,11 +99,10 @@ def issue_request(state: State, command: IssueRequest) -> tuple[Event, ...]:
     )
 
 
-@HANDLERS.decide(RelayRequest, relay)
-def relay_request(state: State, command: RelayRequest) -> tuple[Event, ...]:
+@HANDLERS.decide_on(open_request, RelayRequest, relay)
+def relay_request(state: State, _command: RelayRequest, request: Request) -> tuple[Event, ...]:
     """Pass the request on with the relay's policy added, or let the relay deny it. Paper: eq:nontransitive."""
-    request = state.request.open.get(command.action_id)
-    if request is None or request.relay is None:
+    if request.relay is None:
         return ()
     if request.silent:  # too late, as of an executor
         return report_back(state, ReportBack(request.silent[0]))
@@ -137,11 +134,10 @@ def evaluate_request(state: State, command: EvaluateRequest) -> tuple[Event, ...
     return _judged(state, request, evaluate(state, request, request.candidates[0]), command.now_us)
 
 
-@HANDLERS.decide(AdmitReviewed, asked)
-def admit_reviewed(state: State, command: AdmitReviewed) -> tuple[Event, ...]:
+@HANDLERS.decide_on(open_request, AdmitReviewed, asked)
+def admit_reviewed(state: State, command: AdmitReviewed, request: Request) -> tuple[Event, ...]:
     """Admit the approved request if all but policy still holds, or deny one that was not approved."""
-    request = state.request.open.get(command.action_id)
-    if request is None or not _is_open(state.execution, state.task, request):
+    if not _is_open(state.execution, state.task, request):
         return ()
     executor = request.candidates[0]
     if not command.approves:
@@ -151,14 +147,13 @@ def admit_reviewed(state: State, command: AdmitReviewed) -> tuple[Event, ...]:
     return _judged(state, request, found, command.now_us, is_reviewed=True)
 
 
-@HANDLERS.decide(GoOnWithout, requester)
-def go_on_without(state: State, command: GoOnWithout) -> tuple[Event, ...]:
+@HANDLERS.decide_on(open_request, GoOnWithout, requester)
+def go_on_without(state: State, command: GoOnWithout, request: Request) -> tuple[Event, ...]:
     """Record that the request was not delivered in time, and tell the registry who was silent.
 
     The requester tries again later. Reading: R44.
     """
-    request = state.request.open.get(command.action_id)
-    if request is None or request.is_relayed != command.is_relayed:
+    if request.is_relayed != command.is_relayed:
         return ()
     if (
         not request.candidates
@@ -238,12 +233,9 @@ def _admitted(state: State, request: Request, found: Evaluation, now_us: int) ->
     return (admitted, ExecutionPreempted(interrupted.subject, executor, request.action_id, remaining_us), waiting)
 
 
-@HANDLERS.decide(CloseRequest, nobody)
-def close_request(state: State, command: CloseRequest) -> tuple[Event, ...]:
+@HANDLERS.decide_on(open_request, CloseRequest, nobody)
+def close_request(state: State, _command: CloseRequest, request: Request) -> tuple[Event, ...]:
     """Close the request at the coordination engine. Paper: sec:architecture:fleet."""
-    request = state.request.open.get(command.action_id)
-    if request is None:
-        return ()
     parties = recorded_by(
         state.fleet, state.world, request.requester, requested_by=request.requester, executed_by=request.target
     )
