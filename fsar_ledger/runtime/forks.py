@@ -33,8 +33,8 @@ from .changes import (
     microseconds_of,
     seconds_text,
 )
-from .handlers.commands import PublicCommand
 from .handlers.policy import SetPolicyRule
+from .handlers.public import PublicCommand
 from .handlers.recovery import SetRecoveryBudget
 from .handlers.supervision import SetSupervisionDensity
 from .handlers.trust import SetTrust

@@ -12,12 +12,13 @@ from fsar_ledger.projections.policy import Policy, ruled
 from fsar_ledger.projections.trust import is_within
 from fsar_ledger.projections.world import World, in_force, stricter
 
-from .commands import (
-    Handlers,
+from .commands import Handlers
+from .public import (
     PublicCommand,
+    carried_out,
     expired_context,
+    made_from,
     not_in_charge,
-    rejected,
     unknown_capability,
     unknown_robot,
     unknown_word,
@@ -128,18 +129,8 @@ def set_policy_rule(state: State, command: SetPolicyRule) -> tuple[Event, ...]:
         or expired_context(state.context, command.context)
     )
     refused = refused or _unfit(state.fleet, command)
-    if refused is not None:
-        return rejected(command, command.robot or "fleet", refused, command.issued_by)
-    return (
-        PolicyRuleSet(
-            scope=command.scope,
-            robot=command.robot,
-            capability=command.capability,
-            context=command.context,
-            outcome=command.outcome,
-            decided_by=command.issued_by,
-        ),
-    )
+    made = made_from(PolicyRuleSet, command, decided_by=command.issued_by)
+    return carried_out(command, command.robot or "fleet", refused, command.issued_by, made)
 
 
 @HANDLERS.decide(SetRolePolicyRule)
@@ -159,19 +150,8 @@ def set_role_policy_rule(state: State, command: SetRolePolicyRule) -> tuple[Even
         or expired_context(state.context, command.context)
     )
     refused = refused or unknown_word("outcome", command.outcome, get_args(PolicyOutcome))
-    if refused is not None:
-        return rejected(command, command.role, refused, command.issued_by)
-    return (
-        RolePolicyRuleSet(
-            scope="fleet",
-            role=command.role,
-            outcome=command.outcome,
-            domain=command.domain,
-            capability=command.capability,
-            context=command.context,
-            decided_by=command.issued_by,
-        ),
-    )
+    made = made_from(RolePolicyRuleSet, command, scope="fleet", decided_by=command.issued_by)
+    return carried_out(command, command.role, refused, command.issued_by, made)
 
 
 def _unfit(fleet: Fleet, command: SetPolicyRule) -> str | None:

@@ -17,17 +17,8 @@ from fsar_ledger.projections.recovery import Recovery
 from fsar_ledger.projections.registry import Registry
 from fsar_ledger.projections.world import World
 
-from .commands import (
-    EndAttempt,
-    Handlers,
-    PublicCommand,
-    Scheduled,
-    holds,
-    lasts,
-    not_in_charge,
-    rejected,
-    unknown_robot,
-)
+from .commands import EndAttempt, Handlers, Scheduled, holds, lasts
+from .public import PublicCommand, made_from, not_in_charge, rejected, unknown_robot
 
 LEVELS: tuple[RecoveryLevel, ...] = get_args(RecoveryLevel)
 
@@ -83,15 +74,7 @@ def set_recovery_budget(state: State, command: SetRecoveryBudget) -> tuple[Event
     if refused is not None:
         return rejected(command, command.robot, refused, command.issued_by)
     level = next(level for level in LEVELS if level == command.level)
-    return (
-        RecoveryBudgetSet(
-            robot=command.robot,
-            level=level,
-            t_max_us=command.t_max_us,
-            n_max=command.n_max,
-            decided_by=command.issued_by,
-        ),
-    )
+    return (made_from(RecoveryBudgetSet, command, level=level, decided_by=command.issued_by),)
 
 
 def _impossible(command: SetRecoveryBudget) -> str | None:

@@ -15,7 +15,8 @@ from fsar_ledger.projections.world import World
 
 from .attribution import recorded_by
 from .candidates import Answer, Query, candidates, is_range
-from .commands import Handlers, PublicCommand, rejected, unknown_robot
+from .commands import Handlers
+from .public import PublicCommand, carried_out, rejected, unknown_robot
 
 HANDLERS = Handlers()
 
@@ -104,6 +105,4 @@ def _malformed(query: Query) -> str | None:
 def cache_registry(state: State, command: CacheRegistry) -> tuple[Event, ...]:
     """Give the holder a copy of the registry as it is now."""
     wrong = unknown_robot(state.fleet, command.holder)
-    if wrong is not None:
-        return rejected(command, command.holder, wrong, command.holder)
-    return (RegistryCached(command.holder, command.now_us),)
+    return carried_out(command, command.holder, wrong, command.holder, RegistryCached(command.holder, command.now_us))

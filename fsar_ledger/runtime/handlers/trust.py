@@ -11,16 +11,13 @@ from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import advertisement
 from fsar_ledger.projections.trust import SCOPES, covers, follows_record, is_within, scope_of
 
-from .commands import (
-    Command,
-    Handlers,
+from .commands import Command, Handlers, Scheduled, named, nobody
+from .public import (
     PublicCommand,
-    Scheduled,
+    carried_out,
     expired_context,
-    named,
-    nobody,
+    made_from,
     not_in_charge,
-    rejected,
     unknown_capability,
     unknown_robot,
     unknown_word,
@@ -117,19 +114,8 @@ def set_trust(state: State, command: SetTrust) -> tuple[Event, ...]:
     refused = refused or unknown_word("scope", command.scope, SCOPES)
     if refused is None and command.robot == command.peer:
         refused = f"{command.robot} needs no trust in itself, expected another robot"
-    if refused is not None:
-        return rejected(command, command.robot, refused, command.issued_by)
-    return (
-        TrustSet(
-            robot=command.robot,
-            peer=command.peer,
-            scope=command.scope,
-            capability=command.capability,
-            context=command.context,
-            decided_by=command.issued_by,
-            reason=command.reason,
-        ),
-    )
+    made = made_from(TrustSet, command, decided_by=command.issued_by)
+    return carried_out(command, command.robot, refused, command.issued_by, made)
 
 
 @HANDLERS.decide(SetRoleTrust)
@@ -148,20 +134,8 @@ def set_role_trust(state: State, command: SetRoleTrust) -> tuple[Event, ...]:
         or expired_context(state.context, command.context)
     )
     refused = refused or unknown_word("scope", command.scope, SCOPES)
-    if refused is not None:
-        return rejected(command, command.role, refused, command.issued_by)
-    return (
-        RoleTrustSet(
-            role=command.role,
-            peer_role=command.peer_role,
-            scope=command.scope,
-            domain=command.domain,
-            capability=command.capability,
-            context=command.context,
-            decided_by=command.issued_by,
-            reason=command.reason,
-        ),
-    )
+    made = made_from(RoleTrustSet, command, decided_by=command.issued_by)
+    return carried_out(command, command.role, refused, command.issued_by, made)
 
 
 @HANDLERS.decide(SetTrustThresholds)
@@ -170,9 +144,8 @@ def set_trust_thresholds(state: State, command: SetTrustThresholds) -> tuple[Eve
     refused = not_in_charge(state.fleet, command.issued_by, None, is_fleet_matter=True)
     if refused is None and min(command.promote_after, command.downgrade_after) < 0:
         refused = f"thresholds {command.promote_after} and {command.downgrade_after}, expected 0 (never) or more"
-    if refused is not None:
-        return rejected(command, "trust", refused, command.issued_by)
-    return (TrustThresholdsSet(command.promote_after, command.downgrade_after, command.issued_by),)
+    made = TrustThresholdsSet(command.promote_after, command.downgrade_after, command.issued_by)
+    return carried_out(command, "trust", refused, command.issued_by, made)
 
 
 @HANDLERS.decide(AssessTrust, named)
@@ -191,17 +164,7 @@ def assess_trust(state: State, command: AssessTrust) -> tuple[Event, ...]:
         moved = SCOPES[SCOPES.index(scope) + 1]
     else:
         return ()
-    return (
-        TrustSet(
-            robot=command.robot,
-            peer=command.peer,
-            scope=moved,
-            capability=command.capability,
-            context=command.context,
-            decided_by=TRUST,
-            reason="record",
-        ),
-    )
+    return (made_from(TrustSet, command, scope=moved, decided_by=TRUST, reason="record"),)
 
 
 @HANDLERS.decide(ExpireTrust, nobody)
