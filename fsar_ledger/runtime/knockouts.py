@@ -175,7 +175,7 @@ def _starting_unchecked(*, is_delegated: bool) -> ChangeTable:
             action = ready(state.execution, command.action_id)
             if action is None or action.is_delegated != is_delegated:
                 return checked(state, command)
-            return (started(state.fleet, state.world, action, command),)
+            return (started(state, action, command),)
 
         return HandlerTable({**table.decides, StartAction: start}, table.reacts, table.actors)
 
@@ -184,7 +184,7 @@ def _starting_unchecked(*, is_delegated: bool) -> ChangeTable:
 
 def _moved_unchecked(state: State, command: DecideRoutine) -> tuple[Event, ...]:
     robot = command.robot
-    parties = recorded_by(state.fleet, state.world, robot, requested_by=robot, executed_by=robot)
+    parties = recorded_by(state, robot, requested_by=robot, executed_by=robot)
     return (RoutinePerformed(parties.decided(robot), robot, command.operation),)
 
 
@@ -217,7 +217,7 @@ def _may_try(budgets: Budgets, fleet: Fleet, recovery: Recovery, tried: int, now
 
 
 def _retried(state: State, action: Action, recovery: Recovery) -> RecoveryAttempted:
-    by_robot = parties(state.fleet, state.world, action).decided(action.robot)
+    by_robot = parties(state, action).decided(action.robot)
     allowed = budget(state.budget, state.fleet, action.robot, "local")
     return attempted(action, recovery, by_robot, recovery.detected_us + allowed.t_max_us)
 

@@ -17,10 +17,8 @@ from fsar_ledger.events.execution import (
 from fsar_ledger.events.recovery import FailureResolved
 from fsar_ledger.events.world import ContextChanged, ObstructionAppeared, RobotCameBack, RobotWentOff, RoutineDue
 from fsar_ledger.projections.execution import Action, Execution, Stage, in_hand
-from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.request import Request
-from fsar_ledger.projections.world import World
 from fsar_ledger.runtime.ports import Ask
 
 from .attribution import is_injected, parties
@@ -90,12 +88,12 @@ def waiting(execution: Execution, action_id: str) -> Action | None:
     return action if action is not None and action.stage in ("queued", "approaching") else None
 
 
-def started(fleet: Fleet, world: World, action: Action, command: StartAction) -> ExecutionStarted:
+def started(state: State, action: Action, command: StartAction) -> ExecutionStarted:
     """Return the fact that the action runs from now to its planned end."""
-    duration_us = fleet.structure.injected_execution_us if is_injected(action) else command.answer
+    duration_us = state.fleet.structure.injected_execution_us if is_injected(action) else command.answer
     return ExecutionStarted(
         subject=action.subject,
-        principals=parties(fleet, world, action),
+        principals=parties(state, action),
         robot=action.robot,
         on_behalf_of=action.on_behalf_of,
         capability=action.capability,
@@ -118,7 +116,7 @@ def finish_attempt(state: State, command: FinishAttempt, action: Action) -> tupl
         return ()
     if action.capability != NAVIGATION and not actuator_holds(state.world, action.robot, command.answer):
         return (failed(action, "degradation", command.now_us),)
-    return (_finished(state.fleet, state.world, action),)
+    return (_finished(state, action),)
 
 
 @HANDLERS.decide_on(known_action, DetectObstruction, body)
@@ -156,12 +154,12 @@ def resume_action(state: State, command: ResumeAction, action: Action) -> tuple[
     if action.stage == "preempted" and not (action.has_begun and holds_robot(state.execution, action)):
         return ()
     if action.remaining_us == 0:
-        return (_finished(state.fleet, state.world, action),)
+        return (_finished(state, action),)
     return (ExecutionResumed(action.subject, action.robot, command.now_us + action.remaining_us),)
 
 
-def _finished(fleet: Fleet, world: World, action: Action) -> ExecutionFinished:
-    return ExecutionFinished(action.subject, parties(fleet, world, action), action.robot)
+def _finished(state: State, action: Action) -> ExecutionFinished:
+    return ExecutionFinished(action.subject, parties(state, action), action.robot)
 
 
 def holds_robot(execution: Execution, action: Action) -> bool:

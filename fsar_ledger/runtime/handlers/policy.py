@@ -108,7 +108,7 @@ def conflict(
     fleet = fleet_policy(state.knowledge, state.policy, executor, capability, task_id)
     if (own, fleet) != ("deny", "allow"):
         return ()
-    supervisor = supervisor_for(state.fleet, state.world, executor, is_cross_robot=requester != executor)
+    supervisor = supervisor_for(state, executor, is_cross_robot=requester != executor)
     return (
         PolicyConflictEscalated(
             Subject(task_id, action_id),

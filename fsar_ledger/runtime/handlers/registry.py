@@ -9,9 +9,7 @@ from typing import get_args
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import OverrideLevel, Principal, Robot, Subject
 from fsar_ledger.events.registry import RegistryCached, RegistryConsulted, RegistryQueried
-from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
-from fsar_ledger.projections.world import World
 
 from .attribution import recorded_by
 from .candidates import Answer, Query, candidates, is_range
@@ -22,8 +20,7 @@ HANDLERS = Handlers()
 
 
 def queried(
-    fleet: Fleet,
-    world: World,
+    state: State,
     query: Query,
     answer: Answer,
     task_id: str | None,
@@ -34,8 +31,7 @@ def queried(
     return RegistryQueried(
         subject=Subject(task_id, action_id),
         principals=recorded_by(
-            fleet,
-            world,
+            state,
             query.requester,
             requested_by=query.requester,
             executed_by=answer.candidates[0] if answer.candidates else None,

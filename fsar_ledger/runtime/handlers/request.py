@@ -76,7 +76,7 @@ def request_capability(state: State, command: RequestCapability) -> tuple[Event,
     if reason is not None:
         return rejected(command, command.action_id, reason, command.requester)
     robot, context, action_id = command.requester, command.context, command.action_id
-    parties = recorded_by(state.fleet, state.world, robot, requested_by=robot, executed_by=command.executor)
+    parties = recorded_by(state, robot, requested_by=robot, executed_by=command.executor)
     return (
         GapDetected(Subject(context, action_id), parties, command.capability),
         made_from(
@@ -151,9 +151,7 @@ def answer_offer(state: State, command: AnswerOffer) -> tuple[Event, ...]:
     return (
         OfferAnswered(
             request.request_subject,
-            recorded_by(state.fleet, state.world, robot, requested_by=robot, executed_by=request.candidates[0]).decided(
-                robot
-            ),
+            recorded_by(state, robot, requested_by=robot, executed_by=request.candidates[0]).decided(robot),
             request.offers,
             command.is_accepted,
             request.offered if command.is_accepted else command.override,
@@ -172,7 +170,7 @@ def report_result(state: State, command: ReportResult) -> tuple[Event, ...]:
     reason = _not_reportable(state.registry, action, command)
     made = ExecutionFinished(
         action.subject,
-        parties(state.fleet, state.world, action),
+        parties(state, action),
         robot=action.robot,
         result=command.result,
         achieved=command.achieved,

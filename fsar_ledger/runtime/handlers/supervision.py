@@ -14,11 +14,9 @@ from fsar_ledger.events.supervision import (
     SupervisorCalled,
     SupervisorResponded,
 )
-from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.request import Request
 from fsar_ledger.projections.supervision import Supervision, density
-from fsar_ledger.projections.world import World
 from fsar_ledger.runtime.ports import DISAPPROVES, PREFERS_OTHER, Ask
 
 from .commands import Handlers, Respond, Scheduled, at_once, nobody
@@ -49,13 +47,13 @@ class SetSupervisionDensity(PublicCommand):
     reason: str
 
 
-def supervisor_for(fleet: Fleet, world: World, robot: Robot, is_cross_robot: bool) -> Supervisor:
+def supervisor_for(state: State, robot: Robot, is_cross_robot: bool) -> Supervisor:
     """Return whom to call about the robot: its own H_i on shift about that robot alone, else H_F.
 
     Paper: sec:model:supervision.
     """
-    own = fleet.robots[robot].supervisor
-    if is_cross_robot or own is None or own in world.off_shift:
+    own = state.fleet.robots[robot].supervisor
+    if is_cross_robot or own is None or own in state.world.off_shift:
         return FLEET_SUPERVISOR
     return own
 

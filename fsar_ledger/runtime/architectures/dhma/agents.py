@@ -89,7 +89,7 @@ class HandOver(Command):
 def hand_over(state: State, command: HandOver) -> tuple[InternalHandoff, ...]:
     """Record each hop, without a requester: no message between agents names one."""
     names = path(command.robot, command.agents)
-    parties = recorded_by(state.fleet, state.world, command.robot, requested_by=None, executed_by=command.robot)
+    parties = recorded_by(state, command.robot, requested_by=None, executed_by=command.robot)
     # See docs/decisions/dhma-hops-are-records.md.
     return tuple([InternalHandoff(parties, sender, receiver) for sender, receiver in pairwise(names)])
 
@@ -154,7 +154,7 @@ def take_snapshot(state: State, command: TakeSnapshot) -> tuple[Event, ...]:
 def detect_gap(state: State, _command: DetectGap, request: Request) -> tuple[Event, ...]:
     """Record the planner's finding that the step needs another robot."""
     robot = request.requester
-    parties = recorded_by(state.fleet, state.world, robot, requested_by=robot, executed_by=None)
+    parties = recorded_by(state, robot, requested_by=robot, executed_by=None)
     return (GapDetected(request.subject, parties, request.capability),)
 
 

@@ -219,7 +219,7 @@ class QueueOwnStep(ActionCommand):
 def plan_own_step(state: State, command: PlanOwnStep, request: Request) -> tuple[Event, ...]:
     """Decide to do the step, unless the planner's snapshot forbids it for now."""
     robot, outcome = request.requester, snapshot(state.knowledge, request.requester)
-    parties = recorded_by(state.fleet, state.world, robot, requested_by=robot, executed_by=robot)
+    parties = recorded_by(state, robot, requested_by=robot, executed_by=robot)
     principals = parties.decided(*path(robot, ("planning",)))
     if command.action_id not in state.supervision.approved:
         if outcome == "deny":
@@ -233,7 +233,7 @@ def plan_own_step(state: State, command: PlanOwnStep, request: Request) -> tuple
 def queue_own_step(state: State, _command: QueueOwnStep, request: Request) -> tuple[Event, ...]:
     """Queue the step for the robot."""
     robot = request.requester
-    parties = recorded_by(state.fleet, state.world, robot, requested_by=robot, executed_by=robot)
+    parties = recorded_by(state, robot, requested_by=robot, executed_by=robot)
     return (queued(request, parties, robot),)
 
 
@@ -250,7 +250,7 @@ def start(state: State, command: StartAction) -> tuple[Event, ...]:
             ContractVoided(action.subject, action.robot),
             ExecutionWithdrawn(action.subject, action.robot),
         )
-    return (started(state.fleet, state.world, action, command),)
+    return (started(state, action, command),)
 
 
 @HANDLERS.decide(DecideRoutine, named)
@@ -261,9 +261,9 @@ def decide_routine(state: State, command: DecideRoutine) -> tuple[Event, ...]:
     """
     robot = command.robot
     if command.operation == "sensing":
-        own = recorded_by(state.fleet, state.world, robot, requested_by=robot, executed_by=robot)
+        own = recorded_by(state, robot, requested_by=robot, executed_by=robot)
         return (RoutinePerformed(own.decided(robot), robot, "sensing"),)
-    parties = recorded_by(state.fleet, state.world, robot, requested_by=robot, executed_by=None)
+    parties = recorded_by(state, robot, requested_by=robot, executed_by=None)
     kind = RoutinePerformed if snapshot(state.knowledge, robot) == "allow" else RoutineWithheld
     return (
         kind(parties.decided(*path(robot, ("planning",))), robot, "motion"),

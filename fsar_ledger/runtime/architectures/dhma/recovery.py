@@ -11,10 +11,8 @@ from fsar_ledger.events.recovery import FailureResolved, RecoveryAttempted, Reco
 from fsar_ledger.events.supervision import SupervisorCalled
 from fsar_ledger.projections.authority import Authority
 from fsar_ledger.projections.execution import Action
-from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.recovery import Recovery
-from fsar_ledger.projections.world import World
 from fsar_ledger.runtime.handlers.attribution import parties
 from fsar_ledger.runtime.handlers.authority import release
 from fsar_ledger.runtime.handlers.commands import (
@@ -49,8 +47,8 @@ class Escalate(ActionCommand):
     """Escalate a failure that the robot's agents have given up on."""
 
 
-def _heard_by(fleet: Fleet, world: World, action: Action, heard: Talk = RECOVERY) -> Principals:
-    return parties(fleet, world, action).decided(*path(action.robot, heard))
+def _heard_by(state: State, action: Action, heard: Talk = RECOVERY) -> Principals:
+    return parties(state, action).decided(*path(action.robot, heard))
 
 
 def _is_disputed(authority: Authority, action_id: str) -> bool:
@@ -71,12 +69,12 @@ def dispute(state: State, _command: Dispute, failure: Failure) -> tuple[Event, .
 def start_recovery(state: State, _command: StartRecovery, failure: Failure) -> tuple[Event, ...]:
     """Start the first attempt to recover."""
     action, recovery = failure
-    return (_attempted(state.fleet, state.world, action, recovery),)
+    return (_attempted(state, action, recovery),)
 
 
-def _attempted(fleet: Fleet, world: World, action: Action, recovery: Recovery) -> RecoveryAttempted:
-    deadline_us = recovery.detected_us + fleet.structure.local_budget_us
-    return attempted(action, recovery, _heard_by(fleet, world, action), deadline_us)
+def _attempted(state: State, action: Action, recovery: Recovery) -> RecoveryAttempted:
+    deadline_us = recovery.detected_us + state.fleet.structure.local_budget_us
+    return attempted(action, recovery, _heard_by(state, action), deadline_us)
 
 
 @HANDLERS.decide_on(open_failure, EndAttempt, body)
@@ -98,8 +96,8 @@ def end_attempt(state: State, command: EndAttempt, failure: Failure) -> tuple[Ev
             ),
         )
     if recovery.number < state.fleet.structure.local_attempts:
-        return (_attempted(state.fleet, state.world, action, recovery),)
-    return _escalated(state.fleet, state.world, action, recovery)
+        return (_attempted(state, action, recovery),)
+    return _escalated(state, action, recovery)
 
 
 @HANDLERS.decide_on(open_failure, Escalate, body)
@@ -109,18 +107,16 @@ def escalate(state: State, _command: Escalate, failure: Failure) -> tuple[Event,
     if recovery.level != "local":
         return ()
     return (
-        *_escalated(state.fleet, state.world, action, recovery, ("recovery",)),
+        *_escalated(state, action, recovery, ("recovery",)),
         *release(state.authority, action.action_id, DISPUTE),
     )
 
 
-def _escalated(
-    fleet: Fleet, world: World, action: Action, recovery: Recovery, heard: Talk = RECOVERY
-) -> tuple[Event, ...]:
+def _escalated(state: State, action: Action, recovery: Recovery, heard: Talk = RECOVERY) -> tuple[Event, ...]:
     return (
         RecoveryEscalated(
             subject=action.subject,
-            principals=_heard_by(fleet, world, action, heard),
+            principals=_heard_by(state, action, heard),
             robot=action.robot,
             failure=recovery.failure,
             level="local",

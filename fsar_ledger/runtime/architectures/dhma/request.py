@@ -106,7 +106,7 @@ def call_for_proposals(state: State, _command: CallForProposals, request: Reques
     """Call every capable robot."""
     robot = request.requester
     candidates = capable(state.fleet, state.registry, request.capability, robot)
-    asking = _parties(state.fleet, state.world, request, robot, None)  # whoever is awarded executes
+    asking = _parties(state, request, robot, None)  # whoever is awarded executes
     return (
         RegistryQueried(
             subject=request.subject, principals=asking, capability=request.capability, candidates=candidates
@@ -123,7 +123,7 @@ def call_for_proposals(state: State, _command: CallForProposals, request: Reques
 def evaluate_bid(state: State, command: EvaluateBid, request: Request) -> tuple[Event, ...]:
     """Bid by the snapshot of the candidate's planner, without naming the agent that would execute."""
     robot, outcome = command.robot, snapshot(state.knowledge, command.robot)
-    parties = _parties(state.fleet, state.world, request, robot, None)  # a candidate is not yet the executor
+    parties = _parties(state, request, robot, None)  # a candidate is not yet the executor
     judging = parties.decided(*path(robot, EVALUATION))
     submitted = BidSubmitted(request.task_id, parties, robot, outcome)
     if outcome == "deny":
@@ -153,7 +153,7 @@ def award(state: State, command: Award) -> tuple[Event, ...]:
         return ()
     if best[1] == "review" and command.action_id not in state.supervision.approved:
         return (SupervisorCalled(subject=request.subject, supervisor=FLEET_SUPERVISOR, purpose="review"),)
-    parties = _parties(state.fleet, state.world, request, request.requester, None)
+    parties = _parties(state, request, request.requester, None)
     return (AwardMade(request.task_id, parties, best[0]),)
 
 
@@ -175,7 +175,7 @@ def close_bidding(state: State, command: CloseBidding, request: Request) -> tupl
         return ()
     if best_bid(request) is not None:
         return award(state, Award(command.action_id, now_us=command.now_us))
-    return (_unanswered(state.fleet, state.world, request, None),)
+    return (_unanswered(state, request, None),)
 
 
 def _may_answer(world: World, request: Request) -> bool:
@@ -191,12 +191,12 @@ def go_on_without(state: State, command: GoOnWithout, request: Request) -> tuple
     """Void an award that was not accepted in time; the step is tried again later. Reading: R44."""
     if request.round != command.round or request.target is None or request.is_accepted:
         return ()
-    return (_unanswered(state.fleet, state.world, request, request.target),)
+    return (_unanswered(state, request, request.target),)
 
 
-def _unanswered(fleet: Fleet, world: World, request: Request, executor: Robot | None) -> RequestUnanswered:
+def _unanswered(state: State, request: Request, executor: Robot | None) -> RequestUnanswered:
     robot = request.requester
-    principals = _parties(fleet, world, request, robot, executor).decided(*path(robot, ("communication",)))
+    principals = _parties(state, request, robot, executor).decided(*path(robot, ("communication",)))
     return RequestUnanswered(request.subject, principals, request.capability)
 
 
@@ -206,7 +206,7 @@ def accept_award(state: State, _command: AcceptAward, request: Request) -> tuple
     if request.target is None:
         return ()
     robot = request.target
-    parties = _parties(state.fleet, state.world, request, robot, robot)
+    parties = _parties(state, request, robot, robot)
     principals = parties.decided(*path(robot, ("communication",)))  # the other agents have still to hear of it
     made: list[Event] = [RequestAccepted(request.request_subject, principals)]
     if not is_idle(state.execution, robot):
@@ -222,9 +222,9 @@ def _claim(request: Request, dimension: Any, claimant: Principal, reason: str) -
     return AuthorityClaimed(request.subject, dimension, claimant, reason)
 
 
-def _parties(fleet: Fleet, world: World, request: Request, near: Robot, executor: Robot | None) -> Parties:
+def _parties(state: State, request: Request, near: Robot, executor: Robot | None) -> Parties:
     """Return whom a record of the request names, under the supervisor of the robot that keeps it."""
-    return recorded_by(fleet, world, near, requested_by=request.requester, executed_by=executor)
+    return recorded_by(state, near, requested_by=request.requester, executed_by=executor)
 
 
 @HANDLERS.decide_on(open_request, CloseRequest, requester)
@@ -232,7 +232,7 @@ def close_request(state: State, _command: CloseRequest, request: Request) -> tup
     """Close the request at the requester's communication agent."""
     if request.target is None:
         return ()
-    parties = _parties(state.fleet, state.world, request, request.target, request.target)
+    parties = _parties(state, request, request.target, request.target)
     principals = parties.decided(*path(request.requester, ("communication",)))
     return (RequestClosed(request.request_subject, principals),)
 

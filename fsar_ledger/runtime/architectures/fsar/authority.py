@@ -73,7 +73,7 @@ def answer_outsider(state: State, _command: AnswerOutsider, request: Request) ->
         return ()
     subject, robot, peer, capability = request.subject, request.requester, request.target, request.capability
     if "trust-evaluation" not in state.fleet.without:
-        unexecuted = recorded_by(state.fleet, state.world, robot, requested_by=robot, executed_by=None)
+        unexecuted = recorded_by(state, robot, requested_by=robot, executed_by=None)
         return (
             _refused(state, request.task_id, robot, peer, capability),
             RequestDenied(request.request_subject, unexecuted.decided(REGISTRY), "advertisement"),
@@ -116,7 +116,7 @@ def _refused(state: State, task_id: str, robot: Robot, peer: Robot, capability: 
     by = None if record is None else rejecting_filter(state, Query(robot, capability, task_id), record)
     return RegistryQueried(
         subject=Subject(task_id, task_id),
-        principals=recorded_by(state.fleet, state.world, robot, requested_by=robot, executed_by=peer),
+        principals=recorded_by(state, robot, requested_by=robot, executed_by=peer),
         capability=capability,
         candidates=(),
         rejected=(peer,),

@@ -12,7 +12,6 @@ from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import Registry, advertisement, offers
 from fsar_ledger.projections.request import Request
-from fsar_ledger.projections.world import World
 from fsar_ledger.runtime.handlers.attribution import capable, is_idle, nearest_first, recorded_by
 from fsar_ledger.runtime.handlers.candidates import Answer, Query, candidates, rejecting_filter
 from fsar_ledger.runtime.handlers.commands import (
@@ -112,12 +111,12 @@ def detect_gap(state: State, command: DetectGap, request: Request) -> tuple[Even
         if not peers:
             if request.attempt > 1:
                 return (PeerSought(request.subject, request.requester),)
-            return (unanswered(state.fleet, state.world, request),)
-        found = (_met(state.fleet, state.world, request, peers, relay),)
+            return (unanswered(state, request),)
+        found = (_met(state, request, peers, relay),)
     return (
         GapDetected(
             request.subject,
-            recorded_by(state.fleet, state.world, request.requester, requested_by=request.requester, executed_by=None),
+            recorded_by(state, request.requester, requested_by=request.requester, executed_by=None),
             request.capability,
         ),
         *found,
@@ -149,23 +148,21 @@ def _among_met(state: State, request: Request, now_us: int) -> Found:
     return (), None
 
 
-def unanswered(fleet: Fleet, world: World, request: Request, executor: Robot | None = None) -> RequestUnanswered:
+def unanswered(state: State, request: Request, executor: Robot | None = None) -> RequestUnanswered:
     """Return the fact that the requester knows nobody to ask, or that this executor did not answer."""
     robot = request.requester
     return RequestUnanswered(
         request.subject,
-        recorded_by(fleet, world, robot, requested_by=robot, executed_by=executor).decided(robot),
+        recorded_by(state, robot, requested_by=robot, executed_by=executor).decided(robot),
         request.capability,
     )
 
 
-def _met(
-    fleet: Fleet, world: World, request: Request, found: tuple[Robot, ...], relay: Robot | None
-) -> RegistryQueried:
+def _met(state: State, request: Request, found: tuple[Robot, ...], relay: Robot | None) -> RegistryQueried:
     """Return the record of an answer from memory, which gives no reasons for those left out."""
     query = Query(request.requester, request.capability, request.task_id)
     answer = Answer(found, (request.capability,) * len(found), (), ())
-    return queried(fleet, world, query, answer, request.task_id, request.action_id, relay)
+    return queried(state, query, answer, request.task_id, request.action_id, relay)
 
 
 @HANDLERS.decide_on(open_request, QueryRegistry, nobody)
@@ -173,7 +170,7 @@ def query_registry(state: State, _command: QueryRegistry, request: Request) -> t
     """Answer the query from the registry, governed by trust and visibility."""
     query = Query(request.requester, request.capability, request.task_id)
     answer, relay = discover(state, request)
-    return (queried(state.fleet, state.world, query, answer, request.task_id, request.action_id, relay),)
+    return (queried(state, query, answer, request.task_id, request.action_id, relay),)
 
 
 @HANDLERS.react(StepBegan)

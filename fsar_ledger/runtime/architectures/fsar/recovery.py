@@ -121,7 +121,7 @@ def start_recovery(state: State, command: StartRecovery, failure: Failure) -> tu
     action, recovery = failure
     if recovery.level != "local" or recovery.number > 0:
         return ()
-    by_robot = parties(state.fleet, state.world, action).decided(action.robot)
+    by_robot = parties(state, action).decided(action.robot)
     if "layered-recovery" in state.fleet.without:
         called = SupervisorCalled(subject=action.subject, supervisor=FLEET_SUPERVISOR, purpose="recovery")
         return (_escalated(action, recovery, by_robot, "human", "no layered recovery"), called)
@@ -141,7 +141,7 @@ def end_attempt(state: State, command: EndAttempt, failure: Failure) -> tuple[Ev
     if attempt_succeeds(state.world, recovery, command):
         return (FailureResolved(action.subject, action.robot, recovery.failure, "local"),)
     failed = attempt_failed(state.registry, state.world, action, recovery)
-    by_robot = parties(state.fleet, state.world, action).decided(action.robot)
+    by_robot = parties(state, action).decided(action.robot)
     allowed = budget(state.budget, state.fleet, action.robot, "local")
     if recovery.number < allowed.n_max and command.now_us < recovery.deadline_us:
         return (failed, attempted(action, recovery, by_robot, recovery.deadline_us))
@@ -164,7 +164,7 @@ def ask_peers(state: State, command: AskPeers, failure: Failure) -> tuple[Event,
         and not (command.is_last and (command.failure, command.asked) != (recovery.failure, len(recovery.tried)))
     ):
         return ()
-    named = parties(state.fleet, state.world, action)
+    named = parties(state, action)
     by_service = named.decided(RECOVERY)
     if _is_exhausted(state.budget, state.fleet, action, "peer", command.now_us - command.since_us, len(recovery.tried)):
         return (_escalated(action, recovery, by_service, "fleet", EXHAUSTED),)
@@ -178,9 +178,7 @@ def ask_peers(state: State, command: AskPeers, failure: Failure) -> tuple[Event,
             _escalated(action, recovery, by_service, "fleet", reason),
             *found_silent(state.fleet, state.registry, silent),
         )
-    admitting = recorded_by(
-        state.fleet, state.world, helper, requested_by=action.requested_by, executed_by=action.executed_by
-    )
+    admitting = recorded_by(state, helper, requested_by=action.requested_by, executed_by=action.executed_by)
     return (
         *query,
         AssistanceRequested(
@@ -228,7 +226,7 @@ def consider_reassignment(state: State, command: ConsiderReassignment, failure: 
         return ()
     decided = ReassignmentDecided(
         subject=action.subject,
-        principals=parties(state.fleet, state.world, action).decided(RECOVERY),
+        principals=parties(state, action).decided(RECOVERY),
         robot=action.robot,
         helper=helper,
         failure=recovery.failure,
@@ -260,9 +258,7 @@ def _handed_over(state: State, action: Action, recovery: Recovery, helper: Robot
         ),
         ExecutionQueued(
             subject=action.subject,
-            principals=recorded_by(
-                state.fleet, state.world, helper, requested_by=action.on_behalf_of, executed_by=helper
-            ),
+            principals=recorded_by(state, helper, requested_by=action.on_behalf_of, executed_by=helper),
             robot=helper,
             on_behalf_of=action.on_behalf_of,
             capability=action.capability,
@@ -278,13 +274,13 @@ def _handed_over(state: State, action: Action, recovery: Recovery, helper: Robot
 def _to_human(state: State, action: Action, recovery: Recovery, reason: str) -> tuple[Event, ...]:
     """Call H_i if only the robot is concerned, else H_F. Paper: sec:model:recovery, level 4."""
     # See docs/decisions/level-4-goes-by-scope.md.
-    supervisor = supervisor_for(state.fleet, state.world, action.robot, is_cross_robot(state.task, action))
+    supervisor = supervisor_for(state, action.robot, is_cross_robot(state.task, action))
     called = SupervisorCalled(subject=action.subject, supervisor=supervisor, purpose="recovery")
     principals = Principals(  # the service does not decide here, it passes on
         decided_by=RECOVERY,
         requested_by=action.requested_by,
         executed_by=action.executed_by,
-        supervised_by=supervisor_of(state.fleet, state.world, action),
+        supervised_by=supervisor_of(state, action),
         path=(),
     )
     return (_escalated(action, recovery, principals, "human", reason), called)

@@ -18,12 +18,11 @@ from fsar_ledger.events.request import (
 )
 from fsar_ledger.events.supervision import SupervisorCalled, SupervisorResponded
 from fsar_ledger.projections.execution import Execution
-from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.request import Request
 from fsar_ledger.projections.supervision import is_asked
 from fsar_ledger.projections.task import Tasks
-from fsar_ledger.projections.world import World, stricter
+from fsar_ledger.projections.world import stricter
 from fsar_ledger.runtime.handlers.admissibility import Evaluation, evaluate, is_revoked, preemptible
 from fsar_ledger.runtime.handlers.attribution import recorded_by
 from fsar_ledger.runtime.handlers.commands import (
@@ -85,9 +84,9 @@ class AdmitReviewed(ActionCommand):
 def issue_request(state: State, _command: IssueRequest, request: Request) -> tuple[Event, ...]:
     """Send the request with the requester's own policy; back off without a candidate."""
     if not request.candidates:
-        return (unanswered(state.fleet, state.world, request),)
+        return (unanswered(state, request),)
     robot, executor = request.requester, request.candidates[0]
-    parties = recorded_by(state.fleet, state.world, robot, requested_by=robot, executed_by=executor)
+    parties = recorded_by(state, robot, requested_by=robot, executed_by=executor)
     return (
         RequestIssued(
             subject=request.request_subject,
@@ -107,9 +106,7 @@ def relay_request(state: State, _command: RelayRequest, request: Request) -> tup
     if request.silent:  # too late, as of an executor
         return report_back(state, ReportBack(request.silent[0]))
     relay, about = request.relay, (request.capability, request.task_id)
-    parties = recorded_by(
-        state.fleet, state.world, relay, requested_by=request.requester, executed_by=request.candidates[0]
-    )
+    parties = recorded_by(state, relay, requested_by=request.requester, executed_by=request.candidates[0])
     subject, principals = request.request_subject, parties.decided(request.requester, relay)
     if not trusts(state, relay, request.requester, *about):
         return (RequestDenied(subject, principals, "trust"),)
@@ -141,7 +138,7 @@ def admit_reviewed(state: State, command: AdmitReviewed, request: Request) -> tu
         return ()
     executor = request.candidates[0]
     if not command.approves:
-        by_executor = _parties(state.fleet, state.world, request, executor).decided(executor)
+        by_executor = _parties(state, request, executor).decided(executor)
         return (RequestDenied(request.request_subject, by_executor, "review"),)
     found = evaluate(state, request, executor, is_reviewed=True)
     return _judged(state, request, found, command.now_us, is_reviewed=True)
@@ -166,7 +163,7 @@ def go_on_without(state: State, command: GoOnWithout, request: Request) -> tuple
     executor = request.candidates[0]
     silent = executor if request.relay is None or request.is_relayed else request.relay
     return (
-        unanswered(state.fleet, state.world, request, silent),
+        unanswered(state, request, silent),
         *found_silent(state.fleet, state.registry, (silent,)),
     )
 
@@ -184,7 +181,7 @@ def _judged(
 ) -> tuple[Event, ...]:
     executor = request.candidates[0]
     subject = request.request_subject
-    principals = _parties(state.fleet, state.world, request, executor).decided(executor)
+    principals = _parties(state, request, executor).decided(executor)
     if found.verdict == "reject":
         clash = (
             conflict(state, request.task_id, request.action_id, request.requester, executor, request.capability)
@@ -201,15 +198,15 @@ def _judged(
     return put_in_order(state, request, executor, principals) or _admitted(state, request, found, now_us)
 
 
-def _parties(fleet: Fleet, world: World, request: Request, executor: Robot) -> Parties:
+def _parties(state: State, request: Request, executor: Robot) -> Parties:
     """Return whom the executor's records of the request name."""
-    return recorded_by(fleet, world, executor, requested_by=request.requester, executed_by=executor)
+    return recorded_by(state, executor, requested_by=request.requester, executed_by=executor)
 
 
 def _admitted(state: State, request: Request, found: Evaluation, now_us: int) -> tuple[Event, ...]:
     """Admit the request with its authority, and let it wait for the robot or take it. Paper: eq:auth, eq:override."""
     executor = request.candidates[0]
-    parties = _parties(state.fleet, state.world, request, executor)
+    parties = _parties(state, request, executor)
     principals = parties.decided(executor)
     admitted = RequestAdmitted(
         subject=request.request_subject,
@@ -236,9 +233,7 @@ def _admitted(state: State, request: Request, found: Evaluation, now_us: int) ->
 @HANDLERS.decide_on(open_request, CloseRequest, nobody)
 def close_request(state: State, _command: CloseRequest, request: Request) -> tuple[Event, ...]:
     """Close the request at the coordination engine. Paper: sec:architecture:fleet."""
-    parties = recorded_by(
-        state.fleet, state.world, request.requester, requested_by=request.requester, executed_by=request.target
-    )
+    parties = recorded_by(state, request.requester, requested_by=request.requester, executed_by=request.target)
     return (RequestClosed(request.request_subject, parties.decided(COORDINATION), request.result or "success"),)
 
 
