@@ -112,6 +112,14 @@ def talk(
     return lengths, Scheduled(HandOver(robot, agents), after_us, lengths)
 
 
+def after_talk(
+    command: Command, said: TalkPlan, after_us: int = 0, waits: tuple[Ask, ...] = ()
+) -> tuple[Scheduled, ...]:
+    """Schedule what follows once the agents have talked and these waits are over, and the record of their talk."""
+    lengths, record = said
+    return (Scheduled(command, after_us, (*lengths, *waits)), record)
+
+
 @lru_cache(1 << 15)  # a talk of every robot of a large fleet: most of its events are hops
 def path(robot: Robot, agents: Talk) -> tuple[Agent, ...]:
     """Return the path of a decision that went through these agents of the robot, decider last."""

@@ -27,7 +27,6 @@ from fsar_ledger.runtime.handlers.attribution import recorded_by
 from fsar_ledger.runtime.handlers.authority import release
 from fsar_ledger.runtime.handlers.commands import (
     ActionCommand,
-    Command,
     DecideRoutine,
     Handlers,
     ResumeAction,
@@ -55,7 +54,7 @@ from .agents import (
     SETTLEMENT,
     TO_EXECUTION,
     TO_PLANNING,
-    TalkPlan,
+    after_talk,
     path,
     snapshot,
     talk,
@@ -163,48 +162,30 @@ def _on_acceptance(state: State, event: AuthorityClaimed, _now_us: int) -> tuple
     contract = (event.subject.action_id, request.round)
     match event.reason:
         case "double booking" if event.claimant == agent(robot, "execution"):
-            said, record = talk(state.fleet, robot, SETTLEMENT, key, "settle")
-            return (
-                Scheduled(
-                    SettleBooking(event.subject.action_id),
-                    0,
-                    (*said, message(robot, key, "settle"), message(request.requester, key, "settled")),
-                ),
-                record,
-            )
+            said = talk(state.fleet, robot, SETTLEMENT, key, "settle")
+            told = (message(robot, key, "settle"), message(request.requester, key, "settled"))
+            return after_talk(SettleBooking(event.subject.action_id), said, 0, told)
         case "acceptance":
-            return _heard(
-                talk(state.fleet, robot, TO_PLANNING, key, "planning"), PassExecution(*contract, *TO_PLANNING)
-            )
+            said = talk(state.fleet, robot, TO_PLANNING, key, "planning")
+            return after_talk(PassExecution(*contract, *TO_PLANNING), said)
         case "planning":
-            acknowledged = _heard(
-                talk(state.fleet, robot, FROM_PLANNING, key, "acknowledged"),
-                AcknowledgeExecution(*contract, "communication"),
-            )
+            acknowledged = talk(state.fleet, robot, FROM_PLANNING, key, "acknowledged")
+            passed = talk(state.fleet, robot, TO_EXECUTION, key, "execution")
             return (
-                *acknowledged,
-                *_heard(
-                    talk(state.fleet, robot, TO_EXECUTION, key, "execution"), PassExecution(*contract, *TO_EXECUTION)
-                ),
+                *after_talk(AcknowledgeExecution(*contract, "communication"), acknowledged),
+                *after_talk(PassExecution(*contract, *TO_EXECUTION), passed),
             )
         case "execution":
-            return _heard(
-                talk(state.fleet, robot, FROM_EXECUTION, key, "confirmed"), AcknowledgeExecution(*contract, "planning")
-            )
+            said = talk(state.fleet, robot, FROM_EXECUTION, key, "confirmed")
+            return after_talk(AcknowledgeExecution(*contract, "planning"), said)
         case _:
             return ()
 
 
-def _heard(said: TalkPlan, command: Command) -> tuple[Scheduled, ...]:
-    """Schedule what follows once the agents have talked, and the record of their talk."""
-    lengths, record = said
-    return (Scheduled(command, 0, lengths), record)
-
-
 @HANDLERS.react(OutsiderRequestInjected)
 def _on_outsider(state: State, event: OutsiderRequestInjected, _now_us: int) -> tuple[Scheduled, ...]:
-    said, record = talk(state.fleet, event.robot, CALL, event.task_id, "query")
-    return (Scheduled(RunOutsider(event.task_id), 0, (*said, message(event.robot, event.task_id, 0))), record)
+    said = talk(state.fleet, event.robot, CALL, event.task_id, "query")
+    return after_talk(RunOutsider(event.task_id), said, 0, (message(event.robot, event.task_id, 0),))
 
 
 class PlanOwnStep(ActionCommand):
@@ -295,14 +276,9 @@ def _on_response(state: State, event: SupervisorResponded, _now_us: int) -> tupl
 @HANDLERS.react(OwnStepDecided)
 def _on_own_step(state: State, event: OwnStepDecided, _now_us: int) -> tuple[Scheduled, ...]:
     assert event.subject.action_id is not None
-    said, record = talk(
-        state.fleet,
-        state.request.open[event.subject.action_id].requester,
-        OWN_STEP,
-        event.subject.action_id,
-        "own",
-    )
-    return (Scheduled(QueueOwnStep(event.subject.action_id), 0, said), record)
+    robot = state.request.open[event.subject.action_id].requester
+    said = talk(state.fleet, robot, OWN_STEP, event.subject.action_id, "own")
+    return after_talk(QueueOwnStep(event.subject.action_id), said)
 
 
 @HANDLERS.react(ExecutionPaused)
@@ -311,22 +287,13 @@ def _on_pause(state: State, event: ExecutionPaused, _now_us: int) -> tuple[Sched
     structure = state.fleet.structure
     action = state.execution.actions[event.subject.action_id]
     key = f"{event.subject.action_id}/replan{action.segments}"
-    said, record = talk(state.fleet, action.robot, REPLANNING, key, "own")
+    resume = ResumeAction(event.subject.action_id)
+    own = talk(state.fleet, action.robot, REPLANNING, key, "own")
     if not action.is_delegated:
-        return (Scheduled(ResumeAction(event.subject.action_id), structure.replan_us, said), record)
-    agreed, other = talk(
-        state.fleet,
-        action.on_behalf_of,
-        RENEGOTIATION,
-        key,
-        "other",
-        (*said, message(event.robot, key, 0), message(action.on_behalf_of, key, 1)),
-    )
-    return (
-        Scheduled(ResumeAction(event.subject.action_id), structure.replan_us + structure.renegotiation_us, agreed),
-        record,
-        other,
-    )
+        return after_talk(resume, own, structure.replan_us)
+    heard = (*own[0], message(event.robot, key, 0), message(action.on_behalf_of, key, 1))
+    agreed, other = talk(state.fleet, action.on_behalf_of, RENEGOTIATION, key, "other", heard)
+    return (Scheduled(resume, structure.replan_us + structure.renegotiation_us, agreed), own[1], other)
 
 
 HANDLERS.decide(TakeTurn, body)(approach)

@@ -46,7 +46,7 @@ from fsar_ledger.runtime.handlers.commands import (
 from fsar_ledger.runtime.handlers.execution import queued
 from fsar_ledger.runtime.ports import Ask
 
-from .agents import CALL, EVALUATION, OWN_RESULT, RELAY, RESULT, VOIDING, path, snapshot, talk
+from .agents import CALL, EVALUATION, OWN_RESULT, RELAY, RESULT, VOIDING, after_talk, path, snapshot, talk
 
 HANDLERS = Handlers()
 
@@ -243,16 +243,16 @@ LONGEST = 3  # a call that is delivered within the answer time, and two hops, ar
 def call(fleet: Fleet, request: Request, robot: Robot, before: tuple[Ask, ...] = ()) -> tuple[Scheduled, ...]:
     """Deliver the call to the candidate, whose agents work out a bid. The waits `before` come first."""
     key = f"{request.action_id}/{request.round}/{robot}"
-    said, record = talk(fleet, robot, EVALUATION, key, "evaluate", (*before, message(request.requester, key, "call")))
-    return (Scheduled(EvaluateBid(request.action_id, robot), 0, said), record)
+    said = talk(fleet, robot, EVALUATION, key, "evaluate", (*before, message(request.requester, key, "call")))
+    return after_talk(EvaluateBid(request.action_id, robot), said)
 
 
 @HANDLERS.react(GapDetected)
 def _on_gap(state: State, event: GapDetected, _now_us: int) -> tuple[Scheduled, ...]:
     assert event.subject.action_id is not None
     robot = state.request.open[event.subject.action_id].requester
-    said, record = talk(state.fleet, robot, CALL, event.subject.action_id, 0)
-    return (Scheduled(CallForProposals(event.subject.action_id), 0, said), record)
+    said = talk(state.fleet, robot, CALL, event.subject.action_id, 0)
+    return after_talk(CallForProposals(event.subject.action_id), said)
 
 
 @HANDLERS.react(RegistryQueried)
@@ -284,8 +284,8 @@ def _on_bid(state: State, event: BidSubmitted, _now_us: int) -> tuple[Scheduled,
         return ()
     key = f"{request.action_id}/{request.round}/{event.robot}"
     received = ReceiveBid(request.action_id, event.robot, event.outcome)
-    said, record = talk(state.fleet, request.requester, RELAY, key, "relay", (message(event.robot, key, "bid"),))
-    return (Scheduled(received, 0, said), record)
+    said = talk(state.fleet, request.requester, RELAY, key, "relay", (message(event.robot, key, "bid"),))
+    return after_talk(received, said)
 
 
 @HANDLERS.react(BidReceived)
@@ -343,14 +343,11 @@ def _on_finish(state: State, event: ExecutionFinished, _now_us: int) -> tuple[Sc
     if request is None or request.step == 0:
         return (close,)
     agents = RESULT if request.is_delegated else OWN_RESULT
-    said, record = talk(state.fleet, event.robot, agents, event.subject.action_id, "result")
+    said = talk(state.fleet, event.robot, agents, event.subject.action_id, "result")
     if not request.is_delegated:
-        return (close, Scheduled(CompleteStep(event.subject.action_id), 0, said), record)
-    return (
-        close,
-        Scheduled(CloseRequest(event.subject.action_id), 0, (*said, message(event.robot, event.subject.action_id, 4))),
-        record,
-    )
+        return (close, *after_talk(CompleteStep(event.subject.action_id), said))
+    told = (message(event.robot, event.subject.action_id, 4),)
+    return (close, *after_talk(CloseRequest(event.subject.action_id), said, 0, told))
 
 
 @HANDLERS.react(RequestClosed)
