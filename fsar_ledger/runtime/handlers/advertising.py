@@ -28,7 +28,7 @@ from fsar_ledger.projections.registry import (
 )
 
 from .candidates import contradiction, version_of, weaker
-from .commands import Command, Handlers, Scheduled, named
+from .commands import Handlers, RobotCommand, Scheduled, named
 from .fleet import in_use, not_possessed
 from .public import PublicCommand, carried_out, made_from, rejected, unknown_robot
 
@@ -98,10 +98,9 @@ class UpgradeCapability(PublicCommand):
     issued_by: Supervisor | None = None
 
 
-class FinishRollOut(Command):
+class FinishRollOut(RobotCommand):
     """Show the installed version, as available as the old one was said to be."""
 
-    robot: Robot
     capability: str
     availability: Availability = "ready"
 

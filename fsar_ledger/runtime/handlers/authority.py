@@ -25,7 +25,7 @@ from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import Registry
 from fsar_ledger.projections.trust import is_about
 
-from .commands import CloseExecution, Command, Handlers, Scheduled, named, nobody
+from .commands import CloseExecution, Command, Handlers, RobotCommand, Scheduled, named, nobody
 from .public import (
     PublicCommand,
     carried_out,
@@ -78,10 +78,9 @@ class ExpireContext(Command):
     context: str
 
 
-class RevokeDistrusted(Command):
+class RevokeDistrusted(RobotCommand):
     """Revoke the rights of a peer that the robot trusts less than when it admitted its requests."""
 
-    robot: Robot
     peer: Robot
 
 

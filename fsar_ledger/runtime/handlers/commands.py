@@ -9,7 +9,7 @@ that meets the same hop of the same action meets the same latency.
 
 from collections.abc import Callable
 from functools import wraps
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 import msgspec
 
@@ -38,6 +38,18 @@ class ActionCommand(Command):
     """A request to decide about one action."""
 
     action_id: str
+
+
+class RobotCommand(Command):
+    """A request to decide about one robot."""
+
+    robot: Robot
+
+
+class HelpCommand(ActionCommand):
+    """A request to decide about a robot's help with a failed action."""
+
+    helper: Robot
 
 
 class Scheduled(msgspec.Struct, frozen=True, gc=False):
@@ -226,46 +238,32 @@ class EndAttempt(ActionCommand):
     number: int
 
 
-class EndAssistance(ActionCommand):
+class EndAssistance(HelpCommand):
     """End the help with this failure; asks whether a degraded actuator of the helper holds (1) or not (0)."""
 
-    helper: Robot
     failure: int
 
 
-class StopAssistance(ActionCommand):
+class StopAssistance(HelpCommand):
     """Stop at something in the way of the robot that helps."""
 
-    helper: Robot
 
-
-class DecideRoutine(Command):
+class DecideRoutine(RobotCommand):
     """Decide about a routine operation that is due."""
 
-    robot: Robot
     operation: Operation
-
-
-class _OfRobot(Protocol):
-    @property
-    def robot(self) -> Robot: ...
-
-
-class _OfHelper(Protocol):
-    @property
-    def helper(self) -> Robot: ...
 
 
 def nobody(_state: State, _command: Command) -> None:
     """Return None: a world, service, coordinator or human command has no actor that could be off."""
 
 
-def named(_state: State, command: _OfRobot) -> Robot:
+def named(_state: State, command: RobotCommand) -> Robot:
     """Return the robot that the command names."""
     return command.robot
 
 
-def helping(_state: State, command: _OfHelper) -> Robot:
+def helping(_state: State, command: HelpCommand) -> Robot:
     """Return the robot that helps."""
     return command.helper
 

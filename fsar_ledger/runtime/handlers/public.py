@@ -4,14 +4,16 @@ A command that cannot be executed is recorded and has no effect. Paper: sec:arch
 """
 
 from collections.abc import Iterable
-from typing import TypeVar
+from typing import Protocol, TypeVar
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.command import CommandRejected
 from fsar_ledger.events.envelope import FLEET_SUPERVISOR, Principal, Robot, Supervisor
 from fsar_ledger.projections.context import Over
 from fsar_ledger.projections.fleet import Fleet
+from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import Registry
+from fsar_ledger.projections.trust import is_within
 
 from .commands import Command
 
@@ -99,3 +101,24 @@ def unknown_word(what: str, found: str | None, known: Iterable[str]) -> str | No
 def expired_context(over: Over, context: str | None) -> str | None:
     """Return why to reject a command in the context of a task that is over, or None (None is no context)."""
     return f"task {context} is over, expected a context that is not" if context in over else None
+
+
+class _About(Protocol):
+    capability: str | None
+    context: str | None
+
+
+def unknown_about(state: State, command: _About) -> str | None:
+    """Return why nothing can be set about the capability and in the context that the command names, or None."""
+    return unknown_capability(state.registry, command.capability) or expired_context(state.context, command.context)
+
+
+def not_for_roles(state: State, supervisor: Supervisor, domain: str, *roles: str) -> str | None:
+    """Return why this supervisor may not set anything for robots of these roles in the domain, or None."""
+    inside = [robot for robot in state.fleet.robots.values() if is_within(robot.domain, domain)]
+    refused = not_in_charge(state.fleet, supervisor, None, is_fleet_matter=True)
+    if refused is None and not inside:
+        refused = f"unknown domain {domain}, expected one that a member is in"
+    for role in roles:
+        refused = refused or unknown_word("role", role, sorted({robot.role for robot in inside}))
+    return refused

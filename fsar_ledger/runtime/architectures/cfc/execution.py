@@ -27,6 +27,7 @@ from fsar_ledger.runtime.handlers.commands import (
     DecideRoutine,
     Handlers,
     ResumeAction,
+    RobotCommand,
     Scheduled,
     StartAction,
     TakeTurn,
@@ -43,10 +44,9 @@ from .coordinator import ReachCoordinator, copied_policy, copied_rule, until_nex
 HANDLERS = Handlers()
 
 
-class SafeStop(Command):
+class SafeStop(RobotCommand):
     """Make a robot whose context has changed safe, while the coordinator holds actions of it or for it."""
 
-    robot: Robot
     window: str | None
 
 

@@ -24,11 +24,11 @@ from fsar_ledger.projections.registry import NO_ANSWER
 from fsar_ledger.runtime.handlers import assistance
 from fsar_ledger.runtime.handlers.attribution import helpers, is_idle
 from fsar_ledger.runtime.handlers.commands import (
-    ActionCommand,
     EndAssistance,
     EndAttempt,
     Failure,
     Handlers,
+    HelpCommand,
     Scheduled,
     body,
     helping,
@@ -45,16 +45,13 @@ from .coordinator import ProcessWork, ReachCoordinator, by_coordinator, copied_p
 HANDLERS = Handlers()
 
 
-class ReachHelper(ActionCommand):
+class ReachHelper(HelpCommand):
     """Deliver the order to help to the helper."""
 
-    helper: Robot
 
-
-class GoOnWithoutHelp(ActionCommand):
+class GoOnWithoutHelp(HelpCommand):
     """Stop waiting for the helper's answer."""
 
-    helper: Robot
     failure: int
 
 

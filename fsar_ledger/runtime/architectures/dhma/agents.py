@@ -30,6 +30,7 @@ from fsar_ledger.runtime.handlers.commands import (
     CloseExecution,
     Command,
     Handlers,
+    RobotCommand,
     Scheduled,
     hop,
     hops,
@@ -78,10 +79,9 @@ RENEGOTIATION: Talk = (
 HANDLERS = Handlers()
 
 
-class HandOver(Command):
+class HandOver(RobotCommand):
     """Record a talk between the agents of a robot."""
 
-    robot: Robot
     agents: Talk
 
 
@@ -126,20 +126,16 @@ def path(robot: Robot, agents: Talk) -> tuple[Agent, ...]:
     return tuple(agent(robot, kind) for kind in agents)
 
 
-class TakeSnapshot(Command):
+class TakeSnapshot(RobotCommand):
     """Refresh a planner's snapshot of the robot's own policy."""
-
-    robot: Robot
 
 
 class DetectGap(ActionCommand):
     """Detect that the step needs another robot."""
 
 
-class EngagePlanner(Command):
+class EngagePlanner(RobotCommand):
     """Direct the planner to a context change, which puts open contracts in question."""
-
-    robot: Robot
 
 
 def planner(robot: Robot) -> Agent:

@@ -18,8 +18,8 @@ from fsar_ledger.runtime.handlers.candidates import Query, rejecting_filter
 from fsar_ledger.runtime.handlers.commands import (
     ActionCommand,
     CloseExecution,
-    Command,
     Handlers,
+    RobotCommand,
     Scheduled,
     message,
     named,
@@ -30,20 +30,17 @@ from fsar_ledger.runtime.handlers.commands import (
 HANDLERS = Handlers()
 
 
-class Revoke(Command):
+class Revoke(RobotCommand):
     """Claim override over what others execute for a requester whose context has changed."""
-
-    robot: Robot
 
 
 class AnswerOutsider(ActionCommand):
     """Answer a request without trust that has reached the registry."""
 
 
-class RememberPeer(Command):
+class RememberPeer(RobotCommand):
     """Let two robots that have met remember each other."""
 
-    robot: Robot
     peer: Robot
 
 

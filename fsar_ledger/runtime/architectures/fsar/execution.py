@@ -24,10 +24,10 @@ from fsar_ledger.runtime.handlers.admissibility import holding
 from fsar_ledger.runtime.handlers.attribution import recorded_by, supervisor_of
 from fsar_ledger.runtime.handlers.commands import (
     ActionCommand,
-    Command,
     DecideRoutine,
     Handlers,
     ResumeAction,
+    RobotCommand,
     Scheduled,
     StartAction,
     TakeTurn,
@@ -48,10 +48,9 @@ class DecideOwnStep(ActionCommand):
     """Decide about a step of the robot's own."""
 
 
-class LearnFleetRule(Command):
+class LearnFleetRule(RobotCommand):
     """Deliver word of the fleet's rule to the robot."""
 
-    robot: Robot
     outcome: PolicyOutcome
     as_of_us: int
 
