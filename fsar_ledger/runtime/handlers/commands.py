@@ -1,6 +1,4 @@
-"""Commands: who carries them out, how a reaction schedules one, and how one is rejected.
-
-A command that cannot be executed is recorded and has no effect. Paper: sec:architecture:overview.
+"""Commands: who carries them out, and how a reaction schedules one.
 
 A reaction cannot know how long a message takes: it asks at the ports (`ports.py`), and the kernel has the environment
 answer. A question is named by what it is about and by what it serves (action, failure, hop), so that every architecture
