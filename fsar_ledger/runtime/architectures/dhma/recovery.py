@@ -9,7 +9,6 @@ from fsar_ledger.events.execution import ExecutionFailed
 from fsar_ledger.events.knowledge import PlannerEngaged
 from fsar_ledger.events.recovery import FailureResolved, RecoveryAttempted, RecoveryAttemptFailed, RecoveryEscalated
 from fsar_ledger.events.supervision import SupervisorCalled
-from fsar_ledger.projections.authority import Authority
 from fsar_ledger.projections.execution import Action
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.recovery import Recovery
@@ -51,10 +50,6 @@ def _heard_by(state: State, action: Action, heard: Talk = RECOVERY) -> Principal
     return parties(state, action).decided(*path(action.robot, heard))
 
 
-def _is_disputed(authority: Authority, action_id: str) -> bool:
-    return any(claim.reason == DISPUTE for claim in authority.claims.get(action_id, ()))
-
-
 @HANDLERS.decide_on(open_failure, Dispute, body)
 def dispute(state: State, _command: Dispute, failure: Failure) -> tuple[Event, ...]:
     """Let the recovery and the planning agent both claim override until the failure is over."""
@@ -89,7 +84,7 @@ def end_attempt(state: State, command: EndAttempt, failure: Failure) -> tuple[Ev
     if attempt_succeeds(state.world, recovery, command):
         resolved = FailureResolved(action.subject, action.robot, recovery.failure, "local")
         return (resolved, *release(state.authority, action.action_id, DISPUTE))
-    if _is_disputed(state.authority, action.action_id):
+    if any(claim.reason == DISPUTE for claim in state.authority.claims.get(action.action_id, ())):
         return (
             RecoveryAttemptFailed(
                 subject=action.subject, robot=action.robot, failure=recovery.failure, number=command.number
