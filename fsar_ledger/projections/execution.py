@@ -139,7 +139,9 @@ def evolve(state: Execution, event: HANDLES) -> Execution:
         case ExecutionWithdrawn():
             return _withdrawn(state, event)
         case AssistanceAdmitted():
-            return _helping(state, event)
+            free = _set_aside(state, event.helper)
+            current = put(free.current, event.helper, HELPING + event.subject.action_id)
+            return Execution(current, free.queues, free.actions, free.served)
         case AssistanceEnded() | AssistanceFailed():
             is_helping = state.current.get(event.helper) == HELPING + event.subject.action_id
             return _freed(state, event.helper) if is_helping else state
@@ -214,13 +216,6 @@ def _left(state: Execution, robot: Robot, action_id: str) -> Execution:
         return _freed(state, robot)
     queue = tuple(name for name in state.queues.get(robot, ()) if name != action_id)
     return Execution(state.current, put(state.queues, robot, queue), state.actions, state.served)
-
-
-def _helping(state: Execution, event: AssistanceAdmitted) -> Execution:
-    """Let the robot help."""
-    free = _set_aside(state, event.helper)
-    current = put(free.current, event.helper, HELPING + event.subject.action_id)
-    return Execution(current, free.queues, free.actions, free.served)
 
 
 def _set_aside(state: Execution, robot: Robot) -> Execution:

@@ -58,18 +58,11 @@ def ruled(
     role, and the rule of a smaller domain those of larger ones; a rule for every robot applies in addition.
     """
     outcome: PolicyOutcome | None = None
-    for rule, found in _applying(state, scope, robot, capability, context):
-        if among is None or rule in among:
-            outcome = found if outcome is None else stricter(outcome, found)
-    return outcome
-
-
-def _applying(
-    state: Policy, scope: PolicyScope, robot: Robot, capability: str | None, context: str | None
-) -> Iterator[tuple[Rule | RoleRule, PolicyOutcome]]:
-    """Yield the rules that apply, without those that another one replaces."""
     for about in ((capability, context), (capability, None), (None, context), (None, None)):
-        yield from _about(state, scope, robot, *about)
+        for rule, found in _about(state, scope, robot, *about):
+            if among is None or rule in among:
+                outcome = found if outcome is None else stricter(outcome, found)
+    return outcome
 
 
 def _about(

@@ -172,9 +172,8 @@ def _with_options(text: str, plain: int, names: Sequence[str]) -> tuple[list[str
     return words[:plain], options, from_s or 0.0
 
 
-def _drop(text: str) -> Drop:
-    (fact,) = _words(text, 1, 1)
-    return Drop(fact)
+def _one_word(kind: type[Drop | Architecture | Without], text: str) -> Drop | Architecture | Without:
+    return kind(*_words(text, 1, 1))
 
 
 def _move(text: str) -> Move:
@@ -224,16 +223,6 @@ def _set(text: str) -> Set:
     if isinstance(number, bool) or not isinstance(number, int | float):
         raise _Unfit(f"found {printable.value(value) or 'no value'} where a number belongs")
     return Set(constant=name.strip(), value=number, from_s=from_s)
-
-
-def _architecture(text: str) -> Architecture:
-    (name,) = _words(text, 1, 1)
-    return Architecture(name)
-
-
-def _without(text: str) -> Without:
-    (names,) = _words(text, 1, 1)
-    return Without(names)
 
 
 def _add(text: str) -> Add | tuple[Add, ...]:
@@ -323,7 +312,7 @@ SHORT: dict[str, tuple[bool, Callable[..., tuple[Event, ...]]]] = {
 """By the kind of a fact that has a short form: whether it lasts, and what makes it."""
 
 _PARSERS: dict[str, Callable[[str], AnyChange | tuple[Add, ...]]] = {
-    "drop": _drop,
+    "drop": partial(_one_word, Drop),
     "move": _move,
     "add": _add,
     "answer": _answer,
@@ -332,7 +321,7 @@ _PARSERS: dict[str, Callable[[str], AnyChange | tuple[Add, ...]]] = {
     "budget": _budget,
     "density": _density,
     "set": _set,
-    "architecture": _architecture,
-    "without": _without,
+    "architecture": partial(_one_word, Architecture),
+    "without": partial(_one_word, Without),
 }
 assert set(_PARSERS) == set(get_args(Verb)) == set(FORMS)

@@ -108,8 +108,13 @@ def matching_names(pattern: str, names: Sequence[str] | FactPositions) -> list[s
     """Return the names that a pattern with `*` means, in their order; the name alone where it has none."""
     if "*" not in pattern:
         return [pattern] if pattern in names else []
-    plain = pattern.replace("[", "[[]").replace("?", "[?]")
+    plain = plain_pattern(pattern)
     return [name for name in names if fnmatchcase(name, plain)]
+
+
+def plain_pattern(pattern: str) -> str:
+    """Return the pattern for `fnmatchcase` in which `*` alone stands for any text."""
+    return pattern.replace("[", "[[]").replace("?", "[?]")
 
 
 CALL, RESPONSE, ATTEMPT, EXECUTION = "call", "response", "attempt", "execution"

@@ -1,7 +1,6 @@
 """Experiments: runs over architectures, configurations and scenarios, in canonical order, committed in batches."""
 
 from collections.abc import Callable, Iterable, Iterator
-from functools import partial
 from itertools import filterfalse
 from pathlib import Path
 
@@ -311,7 +310,7 @@ def run_experiment(
         going_on = writer.going_on()
         held = found.runs - going_on.keys()
         batches = experiment.batches()
-        missing = missing_runs(batches, partial(_is_there, constants, held)) if held else batches
+        missing = missing_runs(batches, lambda spec: run_id(run_started(spec, constants)) in held) if held else batches
         if missing and plan.run_id not in found.plans:
             writer.append(stage(out, [plan]))
         made = sum(map(len, missing))
@@ -331,7 +330,3 @@ def run_experiment(
 def missing_runs(batches: Iterable[Batch], is_there: Callable[[RunSpec], bool]) -> list[Batch]:
     """Return what is missing of each batch, so that an interruption moves no boundary."""
     return [missing for batch in batches if (missing := tuple(filterfalse(is_there, batch)))]
-
-
-def _is_there(constants: Constants, held: frozenset[str], spec: RunSpec) -> bool:
-    return run_id(run_started(spec, constants)) in held

@@ -17,7 +17,17 @@ from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.ledger.rows.codec import LedgerRun
 
 from .change_texts import fact_of
-from .changeable import CALL, RESPONSE, Question, QuestionRecorder, answer_of, facts_by_name, matching_names, name_of
+from .changeable import (
+    CALL,
+    RESPONSE,
+    Question,
+    QuestionRecorder,
+    answer_of,
+    facts_by_name,
+    matching_names,
+    name_of,
+    plain_pattern,
+)
 from .changes import (
     Add,
     Answer,
@@ -33,8 +43,8 @@ from .changes import (
     microseconds_of,
     seconds_text,
 )
-from .handlers.commands import PublicCommand
 from .handlers.policy import SetPolicyRule
+from .handlers.public import PublicCommand
 from .handlers.recovery import SetRecoveryBudget
 from .handlers.supervision import SetSupervisionDensity
 from .handlers.trust import SetTrust
@@ -57,7 +67,7 @@ class EditedEnvironment:
         self.used: set[str] = set()
         self._environment = environment
         self._exact = {one.question: one.answer for one in answers if "*" not in one.question}
-        self._patterns = [(_plain(one.question), one) for one in answers if "*" in one.question]
+        self._patterns = [(plain_pattern(one.question), one) for one in answers if "*" in one.question]
         self._calls = 0
         self._asked_as: dict[str, str] = {}
         self.answer = self._edited if answers else environment.answer
@@ -91,10 +101,6 @@ class EditedEnvironment:
         if answer != usual:
             self.used.add(asked_as)
         return answer
-
-
-def _plain(pattern: str) -> str:
-    return pattern.replace("[", "[[]").replace("?", "[?]")
 
 
 def edited_facts(facts: Sequence[Fact], changes: Sequence[OfFacts]) -> tuple[Fact, ...]:

@@ -40,6 +40,7 @@ from fsar_ledger.runtime.architectures.fsar.execution import ready
 from fsar_ledger.runtime.architectures.handler_table import HandlerTable
 from fsar_ledger.runtime.handlers.attribution import parties, recorded_by
 from fsar_ledger.runtime.handlers.commands import (
+    ActionCommand,
     CloseRequest,
     Command,
     Decide,
@@ -49,6 +50,7 @@ from fsar_ledger.runtime.handlers.commands import (
     Scheduled,
     StartAction,
     body,
+    open_failure,
 )
 from fsar_ledger.runtime.handlers.execution import started
 from fsar_ledger.runtime.handlers.recovery import (
@@ -57,7 +59,6 @@ from fsar_ledger.runtime.handlers.recovery import (
     attempted,
     budget,
     end_of_attempt,
-    open_failure,
 )
 
 ChangeTable = Callable[[HandlerTable], HandlerTable]
@@ -174,7 +175,7 @@ def _starting_unchecked(*, is_delegated: bool) -> ChangeTable:
             action = ready(state.execution, command.action_id)
             if action is None or action.is_delegated != is_delegated:
                 return checked(state, command)
-            return (started(state.fleet, state.world, action, command),)
+            return (started(state, action, command),)
 
         return HandlerTable({**table.decides, StartAction: start}, table.reacts, table.actors)
 
@@ -183,7 +184,7 @@ def _starting_unchecked(*, is_delegated: bool) -> ChangeTable:
 
 def _moved_unchecked(state: State, command: DecideRoutine) -> tuple[Event, ...]:
     robot = command.robot
-    parties = recorded_by(state.fleet, state.world, robot, requested_by=robot, executed_by=robot)
+    parties = recorded_by(state, robot, requested_by=robot, executed_by=robot)
     return (RoutinePerformed(parties.decided(robot), robot, command.operation),)
 
 
@@ -205,10 +206,8 @@ def _copy_of_now(state: State) -> Any:
     return state.knowledge.__replace__(copy=copy)
 
 
-class RetryAlone(Command):
+class RetryAlone(ActionCommand):
     """Start the robot's own attempt after a failure that it has seen."""
-
-    action_id: str
 
 
 def _may_try(budgets: Budgets, fleet: Fleet, recovery: Recovery, tried: int, now_us: int) -> bool:
@@ -218,19 +217,19 @@ def _may_try(budgets: Budgets, fleet: Fleet, recovery: Recovery, tried: int, now
 
 
 def _retried(state: State, action: Action, recovery: Recovery) -> RecoveryAttempted:
-    by_robot = parties(state.fleet, state.world, action).decided(action.robot)
+    by_robot = parties(state, action).decided(action.robot)
     allowed = budget(state.budget, state.fleet, action.robot, "local")
     return attempted(action, recovery, by_robot, recovery.detected_us + allowed.t_max_us)
 
 
 def _retry_alone(state: State, command: RetryAlone) -> tuple[Event, ...]:
-    failure = open_failure(state.execution, state.recovery, command.action_id)
+    failure = open_failure(state, command.action_id)
     return () if failure is None else (_retried(state, *failure),)
 
 
 def _end_own_attempt(state: State, command: EndAttempt) -> tuple[Event, ...]:
     """End the robot's attempt; once its budget is spent, the coordinator takes over."""
-    failure = open_failure(state.execution, state.recovery, command.action_id)
+    failure = open_failure(state, command.action_id)
     if failure is None or failure[1].number != command.number:
         return ()
     action, recovery = failure
@@ -256,7 +255,7 @@ def _on_own_attempt(state: State, event: RecoveryAttempted, now_us: int) -> tupl
 
 def _on_own_attempt_failed(state: State, event: RecoveryAttemptFailed, now_us: int) -> tuple[Scheduled, ...]:
     """Tell the coordinator of the last failed attempt only."""
-    failure = open_failure(state.execution, state.recovery, event.subject.action_id)
+    failure = open_failure(state, event.subject.action_id)
     if failure is not None and _may_try(state.budget, state.fleet, failure[1], event.number, now_us):
         return ()
     return HANDLERS.reacts[RecoveryAttemptFailed](state, event, now_us)

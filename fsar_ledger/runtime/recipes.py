@@ -190,10 +190,15 @@ def recorded_recipe(started: RunStarted, event_count: int) -> Recipe:
         raise CannotReplay("model_version", f"{MODEL_VERSION!r}; replay it with {maker}", repr(started.model_version))
     try:
         spec = msgspec.convert({name: getattr(started, name) for name in RunSpec.__struct_fields__}, RunSpec)
-        _require_recorded_fleet(spec.fleet_size, event_count)
+        if spec.fleet_size > event_count:  # each robot has joined: checked before any of them is made
+            found = f"fleet size: found {spec.fleet_size}, expected at most {event_count}, the events of the run"
+            raise CannotReplay(None, "a run that can be simulated", found)
         recipe = Recipe(spec, _constants(started.parameters or ""), parsed(started.changes or ()))
         for constants in (recipe.constants, *constants_by_time(recipe).values()):
-            _require_few_facts(constants, spec.fleet_size, event_count)
+            most = FACTS_PER_ROBOT * spec.fleet_size + event_count
+            if not arrivals_expected(constants, spec.fleet_size) <= most:
+                expected = f"rates of the world that make at most {most} facts"
+                raise CannotReplay("parameters", expected, "rates that make more")
         require_possible(recipe)
     except BadParameters as error:
         raise CannotReplay("parameters", "the constants of the model", str(error).removeprefix("found ")) from error
@@ -217,19 +222,6 @@ def require_possible(recipe: Recipe) -> None:
         (spec.configuration,),
         recipe.constants,
     )
-
-
-def _require_recorded_fleet(fleet_size: int, event_count: int) -> None:
-    """Check that the record is long enough for its robots to have joined, before any of them is made."""
-    if fleet_size > event_count:
-        found = f"fleet size: found {fleet_size}, expected at most {event_count}, the events of the run"
-        raise CannotReplay(None, "a run that can be simulated", found)
-
-
-def _require_few_facts(constants: Constants, fleet_size: int, event_count: int) -> None:
-    most = FACTS_PER_ROBOT * fleet_size + event_count
-    if not arrivals_expected(constants, fleet_size) <= most:
-        raise CannotReplay("parameters", f"rates of the world that make at most {most} facts", "rates that make more")
 
 
 def _require_own_words(started: RunStarted, recipe: Recipe) -> None:

@@ -20,7 +20,8 @@ from fsar_ledger.events.fleet import RobotJoined, RunStarted
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.projections.fold import State, apply, fold
 from fsar_ledger.runtime.architectures.fsar import FSAR
-from fsar_ledger.runtime.handlers.commands import Command, PublicCommand
+from fsar_ledger.runtime.handlers.commands import Command
+from fsar_ledger.runtime.handlers.public import PublicCommand
 from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.world.draws import Draws, SimulatedEnvironment, run_key
 from tests import past

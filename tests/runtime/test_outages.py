@@ -36,7 +36,8 @@ from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.world import World, evolve
 from fsar_ledger.runtime.architectures.handler_table import HandlerTable
 from fsar_ledger.runtime.handlers import task
-from fsar_ledger.runtime.handlers.commands import BeginStep, Command, Handlers, PublicCommand, Scheduled, StartAction
+from fsar_ledger.runtime.handlers.commands import BeginStep, Command, Handlers, Scheduled, StartAction
+from fsar_ledger.runtime.handlers.public import PublicCommand
 from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.ports import Ask, Fact
 from fsar_ledger.runtime.replay import replay_run

@@ -19,7 +19,8 @@ from fsar_ledger.runtime.handlers import (
     trust,
     withdrawal,
 )
-from fsar_ledger.runtime.handlers.commands import Actor, Command, Decide, Handlers, PublicCommand, React
+from fsar_ledger.runtime.handlers.commands import Actor, Command, Decide, Handlers, React
+from fsar_ledger.runtime.handlers.public import PublicCommand
 
 COMMON = (task, execution, supervision, withdrawal)
 """What every architecture has: tasks, bodies, supervisors, and what becomes of a task that is given up."""

@@ -28,8 +28,9 @@ from fsar_ledger.projections.registry import (
 )
 
 from .candidates import contradiction, version_of, weaker
-from .commands import Command, Handlers, PublicCommand, Scheduled, named, rejected, unknown_robot
+from .commands import Handlers, RobotCommand, Scheduled, named
 from .fleet import in_use, not_possessed
+from .public import PublicCommand, carried_out, made_from, rejected, unknown_robot
 
 HANDLERS = Handlers()
 
@@ -97,10 +98,9 @@ class UpgradeCapability(PublicCommand):
     issued_by: Supervisor | None = None
 
 
-class FinishRollOut(Command):
+class FinishRollOut(RobotCommand):
     """Show the installed version, as available as the old one was said to be."""
 
-    robot: Robot
     capability: str
     availability: Availability = "ready"
 
@@ -120,23 +120,7 @@ def advertise_capability(state: State, command: AdvertiseCapability) -> tuple[Ev
             wrong = f"version {command.version} is not installed, expected {module.version}"
     if wrong is not None:
         return rejected(command, capability, wrong, command.issued_by)
-    return (
-        CapabilityAdvertised(
-            robot=robot,
-            capability=capability,
-            visible_to=command.visible_to,
-            version=command.version,
-            preconditions=contract.preconditions,
-            postconditions=contract.postconditions,
-            resources=contract.resources,
-            trust_required=command.trust_required,
-            policy_required=command.policy_required,
-            override_allowed=command.override_allowed,
-            availability=command.availability,
-            embodiment=command.embodiment,
-            visibility=command.visibility,
-        ),
-    )
+    return (made_from(CapabilityAdvertised, command, contract),)
 
 
 @HANDLERS.decide(WithdrawCapability)
@@ -145,9 +129,8 @@ def withdraw_capability(state: State, command: WithdrawCapability) -> tuple[Even
     wrong = unknown_robot(state.fleet, command.robot) or _not_advertised(
         state.registry, command.robot, command.capability
     )
-    if wrong is not None:
-        return rejected(command, command.capability, wrong, command.issued_by)
-    return (CapabilityWithdrawn(command.robot, command.capability, command.reason),)
+    made = CapabilityWithdrawn(command.robot, command.capability, command.reason)
+    return carried_out(command, command.capability, wrong, command.issued_by, made)
 
 
 @HANDLERS.decide(ReportAvailability)
@@ -161,13 +144,10 @@ def report_availability(state: State, command: ReportAvailability) -> tuple[Even
         wrong = f"{robot} advertises nothing, expected something whose availability can change"
     if wrong is None and command.reason == NO_ANSWER:
         wrong = f'"{NO_ANSWER}" is what others say of a silent robot, expected a reason of its own'
-    if wrong is not None:
-        return rejected(command, capability or robot, wrong, command.issued_by)
-    return (
-        AvailabilityChanged(
-            robot=robot, capability=capability, availability=command.availability, reason=command.reason
-        ),
+    made = AvailabilityChanged(
+        robot=robot, capability=capability, availability=command.availability, reason=command.reason
     )
+    return carried_out(command, capability or robot, wrong, command.issued_by, made)
 
 
 @HANDLERS.decide(DeprecateCapability)
@@ -187,11 +167,10 @@ def deprecate_capability(state: State, command: DeprecateCapability) -> tuple[Ev
             wrong = f"version {command.version} is deprecated already"
         elif command.successor is not None:
             wrong = _not_newer(command.successor, command.version)
-    if wrong is not None:
-        return rejected(command, capability, wrong, command.issued_by)
-    return (
-        CapabilityDeprecated(robot=robot, capability=capability, version=command.version, successor=command.successor),
+    made = CapabilityDeprecated(
+        robot=robot, capability=capability, version=command.version, successor=command.successor
     )
+    return carried_out(command, capability, wrong, command.issued_by, made)
 
 
 @HANDLERS.decide(UpgradeCapability)
@@ -215,14 +194,7 @@ def upgrade_capability(state: State, command: UpgradeCapability) -> tuple[Event,
         wrong = f"{capability} is {record.availability} at {robot}, expected it to be in reach and in no other roll-out"
     if wrong is not None:
         return rejected(command, capability, wrong, command.issued_by)
-    installed = CapabilityInstalled(
-        robot=robot,
-        capability=capability,
-        version=command.version,
-        preconditions=contract.preconditions,
-        postconditions=contract.postconditions,
-        resources=contract.resources,
-    )
+    installed = made_from(CapabilityInstalled, command, contract)
     if record is None:
         return (installed,)
     return (
@@ -243,23 +215,8 @@ def finish_roll_out(state: State, command: FinishRollOut) -> tuple[Event, ...]:
     if record is None:
         return ()
     module = state.registry.modules[command.robot][command.capability]
-    return (
-        CapabilityAdvertised(
-            robot=record.robot,
-            capability=record.capability,
-            visible_to=record.visible_to,
-            version=module.version,
-            preconditions=module.contract.preconditions,
-            postconditions=module.contract.postconditions,
-            resources=module.contract.resources,
-            trust_required=record.trust_required,
-            policy_required=record.policy_required,
-            override_allowed=record.override_allowed,
-            availability=command.availability if record.availability == "restricted" else record.availability,
-            embodiment=record.embodiment,
-            visibility=record.visibility,
-        ),
-    )
+    availability = command.availability if record.availability == "restricted" else record.availability
+    return (made_from(CapabilityAdvertised, record, module, module.contract, availability=availability),)
 
 
 def _rolling_out(registry: Registry, robot: Robot, capability: str) -> Advertisement | None:

@@ -4,22 +4,22 @@ from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import FailureCause, RecoveryLevel, Robot
 from fsar_ledger.events.recovery import AssistanceAdmitted, AssistanceEnded, AssistanceFailed, FailureResolved
 from fsar_ledger.events.world import ObstructionAppeared
-from fsar_ledger.projections.execution import HELPING, Action, Execution
+from fsar_ledger.projections.execution import HELPING, Action
 from fsar_ledger.projections.fold import State
-from fsar_ledger.projections.recovery import Recoveries, Recovery
+from fsar_ledger.projections.recovery import Recovery
 from fsar_ledger.projections.world import World
 from fsar_ledger.runtime.ports import Ask
 
-from .commands import EndAssistance, Handlers, Scheduled, StopAssistance, helping, holds
+from .commands import EndAssistance, Failure, Handlers, Scheduled, StopAssistance, helping, holds, open_failure
 from .execution import next_turn
-from .recovery import actuator_holds, open_failure
+from .recovery import actuator_holds
 
 HANDLERS = Handlers()
 
 
 def end_assistance(state: State, command: EndAssistance, level: RecoveryLevel) -> tuple[Event, ...]:
     """Resolve the failure by means of this level, or record that the helper could not; free the helper."""
-    match _helped(state.execution, state.recovery, command.action_id, command.helper):
+    match _helped(state, command.action_id, command.helper):
         case action, recovery if recovery.failure == command.failure:
             cause = _hindrance(state.world, recovery, command)
             if cause is not None:
@@ -35,7 +35,7 @@ def end_assistance(state: State, command: EndAssistance, level: RecoveryLevel) -
 @HANDLERS.decide(StopAssistance, helping)
 def stop_assistance(state: State, command: StopAssistance) -> tuple[Event, ...]:
     """End the help because something is in the helper's own way."""
-    match _helped(state.execution, state.recovery, command.action_id, command.helper):
+    match _helped(state, command.action_id, command.helper):
         case action, recovery if state.world.obstructions.get(command.helper):
             return (_failed(action, recovery, command.helper, "obstruction"),)
         case _:
@@ -51,9 +51,9 @@ def end_of(event: AssistanceAdmitted, after_us: int, waits: tuple[Ask, ...] = ()
     return Scheduled(EndAssistance(event.subject.action_id, event.helper, event.failure), after_us, waits, ask)
 
 
-def _helped(execution: Execution, recoveries: Recoveries, action_id: str, who: Robot) -> tuple[Action, Recovery] | None:
+def _helped(state: State, action_id: str, who: Robot) -> Failure | None:
     """Return the action that the robot helps with and its failure, or None when it helps with none."""
-    return open_failure(execution, recoveries, action_id) if execution.current.get(who) == HELPING + action_id else None
+    return open_failure(state, action_id) if state.execution.current.get(who) == HELPING + action_id else None
 
 
 # See docs/decisions/help-can-fail.md.

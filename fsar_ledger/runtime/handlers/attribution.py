@@ -6,46 +6,44 @@ from itertools import filterfalse
 from fsar_ledger.events.envelope import FLEET_SUPERVISOR, Parties, Principal, Robot, Supervisor
 from fsar_ledger.projections.execution import Action, Execution
 from fsar_ledger.projections.fleet import Fleet
+from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import Registry, offers, surface
 from fsar_ledger.projections.task import Tasks
-from fsar_ledger.projections.world import World
 
 
-def on_shift(fleet: Fleet, world: World, robot: Robot) -> Supervisor | None:
+def on_shift(state: State, robot: Robot) -> Supervisor | None:
     """Return the robot's own supervisor H_i, None while off shift; H_F for a robot without one.
 
     Paper: eq:supervision.
     """
-    supervisor = fleet.robots[robot].supervisor
+    supervisor = state.fleet.robots[robot].supervisor
     if supervisor is None:
         return FLEET_SUPERVISOR
     # See docs/decisions/principals-need-their-own-record.md.
-    return None if supervisor in world.off_shift else supervisor
+    return None if supervisor in state.world.off_shift else supervisor
 
 
-def recorded_by(
-    fleet: Fleet, world: World, robot: Robot, *, requested_by: Principal | None, executed_by: Robot | None
-) -> Parties:
+def recorded_by(state: State, robot: Robot, *, requested_by: Principal | None, executed_by: Robot | None) -> Parties:
     """Return whom the robot's record names: these two, and its own supervisor while on shift."""
-    return Parties(requested_by=requested_by, executed_by=executed_by, supervised_by=on_shift(fleet, world, robot))
+    return Parties(requested_by=requested_by, executed_by=executed_by, supervised_by=on_shift(state, robot))
 
 
-def supervisor_of(fleet: Fleet, world: World, action: Action) -> Supervisor | None:
+def supervisor_of(state: State, action: Action) -> Supervisor | None:
     """Return the supervisor whom a record of the execution names.
 
     H_F if it was queued under H_F, else the robot's own while on shift.
     """
     if not action.is_supervised:
         return None
-    return FLEET_SUPERVISOR if action.supervised_by == FLEET_SUPERVISOR else on_shift(fleet, world, action.robot)
+    return FLEET_SUPERVISOR if action.supervised_by == FLEET_SUPERVISOR else on_shift(state, action.robot)
 
 
-def parties(fleet: Fleet, world: World, action: Action) -> Parties:
+def parties(state: State, action: Action) -> Parties:
     """Return whom a record of the execution names."""
     return Parties(
         requested_by=action.requested_by,
         executed_by=action.executed_by,
-        supervised_by=supervisor_of(fleet, world, action),
+        supervised_by=supervisor_of(state, action),
     )
 
 

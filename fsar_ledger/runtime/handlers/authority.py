@@ -25,15 +25,12 @@ from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import Registry
 from fsar_ledger.projections.trust import is_about
 
-from .commands import (
-    CloseExecution,
-    Command,
-    Handlers,
+from .commands import CloseExecution, Command, Handlers, RobotCommand, Scheduled, named, nobody
+from .public import (
     PublicCommand,
-    Scheduled,
+    carried_out,
     expired_context,
-    named,
-    nobody,
+    made_from,
     rejected,
     unknown_capability,
     unknown_robot,
@@ -81,10 +78,9 @@ class ExpireContext(Command):
     context: str
 
 
-class RevokeDistrusted(Command):
+class RevokeDistrusted(RobotCommand):
     """Revoke the rights of a peer that the robot trusts less than when it admitted its requests."""
 
-    robot: Robot
     peer: Robot
 
 
@@ -133,18 +129,14 @@ def grant_authority(state: State, command: GrantAuthority) -> tuple[Event, ...]:
     )
     if reason is None and command.supervisor != FLEET_SUPERVISOR and _is_revoked_by_fleet(state.authority, command):
         reason = f"{FLEET_SUPERVISOR} has revoked it, expected {FLEET_SUPERVISOR} to lift that"
-    if reason is not None:
-        return rejected(command, command.requester, reason, command.supervisor)
-    return (
-        AuthorityGranted(
-            requested_by=command.requester,
-            executed_by=command.executor,
-            capability=command.capability,
-            context=command.context,
-            override=command.override,
-            decided_by=command.supervisor,
-        ),
+    made = made_from(
+        AuthorityGranted,
+        command,
+        requested_by=command.requester,
+        executed_by=command.executor,
+        decided_by=command.supervisor,
     )
+    return carried_out(command, command.requester, reason, command.supervisor, made)
 
 
 @HANDLERS.decide(RevokeAuthority)
@@ -161,18 +153,14 @@ def revoke_authority(state: State, command: RevokeAuthority) -> tuple[Event, ...
     reason = reason or unknown_word("reason", command.reason, get_args(RevocationReason))
     if reason is None and isinstance(_standing(state.authority, command), AuthorityRevoked):
         reason = "it is revoked already, expected a right that stands"
-    if reason is not None:
-        return rejected(command, command.requester, reason, command.supervisor)
-    return (
-        AuthorityRevoked(
-            requested_by=command.requester,
-            executed_by=command.executor,
-            capability=command.capability,
-            context=command.context,
-            reason=command.reason,
-            decided_by=command.supervisor,
-        ),
+    made = made_from(
+        AuthorityRevoked,
+        command,
+        requested_by=command.requester,
+        executed_by=command.executor,
+        decided_by=command.supervisor,
     )
+    return carried_out(command, command.requester, reason, command.supervisor, made)
 
 
 @HANDLERS.decide(ReleaseAuthority)

@@ -1,24 +1,23 @@
-"""Commands: who carries them out, how a reaction schedules one, and how one is rejected.
-
-A command that cannot be executed is recorded and has no effect. Paper: sec:architecture:overview.
+"""Commands: who carries them out, and how a reaction schedules one.
 
 A reaction cannot know how long a message takes: it asks at the ports (`ports.py`), and the kernel has the environment
 answer. A question is named by what it is about and by what it serves (action, failure, hop), so that every architecture
 that meets the same hop of the same action meets the same latency.
 """
 
-from collections.abc import Callable, Iterable
-from typing import Any, Protocol, TypeVar
+from collections.abc import Callable
+from functools import wraps
+from typing import Any, TypeVar
 
 import msgspec
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.command import CommandRejected
-from fsar_ledger.events.envelope import FLEET_SUPERVISOR, Operation, Principal, Robot, Supervisor, robot_named
-from fsar_ledger.projections.context import Over
+from fsar_ledger.events.envelope import Operation, Robot, robot_named
+from fsar_ledger.projections.execution import Action
 from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
-from fsar_ledger.projections.registry import Registry
+from fsar_ledger.projections.recovery import Recovery
+from fsar_ledger.projections.request import Request
 from fsar_ledger.projections.task import Task
 from fsar_ledger.runtime.ports import Ask
 
@@ -33,11 +32,22 @@ class Command(msgspec.Struct, kw_only=True, gc=False):
     answer: int = 0
 
 
-class PublicCommand(Command, kw_only=True, gc=False):
-    """A request from outside, by a robot, an operator or a supervisor.
+class ActionCommand(Command):
+    """A request to decide about one action."""
 
-    A command that cannot be carried out is rejected as an event, and changes nothing.
-    """
+    action_id: str
+
+
+class RobotCommand(Command):
+    """A request to decide about one robot."""
+
+    robot: Robot
+
+
+class HelpCommand(ActionCommand):
+    """A request to decide about a robot's help with a failed action."""
+
+    helper: Robot
 
 
 class Scheduled(msgspec.Struct, frozen=True, gc=False):
@@ -60,6 +70,11 @@ Actor = Callable[[State, Any], Robot | None]
 None is an actor that is never off: the world, a service, the coordinator, a human.
 """
 _Function = TypeVar("_Function", bound=Callable[..., Any])
+_Found = TypeVar("_Found")
+_OfAction = TypeVar("_OfAction", bound=ActionCommand)
+_Events = TypeVar("_Events", bound=tuple[Event, ...])
+Failure = tuple[Action, Recovery]
+"""The action that has failed, and its failure that is being recovered."""
 
 
 class Handlers:
@@ -82,6 +97,21 @@ class Handlers:
             if actor is not None:
                 self.actors[command] = actor
             return function
+
+        return register
+
+    def decide_on(
+        self, find: Callable[[State, str], _Found | None], command: type[_OfAction], actor: Actor
+    ) -> Callable[[Callable[[State, _OfAction, _Found], _Events]], Callable[[State, _OfAction], _Events]]:
+        """As `decide`, for what is decided about the request, action or failure that `find` finds: else nothing."""
+
+        def register(function: Callable[[State, _OfAction, _Found], _Events]) -> Callable[[State, _OfAction], _Events]:
+            @wraps(function)
+            def decide(state: State, command: _OfAction) -> Any:
+                found = find(state, command.action_id)
+                return () if found is None else function(state, command, found)
+
+            return self.decide(command, actor)(decide)
 
         return register
 
@@ -149,65 +179,46 @@ class ExpireTask(Command):
     task_id: str
 
 
-class CompleteStep(Command):
+class CompleteStep(ActionCommand):
     """Tell the acting robot that the step is done."""
 
-    action_id: str
 
-
-class TakeTurn(Command):
+class TakeTurn(ActionCommand):
     """Take the turn of an action that is first in its robot's queue."""
 
-    action_id: str
 
-
-class StartAction(Command):
+class StartAction(ActionCommand):
     """Start the action at a robot that is where it must be; asks for the duration."""
 
-    action_id: str
 
-
-class HaltAction(Command):
+class HaltAction(ActionCommand):
     """Halt the action of an executing robot that is off."""
 
-    action_id: str
 
-
-class FinishAttempt(Command):
+class FinishAttempt(ActionCommand):
     """End the attempt as planned; asks whether a degraded actuator holds (1) or not (0)."""
 
-    action_id: str
     ends_us: int
 
 
-class DetectObstruction(Command):
+class DetectObstruction(ActionCommand):
     """Stop at something in the way of the executing robot."""
 
-    action_id: str
 
-
-class PauseAction(Command):
+class PauseAction(ActionCommand):
     """Pause for a change in the context of the executing robot."""
 
-    action_id: str
 
-
-class ResumeAction(Command):
+class ResumeAction(ActionCommand):
     """Go on with the new plan, or after the failure."""
 
-    action_id: str
 
-
-class CloseExecution(Command):
+class CloseExecution(ActionCommand):
     """End authority over an execution that has ended."""
 
-    action_id: str
 
-
-class CloseRequest(Command):
+class CloseRequest(ActionCommand):
     """Close the request whose result has come back."""
-
-    action_id: str
 
 
 class Respond(Command):
@@ -219,89 +230,83 @@ class Respond(Command):
     call: int
 
 
-class EndAttempt(Command):
+class EndAttempt(ActionCommand):
     """End an attempt to recover; asks whether a degraded actuator holds (1) or not (0)."""
 
-    action_id: str
     number: int
 
 
-class EndAssistance(Command):
+class EndAssistance(HelpCommand):
     """End the help with this failure; asks whether a degraded actuator of the helper holds (1) or not (0)."""
 
-    action_id: str
-    helper: Robot
     failure: int
 
 
-class StopAssistance(Command):
+class StopAssistance(HelpCommand):
     """Stop at something in the way of the robot that helps."""
 
-    action_id: str
-    helper: Robot
 
-
-class DecideRoutine(Command):
+class DecideRoutine(RobotCommand):
     """Decide about a routine operation that is due."""
 
-    robot: Robot
     operation: Operation
-
-
-class _OfAction(Protocol):
-    @property
-    def action_id(self) -> str: ...
-
-
-class _OfRobot(Protocol):
-    @property
-    def robot(self) -> Robot: ...
-
-
-class _OfHelper(Protocol):
-    @property
-    def helper(self) -> Robot: ...
 
 
 def nobody(_state: State, _command: Command) -> None:
     """Return None: a world, service, coordinator or human command has no actor that could be off."""
 
 
-def named(_state: State, command: _OfRobot) -> Robot:
+def named(_state: State, command: RobotCommand) -> Robot:
     """Return the robot that the command names."""
     return command.robot
 
 
-def helping(_state: State, command: _OfHelper) -> Robot:
+def helping(_state: State, command: HelpCommand) -> Robot:
     """Return the robot that helps."""
     return command.helper
 
 
-def body(state: State, command: _OfAction) -> Robot | None:
+def open_request(state: State, action_id: str) -> Request | None:
+    """Return the open request for the action, or None."""
+    return state.request.open.get(action_id)
+
+
+def known_action(state: State, action_id: str) -> Action | None:
+    """Return the action, if a robot has it."""
+    return state.execution.actions.get(action_id)
+
+
+def open_failure(state: State, action_id: str) -> Failure | None:
+    """Return the action and its failure that is being recovered, or None when there is none any more."""
+    action, recovery = state.execution.actions.get(action_id), state.recovery.get(action_id)
+    return None if action is None or recovery is None else (action, recovery)
+
+
+def body(state: State, command: ActionCommand) -> Robot | None:
     """Return the robot that has the action."""
     action = state.execution.actions.get(command.action_id)
     return None if action is None else action.robot
 
 
-def requester(state: State, command: _OfAction) -> Robot | None:
+def requester(state: State, command: ActionCommand) -> Robot | None:
     """Return the robot whose step it is."""
     request = state.request.open.get(command.action_id)
     return None if request is None else request.requester
 
 
-def target(state: State, command: _OfAction) -> Robot | None:
+def target(state: State, command: ActionCommand) -> Robot | None:
     """Return the robot picked to execute; for a step of its own, the robot whose step it is."""
     request = state.request.open.get(command.action_id)
     return None if request is None else request.target or request.requester
 
 
-def asked(state: State, command: _OfAction) -> Robot | None:
+def asked(state: State, command: ActionCommand) -> Robot | None:
     """Return the robot that the request goes to."""
     request = state.request.open.get(command.action_id)
     return request.candidates[0] if request is not None and request.candidates else None
 
 
-def relay(state: State, command: _OfAction) -> Robot | None:
+def relay(state: State, command: ActionCommand) -> Robot | None:
     """Return the peer that passes the request on."""
     request = state.request.open.get(command.action_id)
     return None if request is None else request.relay
@@ -316,66 +321,3 @@ def next_in_task(state: State, command: BeginStep) -> Robot | None:
 def acting(task: Task, step: int) -> Robot:
     """Return the robot that acts in the step, counted from 0."""
     return robot_named(task.steps[step].partition(" ")[0], task.team)
-
-
-# See docs/decisions/rejected-commands-are-events.md.
-def rejected(command: Command, subject: str, reason: str, issued_by: Principal | None = None) -> tuple[CommandRejected]:
-    """Return the one event of a command that named something unknown, over or impossible."""
-    return (CommandRejected(command=type(command).__name__, subject=subject, reason=reason, issued_by=issued_by),)
-
-
-def unknown_robot(fleet: Fleet, *robots: str | None) -> str | None:
-    """Return why to reject a command that names a robot outside the fleet, or None (None names nobody)."""
-    for robot in robots:
-        if robot is not None and robot not in fleet.robots:
-            return f"unknown robot {robot}, expected a member of the fleet"
-    return None
-
-
-def unknown_supervisor(fleet: Fleet, supervisor: Supervisor | None) -> str | None:
-    """Return why to reject a command from a supervisor unknown in this fleet, or None."""
-    if supervisor == FLEET_SUPERVISOR or (
-        supervisor is not None and any(supervisor == robot.supervisor for robot in fleet.robots.values())
-    ):
-        return None
-    return f"unknown supervisor {supervisor}, expected {FLEET_SUPERVISOR} or a robot's own"
-
-
-def not_in_charge(
-    fleet: Fleet, supervisor: Supervisor | None, robot: Robot | None, is_fleet_matter: bool = False
-) -> str | None:
-    """Return why this supervisor may not give a command about this robot, or None.
-
-    A robot of None: the command is about nobody in particular. H_F may speak for every robot; H_i for its own alone,
-    and not where the matter is the fleet's. Paper: sec:model:supervision.
-    """
-    if (unknown := unknown_supervisor(fleet, supervisor)) is not None:
-        return unknown
-    if supervisor == FLEET_SUPERVISOR:
-        return None
-    if is_fleet_matter:
-        return f"{supervisor} supervises one robot, expected {FLEET_SUPERVISOR} for what concerns the fleet"
-    if robot is not None and fleet.robots[robot].supervisor != supervisor:
-        return (
-            f"{supervisor} does not supervise {robot}, "
-            f"expected {fleet.robots[robot].supervisor or FLEET_SUPERVISOR} or {FLEET_SUPERVISOR}"
-        )
-    return None
-
-
-def unknown_capability(registry: Registry, capability: str | None) -> str | None:
-    """Return why to reject a command about a capability that no robot possesses, or None (None names none)."""
-    if capability is None or any(capability in modules for modules in registry.modules.values()):
-        return None
-    return f"unknown capability {capability}, expected one that a member possesses"
-
-
-def unknown_word(what: str, found: str | None, known: Iterable[str]) -> str | None:
-    """Return why to reject a command with this word, or None if it is a known one."""
-    known = tuple(known)
-    return None if found in known else f"unknown {what} {found}, expected one of {', '.join(known)}"
-
-
-def expired_context(over: Over, context: str | None) -> str | None:
-    """Return why to reject a command in the context of a task that is over, or None (None is no context)."""
-    return f"task {context} is over, expected a context that is not" if context in over else None

@@ -17,10 +17,8 @@ from fsar_ledger.events.execution import (
 from fsar_ledger.events.recovery import FailureResolved
 from fsar_ledger.events.world import ContextChanged, ObstructionAppeared, RobotCameBack, RobotWentOff, RoutineDue
 from fsar_ledger.projections.execution import Action, Execution, Stage, in_hand
-from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.request import Request
-from fsar_ledger.projections.world import World
 from fsar_ledger.runtime.ports import Ask
 
 from .attribution import is_injected, parties
@@ -38,6 +36,7 @@ from .commands import (
     TakeTurn,
     body,
     holds,
+    known_action,
     lasts,
     nobody,
 )
@@ -89,12 +88,12 @@ def waiting(execution: Execution, action_id: str) -> Action | None:
     return action if action is not None and action.stage in ("queued", "approaching") else None
 
 
-def started(fleet: Fleet, world: World, action: Action, command: StartAction) -> ExecutionStarted:
+def started(state: State, action: Action, command: StartAction) -> ExecutionStarted:
     """Return the fact that the action runs from now to its planned end."""
-    duration_us = fleet.structure.injected_execution_us if is_injected(action) else command.answer
+    duration_us = state.fleet.structure.injected_execution_us if is_injected(action) else command.answer
     return ExecutionStarted(
         subject=action.subject,
-        principals=parties(fleet, world, action),
+        principals=parties(state, action),
         robot=action.robot,
         on_behalf_of=action.on_behalf_of,
         capability=action.capability,
@@ -110,66 +109,57 @@ def approach(state: State, command: TakeTurn) -> tuple[Event, ...]:
     return (ApproachStarted(action.subject, action.robot),)
 
 
-@HANDLERS.decide(FinishAttempt, body)
-def finish_attempt(state: State, command: FinishAttempt) -> tuple[Event, ...]:
+@HANDLERS.decide_on(known_action, FinishAttempt, body)
+def finish_attempt(state: State, command: FinishAttempt, action: Action) -> tuple[Event, ...]:
     """Finish the execution, or fail it at its end where the degraded actuator does not hold."""
-    action = state.execution.actions.get(command.action_id)
-    if action is None or action.stage != "running" or action.ends_us != command.ends_us:
+    if action.stage != "running" or action.ends_us != command.ends_us:
         return ()
     if action.capability != NAVIGATION and not actuator_holds(state.world, action.robot, command.answer):
         return (failed(action, "degradation", command.now_us),)
-    return (_finished(state.fleet, state.world, action),)
+    return (_finished(state, action),)
 
 
-@HANDLERS.decide(DetectObstruction, body)
-def detect_obstruction(state: State, command: DetectObstruction) -> tuple[Event, ...]:
+@HANDLERS.decide_on(known_action, DetectObstruction, body)
+def detect_obstruction(state: State, command: DetectObstruction, action: Action) -> tuple[Event, ...]:
     """Fail the running attempt because something is in the way."""
-    action = state.execution.actions.get(command.action_id)
-    if action is None or action.stage != "running" or not state.world.obstructions.get(action.robot):
+    if action.stage != "running" or not state.world.obstructions.get(action.robot):
         return ()
     return (failed(action, "obstruction", command.now_us),)
 
 
-@HANDLERS.decide(PauseAction, body)
-def pause_action(state: State, command: PauseAction) -> tuple[Event, ...]:
+@HANDLERS.decide_on(known_action, PauseAction, body)
+def pause_action(_state: State, command: PauseAction, action: Action) -> tuple[Event, ...]:
     """Stop the robot to replan, if it still executes."""
-    action = state.execution.actions.get(command.action_id)
-    if action is None or action.stage != "running" or action.ends_us <= command.now_us:
+    if action.stage != "running" or action.ends_us <= command.now_us:
         return ()
     return (ExecutionPaused(action.subject, action.robot, action.ends_us - command.now_us),)
 
 
-@HANDLERS.decide(HaltAction, nobody)
-def halt_action(state: State, command: HaltAction) -> tuple[Event, ...]:
+@HANDLERS.decide_on(known_action, HaltAction, nobody)
+def halt_action(state: State, command: HaltAction, action: Action) -> tuple[Event, ...]:
     """Halt the execution of a robot that is off.
 
     A robot that was off for a moment and is back goes on.
     """
-    action = state.execution.actions.get(command.action_id)
-    if action is None or action.stage != "running" or action.robot not in state.world.off:
+    if action.stage != "running" or action.robot not in state.world.off:
         return ()
     return (ExecutionHalted(action.subject, action.robot, max(0, action.ends_us - command.now_us)),)
 
 
-@HANDLERS.decide(ResumeAction, body)
-def resume_action(state: State, command: ResumeAction) -> tuple[Event, ...]:
+@HANDLERS.decide_on(known_action, ResumeAction, body)
+def resume_action(state: State, command: ResumeAction, action: Action) -> tuple[Event, ...]:
     """Resume the rest of the execution; without a rest it has finished."""
-    action = state.execution.actions.get(command.action_id)
-    if (
-        action is None
-        or action.stage not in ("paused", "halted", "failed", "preempted")
-        or command.action_id in state.recovery
-    ):
+    if action.stage not in ("paused", "halted", "failed", "preempted") or command.action_id in state.recovery:
         return ()
     if action.stage == "preempted" and not (action.has_begun and holds_robot(state.execution, action)):
         return ()
     if action.remaining_us == 0:
-        return (_finished(state.fleet, state.world, action),)
+        return (_finished(state, action),)
     return (ExecutionResumed(action.subject, action.robot, command.now_us + action.remaining_us),)
 
 
-def _finished(fleet: Fleet, world: World, action: Action) -> ExecutionFinished:
-    return ExecutionFinished(action.subject, parties(fleet, world, action), action.robot)
+def _finished(state: State, action: Action) -> ExecutionFinished:
+    return ExecutionFinished(action.subject, parties(state, action), action.robot)
 
 
 def holds_robot(execution: Execution, action: Action) -> bool:

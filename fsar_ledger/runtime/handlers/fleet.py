@@ -17,7 +17,8 @@ from fsar_ledger.projections.registry import Contract, Registry, path_of, posses
 from fsar_ledger.projections.world import World
 
 from .candidates import contradiction, version_of
-from .commands import Handlers, PublicCommand, rejected, unknown_robot
+from .commands import Handlers
+from .public import PublicCommand, carried_out, made_from, unknown_robot
 
 ExecutionState = Literal["off", "idle", "executing", "degraded", "failed"]
 
@@ -99,18 +100,7 @@ def join_fleet(state: State, command: JoinFleet) -> tuple[Event, ...]:
         wrong = f"domain {command.domain!r} is no path, expected one such as hall/cell, or nothing for the fleet's own"
     elif command.place == "":
         wrong = "an empty place, expected a name such as floor/2, or none for a fleet of one place"
-    if wrong is not None:
-        return rejected(command, robot, wrong, command.issued_by)
-    return (
-        RobotJoined(
-            robot=robot,
-            role=command.role,
-            team=command.team,
-            supervisor=command.supervisor,
-            domain=command.domain,
-            place=command.place,
-        ),
-    )
+    return carried_out(command, robot, wrong, command.issued_by, made_from(RobotJoined, command))
 
 
 def _is_robots_name(name: str) -> bool:
@@ -135,18 +125,7 @@ def install_capability(state: State, command: InstallCapability) -> tuple[Event,
         wrong = f"{command.version!r} is no version, expected one such as 1.2.0"
     contract = Contract(command.preconditions, command.postconditions, command.resources)
     wrong = wrong or contradiction(contract)
-    if wrong is not None:
-        return rejected(command, capability, wrong, command.issued_by)
-    return (
-        CapabilityInstalled(
-            robot=robot,
-            capability=capability,
-            version=command.version,
-            preconditions=contract.preconditions,
-            postconditions=contract.postconditions,
-            resources=contract.resources,
-        ),
-    )
+    return carried_out(command, capability, wrong, command.issued_by, made_from(CapabilityInstalled, command, contract))
 
 
 @HANDLERS.decide(RemoveCapability)
@@ -158,9 +137,7 @@ def remove_capability(state: State, command: RemoveCapability) -> tuple[Event, .
         or not_possessed(state.registry, robot, capability)
         or in_use(state.execution, robot, capability)
     )
-    if wrong is not None:
-        return rejected(command, capability, wrong, command.issued_by)
-    return (CapabilityRemoved(robot, capability),)
+    return carried_out(command, capability, wrong, command.issued_by, CapabilityRemoved(robot, capability))
 
 
 def not_possessed(registry: Registry, robot: Robot, capability: str) -> str | None:

@@ -9,16 +9,16 @@ from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.knowledge import Knowledge
 from fsar_ledger.projections.policy import Policy, ruled
-from fsar_ledger.projections.trust import is_within
 from fsar_ledger.projections.world import World, in_force, stricter
 
-from .commands import (
-    Handlers,
+from .commands import Handlers
+from .public import (
     PublicCommand,
-    expired_context,
+    carried_out,
+    made_from,
+    not_for_roles,
     not_in_charge,
-    rejected,
-    unknown_capability,
+    unknown_about,
     unknown_robot,
     unknown_word,
 )
@@ -107,7 +107,7 @@ def conflict(
     fleet = fleet_policy(state.knowledge, state.policy, executor, capability, task_id)
     if (own, fleet) != ("deny", "allow"):
         return ()
-    supervisor = supervisor_for(state.fleet, state.world, executor, is_cross_robot=requester != executor)
+    supervisor = supervisor_for(state, executor, is_cross_robot=requester != executor)
     return (
         PolicyConflictEscalated(
             Subject(task_id, action_id),
@@ -122,24 +122,9 @@ def conflict(
 @HANDLERS.decide(SetPolicyRule)
 def set_policy_rule(state: State, command: SetPolicyRule) -> tuple[Event, ...]:
     """Set the rule: a robot's own by its own supervisor alone, the fleet's by H_F alone. Paper: app:foundations."""
-    refused = (
-        unknown_robot(state.fleet, command.robot)
-        or unknown_capability(state.registry, command.capability)
-        or expired_context(state.context, command.context)
-    )
-    refused = refused or _unfit(state.fleet, command)
-    if refused is not None:
-        return rejected(command, command.robot or "fleet", refused, command.issued_by)
-    return (
-        PolicyRuleSet(
-            scope=command.scope,
-            robot=command.robot,
-            capability=command.capability,
-            context=command.context,
-            outcome=command.outcome,
-            decided_by=command.issued_by,
-        ),
-    )
+    refused = unknown_robot(state.fleet, command.robot) or unknown_about(state, command) or _unfit(state.fleet, command)
+    made = made_from(PolicyRuleSet, command, decided_by=command.issued_by)
+    return carried_out(command, command.robot or "fleet", refused, command.issued_by, made)
 
 
 @HANDLERS.decide(SetRolePolicyRule)
@@ -148,30 +133,10 @@ def set_role_policy_rule(state: State, command: SetRolePolicyRule) -> tuple[Even
 
     A rule for a robot by name takes precedence. Paper: app:foundations.
     """
-    inside = [robot for robot in state.fleet.robots.values() if is_within(robot.domain, command.domain)]
-    refused = not_in_charge(state.fleet, command.issued_by, None, is_fleet_matter=True)
-    if refused is None and not inside:
-        refused = f"unknown domain {command.domain}, expected one that a member is in"
-    refused = refused or unknown_word("role", command.role, sorted({robot.role for robot in inside}))
-    refused = (
-        refused
-        or unknown_capability(state.registry, command.capability)
-        or expired_context(state.context, command.context)
-    )
+    refused = not_for_roles(state, command.issued_by, command.domain, command.role) or unknown_about(state, command)
     refused = refused or unknown_word("outcome", command.outcome, get_args(PolicyOutcome))
-    if refused is not None:
-        return rejected(command, command.role, refused, command.issued_by)
-    return (
-        RolePolicyRuleSet(
-            scope="fleet",
-            role=command.role,
-            outcome=command.outcome,
-            domain=command.domain,
-            capability=command.capability,
-            context=command.context,
-            decided_by=command.issued_by,
-        ),
-    )
+    made = made_from(RolePolicyRuleSet, command, scope="fleet", decided_by=command.issued_by)
+    return carried_out(command, command.role, refused, command.issued_by, made)
 
 
 def _unfit(fleet: Fleet, command: SetPolicyRule) -> str | None:

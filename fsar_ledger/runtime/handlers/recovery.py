@@ -10,24 +10,15 @@ from fsar_ledger.events.envelope import FailureCause, Principals, RecoveryLevel,
 from fsar_ledger.events.execution import ExecutionFailed
 from fsar_ledger.events.recovery import RecoveryAttempted, RecoveryAttemptFailed, RecoveryBudgetSet
 from fsar_ledger.projections.budget import Budget, Budgets
-from fsar_ledger.projections.execution import Action, Execution
+from fsar_ledger.projections.execution import Action
 from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
-from fsar_ledger.projections.recovery import Recoveries, Recovery
+from fsar_ledger.projections.recovery import Recovery
 from fsar_ledger.projections.registry import Registry
 from fsar_ledger.projections.world import World
 
-from .commands import (
-    EndAttempt,
-    Handlers,
-    PublicCommand,
-    Scheduled,
-    holds,
-    lasts,
-    not_in_charge,
-    rejected,
-    unknown_robot,
-)
+from .commands import EndAttempt, Handlers, Scheduled, holds, lasts
+from .public import PublicCommand, made_from, not_in_charge, rejected, unknown_robot
 
 LEVELS: tuple[RecoveryLevel, ...] = get_args(RecoveryLevel)
 
@@ -83,15 +74,7 @@ def set_recovery_budget(state: State, command: SetRecoveryBudget) -> tuple[Event
     if refused is not None:
         return rejected(command, command.robot, refused, command.issued_by)
     level = next(level for level in LEVELS if level == command.level)
-    return (
-        RecoveryBudgetSet(
-            robot=command.robot,
-            level=level,
-            t_max_us=command.t_max_us,
-            n_max=command.n_max,
-            decided_by=command.issued_by,
-        ),
-    )
+    return (made_from(RecoveryBudgetSet, command, level=level, decided_by=command.issued_by),)
 
 
 def _impossible(command: SetRecoveryBudget) -> str | None:
@@ -135,12 +118,6 @@ def report_failure(state: State, command: ReportFailure) -> tuple[Event, ...]:
     if refused is not None or action is None or cause is None:
         return rejected(command, command.action_id, refused or "", command.robot)
     return (failed(action, cause, command.now_us),)
-
-
-def open_failure(execution: Execution, recoveries: Recoveries, action_id: str) -> tuple[Action, Recovery] | None:
-    """Return the action and its failure that is being recovered, or None when there is none any more."""
-    action, recovery = execution.actions.get(action_id), recoveries.get(action_id)
-    return None if action is None or recovery is None else (action, recovery)
 
 
 def actuator_holds(world: World, robot: Robot, answer: int) -> bool:

@@ -9,20 +9,18 @@ from typing import get_args
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import OverrideLevel, Principal, Robot, Subject
 from fsar_ledger.events.registry import RegistryCached, RegistryConsulted, RegistryQueried
-from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
-from fsar_ledger.projections.world import World
 
 from .attribution import recorded_by
 from .candidates import Answer, Query, candidates, is_range
-from .commands import Handlers, PublicCommand, rejected, unknown_robot
+from .commands import Handlers
+from .public import PublicCommand, carried_out, rejected, unknown_robot
 
 HANDLERS = Handlers()
 
 
 def queried(
-    fleet: Fleet,
-    world: World,
+    state: State,
     query: Query,
     answer: Answer,
     task_id: str | None,
@@ -33,8 +31,7 @@ def queried(
     return RegistryQueried(
         subject=Subject(task_id, action_id),
         principals=recorded_by(
-            fleet,
-            world,
+            state,
             query.requester,
             requested_by=query.requester,
             executed_by=answer.candidates[0] if answer.candidates else None,
@@ -104,6 +101,4 @@ def _malformed(query: Query) -> str | None:
 def cache_registry(state: State, command: CacheRegistry) -> tuple[Event, ...]:
     """Give the holder a copy of the registry as it is now."""
     wrong = unknown_robot(state.fleet, command.holder)
-    if wrong is not None:
-        return rejected(command, command.holder, wrong, command.holder)
-    return (RegistryCached(command.holder, command.now_us),)
+    return carried_out(command, command.holder, wrong, command.holder, RegistryCached(command.holder, command.now_us))

@@ -17,16 +17,18 @@ from fsar_ledger.projections.registry import Registry
 from fsar_ledger.projections.request import Request, Requests
 
 from .attribution import parties, recorded_by
-from .commands import (
-    Handlers,
+from .commands import Handlers
+from .policy import own_policy
+from .public import (
     PublicCommand,
+    carried_out,
     expired_context,
+    made_from,
     rejected,
     unknown_capability,
     unknown_robot,
     unknown_word,
 )
-from .policy import own_policy
 
 HANDLERS = Handlers()
 
@@ -74,18 +76,15 @@ def request_capability(state: State, command: RequestCapability) -> tuple[Event,
     if reason is not None:
         return rejected(command, command.action_id, reason, command.requester)
     robot, context, action_id = command.requester, command.context, command.action_id
-    parties = recorded_by(state.fleet, state.world, robot, requested_by=robot, executed_by=command.executor)
+    parties = recorded_by(state, robot, requested_by=robot, executed_by=command.executor)
     return (
         GapDetected(Subject(context, action_id), parties, command.capability),
-        RequestIssued(
+        made_from(
+            RequestIssued,
+            command,
             subject=RequestSubject(context, action_id, action_id),
             principals=parties.decided(robot),
-            capability=command.capability,
             carried_policy=own_policy(state.policy, state.world, robot, command.capability, context),
-            override=command.override,
-            parent=command.parent,
-            directives=command.directives,
-            version=command.version,
         ),
     )
 
@@ -152,9 +151,7 @@ def answer_offer(state: State, command: AnswerOffer) -> tuple[Event, ...]:
     return (
         OfferAnswered(
             request.request_subject,
-            recorded_by(state.fleet, state.world, robot, requested_by=robot, executed_by=request.candidates[0]).decided(
-                robot
-            ),
+            recorded_by(state, robot, requested_by=robot, executed_by=request.candidates[0]).decided(robot),
             request.offers,
             command.is_accepted,
             request.offered if command.is_accepted else command.override,
@@ -171,17 +168,14 @@ def report_result(state: State, command: ReportResult) -> tuple[Event, ...]:
             command, command.action_id, _not_executed(state.request.open.get(command.action_id)), command.executor
         )
     reason = _not_reportable(state.registry, action, command)
-    if reason is not None:
-        return rejected(command, command.action_id, reason, command.executor)
-    return (
-        ExecutionFinished(
-            action.subject,
-            parties(state.fleet, state.world, action),
-            robot=action.robot,
-            result=command.result,
-            achieved=command.achieved,
-        ),
+    made = ExecutionFinished(
+        action.subject,
+        parties(state, action),
+        robot=action.robot,
+        result=command.result,
+        achieved=command.achieved,
     )
+    return carried_out(command, command.action_id, reason, command.executor, made)
 
 
 def _not_executed(request: Request | None) -> str:

@@ -14,24 +14,13 @@ from fsar_ledger.events.supervision import (
     SupervisorCalled,
     SupervisorResponded,
 )
-from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.request import Request
 from fsar_ledger.projections.supervision import Supervision, density
-from fsar_ledger.projections.world import World
 from fsar_ledger.runtime.ports import DISAPPROVES, PREFERS_OTHER, Ask
 
-from .commands import (
-    Handlers,
-    PublicCommand,
-    Respond,
-    Scheduled,
-    at_once,
-    nobody,
-    not_in_charge,
-    rejected,
-    unknown_robot,
-)
+from .commands import Handlers, Respond, Scheduled, at_once, nobody
+from .public import PublicCommand, carried_out, made_from, not_in_charge, rejected, unknown_robot
 from .task import first_in_order
 
 HANDLERS = Handlers()
@@ -58,13 +47,13 @@ class SetSupervisionDensity(PublicCommand):
     reason: str
 
 
-def supervisor_for(fleet: Fleet, world: World, robot: Robot, is_cross_robot: bool) -> Supervisor:
+def supervisor_for(state: State, robot: Robot, is_cross_robot: bool) -> Supervisor:
     """Return whom to call about the robot: its own H_i on shift about that robot alone, else H_F.
 
     Paper: sec:model:supervision.
     """
-    own = fleet.robots[robot].supervisor
-    if is_cross_robot or own is None or own in world.off_shift:
+    own = state.fleet.robots[robot].supervisor
+    if is_cross_robot or own is None or own in state.world.off_shift:
         return FLEET_SUPERVISOR
     return own
 
@@ -181,13 +170,8 @@ def set_supervision_density(state: State, command: SetSupervisionDensity) -> tup
     )
     if refused is None and command.review_every < 0:
         refused = f"density {command.review_every}, expected 0 (none) or one in so many"
-    if refused is not None:
-        return rejected(command, subject, refused, command.issued_by)
-    return (
-        SupervisionDensitySet(
-            robot=command.robot, review_every=command.review_every, decided_by=command.issued_by, reason=command.reason
-        ),
-    )
+    made = made_from(SupervisionDensitySet, command, decided_by=command.issued_by)
+    return carried_out(command, subject, refused, command.issued_by, made)
 
 
 @HANDLERS.react(SupervisorCalled)

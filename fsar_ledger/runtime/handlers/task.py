@@ -15,17 +15,14 @@ from .commands import (
     CompleteStep,
     ExpireTask,
     Handlers,
-    PublicCommand,
     Scheduled,
     acting,
     at_once,
     next_in_task,
     nobody,
-    rejected,
     requester,
-    unknown_capability,
-    unknown_robot,
 )
+from .public import PublicCommand, made_from, rejected, unknown_capability, unknown_robot
 
 HANDLERS = Handlers()
 
@@ -48,18 +45,7 @@ def submit_task(state: State, command: SubmitTask) -> tuple[Event, ...]:
     if reason is not None:
         return rejected(command, command.task_id, reason, command.robot)
     team, due_us = state.fleet.robots[command.robot].team, command.now_us + command.budget_us
-    return (
-        TaskArrived(
-            task_id=command.task_id,
-            robot=command.robot,
-            team=team,
-            steps=command.steps,
-            budget_us=command.budget_us,
-            due_us=due_us,
-            checkpoints=command.checkpoints,
-            is_time_critical=command.is_time_critical,
-        ),
-    )
+    return (made_from(TaskArrived, command, team=team, due_us=due_us),)
 
 
 def _impossible(state: State, command: SubmitTask) -> str | None:

@@ -9,19 +9,16 @@ from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
 from fsar_ledger.events.trust import RoleTrustSet, TrustSet, TrustThresholdsSet
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import advertisement
-from fsar_ledger.projections.trust import SCOPES, covers, follows_record, is_within, scope_of
+from fsar_ledger.projections.trust import SCOPES, covers, follows_record, scope_of
 
-from .commands import (
-    Command,
-    Handlers,
+from .commands import Command, Handlers, RobotCommand, Scheduled, named, nobody
+from .public import (
     PublicCommand,
-    Scheduled,
-    expired_context,
-    named,
-    nobody,
+    carried_out,
+    made_from,
+    not_for_roles,
     not_in_charge,
-    rejected,
-    unknown_capability,
+    unknown_about,
     unknown_robot,
     unknown_word,
 )
@@ -73,13 +70,12 @@ class SetTrustThresholds(PublicCommand):
     downgrade_after: int
 
 
-class AssessTrust(Command):
+class AssessTrust(RobotCommand):
     """Assess trust after a change in the robot's record of the peer.
 
     In the context, or (None) in those that no trust is set for.
     """
 
-    robot: Robot
     peer: Robot
     capability: str
     context: str | None = None
@@ -109,59 +105,20 @@ def set_trust(state: State, command: SetTrust) -> tuple[Event, ...]:
     refused = unknown_robot(state.fleet, command.robot, command.peer) or not_in_charge(
         state.fleet, command.issued_by, command.robot
     )
-    refused = (
-        refused
-        or unknown_capability(state.registry, command.capability)
-        or expired_context(state.context, command.context)
-    )
-    refused = refused or unknown_word("scope", command.scope, SCOPES)
+    refused = refused or unknown_about(state, command) or unknown_word("scope", command.scope, SCOPES)
     if refused is None and command.robot == command.peer:
         refused = f"{command.robot} needs no trust in itself, expected another robot"
-    if refused is not None:
-        return rejected(command, command.robot, refused, command.issued_by)
-    return (
-        TrustSet(
-            robot=command.robot,
-            peer=command.peer,
-            scope=command.scope,
-            capability=command.capability,
-            context=command.context,
-            decided_by=command.issued_by,
-            reason=command.reason,
-        ),
-    )
+    made = made_from(TrustSet, command, decided_by=command.issued_by)
+    return carried_out(command, command.robot, refused, command.issued_by, made)
 
 
 @HANDLERS.decide(SetRoleTrust)
 def set_role_trust(state: State, command: SetRoleTrust) -> tuple[Event, ...]:
     """Set the trust between the roles, for pairs without an entry of their own. Paper: eq:trust."""
-    members = state.fleet.robots.values()
-    inside = [robot for robot in members if is_within(robot.domain, command.domain)]
-    refused = not_in_charge(state.fleet, command.issued_by, None, is_fleet_matter=True)
-    if refused is None and not inside:
-        refused = f"unknown domain {command.domain}, expected one that a member is in"
-    for role in (command.role, command.peer_role):
-        refused = refused or unknown_word("role", role, sorted({robot.role for robot in inside}))
-    refused = (
-        refused
-        or unknown_capability(state.registry, command.capability)
-        or expired_context(state.context, command.context)
-    )
-    refused = refused or unknown_word("scope", command.scope, SCOPES)
-    if refused is not None:
-        return rejected(command, command.role, refused, command.issued_by)
-    return (
-        RoleTrustSet(
-            role=command.role,
-            peer_role=command.peer_role,
-            scope=command.scope,
-            domain=command.domain,
-            capability=command.capability,
-            context=command.context,
-            decided_by=command.issued_by,
-            reason=command.reason,
-        ),
-    )
+    refused = not_for_roles(state, command.issued_by, command.domain, command.role, command.peer_role)
+    refused = refused or unknown_about(state, command) or unknown_word("scope", command.scope, SCOPES)
+    made = made_from(RoleTrustSet, command, decided_by=command.issued_by)
+    return carried_out(command, command.role, refused, command.issued_by, made)
 
 
 @HANDLERS.decide(SetTrustThresholds)
@@ -170,9 +127,8 @@ def set_trust_thresholds(state: State, command: SetTrustThresholds) -> tuple[Eve
     refused = not_in_charge(state.fleet, command.issued_by, None, is_fleet_matter=True)
     if refused is None and min(command.promote_after, command.downgrade_after) < 0:
         refused = f"thresholds {command.promote_after} and {command.downgrade_after}, expected 0 (never) or more"
-    if refused is not None:
-        return rejected(command, "trust", refused, command.issued_by)
-    return (TrustThresholdsSet(command.promote_after, command.downgrade_after, command.issued_by),)
+    made = TrustThresholdsSet(command.promote_after, command.downgrade_after, command.issued_by)
+    return carried_out(command, "trust", refused, command.issued_by, made)
 
 
 @HANDLERS.decide(AssessTrust, named)
@@ -191,17 +147,7 @@ def assess_trust(state: State, command: AssessTrust) -> tuple[Event, ...]:
         moved = SCOPES[SCOPES.index(scope) + 1]
     else:
         return ()
-    return (
-        TrustSet(
-            robot=command.robot,
-            peer=command.peer,
-            scope=moved,
-            capability=command.capability,
-            context=command.context,
-            decided_by=TRUST,
-            reason="record",
-        ),
-    )
+    return (made_from(TrustSet, command, scope=moved, decided_by=TRUST, reason="record"),)
 
 
 @HANDLERS.decide(ExpireTrust, nobody)

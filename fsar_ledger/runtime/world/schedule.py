@@ -109,16 +109,19 @@ def _disturbed(constants: Constants, key: bytes, scenario: Scenario, fleet_size:
             facts.append((1, SnapshotPhaseSet(name, round(Stream(key, f"snapshot-phase/{name}").uniform() * 1e6))))
             facts += _contexts(world, key, name)
             facts += _fleet_rules(world, key, name)
-            facts += _obstructions(world, key, name)
+            facts += _in_the_way(world, key, name, "obstruction", world.obstruction_rate_per_s)
             # See docs/decisions/fleets-share-a-floor.md.
-            facts += _crowding(world, key, name, sum(other.team != team for other in there))
+            others = sum(other.team != team for other in there)  # one team keeps out of its own way
+            facts += _in_the_way(world, key, name, "crowding", world.crowding_rate_per_s * others)
             if team <= working:
                 facts += _routine(world, key, name)
             facts += _absences(constants, key, member)
             if outages is not None:
                 facts += _outages(outages, key, name, world.horizon_s)
         for one, other in combinations(there, 2):
-            facts += _encounters(world, key, one.name, other.name)
+            meetings = Stream(key, f"encounter/{one.name}/{other.name}")
+            instants = _arrivals(meetings, world.encounter_mean_s, world.horizon_s)
+            facts += [(time_us, PeersMet(one.name, other.name)) for time_us in instants]
     for team in range(1, working + 1):
         facts += _tasks(world, key, scenario, team, constants.load or Load())
     facts.sort(key=lambda fact: fact[0])
@@ -188,15 +191,6 @@ def _fleet_rules(world: WorldConstants, key: bytes, robot: Robot) -> list[Fact]:
     return facts
 
 
-def _obstructions(world: WorldConstants, key: bytes, robot: Robot) -> list[Fact]:
-    return _in_the_way(world, key, robot, "obstruction", world.obstruction_rate_per_s)
-
-
-def _crowding(world: WorldConstants, key: bytes, robot: Robot, others: int) -> list[Fact]:
-    """Return the obstructions by robots of other teams on the floor; those of one team keep out of each other's way."""
-    return _in_the_way(world, key, robot, "crowding", world.crowding_rate_per_s * others)
-
-
 def _in_the_way(world: WorldConstants, key: bytes, robot: Robot, what: str, rate_per_s: float) -> list[Fact]:
     lengths = Stream(key, f"{what}-length/{robot}")
     facts: list[Fact] = []
@@ -255,31 +249,16 @@ def _merged(spells: list[tuple[int, int]]) -> list[tuple[int, int]]:
 
 
 def _outages(outages: Outages, key: bytes, robot: Robot, until_s: float) -> list[Fact]:
-    off, back = (Stream(key, f"{name}/{robot}") for name in ("off", "off-length"))
-    down, up = (Stream(key, f"{name}/{robot}") for name in ("link", "link-length"))
     from_us = round(outages.from_s * 1000000.0)
+    facts: list[Fact] = []
+    for name, rate_per_s, mean_s, edges in (
+        ("off", outages.off_rate_per_s, outages.off_mean_s, (RobotWentOff(robot), RobotCameBack(robot))),
+        ("link", outages.link_rate_per_s, outages.link_mean_s, (LinkWentDown(robot), LinkCameUp(robot))),
+    ):
+        before, lengths = Stream(key, f"{name}/{robot}"), Stream(key, f"{name}-length/{robot}")
+        facts += _spells(before, lengths, _mean_s(rate_per_s), mean_s, from_us, until_s, edges)
     lost = _arrivals(Stream(key, f"loss/{robot}"), _mean_s(outages.loss_rate_per_s), until_s - outages.from_s)
-    return [
-        *_spells(
-            off,
-            back,
-            _mean_s(outages.off_rate_per_s),
-            outages.off_mean_s,
-            from_us,
-            until_s,
-            (RobotWentOff(robot), RobotCameBack(robot)),
-        ),
-        *_spells(
-            down,
-            up,
-            _mean_s(outages.link_rate_per_s),
-            outages.link_mean_s,
-            from_us,
-            until_s,
-            (LinkWentDown(robot), LinkCameUp(robot)),
-        ),
-        *((from_us + after_us, ActuatorDegraded(robot, "lost")) for after_us in lost),
-    ]
+    return facts + [(from_us + after_us, ActuatorDegraded(robot, "lost")) for after_us in lost]
 
 
 def _spells(
@@ -302,11 +281,6 @@ def _spells(
         facts += [(begins_us, edges[0]), (ends_us, edges[1])]
         begins_us = ends_us + before.exponential_us(before_s)
     return facts
-
-
-def _encounters(world: WorldConstants, key: bytes, one: Robot, other: Robot) -> list[Fact]:
-    instants = _arrivals(Stream(key, f"encounter/{one}/{other}"), world.encounter_mean_s, world.horizon_s)
-    return [(time_us, PeersMet(one, other)) for time_us in instants]
 
 
 def _tasks(world: WorldConstants, key: bytes, scenario: Scenario, team: int, load: Load) -> list[Fact]:

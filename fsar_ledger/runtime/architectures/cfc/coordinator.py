@@ -28,7 +28,16 @@ from fsar_ledger.projections.task import given_up_us
 from fsar_ledger.projections.world import in_force
 from fsar_ledger.runtime.handlers import supervision
 from fsar_ledger.runtime.handlers.attribution import capable, is_idle
-from fsar_ledger.runtime.handlers.commands import Command, Decide, Handlers, React, Respond, Scheduled, nobody
+from fsar_ledger.runtime.handlers.commands import (
+    ActionCommand,
+    Command,
+    Decide,
+    Handlers,
+    React,
+    Respond,
+    Scheduled,
+    nobody,
+)
 from fsar_ledger.runtime.handlers.supervision import RespondToCall
 from fsar_ledger.runtime.ports import Ask
 
@@ -41,17 +50,15 @@ class Sync(Command):
     """Copy the states of the robots, which are due."""
 
 
-class ReachCoordinator(Command):
+class ReachCoordinator(ActionCommand):
     """Deliver a message about an action to the coordinator."""
 
-    action_id: str
     item: str
 
 
-class ProcessWork(Command):
+class ProcessWork(ActionCommand):
     """Process the item of work that is next at the coordinator."""
 
-    action_id: str
     item: str
 
 

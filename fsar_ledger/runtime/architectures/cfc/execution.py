@@ -27,6 +27,7 @@ from fsar_ledger.runtime.handlers.commands import (
     DecideRoutine,
     Handlers,
     ResumeAction,
+    RobotCommand,
     Scheduled,
     StartAction,
     TakeTurn,
@@ -43,10 +44,9 @@ from .coordinator import ReachCoordinator, copied_policy, copied_rule, until_nex
 HANDLERS = Handlers()
 
 
-class SafeStop(Command):
+class SafeStop(RobotCommand):
     """Make a robot whose context has changed safe, while the coordinator holds actions of it or for it."""
 
-    robot: Robot
     window: str | None
 
 
@@ -60,7 +60,7 @@ class EndWatch(Command):
 def start(state: State, command: StartAction) -> tuple[Event, ...]:
     """Start the execution."""
     action = waiting(state.execution, command.action_id)
-    return () if action is None else (started(state.fleet, state.world, action, command),)
+    return () if action is None else (started(state, action, command),)
 
 
 @HANDLERS.decide(SafeStop, named)
@@ -72,7 +72,7 @@ def safe_stop(state: State, command: SafeStop) -> tuple[Event, ...]:
         wanted: list[tuple[Dimension, Principal, str]] = [("override", command.robot, "safe stop")]
         if command.window is not None:
             wanted.append(("audit", FLEET_SUPERVISOR, "policy window"))
-            if on_shift(state.fleet, state.world, command.robot) is not None:
+            if on_shift(state, command.robot) is not None:
                 wanted.append(("audit", local_supervisor(command.robot), command.window))
         known = {(claim.dimension, claim.claimant, claim.reason) for claim in state.authority.claims[action_id]}
         claimed += [

@@ -24,10 +24,11 @@ from fsar_ledger.projections.registry import NO_ANSWER
 from fsar_ledger.runtime.handlers import assistance
 from fsar_ledger.runtime.handlers.attribution import helpers, is_idle
 from fsar_ledger.runtime.handlers.commands import (
-    Command,
     EndAssistance,
     EndAttempt,
+    Failure,
     Handlers,
+    HelpCommand,
     Scheduled,
     body,
     helping,
@@ -35,26 +36,22 @@ from fsar_ledger.runtime.handlers.commands import (
     lasts,
     message,
     nobody,
+    open_failure,
 )
-from fsar_ledger.runtime.handlers.recovery import attempt_succeeds, open_failure
+from fsar_ledger.runtime.handlers.recovery import attempt_succeeds
 
 from .coordinator import ProcessWork, ReachCoordinator, by_coordinator, copied_policy, reach_coordinator, to_coordinator
 
 HANDLERS = Handlers()
 
 
-class ReachHelper(Command):
+class ReachHelper(HelpCommand):
     """Deliver the order to help to the helper."""
 
-    action_id: str
-    helper: Robot
 
-
-class GoOnWithoutHelp(Command):
+class GoOnWithoutHelp(HelpCommand):
     """Stop waiting for the helper's answer."""
 
-    action_id: str
-    helper: Robot
     failure: int
 
 
@@ -117,12 +114,9 @@ def _order_help(state: State, action: Action, recovery: Recovery) -> tuple[Event
     )
 
 
-@HANDLERS.decide(EndAttempt, body)
-def end_attempt(state: State, command: EndAttempt) -> tuple[Event, ...]:
+@HANDLERS.decide_on(open_failure, EndAttempt, body)
+def end_attempt(state: State, command: EndAttempt, failure: Failure) -> tuple[Event, ...]:
     """End the ordered retry, which resolved the failure or did not."""
-    failure = open_failure(state.execution, state.recovery, command.action_id)
-    if failure is None:
-        return ()
     action, recovery = failure
     if attempt_succeeds(state.world, recovery, command):
         return (FailureResolved(action.subject, action.robot, recovery.failure, "local"),)
@@ -133,12 +127,9 @@ def end_attempt(state: State, command: EndAttempt) -> tuple[Event, ...]:
     )
 
 
-@HANDLERS.decide(ReachHelper, helping)
-def reach_helper(state: State, command: ReachHelper) -> tuple[Event, ...]:
+@HANDLERS.decide_on(open_failure, ReachHelper, helping)
+def reach_helper(state: State, command: ReachHelper, failure: Failure) -> tuple[Event, ...]:
     """Admit the request for help, or decline it while the helper is busy."""
-    failure = open_failure(state.execution, state.recovery, command.action_id)
-    if failure is None:
-        return ()
     action, recovery = failure
     if recovery.awaited != command.helper:  # another was asked meanwhile, or H_F
         return ()
@@ -165,7 +156,7 @@ def reach_helper(state: State, command: ReachHelper) -> tuple[Event, ...]:
 @HANDLERS.decide(GoOnWithoutHelp, nobody)
 def go_on_without_help(state: State, command: GoOnWithoutHelp) -> tuple[Event, ...]:
     """Give the coordinator the failure again when the helper has not answered in time. Reading: R44."""
-    failure = open_failure(state.execution, state.recovery, command.action_id)
+    failure = open_failure(state, command.action_id)
     if failure is None or (failure[1].failure, failure[1].awaited) != (command.failure, command.helper):
         return ()
     return reach_coordinator(state, ReachCoordinator(command.action_id, NO_ANSWER, now_us=command.now_us))

@@ -31,8 +31,8 @@ from fsar_ledger.projections.world import in_force, stricter
 from fsar_ledger.runtime.handlers.attribution import pending_of_other_task
 from fsar_ledger.runtime.handlers.authority import made_for, release, released
 from fsar_ledger.runtime.handlers.commands import (
+    ActionCommand,
     CloseExecution,
-    Command,
     CompleteStep,
     Handlers,
     Scheduled,
@@ -40,6 +40,7 @@ from fsar_ledger.runtime.handlers.commands import (
     message,
     named,
     nobody,
+    open_request,
     target,
 )
 from fsar_ledger.runtime.handlers.execution import queued
@@ -62,36 +63,28 @@ AGAIN = "assigned again: "
 HANDLERS = Handlers()
 
 
-class CommandReviewed(Command):
+class CommandReviewed(ActionCommand):
     """Take H_F's decision on what policy wanted reviewed."""
 
-    action_id: str
 
-
-class ReceiveCommand(Command):
+class ReceiveCommand(ActionCommand):
     """Deliver the command to the robot."""
 
-    action_id: str
     robot: Robot
 
 
-class GoOnWithout(Command):
+class GoOnWithout(ActionCommand):
     """Stop waiting for the robot to confirm the command."""
 
-    action_id: str
     robot: Robot
 
 
-class QueueOrdered(Command):
+class QueueOrdered(ActionCommand):
     """Take the order in which H_F has put two commands."""
 
-    action_id: str
 
-
-class DenyOutsider(Command):
+class DenyOutsider(ActionCommand):
     """Deny an out-of-trust request that has reached the coordinator."""
-
-    action_id: str
 
 
 @HANDLERS.decide(ProcessWork, nobody)
@@ -129,12 +122,9 @@ def _match(state: State, command: ProcessWork) -> tuple[Event, ...]:
     return (*records, *_commanded(request, robot, not idle))
 
 
-@HANDLERS.decide(CommandReviewed, nobody)
-def command_reviewed(state: State, command: CommandReviewed) -> tuple[Event, ...]:
+@HANDLERS.decide_on(open_request, CommandReviewed, nobody)
+def command_reviewed(state: State, command: CommandReviewed, request: Request) -> tuple[Event, ...]:
     """Command the approved step, or deny one that was not approved."""
-    request = state.request.open.get(command.action_id)
-    if request is None:
-        return ()
     robot = request.target or request.requester
     if command.action_id not in state.supervision.approved:
         return (RequestDenied(RequestSubject(request.task_id, None, None), by_coordinator(robot), "review"),)
@@ -186,11 +176,10 @@ def receive_command(state: State, command: ReceiveCommand) -> tuple[Event, ...]:
     )
 
 
-@HANDLERS.decide(GoOnWithout, nobody)
-def go_on_without(state: State, command: GoOnWithout) -> tuple[Event, ...]:
+@HANDLERS.decide_on(open_request, GoOnWithout, nobody)
+def go_on_without(state: State, command: GoOnWithout, request: Request) -> tuple[Event, ...]:
     """Take back a command that no robot confirmed in time, and match its step again. Reading: R44."""
-    request = state.request.open.get(command.action_id)
-    if request is None or request.target != command.robot or request.is_received:
+    if request.target != command.robot or request.is_received:
         return ()
     return (
         RequestUnanswered(request.subject, by_coordinator(command.robot), request.capability),
@@ -198,12 +187,9 @@ def go_on_without(state: State, command: GoOnWithout) -> tuple[Event, ...]:
     )
 
 
-@HANDLERS.decide(QueueOrdered, target)
-def queue_ordered(state: State, command: QueueOrdered) -> tuple[Event, ...]:
+@HANDLERS.decide_on(open_request, QueueOrdered, target)
+def queue_ordered(state: State, _command: QueueOrdered, request: Request) -> tuple[Event, ...]:
     """Queue the second command and release its claim on the running action."""
-    request = state.request.open.get(command.action_id)
-    if request is None:
-        return ()
     ended = released(made_for(state.authority, AGAIN + request.action_id))
     if request.task_id not in state.task:  # given up meanwhile
         return (*ended, *release(state.authority, request.action_id))

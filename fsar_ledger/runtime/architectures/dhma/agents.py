@@ -26,14 +26,17 @@ from fsar_ledger.projections.world import in_force
 from fsar_ledger.runtime.handlers.attribution import is_injected, recorded_by
 from fsar_ledger.runtime.handlers.authority import close_execution
 from fsar_ledger.runtime.handlers.commands import (
+    ActionCommand,
     CloseExecution,
     Command,
     Handlers,
+    RobotCommand,
     Scheduled,
     hop,
     hops,
     named,
     nobody,
+    open_request,
     requester,
 )
 from fsar_ledger.runtime.handlers.execution import pause_running
@@ -76,10 +79,9 @@ RENEGOTIATION: Talk = (
 HANDLERS = Handlers()
 
 
-class HandOver(Command):
+class HandOver(RobotCommand):
     """Record a talk between the agents of a robot."""
 
-    robot: Robot
     agents: Talk
 
 
@@ -87,7 +89,7 @@ class HandOver(Command):
 def hand_over(state: State, command: HandOver) -> tuple[InternalHandoff, ...]:
     """Record each hop, without a requester: no message between agents names one."""
     names = path(command.robot, command.agents)
-    parties = recorded_by(state.fleet, state.world, command.robot, requested_by=None, executed_by=command.robot)
+    parties = recorded_by(state, command.robot, requested_by=None, executed_by=command.robot)
     # See docs/decisions/dhma-hops-are-records.md.
     return tuple([InternalHandoff(parties, sender, receiver) for sender, receiver in pairwise(names)])
 
@@ -110,28 +112,30 @@ def talk(
     return lengths, Scheduled(HandOver(robot, agents), after_us, lengths)
 
 
+def after_talk(
+    command: Command, said: TalkPlan, after_us: int = 0, waits: tuple[Ask, ...] = ()
+) -> tuple[Scheduled, ...]:
+    """Schedule what follows once the agents have talked and these waits are over, and the record of their talk."""
+    lengths, record = said
+    return (Scheduled(command, after_us, (*lengths, *waits)), record)
+
+
 @lru_cache(1 << 15)  # a talk of every robot of a large fleet: most of its events are hops
 def path(robot: Robot, agents: Talk) -> tuple[Agent, ...]:
     """Return the path of a decision that went through these agents of the robot, decider last."""
     return tuple(agent(robot, kind) for kind in agents)
 
 
-class TakeSnapshot(Command):
+class TakeSnapshot(RobotCommand):
     """Refresh a planner's snapshot of the robot's own policy."""
 
-    robot: Robot
 
-
-class DetectGap(Command):
+class DetectGap(ActionCommand):
     """Detect that the step needs another robot."""
 
-    action_id: str
 
-
-class EngagePlanner(Command):
+class EngagePlanner(RobotCommand):
     """Direct the planner to a context change, which puts open contracts in question."""
-
-    robot: Robot
 
 
 def planner(robot: Robot) -> Agent:
@@ -150,14 +154,11 @@ def take_snapshot(state: State, command: TakeSnapshot) -> tuple[Event, ...]:
     return (SnapshotTaken(command.robot, in_force(state.world.local, command.robot)),)
 
 
-@HANDLERS.decide(DetectGap, requester)
-def detect_gap(state: State, command: DetectGap) -> tuple[Event, ...]:
+@HANDLERS.decide_on(open_request, DetectGap, requester)
+def detect_gap(state: State, _command: DetectGap, request: Request) -> tuple[Event, ...]:
     """Record the planner's finding that the step needs another robot."""
-    request = state.request.open.get(command.action_id)
-    if request is None:
-        return ()
     robot = request.requester
-    parties = recorded_by(state.fleet, state.world, robot, requested_by=robot, executed_by=None)
+    parties = recorded_by(state, robot, requested_by=robot, executed_by=None)
     return (GapDetected(request.subject, parties, request.capability),)
 
 

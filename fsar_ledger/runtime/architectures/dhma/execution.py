@@ -22,11 +22,11 @@ from fsar_ledger.events.task import StepBegan
 from fsar_ledger.events.world import OutsiderRequestInjected
 from fsar_ledger.projections.execution import Action, Execution
 from fsar_ledger.projections.fold import State
-from fsar_ledger.projections.request import Requests
+from fsar_ledger.projections.request import Request, Requests
 from fsar_ledger.runtime.handlers.attribution import recorded_by
 from fsar_ledger.runtime.handlers.authority import release
 from fsar_ledger.runtime.handlers.commands import (
-    Command,
+    ActionCommand,
     DecideRoutine,
     Handlers,
     ResumeAction,
@@ -38,6 +38,7 @@ from fsar_ledger.runtime.handlers.commands import (
     body,
     message,
     named,
+    open_request,
     requester,
     target,
 )
@@ -53,7 +54,7 @@ from .agents import (
     SETTLEMENT,
     TO_EXECUTION,
     TO_PLANNING,
-    TalkPlan,
+    after_talk,
     path,
     snapshot,
     talk,
@@ -62,33 +63,27 @@ from .agents import (
 HANDLERS = Handlers()
 
 
-class PassExecution(Command):
+class PassExecution(ActionCommand):
     """Deliver the work to the executor's next agent."""
 
-    action_id: str
     round: int
     sender: AgentKind
     receiver: AgentKind
 
 
-class AcknowledgeExecution(Command):
+class AcknowledgeExecution(ActionCommand):
     """Deliver the receiver's acknowledgement to the sender."""
 
-    action_id: str
     round: int
     sender: AgentKind
 
 
-class SettleBooking(Command):
+class SettleBooking(ActionCommand):
     """Settle the double booking that the two agents have agreed about."""
 
-    action_id: str
 
-
-class RunOutsider(Command):
+class RunOutsider(ActionCommand):
     """Run an out-of-trust request that a nested query has carried past visibility."""
-
-    action_id: str
 
 
 def _under_contract(execution: Execution, requests: Requests, action_id: str, contract: int) -> Action | None:
@@ -129,11 +124,10 @@ def settle_booking(state: State, command: SettleBooking) -> tuple[Event, ...]:
     return release(state.authority, command.action_id, "double booking")
 
 
-@HANDLERS.decide(RunOutsider, target)
-def run_outsider(state: State, command: RunOutsider) -> tuple[Event, ...]:
+@HANDLERS.decide_on(open_request, RunOutsider, target)
+def run_outsider(_state: State, _command: RunOutsider, request: Request) -> tuple[Event, ...]:
     """Run the request unchecked, without an executor or a supervisor on record."""
-    request = state.request.open.get(command.action_id)
-    if request is None or request.target is None:
+    if request.target is None:
         return ()
     robot, peer, subject = request.requester, request.target, request.request_subject
     unnamed = Parties(requested_by=robot, executed_by=None, supervised_by=None)
@@ -168,70 +162,45 @@ def _on_acceptance(state: State, event: AuthorityClaimed, _now_us: int) -> tuple
     contract = (event.subject.action_id, request.round)
     match event.reason:
         case "double booking" if event.claimant == agent(robot, "execution"):
-            said, record = talk(state.fleet, robot, SETTLEMENT, key, "settle")
-            return (
-                Scheduled(
-                    SettleBooking(event.subject.action_id),
-                    0,
-                    (*said, message(robot, key, "settle"), message(request.requester, key, "settled")),
-                ),
-                record,
-            )
+            said = talk(state.fleet, robot, SETTLEMENT, key, "settle")
+            told = (message(robot, key, "settle"), message(request.requester, key, "settled"))
+            return after_talk(SettleBooking(event.subject.action_id), said, 0, told)
         case "acceptance":
-            return _heard(
-                talk(state.fleet, robot, TO_PLANNING, key, "planning"), PassExecution(*contract, *TO_PLANNING)
-            )
+            said = talk(state.fleet, robot, TO_PLANNING, key, "planning")
+            return after_talk(PassExecution(*contract, *TO_PLANNING), said)
         case "planning":
-            acknowledged = _heard(
-                talk(state.fleet, robot, FROM_PLANNING, key, "acknowledged"),
-                AcknowledgeExecution(*contract, "communication"),
-            )
+            acknowledged = talk(state.fleet, robot, FROM_PLANNING, key, "acknowledged")
+            passed = talk(state.fleet, robot, TO_EXECUTION, key, "execution")
             return (
-                *acknowledged,
-                *_heard(
-                    talk(state.fleet, robot, TO_EXECUTION, key, "execution"), PassExecution(*contract, *TO_EXECUTION)
-                ),
+                *after_talk(AcknowledgeExecution(*contract, "communication"), acknowledged),
+                *after_talk(PassExecution(*contract, *TO_EXECUTION), passed),
             )
         case "execution":
-            return _heard(
-                talk(state.fleet, robot, FROM_EXECUTION, key, "confirmed"), AcknowledgeExecution(*contract, "planning")
-            )
+            said = talk(state.fleet, robot, FROM_EXECUTION, key, "confirmed")
+            return after_talk(AcknowledgeExecution(*contract, "planning"), said)
         case _:
             return ()
 
 
-def _heard(said: TalkPlan, command: Command) -> tuple[Scheduled, ...]:
-    """Schedule what follows once the agents have talked, and the record of their talk."""
-    lengths, record = said
-    return (Scheduled(command, 0, lengths), record)
-
-
 @HANDLERS.react(OutsiderRequestInjected)
 def _on_outsider(state: State, event: OutsiderRequestInjected, _now_us: int) -> tuple[Scheduled, ...]:
-    said, record = talk(state.fleet, event.robot, CALL, event.task_id, "query")
-    return (Scheduled(RunOutsider(event.task_id), 0, (*said, message(event.robot, event.task_id, 0))), record)
+    said = talk(state.fleet, event.robot, CALL, event.task_id, "query")
+    return after_talk(RunOutsider(event.task_id), said, 0, (message(event.robot, event.task_id, 0),))
 
 
-class PlanOwnStep(Command):
+class PlanOwnStep(ActionCommand):
     """Plan a step of the robot's own."""
 
-    action_id: str
 
-
-class QueueOwnStep(Command):
+class QueueOwnStep(ActionCommand):
     """Deliver the plan to the execution agent."""
 
-    action_id: str
 
-
-@HANDLERS.decide(PlanOwnStep, requester)
-def plan_own_step(state: State, command: PlanOwnStep) -> tuple[Event, ...]:
+@HANDLERS.decide_on(open_request, PlanOwnStep, requester)
+def plan_own_step(state: State, command: PlanOwnStep, request: Request) -> tuple[Event, ...]:
     """Decide to do the step, unless the planner's snapshot forbids it for now."""
-    request = state.request.open.get(command.action_id)
-    if request is None:
-        return ()
     robot, outcome = request.requester, snapshot(state.knowledge, request.requester)
-    parties = recorded_by(state.fleet, state.world, robot, requested_by=robot, executed_by=robot)
+    parties = recorded_by(state, robot, requested_by=robot, executed_by=robot)
     principals = parties.decided(*path(robot, ("planning",)))
     if command.action_id not in state.supervision.approved:
         if outcome == "deny":
@@ -241,14 +210,11 @@ def plan_own_step(state: State, command: PlanOwnStep) -> tuple[Event, ...]:
     return (OwnStepDecided(request.subject, principals, request.capability),)
 
 
-@HANDLERS.decide(QueueOwnStep, requester)
-def queue_own_step(state: State, command: QueueOwnStep) -> tuple[Event, ...]:
+@HANDLERS.decide_on(open_request, QueueOwnStep, requester)
+def queue_own_step(state: State, _command: QueueOwnStep, request: Request) -> tuple[Event, ...]:
     """Queue the step for the robot."""
-    request = state.request.open.get(command.action_id)
-    if request is None:
-        return ()
     robot = request.requester
-    parties = recorded_by(state.fleet, state.world, robot, requested_by=robot, executed_by=robot)
+    parties = recorded_by(state, robot, requested_by=robot, executed_by=robot)
     return (queued(request, parties, robot),)
 
 
@@ -265,7 +231,7 @@ def start(state: State, command: StartAction) -> tuple[Event, ...]:
             ContractVoided(action.subject, action.robot),
             ExecutionWithdrawn(action.subject, action.robot),
         )
-    return (started(state.fleet, state.world, action, command),)
+    return (started(state, action, command),)
 
 
 @HANDLERS.decide(DecideRoutine, named)
@@ -276,9 +242,9 @@ def decide_routine(state: State, command: DecideRoutine) -> tuple[Event, ...]:
     """
     robot = command.robot
     if command.operation == "sensing":
-        own = recorded_by(state.fleet, state.world, robot, requested_by=robot, executed_by=robot)
+        own = recorded_by(state, robot, requested_by=robot, executed_by=robot)
         return (RoutinePerformed(own.decided(robot), robot, "sensing"),)
-    parties = recorded_by(state.fleet, state.world, robot, requested_by=robot, executed_by=None)
+    parties = recorded_by(state, robot, requested_by=robot, executed_by=None)
     kind = RoutinePerformed if snapshot(state.knowledge, robot) == "allow" else RoutineWithheld
     return (
         kind(parties.decided(*path(robot, ("planning",))), robot, "motion"),
@@ -310,14 +276,9 @@ def _on_response(state: State, event: SupervisorResponded, _now_us: int) -> tupl
 @HANDLERS.react(OwnStepDecided)
 def _on_own_step(state: State, event: OwnStepDecided, _now_us: int) -> tuple[Scheduled, ...]:
     assert event.subject.action_id is not None
-    said, record = talk(
-        state.fleet,
-        state.request.open[event.subject.action_id].requester,
-        OWN_STEP,
-        event.subject.action_id,
-        "own",
-    )
-    return (Scheduled(QueueOwnStep(event.subject.action_id), 0, said), record)
+    robot = state.request.open[event.subject.action_id].requester
+    said = talk(state.fleet, robot, OWN_STEP, event.subject.action_id, "own")
+    return after_talk(QueueOwnStep(event.subject.action_id), said)
 
 
 @HANDLERS.react(ExecutionPaused)
@@ -326,22 +287,13 @@ def _on_pause(state: State, event: ExecutionPaused, _now_us: int) -> tuple[Sched
     structure = state.fleet.structure
     action = state.execution.actions[event.subject.action_id]
     key = f"{event.subject.action_id}/replan{action.segments}"
-    said, record = talk(state.fleet, action.robot, REPLANNING, key, "own")
+    resume = ResumeAction(event.subject.action_id)
+    own = talk(state.fleet, action.robot, REPLANNING, key, "own")
     if not action.is_delegated:
-        return (Scheduled(ResumeAction(event.subject.action_id), structure.replan_us, said), record)
-    agreed, other = talk(
-        state.fleet,
-        action.on_behalf_of,
-        RENEGOTIATION,
-        key,
-        "other",
-        (*said, message(event.robot, key, 0), message(action.on_behalf_of, key, 1)),
-    )
-    return (
-        Scheduled(ResumeAction(event.subject.action_id), structure.replan_us + structure.renegotiation_us, agreed),
-        record,
-        other,
-    )
+        return after_talk(resume, own, structure.replan_us)
+    heard = (*own[0], message(event.robot, key, 0), message(action.on_behalf_of, key, 1))
+    agreed, other = talk(state.fleet, action.on_behalf_of, RENEGOTIATION, key, "other", heard)
+    return (Scheduled(resume, structure.replan_us + structure.renegotiation_us, agreed), own[1], other)
 
 
 HANDLERS.decide(TakeTurn, body)(approach)

@@ -9,16 +9,23 @@ from fsar_ledger.events.execution import ExecutionFailed
 from fsar_ledger.events.knowledge import PlannerEngaged
 from fsar_ledger.events.recovery import FailureResolved, RecoveryAttempted, RecoveryAttemptFailed, RecoveryEscalated
 from fsar_ledger.events.supervision import SupervisorCalled
-from fsar_ledger.projections.authority import Authority
 from fsar_ledger.projections.execution import Action
-from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.recovery import Recovery
-from fsar_ledger.projections.world import World
 from fsar_ledger.runtime.handlers.attribution import parties
 from fsar_ledger.runtime.handlers.authority import release
-from fsar_ledger.runtime.handlers.commands import Command, EndAttempt, Handlers, Scheduled, body, holds, lasts
-from fsar_ledger.runtime.handlers.recovery import attempt_succeeds, attempted, open_failure
+from fsar_ledger.runtime.handlers.commands import (
+    ActionCommand,
+    EndAttempt,
+    Failure,
+    Handlers,
+    Scheduled,
+    body,
+    holds,
+    lasts,
+    open_failure,
+)
+from fsar_ledger.runtime.handlers.recovery import attempt_succeeds, attempted
 
 from .agents import RECOVERY, Talk, claims, path, planner, talk
 
@@ -27,102 +34,84 @@ DISPUTE = "dispute"
 HANDLERS = Handlers()
 
 
-class Dispute(Command):
+class Dispute(ActionCommand):
     """Dispute a recovery while the robot's planner is engaged, or was just before."""
 
-    action_id: str
 
-
-class StartRecovery(Command):
+class StartRecovery(ActionCommand):
     """Start recovery once the recovery agent has been told and has asked the others."""
 
-    action_id: str
 
-
-class Escalate(Command):
+class Escalate(ActionCommand):
     """Escalate a failure that the robot's agents have given up on."""
 
-    action_id: str
+
+def _heard_by(state: State, action: Action, heard: Talk = RECOVERY) -> Principals:
+    return parties(state, action).decided(*path(action.robot, heard))
 
 
-def _heard_by(fleet: Fleet, world: World, action: Action, heard: Talk = RECOVERY) -> Principals:
-    return parties(fleet, world, action).decided(*path(action.robot, heard))
-
-
-def _is_disputed(authority: Authority, action_id: str) -> bool:
-    return any(claim.reason == DISPUTE for claim in authority.claims.get(action_id, ()))
-
-
-@HANDLERS.decide(Dispute, body)
-def dispute(state: State, command: Dispute) -> tuple[Event, ...]:
+@HANDLERS.decide_on(open_failure, Dispute, body)
+def dispute(state: State, _command: Dispute, failure: Failure) -> tuple[Event, ...]:
     """Let the recovery and the planning agent both claim override until the failure is over."""
-    match open_failure(state.execution, state.recovery, command.action_id):
-        case action, recovery if recovery.level == "local":
-            claimants = (agent(action.robot, "recovery"), planner(action.robot))
-            return tuple(claims(state.authority, action, "override", claimants, DISPUTE))
-        case _:
-            return ()
+    action, recovery = failure
+    if recovery.level != "local":
+        return ()
+    claimants = (agent(action.robot, "recovery"), planner(action.robot))
+    return tuple(claims(state.authority, action, "override", claimants, DISPUTE))
 
 
-@HANDLERS.decide(StartRecovery, body)
-def start_recovery(state: State, command: StartRecovery) -> tuple[Event, ...]:
+@HANDLERS.decide_on(open_failure, StartRecovery, body)
+def start_recovery(state: State, _command: StartRecovery, failure: Failure) -> tuple[Event, ...]:
     """Start the first attempt to recover."""
-    match open_failure(state.execution, state.recovery, command.action_id):
-        case action, recovery:
-            return (_attempted(state.fleet, state.world, action, recovery),)
-        case _:
-            return ()
+    action, recovery = failure
+    return (_attempted(state, action, recovery),)
 
 
-def _attempted(fleet: Fleet, world: World, action: Action, recovery: Recovery) -> RecoveryAttempted:
-    deadline_us = recovery.detected_us + fleet.structure.local_budget_us
-    return attempted(action, recovery, _heard_by(fleet, world, action), deadline_us)
+def _attempted(state: State, action: Action, recovery: Recovery) -> RecoveryAttempted:
+    deadline_us = recovery.detected_us + state.fleet.structure.local_budget_us
+    return attempted(action, recovery, _heard_by(state, action), deadline_us)
 
 
-@HANDLERS.decide(EndAttempt, body)
-def end_attempt(state: State, command: EndAttempt) -> tuple[Event, ...]:
+@HANDLERS.decide_on(open_failure, EndAttempt, body)
+def end_attempt(state: State, command: EndAttempt, failure: Failure) -> tuple[Event, ...]:
     """Resolve the failure or start the next attempt.
 
     A disputed failure gets one attempt only and then loops.
     """
-    match open_failure(state.execution, state.recovery, command.action_id):
-        case action, recovery if recovery.number == command.number and recovery.level == "local":
-            if attempt_succeeds(state.world, recovery, command):
-                resolved = FailureResolved(action.subject, action.robot, recovery.failure, "local")
-                return (resolved, *release(state.authority, action.action_id, DISPUTE))
-            if _is_disputed(state.authority, action.action_id):
-                return (
-                    RecoveryAttemptFailed(
-                        subject=action.subject, robot=action.robot, failure=recovery.failure, number=command.number
-                    ),
-                )
-            if recovery.number < state.fleet.structure.local_attempts:
-                return (_attempted(state.fleet, state.world, action, recovery),)
-            return _escalated(state.fleet, state.world, action, recovery)
-        case _:
-            return ()
+    action, recovery = failure
+    if recovery.level != "local" or recovery.number != command.number:
+        return ()
+    if attempt_succeeds(state.world, recovery, command):
+        resolved = FailureResolved(action.subject, action.robot, recovery.failure, "local")
+        return (resolved, *release(state.authority, action.action_id, DISPUTE))
+    if any(claim.reason == DISPUTE for claim in state.authority.claims.get(action.action_id, ())):
+        return (
+            RecoveryAttemptFailed(
+                subject=action.subject, robot=action.robot, failure=recovery.failure, number=command.number
+            ),
+        )
+    if recovery.number < state.fleet.structure.local_attempts:
+        return (_attempted(state, action, recovery),)
+    return _escalated(state, action, recovery)
 
 
-@HANDLERS.decide(Escalate, body)
-def escalate(state: State, command: Escalate) -> tuple[Event, ...]:
+@HANDLERS.decide_on(open_failure, Escalate, body)
+def escalate(state: State, _command: Escalate, failure: Failure) -> tuple[Event, ...]:
     """Call H_F."""
-    match open_failure(state.execution, state.recovery, command.action_id):
-        case action, recovery if recovery.level == "local":
-            return (
-                *_escalated(state.fleet, state.world, action, recovery, ("recovery",)),
-                *release(state.authority, action.action_id, DISPUTE),
-            )
-        case _:
-            return ()
+    action, recovery = failure
+    if recovery.level != "local":
+        return ()
+    return (
+        *_escalated(state, action, recovery, ("recovery",)),
+        *release(state.authority, action.action_id, DISPUTE),
+    )
 
 
-def _escalated(
-    fleet: Fleet, world: World, action: Action, recovery: Recovery, heard: Talk = RECOVERY
-) -> tuple[Event, ...]:
+def _escalated(state: State, action: Action, recovery: Recovery, heard: Talk = RECOVERY) -> tuple[Event, ...]:
     return (
         RecoveryEscalated(
             subject=action.subject,
-            principals=_heard_by(fleet, world, action, heard),
+            principals=_heard_by(state, action, heard),
             robot=action.robot,
             failure=recovery.failure,
             level="local",

@@ -29,9 +29,9 @@ from fsar_ledger.projections.supervision import is_asked
 from fsar_ledger.projections.world import World, is_linked
 from fsar_ledger.runtime.handlers.attribution import capable, is_idle, pending_of_other_task, recorded_by
 from fsar_ledger.runtime.handlers.commands import (
+    ActionCommand,
     CloseExecution,
     CloseRequest,
-    Command,
     CompleteStep,
     Handlers,
     Scheduled,
@@ -39,66 +39,57 @@ from fsar_ledger.runtime.handlers.commands import (
     begin_again,
     message,
     named,
+    open_request,
     requester,
     target,
 )
 from fsar_ledger.runtime.handlers.execution import queued
 from fsar_ledger.runtime.ports import Ask
 
-from .agents import CALL, EVALUATION, OWN_RESULT, RELAY, RESULT, VOIDING, path, snapshot, talk
+from .agents import CALL, EVALUATION, OWN_RESULT, RELAY, RESULT, VOIDING, after_talk, path, snapshot, talk
 
 HANDLERS = Handlers()
 
 
-class CallForProposals(Command):
+class CallForProposals(ActionCommand):
     """Deliver the planner's wish to the communication agent."""
 
-    action_id: str
 
-
-class EvaluateBid(Command):
+class EvaluateBid(ActionCommand):
     """Judge the call by the snapshot of a candidate's planner."""
 
-    action_id: str
     robot: Robot
 
 
-class ReceiveBid(Command):
+class ReceiveBid(ActionCommand):
     """Deliver a relayed bid to the requester's planner."""
 
-    action_id: str
     robot: Robot
     outcome: PolicyOutcome
 
 
-class Award(Command):
+class Award(ActionCommand):
     """Award the contract when all bids are in, or when H_F has approved the one under review."""
 
-    action_id: str
 
-
-class CloseBidding(Command):
+class CloseBidding(ActionCommand):
     """End the time in which the calls of this round should have been delivered.
 
     `is_last`: all who were called in time have judged the call as well.
     """
 
-    action_id: str
     round: int
     is_last: bool = False
 
 
-class GoOnWithout(Command):
+class GoOnWithout(ActionCommand):
     """Stop waiting for the robot that was awarded the contract in this round."""
 
-    action_id: str
     round: int
 
 
-class AcceptAward(Command):
+class AcceptAward(ActionCommand):
     """Deliver the award to the executor's communication agent."""
-
-    action_id: str
 
 
 def best_bid(request: Request) -> tuple[Robot, PolicyOutcome] | None:
@@ -110,15 +101,12 @@ def best_bid(request: Request) -> tuple[Robot, PolicyOutcome] | None:
     return None
 
 
-@HANDLERS.decide(CallForProposals, requester)
-def call_for_proposals(state: State, command: CallForProposals) -> tuple[Event, ...]:
+@HANDLERS.decide_on(open_request, CallForProposals, requester)
+def call_for_proposals(state: State, _command: CallForProposals, request: Request) -> tuple[Event, ...]:
     """Call every capable robot."""
-    request = state.request.open.get(command.action_id)
-    if request is None:
-        return ()
     robot = request.requester
     candidates = capable(state.fleet, state.registry, request.capability, robot)
-    asking = _parties(state.fleet, state.world, request, robot, None)  # whoever is awarded executes
+    asking = _parties(state, request, robot, None)  # whoever is awarded executes
     return (
         RegistryQueried(
             subject=request.subject, principals=asking, capability=request.capability, candidates=candidates
@@ -131,14 +119,11 @@ def call_for_proposals(state: State, command: CallForProposals) -> tuple[Event, 
     )
 
 
-@HANDLERS.decide(EvaluateBid, named)
-def evaluate_bid(state: State, command: EvaluateBid) -> tuple[Event, ...]:
+@HANDLERS.decide_on(open_request, EvaluateBid, named)
+def evaluate_bid(state: State, command: EvaluateBid, request: Request) -> tuple[Event, ...]:
     """Bid by the snapshot of the candidate's planner, without naming the agent that would execute."""
-    request = state.request.open.get(command.action_id)
-    if request is None:
-        return ()
     robot, outcome = command.robot, snapshot(state.knowledge, command.robot)
-    parties = _parties(state.fleet, state.world, request, robot, None)  # a candidate is not yet the executor
+    parties = _parties(state, request, robot, None)  # a candidate is not yet the executor
     judging = parties.decided(*path(robot, EVALUATION))
     submitted = BidSubmitted(request.task_id, parties, robot, outcome)
     if outcome == "deny":
@@ -146,11 +131,10 @@ def evaluate_bid(state: State, command: EvaluateBid) -> tuple[Event, ...]:
     return (RequestAdmitted(subject=request.request_subject, principals=judging, outcome=outcome), submitted)
 
 
-@HANDLERS.decide(ReceiveBid, requester)
-def receive_bid(state: State, command: ReceiveBid) -> tuple[Event, ...]:
+@HANDLERS.decide_on(open_request, ReceiveBid, requester)
+def receive_bid(_state: State, command: ReceiveBid, request: Request) -> tuple[Event, ...]:
     """Record the bid at the requester's planner."""
-    request = state.request.open.get(command.action_id)
-    if request is None or request.is_unanswered:
+    if request.is_unanswered:
         return ()
     return (BidReceived(request.subject, command.robot, command.outcome),)
 
@@ -169,21 +153,19 @@ def award(state: State, command: Award) -> tuple[Event, ...]:
         return ()
     if best[1] == "review" and command.action_id not in state.supervision.approved:
         return (SupervisorCalled(subject=request.subject, supervisor=FLEET_SUPERVISOR, purpose="review"),)
-    parties = _parties(state.fleet, state.world, request, request.requester, None)
+    parties = _parties(state, request, request.requester, None)
     return (AwardMade(request.task_id, parties, best[0]),)
 
 
-@HANDLERS.decide(CloseBidding, requester)
-def close_bidding(state: State, command: CloseBidding) -> tuple[Event, ...]:
+@HANDLERS.decide_on(open_request, CloseBidding, requester)
+def close_bidding(state: State, command: CloseBidding, request: Request) -> tuple[Event, ...]:
     """Count robots that the call did not reach in time as refusals, and award to the best of the others.
 
     The request is unanswered if none is left. A bid that is on its way is waited for, and so is a robot that the call
     has reached but whose agents still judge it. Reading: R44.
     """
-    request = state.request.open.get(command.action_id)
     if (
-        request is None
-        or request.is_unanswered
+        request.is_unanswered
         or request.round != command.round
         or len(request.bids) == len(request.candidates)
         or request.underway
@@ -193,7 +175,7 @@ def close_bidding(state: State, command: CloseBidding) -> tuple[Event, ...]:
         return ()
     if best_bid(request) is not None:
         return award(state, Award(command.action_id, now_us=command.now_us))
-    return (_unanswered(state.fleet, state.world, request, None),)
+    return (_unanswered(state, request, None),)
 
 
 def _may_answer(world: World, request: Request) -> bool:
@@ -204,29 +186,27 @@ def _may_answer(world: World, request: Request) -> bool:
     )
 
 
-@HANDLERS.decide(GoOnWithout, requester)
-def go_on_without(state: State, command: GoOnWithout) -> tuple[Event, ...]:
+@HANDLERS.decide_on(open_request, GoOnWithout, requester)
+def go_on_without(state: State, command: GoOnWithout, request: Request) -> tuple[Event, ...]:
     """Void an award that was not accepted in time; the step is tried again later. Reading: R44."""
-    request = state.request.open.get(command.action_id)
-    if request is None or request.round != command.round or request.target is None or request.is_accepted:
+    if request.round != command.round or request.target is None or request.is_accepted:
         return ()
-    return (_unanswered(state.fleet, state.world, request, request.target),)
+    return (_unanswered(state, request, request.target),)
 
 
-def _unanswered(fleet: Fleet, world: World, request: Request, executor: Robot | None) -> RequestUnanswered:
+def _unanswered(state: State, request: Request, executor: Robot | None) -> RequestUnanswered:
     robot = request.requester
-    principals = _parties(fleet, world, request, robot, executor).decided(*path(robot, ("communication",)))
+    principals = _parties(state, request, robot, executor).decided(*path(robot, ("communication",)))
     return RequestUnanswered(request.subject, principals, request.capability)
 
 
-@HANDLERS.decide(AcceptAward, target)
-def accept_award(state: State, command: AcceptAward) -> tuple[Event, ...]:
+@HANDLERS.decide_on(open_request, AcceptAward, target)
+def accept_award(state: State, _command: AcceptAward, request: Request) -> tuple[Event, ...]:
     """Commit the executor; its communication agent claims execution until the planner acknowledges."""
-    request = state.request.open.get(command.action_id)
-    if request is None or request.target is None:
+    if request.target is None:
         return ()
     robot = request.target
-    parties = _parties(state.fleet, state.world, request, robot, robot)
+    parties = _parties(state, request, robot, robot)
     principals = parties.decided(*path(robot, ("communication",)))  # the other agents have still to hear of it
     made: list[Event] = [RequestAccepted(request.request_subject, principals)]
     if not is_idle(state.execution, robot):
@@ -242,18 +222,17 @@ def _claim(request: Request, dimension: Any, claimant: Principal, reason: str) -
     return AuthorityClaimed(request.subject, dimension, claimant, reason)
 
 
-def _parties(fleet: Fleet, world: World, request: Request, near: Robot, executor: Robot | None) -> Parties:
+def _parties(state: State, request: Request, near: Robot, executor: Robot | None) -> Parties:
     """Return whom a record of the request names, under the supervisor of the robot that keeps it."""
-    return recorded_by(fleet, world, near, requested_by=request.requester, executed_by=executor)
+    return recorded_by(state, near, requested_by=request.requester, executed_by=executor)
 
 
-@HANDLERS.decide(CloseRequest, requester)
-def close_request(state: State, command: CloseRequest) -> tuple[Event, ...]:
+@HANDLERS.decide_on(open_request, CloseRequest, requester)
+def close_request(state: State, _command: CloseRequest, request: Request) -> tuple[Event, ...]:
     """Close the request at the requester's communication agent."""
-    request = state.request.open.get(command.action_id)
-    if request is None or request.target is None:
+    if request.target is None:
         return ()
-    parties = _parties(state.fleet, state.world, request, request.target, request.target)
+    parties = _parties(state, request, request.target, request.target)
     principals = parties.decided(*path(request.requester, ("communication",)))
     return (RequestClosed(request.request_subject, principals),)
 
@@ -264,16 +243,16 @@ LONGEST = 3  # a call that is delivered within the answer time, and two hops, ar
 def call(fleet: Fleet, request: Request, robot: Robot, before: tuple[Ask, ...] = ()) -> tuple[Scheduled, ...]:
     """Deliver the call to the candidate, whose agents work out a bid. The waits `before` come first."""
     key = f"{request.action_id}/{request.round}/{robot}"
-    said, record = talk(fleet, robot, EVALUATION, key, "evaluate", (*before, message(request.requester, key, "call")))
-    return (Scheduled(EvaluateBid(request.action_id, robot), 0, said), record)
+    said = talk(fleet, robot, EVALUATION, key, "evaluate", (*before, message(request.requester, key, "call")))
+    return after_talk(EvaluateBid(request.action_id, robot), said)
 
 
 @HANDLERS.react(GapDetected)
 def _on_gap(state: State, event: GapDetected, _now_us: int) -> tuple[Scheduled, ...]:
     assert event.subject.action_id is not None
     robot = state.request.open[event.subject.action_id].requester
-    said, record = talk(state.fleet, robot, CALL, event.subject.action_id, 0)
-    return (Scheduled(CallForProposals(event.subject.action_id), 0, said), record)
+    said = talk(state.fleet, robot, CALL, event.subject.action_id, 0)
+    return after_talk(CallForProposals(event.subject.action_id), said)
 
 
 @HANDLERS.react(RegistryQueried)
@@ -305,8 +284,8 @@ def _on_bid(state: State, event: BidSubmitted, _now_us: int) -> tuple[Scheduled,
         return ()
     key = f"{request.action_id}/{request.round}/{event.robot}"
     received = ReceiveBid(request.action_id, event.robot, event.outcome)
-    said, record = talk(state.fleet, request.requester, RELAY, key, "relay", (message(event.robot, key, "bid"),))
-    return (Scheduled(received, 0, said), record)
+    said = talk(state.fleet, request.requester, RELAY, key, "relay", (message(event.robot, key, "bid"),))
+    return after_talk(received, said)
 
 
 @HANDLERS.react(BidReceived)
@@ -364,14 +343,11 @@ def _on_finish(state: State, event: ExecutionFinished, _now_us: int) -> tuple[Sc
     if request is None or request.step == 0:
         return (close,)
     agents = RESULT if request.is_delegated else OWN_RESULT
-    said, record = talk(state.fleet, event.robot, agents, event.subject.action_id, "result")
+    said = talk(state.fleet, event.robot, agents, event.subject.action_id, "result")
     if not request.is_delegated:
-        return (close, Scheduled(CompleteStep(event.subject.action_id), 0, said), record)
-    return (
-        close,
-        Scheduled(CloseRequest(event.subject.action_id), 0, (*said, message(event.robot, event.subject.action_id, 4))),
-        record,
-    )
+        return (close, *after_talk(CompleteStep(event.subject.action_id), said))
+    told = (message(event.robot, event.subject.action_id, 4),)
+    return (close, *after_talk(CloseRequest(event.subject.action_id), said, 0, told))
 
 
 @HANDLERS.react(RequestClosed)

@@ -10,31 +10,37 @@ from fsar_ledger.events.request import GapDetected, RequestAccepted, RequestAdmi
 from fsar_ledger.events.world import ContextChanged, OutsiderRequestInjected, PeersMet
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import advertisement
+from fsar_ledger.projections.request import Request
 from fsar_ledger.projections.world import is_linked
 from fsar_ledger.runtime.handlers.attribution import recorded_by
 from fsar_ledger.runtime.handlers.authority import close_execution
 from fsar_ledger.runtime.handlers.candidates import Query, rejecting_filter
-from fsar_ledger.runtime.handlers.commands import CloseExecution, Command, Handlers, Scheduled, message, named, nobody
+from fsar_ledger.runtime.handlers.commands import (
+    ActionCommand,
+    CloseExecution,
+    Handlers,
+    RobotCommand,
+    Scheduled,
+    message,
+    named,
+    nobody,
+    open_request,
+)
 
 HANDLERS = Handlers()
 
 
-class Revoke(Command):
+class Revoke(RobotCommand):
     """Claim override over what others execute for a requester whose context has changed."""
 
-    robot: Robot
 
-
-class AnswerOutsider(Command):
+class AnswerOutsider(ActionCommand):
     """Answer a request without trust that has reached the registry."""
 
-    action_id: str
 
-
-class RememberPeer(Command):
+class RememberPeer(RobotCommand):
     """Let two robots that have met remember each other."""
 
-    robot: Robot
     peer: Robot
 
 
@@ -57,15 +63,14 @@ def _claimed(state: State, robot: Robot) -> list[str]:
     return found if len(found) < 2 else [action for action in state.authority.claims if action in found]
 
 
-@HANDLERS.decide(AnswerOutsider, nobody)
-def answer_outsider(state: State, command: AnswerOutsider) -> tuple[Event, ...]:
+@HANDLERS.decide_on(open_request, AnswerOutsider, nobody)
+def answer_outsider(state: State, _command: AnswerOutsider, request: Request) -> tuple[Event, ...]:
     """Deny what the registry does not show; without trust evaluation, run the request."""
-    request = state.request.open.get(command.action_id)
-    if request is None or request.target is None:
+    if request.target is None:
         return ()
     subject, robot, peer, capability = request.subject, request.requester, request.target, request.capability
     if "trust-evaluation" not in state.fleet.without:
-        unexecuted = recorded_by(state.fleet, state.world, robot, requested_by=robot, executed_by=None)
+        unexecuted = recorded_by(state, robot, requested_by=robot, executed_by=None)
         return (
             _refused(state, request.task_id, robot, peer, capability),
             RequestDenied(request.request_subject, unexecuted.decided(REGISTRY), "advertisement"),
@@ -108,7 +113,7 @@ def _refused(state: State, task_id: str, robot: Robot, peer: Robot, capability: 
     by = None if record is None else rejecting_filter(state, Query(robot, capability, task_id), record)
     return RegistryQueried(
         subject=Subject(task_id, task_id),
-        principals=recorded_by(state.fleet, state.world, robot, requested_by=robot, executed_by=peer),
+        principals=recorded_by(state, robot, requested_by=robot, executed_by=peer),
         capability=capability,
         candidates=(),
         rejected=(peer,),

@@ -19,22 +19,19 @@ from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import NO_ANSWER, Registry, surface
 from fsar_ledger.projections.world import World
-from fsar_ledger.runtime.handlers.commands import Command, Handlers, Scheduled, message, nobody
+from fsar_ledger.runtime.handlers.commands import Handlers, RobotCommand, Scheduled, message, nobody
 
 HANDLERS = Handlers()
 
 
-class ReportActuator(Command):
+class ReportActuator(RobotCommand):
     """Deliver the robot's word about its actuator to the registry: degraded, or (False) in order again."""
 
-    robot: Robot
     is_degraded: bool
 
 
-class ReportBack(Command):
+class ReportBack(RobotCommand):
     """Deliver the robot's word that it can be asked again to the registry."""
-
-    robot: Robot
 
 
 def found_silent(fleet: Fleet, registry: Registry, robots: Iterable[Robot]) -> tuple[AvailabilityChanged, ...]:

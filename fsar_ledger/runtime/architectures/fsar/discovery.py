@@ -12,10 +12,17 @@ from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import Registry, advertisement, offers
 from fsar_ledger.projections.request import Request
-from fsar_ledger.projections.world import World
 from fsar_ledger.runtime.handlers.attribution import capable, is_idle, nearest_first, recorded_by
 from fsar_ledger.runtime.handlers.candidates import Answer, Query, candidates, rejecting_filter
-from fsar_ledger.runtime.handlers.commands import Command, Handlers, Scheduled, message, nobody, requester
+from fsar_ledger.runtime.handlers.commands import (
+    ActionCommand,
+    Handlers,
+    Scheduled,
+    message,
+    nobody,
+    open_request,
+    requester,
+)
 from fsar_ledger.runtime.handlers.registry import queried
 from fsar_ledger.runtime.handlers.trust import trusts
 
@@ -24,16 +31,12 @@ Found = tuple[tuple[Robot, ...], Robot | None]  # candidates, relay
 HANDLERS = Handlers()
 
 
-class DetectGap(Command):
+class DetectGap(ActionCommand):
     """Detect that the step needs another robot."""
 
-    action_id: str
 
-
-class QueryRegistry(Command):
+class QueryRegistry(ActionCommand):
     """Deliver the query to the registry."""
-
-    action_id: str
 
 
 def discover(state: State, request: Request) -> tuple[Answer, Robot | None]:
@@ -99,24 +102,21 @@ def _relays(state: State, request: Request, name: Robot) -> list[Robot]:
     ]
 
 
-@HANDLERS.decide(DetectGap, requester)
-def detect_gap(state: State, command: DetectGap) -> tuple[Event, ...]:
+@HANDLERS.decide_on(open_request, DetectGap, requester)
+def detect_gap(state: State, command: DetectGap, request: Request) -> tuple[Event, ...]:
     """Record that the requester needs another robot; without a registry, search the peers it met."""
-    request = state.request.open.get(command.action_id)
-    if request is None:
-        return ()
     found: tuple[Event, ...] = ()
     if "shared-registry" in state.fleet.without:
         peers, relay = _among_met(state, request, command.now_us)
         if not peers:
             if request.attempt > 1:
                 return (PeerSought(request.subject, request.requester),)
-            return (unanswered(state.fleet, state.world, request),)
-        found = (_met(state.fleet, state.world, request, peers, relay),)
+            return (unanswered(state, request),)
+        found = (_met(state, request, peers, relay),)
     return (
         GapDetected(
             request.subject,
-            recorded_by(state.fleet, state.world, request.requester, requested_by=request.requester, executed_by=None),
+            recorded_by(state, request.requester, requested_by=request.requester, executed_by=None),
             request.capability,
         ),
         *found,
@@ -148,34 +148,29 @@ def _among_met(state: State, request: Request, now_us: int) -> Found:
     return (), None
 
 
-def unanswered(fleet: Fleet, world: World, request: Request, executor: Robot | None = None) -> RequestUnanswered:
+def unanswered(state: State, request: Request, executor: Robot | None = None) -> RequestUnanswered:
     """Return the fact that the requester knows nobody to ask, or that this executor did not answer."""
     robot = request.requester
     return RequestUnanswered(
         request.subject,
-        recorded_by(fleet, world, robot, requested_by=robot, executed_by=executor).decided(robot),
+        recorded_by(state, robot, requested_by=robot, executed_by=executor).decided(robot),
         request.capability,
     )
 
 
-def _met(
-    fleet: Fleet, world: World, request: Request, found: tuple[Robot, ...], relay: Robot | None
-) -> RegistryQueried:
+def _met(state: State, request: Request, found: tuple[Robot, ...], relay: Robot | None) -> RegistryQueried:
     """Return the record of an answer from memory, which gives no reasons for those left out."""
     query = Query(request.requester, request.capability, request.task_id)
     answer = Answer(found, (request.capability,) * len(found), (), ())
-    return queried(fleet, world, query, answer, request.task_id, request.action_id, relay)
+    return queried(state, query, answer, request.task_id, request.action_id, relay)
 
 
-@HANDLERS.decide(QueryRegistry, nobody)
-def query_registry(state: State, command: QueryRegistry) -> tuple[Event, ...]:
+@HANDLERS.decide_on(open_request, QueryRegistry, nobody)
+def query_registry(state: State, _command: QueryRegistry, request: Request) -> tuple[Event, ...]:
     """Answer the query from the registry, governed by trust and visibility."""
-    request = state.request.open.get(command.action_id)
-    if request is None:
-        return ()
     query = Query(request.requester, request.capability, request.task_id)
     answer, relay = discover(state, request)
-    return (queried(state.fleet, state.world, query, answer, request.task_id, request.action_id, relay),)
+    return (queried(state, query, answer, request.task_id, request.action_id, relay),)
 
 
 @HANDLERS.react(StepBegan)

@@ -17,22 +17,25 @@ from fsar_ledger.events.request import RequestAccepted
 from fsar_ledger.events.task import StepBegan
 from fsar_ledger.events.world import ContextChanged, PolicyWindowClosed, PolicyWindowOpened
 from fsar_ledger.projections.execution import Action, Execution, in_hand
-from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
-from fsar_ledger.projections.world import World, in_force
+from fsar_ledger.projections.request import Request
+from fsar_ledger.projections.world import in_force
 from fsar_ledger.runtime.handlers.admissibility import holding
 from fsar_ledger.runtime.handlers.attribution import recorded_by, supervisor_of
 from fsar_ledger.runtime.handlers.commands import (
-    Command,
+    ActionCommand,
     DecideRoutine,
     Handlers,
     ResumeAction,
+    RobotCommand,
     Scheduled,
     StartAction,
     TakeTurn,
     body,
+    known_action,
     message,
     named,
+    open_request,
     requester,
 )
 from fsar_ledger.runtime.handlers.execution import holds_robot, pause_running, queued, start_action, started
@@ -41,28 +44,22 @@ from fsar_ledger.runtime.handlers.policy import conflict, fleet_policy, own_poli
 HANDLERS = Handlers()
 
 
-class DecideOwnStep(Command):
+class DecideOwnStep(ActionCommand):
     """Decide about a step of the robot's own."""
 
-    action_id: str
 
-
-class LearnFleetRule(Command):
+class LearnFleetRule(RobotCommand):
     """Deliver word of the fleet's rule to the robot."""
 
-    robot: Robot
     outcome: PolicyOutcome
     as_of_us: int
 
 
-@HANDLERS.decide(DecideOwnStep, requester)
-def decide_own_step(state: State, command: DecideOwnStep) -> tuple[Event, ...]:
+@HANDLERS.decide_on(open_request, DecideOwnStep, requester)
+def decide_own_step(state: State, _command: DecideOwnStep, request: Request) -> tuple[Event, ...]:
     """Decide to do the step, and queue it at the robot itself."""
-    request = state.request.open.get(command.action_id)
-    if request is None:
-        return ()
     robot = request.requester
-    parties = recorded_by(state.fleet, state.world, robot, requested_by=robot, executed_by=robot)
+    parties = recorded_by(state, robot, requested_by=robot, executed_by=robot)
     decided = OwnStepDecided(request.subject, parties.decided(robot), request.capability)
     return (decided, queued(request, parties, robot))
 
@@ -80,14 +77,13 @@ def ready(execution: Execution, action_id: str) -> Action | None:
     return action
 
 
-@HANDLERS.decide(TakeTurn, body)
-def take_turn(state: State, command: TakeTurn) -> tuple[Event, ...]:
+@HANDLERS.decide_on(known_action, TakeTurn, body)
+def take_turn(state: State, _command: TakeTurn, action: Action) -> tuple[Event, ...]:
     """Accept the request, claim execution and override, and approach.
 
     A request that was preempted comes back as accepted. Paper: eq:auth.
     """
-    action = state.execution.actions.get(command.action_id)
-    if action is None or action.stage not in ("queued", "preempted") or not holds_robot(state.execution, action):
+    if action.stage not in ("queued", "preempted") or not holds_robot(state.execution, action):
         return ()
     robot = action.robot
     approach = ApproachStarted(action.subject, robot)
@@ -96,7 +92,7 @@ def take_turn(state: State, command: TakeTurn) -> tuple[Event, ...]:
         for claim in state.authority.claims.get(action.action_id, ())
     ):
         return (approach,)
-    parties = recorded_by(state.fleet, state.world, robot, requested_by=action.requested_by, executed_by=robot)
+    parties = recorded_by(state, robot, requested_by=action.requested_by, executed_by=robot)
     return (
         RequestAccepted(RequestSubject(action.task_id, action.action_id, action.action_id), parties.decided(robot)),
         AuthorityClaimed(action.subject, "execution", robot, "acceptance"),
@@ -122,21 +118,21 @@ def start(state: State, command: StartAction) -> tuple[Event, ...]:
         # See docs/decisions/denials-are-decided-once.md.
         decided_by = None if action.is_delegated or action.was_denied else action.robot
         clash = conflict(state, action.task_id, action.action_id, action.on_behalf_of, action.robot, action.capability)
-        return (*clash, _held(state.fleet, state.world, action, local, "local-policy", decided_by))
+        return (*clash, _held(state, action, local, "local-policy", decided_by))
     # See docs/decisions/starts-ignore-later-fleet-rules.md.
     if rule != "allow" and not action.is_delegated:
-        return (_held(state.fleet, state.world, action, rule, "fleet-rule", None),)
-    return (started(state.fleet, state.world, action, command),)
+        return (_held(state, action, rule, "fleet-rule", None),)
+    return (started(state, action, command),)
 
 
 def _held(
-    fleet: Fleet, world: World, action: Action, outcome: PolicyOutcome, reason: str, decided_by: Principal | None
+    state: State, action: Action, outcome: PolicyOutcome, reason: str, decided_by: Principal | None
 ) -> ExecutionHeld:
     principals = Principals(
         decided_by=decided_by,
         requested_by=action.requested_by,
         executed_by=action.executed_by,
-        supervised_by=supervisor_of(fleet, world, action),
+        supervised_by=supervisor_of(state, action),
         path=() if decided_by is None else (decided_by,),
     )
     return ExecutionHeld(action.subject, principals, action.robot, outcome, reason)
@@ -146,7 +142,7 @@ def _held(
 def decide_routine(state: State, command: DecideRoutine) -> tuple[Event, ...]:
     """Perform the routine operation; a motion only if the robot's policy and the fleet's rule are clear."""
     robot = command.robot
-    parties = recorded_by(state.fleet, state.world, robot, requested_by=robot, executed_by=robot)
+    parties = recorded_by(state, robot, requested_by=robot, executed_by=robot)
     principals = parties.decided(robot)
     if command.operation == "motion" and (
         own_policy(state.policy, state.world, robot, None, None) != "allow"

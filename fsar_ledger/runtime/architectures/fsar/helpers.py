@@ -93,9 +93,7 @@ def peer_query(state: State, action: Action, recovery: Recovery) -> tuple[Event,
     return (
         RegistryQueried(
             subject=action.subject,
-            principals=recorded_by(
-                state.fleet, state.world, action.robot, requested_by=action.robot, executed_by=action.executed_by
-            ),
+            principals=recorded_by(state, action.robot, requested_by=action.robot, executed_by=action.executed_by),
             capability=family(action.capability),
             candidates=fit,
             rejected=tuple(left_out),

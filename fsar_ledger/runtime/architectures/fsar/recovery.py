@@ -27,9 +27,10 @@ from fsar_ledger.runtime.handlers import assistance
 from fsar_ledger.runtime.handlers.attribution import is_cross_robot, parties, recorded_by, supervisor_of
 from fsar_ledger.runtime.handlers.authority import release
 from fsar_ledger.runtime.handlers.commands import (
-    Command,
+    ActionCommand,
     EndAssistance,
     EndAttempt,
+    Failure,
     Handlers,
     Scheduled,
     at_once,
@@ -37,6 +38,7 @@ from fsar_ledger.runtime.handlers.commands import (
     helping,
     message,
     nobody,
+    open_failure,
 )
 from fsar_ledger.runtime.handlers.recovery import (
     attempt_failed,
@@ -44,7 +46,6 @@ from fsar_ledger.runtime.handlers.recovery import (
     attempted,
     budget,
     end_of_attempt,
-    open_failure,
 )
 from fsar_ledger.runtime.handlers.supervision import supervisor_for
 from fsar_ledger.runtime.ports import Ask
@@ -57,46 +58,41 @@ EXHAUSTED = "budget exhausted"
 HANDLERS = Handlers()
 
 
-class StartRecovery(Command):
+class StartRecovery(ActionCommand):
     """Start recovery from a failure that was detected."""
 
-    action_id: str
 
-
-class AskPeers(Command):
+class AskPeers(ActionCommand):
     """Deliver the question for help to the peers, after `asked` of them.
 
     `is_last`: the time to answer about this `failure` is over. Units: `since_us` run time at which recovery turned to
     them.
     """
 
-    action_id: str
     since_us: int = 0
     asked: int = 0
     failure: int = 0
     is_last: bool = False
 
 
-class ConsiderReassignment(Command):
+class ConsiderReassignment(ActionCommand):
     """Deliver the failure to the recovery orchestrator, and to those it asks.
 
     `is_last`: the time to answer about this `failure` is over. Units: `since_us` run time at which recovery turned to
     it.
     """
 
-    action_id: str
     since_us: int = 0
     failure: int = 0
     is_last: bool = False
 
 
-class CallNext(Command):
+class CallNext(ActionCommand):
     """End the time in which the called supervisor should have resolved the failure.
 
     `calls` counts the calls until then.
     """
 
-    action_id: str
     failure: int
     calls: int
 
@@ -116,42 +112,40 @@ def _escalated(
     )
 
 
-@HANDLERS.decide(StartRecovery, body)
-def start_recovery(state: State, command: StartRecovery) -> tuple[Event, ...]:
+@HANDLERS.decide_on(open_failure, StartRecovery, body)
+def start_recovery(state: State, command: StartRecovery, failure: Failure) -> tuple[Event, ...]:
     """Start the robot's own recovery, if it may; without layered recovery, call H_F at once.
 
     Paper: sec:model:recovery, level 1.
     """
-    match open_failure(state.execution, state.recovery, command.action_id):
-        case action, recovery if recovery.level == "local" and recovery.number == 0:
-            by_robot = parties(state.fleet, state.world, action).decided(action.robot)
-            if "layered-recovery" in state.fleet.without:
-                called = SupervisorCalled(subject=action.subject, supervisor=FLEET_SUPERVISOR, purpose="recovery")
-                return (_escalated(action, recovery, by_robot, "human", "no layered recovery"), called)
-            allowed = budget(state.budget, state.fleet, action.robot, "local")
-            deadline_us = recovery.detected_us + allowed.t_max_us
-            if allowed.n_max == 0 or command.now_us >= deadline_us:
-                return (_escalated(action, recovery, by_robot, "peer", EXHAUSTED),)
-            return (attempted(action, recovery, by_robot, deadline_us),)
-        case _:
-            return ()
+    action, recovery = failure
+    if recovery.level != "local" or recovery.number > 0:
+        return ()
+    by_robot = parties(state, action).decided(action.robot)
+    if "layered-recovery" in state.fleet.without:
+        called = SupervisorCalled(subject=action.subject, supervisor=FLEET_SUPERVISOR, purpose="recovery")
+        return (_escalated(action, recovery, by_robot, "human", "no layered recovery"), called)
+    allowed = budget(state.budget, state.fleet, action.robot, "local")
+    deadline_us = recovery.detected_us + allowed.t_max_us
+    if allowed.n_max == 0 or command.now_us >= deadline_us:
+        return (_escalated(action, recovery, by_robot, "peer", EXHAUSTED),)
+    return (attempted(action, recovery, by_robot, deadline_us),)
 
 
-@HANDLERS.decide(EndAttempt, body)
-def end_attempt(state: State, command: EndAttempt) -> tuple[Event, ...]:
+@HANDLERS.decide_on(open_failure, EndAttempt, body)
+def end_attempt(state: State, command: EndAttempt, failure: Failure) -> tuple[Event, ...]:
     """Resolve the failure, start the next attempt, or turn to the peers once the budget is spent."""
-    match open_failure(state.execution, state.recovery, command.action_id):
-        case action, recovery if recovery.number == command.number and recovery.level == "local":
-            if attempt_succeeds(state.world, recovery, command):
-                return (FailureResolved(action.subject, action.robot, recovery.failure, "local"),)
-            failed = attempt_failed(state.registry, state.world, action, recovery)
-            by_robot = parties(state.fleet, state.world, action).decided(action.robot)
-            allowed = budget(state.budget, state.fleet, action.robot, "local")
-            if recovery.number < allowed.n_max and command.now_us < recovery.deadline_us:
-                return (failed, attempted(action, recovery, by_robot, recovery.deadline_us))
-            return (failed, _escalated(action, recovery, by_robot, "peer", EXHAUSTED))
-        case _:
-            return ()
+    action, recovery = failure
+    if recovery.level != "local" or recovery.number != command.number:
+        return ()
+    if attempt_succeeds(state.world, recovery, command):
+        return (FailureResolved(action.subject, action.robot, recovery.failure, "local"),)
+    failed = attempt_failed(state.registry, state.world, action, recovery)
+    by_robot = parties(state, action).decided(action.robot)
+    allowed = budget(state.budget, state.fleet, action.robot, "local")
+    if recovery.number < allowed.n_max and command.now_us < recovery.deadline_us:
+        return (failed, attempted(action, recovery, by_robot, recovery.deadline_us))
+    return (failed, _escalated(action, recovery, by_robot, "peer", EXHAUSTED))
 
 
 def _is_exhausted(
@@ -161,56 +155,52 @@ def _is_exhausted(
     return spent_us > allowed.t_max_us or spent >= allowed.n_max
 
 
-@HANDLERS.decide(AskPeers, nobody)
-def ask_peers(state: State, command: AskPeers) -> tuple[Event, ...]:
+@HANDLERS.decide_on(open_failure, AskPeers, nobody)
+def ask_peers(state: State, command: AskPeers, failure: Failure) -> tuple[Event, ...]:
     """Let a trusted idle peer help, or turn to the fleet. Paper: sec:model:recovery, level 2."""
-    match open_failure(state.execution, state.recovery, command.action_id):
-        case action, recovery if recovery.level == "peer" and not (
-            command.is_last and (command.failure, command.asked) != (recovery.failure, len(recovery.tried))
-        ):
-            named = parties(state.fleet, state.world, action)
-            by_service = named.decided(RECOVERY)
-            if _is_exhausted(
-                state.budget, state.fleet, action, "peer", command.now_us - command.since_us, len(recovery.tried)
-            ):
-                return (_escalated(action, recovery, by_service, "fleet", EXHAUSTED),)
-            helper, reason, silent = peer(state, action, recovery)
-            if silent and not command.is_last:
-                return ()
-            query = peer_query(state, action, recovery)
-            if helper is None:
-                return (
-                    *query,
-                    _escalated(action, recovery, by_service, "fleet", reason),
-                    *found_silent(state.fleet, state.registry, silent),
-                )
-            admitting = recorded_by(
-                state.fleet, state.world, helper, requested_by=action.requested_by, executed_by=action.executed_by
-            )
-            return (
-                *query,
-                AssistanceRequested(
-                    subject=action.subject,
-                    principals=named.decided(action.robot),
-                    robot=action.robot,
-                    helper=helper,
-                    failure=recovery.failure,
-                    level="peer",
-                    failed_action=action.action_id,
-                    since_us=command.since_us,
-                ),
-                AssistanceAdmitted(
-                    subject=action.subject,
-                    principals=admitting.decided(helper),
-                    robot=action.robot,
-                    helper=helper,
-                    failure=recovery.failure,
-                    level="peer",
-                ),
-                *found_silent(state.fleet, state.registry, silent),
-            )
-        case _:
-            return ()
+    action, recovery = failure
+    if not (
+        recovery.level == "peer"
+        and not (command.is_last and (command.failure, command.asked) != (recovery.failure, len(recovery.tried)))
+    ):
+        return ()
+    named = parties(state, action)
+    by_service = named.decided(RECOVERY)
+    if _is_exhausted(state.budget, state.fleet, action, "peer", command.now_us - command.since_us, len(recovery.tried)):
+        return (_escalated(action, recovery, by_service, "fleet", EXHAUSTED),)
+    helper, reason, silent = peer(state, action, recovery)
+    if silent and not command.is_last:
+        return ()
+    query = peer_query(state, action, recovery)
+    if helper is None:
+        return (
+            *query,
+            _escalated(action, recovery, by_service, "fleet", reason),
+            *found_silent(state.fleet, state.registry, silent),
+        )
+    admitting = recorded_by(state, helper, requested_by=action.requested_by, executed_by=action.executed_by)
+    return (
+        *query,
+        AssistanceRequested(
+            subject=action.subject,
+            principals=named.decided(action.robot),
+            robot=action.robot,
+            helper=helper,
+            failure=recovery.failure,
+            level="peer",
+            failed_action=action.action_id,
+            since_us=command.since_us,
+        ),
+        AssistanceAdmitted(
+            subject=action.subject,
+            principals=admitting.decided(helper),
+            robot=action.robot,
+            helper=helper,
+            failure=recovery.failure,
+            level="peer",
+        ),
+        *found_silent(state.fleet, state.registry, silent),
+    )
 
 
 @HANDLERS.decide(EndAssistance, helping)
@@ -219,46 +209,41 @@ def end_assistance(state: State, command: EndAssistance) -> tuple[Event, ...]:
     return assistance.end_assistance(state, command, "peer")
 
 
-@HANDLERS.decide(ConsiderReassignment, nobody)
-def consider_reassignment(state: State, command: ConsiderReassignment) -> tuple[Event, ...]:
+@HANDLERS.decide_on(open_failure, ConsiderReassignment, nobody)
+def consider_reassignment(state: State, command: ConsiderReassignment, failure: Failure) -> tuple[Event, ...]:
     """Hand the step to another robot from a declared checkpoint, or call a supervisor.
 
     Paper: sec:model:recovery, level 3.
     """
-    match open_failure(state.execution, state.recovery, command.action_id):
-        case action, recovery if recovery.level == "fleet" and not (
-            command.is_last and command.failure != recovery.failure
-        ):
-            if _is_exhausted(state.budget, state.fleet, action, "fleet", command.now_us - command.since_us, 0):
-                return _to_human(state, action, recovery, EXHAUSTED)
-            resume_at = checkpoint(state.task, action.task_id, action.step)
-            helper, reason, silent = (
-                reassignee(state, action) if resume_at is not None else HelperChoice(None, "no checkpoint")
-            )
-            if silent and not command.is_last:
-                return ()
-            decided = ReassignmentDecided(
-                subject=action.subject,
-                principals=parties(state.fleet, state.world, action).decided(RECOVERY),
-                robot=action.robot,
-                helper=helper,
-                failure=recovery.failure,
-                checkpoint=resume_at,
-                reason=None if helper is not None else reason,
-            )
-            if helper is None or resume_at is None:
-                return (
-                    decided,
-                    *_to_human(state, action, recovery, f"no feasible reassignment: {reason}"),
-                    *found_silent(state.fleet, state.registry, silent),
-                )
-            return (
-                decided,
-                *_handed_over(state, action, recovery, helper, resume_at),
-                *found_silent(state.fleet, state.registry, silent),
-            )
-        case _:
-            return ()
+    action, recovery = failure
+    if not (recovery.level == "fleet" and not (command.is_last and command.failure != recovery.failure)):
+        return ()
+    if _is_exhausted(state.budget, state.fleet, action, "fleet", command.now_us - command.since_us, 0):
+        return _to_human(state, action, recovery, EXHAUSTED)
+    resume_at = checkpoint(state.task, action.task_id, action.step)
+    helper, reason, silent = reassignee(state, action) if resume_at is not None else HelperChoice(None, "no checkpoint")
+    if silent and not command.is_last:
+        return ()
+    decided = ReassignmentDecided(
+        subject=action.subject,
+        principals=parties(state, action).decided(RECOVERY),
+        robot=action.robot,
+        helper=helper,
+        failure=recovery.failure,
+        checkpoint=resume_at,
+        reason=None if helper is not None else reason,
+    )
+    if helper is None or resume_at is None:
+        return (
+            decided,
+            *_to_human(state, action, recovery, f"no feasible reassignment: {reason}"),
+            *found_silent(state.fleet, state.registry, silent),
+        )
+    return (
+        decided,
+        *_handed_over(state, action, recovery, helper, resume_at),
+        *found_silent(state.fleet, state.registry, silent),
+    )
 
 
 def _handed_over(state: State, action: Action, recovery: Recovery, helper: Robot, resume_at: str) -> tuple[Event, ...]:
@@ -273,9 +258,7 @@ def _handed_over(state: State, action: Action, recovery: Recovery, helper: Robot
         ),
         ExecutionQueued(
             subject=action.subject,
-            principals=recorded_by(
-                state.fleet, state.world, helper, requested_by=action.on_behalf_of, executed_by=helper
-            ),
+            principals=recorded_by(state, helper, requested_by=action.on_behalf_of, executed_by=helper),
             robot=helper,
             on_behalf_of=action.on_behalf_of,
             capability=action.capability,
@@ -291,28 +274,27 @@ def _handed_over(state: State, action: Action, recovery: Recovery, helper: Robot
 def _to_human(state: State, action: Action, recovery: Recovery, reason: str) -> tuple[Event, ...]:
     """Call H_i if only the robot is concerned, else H_F. Paper: sec:model:recovery, level 4."""
     # See docs/decisions/level-4-goes-by-scope.md.
-    supervisor = supervisor_for(state.fleet, state.world, action.robot, is_cross_robot(state.task, action))
+    supervisor = supervisor_for(state, action.robot, is_cross_robot(state.task, action))
     called = SupervisorCalled(subject=action.subject, supervisor=supervisor, purpose="recovery")
     principals = Principals(  # the service does not decide here, it passes on
         decided_by=RECOVERY,
         requested_by=action.requested_by,
         executed_by=action.executed_by,
-        supervised_by=supervisor_of(state.fleet, state.world, action),
+        supervised_by=supervisor_of(state, action),
         path=(),
     )
     return (_escalated(action, recovery, principals, "human", reason), called)
 
 
-@HANDLERS.decide(CallNext, nobody)
-def call_next(state: State, command: CallNext) -> tuple[Event, ...]:
+@HANDLERS.decide_on(open_failure, CallNext, nobody)
+def call_next(state: State, command: CallNext, failure: Failure) -> tuple[Event, ...]:
     """Call H_F after a supervisor who has not resolved the failure in time, while the level's budget lasts."""
-    match open_failure(state.execution, state.recovery, command.action_id):
-        case action, recovery if (recovery.failure, recovery.calls) == (command.failure, command.calls):
-            if recovery.calls >= budget(state.budget, state.fleet, action.robot, "human").n_max:
-                return ()
-            return (SupervisorCalled(subject=action.subject, supervisor=FLEET_SUPERVISOR, purpose="recovery"),)
-        case _:
-            return ()
+    action, recovery = failure
+    if (recovery.failure, recovery.calls) != (command.failure, command.calls):
+        return ()
+    if recovery.calls >= budget(state.budget, state.fleet, action.robot, "human").n_max:
+        return ()
+    return (SupervisorCalled(subject=action.subject, supervisor=FLEET_SUPERVISOR, purpose="recovery"),)
 
 
 @HANDLERS.react(ExecutionFailed)
@@ -368,7 +350,7 @@ def _on_no_help(state: State, event: AssistanceFailed, _now_us: int) -> tuple[Sc
 
 @HANDLERS.react(SupervisorCalled)
 def _on_call(state: State, event: SupervisorCalled, _now_us: int) -> tuple[Scheduled, ...]:
-    match open_failure(state.execution, state.recovery, event.subject.action_id):
+    match open_failure(state, event.subject.action_id):
         case action, recovery if event.purpose == "recovery":
             late = CallNext(event.subject.action_id, recovery.failure, recovery.calls)
             return (Scheduled(late, budget(state.budget, state.fleet, action.robot, "human").t_max_us),)

@@ -18,15 +18,15 @@ from fsar_ledger.events.request import (
 )
 from fsar_ledger.events.supervision import SupervisorCalled, SupervisorResponded
 from fsar_ledger.projections.execution import Execution
-from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.request import Request
 from fsar_ledger.projections.supervision import is_asked
 from fsar_ledger.projections.task import Tasks
-from fsar_ledger.projections.world import World, stricter
+from fsar_ledger.projections.world import stricter
 from fsar_ledger.runtime.handlers.admissibility import Evaluation, evaluate, is_revoked, preemptible
 from fsar_ledger.runtime.handlers.attribution import recorded_by
 from fsar_ledger.runtime.handlers.commands import (
+    ActionCommand,
     CloseRequest,
     Command,
     CompleteStep,
@@ -37,6 +37,7 @@ from fsar_ledger.runtime.handlers.commands import (
     begin_again,
     message,
     nobody,
+    open_request,
     relay,
     requester,
 )
@@ -52,51 +53,40 @@ from .discovery import unanswered
 HANDLERS = Handlers()
 
 
-class IssueRequest(Command):
+class IssueRequest(ActionCommand):
     """Deliver the answer to the requester."""
 
-    action_id: str
 
-
-class RelayRequest(Command):
+class RelayRequest(ActionCommand):
     """Deliver the request to the doubly trusted peer."""
 
-    action_id: str
 
-
-class EvaluateRequest(Command):
+class EvaluateRequest(ActionCommand):
     """Deliver the request to the executor."""
 
-    action_id: str
 
-
-class GoOnWithout(Command):
+class GoOnWithout(ActionCommand):
     """End the time in which the request should have been delivered.
 
     To the robot it was sent to, or (`is_relayed`) to the one that the relay has passed it on to.
     """
 
-    action_id: str
     is_relayed: bool = False
 
 
-class AdmitReviewed(Command):
+class AdmitReviewed(ActionCommand):
     """Take a supervisor's decision on what policy or supervision density wanted reviewed."""
 
-    action_id: str
     approves: bool = True
 
 
-@HANDLERS.decide(IssueRequest, requester)
-def issue_request(state: State, command: IssueRequest) -> tuple[Event, ...]:
+@HANDLERS.decide_on(open_request, IssueRequest, requester)
+def issue_request(state: State, _command: IssueRequest, request: Request) -> tuple[Event, ...]:
     """Send the request with the requester's own policy; back off without a candidate."""
-    request = state.request.open.get(command.action_id)
-    if request is None:
-        return ()
     if not request.candidates:
-        return (unanswered(state.fleet, state.world, request),)
+        return (unanswered(state, request),)
     robot, executor = request.requester, request.candidates[0]
-    parties = recorded_by(state.fleet, state.world, robot, requested_by=robot, executed_by=executor)
+    parties = recorded_by(state, robot, requested_by=robot, executed_by=executor)
     return (
         RequestIssued(
             subject=request.request_subject,
@@ -108,18 +98,15 @@ def issue_request(state: State, command: IssueRequest) -> tuple[Event, ...]:
     )
 
 
-@HANDLERS.decide(RelayRequest, relay)
-def relay_request(state: State, command: RelayRequest) -> tuple[Event, ...]:
+@HANDLERS.decide_on(open_request, RelayRequest, relay)
+def relay_request(state: State, _command: RelayRequest, request: Request) -> tuple[Event, ...]:
     """Pass the request on with the relay's policy added, or let the relay deny it. Paper: eq:nontransitive."""
-    request = state.request.open.get(command.action_id)
-    if request is None or request.relay is None:
+    if request.relay is None:
         return ()
     if request.silent:  # too late, as of an executor
         return report_back(state, ReportBack(request.silent[0]))
     relay, about = request.relay, (request.capability, request.task_id)
-    parties = recorded_by(
-        state.fleet, state.world, relay, requested_by=request.requester, executed_by=request.candidates[0]
-    )
+    parties = recorded_by(state, relay, requested_by=request.requester, executed_by=request.candidates[0])
     subject, principals = request.request_subject, parties.decided(request.requester, relay)
     if not trusts(state, relay, request.requester, *about):
         return (RequestDenied(subject, principals, "trust"),)
@@ -144,28 +131,26 @@ def evaluate_request(state: State, command: EvaluateRequest) -> tuple[Event, ...
     return _judged(state, request, evaluate(state, request, request.candidates[0]), command.now_us)
 
 
-@HANDLERS.decide(AdmitReviewed, asked)
-def admit_reviewed(state: State, command: AdmitReviewed) -> tuple[Event, ...]:
+@HANDLERS.decide_on(open_request, AdmitReviewed, asked)
+def admit_reviewed(state: State, command: AdmitReviewed, request: Request) -> tuple[Event, ...]:
     """Admit the approved request if all but policy still holds, or deny one that was not approved."""
-    request = state.request.open.get(command.action_id)
-    if request is None or not _is_open(state.execution, state.task, request):
+    if not _is_open(state.execution, state.task, request):
         return ()
     executor = request.candidates[0]
     if not command.approves:
-        by_executor = _parties(state.fleet, state.world, request, executor).decided(executor)
+        by_executor = _parties(state, request, executor).decided(executor)
         return (RequestDenied(request.request_subject, by_executor, "review"),)
     found = evaluate(state, request, executor, is_reviewed=True)
     return _judged(state, request, found, command.now_us, is_reviewed=True)
 
 
-@HANDLERS.decide(GoOnWithout, requester)
-def go_on_without(state: State, command: GoOnWithout) -> tuple[Event, ...]:
+@HANDLERS.decide_on(open_request, GoOnWithout, requester)
+def go_on_without(state: State, command: GoOnWithout, request: Request) -> tuple[Event, ...]:
     """Record that the request was not delivered in time, and tell the registry who was silent.
 
     The requester tries again later. Reading: R44.
     """
-    request = state.request.open.get(command.action_id)
-    if request is None or request.is_relayed != command.is_relayed:
+    if request.is_relayed != command.is_relayed:
         return ()
     if (
         not request.candidates
@@ -178,7 +163,7 @@ def go_on_without(state: State, command: GoOnWithout) -> tuple[Event, ...]:
     executor = request.candidates[0]
     silent = executor if request.relay is None or request.is_relayed else request.relay
     return (
-        unanswered(state.fleet, state.world, request, silent),
+        unanswered(state, request, silent),
         *found_silent(state.fleet, state.registry, (silent,)),
     )
 
@@ -196,7 +181,7 @@ def _judged(
 ) -> tuple[Event, ...]:
     executor = request.candidates[0]
     subject = request.request_subject
-    principals = _parties(state.fleet, state.world, request, executor).decided(executor)
+    principals = _parties(state, request, executor).decided(executor)
     if found.verdict == "reject":
         clash = (
             conflict(state, request.task_id, request.action_id, request.requester, executor, request.capability)
@@ -213,15 +198,15 @@ def _judged(
     return put_in_order(state, request, executor, principals) or _admitted(state, request, found, now_us)
 
 
-def _parties(fleet: Fleet, world: World, request: Request, executor: Robot) -> Parties:
+def _parties(state: State, request: Request, executor: Robot) -> Parties:
     """Return whom the executor's records of the request name."""
-    return recorded_by(fleet, world, executor, requested_by=request.requester, executed_by=executor)
+    return recorded_by(state, executor, requested_by=request.requester, executed_by=executor)
 
 
 def _admitted(state: State, request: Request, found: Evaluation, now_us: int) -> tuple[Event, ...]:
     """Admit the request with its authority, and let it wait for the robot or take it. Paper: eq:auth, eq:override."""
     executor = request.candidates[0]
-    parties = _parties(state.fleet, state.world, request, executor)
+    parties = _parties(state, request, executor)
     principals = parties.decided(executor)
     admitted = RequestAdmitted(
         subject=request.request_subject,
@@ -245,15 +230,10 @@ def _admitted(state: State, request: Request, found: Evaluation, now_us: int) ->
     return (admitted, ExecutionPreempted(interrupted.subject, executor, request.action_id, remaining_us), waiting)
 
 
-@HANDLERS.decide(CloseRequest, nobody)
-def close_request(state: State, command: CloseRequest) -> tuple[Event, ...]:
+@HANDLERS.decide_on(open_request, CloseRequest, nobody)
+def close_request(state: State, _command: CloseRequest, request: Request) -> tuple[Event, ...]:
     """Close the request at the coordination engine. Paper: sec:architecture:fleet."""
-    request = state.request.open.get(command.action_id)
-    if request is None:
-        return ()
-    parties = recorded_by(
-        state.fleet, state.world, request.requester, requested_by=request.requester, executed_by=request.target
-    )
+    parties = recorded_by(state, request.requester, requested_by=request.requester, executed_by=request.target)
     return (RequestClosed(request.request_subject, parties.decided(COORDINATION), request.result or "success"),)
 
 

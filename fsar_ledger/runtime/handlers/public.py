@@ -1,0 +1,124 @@
+"""Commands from outside: the event that one becomes, and why one is rejected.
+
+A command that cannot be executed is recorded and has no effect. Paper: sec:architecture:overview.
+"""
+
+from collections.abc import Iterable
+from typing import Protocol, TypeVar
+
+from fsar_ledger.events import Event
+from fsar_ledger.events.command import CommandRejected
+from fsar_ledger.events.envelope import FLEET_SUPERVISOR, Principal, Robot, Supervisor
+from fsar_ledger.projections.context import Over
+from fsar_ledger.projections.fleet import Fleet
+from fsar_ledger.projections.fold import State
+from fsar_ledger.projections.registry import Registry
+from fsar_ledger.projections.trust import is_within
+
+from .commands import Command
+
+_Made = TypeVar("_Made", bound=Event)
+
+
+class PublicCommand(Command, kw_only=True, gc=False):
+    """A request from outside, by a robot, an operator or a supervisor.
+
+    A command that cannot be carried out is rejected as an event, and changes nothing.
+    """
+
+
+def made_from(kind: type[_Made], *sources: object, **others: object) -> _Made:
+    """Return the event that has these fields, and all others, by their names, from the last source that has them."""
+    shared = {name: getattr(one, name) for one in sources for name in kind.__struct_fields__ if hasattr(one, name)}
+    return kind(**{**shared, **others})
+
+
+def carried_out(
+    command: Command, subject: str, refused: str | None, issued_by: Principal | None, *events: Event
+) -> tuple[Event, ...]:
+    """Return the events of the command, or where something is refused its rejection alone."""
+    return events if refused is None else rejected(command, subject, refused, issued_by)
+
+
+# See docs/decisions/rejected-commands-are-events.md.
+def rejected(command: Command, subject: str, reason: str, issued_by: Principal | None = None) -> tuple[CommandRejected]:
+    """Return the one event of a command that named something unknown, over or impossible."""
+    return (CommandRejected(command=type(command).__name__, subject=subject, reason=reason, issued_by=issued_by),)
+
+
+def unknown_robot(fleet: Fleet, *robots: str | None) -> str | None:
+    """Return why to reject a command that names a robot outside the fleet, or None (None names nobody)."""
+    for robot in robots:
+        if robot is not None and robot not in fleet.robots:
+            return f"unknown robot {robot}, expected a member of the fleet"
+    return None
+
+
+def unknown_supervisor(fleet: Fleet, supervisor: Supervisor | None) -> str | None:
+    """Return why to reject a command from a supervisor unknown in this fleet, or None."""
+    if supervisor == FLEET_SUPERVISOR or (
+        supervisor is not None and any(supervisor == robot.supervisor for robot in fleet.robots.values())
+    ):
+        return None
+    return f"unknown supervisor {supervisor}, expected {FLEET_SUPERVISOR} or a robot's own"
+
+
+def not_in_charge(
+    fleet: Fleet, supervisor: Supervisor | None, robot: Robot | None, is_fleet_matter: bool = False
+) -> str | None:
+    """Return why this supervisor may not give a command about this robot, or None.
+
+    A robot of None: the command is about nobody in particular. H_F may speak for every robot; H_i for its own alone,
+    and not where the matter is the fleet's. Paper: sec:model:supervision.
+    """
+    if (unknown := unknown_supervisor(fleet, supervisor)) is not None:
+        return unknown
+    if supervisor == FLEET_SUPERVISOR:
+        return None
+    if is_fleet_matter:
+        return f"{supervisor} supervises one robot, expected {FLEET_SUPERVISOR} for what concerns the fleet"
+    if robot is not None and fleet.robots[robot].supervisor != supervisor:
+        return (
+            f"{supervisor} does not supervise {robot}, "
+            f"expected {fleet.robots[robot].supervisor or FLEET_SUPERVISOR} or {FLEET_SUPERVISOR}"
+        )
+    return None
+
+
+def unknown_capability(registry: Registry, capability: str | None) -> str | None:
+    """Return why to reject a command about a capability that no robot possesses, or None (None names none)."""
+    if capability is None or any(capability in modules for modules in registry.modules.values()):
+        return None
+    return f"unknown capability {capability}, expected one that a member possesses"
+
+
+def unknown_word(what: str, found: str | None, known: Iterable[str]) -> str | None:
+    """Return why to reject a command with this word, or None if it is a known one."""
+    known = tuple(known)
+    return None if found in known else f"unknown {what} {found}, expected one of {', '.join(known)}"
+
+
+def expired_context(over: Over, context: str | None) -> str | None:
+    """Return why to reject a command in the context of a task that is over, or None (None is no context)."""
+    return f"task {context} is over, expected a context that is not" if context in over else None
+
+
+class _About(Protocol):
+    capability: str | None
+    context: str | None
+
+
+def unknown_about(state: State, command: _About) -> str | None:
+    """Return why nothing can be set about the capability and in the context that the command names, or None."""
+    return unknown_capability(state.registry, command.capability) or expired_context(state.context, command.context)
+
+
+def not_for_roles(state: State, supervisor: Supervisor, domain: str, *roles: str) -> str | None:
+    """Return why this supervisor may not set anything for robots of these roles in the domain, or None."""
+    inside = [robot for robot in state.fleet.robots.values() if is_within(robot.domain, domain)]
+    refused = not_in_charge(state.fleet, supervisor, None, is_fleet_matter=True)
+    if refused is None and not inside:
+        refused = f"unknown domain {domain}, expected one that a member is in"
+    for role in roles:
+        refused = refused or unknown_word("role", role, sorted({robot.role for robot in inside}))
+    return refused
