@@ -13,31 +13,16 @@ from fsar_ledger.ledger.store.read import View
 from fsar_ledger.ledger.store.view import Extent
 
 from . import relation
-from .connection import (
-    FAULTS_OF_SQL,
-    NULLABLE,
-    OUT_OF_MEMORY,
-    Database,
-    Value,
-    first_damage,
-    plain_rows,
-    with_all_columns,
-)
-from .own_sql import SHOWN
+from .connection import NULLABLE, Database, Value, plain_rows, with_all_columns
 from .verified import is_verified, is_verified_for_runs
 
 __all__ = [
-    "FAULTS_OF_SQL",
-    "FEW_ROWS",
-    "OUT_OF_MEMORY",
-    "SHOWN",
     "Database",
     "Slices",
     "Value",
     "connect",
     "connect_run",
     "connect_view",
-    "first_damage",
     "from_rows",
     "from_table",
     "plain_rows",

@@ -13,7 +13,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from multiprocessing.connection import Pipe
 from pathlib import Path
 from typing import NamedTuple
@@ -25,7 +25,8 @@ from fsar_ledger.errors import QueryFailed
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.store.view import Head
 
-from .database import SHOWN, first_damage
+from .connection import first_damage
+from .own_sql import SHOWN
 from .sandbox import GRACE_S, Limits, Question, Refusal
 from .verified import is_verified
 
@@ -101,7 +102,7 @@ def _answering(
 ) -> Iterator[tuple[Head, bool, Iterator[pa.RecordBatch]]]:
     """Yield the head, whether its rows were compared with the root, and the parts of the answer."""
     check_text(sql, limits)
-    with _process(limits) as process:  # it starts while the ledger is opened
+    with closing(_Process(limits)) as process:  # it starts while the ledger is opened
         view = open_for_answers(ledger)
         rows_verified = is_verified(view, demanded)
         segments = view.segments()
@@ -188,7 +189,7 @@ class _Process:
         if time.monotonic() >= self._ends:
             raise self._gone()
 
-    def end(self) -> None:
+    def close(self) -> None:
         """End the process and close the pipes to it."""
         self._alarm.cancel()
         self._child.kill()
@@ -238,13 +239,3 @@ def cause_of_death(code: int | None, said: str, limits: Limits) -> str:
             "for it in another way"
         )
     return f"was ended by {f'signal {-code}' if killer is None else killer.name}; the last that it wrote: {last}"
-
-
-@contextmanager
-def _process(limits: Limits) -> Iterator[_Process]:
-    """Yield a process that waits for a `Question`; it is ended afterwards in any case."""
-    process = _Process(limits)
-    try:
-        yield process
-    finally:
-        process.end()
