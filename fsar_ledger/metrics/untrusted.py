@@ -63,8 +63,13 @@ class Stream(NamedTuple):
 
     head: Head
     rows_verified: bool
-    columns: list[str]
+    schema: pa.Schema
     batches: Iterator[pa.RecordBatch]
+
+    @property
+    def columns(self) -> list[str]:
+        """Return the names of the columns."""
+        return list(self.schema.names)
 
 
 @contextmanager
@@ -81,8 +86,15 @@ def stream_untrusted(
         SequenceConflict: As `is_verified`.
         QueryFailed: The SQL is not one SELECT, does not run, reaches for something outside, or meets a limit.
     """
-    with _answering(ledger, sql, limits or Limits(), demanded) as (head, rows_verified, parts):
-        yield Stream(head, rows_verified, next(parts).schema.names, parts)
+    limits = limits or Limits()
+    check_text(sql, limits)
+    with closing(_Process(limits)) as process:  # it starts while the ledger is opened
+        view = open_for_answers(ledger)
+        rows_verified = is_verified(view, demanded)
+        segments = view.segments()
+        process.send(msgspec.json.encode(Question([str(path.resolve()) for path in segments], sql, limits)))
+        parts = _parts(process, segments)
+        yield Stream(view.head, rows_verified, next(parts).schema, parts)
 
 
 def table_untrusted(
@@ -92,22 +104,8 @@ def table_untrusted(
 
     Raises: as `stream_untrusted`.
     """
-    with _answering(ledger, sql, limits or Limits(), demanded) as (head, rows_verified, parts):
-        return pa.Table.from_batches(parts), head, rows_verified
-
-
-@contextmanager
-def _answering(
-    ledger: Path, sql: str, limits: Limits, demanded: str | None
-) -> Iterator[tuple[Head, bool, Iterator[pa.RecordBatch]]]:
-    """Yield the head, whether its rows were compared with the root, and the parts of the answer."""
-    check_text(sql, limits)
-    with closing(_Process(limits)) as process:  # it starts while the ledger is opened
-        view = open_for_answers(ledger)
-        rows_verified = is_verified(view, demanded)
-        segments = view.segments()
-        process.send(msgspec.json.encode(Question([str(path.resolve()) for path in segments], sql, limits)))
-        yield view.head, rows_verified, _parts(process, segments)
+    with stream_untrusted(ledger, sql, limits, demanded) as found:
+        return pa.Table.from_batches(found.batches, found.schema), found.head, found.rows_verified
 
 
 def _parts(process: "_Process", segments: Sequence[Path]) -> Iterator[pa.RecordBatch]:
