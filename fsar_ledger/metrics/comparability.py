@@ -7,7 +7,7 @@ import msgspec
 from fsar_ledger.printable import NAMED, counted, every, number, some
 
 from .database import Database
-from .results import StatisticRow, conditions_of, typed
+from .results import StatisticRow, setting_of, typed
 
 MIN_WILCOXON = 6
 """The least number of differing pairs for which Wilcoxon's test has a p (`statistics/wilcoxon_tests`)."""
@@ -271,7 +271,7 @@ def remarks_on(rows: Iterable[StatisticRow], metrics: Sequence[str]) -> list[str
     """
     held: dict[tuple[object, ...], dict[str, int]] = {}
     for row in rows:
-        held.setdefault((row.comparison, conditions_of(row)), {})[row.metric] = row.n
+        held.setdefault((row.comparison, setting_of(row)), {})[row.metric] = row.n
     lines: dict[str, None] = {}
     for (comparison, _), pairs in held.items():
         if missing := [name for name in metrics if name not in pairs]:

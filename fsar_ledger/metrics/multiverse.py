@@ -15,7 +15,7 @@ import msgspec
 from .database import Database
 from .library import READINGS, Query, library
 from .progress import Progress
-from .results import CONDITIONS, SETTINGS, conditions_of, typed
+from .results import CONDITIONS, SETTINGS, setting_of, typed
 from .verdicts import published
 
 ReadingNames = tuple[str, ...]
@@ -322,7 +322,7 @@ def cells(found: Iterable[Universe]) -> Iterator[Cell]:
     """Return the range of each cell, in the order of the universes of our reading."""
     by_cell: dict[tuple[object, ...], list[Universe]] = {}
     for one in found:
-        by_cell.setdefault((one.metric, conditions_of(one), one.architecture), []).append(one)
+        by_cell.setdefault((one.metric, setting_of(one), one.architecture), []).append(one)
     for ours, *others in by_cell.values():
         means = [(one.mean, one.readings) for one in (ours, *others) if one.mean is not None]
         lowest = min(means, key=lambda each: each[0], default=(None, None))
@@ -352,7 +352,7 @@ def rankings(found: Iterable[Universe], better: Mapping[str, str]) -> Iterator[R
     """Return whether each ranking survives, in the order of the universes of our reading."""
     by_place: dict[tuple[object, ...], dict[ReadingNames, list[Universe]]] = {}
     for one in found:
-        by_place.setdefault((one.metric, conditions_of(one)), {}).setdefault(one.readings, []).append(one)
+        by_place.setdefault((one.metric, setting_of(one)), {}).setdefault(one.readings, []).append(one)
     for under in by_place.values():
         first = under[()][0]
         orders = {names: ranked(mine, better[first.metric]) for names, mine in under.items()}
@@ -387,4 +387,4 @@ def smallest(sets: Sequence[ReadingNames]) -> tuple[ReadingNames, ...]:
 
 
 def _conditions(one: Universe) -> dict[str, Any]:
-    return dict(zip(CONDITIONS, conditions_of(one), strict=True))
+    return dict(zip(CONDITIONS, setting_of(one), strict=True))

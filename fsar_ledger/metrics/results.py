@@ -18,7 +18,7 @@ _Row = TypeVar("_Row", bound=msgspec.Struct)
 CONDITIONS = ("configuration", "fleet_size", "seed", "kind", "source", "model_version", "constants")
 """Columns by which runs are kept apart that are never ranked together, nor share a table."""
 
-conditions_of = attrgetter(*CONDITIONS)
+setting_of = attrgetter(*CONDITIONS)
 """Returns these of a row."""
 
 SETTINGS = (
