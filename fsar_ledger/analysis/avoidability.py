@@ -4,8 +4,7 @@ From a moment on the world goes on as it might have: what has begun keeps its en
 drawn again, for another seed each time. Tasks keep their times, since they are the work and not the world's doing.
 """
 
-from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from collections.abc import Sequence
 
 import msgspec
 
@@ -14,12 +13,12 @@ from fsar_ledger.analysis.fork_base import Rerun
 from fsar_ledger.constants import END_US
 from fsar_ledger.events.world import OutsiderRequestInjected, TaskArrived
 from fsar_ledger.memory import without_collection
+from fsar_ledger.metrics.progress import Progress
 from fsar_ledger.runtime.changeable import facts_by_name
 from fsar_ledger.runtime.forks import kernel_of
-from fsar_ledger.runtime.ports import Ask, Environment, Fact
+from fsar_ledger.runtime.ports import Environment, Fact
 from fsar_ledger.runtime.simulation import environment_of
 
-Progress = Callable[[int, int], None]
 MOMENTS = 24
 """Moments of the curve at even distances."""
 STEPS = 8
@@ -56,14 +55,6 @@ class Curve(msgspec.Struct, frozen=True):
     chances: tuple[Chance, ...]
     last_open_s: float | None
     closing_seq: int | None
-
-
-class _FutureEnvironment(NamedTuple):
-    """An environment with these facts."""
-
-    facts: Sequence[Fact]
-    latest_us: int | None
-    answer: Callable[[Ask], int]
 
 
 def curve(
@@ -146,7 +137,8 @@ def _played(
     """Play one future from this moment on."""
     recipe = repeated.base.recipe
     own = environment_of(recipe.spec, recipe.constants)
-    kernel = kernel_of(recipe, _FutureEnvironment(_facts(own.facts, world.facts, at_us), own.latest_us, own.answer))
+    own.facts = _facts(own.facts, world.facts, at_us)
+    kernel = kernel_of(recipe, own)
     kernel.run(at_us)
     kernel.set_environment(world)
     kernel.run()

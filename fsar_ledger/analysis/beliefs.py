@@ -64,29 +64,19 @@ def beliefs(record: LedgerRun, seq: int, state: State, decider: str) -> list[Bel
             f"{printable.value(decider)}: there is no such principal{hint} expected one of {printable.some(known)}"
         )
     last = _Last(record, seq)
+    planned = {f"agent/{robot[6:]}/planning": robot for robot in state.fleet.robots}
     if decider == COORDINATOR:
-        found = list(_of_coordinator(state, last))
-    elif decider == REGISTRY:
-        found = list(_of_registry(state, last))
-    elif (own := _robot_of(state, decider)) is not None:
-        found = list(_of_robot(state, own, last))
-    elif (whose := _planned_by(state, decider)) is not None:
-        found = list(_of_planner(state, whose, last))
-    else:
-        raise UsageError(
-            f"{decider}: it keeps no copies and decides on what it is asked; expected the coordinator, a robot, "
-            f"{REGISTRY}, or the planning agent of a robot"
-        )
-    return found
-
-
-def _robot_of(state: State, decider: str) -> Robot | None:
-    return next((robot for robot in state.fleet.robots if robot == decider), None)
-
-
-def _planned_by(state: State, decider: str) -> Robot | None:
-    """Return the robot whose planning agent this is."""
-    return next((robot for robot in state.fleet.robots if decider == f"agent/{robot[6:]}/planning"), None)
+        return list(_of_coordinator(state, last))
+    if decider == REGISTRY:
+        return list(_of_registry(state, last))
+    if decider in state.fleet.robots:
+        return list(_of_robot(state, Robot(decider), last))
+    if decider in planned:
+        return list(_of_planner(state, planned[decider], last))
+    raise UsageError(
+        f"{decider}: it keeps no copies and decides on what it is asked; expected the coordinator, a robot, "
+        f"{REGISTRY}, or the planning agent of a robot"
+    )
 
 
 class _Last:

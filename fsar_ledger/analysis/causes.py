@@ -31,8 +31,8 @@ from fsar_ledger.metrics.database import from_table
 from fsar_ledger.metrics.definitions import metrics
 from fsar_ledger.metrics.invariants import invariants
 from fsar_ledger.runtime.changeable import ATTEMPT, CALL, facts_by_name, name_of
-from fsar_ledger.runtime.forks import kernel_of
-from fsar_ledger.runtime.ports import Ask, Fact
+from fsar_ledger.runtime.forks import EditedEnvironment, kernel_of
+from fsar_ledger.runtime.ports import Ask
 from fsar_ledger.runtime.simulation import environment_of
 
 from .fork_base import Rerun
@@ -150,14 +150,6 @@ class Cause(msgspec.Struct, frozen=True):
     forks: int
 
 
-class _ReducedEnvironment(NamedTuple):
-    """An environment in which some facts do not happen and some answers are as usual."""
-
-    facts: Sequence[Fact]
-    latest_us: int | None
-    answer: Callable[[Ask], int]
-
-
 class Search:
     """The forks of one run in which some of what it took from outside is taken away, with their outcomes."""
 
@@ -199,13 +191,9 @@ class Search:
                 self._progress(self.played)
         return [self._known[one] for one in sets]
 
-    def hold(self, sets: Sequence[frozenset[str]]) -> list[bool]:
-        """Return for each set whether the outcome is defined and stands with it alone. Raises: QueryFailed."""
-        return [stands is True for stands in self.judge(sets)]
-
     def holds(self, one: frozenset[str]) -> bool:
-        """Return whether the outcome stands with this set alone. Raises: QueryFailed."""
-        return self.hold([one])[0]
+        """Return whether the outcome is defined and stands with this set alone. Raises: QueryFailed."""
+        return self.judge([one]) == [True]
 
     def _play(self, kept: frozenset[str]) -> tuple[Sequence[int], Sequence[int | None], Sequence[object]]:
         places = {at for name, its in self._places.items() if name not in kept for at in its}
@@ -222,7 +210,9 @@ class Search:
                 return USUAL[kind]
             return self._world.middle(ask) if self._lengths else drawn
 
-        kernel = kernel_of(self._recipe, _ReducedEnvironment(facts, self._world.latest_us, answer))
+        reduced = EditedEnvironment(self._world, facts, ())
+        reduced.answer = answer
+        kernel = kernel_of(self._recipe, reduced)
         kernel.run()
         return kernel.times_us, kernel.caused_by, kernel.events
 
@@ -241,9 +231,10 @@ def smallest(search: Search) -> frozenset[str]:
     parts = 8
     while True:
         parts = min(parts, len(kept))
-        chunks = _chunks(kept, parts)
+        bounds = [len(kept) * number // parts for number in range(parts + 1)]
+        chunks = [kept[begin:end] for begin, end in pairwise(bounds)]
         left = [frozenset(kept) - frozenset(chunk) for chunk in chunks]
-        removable = [chunk for chunk, stands in zip(chunks, search.hold(left), strict=True) if stands]
+        removable = [chunk for chunk, stands in zip(chunks, search.judge(left), strict=True) if stands]
         if removable:
             kept = _without(search, kept, removable)
             parts = max(2, min(parts, len(kept)))
@@ -266,11 +257,6 @@ def _without(search: Search, kept: list[str], removable: list[list[str]]) -> lis
         together = together[: (len(together) + 1) // 2]
     gone = {name for chunk in together for name in chunk}
     return [name for name in kept if name not in gone]
-
-
-def _chunks(names: list[str], count: int) -> list[list[str]]:
-    bounds = [len(names) * number // count for number in range(count + 1)]
-    return [names[begin:end] for begin, end in pairwise(bounds)]
 
 
 def cause(repeated: Rerun, outcome: Outcome, *, lengths: bool = False, progress: Progress | None = None) -> Cause:

@@ -120,13 +120,31 @@ def _whole(value: object) -> object:
     return msgspec.structs.replace(value._reads.note(value._path, value._value), **value._changes)
 
 
-class _Mapping(Mapping[Any, Any]):
-    """A mapping, whose entries are read one by one."""
+class _Members:
+    """What has keys or members, which are asked for one by one."""
 
     __slots__ = ("_path", "_reads", "_value")
 
-    def __init__(self, reads: Reads, value: Mapping[Any, Any], path: Path) -> None:
+    def __init__(self, reads: Reads, value: Any, path: Path) -> None:
         self._reads, self._value, self._path = reads, value, path
+
+    def _note(self, step: Step, value: Any) -> Any:
+        return self._reads.note((*self._path, step), value)
+
+    def __contains__(self, key: object) -> bool:
+        return bool(self._note(Step("has", key), key in self._value))
+
+    def __len__(self) -> int:
+        return int(self._note(Step("size"), len(self._value)))
+
+    def __bool__(self) -> bool:
+        return bool(self._note(Step("any"), bool(self._value)))
+
+
+class _Mapping(_Members, Mapping[Any, Any]):
+    """A mapping, whose entries are read one by one."""
+
+    __slots__ = ()
 
     def __getitem__(self, key: Hashable) -> Any:
         path = (*self._path, Step("key", key))
@@ -134,42 +152,21 @@ class _Mapping(Mapping[Any, Any]):
             self._reads.note(path, ABSENT)
             raise KeyError(key)
         found = self._reads.shown(self._value[key], path)
-        if isinstance(found, _Structure | _Mapping | _Set):
+        if isinstance(found, _Structure | _Members):
             _ = key in self
         return found
 
-    def __contains__(self, key: object) -> bool:
-        return bool(self._reads.note((*self._path, Step("has", key)), key in self._value))
-
     def __iter__(self) -> Iterator[Any]:
-        return iter(self._reads.note((*self._path, Step("keys")), tuple(self._value)))
-
-    def __len__(self) -> int:
-        return int(self._reads.note((*self._path, Step("size")), len(self._value)))
-
-    def __bool__(self) -> bool:
-        return bool(self._reads.note((*self._path, Step("any")), bool(self._value)))
+        return iter(self._note(Step("keys"), tuple(self._value)))
 
 
-class _Set(Set[Any]):
+class _Set(_Members, Set[Any]):
     """A set, whose members are asked for one by one."""
 
-    __slots__ = ("_path", "_reads", "_value")
-
-    def __init__(self, reads: Reads, value: frozenset[Any], path: Path) -> None:
-        self._reads, self._value, self._path = reads, value, path
-
-    def __contains__(self, member: object) -> bool:
-        return bool(self._reads.note((*self._path, Step("has", member)), member in self._value))
+    __slots__ = ()
 
     def __iter__(self) -> Iterator[Any]:
-        return iter(self._reads.note((*self._path, Step("keys")), self._value))
-
-    def __len__(self) -> int:
-        return int(self._reads.note((*self._path, Step("size")), len(self._value)))
-
-    def __bool__(self) -> bool:
-        return bool(self._reads.note((*self._path, Step("any")), bool(self._value)))
+        return iter(self._note(Step("keys"), self._value))
 
     @classmethod
     def _from_iterable(cls, members: Iterable[Any]) -> Any:

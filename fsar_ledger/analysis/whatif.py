@@ -14,7 +14,7 @@ from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.ledger.store.view import Head
 from fsar_ledger.memory import without_collection
 from fsar_ledger.metrics.comparison_sides import beside
-from fsar_ledger.metrics.database import from_table
+from fsar_ledger.metrics.database import from_table, parts_of
 from fsar_ledger.metrics.results import typed
 from fsar_ledger.runtime.changes import Changes
 from fsar_ledger.runtime.experiment import ORIGIN
@@ -68,6 +68,11 @@ class Pair(NamedTuple):
 
     base: Base
     fork: Fork
+
+    @property
+    def records(self) -> tuple[LedgerRun, LedgerRun]:
+        """Return the records of both."""
+        return self.base.record, self.fork.record
 
 
 class Divergence(msgspec.Struct, frozen=True):
@@ -139,13 +144,11 @@ def effects(
     parted: list[Divergence] = []
     rows: list[pa.Table] = []
     with without_collection():
-        for batch in _batches(pairs):
+        for batch in parts_of(pairs, lambda pair: sum(len(run.events) for run in pair.records), EVENTS_AT_ONCE):
             parted += map(_divergence, batch)
             if progress is not None:
                 progress(len(parted))
-            with from_table(
-                encode_coded([run for pair in batch for run in (pair.base.record, pair.fork.record)])
-            ) as held:
+            with from_table(encode_coded([run for pair in batch for run in pair.records])) as held:
                 rows.append(held.table(RUNS))
     if not rows:
         return parted, []
@@ -157,23 +160,9 @@ def effects(
     return parted, [_effects(every, base, fork, group) for (base, fork), group in groups.items()]
 
 
-def _batches(pairs: Iterable[Pair]) -> Iterator[list[Pair]]:
-    """Yield the pairs in lists of about as many events as are judged together."""
-    batch: list[Pair] = []
-    events = 0
-    for pair in pairs:
-        batch.append(pair)
-        events += len(pair.base.record.events) + len(pair.fork.record.events)
-        if events >= EVENTS_AT_ONCE:
-            yield batch
-            batch, events = [], 0
-    if batch:
-        yield batch
-
-
 def _divergence(pair: Pair) -> Divergence:
-    base, fork, at = pair.base.record, pair.fork.record, pair.fork.parts_at
-    times = [] if at is None else [run.times_us[at] for run in (base, fork) if at < len(run.times_us)]
+    (base, fork), at = pair.records, pair.fork.parts_at
+    times = [] if at is None else [run.times_us[at] for run in pair.records if at < len(run.times_us)]
     return Divergence(base.run_id, fork.run_id, at, min(times) / 1e6 if times else None)
 
 
@@ -212,14 +201,13 @@ def commit_pairs(out: Path, pairs: Iterable[Pair]) -> Head:
     """
     with Writer(out, ORIGIN) as writer, without_collection():
         held = {*writer.held().runs}
-        waiting: list[LedgerRun] = []
-        for record in (record for pair in pairs for record in (pair.base.record, pair.fork.record)):
-            if record.run_id not in held:
-                held.add(record.run_id)
-                waiting.append(record)
-            if len(waiting) == BATCH_RUNS:
-                writer.append(stage(out, waiting))
-                waiting = []
-        if waiting:
+
+        def missing() -> Iterator[LedgerRun]:
+            for record in (record for pair in pairs for record in pair.records):
+                if record.run_id not in held:
+                    held.add(record.run_id)
+                    yield record
+
+        for waiting in parts_of(missing(), lambda _: 1, BATCH_RUNS):
             writer.append(stage(out, waiting))
         return writer.head

@@ -7,7 +7,7 @@ import msgspec
 from fsar_ledger.printable import NAMED, counted, every, number, some
 
 from .database import Database
-from .results import StatisticRow, typed
+from .results import StatisticRow, setting_of, typed
 
 MIN_WILCOXON = 6
 """The least number of differing pairs for which Wilcoxon's test has a p (`statistics/wilcoxon_tests`)."""
@@ -120,11 +120,7 @@ class DifferingWorlds(msgspec.Struct, frozen=True, kw_only=True):
 
     def __str__(self) -> str:
         one = self.first
-        count = (
-            "1 pair of runs is left out: they"
-            if self.pairs == 1
-            else f"{self.pairs:,} pairs of runs are left out: they"
-        )
+        count = f"{counted(self.pairs, 'pair')} of runs {'is' if self.pairs == 1 else 'are'} left out: they"
         place = f"seed {one.seed}, {one.scenario}, {one.fleet_size} robots, run {one.run}"
         found = (
             f" has {one.first_found or 'nothing more'}, {one.second_run_id} has {one.second_found or 'nothing more'}"
@@ -238,11 +234,8 @@ def left_over(database: Database) -> list[str]:
         name = (
             row["architecture"] if row["configuration"] == "full" else f"{row['architecture']} ({row['configuration']})"
         )
-        count, left = (
-            counted(row["runs"], "run"),
-            "has no partner and is left out" if row["runs"] == 1 else "have no partner and are left out",
-        )
-        lines.append(f"{row['comparison']}: {count} of {name} under seed {row['seed']} {left}")
+        left = "has no partner and is left out" if row["runs"] == 1 else "have no partner and are left out"
+        lines.append(f"{row['comparison']}: {counted(row['runs'], 'run')} of {name} under seed {row['seed']} {left}")
     return lines
 
 
@@ -278,19 +271,9 @@ def remarks_on(rows: Iterable[StatisticRow], metrics: Sequence[str]) -> list[str
     """
     held: dict[tuple[object, ...], dict[str, int]] = {}
     for row in rows:
-        key = (
-            row.comparison,
-            row.configuration,
-            row.fleet_size,
-            row.kind,
-            row.source,
-            row.model_version,
-            row.constants,
-            row.seed,
-        )
-        held.setdefault(key, {})[row.metric] = row.n
+        held.setdefault((row.comparison, setting_of(row)), {})[row.metric] = row.n
     lines: dict[str, None] = {}
-    for (comparison, *_), pairs in held.items():
+    for (comparison, _), pairs in held.items():
         if missing := [name for name in metrics if name not in pairs]:
             lines[
                 f"{comparison}: no pair of runs in which both have a value of {', '.join(missing)}: undefined, or not "

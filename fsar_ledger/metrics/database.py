@@ -1,7 +1,8 @@
 """Open databases over the rows of a ledger, or over rows in memory."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 import pyarrow as pa
@@ -13,37 +14,23 @@ from fsar_ledger.ledger.store.read import View
 from fsar_ledger.ledger.store.view import Extent
 
 from . import relation
-from .connection import (
-    FAULTS_OF_SQL,
-    NULLABLE,
-    OUT_OF_MEMORY,
-    Database,
-    Value,
-    first_damage,
-    plain_rows,
-    with_all_columns,
-)
-from .own_sql import SHOWN
+from .connection import NULLABLE, Database, Value, plain_rows, with_all_columns
 from .verified import is_verified, is_verified_for_runs
 
 __all__ = [
-    "FAULTS_OF_SQL",
-    "FEW_ROWS",
-    "OUT_OF_MEMORY",
-    "SHOWN",
     "Database",
     "Slices",
     "Value",
     "connect",
     "connect_run",
     "connect_view",
-    "first_damage",
     "from_rows",
     "from_table",
     "plain_rows",
     "table_of",
 ]
 
+_One = TypeVar("_One")
 _NUMBERS = pa.schema([("run_id", pa.string()), ("number", pa.int64())])
 SLICE_EVENTS = 1 << 19
 """Events that are judged at once: few enough to be judged in half a gigabyte."""
@@ -121,7 +108,7 @@ class Slices:
         # A bomb has many rows in few bytes, and nothing to be judged: to judge it in parts would take longer.
         is_long = view.head.size > most and segment_bytes(view.path) > LEAST_BYTES * view.head.size
         self._extents = view.extents() if is_long else []
-        self._slices = list(_sliced(self._extents, most))
+        self._slices = list(parts_of(self._extents, lambda one: one.rows, most))
 
     def __len__(self) -> int:
         return max(1, len(self._slices))
@@ -151,16 +138,17 @@ class Slices:
         return database
 
 
-def _sliced(extents: Sequence[Extent], most: int) -> Iterator[list[Extent]]:
-    """Yield these in parts of about so many events."""
-    part: list[Extent] = []
-    rows = 0
-    for one in extents:
-        if part and rows + one.rows > most:
+def parts_of(every: Iterable[_One], size_of: Callable[[_One], int], most: int) -> Iterator[list[_One]]:
+    """Yield these in order, in parts of at most this size all together, or of one that is larger."""
+    part: list[_One] = []
+    whole = 0
+    for one in every:
+        size = size_of(one)
+        if part and whole + size > most:
             yield part
-            part, rows = [], 0
+            part, whole = [], 0
         part.append(one)
-        rows += one.rows
+        whole += size
     if part:
         yield part
 

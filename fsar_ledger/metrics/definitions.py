@@ -16,6 +16,8 @@ from fsar_ledger.designs.files import Field, at_line, decoded
 from fsar_ledger.errors import UsageError
 from fsar_ledger.events import CONCERNS
 
+from .paths import written
+
 FILE = "reports/metrics.toml"
 
 
@@ -125,8 +127,8 @@ DEFINITIONS = (
 def definitions_sql(of: Sequence[Metric] | None = None) -> str:
     """Return the SELECT of what SQL must know of each metric (of these, or of all)."""
     rows = [
-        f"({at}, '{one.name}', '{one.scale}', '{one.better}', {_sql(one.is_pooled)}, {one.numerator_units}, "
-        f"{_sql(one.published_value)}::DOUBLE, NULL::DOUBLE, {_sql(one.paper is not None)})"
+        f"({at}, '{one.name}', '{one.scale}', '{one.better}', {written(one.is_pooled)}, {one.numerator_units}, "
+        f"{written(one.published_value)}::DOUBLE, NULL::DOUBLE, {written(one.paper is not None)})"
         for at, one in enumerate(of or metrics(), 1)
     ]
     return _values("definitions", DEFINITIONS, rows)
@@ -153,7 +155,3 @@ def _measures(metric: Metric) -> str:
 def _values(name: str, columns: str, rows: Iterable[str]) -> str:
     lines = ",\n    ".join(rows)
     return f"WITH {name} ({columns}) AS (\n    VALUES\n    {lines}\n)\n\nSELECT {columns}\nFROM {name}\n"
-
-
-def _sql(value: bool | float | None) -> str:
-    return "NULL" if value is None else str(value).upper()

@@ -113,15 +113,10 @@ def _by_value(database: Database, path: str, decoded: pa.Table) -> tuple[str, st
 
 
 def _database() -> Database:
-    return _databases().setdefault(os.getpid(), None) or _opened()
+    """Return the connection of this process: one opened before a fork cannot be used after it."""
+    return _database_of(os.getpid())
 
 
 @cache
-def _databases() -> dict[int, Database | None]:
-    """Return the connection of this process: one opened before a fork cannot be used after it."""
-    return {}
-
-
-def _opened() -> Database:
-    database = _databases()[os.getpid()] = Database(None, (), threads=1, caches_files=False)
-    return database
+def _database_of(_process: int) -> Database:
+    return Database(None, (), threads=1, caches_files=False)

@@ -1,12 +1,12 @@
 """Check the ten invariants: what each query of `queries/invariants/` finds, by architecture and configuration."""
 
 from collections.abc import Sequence
-from difflib import get_close_matches
 
 import msgspec
 import pyarrow as pa
 
 from fsar_ledger.errors import UnknownQuery, UsageError
+from fsar_ledger.printable import did_you_mean
 
 from .database import Database, Slices, from_rows
 from .library import Query, library
@@ -57,13 +57,8 @@ def chosen(names: Sequence[str]) -> list[Query]:
     }
     for name in names:
         if name.lower() not in known:
-            near = get_close_matches(name.lower(), known, 1, 0.5)
-            hint = (
-                f"did you mean {near[0]}?"
-                if near
-                else f"expected one of {', '.join(query.relation for query in every)}"
-            )
-            raise UnknownQuery(f"invariant {name}: there is no invariant of that name; {hint}")
+            hint = did_you_mean(name.lower(), known) or f"; expected one of {', '.join(one.relation for one in every)}"
+            raise UnknownQuery(f"invariant {name}: there is no invariant of that name{hint}")
     asked = {known[name.lower()].relation for name in names}
     return [query for query in every if not asked or query.relation in asked]
 

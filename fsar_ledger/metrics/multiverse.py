@@ -15,14 +15,11 @@ import msgspec
 from .database import Database
 from .library import READINGS, Query, library
 from .progress import Progress
-from .results import SETTINGS, typed
+from .results import CONDITIONS, SETTINGS, setting_of, typed
 from .verdicts import published
 
 ReadingNames = tuple[str, ...]
 """The readings that replace ours, by name and in order; () is our own."""
-
-CONDITIONS = ("configuration", "fleet_size", "seed", "kind", "source", "model_version", "constants")
-"""Columns by which runs are kept apart that are never ranked together."""
 
 PRINTED = ("full", 4)
 """Configuration and fleet size of the paper's results table."""
@@ -325,7 +322,7 @@ def cells(found: Iterable[Universe]) -> Iterator[Cell]:
     """Return the range of each cell, in the order of the universes of our reading."""
     by_cell: dict[tuple[object, ...], list[Universe]] = {}
     for one in found:
-        by_cell.setdefault((one.metric, *_conditions(one).values(), one.architecture), []).append(one)
+        by_cell.setdefault((one.metric, setting_of(one), one.architecture), []).append(one)
     for ours, *others in by_cell.values():
         means = [(one.mean, one.readings) for one in (ours, *others) if one.mean is not None]
         lowest = min(means, key=lambda each: each[0], default=(None, None))
@@ -355,7 +352,7 @@ def rankings(found: Iterable[Universe], better: Mapping[str, str]) -> Iterator[R
     """Return whether each ranking survives, in the order of the universes of our reading."""
     by_place: dict[tuple[object, ...], dict[ReadingNames, list[Universe]]] = {}
     for one in found:
-        by_place.setdefault((one.metric, *_conditions(one).values()), {}).setdefault(one.readings, []).append(one)
+        by_place.setdefault((one.metric, setting_of(one)), {}).setdefault(one.readings, []).append(one)
     for under in by_place.values():
         first = under[()][0]
         orders = {names: ranked(mine, better[first.metric]) for names, mine in under.items()}
@@ -390,4 +387,4 @@ def smallest(sets: Sequence[ReadingNames]) -> tuple[ReadingNames, ...]:
 
 
 def _conditions(one: Universe) -> dict[str, Any]:
-    return {name: getattr(one, name) for name in CONDITIONS}
+    return dict(zip(CONDITIONS, setting_of(one), strict=True))

@@ -10,6 +10,7 @@ import msgspec
 
 from .database import Database
 from .library import Library, Query
+from .paths import listed
 
 _TYPE = re.compile(r"'([A-Z][A-Za-z]+\.v\d+)'")
 _NOT_READ = re.compile(r"--[^\n]*|\btype NOT IN \([^)]*\)")
@@ -51,7 +52,7 @@ def unobserved(database: Database, query: Query, run: str | None = None) -> list
     as `Database.rows`.
     """
     types = types_read(database.library, query)
-    named = "" if types is None else f"WHERE type IN ({_listed(types)})"
+    named = "" if types is None else f"WHERE type IN ({listed(sorted(types)) or 'NULL'})"
     needed = f"""
         SELECT concern FROM judged_concerns WHERE judge = '{query.relation}'
         UNION
@@ -94,7 +95,3 @@ def told(found: Iterable[Unobserved]) -> str | None:
 def shown(found: Iterable[Unobserved]) -> str:
     """Return the concerns, and how many runs do not observe each."""
     return ", ".join(f"{one.concern} ({one.runs:,} of {one.of_runs:,} runs)" for one in found)
-
-
-def _listed(types: frozenset[str]) -> str:
-    return ", ".join(f"'{tag}'" for tag in sorted(types)) or "NULL"

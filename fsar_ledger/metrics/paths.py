@@ -1,10 +1,11 @@
-"""Pass file paths to DuckDB, which would read many characters of file names as patterns or commands.
+"""Write values and file paths in SQL for DuckDB, which reads many characters of file names as patterns or commands.
 
 In a path as text it expands `*`, `?`, `[...]` and a leading `~`, and reads `file:` and its like as a scheme.
 """
 
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 _PATTERNS = str.maketrans({character: f"[{character}]" for character in "*?["})
 
@@ -21,6 +22,24 @@ def literal(path: str | Path) -> str:
 def quoted(text: str) -> str:
     """Write a text in SQL."""
     return "'" + text.replace("'", "''") + "'"
+
+
+def written(value: Any) -> str:
+    """Write a value in SQL."""
+    match value:
+        case None:
+            return "NULL"
+        case str():
+            return quoted(value)
+        case tuple():
+            return f"[{', '.join(map(written, value))}]"
+        case _:
+            return str(value).upper()
+
+
+def listed(values: Iterable[Any]) -> str:
+    """Write values in SQL, with commas between them."""
+    return ", ".join(map(written, values))
 
 
 def parquet(paths: Iterable[str | Path], *options: str, is_for_others: bool = False) -> str:

@@ -6,7 +6,7 @@ what was added. Others are upcast one by one in memory, which costs a ledger tha
 segments.
 """
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,7 +21,7 @@ from fsar_ledger.ledger.rows.segment import read_table
 
 from .connection import Database
 from .library import SQL_TYPES
-from .paths import literal, parquet, quoted
+from .paths import listed, literal, parquet, quoted, written
 
 _DATASET, _UPCAST, _AS_STORED = "events_dataset", "events_upcast", "events_as_stored"
 
@@ -127,11 +127,11 @@ def _number_runs(database: Database, segments: Sequence[Path], *, is_stored: boo
     segments are read now, and never again.
     """
     source = _read(database, segments, "filename = true", "file_row_number = true")
-    order = f"list_position([{', '.join(quoted(literal(path)) for path in segments)}], filename), file_row_number"
+    order = f"list_position([{listed(map(literal, segments))}], filename), file_row_number"
     database.define(
         "run_numbers",
         f"SELECT run_id, row_number() OVER (ORDER BY {order}) AS number FROM {source} WHERE seq = 0 AND type NOT IN "
-        f"({_listed(sorted(STANDS_ALONE))})",
+        f"({listed(sorted(STANDS_ALONE))})",
         is_stored=is_stored,
     )
 
@@ -149,7 +149,7 @@ def _hold_newest(
     # See docs/decisions/evidence-is-never-rewritten.md.
     others = {tag: paths for tag, paths in holding.items() if RETIRED[tag].cls not in ADDITIONS}
     added = [tag for tag in holding if tag not in others]
-    kept = f" WHERE type NOT IN ({_listed(others)})" if others else ""
+    kept = f" WHERE type NOT IN ({listed(others)})" if others else ""
     selects = [f"{_select(*part, added)}{kept}" for part in parts]
     if (newest := _upcast(others)) is not None:
         database.hold(_UPCAST, newest)
@@ -174,24 +174,11 @@ def _select(source: str, present: frozenset[str], added: Sequence[str] = ()) -> 
         for name, value in {**way.added, "type": way.after.__struct_config__.tag}.items():
             # One look at each row: a second one, for these rows alone, would decode the types of all of them once more.
             values[name] = (
-                f"CASE WHEN type = {quoted(tag)} THEN CAST({_literal(value)} AS {SQL_TYPES[COLUMNS[name]]}) ELSE "
+                f"CASE WHEN type = {quoted(tag)} THEN CAST({written(value)} AS {SQL_TYPES[COLUMNS[name]]}) ELSE "
                 f"{values[name]} END"
             )
     columns = ", ".join(f'{value} AS "{name}"' for name, value in values.items())
     return f"SELECT {columns} FROM {source}"
-
-
-def _literal(value: Any) -> str:
-    """Write a value of an event in SQL."""
-    match value:
-        case None:
-            return "NULL"
-        case str():
-            return quoted(value)
-        case tuple():
-            return f"[{', '.join(map(_literal, value))}]"
-        case _:
-            return str(value).upper()
 
 
 def _types(database: Database, segments: Sequence[Path]) -> frozenset[str] | None:
@@ -217,7 +204,7 @@ def _holding(
     if types.isdisjoint(RETIRED):
         return {}
     found = database.direct(
-        f"SELECT DISTINCT type, filename FROM {parquet(segments, 'filename = true')} WHERE type IN ({_listed(RETIRED)})"
+        f"SELECT DISTINCT type, filename FROM {parquet(segments, 'filename = true')} WHERE type IN ({listed(RETIRED)})"
     )
     held = {tag: [path for path in segments if (tag, literal(path)) in found] for tag in RETIRED}
     return {tag: paths for tag, paths in held.items() if paths}
@@ -226,11 +213,6 @@ def _holding(
 def _name(tag: str) -> str:
     """Return the name that all versions of an event type share."""
     return tag.partition(".")[0]
-
-
-def _listed(tags: Iterable[str]) -> str:
-    """Write these types as a SQL list."""
-    return ", ".join(map(_literal, tags))
 
 
 def _upcast(holding: Mapping[str, Sequence[Path]]) -> pa.Table | None:

@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Iterator
 from hashlib import sha256
 from itertools import count, product
+from operator import attrgetter
 from string import ascii_uppercase
 from typing import Any, TypeVar
 
@@ -13,6 +14,12 @@ from fsar_ledger.metrics.database import Database
 from fsar_ledger.parameters import BadParameters, read_parameters
 
 _Row = TypeVar("_Row", bound=msgspec.Struct)
+
+CONDITIONS = ("configuration", "fleet_size", "seed", "kind", "source", "model_version", "constants")
+"""Columns by which runs are kept apart that are never ranked together, nor share a table."""
+
+setting_of = attrgetter(*CONDITIONS)
+"""Returns these of a row."""
 
 SETTINGS = (
     "configuration <> 'full', configuration, fleet_size, kind <> 'simulated', kind, source, model_version, constants, "
@@ -232,7 +239,7 @@ MODELS = """
         started.model_version,
         settings.parameter_set,
         any_value(settings.constants) AS constants,
-        arg_min(started.parameters, started.run_id) AS parameters,
+        arg_min(started.parameters, started.run_id) AS text,
         count(*) AS runs,
         min(started.run_id) AS first
     FROM run_started AS started
@@ -272,18 +279,7 @@ def models(database: Database) -> tuple[Model, ...]:
     Raises: LedgerCorrupted if a simulated run records something else as its parameters.
     """
     return tuple(
-        Model(
-            kind=row["kind"],
-            source=row["source"],
-            model_version=row["model_version"],
-            parameter_set=row["parameter_set"],
-            constants=row["constants"],
-            text=row["parameters"],
-            parameters=_read(row["kind"], row["first"], row["parameters"]),
-            runs=row["runs"],
-            first=row["first"],
-        )
-        for row in database.rows(MODELS)
+        Model(**row, parameters=_read(row["kind"], row["first"], row["text"])) for row in database.rows(MODELS)
     )
 
 

@@ -21,7 +21,7 @@ import pyarrow.dataset as ds
 from fsar_ledger.errors import LedgerCorrupted, QueryFailed
 from fsar_ledger.ledger.rows.schema import SCHEMA
 
-from .database import FAULTS_OF_SQL, OUT_OF_MEMORY, Database
+from .connection import FAULTS_OF_SQL, OUT_OF_MEMORY, Database
 from .own_sql import LISTING, how_to_call, listing, understood
 from .relation import hold_dataset
 

@@ -13,7 +13,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from multiprocessing.connection import Pipe
 from pathlib import Path
 from typing import NamedTuple
@@ -25,7 +25,8 @@ from fsar_ledger.errors import QueryFailed
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.store.view import Head
 
-from .database import SHOWN, first_damage
+from .connection import first_damage
+from .own_sql import SHOWN
 from .sandbox import GRACE_S, Limits, Question, Refusal
 from .verified import is_verified
 
@@ -62,8 +63,13 @@ class Stream(NamedTuple):
 
     head: Head
     rows_verified: bool
-    columns: list[str]
+    schema: pa.Schema
     batches: Iterator[pa.RecordBatch]
+
+    @property
+    def columns(self) -> list[str]:
+        """Return the names of the columns."""
+        return list(self.schema.names)
 
 
 @contextmanager
@@ -80,8 +86,15 @@ def stream_untrusted(
         SequenceConflict: As `is_verified`.
         QueryFailed: The SQL is not one SELECT, does not run, reaches for something outside, or meets a limit.
     """
-    with _answering(ledger, sql, limits or Limits(), demanded) as (head, rows_verified, parts):
-        yield Stream(head, rows_verified, next(parts).schema.names, parts)
+    limits = limits or Limits()
+    check_text(sql, limits)
+    with closing(_Process(limits)) as process:  # it starts while the ledger is opened
+        view = open_for_answers(ledger)
+        rows_verified = is_verified(view, demanded)
+        segments = view.segments()
+        process.send(msgspec.json.encode(Question([str(path.resolve()) for path in segments], sql, limits)))
+        parts = _parts(process, segments)
+        yield Stream(view.head, rows_verified, next(parts).schema, parts)
 
 
 def table_untrusted(
@@ -91,22 +104,8 @@ def table_untrusted(
 
     Raises: as `stream_untrusted`.
     """
-    with _answering(ledger, sql, limits or Limits(), demanded) as (head, rows_verified, parts):
-        return pa.Table.from_batches(parts), head, rows_verified
-
-
-@contextmanager
-def _answering(
-    ledger: Path, sql: str, limits: Limits, demanded: str | None
-) -> Iterator[tuple[Head, bool, Iterator[pa.RecordBatch]]]:
-    """Yield the head, whether its rows were compared with the root, and the parts of the answer."""
-    check_text(sql, limits)
-    with _process(limits) as process:  # it starts while the ledger is opened
-        view = open_for_answers(ledger)
-        rows_verified = is_verified(view, demanded)
-        segments = view.segments()
-        process.send(msgspec.json.encode(Question([str(path.resolve()) for path in segments], sql, limits)))
-        yield view.head, rows_verified, _parts(process, segments)
+    with stream_untrusted(ledger, sql, limits, demanded) as found:
+        return pa.Table.from_batches(found.batches, found.schema), found.head, found.rows_verified
 
 
 def _parts(process: "_Process", segments: Sequence[Path]) -> Iterator[pa.RecordBatch]:
@@ -188,7 +187,7 @@ class _Process:
         if time.monotonic() >= self._ends:
             raise self._gone()
 
-    def end(self) -> None:
+    def close(self) -> None:
         """End the process and close the pipes to it."""
         self._alarm.cancel()
         self._child.kill()
@@ -238,13 +237,3 @@ def cause_of_death(code: int | None, said: str, limits: Limits) -> str:
             "for it in another way"
         )
     return f"was ended by {f'signal {-code}' if killer is None else killer.name}; the last that it wrote: {last}"
-
-
-@contextmanager
-def _process(limits: Limits) -> Iterator[_Process]:
-    """Yield a process that waits for a `Question`; it is ended afterwards in any case."""
-    process = _Process(limits)
-    try:
-        yield process
-    finally:
-        process.end()

@@ -14,7 +14,7 @@ Both rules were registered before the fit, in `reports/registration.toml`.
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
-from typing import Generic, Literal, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Generic, Literal, NamedTuple, TypeVar
 
 import msgspec
 import numpy as np
@@ -24,6 +24,9 @@ from fsar_ledger.metrics.definitions import published_metrics
 from fsar_ledger.metrics.paper_numbers import Printed, printed
 from fsar_ledger.metrics.registration import registration
 from fsar_ledger.metrics.results import MetricRow
+
+if TYPE_CHECKING:
+    from fsar_ledger.metrics.study_results import Predicted
 
 Numbers = NDArray[np.float64]
 Cell = tuple[str, str]
@@ -133,7 +136,7 @@ def compare(rows: Iterable[MetricRow], odds: Odds[Cell] | None = None) -> list[C
     return found
 
 
-def judge(row: MetricRow, paper: float, share: float | None) -> Comparison:
+def judge(row: "MetricRow | Predicted", paper: float, share: float | None = None) -> Comparison:
     """Judge a number against a printed one, of any table, by the rules above.
 
     `share` is that of the drawn experiments, None if none were drawn.

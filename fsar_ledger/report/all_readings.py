@@ -12,7 +12,6 @@ from fsar_ledger.metrics.database import Database
 from fsar_ledger.metrics.definitions import Metric, metric_named, published_metrics
 from fsar_ledger.metrics.library import READINGS, library
 from fsar_ledger.metrics.multiverse import (
-    CONDITIONS,
     Cell,
     Multiverse,
     Reading,
@@ -24,6 +23,7 @@ from fsar_ledger.metrics.multiverse import (
     universes,
 )
 from fsar_ledger.metrics.progress import Progress
+from fsar_ledger.metrics.results import CONDITIONS
 from fsar_ledger.report import figures, printing, specs
 from fsar_ledger.report.findings import ARCHITECTURES, Row
 from fsar_ledger.report.printing import Table

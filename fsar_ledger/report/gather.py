@@ -16,7 +16,7 @@ from fsar_ledger.metrics.definitions import published_metrics
 from fsar_ledger.metrics.multiverse import Multiverse
 from fsar_ledger.metrics.plans import completeness
 from fsar_ledger.metrics.progress import Showing, unseen
-from fsar_ledger.metrics.results import MetricRow, StatisticRow, metric_rows, models, statistic_rows
+from fsar_ledger.metrics.results import MetricRow, metric_rows, models, setting_of, statistic_rows
 from fsar_ledger.metrics.verdicts import Cell, Odds, odds
 from fsar_ledger.report import all_readings, grades, printing, result_rows
 from fsar_ledger.report.findings import (
@@ -121,11 +121,6 @@ RUNS_SQL = """
 """
 
 
-def _setting(row: MetricRow | StatisticRow) -> Setting:
-    """Return the setting of a row; runs of two settings never share a table."""
-    return row.configuration, row.fleet_size, row.seed, row.kind, row.source, row.model_version, row.constants
-
-
 def _main(rows: Iterable[MetricRow]) -> Setting | None:
     """Return the setting of the report's tables: the full configuration with four robots.
 
@@ -134,7 +129,7 @@ def _main(rows: Iterable[MetricRow]) -> Setting | None:
     runs: Counter[Setting] = Counter()
     for row in rows:
         if (row.configuration, row.fleet_size) == (MAIN_CONFIGURATION, MAIN_FLEET_SIZE):
-            runs[_setting(row)] += row.n
+            runs[setting_of(row)] += row.n
     return max(runs, key=runs.__getitem__, default=None)
 
 
@@ -188,7 +183,7 @@ def _others(rows: Iterable[MetricRow], main: Setting | None) -> tuple[Row, ...]:
     """Return one row for each other setting and architecture, with a column per metric."""
     found: dict[tuple[Setting, str | None], Row] = {}
     for row in rows:
-        setting = _setting(row)
+        setting = setting_of(row)
         if setting != main:
             named = {"configuration": row.configuration, "fleet_size": row.fleet_size, "architecture": row.architecture}
             line = found.setdefault(
@@ -283,8 +278,8 @@ def gather(
         head = database.head
         every, every_by_scenario = (metric_rows(database, one, pools_seeds=pools_seeds) for one in (False, True))
         main = _main(every)
-        overall, by_scenario = ([row for row in rows if _setting(row) == main] for rows in (every, every_by_scenario))
-        tests = [row for row in statistic_rows(database, pools_seeds=pools_seeds) if _setting(row) == main]
+        overall, by_scenario = ([row for row in rows if setting_of(row) == main] for rows in (every, every_by_scenario))
+        tests = [row for row in statistic_rows(database, pools_seeds=pools_seeds) if setting_of(row) == main]
         held_here = _held(database, main)
         unjudged = result_rows.unjudged(*held_here)
         drawn = _odds(database, main, held_here[0])

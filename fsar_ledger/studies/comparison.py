@@ -11,6 +11,8 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
 from fsar_ledger.errors import FsarLedgerError, UsageError
 from fsar_ledger.events.configuration import FULL, MECHANISMS, Configuration, without
 from fsar_ledger.events.envelope import Architecture
@@ -18,7 +20,6 @@ from fsar_ledger.metrics import verdicts
 from fsar_ledger.metrics.definitions import published_metrics
 from fsar_ledger.metrics.paper_numbers import Place, Table, printed
 from fsar_ledger.metrics.registration import registration
-from fsar_ledger.metrics.results import MetricRow
 from fsar_ledger.metrics.study_results import Cell, Check, Comparison, Outcome, Predicted, Predictions, read
 from fsar_ledger.metrics.verdicts import MARGINS, Answer
 from fsar_ledger.publishing import require_another
@@ -43,18 +44,8 @@ class Numbers:
     """The predicted numbers, by experiment and cell."""
 
     def __init__(self, every: list[Predicted]) -> None:
-        keys = (
-            "of",
-            "seed",
-            "fleet_size",
-            "teams_working",
-            "encounter_mean_s",
-            "configuration",
-            "architecture",
-            "scenario",
-            "metric",
-        )
-        self._by_place = {tuple(getattr(one, key) for key in keys): one for one in every}
+        before = Predicted.__struct_fields__.index("mean")  # the fields before it say where a number is from
+        self._by_place = {msgspec.structs.astuple(one)[:before]: one for one in every}
 
     def find(
         self,
@@ -128,7 +119,7 @@ def _cell(numbers: Numbers, place: Place) -> Cell:
         numbers.mean("scaling", place.metric, place.architecture, teams=1, **where) if place.fleet_size > 4 else None
     )
     paper, said = printed(place.table)[place].value, registration().declaration_for(place.table, place._asdict())
-    judged = verdicts.judge(_row(found), paper, None)
+    judged = verdicts.judge(found, paper)
     by_text: dict[str, Answer | None] = {"cannot_follow": "no", "unspecified": None}
     return Cell(
         **place._asdict(),
@@ -142,14 +133,6 @@ def _cell(numbers: Numbers, place: Place) -> Cell:
         high=judged.high,
         distance=judged.distance,
         gives=by_text.get(said.kind, judged.gives),
-    )
-
-
-def _row(number: Predicted) -> MetricRow:
-    """Return a predicted number in the form that the verdicts take."""
-    names = [name for name in MetricRow.__struct_fields__ if name in Predicted.__struct_fields__]
-    return MetricRow(
-        **{**dict.fromkeys(MetricRow.__struct_fields__), **{name: getattr(number, name) for name in names}}
     )
 
 
@@ -167,10 +150,7 @@ def _seeds(numbers: Numbers) -> Iterator[Check]:
 
     def answers(of: str, seed: int) -> list[Answer]:
         found = (numbers.find(of, place.metric, place.architecture, seed=seed) for place, _ in cells)
-        return [
-            verdicts.judge(_row(number), paper.value, None).gives
-            for number, (_, paper) in zip(found, cells, strict=True)
-        ]
+        return [verdicts.judge(number, paper.value).gives for number, (_, paper) in zip(found, cells, strict=True)]
 
     first = answers(CASES, SEED)
     for seed in SEEDS:

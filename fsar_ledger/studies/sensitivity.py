@@ -108,13 +108,8 @@ class _Study:
         for number, factor in enumerate(self.factors):
             one = summary(moves[:, number])
             chance = None if deviation is None else by_chance(deviation, is_switch=factor.is_switch)
-            lengths = {
-                "mu": one.mu,
-                "mu_star": one.mu_star,
-                "sigma": one.sigma,
-                "mu_star_conf": one.mu_star_conf,
-                "by_chance": chance,
-            }
+            lengths = {**msgspec.structs.asdict(one), "by_chance": chance}
+            count = lengths.pop("count")
             margin = MARGINS[metric]
             yield Effect(
                 metric=metric,
@@ -126,7 +121,7 @@ class _Study:
                 high=factor.shown(1.0),
                 base_mean=_rounded(float(np.mean(known)) if len(known) else None),
                 margin=margin,
-                effects=one.count,
+                effects=count,
                 **{name: _rounded(length) for name, length in lengths.items()},
                 **{
                     f"{name}_margins": _rounded(None if length is None else length / margin)

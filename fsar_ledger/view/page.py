@@ -9,7 +9,7 @@ import base64
 import hashlib
 from collections.abc import Hashable
 from importlib.resources import files
-from typing import Any, Generic, TypeVar
+from typing import Any
 
 import msgspec
 
@@ -21,8 +21,6 @@ from .spans import Span
 
 _ABOUT = ("architecture", "configuration", "scenario", "seed", "fleet_size", "kind", "source", "model_version")
 """The fields of event 0 that say which run it is."""
-
-_Value = TypeVar("_Value", bound=Hashable)
 
 
 class PageOptions(msgspec.Struct, frozen=True):
@@ -67,36 +65,29 @@ def _hash(text: str) -> str:
     return "'sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode() + "'"
 
 
-class _Numbered(Generic[_Value]):
-    """Values that are written once and then named by their place."""
-
-    def __init__(self) -> None:
-        self._places: dict[_Value, int] = {}
-
-    def place(self, value: _Value) -> int:
-        return self._places.setdefault(value, len(self._places))
-
-    def values(self) -> list[_Value]:
-        return list(self._places)
+def _place(value: Hashable, places: dict[Any, int]) -> int:
+    """Return the place of a value that is written once and then named by its place."""
+    return places.setdefault(value, len(places))
 
 
 def _document(shown: PageOptions) -> dict[str, Any]:
     """Return the run as the page reads it (`src/data.ts` says how): lists instead of objects, repetition by number."""
     drawn = shown.drawn
     run = drawn.run
-    words, payloads = _Numbered[Any](), _Numbered[Any]()
+    words: dict[Any, int] = {}
+    payloads: dict[Any, int] = {}
+    types: dict[Any, int] = {}
     lanes = {lane.name: place for place, lane in enumerate(drawn.lanes)}
-    types = _Numbered[Any]()
     events: list[list[Any]] = []
     before_us = 0
     for seq, event in enumerate(run.events):
         told = drawn.told[seq]
         fields = flat(event)
-        kind = types.place((type_name(event), concern_of(event), tuple(fields)))
+        kind = _place((type_name(event), concern_of(event), tuple(fields)), types)
         lane = -1 if told.lane is None else lanes[told.lane]
-        payload = payloads.place((kind, *fields.values()))
+        payload = _place((kind, *fields.values()), payloads)
         events.append(
-            [run.times_us[seq] - before_us, run.caused_by[seq], payload, words.place(told.words), lane, told.task]
+            [run.times_us[seq] - before_us, run.caused_by[seq], payload, _place(told.words, words), lane, told.task]
         )
         before_us = run.times_us[seq]
     about = flat(run.events[0])
@@ -110,9 +101,9 @@ def _document(shown: PageOptions) -> dict[str, Any]:
         "not_observed": shown.not_observed,
         "about": [[name.replace("_", " "), f"{about[name]}"] for name in _ABOUT if about.get(name) is not None],
         "lanes": drawn.lanes,
-        "types": types.values(),
-        "words": words.values(),
-        "payloads": payloads.values(),
+        "types": list(types),
+        "words": list(words),
+        "payloads": list(payloads),
         "events": events,
         "spans": [_span(span, lanes) for span in drawn.spans],
         "arrows": [

@@ -6,7 +6,7 @@ what a signature in one proves.
 
 import http.client
 import ssl
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from http import HTTPStatus
 from pathlib import Path
 from threading import Event, Thread
@@ -27,7 +27,6 @@ from fsar_ledger.witness.protocol import ADD_CHECKPOINT, MAX_BODY_BYTES, SIZE, A
 ANSWER_S = 10.0
 """Seconds after which a witness that has not answered counts as silent."""
 
-_One = TypeVar("_One")
 _Found = TypeVar("_Found")
 
 
@@ -59,30 +58,42 @@ def ask(url: str, path: str, body: bytes | None = None) -> Answer:
     return Answer(response.status, data.decode("utf-8", "replace"), response.headers.get("Content-Type", ""))
 
 
-def ask_all(question: Callable[[_One], _Found], members: Sequence[_One]) -> list[_Found | NoAnswer]:
-    """Ask all members at once and return each one's answer, in the order of the members.
+def ask_all(
+    question: Callable[[Witness], _Found], policy: Policy, otherwise: str = ""
+) -> list[tuple[Witness, _Found | NoAnswer]]:
+    """Ask all witnesses of a policy at once and return each one's answer, in their order.
 
-    A member whose complete answer takes longer than `ANSWER_S` is silent, even if it sends a byte now and then.
+    A witness whose complete answer takes longer than `ANSWER_S` is silent, even if it sends a byte now and then.
+
+    Raises: UsageError if none has a URL; it ends with what else can be done.
     """
-    found: list[_Found | NoAnswer] = [NoAnswer(f"no answer within {ANSWER_S:.0f} s")] * len(members)
-    finished = [Event() for _ in members]
+    found: dict[str, _Found | NoAnswer] = {
+        witness.name: NoAnswer(
+            f"the policy has no URL for {witness.name}" if witness.url is None else f"no answer within {ANSWER_S:.0f} s"
+        )
+        for witness in policy.witnesses
+    }
+    finished = {witness.name: Event() for witness in policy.witnesses if witness.url is not None}
+    if not finished:
+        raise UsageError(f"{policy.file}: found no witness with a URL, expected at least one{otherwise}")
     all_finished = Event()
 
-    def put(at: int, member: _One) -> None:
+    def put(witness: Witness) -> None:
         try:
-            found[at] = question(member)
+            found[witness.name] = question(witness)
         except NoAnswer as error:
-            found[at] = error
+            found[witness.name] = error
         except Exception as error:  # an answer that breaks the parser in an unforeseen way is no answer either
-            found[at] = NoAnswer(f"no answer that can be read ({type(error).__name__})")
-        finished[at].set()
-        if all(one.is_set() for one in finished):
+            found[witness.name] = NoAnswer(f"no answer that can be read ({type(error).__name__})")
+        finished[witness.name].set()
+        if all(one.is_set() for one in finished.values()):
             all_finished.set()
 
-    for at, member in enumerate(members):
-        Thread(target=put, args=(at, member), daemon=True).start()
-    all_finished.wait(ANSWER_S if members else 0)
-    return list(found)
+    for witness in policy.witnesses:
+        if witness.name in finished:
+            Thread(target=put, args=(witness,), daemon=True).start()
+    all_finished.wait(ANSWER_S)
+    return [(witness, found[witness.name]) for witness in policy.witnesses]
 
 
 def _parse_url(url: str) -> SplitResult:
@@ -154,18 +165,12 @@ def cosign(ledger: Path, policy: Policy) -> Cosigned:
         UsageError: The policy has no URL, or the ledger has no signed checkpoint.
         NotALedger, FormatVersionMismatch, LedgerCorrupted: As `open_ledger`.
     """
-    asked = [witness for witness in policy.witnesses if witness.url is not None]
-    if not asked:
-        raise UsageError(f"{policy.file}: found no witness with a URL, expected at least one")
     view = open_ledger(ledger)
     note = published_note(view)
-    answers = ask_all(lambda witness: _obtain(view, note, witness), asked)
-    silent = {
-        witness.name: f"the policy has no URL for {witness.name}" for witness in policy.witnesses if witness.url is None
-    }
+    silent: dict[str, str] = {}
     cosignatures: list[Signature] = []
     times: dict[str, int] = {}
-    for witness, answer in zip(asked, answers, strict=True):
+    for witness, answer in ask_all(lambda witness: _obtain(view, note, witness), policy):
         if isinstance(answer, NoAnswer):
             silent[witness.name] = str(answer)
         else:

@@ -16,14 +16,12 @@ import base64
 import binascii
 import hashlib
 import os
-import re
 from pathlib import Path
 
 import msgspec
 
 from fsar_ledger.errors import LedgerCorrupted, UsageError
 from fsar_ledger.ledger.log.note import (
-    MAX_SIGNATURES,
     Checkpoint,
     Note,
     Signature,
@@ -112,15 +110,13 @@ def parse_cosigned(where: str, data: bytes) -> Note:
         LedgerCorrupted: The bytes are not such a note.
     """
     try:
-        body, _, signatures = data.decode().rpartition("\n\n")
+        text = data.decode()
     except UnicodeDecodeError as error:
         raise LedgerCorrupted(f"{where}: found bytes that are not UTF-8, expected a C2SP checkpoint") from error
-    lines = re.findall(r"[^\n]*\n|[^\n]+$", signatures)
-    if len(lines) > _MAX_COSIGNATURES:
-        raise LedgerCorrupted(f"{where}: found {len(lines)} signatures, expected at most {_MAX_COSIGNATURES}")
-    parts = ["".join(lines[at : at + MAX_SIGNATURES]) for at in range(0, len(lines), MAX_SIGNATURES)] or [""]
-    notes = [parse_note(where, f"{body}\n\n{part}") for part in parts]
-    return Note(notes[0].checkpoint, tuple(signature for note in notes for signature in note.signatures))
+    count = len(text.rpartition("\n\n")[2].splitlines())
+    if count > _MAX_COSIGNATURES:
+        raise LedgerCorrupted(f"{where}: found {count} signatures, expected at most {_MAX_COSIGNATURES}")
+    return parse_note(where, text, _MAX_COSIGNATURES)
 
 
 def parse_vkey(text: str) -> VerifierKey | WitnessKey:
@@ -139,7 +135,7 @@ def parse_vkey(text: str) -> VerifierKey | WitnessKey:
     if (
         name == "PRIVATE"
         or not is_name(name)
-        or not _is_utf8(name)
+        or name.encode("utf-8", "replace").decode() != name
         or base64.b64encode(material).decode() != data
         or material[:1] not in (_ED25519, _COSIGNATURE)
     ):
@@ -158,10 +154,6 @@ def parse_vkey(text: str) -> VerifierKey | WitnessKey:
     if key.key_id.hex() != key_id:
         raise ValueError(f"found another key id than this key's, {key.key_id.hex()}; it was altered, get it again")
     return key
-
-
-def _is_utf8(text: str) -> bool:
-    return text.encode("utf-8", "replace").decode() == text
 
 
 def read_log_key(key: str) -> VerifierKey:

@@ -51,18 +51,9 @@ class Evidence(msgspec.Struct, frozen=True):
 
 def ask_witnesses(policy: Policy, logs: Sequence[VerifierKey], origin: str, now_s: int) -> Evidence:
     """Ask the witnesses of the policy for their newest checkpoint. Raises: UsageError if none has a URL."""
-    asked = [witness for witness in policy.witnesses if witness.url is not None]
-    if not asked:
-        raise UsageError(
-            f"{policy.file}: found no witness with a URL, expected at least one; "
-            "or give what they cosigned with --cosigned FILE"
-        )
-    answers = dict(
-        zip((witness.name for witness in asked), ask_all(lambda witness: _newest(witness, origin), asked), strict=True)
-    )
     statements, checkpoints = [], []
-    for witness in policy.witnesses:
-        answer = answers.get(witness.name, NoAnswer("the policy has no URL for it"))
+    otherwise = "; or give what they cosigned with --cosigned FILE"
+    for witness, answer in ask_all(lambda witness: _newest(witness, origin), policy, otherwise):
         if isinstance(answer, NoAnswer):
             statements.append(Statement(witness.name, reason=str(answer)))
             continue

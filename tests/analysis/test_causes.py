@@ -37,7 +37,7 @@ def require_smallest(base: Rerun, outcome: Outcome, found: Cause, *, lengths: bo
     causes, presupposed = ({one.name for one in part} for part in (found.elements, found.presupposed))
     names = frozenset(causes | presupposed)
     assert search.holds(names), "it suffices"
-    assert not any(search.hold([names - {name} for name in names])), "nothing can be left out"
+    assert not any(search.judge([names - {name} for name in names])), "nothing can be left out"
     assert set(search.judge([names - {name} for name in causes])) <= {False}, "without a cause it is prevented"
     assert set(search.judge([names - {name} for name in presupposed])) <= {None}, "and not merely undefined"
     whole = frozenset(search.candidates)

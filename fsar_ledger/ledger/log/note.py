@@ -159,8 +159,10 @@ def checkpoint_of(origin: str, tree: Frontier) -> Checkpoint:
     return Checkpoint(origin, tree.size, tree.root())
 
 
-def parse_note(where: str, text: str) -> Note:
-    """Parse this text as a note, whose `str` is the same text to the byte. Errors name it `where`.
+def parse_note(where: str, text: str, most: int = MAX_SIGNATURES) -> Note:
+    """Parse this text as a note of at most so many signatures, whose `str` is the same text to the byte.
+
+    Errors name it `where`.
 
     Raises:
         LedgerCorrupted: It is not a checkpoint, not in the form of C2SP, or has signatures that no Ed25519 key makes.
@@ -178,7 +180,7 @@ def parse_note(where: str, text: str) -> Note:
             f"{where}: found a note with a part that is not base64 ({error}), expected a C2SP checkpoint; restore it"
         ) from error
     is_checkpoint = number >= 0 and is_name(origin) and len(note.checkpoint.root) == HASH_BYTES
-    if str(note) != text or not is_checkpoint or len(note.signatures) > MAX_SIGNATURES:
+    if str(note) != text or not is_checkpoint or len(note.signatures) > most:
         raise LedgerCorrupted(
             f"{where}: found {text!r:.120}, expected a C2SP checkpoint (origin, size, root, an empty line, "
             "signatures); restore it"
