@@ -8,7 +8,7 @@ import msgspec
 
 from fsar_ledger import printable
 
-from .answers import Answer, Screen
+from .answers import Answer, Row, Screen
 from .names import known, names_of
 from .verbs import ArchitectureOption, InvariantOption, Shows, verb
 from .workload import Progress
@@ -16,7 +16,6 @@ from .workload import Progress
 if TYPE_CHECKING:
     from fsar_ledger.metrics.invariants import AuditRow
 
-    from .fields import Row
     from .ledger import Ledger
     from .provenance import Provenance
     from .table import Table
@@ -129,7 +128,7 @@ def all_shown(rows: "Sequence[AuditRow]") -> bool:
     return all(row.holds or (is_empty(row) and row.invariant in shown) for row in rows)
 
 
-def _shown(row: "AuditRow") -> "Row":
+def _shown(row: "AuditRow") -> Row:
     first = None if row.first_run is None else f"{row.first_run} seq {row.first_seq}: {row.first_found}"
     return {
         "invariant": row.invariant,

@@ -13,7 +13,7 @@ import msgspec
 from fsar_ledger import printable
 from fsar_ledger.errors import UsageError, option
 
-from .answers import Answer, Drawable, Listing, Screen, drawn
+from .answers import Answer, Screen, drawn
 from .names import Place, Run
 from .verbs import SvgOption, declare, verb
 
@@ -63,7 +63,7 @@ GROUNDS = """
 """The windows and rules of the event that decided a request, and of the calls for review that are told of it."""
 
 
-class Account(Drawable, msgspec.Struct, frozen=True):
+class Account(Answer, msgspec.Struct, frozen=True):
     """The account of one request: who asked, who allowed or denied, who acted, who supervised.
 
     `timeline` has a row for each step, `recovery` one for each attempt after a failure, level by level. `grounds` are
@@ -122,7 +122,7 @@ class Account(Drawable, msgspec.Struct, frozen=True):
 
     def _proof(self, screen: Screen, seq: int, what: str = "") -> str:
         """Return the call that proves an event, and what it is."""
-        event = printable.word(f"{screen.numbers().get(self.run, self.run)}:{seq}")
+        event = screen.event_word(self.run, seq)
         return f"`fsar-ledger prove {printable.word(screen.path)} {event}` proves event {seq}{what} to others"
 
 
@@ -143,6 +143,8 @@ def _asked(
     if svg is not None or pdf is not None:
         found = "svg" if svg is not None else "pdf"
         raise UsageError(f"--{found}: found no request to draw; give --request ACTION or --failure ACTION")
+    from .table import Listing
+
     with ledger.about_run(run) as (database, name, _):
         rows = _requests(database, name)
 
@@ -151,10 +153,11 @@ def _asked(
         return f"`fsar-ledger {call} {printable.word(first['action_id'])}` tells one of them"
 
     return Listing(
-        name,
-        rows,
+        run=name,
+        found=rows,
         time="began_s",
-        nothing=("requests", "not all that a request leaves was observed"),
+        nothing="requests",
+        unseen="not all that a request leaves was observed",
         hint=hint,
         columns=lambda is_fitted: sorted(COLUMNS, key=LATER.__contains__) if is_fitted else COLUMNS,
         name="requests",

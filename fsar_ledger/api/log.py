@@ -41,13 +41,14 @@ class Timeline(Answer):
 
     def text(self, screen: Screen) -> Iterator[SafeText]:
         """Yield the lines, or a JSON object for each."""
-        from .fields import json_rows
+        if self._as_json:
+            from .texts import json_lines
 
+            yield from (SafeText(json_lines(batch)) for table in self._tables for batch in table.batches())
+            return
         lines = Lines(screen)
-        for table in self._tables:
-            for rows in table.parts():
-                yield json_rows(rows) if self._as_json else lines.text(rows)
-        if self._ends and lines.run is None and not self._as_json:
+        yield from (lines.text(rows) for table in self._tables for rows in table.parts())
+        if self._ends and lines.run is None:
             yield printable.line("no such events")
 
 

@@ -10,13 +10,12 @@ from fsar_ledger import printable
 from fsar_ledger.metrics.multiverse import Cell, Multiverse, Ranking, ReadingNames
 from fsar_ledger.printable import SafeText, counted
 
-from .answers import Answer, Screen
+from .answers import Answer, Row, Screen
 from .names import Names, Place, known, names_of, pools_seeds
 from .verbs import PoolOption, Shows, SvgOption, declare, verb
 from .workload import Progress
 
 if TYPE_CHECKING:
-    from .fields import Row
     from .ledger import Ledger
     from .provenance import Provenance
     from .table import Table
@@ -44,7 +43,7 @@ class MultiverseResult(Answer, Multiverse, frozen=True, kw_only=True):
 
         return Table(of_structs(self.cells, Cell), self.provenance)
 
-    def draw(self, file: Place) -> None:
+    def draw(self, file: Place, kind: str | None = None) -> None:  # noqa: ARG002 - it is SVG
         """Draw every cell under every combination of readings as SVG.
 
         Raises: WriteFailed if the file cannot be written.
@@ -56,7 +55,7 @@ class MultiverseResult(Answer, Multiverse, frozen=True, kw_only=True):
 
     def text(self, screen: Screen) -> Iterator[SafeText]:
         """Yield the ranges, the rankings and the readings as tables."""
-        from .fields import plain
+        from .table import plain
 
         if not self.cells:
             yield printable.line("no runs to read")
@@ -141,13 +140,13 @@ def _verdicts(rankings: Sequence[Ranking]) -> Iterator[str]:
             yield f"whether {what}: nothing to rank; that takes means of two architectures{fsar}"
 
 
-def _columns(rows: "Sequence[Row]", columns: tuple[str, ...]) -> list[str]:
+def _columns(rows: Sequence[Row], columns: tuple[str, ...]) -> list[str]:
     """Return the columns to show: those of the setting after the first, those of `WHERE_ANY` at the end."""
     telling = [name for name in WHERE_TELLING if name in rows[0] and len({row[name] for row in rows}) > 1]
     return [columns[0], *telling, *columns[1:], *(name for name in WHERE_ANY if any(row.get(name) for row in rows))]
 
 
-def _named(row: Ranking) -> "Row":
+def _named(row: Ranking) -> Row:
     changed, not_best = _texts(row.changed_under), _texts(row.fsar_not_best_under)
     return {**structs.asdict(row), "changed_under": changed, "fsar_not_best_under": not_best}
 

@@ -19,8 +19,7 @@ if TYPE_CHECKING:
     from fsar_ledger.metrics.library import Query
 
     from .ledger import Ledger
-    from .sql import Rows
-    from .table import Table
+    from .table import Rows, Table
 
 
 class Queries(Answer):

@@ -96,8 +96,7 @@ def reproduce(
     from fsar_ledger.report.build import write_report
     from fsar_ledger.runtime.paper import NAMES, SEED, paper_ledger
 
-    from .fields import csv_text, plain
-    from .files import write_text
+    from .files import write_csv
     from .key import signer_of
     from .provenance import of_judgement
     from .table import Table, of_structs
@@ -118,8 +117,8 @@ def reproduce(
     with connect(ledger, demanded=demanded) as database:
         metrics, statistics = metric_rows(database), statistic_rows(database)
         table = Table(of_structs(metrics, MetricRow), of_judgement(database))
-    write_text(folder / "metrics.csv", csv_text(plain(metrics), MetricRow.__struct_fields__))
-    write_text(folder / "statistics.csv", csv_text(plain(statistics), StatisticRow.__struct_fields__))
+    write_csv(folder / "metrics.csv", table)
+    write_csv(folder / "statistics.csv", Table(of_structs(statistics, StatisticRow)))
     write_report(
         ledger,
         folder / "report.pdf",

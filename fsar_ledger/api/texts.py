@@ -1,13 +1,16 @@
-"""Arrow columns as text, a column at a time: what each value is in CSV and in JSON.
+"""Rows as text: what each value is in CSV and in JSON, of Arrow columns a column at a time.
+
+Text from a ledger is escaped as it becomes a field of CSV (`printable`), unless raw.
 
 A column whose text nothing would change is taken as it is; of others, each distinct value goes once through the
-function for a single value (`fields.field_text`, `printable`). So the text of a column is to the byte that of its
+function for a single value (`field_text`, `printable`). So the text of a column is to the byte that of its
 values.
 """
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from functools import reduce
 from typing import Any, TypeAlias, TypeVar
 
@@ -17,8 +20,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from fsar_ledger import printable
-
-from .fields import as_python, encodable, field_text
+from fsar_ledger.errors import QueryFailed
 
 _SEEN = bytes(range(0x20, 0x7F))
 _JSON_PLAIN = bytes(set(_SEEN) - set(b'"\\'))
@@ -53,6 +55,11 @@ def in_turn(convert: Callable[[pa.RecordBatch], Converted], batches: Iterable[pa
                 yield waiting.popleft().result()
         while waiting:
             yield waiting.popleft().result()
+
+
+def csv_header(columns: Sequence[str], *, raw: bool = False) -> str:
+    """Return the line of CSV that names the columns."""
+    return csv_lines(pa.RecordBatch.from_pydict({f"{at}": [name] for at, name in enumerate(columns)}), raw=raw)
 
 
 def csv_lines(batch: pa.RecordBatch, *, raw: bool = False) -> str:
@@ -260,3 +267,46 @@ def _content(texts: pa.Array) -> memoryview:
 
 def _joined(texts: pa.Array) -> str:
     return str(_content(texts), "utf-8")
+
+
+@contextmanager
+def as_python() -> Iterator[None]:
+    """Say what to do about a value of Arrow that Python cannot hold. Raises: QueryFailed for a date or time."""
+    try:
+        yield
+    except (OverflowError, ValueError) as error:
+        raise QueryFailed(
+            "the answer: found a date or time that Python cannot hold, expected years 1 to 9999 and whole "
+            "microseconds; make it text, as in CAST(... AS VARCHAR), or take it in Python with arrow()"
+        ) from error
+
+
+def json_bytes(document: object) -> bytes:
+    """Return the document as JSON; bytes of file names that are not UTF-8 are escaped, `\\udcff` for ff."""
+    try:
+        return msgspec.json.encode(document)
+    except UnicodeEncodeError:  # rare, and to look for it in every value takes most of the time
+        return msgspec.json.encode(encodable(document))
+
+
+def encodable(value: object) -> object:
+    """Return the value with those bytes of file names escaped that are not UTF-8: `\\udcff` for ff."""
+    if isinstance(value, str):
+        return value if value.isascii() else value.encode("utf-8", "backslashreplace").decode()
+    if isinstance(value, dict):
+        return {encodable(name): encodable(one) for name, one in value.items()}
+    return [encodable(one) for one in value] if isinstance(value, list | tuple) else value
+
+
+def field_text(value: object, *, raw: bool) -> str:
+    """Return the value as a field of CSV."""
+    if isinstance(value, str):
+        return value if raw else printable.field(value)
+    if value is None:
+        return ""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, list | tuple | dict):
+        text = json_bytes(value).decode()
+        return text if raw else printable.ascii_json(text)
+    return repr(value) if isinstance(value, float) else str(value)

@@ -310,7 +310,7 @@ def _one(view: "View", record: "LedgerRun", changes: "Changes") -> "Pair":
 
 
 def _effects(found: "Effects", screen: Screen) -> Iterator[SafeText]:
-    from .fields import plain
+    from .table import plain
 
     rows = [{NAMES.get(name, name): row[name] for name in COLUMNS} for row in plain(found.rows)]
     who = found.architecture or "-"

@@ -11,7 +11,7 @@ from fsar_ledger import printable
 from fsar_ledger.errors import UsageError, option
 from fsar_ledger.printable import SafeText
 
-from .answers import Answer, Drawable, Listing, Screen, drawn
+from .answers import Answer, Screen, drawn
 from .names import Place, Run
 from .verbs import SvgOption, argument, declare, verb
 
@@ -52,7 +52,7 @@ MAX_VALUE = 80
 INDENT = "    "
 
 
-class Why(Drawable, msgspec.Struct, frozen=True, kw_only=True):
+class Why(Answer, msgspec.Struct, frozen=True, kw_only=True):
     """Why an event of a run happened.
 
     Attributes:
@@ -96,7 +96,7 @@ class Why(Drawable, msgspec.Struct, frozen=True, kw_only=True):
 
     def text(self, screen: Screen) -> Iterator[SafeText]:
         """Yield the answer as an indented tree."""
-        proven = printable.word(f"{screen.run_word(self.run)}:{self.seq}")
+        proven = screen.event_word(self.run, self.seq)
         hint = f"`fsar-ledger prove {printable.word(screen.path)} {proven}` proves event {self.seq} to others"
         yield printable.lines(screen.run_text(self.run), "", *Tree(self).lines(), "", hint)
 
@@ -133,10 +133,19 @@ def _asked(
     if verdict is not None and svg is not None:
         raise UsageError(f"--svg {svg}: found no event to draw, expected EVENT without --verdict")
     if verdict is not None and run is not None:
+        from .table import Listing
+
         name = ledger.record(run).run_id
-        nothing = (verdict, "not all that it rests on was observed")
         found = verdicts(ledger, name, verdict)
-        return Listing(name, found, time="time_s", nothing=nothing, hint=partial(_hint, name), verdict=verdict)
+        return Listing(
+            run=name,
+            found=found,
+            time="time_s",
+            nothing=verdict,
+            unseen="not all that it rests on was observed",
+            hint=partial(_hint, name),
+            about={"verdict": verdict},
+        )
     assert event is not None
     if svg is not None and Path(svg).suffix != ".svg":
         raise UsageError(f"--svg {svg}: expected a name that ends in .svg")
@@ -144,7 +153,7 @@ def _asked(
 
 
 def _hint(run: str, screen: Screen, first: Mapping[str, Any]) -> str:
-    event = printable.word(f"{screen.run_word(run)}:{first['seq']}")
+    event = screen.event_word(run, first["seq"])
     return f"`fsar-ledger why {printable.word(screen.path)} {event}` says why event {first['seq']} happened"
 
 
@@ -366,7 +375,7 @@ def _by_writer(reads: "Sequence[Read]") -> dict[int | None, list[str]]:
 def _value(read: "Read") -> str:
     if read.is_absent:
         return "absent"
-    from fsar_ledger.api.fields import json_bytes
+    from .texts import json_bytes
 
     shown = read.value if isinstance(read.value, str) else json_bytes(read.value).decode()
     return printable.value(shown, MAX_VALUE) or '""'

@@ -99,8 +99,7 @@ def _callback(verb: Verb) -> Callable[..., None]:
     taken = [TAKEN[name] for name in (*verb.takes, *(["memory"] if has_limit else []))]
 
     def call(context: typer.Context, **given: Any) -> None:
-        from .render import respond
-        from .streaming import Form
+        from .render import Form, respond
 
         beside = {name: given.pop(name) for name, *_ in taken}
         most = beside.pop("memory_mib", given.get("memory_mib"))

@@ -1,12 +1,11 @@
 """The verbs `study run NAME` and `study show`. `study run multiverse` is a verb of a ledger (`api/multiverse.py`)."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from fsar_ledger import printable
-from fsar_ledger.api.answers import Answer, Lines, Screen
-from fsar_ledger.api.fields import Row, plain
+from fsar_ledger.api.answers import Answer, Lines, Row, Screen
 from fsar_ledger.api.names import Place, known
 from fsar_ledger.api.verbs import Shows, WorkersOption, argument, declare, verb
 from fsar_ledger.api.workload import Progress
@@ -200,8 +199,9 @@ def _standing(result: "Calibration | Predictions | Comparison | About") -> str:
     return f"stale: found results {differs}" if differs else "nothing that it rests on has changed since"
 
 
-def _tables(result: "Calibration | Predictions | Comparison") -> Iterator[list[Row]]:
+def _tables(result: "Calibration | Predictions | Comparison") -> "Iterator[Sequence[Row]]":
     """Yield the tables of a result: the numbers of all scenarios together, and no single checks."""
+    from fsar_ledger.api.table import plain
     from fsar_ledger.metrics.study_results import Calibration, Predictions
 
     if isinstance(result, Calibration):
