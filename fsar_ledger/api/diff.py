@@ -11,7 +11,7 @@ from fsar_ledger.printable import SafeText, counted
 
 from .answers import Answer, Screen
 from .names import Place, Run
-from .verbs import argument, declare, verb
+from .verbs import Option, argument, declare, verb
 
 if TYPE_CHECKING:
     from fsar_ledger.analysis.difference import Difference, OutcomesDiff
@@ -119,15 +119,13 @@ class Diff(Answer, msgspec.Struct, frozen=True, kw_only=True):
     "diff out/ledger 1 2",
     "diff out/ledger 1 4 --all",
     "diff out/ledger 1 1 --other out/large --verified --json",
-    beside={"lists": declare("--all", None, "Also list every difference, one a line.")},
+    beside={"lists": Option("--all", None, "Also list every difference, one a line.")},
 )
 def diff(
     ledger: "Ledger",
     first: Annotated[Run, argument("RUN", "The first run.", complete="runs")],
     second: Annotated[Run, argument("RUN2", "The second run.", complete="runs")],
-    other: Annotated[
-        "Ledger | Place | None", declare("--other", "LEDGER", "Another ledger, which holds the second run.")
-    ] = None,
+    other: "Ledger | Place | None" = declare("LEDGER", "Another ledger, which holds the second run."),
 ) -> Diff:
     """Say in what two runs differ: where they part and why, and what they came to.
 

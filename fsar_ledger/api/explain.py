@@ -6,7 +6,7 @@ The rows are those of `queries/audit/requests.sql`, `request_timeline.sql` and `
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import msgspec
 
@@ -132,7 +132,7 @@ def _asked(
     request: str | None,
     failure: str | None,
     svg: SvgOption = None,
-    pdf: Annotated[Place | None, declare("--pdf", "FILE", "Also draw it, as PDF; replaced if it exists.")] = None,
+    pdf: Place | None = declare("FILE", "Also draw it, as PDF; replaced if it exists."),
 ) -> Answer:
     if request is not None and failure is not None:
         raise UsageError(
@@ -173,24 +173,18 @@ def _asked(
 )
 def explain(
     ledger: "Ledger",
-    run: Annotated[
-        Run | None,
-        declare(
-            "--run",
-            "RUN",
-            "A run: its number, its name, or a part of it that no other run has.",
-            "the first run, or the only one that has the ACTION",
-            complete="runs",
-        ),
-    ] = None,
-    request: Annotated[
-        str | None,
-        declare("--request", "ACTION", "The request (action) to show, as in the list.", "list all", complete="actions"),
-    ] = None,
-    failure: Annotated[
-        str | None,
-        declare("--failure", "ACTION", "The failed action whose recovery to show, level by level.", complete="actions"),
-    ] = None,
+    run: Run | None = declare(
+        "RUN",
+        "A run: its number, its name, or a part of it that no other run has.",
+        "the first run, or the only one that has the ACTION",
+        complete="runs",
+    ),
+    request: str | None = declare(
+        "ACTION", "The request (action) to show, as in the list.", "list all", complete="actions"
+    ),
+    failure: str | None = declare(
+        "ACTION", "The failed action whose recovery to show, level by level.", complete="actions"
+    ),
 ) -> Account:
     """Show the timeline of a request: who asked, who allowed or denied, who acted, who supervised.
 

@@ -95,7 +95,7 @@ def _drawn(
 )
 def multiverse(
     ledger: "Ledger",
-    metric: Annotated[Names, declare("--metric", "NAME", "Only this metric; may be repeated.", "all")] = None,
+    metric: Names = declare("NAME", "Only this metric; may be repeated.", "all"),
     pool: PoolOption = None,
     *,
     progress: Annotated[Progress | None, Shows("read", "combinations of readings")] = None,

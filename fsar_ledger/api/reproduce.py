@@ -62,17 +62,12 @@ class Reproduced(Answer, msgspec.Struct, frozen=True):
     after_interruption=CONTINUES,
 )
 def reproduce(
-    out: Annotated[Place, declare("--out", "FOLDER", "Where the ledgers, the tables and the report go.")] = "fsar-out",
+    out: Place = declare("FOLDER", "Where the ledgers, the tables and the report go.", value="fsar-out"),
     *,
-    only: Annotated[
-        Names,
-        declare(
-            "--only", "EXPERIMENT", "results (always made), ablation, scaling or workflows; may be repeated.", "all"
-        ),
-    ] = None,
-    runs: Annotated[
-        int | None, declare("--runs", "N", "Runs of each scenario.", "results 200, ablation 40, scaling 20")
-    ] = None,
+    only: Names = declare(
+        "EXPERIMENT", "results (always made), ablation, scaling or workflows; may be repeated.", "all"
+    ),
+    runs: int | None = declare("N", "Runs of each scenario.", "results 200, ablation 40, scaling 20"),
     key: KeyOption = None,
     adopt: AdoptOption = False,
     workers: WorkersOption = None,

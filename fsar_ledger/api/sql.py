@@ -68,11 +68,10 @@ def sql(
     ledger: "Ledger",
     select: Annotated[str, argument("SELECT", "One SELECT in DuckDB's SQL.")],
     *,
-    seconds: Annotated[int | None, declare("--seconds", "N", "The time limit for a SELECT of your own.", "60")] = None,
-    memory_mib: Annotated[
-        int | None,
-        declare("--memory", "MIB", "The memory limit for a SELECT of your own; at least 1024.", "4096"),
-    ] = None,
+    seconds: int | None = declare("N", "The time limit for a SELECT of your own.", "60"),
+    memory_mib: int | None = declare(
+        "MIB", "The memory limit for a SELECT of your own; at least 1024.", "4096", flag="--memory"
+    ),
 ) -> "Table":
     """Answer a SELECT of your own.
 

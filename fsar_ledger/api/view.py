@@ -11,7 +11,7 @@ from fsar_ledger.errors import UsageError, option
 
 from .answers import Answer, Screen
 from .names import Place, Run
-from .verbs import declare, verb
+from .verbs import Option, declare, verb
 
 if TYPE_CHECKING:
     from fsar_ledger.view.page import PageOptions
@@ -67,10 +67,9 @@ def _asked(
     run: Run | None = None,
     second: Run | None = None,
     other: "Ledger | None" = None,
-    perfetto: Annotated[
-        Place | None,
-        declare("--perfetto", "FILE", "A .json file of trace events for ui.perfetto.dev; replaced if it exists."),
-    ] = None,
+    perfetto: Place | None = declare(
+        "FILE", "A .json file of trace events for ui.perfetto.dev; replaced if it exists."
+    ),
 ) -> Pictures:
     if out is None and perfetto is None:
         raise UsageError("found neither --out nor --perfetto, expected a file to write; give --out FILE.html")
@@ -96,29 +95,14 @@ def _asked(
 )
 def view(
     ledger: "Ledger",
-    out: Annotated[Place, declare("--out", "FILE", "A .html file; replaced if it exists.")],
-    run: Annotated[
-        Run | None,
-        declare(
-            "--run",
-            "RUN",
-            "A run: its number, its name, or a part of it that no other run has.",
-            "the first run",
-            complete="runs",
-        ),
-    ] = None,
-    second: Annotated[
-        Run | None,
-        declare(
-            "--with",
-            "RUN",
-            "Show this run, too, below the other; their first difference is marked.",
-            complete="runs",
-        ),
-    ] = None,
-    other: Annotated[
-        "Ledger | None", declare("--other", "LEDGER", "The ledger that holds the run of --with.", "LEDGER")
-    ] = None,
+    out: Annotated[Place, Option("--out", "FILE", "A .html file; replaced if it exists.")],
+    run: Run | None = declare(
+        "RUN", "A run: its number, its name, or a part of it that no other run has.", "the first run", complete="runs"
+    ),
+    second: Run | None = declare(
+        "RUN", "Show this run, too, below the other; their first difference is marked.", complete="runs", flag="--with"
+    ),
+    other: "Ledger | None" = declare("LEDGER", "The ledger that holds the run of --with.", "LEDGER"),
 ) -> Picture:
     """Write a page that shows a run: who did what when, what held at any moment, and every event.
 

@@ -13,7 +13,7 @@ from fsar_ledger.printable import SafeText, counted, did_you_mean, value
 from .answers import Answer, Screen
 from .diff import Diff, story
 from .names import Names, Place, Run, names_of
-from .verbs import ArchitectureOption, Shows, declare, verb
+from .verbs import ArchitectureOption, Option, Shows, declare, switch, verb
 from .workload import Progress
 
 if TYPE_CHECKING:
@@ -126,11 +126,11 @@ class Changeables(Answer, msgspec.Struct, frozen=True):
 
 def _asked(
     ledger: "Ledger",
-    changes: Annotated[Names, declare("--change", "TEXT", "What is otherwise; may be repeated.")] = None,
-    file: Annotated[Place | None, declare("--changes", "FILE", "A .toml file of changes.")] = None,
+    changes: Names = declare("TEXT", "What is otherwise; may be repeated.", flag="--change"),
+    file: Place | None = declare("FILE", "A .toml file of changes.", flag="--changes"),
     run: Run | None = None,
-    all_runs: Annotated[bool, declare("--all-runs", None, "Fork every simulated run.")] = False,
-    lists: Annotated[bool, declare("--list", None, "List what changes of the run can name.")] = False,
+    all_runs: bool = switch("Fork every simulated run."),
+    lists: bool = switch("List what changes of the run can name.", flag="--list"),
     architecture: Names = None,
     out: Place | None = None,
     progress: Progress | None = None,
@@ -162,15 +162,11 @@ def _asked(
 )
 def whatif(
     ledger: "Ledger",
-    changes: Annotated[Texts, declare("--change", "TEXT", "What is otherwise; may be repeated.")],
-    run: Annotated[
-        Run | None, declare("--run", "RUN", "Fork this run: its number, its name, or a unique part of it.")
-    ] = None,
+    changes: Annotated[Texts, Option("--change", "TEXT", "What is otherwise; may be repeated.")],
+    run: Run | None = declare("RUN", "Fork this run: its number, its name, or a unique part of it."),
     *,
     architecture: ArchitectureOption = None,
-    out: Annotated[
-        Place | None, declare("--out", "LEDGER", "Store each fork beside its base in this ledger.", "nowhere")
-    ] = None,
+    out: Place | None = declare("LEDGER", "Store each fork beside its base in this ledger.", "nowhere"),
     progress: Annotated[Progress | None, Shows("played", "forks")] = None,
 ) -> WhatIf:
     """Fork runs with a change, and show what it does: in one run, or over all in pairs.

@@ -106,23 +106,12 @@ def _asked(
     event: str | None = None,
     depth: int = 2,
     svg: SvgOption = None,
-    run: Annotated[
-        Run | None,
-        declare(
-            "--run",
-            "RUN",
-            "With --verdict: the run, by number, name, or a part of it that no other run has.",
-            complete="runs",
-        ),
-    ] = None,
-    verdict: Annotated[
-        str | None,
-        declare(
-            "--verdict",
-            "KIND",
-            "Instead of an event: list violation, conflict, late, unattributed, or an invariant, as i4.",
-        ),
-    ] = None,
+    run: Run | None = declare(
+        "RUN", "With --verdict: the run, by number, name, or a part of it that no other run has.", complete="runs"
+    ),
+    verdict: str | None = declare(
+        "KIND", "Instead of an event: list violation, conflict, late, unattributed, or an invariant, as i4."
+    ),
 ) -> Answer:
     if (event is None) == (verdict is None):
         raise UsageError("why: expected an EVENT, as RUN:SEQ, or --run RUN and --verdict KIND")
@@ -170,15 +159,12 @@ def why(
         argument("[EVENT]", "RUN:SEQ, or the event's place in the ledger, as for `prove`."),
     ],
     *,
-    depth: Annotated[
-        int | None,
-        declare(
-            "--depth",
-            "N",
-            "1: how the event came about; 2: and how the events came about that it rests on; and so on.",
-            least=1,
-        ),
-    ] = 2,
+    depth: int | None = declare(
+        "N",
+        "1: how the event came about; 2: and how the events came about that it rests on; and so on.",
+        least=1,
+        value=2,
+    ),
 ) -> Why:
     """Say why an event happened: what triggered it, what the decision read, and what was answered.
 

@@ -14,7 +14,7 @@ from fsar_ledger.printable import SafeText
 from .answers import Answer, Lines, Plain, Screen
 from .key import short
 from .names import Place
-from .verbs import Gives, argument, declare, verb
+from .verbs import Gives, Option, argument, declare, verb
 
 if TYPE_CHECKING:
     from fsar_ledger.ledger.log.note import VerifierKey
@@ -161,7 +161,7 @@ def _time(time_s: int) -> str:
 @verb("witness new out/witness --name example.org/w1", name="witness new", takes=())
 def witness_new(
     state: Annotated[Place, argument("STATE", "The folder of the witness: a new one.")],
-    name: Annotated[str, declare("--name", "NAME", "Its name, host/path by convention.")],
+    name: Annotated[str, Option("--name", "NAME", "Its name, host/path by convention.")],
 ) -> "WitnessKey":
     """Make a witness, and print its public key.
 
@@ -221,11 +221,11 @@ class Served(Answer):
 def witness_serve(
     state: Annotated[Place, argument("STATE", "What `fsar-ledger witness new` made.")],
     log: Annotated[
-        Sequence[str], declare("--log", "KEY", "Watch this log: its .pub file or public key; may be repeated.")
+        Sequence[str], Option("--log", "KEY", "Watch this log: its .pub file or public key; may be repeated.")
     ],
     *,
-    host: Annotated[str, declare("--host", "ADDRESS", "The address to listen at.")] = "127.0.0.1",
-    port: Annotated[int, declare("--port", "N", "The port to listen at; 0 takes a free one.", least=0, most=65535)] = 0,
+    host: str = declare("ADDRESS", "The address to listen at.", value="127.0.0.1"),
+    port: int = declare("N", "The port to listen at; 0 takes a free one.", least=0, most=65535, value=0),
     clock: Annotated["Callable[[], int]", Gives("clock")],
     ticks: Annotated["Callable[[], float]", Gives("ticks")],
     say: Annotated["Callable[[str], None]", Gives("say")],
@@ -242,9 +242,7 @@ def witness_serve(
 def _ask(
     ledger: "Ledger",
     policy: Path,
-    out: Annotated[
-        Place | None, declare("--out", "FILE", "Where the cosigned checkpoint goes; replaced.", "print it")
-    ] = None,
+    out: Place | None = declare("FILE", "Where the cosigned checkpoint goes; replaced.", "print it"),
     *,
     say: Annotated["Callable[..., None]", Gives("say")],
 ) -> Answer:
@@ -272,7 +270,7 @@ def _ask(
 )
 def witness_ask(
     ledger: "Ledger",
-    policy: Annotated[Place, declare("--policy", "FILE", "A C2SP tlog-policy that names the witnesses.")],
+    policy: Annotated[Place, Option("--policy", "FILE", "A C2SP tlog-policy that names the witnesses.")],
 ) -> "Cosigned":
     """Have the newest checkpoint of a ledger cosigned.
 

@@ -11,7 +11,7 @@ from typing import Annotated, Any, get_args
 import typer
 from typer.core import TyperCommand, TyperOption
 
-from fsar_ledger.api.verbs import RAW, Option, Verb, argument, declare, declared
+from fsar_ledger.api.verbs import RAW, Option, Verb, argument, declared
 from fsar_ledger.errors import QueryFailed, UsageError
 
 from . import completing
@@ -24,27 +24,27 @@ TAKEN: Mapping[str, tuple[str, bool | int | None, Option]] = {
     "verified": (
         "verified",
         False,
-        declare(
+        Option(
             "--verified",
             None,
             "Answer only from rows that were compared with the root, as `verify` does. Unless `verify` has checked "
             "this head before, that takes some 4 s for a million events on two cores.",
         ),
     ),
-    "json": ("as_json", False, declare("--json", None, "Answer as JSON, with the head (size, root) of the ledger.")),
-    "csv": ("as_csv", False, declare("--csv", None, "Answer as comma-separated values.")),
-    "ndjson": ("as_ndjson", False, declare("--ndjson", None, "Answer as JSON, one row a line and nothing else.")),
+    "json": ("as_json", False, Option("--json", None, "Answer as JSON, with the head (size, root) of the ledger.")),
+    "csv": ("as_csv", False, Option("--csv", None, "Answer as comma-separated values.")),
+    "ndjson": ("as_ndjson", False, Option("--ndjson", None, "Answer as JSON, one row a line and nothing else.")),
     "raw": ("raw", False, RAW),
-    "limit": ("limit", SHOWN_ROWS, declare("--limit", "N", "Show at most N rows of the table; 0 shows all.")),
+    "limit": ("limit", SHOWN_ROWS, Option("--limit", "N", "Show at most N rows of the table; 0 shows all.")),
     "wide": (
         "wide",
         False,
-        declare("--wide", None, "Show every column and whole cells, not what fits the terminal; as when piped."),
+        Option("--wide", None, "Show every column and whole cells, not what fits the terminal; as when piped."),
     ),
     "memory": (
         "memory_mib",
         None,
-        declare(
+        Option(
             "--memory",
             "MIB",
             "The memory limit.",

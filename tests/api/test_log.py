@@ -3,6 +3,7 @@
 import shutil
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -10,7 +11,7 @@ import fsar_ledger
 from fsar_ledger import Ledger
 from fsar_ledger.api.events import Filter
 from fsar_ledger.api.log_rows import LogRequest, about_of
-from fsar_ledger.api.table import Row, Table
+from fsar_ledger.api.table import Table
 from fsar_ledger.errors import LedgerCorrupted, UsageError
 from fsar_ledger.events import CONCERNS
 from fsar_ledger.ledger.rows.schema import CONCERNED
@@ -18,6 +19,8 @@ from tests.api.conftest import RUN
 from tests.queries.histories import run
 from tests.quick import few
 from tests.recycled import from_rows
+
+Row = dict[str, Any]
 
 
 class Waited(Exception):
