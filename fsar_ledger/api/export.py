@@ -70,10 +70,12 @@ def export(
     if tiles:
         if query is not None or parameters or raw:
             raise UsageError("export: found tiles and a query, parameters or raw text, expected tiles alone")
-        from .tiles import write_tiles
+        from fsar_ledger.ledger.store.tiles import write_tiles
 
-        written = write_tiles(ledger.path, file, demanded=ledger.demanded, progress=progress)
-        return ExportResult(*written, file, "tiles")
+        from .lookup import present
+
+        view, provenance = present(ledger)
+        return ExportResult(write_tiles(view, file, progress), provenance, file, "tiles")
     require_place(file)
     if query is not None:
         found = ledger.query(query, **(parameters or {}))

@@ -34,8 +34,8 @@ NOTHING_CHANGED = "nothing was changed"
 class Option(NamedTuple):
     """An option of the command line, or an argument if it has no flag; a switch has no metavar.
 
-    `default` says what holds without it, where the value of the parameter does not. `complete` is the function of
-    `cli/completing.py` that offers values to a shell.
+    `default` says what holds without it, where the value of the parameter does not. `complete` names the
+    values that a shell is offered (`cli/completing.py`).
     """
 
     flag: str | None

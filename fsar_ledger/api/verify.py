@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from fsar_ledger.ledger.store.problem import Problem
     from fsar_ledger.ledger.verify.report import VerifyReport
     from fsar_ledger.runtime.replay import ReplayReport
+    from fsar_ledger.witness.seen import WitnessAnswer
 
     from .ledger import Ledger
-    from .witness import WitnessAnswer
 
 
 class Verification(Answer, msgspec.Struct, frozen=True):
@@ -156,8 +156,7 @@ def verify(
     """
     from fsar_ledger.ledger.verify.report import VerifyOptions
     from fsar_ledger.metrics.verified import full_verify
-
-    from .witness import seen_of
+    from fsar_ledger.witness.seen import seen_of
 
     if recorded and not replay:
         raise UsageError(f"{option('recorded')}: expected it with {option('replay')}, of which it says in which world")

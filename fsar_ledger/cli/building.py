@@ -139,7 +139,7 @@ def _accepted(name: str, kind: Any, default: object, found: Option) -> inspect.P
     if found.default is not None or default in (None, inspect.Parameter.empty):
         told["show_default"] = found.default or False
     if found.complete is not None:
-        told["autocompletion"] = getattr(completing, found.complete)
+        told["autocompletion"] = completing.offered(found.complete)
     info = typer.Argument(**told) if found.flag is None else typer.Option(found.flag, **told)
     return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, annotation=Annotated[kind, info], default=default)
 
