@@ -1,12 +1,12 @@
 """What every answer has: a document for programs, a text for people, an exit code, and what it holds for."""
 
 import time
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from fsar_ledger import printable
-from fsar_ledger.errors import FsarLedgerError, option
+from fsar_ledger.errors import FsarLedgerError, UsageError
 from fsar_ledger.printable import SafeText
 
 if TYPE_CHECKING:
@@ -155,37 +155,20 @@ class Answer:
         raise NotImplementedError
 
 
-class Drawn(Answer):
-    """An answer, and the files that show it, too."""
+def figure_place(file: "Place", kind: str | None) -> tuple[Path, str]:
+    """Return where a figure goes and its format, svg or pdf: this kind, else that of the suffix.
 
-    def __init__(self, answer: Answer, *files: Path) -> None:
-        self._answer, self._files = answer, files
-        self.provenances = provenances(answer)
-
-    def document(self, screen: Screen) -> Mapping[str, object]:
-        """Return what JSON says of the answer."""
-        return self._answer.document(screen)
-
-    def text(self, screen: Screen) -> Iterator[SafeText]:
-        """Yield the answer, and the names of the files."""
-        yield from self._answer.text(screen)
-        yield printable.lines(*map(str, self._files))
-
-
-def drawn(ask: Callable[[], Answer], **files: "Place | None") -> Answer:
-    """Return the answer, and draw it to the files, given by the names of their options.
-
-    Raises: UsageError, before anything is asked, if one lies inside a ledger; WriteFailed.
+    Raises:
+        UsageError: Neither gives a format, or the file lies inside a ledger.
     """
     from fsar_ledger.ledger.store.paths import require_outside
 
-    places = {kind: Path(file) for kind, file in files.items() if file is not None}
-    for kind, file in places.items():
-        require_outside(file, option(kind, file))
-    found = ask()
-    for kind, file in places.items():
-        found.draw(file, kind)
-    return Drawn(found, *places.values()) if places else found
+    place = Path(file)
+    form = place.suffix[1:] if kind is None else kind
+    if form not in ("svg", "pdf"):
+        raise UsageError(f"{place}: expected a name that ends in .svg or .pdf")
+    require_outside(place, str(place))
+    return place, form
 
 
 class Lines(Answer):

@@ -270,18 +270,13 @@ def _parting(found: Parting, names: tuple[str, str]) -> Iterator[str]:
             if line is None:
                 yield f"{'':>24}  ..."
             else:
-                yield f"{line.seq:>8} {line.time_s:>11.3f} s  {'' if not at else 'because '}{_words(line)}"
+                yield f"{line.seq:>8} {line.time_s:>11.3f} s  {'' if not at else 'because '}{line.words}"
 
 
 def _value(field: str, text: str | None) -> str:
     if text is None:
         return "-"
     return f"{int(text) / 1e6:.6f} s" if field.endswith("_us") else printable.value(text, 200)
-
-
-def _words(line: "Line") -> str:
-    action = "" if line.action_id is None else f"{printable.value(line.action_id)}  "
-    return action + printable.value(line.text, 1_000)
 
 
 def _shortened(lines: "Sequence[Line]") -> "list[Line | None]":

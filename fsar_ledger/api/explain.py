@@ -13,9 +13,9 @@ import msgspec
 from fsar_ledger import printable
 from fsar_ledger.errors import UsageError, option
 
-from .answers import Answer, Screen, drawn
+from .answers import Answer, Screen, figure_place
 from .names import Place, Run
-from .verbs import SvgOption, declare, verb
+from .verbs import WIDE, declare, verb
 
 if TYPE_CHECKING:
     from fsar_ledger.metrics.database import Database
@@ -95,15 +95,10 @@ class Account(Answer, msgspec.Struct, frozen=True):
             UsageError: Neither gives a format, or the file lies inside a ledger.
             WriteFailed: The file cannot be written.
         """
-        from fsar_ledger.ledger.store.paths import require_outside
         from fsar_ledger.publishing import publish
         from fsar_ledger.report import sequence
 
-        place = Path(file)
-        form = place.suffix[1:] if kind is None else kind
-        if form not in ("svg", "pdf"):
-            raise UsageError(f"{place}: expected a name that ends in .svg or .pdf")
-        require_outside(place, str(place))
+        place, form = figure_place(file, kind)
         rows, figure = (self.recovery, sequence.ladder) if self.is_failure else (self.timeline, sequence.sequence)
         publish(place, figure(rows, form))
 
@@ -126,23 +121,13 @@ class Account(Answer, msgspec.Struct, frozen=True):
         return f"`fsar-ledger prove {printable.word(screen.path)} {event}` proves event {seq}{what} to others"
 
 
-def _asked(
-    ledger: "Ledger",
-    run: Run | None,
-    request: str | None,
-    failure: str | None,
-    svg: SvgOption = None,
-    pdf: Place | None = declare("FILE", "Also draw it, as PDF; replaced if it exists."),
-) -> Answer:
+def _asked(ledger: "Ledger", run: Run | None, request: str | None, failure: str | None) -> Answer:
     if request is not None and failure is not None:
         raise UsageError(
             f"--request {request} and --failure {failure}: expected one of them; --request shows a failure, too"
         )
     if request is not None or failure is not None:
-        return drawn(lambda: explain(ledger, run, request, failure), svg=svg, pdf=pdf)
-    if svg is not None or pdf is not None:
-        found = "svg" if svg is not None else "pdf"
-        raise UsageError(f"--{found}: found no request to draw; give --request ACTION or --failure ACTION")
+        return explain(ledger, run, request, failure)
     from .table import Listing
 
     with ledger.about_run(run) as (database, name, _):
@@ -159,6 +144,7 @@ def _asked(
         nothing="requests",
         unseen="not all that a request leaves was observed",
         hint=hint,
+        undrawn="found no request to draw; give --request ACTION or --failure ACTION",
         columns=lambda is_fitted: sorted(COLUMNS, key=LATER.__contains__) if is_fitted else COLUMNS,
         name="requests",
     )
@@ -169,6 +155,7 @@ def _asked(
     "explain out/ledger --run 1 --request A1-1/2.1",
     "explain out/ledger --run 2 --request A1-1/2.1 --svg out/request.svg",
     "explain out/ledger --run 1 --json",
+    takes=("svg", "pdf", *WIDE),
     call=_asked,
 )
 def explain(

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from msgspec import structs
 
@@ -12,7 +12,7 @@ from fsar_ledger.printable import SafeText, counted
 
 from .answers import Answer, Row, Screen
 from .names import Names, Place, known, names_of, pools_seeds
-from .verbs import PoolOption, Shows, SvgOption, declare, verb
+from .verbs import PoolOption, Shows, declare, verb
 from .workload import Progress
 
 if TYPE_CHECKING:
@@ -71,26 +71,12 @@ class MultiverseResult(Answer, Multiverse, frozen=True, kw_only=True):
         yield screen.table(readings)
 
 
-def _drawn(
-    ledger: "Ledger", metric: Names, pool: Any, svg: SvgOption = None, *, progress: Progress | None
-) -> MultiverseResult:
-    from fsar_ledger.ledger.store.paths import require_outside
-
-    if svg is not None:
-        require_outside(Path(svg), f"--svg {svg}")
-    found = multiverse(ledger, metric, pool, progress=progress)
-    if svg is not None:
-        found.draw(svg)
-    return found
-
-
 @verb(
     "study run multiverse out/ledger",
     "study run multiverse out/ledger --metric authority_conflicts --json",
     "study run multiverse out/ledger --metric human_intervention --svg out/multiverse.svg",
     name="study run multiverse",
-    takes=("verified", "json", "csv", "raw", "wide"),
-    call=_drawn,
+    takes=("svg", "verified", "json", "csv", "raw", "wide"),
     old="multiverse",
 )
 def multiverse(

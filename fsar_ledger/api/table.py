@@ -8,11 +8,13 @@ import msgspec
 import pyarrow as pa
 
 from fsar_ledger import printable
+from fsar_ledger.errors import UsageError
 from fsar_ledger.metrics.database import plain_rows
 from fsar_ledger.metrics.sandbox import SENT_BYTES, slices
 from fsar_ledger.printable import SafeText
 
 from .answers import Answer, Row, Screen
+from .names import Place
 from .provenance import Provenance
 from .tables import Constant, fitted, more_text
 from .texts import as_python
@@ -151,6 +153,7 @@ class Listing(Answer, msgspec.Struct, frozen=True, kw_only=True):
         nothing: What there is none of.
         unseen: What is added to that where not all that it rests on was observed.
         hint: Returns the hint for the first row.
+        undrawn: Why it cannot be drawn.
         columns: Those that people are shown, by whether they are fitted to a terminal; None: all.
         name: What the rows are called in JSON.
         about: What JSON says besides.
@@ -162,6 +165,7 @@ class Listing(Answer, msgspec.Struct, frozen=True, kw_only=True):
     nothing: str
     unseen: str
     hint: Callable[[Screen, Row], str]
+    undrawn: str
     columns: Callable[[bool], Sequence[str] | None] = lambda _: None
     name: str = "rows"
     about: Mapping[str, object] = {}
@@ -170,6 +174,10 @@ class Listing(Answer, msgspec.Struct, frozen=True, kw_only=True):
     def provenance(self) -> Provenance:
         """What the rows hold for."""
         return self.found.provenance
+
+    def draw(self, file: Place, kind: str | None = None) -> None:
+        """Refuse. Raises: UsageError."""
+        raise UsageError(f"--{kind} {file}: {self.undrawn}")
 
     def document(self, _: Screen) -> Mapping[str, object]:
         """Return the rows."""

@@ -254,7 +254,6 @@ KeyOption = Annotated[
 AdoptOption = Annotated[
     bool, Option("--adopt", None, "Continue a ledger that another key signed, or none; verify it first.")
 ]
-SvgOption = Annotated[Place | None, Option("--svg", "FILE", "Also draw it, as SVG; replaced if it exists.")]
 WorkersOption = Annotated[
     int | None,
     Option(

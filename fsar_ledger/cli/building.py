@@ -20,9 +20,12 @@ from .memory import bounded
 SHOWN_ROWS = 100
 
 LEDGER = argument("LEDGER", "The folder of a ledger.")
-TAKEN: Mapping[str, tuple[str, bool | int | None, Option]] = {
+TAKEN: Mapping[str, tuple[str, Any, bool | int | None, Option]] = {
+    "svg": ("svg", Path | None, None, Option("--svg", "FILE", "Also draw it, as SVG; replaced if it exists.")),
+    "pdf": ("pdf", Path | None, None, Option("--pdf", "FILE", "Also draw it, as PDF; replaced if it exists.")),
     "verified": (
         "verified",
+        bool,
         False,
         Option(
             "--verified",
@@ -31,18 +34,25 @@ TAKEN: Mapping[str, tuple[str, bool | int | None, Option]] = {
             "this head before, that takes some 4 s for a million events on two cores.",
         ),
     ),
-    "json": ("as_json", False, Option("--json", None, "Answer as JSON, with the head (size, root) of the ledger.")),
-    "csv": ("as_csv", False, Option("--csv", None, "Answer as comma-separated values.")),
-    "ndjson": ("as_ndjson", False, Option("--ndjson", None, "Answer as JSON, one row a line and nothing else.")),
-    "raw": ("raw", False, RAW),
-    "limit": ("limit", SHOWN_ROWS, Option("--limit", "N", "Show at most N rows of the table; 0 shows all.")),
+    "json": (
+        "as_json",
+        bool,
+        False,
+        Option("--json", None, "Answer as JSON, with the head (size, root) of the ledger."),
+    ),
+    "csv": ("as_csv", bool, False, Option("--csv", None, "Answer as comma-separated values.")),
+    "ndjson": ("as_ndjson", bool, False, Option("--ndjson", None, "Answer as JSON, one row a line and nothing else.")),
+    "raw": ("raw", bool, False, RAW),
+    "limit": ("limit", int, SHOWN_ROWS, Option("--limit", "N", "Show at most N rows of the table; 0 shows all.")),
     "wide": (
         "wide",
+        bool,
         False,
         Option("--wide", None, "Show every column and whole cells, not what fits the terminal; as when piped."),
     ),
     "memory": (
         "memory_mib",
+        int | None,
         None,
         Option(
             "--memory",
@@ -52,7 +62,7 @@ TAKEN: Mapping[str, tuple[str, bool | int | None, Option]] = {
         ),
     ),
 }
-"""What a command can have beside the options of its verb: the name of each, its default and its declaration."""
+"""What a command can have beside the options of its verb: of each its name, type, default and declaration."""
 
 
 class Command(TyperCommand):
@@ -108,12 +118,13 @@ def _callback(verb: Verb) -> Callable[..., None]:
             if found.metavar == "NAME=VALUE" and found.flag == "--param":
                 given[name] = parameters_of(given[name])
         asked = {name for name in verb.beside if given.pop(name)}
+        drawn = {kind: file for kind in ("svg", "pdf") if (file := beside.pop(kind, None)) is not None}
         form = Form(**beside)
         verb.arrange(given)
         is_bounded = "ledger" in ledgers and not verb.is_apart(given)
         read = [given[name] for name in ledgers] + [place for name in stored for place in _several(given[name])]
         with bounded(most, *read, workers=given.get("workers")) if is_bounded else nullcontext():
-            code = respond(verb, given, ledgers, form, asked, verified=verified, clock=context.obj)
+            code = respond(verb, given, ledgers, form, asked, drawn, verified=verified, clock=context.obj)
         if code:
             raise typer.Exit(code)
 
@@ -124,10 +135,7 @@ def _callback(verb: Verb) -> Callable[..., None]:
         _accepted(one.name, _type_of(one), one.default, own[one.name]) for one in parameters if one.name in own
     ]
     accepted += [_accepted(name, bool, False, found) for name, found in verb.beside.items()]
-    accepted += [
-        _accepted(name, int | None if default is None else type(default), default, found)
-        for name, default, found in taken
-    ]
+    accepted += [_accepted(name, kind, default, found) for name, kind, default, found in taken]
     call.__signature__ = inspect.Signature(accepted)  # type: ignore[attr-defined]
     call.__annotations__ = {one.name: one.annotation for one in accepted}
     return call

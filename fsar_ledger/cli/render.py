@@ -59,6 +59,11 @@ class Form(msgspec.Struct, frozen=True, kw_only=True):
                 "found --raw without --csv, expected both or neither; --json always gives the values themselves"
             )
 
+    @property
+    def is_for_programs(self) -> bool:
+        """Return whether nothing may stand beside the answer."""
+        return self.as_json or self.as_csv or self.as_ndjson
+
     def screen(self, ledger: "Ledger | None" = None, asked: Collection[str] = ()) -> Screen:
         """Return what an answer about this ledger, with these switches, may know of its call."""
         return Screen(ledger, asked, width_of_output(), is_wide=self.wide, limit=self.limit)
@@ -192,6 +197,7 @@ def respond(
     ledgers: Sequence[str],
     form: Form,
     asked: Collection[str] = (),
+    drawn: Mapping[str, Path] = {},
     *,
     verified: bool,
     clock: Callable[[], int],
@@ -204,9 +210,14 @@ def respond(
         ledgers: Which of the parameters are ledgers; they are opened.
         form: The form of the answer.
         asked: The switches that were given for its text.
+        drawn: The files to draw it to, by their formats.
         verified: Compare the rows of the ledgers with their roots first.
         clock: Gives the present time in seconds since 1970.
     """
+    from fsar_ledger.ledger.store.paths import require_outside
+
+    for kind, file in drawn.items():  # before anything is asked
+        require_outside(file, f"--{kind} {file}")
     places = {name: given[name] for name in ledgers if given[name] is not None}
     held = {name: opened(place, verified=verified) for name, place in places.items()}
     screen = form.screen(held.get("ledger"), asked)
@@ -227,11 +238,15 @@ def respond(
             answer = rows
     else:
         answer = answer if isinstance(answer, Answer) else Lines(str(answer))
+        for kind, file in drawn.items():
+            answer.draw(file, kind)
         pieces = [] if answer.failure is not None and not form.as_json else form.pieces(answer, screen)
     for place, provenance in zip(places.values(), provenances(answer), strict=False):
         warn(place, provenance)
     for piece in pieces:
         show(piece, raw=form.raw)
+    if not form.is_for_programs:
+        show(printable.lines(*map(str, drawn.values())))
     if answer.failure is not None:
         raise answer.failure
     return int(answer.exit_code)
