@@ -9,7 +9,7 @@ import msgspec
 from fsar_ledger import printable
 
 from .answers import Answer, Row, Screen
-from .names import known, names_of
+from .names import names_of
 from .verbs import ArchitectureOption, InvariantOption, Shows, verb
 from .workload import Progress
 
@@ -93,6 +93,7 @@ def audit(
         UnknownQuery: An invariant is unknown.
         UsageError: The ledger has no run of these architectures.
     """
+    from fsar_ledger.designs.names import known
     from fsar_ledger.ledger.opening import open_for_answers
     from fsar_ledger.metrics.database import Slices, connect_view
     from fsar_ledger.metrics.invariants import audit_rows, chosen

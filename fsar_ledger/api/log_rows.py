@@ -10,6 +10,7 @@ from typing import NamedTuple
 import pyarrow as pa
 
 from fsar_ledger import printable
+from fsar_ledger.designs.names import known
 from fsar_ledger.errors import UsageError, option
 from fsar_ledger.events import CONCERNS
 from fsar_ledger.ledger.opening import Pause, growth
@@ -22,7 +23,7 @@ from fsar_ledger.metrics.verified import is_verified
 from .events import Filter, span
 from .log import ALL
 from .lookup import resting_on_rows, robot_of, run_of
-from .names import Run, Time, known, names_of
+from .names import Run, Time, names_of
 from .provenance import Provenance, of_rows
 from .table import Table
 

@@ -11,7 +11,7 @@ from fsar_ledger.metrics.multiverse import Cell, Multiverse, Ranking, ReadingNam
 from fsar_ledger.printable import SafeText, counted
 
 from .answers import Answer, Row, Screen
-from .names import Names, Place, known, names_of, pools_seeds
+from .names import Names, Place, names_of, pools_seeds
 from .verbs import PoolOption, Shows, declare, verb
 from .workload import Progress
 
@@ -96,6 +96,7 @@ def multiverse(
     Raises:
         InvalidExperiment: There is no such metric.
     """
+    from fsar_ledger.designs.names import known
     from fsar_ledger.metrics.multiverse import multiverse as read
 
     from .provenance import of_judgement

@@ -8,8 +8,7 @@ from fsar_ledger import printable
 from fsar_ledger.errors import InvalidExperiment, UsageError
 from fsar_ledger.ledger.store.read import View
 from fsar_ledger.metrics.plans import EXPERIMENTS
-
-from .experiments import RUNS, experiment_of
+from fsar_ledger.runtime.asked import RUNS, experiment_of
 
 if TYPE_CHECKING:
     from fsar_ledger.metrics.database import Database

@@ -11,7 +11,7 @@ from fsar_ledger.errors import option
 from fsar_ledger.printable import SafeText, counted
 
 from .answers import Answer, Screen
-from .names import Names, Place, known, names_of
+from .names import Names, Place, names_of
 from .simulate import CONTINUES
 from .verbs import AdoptOption, Gives, KeyOption, WorkersOption, declare, verb
 from .workload import workers_of
@@ -83,6 +83,7 @@ def reproduce(
         UsageError: The folder is a ledger, or lies inside one.
         InvalidExperiment: An experiment is unknown, or the number of runs impossible.
     """
+    from fsar_ledger.designs.names import known
     from fsar_ledger.ledger.store.paths import require_outside
     from fsar_ledger.metrics.database import connect
     from fsar_ledger.metrics.progress import unseen

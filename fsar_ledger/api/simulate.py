@@ -131,9 +131,9 @@ def simulate(
         UsageError: The arguments contradict each other.
         WriteFailed: A write failed; what is committed stays.
     """
+    from fsar_ledger.runtime.asked import experiment_of
     from fsar_ledger.runtime.experiment import run_experiment
 
-    from .experiments import experiment_of
     from .key import origin_of, signer_of
     from .ledger import Ledger
 

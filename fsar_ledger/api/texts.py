@@ -15,7 +15,6 @@ from functools import reduce
 from typing import Any, TypeAlias, TypeVar
 
 import msgspec
-import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
@@ -25,8 +24,8 @@ from fsar_ledger.errors import QueryFailed
 _SEEN = bytes(range(0x20, 0x7F))
 _JSON_PLAIN = bytes(set(_SEEN) - set(b'"\\'))
 _CSV_PLAIN = bytes(set(_SEEN) - set(b"\\"))
-_FORMULA, _BEGINS_FORMULA = r"^'*[ ]*[=+\-@]", b"' =+-@"
-"""What may be a formula in text of visible ASCII, and the characters that it begins with."""
+_FORMULA = r"^'*[ ]*[=+\-@]"
+"""What may be a formula in text of visible ASCII."""
 _NOT_CSV_PLAIN = r"[^ -\[\]-~]"
 _QUOTED = (",", '"', "\r", "\n")
 _SIMPLE = (pa.types.is_string, pa.types.is_integer, pa.types.is_boolean, pa.types.is_floating)
@@ -85,7 +84,10 @@ def json_lines(batch: pa.RecordBatch, before: str = "", after: str = "\n") -> st
     parts: list[Texts] = []
     for name, column in zip(batch.schema.names, batch.columns, strict=True):
         quoted = printable.ascii_json(msgspec.json.encode(name).decode())
-        parts += [f"{',' if parts else before + '{'}{quoted}:", *_json_parts(column)]
+        parts += [
+            f"{',' if parts else before + '{'}{quoted}:",
+            "null" if column.null_count == len(column) else json_texts(column),
+        ]
     parts += ["}" + after] if parts else [before + "{}" + after]
     return _joined(_side_by_side(parts, "", len(batch)))
 
@@ -104,13 +106,8 @@ def csv_texts(column: pa.Array, *, raw: bool = False) -> pa.Array:
 
 def harmless(column: pa.Array) -> pa.Array:
     """Return each text as `printable.field` makes it."""
-    is_plain = _holds_only(column, _CSV_PLAIN)
-    found = [] if is_plain else [_NOT_CSV_PLAIN]
-    if set(_beginnings(column)) & set(_BEGINS_FORMULA):
-        found.append(_FORMULA)
-    if not found:
-        return column
-    return _replaced(column, pc.match_substring_regex(column, "|".join(found)), column, printable.field)
+    found = _FORMULA if _holds_only(column, _CSV_PLAIN) else f"{_NOT_CSV_PLAIN}|{_FORMULA}"
+    return _replaced(column, pc.match_substring_regex(column, found), column, printable.field)
 
 
 def json_texts(column: pa.Array, *, in_ascii: bool = True, quote: str = '"') -> pa.Array:
@@ -132,17 +129,6 @@ def json_texts(column: pa.Array, *, in_ascii: bool = True, quote: str = '"') -> 
         texts = pc.binary_join_element_wise("[", _items(column, in_ascii=in_ascii, quote=quote), "]", "")
         return pc.if_else(column.is_valid(), texts, "null") if column.null_count else texts
     return _texts(column, encode, "null")
-
-
-def _json_parts(column: pa.Array) -> tuple[Texts, ...]:
-    """Return the parts that together are each value as JSON."""
-    if column.null_count == len(column):
-        return ("null",)
-    if not column.null_count and pa.types.is_string(column.type) and _holds_only(column, _JSON_PLAIN):
-        return '"', column, '"'
-    if not column.null_count and _is_simple_list(column.type):
-        return "[", _items(column), "]"
-    return (json_texts(column),)
 
 
 def _csv_field(column: pa.Array, *, raw: bool) -> Texts:
@@ -240,15 +226,6 @@ def _is_any_in(texts: pa.Array, characters: Sequence[str]) -> pa.Array:
     content = bytes(_content(texts))
     found = [pc.match_substring(texts, one) for one in characters if one.encode() in content]
     return reduce(pc.or_, found, pa.repeat(False, len(texts)))
-
-
-def _beginnings(texts: pa.Array) -> bytes:
-    """Return the first byte of each text; of an empty one any."""
-    content = np.frombuffer(_content(texts), np.uint8)
-    if not len(content):
-        return b""
-    starts = np.frombuffer(texts.buffers()[1], np.int32)[texts.offset : texts.offset + len(texts)]
-    return bytes(np.take(content, starts - starts[0], mode="clip"))
 
 
 def _holds_only(texts: pa.Array, characters: bytes) -> bool:

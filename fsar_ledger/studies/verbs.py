@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from fsar_ledger import printable
 from fsar_ledger.api.answers import Answer, Lines, Row, Screen
-from fsar_ledger.api.names import Place, known
+from fsar_ledger.api.names import Place
 from fsar_ledger.api.verbs import Option, Shows, WorkersOption, argument, declare, verb
 from fsar_ledger.api.workload import Progress
 from fsar_ledger.errors import UsageError
@@ -42,6 +42,7 @@ def study_show(
         UsageError: The file cannot be read, or none is given and the package has none.
         FsarLedgerError: It holds something else.
     """
+    from fsar_ledger.designs.names import known
     from fsar_ledger.metrics.effects import MADE_BY, open_effects
     from fsar_ledger.metrics.study_results import Calibration, Comparison, Predictions, packaged, read
 
