@@ -176,6 +176,8 @@ class Lines(Answer):
 
     def __init__(self, *lines: str, **document: object) -> None:
         self._lines, self._document = lines, document
+        self.provenances: tuple[Provenance, ...] = ()
+        """What it holds for."""
 
     def document(self, _: Screen) -> Mapping[str, object]:
         """Return what JSON says."""

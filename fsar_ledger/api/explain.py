@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from .table import Table
 
 Rows = list[dict[str, Any]]
+TIMELINE = "audit/request_timeline"
 PARTIES = ("asked_by", "allowed_by", "denied_by", "denied_under", "executed_by", "supervised_by")
 DENIED = ("denied_by", "denied_under")
 UNKNOWN = "not on record"
@@ -35,18 +36,8 @@ WORDS, MAX_WORDS = ("message", "note"), 1_000
 
 
 COLUMNS = (
-    "began_s",
-    "action_id",
-    "capability",
-    "asked_by",
-    "allowed_by",
-    "denied_by",
-    "denied_under",
-    "executed_by",
-    "supervised_by",
-    "failures",
-    "result",
-    "seq",
+    *("began_s", "action_id", "capability", "asked_by", "allowed_by", "denied_by", "denied_under", "executed_by"),
+    *("supervised_by", "failures", "result", "seq"),
 )
 LATER = ("capability", "denied_under", "executed_by", "supervised_by", "failures")
 """Columns that a terminal shows if there is room beside the others."""
@@ -130,8 +121,7 @@ def _asked(ledger: "Ledger", run: Run | None, request: str | None, failure: str 
         return explain(ledger, run, request, failure)
     from .table import Listing
 
-    with ledger.about_run(run) as (database, name, _):
-        rows = _requests(database, name)
+    name, rows = _requests(ledger, run)
 
     def hint(screen: Screen, first: Mapping[str, Any]) -> str:
         call = f"explain {printable.word(screen.path)} --run {screen.run_word(name)} --request"
@@ -188,8 +178,16 @@ def explain(
 
 def requests(ledger: "Ledger", run: Run | None = None) -> "Table":
     """Return the requests of a run, the first by default: who asked, allowed, executed, supervised; the result."""
+    return _requests(ledger, run)[1]
+
+
+def _requests(ledger: "Ledger", run: Run | None) -> "tuple[str, Table]":
+    from .provenance import of_rows
+    from .table import Table
+
     with ledger.about_run(run) as (database, name, _):
-        return _requests(database, name)
+        rows = database.query("audit/requests", {"run": name, "action": "all"})
+        return name, Table(rows, of_rows(database, TIMELINE, name))
 
 
 def _account(about: "AboutRun", ledger: Path, request: str | None, failure: str | None) -> Account:
@@ -199,6 +197,7 @@ def _account(about: "AboutRun", ledger: Path, request: str | None, failure: str 
         UsageError: The run has no such action, the action has not failed, or both or neither are named.
     """
     from .lookup import resting_on_rows
+    from .provenance import of_rows
 
     database, run, number = about
     if "" in (request, failure):
@@ -211,12 +210,12 @@ def _account(about: "AboutRun", ledger: Path, request: str | None, failure: str 
         raise UsageError(
             "explain: expected the name of a request or of a failure; requests() lists the requests of a run"
         )
-    timeline = _rows(database, "request_timeline", run, action)
+    timeline = _rows(database, TIMELINE, run, action)
     if not timeline:
         with resting_on_rows(database.rows_verified):
             raise UsageError(_no_action(database, ledger, run, action, number))
-    (parties,) = _rows(database, "requests", run, action)
-    recovery = _rows(database, "failure_timeline", run, action)
+    (parties,) = _rows(database, "audit/requests", run, action)
+    recovery = _rows(database, "audit/failure_timeline", run, action)
     if failure is not None and not recovery:
         with resting_on_rows(database.rows_verified):
             raise UsageError(
@@ -225,13 +224,8 @@ def _account(about: "AboutRun", ledger: Path, request: str | None, failure: str 
             )
     grounds = database.rows(GROUNDS, {"run": run, "seq": parties["seq"], "told": [row["seq"] for row in timeline]})
     found = tuple(row["seq"] for row in grounds)
-    return Account(run, action, parties, timeline, recovery, found, failure is not None, _about(database, run))
-
-
-def _requests(database: "Database", run: str) -> "Table":
-    from .table import Table
-
-    return Table(database.query("audit/requests", {"run": run, "action": "all"}), _about(database, run))
+    about_rows = of_rows(database, TIMELINE, run)
+    return Account(run, action, parties, timeline, recovery, found, failure is not None, about_rows)
 
 
 def run_with(database: "Database", ledger: Path, action: str) -> str:
@@ -260,16 +254,10 @@ def run_with(database: "Database", ledger: Path, action: str) -> str:
         raise UsageError(_no_action(database, ledger, only, action, number) if runs else no_run(ledger))
 
 
-def _about(database: "Database", run: str) -> "Provenance":
-    from .provenance import of_rows
-
-    return of_rows(database, database.library.find("audit/request_timeline"), run)
-
-
 def _rows(database: "Database", query: str, run: str, action: str) -> Rows:
     from fsar_ledger.metrics.database import plain_rows
 
-    return plain_rows(database.query(f"audit/{query}", {"run": run, "action": action}))
+    return plain_rows(database.query(query, {"run": run, "action": action}))
 
 
 def _no_action(database: "Database", ledger: Path, run: str | None, asked: str, number: int | None = None) -> str:

@@ -37,6 +37,8 @@ class Rows(Answer):
         self.columns = list(columns)
         """The names of the columns."""
         self._batches = batches
+        self.name = "rows"
+        """What they are called in JSON."""
 
     def batches(self) -> Iterable[pa.RecordBatch]:
         """Return the rows in Arrow, some megabytes at a time."""
@@ -76,8 +78,9 @@ class Table(Rows):
     root (`Ledger.verify` does that, and remembers it), which planned runs are missing, and what runs do not observe.
     """
 
-    def __init__(self, rows: pa.Table, provenance: Provenance = NOTHING) -> None:
+    def __init__(self, rows: pa.Table, provenance: Provenance = NOTHING, *, name: str = "rows") -> None:
         super().__init__(provenance, rows.column_names, ())
+        self.name = name
         self.stored = rows
         """The rows as DuckDB gave them."""
 

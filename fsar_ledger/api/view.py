@@ -1,6 +1,5 @@
 """The verb `view`: a run, or two beside each other, as a page of HTML; or a run as a trace that Perfetto opens."""
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -9,7 +8,7 @@ import msgspec
 from fsar_ledger import printable
 from fsar_ledger.errors import UsageError, option
 
-from .answers import Answer, Screen
+from .answers import Lines
 from .names import Place, Run
 from .verbs import Option, declare, verb
 
@@ -45,22 +44,6 @@ class Picture(msgspec.Struct, frozen=True):
         return f"{shown}s {names}: " + ("no difference" if first is None else f"the first difference is event {first}")
 
 
-class Pictures(Answer, msgspec.Struct, frozen=True):
-    """The files that were written."""
-
-    found: tuple[Picture, ...]
-
-    @property
-    def provenances(self) -> "tuple[Provenance, ...]":
-        """What they hold for."""
-        first = self.found[0]
-        return (first.provenance,) if first.other is None else (first.provenance, first.other)
-
-    def text(self, _: Screen) -> Iterator[printable.SafeText]:
-        """Yield what each shows."""
-        yield printable.lines(*map(str, self.found))
-
-
 def _asked(
     ledger: "Ledger",
     out: Place | None = None,
@@ -70,7 +53,7 @@ def _asked(
     perfetto: Place | None = declare(
         "FILE", "A .json file of trace events for ui.perfetto.dev; replaced if it exists."
     ),
-) -> Pictures:
+) -> Lines:
     if out is None and perfetto is None:
         raise UsageError("found neither --out nor --perfetto, expected a file to write; give --out FILE.html")
     if perfetto is not None and (second is not None or other is not None):
@@ -83,7 +66,10 @@ def _asked(
             require_picture(Path(place), suffix, name)
     written = [] if out is None else [view(ledger, out, run, second, other)]
     written += [] if perfetto is None else [trace(ledger, perfetto, run)]
-    return Pictures(tuple(written))
+    first, other_one = written[0].provenance, written[0].other
+    answer = Lines(*map(str, written))
+    answer.provenances = (first,) if other_one is None else (first, other_one)
+    return answer
 
 
 @verb(

@@ -105,25 +105,6 @@ class WhatIf(Answer, msgspec.Struct, frozen=True):
             yield printable.lines(f"kept in {place}: {count}, each beside its base, root {self.kept.root}")
 
 
-class Changeables(Answer, msgspec.Struct, frozen=True):
-    """What the changes of a run can name."""
-
-    found: "Table"
-
-    @property
-    def provenance(self) -> "Provenance":
-        """What the answer holds for."""
-        return self.found.provenance
-
-    def document(self, _: Screen) -> Mapping[str, object]:
-        """Return a row for each."""
-        return {"changeable": self.found.rows()}
-
-    def text(self, screen: Screen) -> Iterator[SafeText]:
-        """Yield a table."""
-        yield screen.table(self.found.rows(), self.found.columns)
-
-
 def _asked(
     ledger: "Ledger",
     changes: Names = declare("TEXT", "What is otherwise; may be repeated.", flag="--change"),
@@ -138,7 +119,7 @@ def _asked(
     if lists:
         if run is None:
             raise UsageError("--list: found no run, expected --run RUN")
-        return Changeables(changeable(ledger, run))
+        return changeable(ledger, run)
     if (run is None) == (not all_runs):
         found = "--run and --all-runs" if all_runs else "neither --run nor --all-runs"
         raise UsageError(f"found {found}, expected one of them")
@@ -251,7 +232,7 @@ def changeable(ledger: "Ledger", run: Run) -> "Table":
 
     view, provenance = present(ledger)
     found = rerun(base_of_record(recorded(ledger, view, run), view.head.root)).changeable()
-    return Table(of_structs(found, Changeable), provenance)
+    return Table(of_structs(found, Changeable), provenance, name="changeable")
 
 
 def changes_of(asked: Texts) -> "Changes":
