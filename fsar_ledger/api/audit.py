@@ -60,17 +60,15 @@ class Audit(Answer, msgspec.Struct, frozen=True):
 
     def text(self, screen: Screen) -> Iterator[printable.SafeText]:
         """Yield the verdicts, how many invariants hold, and what next."""
-        from .plans import runs
-
         if screen.is_fitted:
             yield from _on_a_terminal(self.rows, screen)
         else:
             yield screen.table([_shown(row) for row in self.rows])
         yield printable.lines("", *_footer(self.rows, screen.path))
         if self.runs_unreadable:
+            runs = printable.counted(self.runs_unreadable, "run")
             yield printable.line(
-                f"{runs(self.runs_unreadable)} with parameters that cannot be read: their recovery budgets are "
-                "unknown, and none is judged"
+                f"{runs} with parameters that cannot be read: their recovery budgets are unknown, and none is judged"
             )
 
 

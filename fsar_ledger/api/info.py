@@ -224,8 +224,8 @@ def info(ledger: "Ledger") -> Contents:
     from fsar_ledger.metrics.observing import never_observed
     from fsar_ledger.metrics.plans import completeness
     from fsar_ledger.metrics.results import lettered, models
+    from fsar_ledger.runtime.continued import PlanRow, plans
 
-    from .plans import PlanRow, plans
     from .provenance import Provenance
 
     with ledger.database() as database:
@@ -260,7 +260,7 @@ def ranges(numbers: Sequence[int]) -> str:
 
 def _unfinished(plan: Mapping[str, Any]) -> str:
     """Describe a plan that lacks runs, and how to go on."""
-    from .plans import shape
+    from fsar_ledger.runtime.continued import shape
 
     further = plan["continues_with"]
     go_on = f"with: {further}" if further else "with the version and the constants that began it"

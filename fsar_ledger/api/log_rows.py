@@ -18,9 +18,10 @@ from fsar_ledger.ledger.store.read import View
 from fsar_ledger.metrics import relation
 from fsar_ledger.metrics.connection import Value
 from fsar_ledger.metrics.database import Database
+from fsar_ledger.metrics.event_filter import Filter
 from fsar_ledger.metrics.verified import is_verified
 
-from .events import Filter, span
+from .events import span
 from .log import ALL
 from .lookup import resting_on_rows, robot_of, run_of
 from .names import Run, Time, names_of

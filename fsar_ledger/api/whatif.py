@@ -8,7 +8,7 @@ import msgspec
 
 from fsar_ledger import printable
 from fsar_ledger.errors import UsageError, option
-from fsar_ledger.printable import SafeText, counted, did_you_mean, value
+from fsar_ledger.printable import SafeText, counted
 
 from .answers import Answer, Screen
 from .diff import Diff, story
@@ -17,11 +17,9 @@ from .verbs import ArchitectureOption, Option, Shows, declare, switch, verb
 from .workload import Progress
 
 if TYPE_CHECKING:
-    from fsar_ledger.analysis.whatif import Divergence, Effects, Pair
+    from fsar_ledger.analysis.whatif import Divergence, Effects
     from fsar_ledger.ledger.rows.codec import LedgerRun
-    from fsar_ledger.ledger.store.read import View
     from fsar_ledger.ledger.store.view import Head
-    from fsar_ledger.runtime.changes import Changes
 
     from .ledger import Ledger
     from .provenance import Provenance
@@ -163,6 +161,7 @@ def whatif(
             the ledger itself, or lies inside one.
         WriteFailed: `out` cannot be written.
     """
+    from fsar_ledger.analysis.asked_forks import changes_of, fork_of, fork_pairs, runs_of
     from fsar_ledger.analysis.records import record_of
     from fsar_ledger.analysis.whatif import commit_pairs, effects
     from fsar_ledger.ledger.store.paths import require_outside
@@ -180,7 +179,7 @@ def whatif(
         require_outside(place.parent, option("out", place))
     texts = tuple(map(str, meant))
     if record is not None:
-        pair = _one(view, record, meant)
+        pair = fork_of(view, record, meant)
         found, judged = effects([pair])
         story = difference_of(record, pair.fork.record, (provenance,))
         kept = None if place is None else commit_pairs(place, [pair])
@@ -189,7 +188,7 @@ def whatif(
     played = None if progress is None else lambda done: progress(done, len(runs))
     found, judged = effects(fork_pairs(view, runs, meant), played)
     if meant and not any(one.parts_at for one in found):
-        _one(view, record_of(view, runs[0]), meant)  # says why it has no effect there
+        fork_of(view, record_of(view, runs[0]), meant)  # says why it has no effect there
         raise UsageError(f"none of {len(runs):,} runs does anything else with these changes; expected some effect")
     kept = None if place is None else commit_pairs(place, fork_pairs(view, runs, meant))
     return WhatIf(texts, tuple(found), judged, None, provenance, kept, place)
@@ -204,13 +203,14 @@ def fork(ledger: "Ledger", run: Run, changes: Texts) -> Fork:
     Raises:
         UsageError: There is no such run, it cannot be made again, or a change is none or has no effect.
     """
+    from fsar_ledger.analysis.asked_forks import changes_of, fork_of
     from fsar_ledger.events.fleet import RunStarted
 
     from .lookup import present, recorded
 
     view, _ = present(ledger)
     record = recorded(ledger, view, run)
-    pair = _one(view, record, changes_of(changes))
+    pair = fork_of(view, record, changes_of(changes))
     started = pair.fork.record.events[0]
     assert isinstance(started, RunStarted)
     return Fork(record, pair.fork.record, started.changes or (), pair.fork.parts_at)
@@ -233,57 +233,6 @@ def changeable(ledger: "Ledger", run: Run) -> "Table":
     view, provenance = present(ledger)
     found = rerun(base_of_record(recorded(ledger, view, run), view.head.root)).changeable()
     return Table(of_structs(found, Changeable), provenance, name="changeable")
-
-
-def changes_of(asked: Texts) -> "Changes":
-    """Return the changes of these texts and files. Raises: UsageError."""
-    from fsar_ledger.runtime.change_texts import parsed, read_changes
-
-    found: Changes = ()
-    for one in [asked] if isinstance(asked, str) else asked:
-        found += read_changes(Path(one)) if one.endswith(".toml") else parsed([one])
-    return found
-
-
-def runs_of(view: "View", architectures: Sequence[str]) -> list[str]:
-    """Return the simulated runs of these architectures, or all, but no forks.
-
-    Raises:
-        UsageError: There is none.
-    """
-    from fsar_ledger.analysis.records import starts_of
-
-    starts = [(run, started) for run, started in starts_of(view) if started.kind == "simulated" and not started.changes]
-    names = {started.architecture or "" for _, started in starts}
-    for asked in architectures:
-        if asked not in names:
-            hint = did_you_mean(asked, names) or ";"
-            raise UsageError(
-                f"{option('architecture', value(asked))}: there is no such run{hint} expected one of "
-                f"{', '.join(sorted(names)) or 'none: it holds no simulated run'}"
-            )
-    found = [run for run, started in starts if not architectures or started.architecture in architectures]
-    if not found:
-        raise UsageError(f"{view.path}: found no simulated run that is not a fork itself, expected some to fork from")
-    return found
-
-
-def fork_pairs(view: "View", runs: Sequence[str], changes: "Changes") -> "Iterator[Pair]":
-    """Yield these runs of a ledger, each with its fork. Raises: UsageError if one cannot be made again."""
-    from fsar_ledger.analysis.fork_base import base_of_record
-    from fsar_ledger.analysis.whatif import forks_of
-
-    asked = set(runs)
-    records = (record for record in view.runs() if record.run_id in asked)
-    return forks_of((base_of_record(record, view.head.root) for record in records), changes)
-
-
-def _one(view: "View", record: "LedgerRun", changes: "Changes") -> "Pair":
-    from fsar_ledger.analysis.fork_base import base_of_record, rerun
-    from fsar_ledger.analysis.whatif import Pair
-
-    base = base_of_record(record, view.head.root)
-    return Pair(base, rerun(base).fork_with_effect(changes))
 
 
 def _effects(found: "Effects", screen: Screen) -> Iterator[SafeText]:
