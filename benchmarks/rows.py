@@ -21,9 +21,8 @@ import duckdb
 import pyarrow as pa
 
 from fsar_ledger.api.files import write_table
-from fsar_ledger.api.provenance import Provenance
 from fsar_ledger.api.table import Table
-from fsar_ledger.cli.streaming import Form
+from fsar_ledger.cli.render import Form
 
 ROWS = """
 SELECT
@@ -50,7 +49,7 @@ def ours(table: pa.Table, kind: str, out: Path) -> None:
     answer = Table(table)
     form = Form(as_csv=kind == "csv", as_ndjson=kind == "ndjson", as_json=kind == "json")
     with out.open("w", encoding="utf-8", newline="") as file:
-        file.writelines(form.pieces(Provenance(), answer.columns, answer.batches()))
+        file.writelines(form.pieces(answer, form.screen()))
 
 
 def duckdb_copy(connection: duckdb.DuckDBPyConnection, kind: str, out: Path) -> None:

@@ -126,6 +126,13 @@ def ascii_json(text: str) -> SafeText:
     return SafeText(text if text.isascii() and "\x7f" not in text else _NOT_ASCII.sub(_in_json, text))
 
 
+def columns_of(character: str) -> int:
+    """Return the width of this character on a terminal."""
+    if character.isascii():
+        return 1
+    return 0 if _is_mark(character) else 2 if unicodedata.east_asian_width(character) in "WF" else 1
+
+
 def sanitized(text: str) -> str:
     """Escape everything unsafe in these lines; lines that are all `SafeText` stay as they are."""
     if text.isascii() and not text.encode().translate(None, _SEEN):  # as `is_shown`, and quick for megabytes

@@ -65,6 +65,8 @@ def _missing(view: View, run: str) -> UsageError:
     return UsageError(f"{view.path}: run {printable.value(run)}: there is no such run")
 
 
+MAX_WORDS = 1_000
+"""Characters of an event in words that people are shown."""
 LINES = """
     SELECT run_id, seq, time_s, action_id, sender, receiver, message, note
     FROM log_lines
@@ -94,6 +96,12 @@ class Line(msgspec.Struct, frozen=True):
         if self.receiver != self.sender or self.sender is None:
             names = f"{names} -> {self.receiver or '?'}"
         return f"{names}: {self.message}" + (f" ({self.note})" if self.note else "")
+
+    @property
+    def words(self) -> str:
+        """Return the action and the text, as people see them."""
+        action = "" if self.action_id is None else f"{printable.value(self.action_id)}  "
+        return action + printable.value(self.text, MAX_WORDS)
 
 
 def lines_of(records: Sequence[LedgerRun], seqs: Iterable[tuple[str, int]]) -> dict[tuple[str, int], Line]:

@@ -1,53 +1,114 @@
 """What every answer has: a document for programs, a text for people, an exit code, and what it holds for."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import time
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from fsar_ledger import printable
-from fsar_ledger.errors import FsarLedgerError, option
+from fsar_ledger.errors import FsarLedgerError, UsageError
+from fsar_ledger.printable import SafeText
 
 if TYPE_CHECKING:
-    from fsar_ledger.printable import SafeText
+    from fsar_ledger.ledger.store.view import Head
 
-    from .fields import Row
+    from .ledger import Ledger
     from .names import Place
     from .provenance import Provenance
-    from .table import Table
+    from .table import Rows, Table
+
+Row = Mapping[str, Any]
+"""A row of an answer: its values by the names of the columns."""
+ROOM = 40
+"""Columns that lines of words keep for the words, whatever names stand before them."""
 
 
-class Screen(Protocol):
-    """What an answer may know of the call that it answers: the ledger, as it was named, and the room there is."""
+class Screen:
+    """What an answer may know of the call that it answers.
+
+    Args:
+        ledger: The ledger, if the call is about one.
+        switches: The switches that were given and that its verb declares beside its parameters.
+        columns: The width of the terminal; None: the output is none.
+        is_wide: Whether tables are whole, also on a terminal.
+        limit: The most rows of an answer that can be long; 0: all.
+    """
+
+    def __init__(
+        self,
+        ledger: "Ledger | None" = None,
+        switches: Collection[str] = (),
+        columns: int | None = None,
+        *,
+        is_wide: bool = False,
+        limit: int = 0,
+    ) -> None:
+        self._ledger, self._switches, self._columns = ledger, switches, columns
+        self.width = None if is_wide else columns
+        """The width that tables are fitted to; None if they are not."""
+        self.limit = limit
+        self._numbers: Mapping[str, int] | None = None
+        self._began_s = time.monotonic()
 
     @property
     def path(self) -> Path:
         """The folder of the ledger."""
+        assert self._ledger is not None  # only answers about a ledger ask
+        return self._ledger.path
 
     @property
     def elapsed_s(self) -> float:
         """Seconds since the call began."""
+        return time.monotonic() - self._began_s
 
     def has(self, switch: str) -> bool:
-        """Return whether the call has this switch, which its verb declares beside its parameters."""
+        """Return whether the call has this switch."""
+        return switch in self._switches
 
     @property
     def is_fitted(self) -> bool:
         """Whether tables are fitted to a terminal."""
+        return self.width is not None
 
-    def table(self, rows: "Sequence[Row]", columns: Sequence[str] | None = None) -> "SafeText":
+    def table(self, rows: Sequence[Row], columns: Sequence[str] | None = None) -> SafeText:
         """Return the rows as a table; None: with the columns of the first."""
+        from .tables import fitted
+
+        return fitted(rows, list(rows[0]) if columns is None else columns, self.width)
 
     def numbers(self) -> Mapping[str, int]:
         """Return the number of each run that has one, by its name."""
+        if self._numbers is None:
+            self._numbers = {} if self._ledger is None else self._ledger.numbers()
+        return self._numbers
+
+    def _number(self, run: str) -> int | None:
+        if run not in self.numbers():  # it may have come since they were read
+            self._numbers = None
+        return self.numbers().get(run)
 
     def run_text(self, run: str) -> str:
         """Return the words that name a run: `run 12, NAME`; `run NAME` where it has no number."""
+        number = self._number(run)
+        return f"run {printable.value(run)}" if number is None else f"run {number}, {printable.value(run)}"
 
     def run_word(self, run: str) -> str:
         """Return what names the run in a command that people may copy: its number, where it has one."""
+        number = self._number(run)
+        return printable.word(run if number is None else number)
+
+    def event_word(self, run: str, seq: int) -> str:
+        """Return what names an event in such a command, RUN:SEQ."""
+        number = self._number(run)
+        return printable.word(f"{run if number is None else number}:{seq}")
 
     def width_of_names(self, longest: int, beside: int) -> int:
-        """Return the width of the column of names before words, in a line with so many columns beside both."""
+        """Return the width of the column of names before words, in a line with so many columns beside both.
+
+        It is that of the longest name, but on a terminal no more than leaves room for the words; longer names shift
+        theirs.
+        """
+        return longest if self._columns is None else max(0, min(longest, self._columns - beside - ROOM))
 
 
 class Answer:
@@ -73,7 +134,7 @@ class Answer:
         """Return what JSON says beside the provenance: all other fields, in their order."""
         return {name: getattr(self, name) for name in self.__struct_fields__ if name not in _STANDING}
 
-    def text(self, screen: Screen) -> "Iterator[SafeText]":
+    def text(self, screen: Screen) -> Iterator[SafeText]:
         """Yield the answer as people read it."""
         raise NotImplementedError
 
@@ -81,7 +142,7 @@ class Answer:
         """Return the rows, of an answer that has them."""
         raise NotImplementedError
 
-    def rows_alone(self) -> "Table":
+    def rows_alone(self) -> "Rows":
         """Return the rows as CSV has them."""
         return self.table()
 
@@ -89,50 +150,25 @@ class Answer:
         """Return the lines that are told on stderr where only rows can be shown."""
         return []
 
-
-class Drawable(Answer):
-    """An answer that can be drawn."""
-
-    __slots__ = ()
-
     def draw(self, file: "Place", kind: Any = None) -> None:
-        """Draw it; `kind` is the format, where the suffix does not decide it."""
+        """Draw an answer that can be drawn; `kind` is the format, where the suffix does not decide it."""
         raise NotImplementedError
 
 
-class Drawn(Answer):
-    """An answer, and the files that show it, too."""
+def figure_place(file: "Place", kind: str | None) -> tuple[Path, str]:
+    """Return where a figure goes and its format, svg or pdf: this kind, else that of the suffix.
 
-    __slots__ = ("answer", "files", "provenance")
-
-    def __init__(self, answer: Answer, *files: Path) -> None:
-        self.answer, self.files = answer, files
-        (self.provenance,) = provenances(answer)
-
-    def document(self, screen: Screen) -> Mapping[str, object]:
-        """Return what JSON says of the answer."""
-        return self.answer.document(screen)
-
-    def text(self, screen: Screen) -> "Iterator[SafeText]":
-        """Yield the answer, and the names of the files."""
-        yield from self.answer.text(screen)
-        yield printable.lines(*map(str, self.files))
-
-
-def drawn(ask: "Callable[[], Drawable]", **files: "Place | None") -> Answer:
-    """Return the answer, and draw it to the files, given by the names of their options.
-
-    Raises: UsageError, before anything is asked, if one lies inside a ledger; WriteFailed.
+    Raises:
+        UsageError: Neither gives a format, or the file lies inside a ledger.
     """
     from fsar_ledger.ledger.store.paths import require_outside
 
-    places = {kind: Path(file) for kind, file in files.items() if file is not None}
-    for kind, file in places.items():
-        require_outside(file, option(kind, file))
-    found = ask()
-    for kind, file in places.items():
-        found.draw(file, kind)
-    return Drawn(found, *places.values()) if places else found
+    place = Path(file)
+    form = place.suffix[1:] if kind is None else kind
+    if form not in ("svg", "pdf"):
+        raise UsageError(f"{place}: expected a name that ends in .svg or .pdf")
+    require_outside(place, str(place))
+    return place, form
 
 
 class Lines(Answer):
@@ -140,60 +176,16 @@ class Lines(Answer):
 
     def __init__(self, *lines: str, **document: object) -> None:
         self._lines, self._document = lines, document
+        self.provenances: tuple[Provenance, ...] = ()
+        """What it holds for."""
 
     def document(self, _: Screen) -> Mapping[str, object]:
         """Return what JSON says."""
         return self._document
 
-    def text(self, _: Screen) -> "Iterator[SafeText]":
+    def text(self, _: Screen) -> Iterator[SafeText]:
         """Yield the lines."""
         yield printable.lines(*self._lines)
-
-
-class Listing(Answer):
-    """Rows about a run, with words for when there are none, and a hint of how to ask about the first.
-
-    Args:
-        run: The name of the run.
-        found: The rows.
-        time: The column of times, which people read with three digits.
-        nothing: What there is none of, and `unseen`, what is added where not all that it rests on was observed.
-        hint: Returns the hint for the first row.
-        columns: Those that people are shown, by whether they are fitted to a terminal; None: all.
-        document: What JSON says, but for the rows, which it has under `name`.
-    """
-
-    def __init__(
-        self,
-        run: str,
-        found: "Table",
-        *,
-        time: str,
-        nothing: tuple[str, str],
-        hint: "Callable[[Screen, Row], str]",
-        columns: Callable[[bool], Sequence[str] | None] = lambda _: None,
-        name: str = "rows",
-        **document: object,
-    ) -> None:
-        self._run, self._found, self._time, self._nothing, self._hint = run, found, time, nothing, hint
-        self._columns, self._name, self._document = columns, name, document
-        self.provenance = found.provenance
-
-    def document(self, _: Screen) -> Mapping[str, object]:
-        """Return the rows."""
-        return {"run": self._run, **self._document, self._name: self._found.rows()}
-
-    def text(self, screen: Screen) -> "Iterator[SafeText]":
-        """Yield the rows, and the hint."""
-        rows = self._found.rows()
-        if not rows:
-            unseen = f" on record; {self._nothing[1]}" if self.provenance.not_observed else ""
-            yield printable.lines(screen.run_text(self._run), f"no {self._nothing[0]}{unseen}")
-            return
-        yield printable.lines(screen.run_text(self._run), "")
-        times = [{**row, self._time: f"{row[self._time]:.3f}"} for row in rows]
-        yield screen.table(times, self._columns(screen.is_fitted))
-        yield printable.lines("", self._hint(screen, rows[0]))
 
 
 class Plain(Answer):
@@ -202,23 +194,14 @@ class Plain(Answer):
     def __init__(self, text: str) -> None:
         self._text = text
 
-    def text(self, _: Screen) -> "Iterator[SafeText]":
+    def text(self, _: Screen) -> Iterator[SafeText]:
         """Yield the text."""
-        yield printable.SafeText(self._text)
+        yield SafeText(self._text)
 
 
-def head_json(head: "HeadLike") -> dict[str, object]:
+def head_json(head: "Head") -> dict[str, object]:
     """Return what JSON says of a head."""
     return {"size": head.size, "root": head.root}
-
-
-class HeadLike(Protocol):
-    """A tree head: the number of events and the root hash in hex."""
-
-    @property
-    def size(self) -> int: ...  # noqa: D102
-    @property
-    def root(self) -> str: ...  # noqa: D102
 
 
 _STANDING = ("provenance", "provenances")

@@ -8,15 +8,14 @@ import msgspec
 
 from fsar_ledger import printable
 
-from .answers import Answer, Screen
-from .names import known, names_of
+from .answers import Answer, Row, Screen
+from .names import names_of
 from .verbs import ArchitectureOption, InvariantOption, Shows, verb
 from .workload import Progress
 
 if TYPE_CHECKING:
     from fsar_ledger.metrics.invariants import AuditRow
 
-    from .fields import Row
     from .ledger import Ledger
     from .provenance import Provenance
     from .table import Table
@@ -61,17 +60,15 @@ class Audit(Answer, msgspec.Struct, frozen=True):
 
     def text(self, screen: Screen) -> Iterator[printable.SafeText]:
         """Yield the verdicts, how many invariants hold, and what next."""
-        from .plans import runs
-
         if screen.is_fitted:
             yield from _on_a_terminal(self.rows, screen)
         else:
             yield screen.table([_shown(row) for row in self.rows])
         yield printable.lines("", *_footer(self.rows, screen.path))
         if self.runs_unreadable:
+            runs = printable.counted(self.runs_unreadable, "run")
             yield printable.line(
-                f"{runs(self.runs_unreadable)} with parameters that cannot be read: their recovery budgets are "
-                "unknown, and none is judged"
+                f"{runs} with parameters that cannot be read: their recovery budgets are unknown, and none is judged"
             )
 
 
@@ -94,6 +91,7 @@ def audit(
         UnknownQuery: An invariant is unknown.
         UsageError: The ledger has no run of these architectures.
     """
+    from fsar_ledger.designs.names import known
     from fsar_ledger.ledger.opening import open_for_answers
     from fsar_ledger.metrics.database import Slices, connect_view
     from fsar_ledger.metrics.invariants import audit_rows, chosen
@@ -129,7 +127,7 @@ def all_shown(rows: "Sequence[AuditRow]") -> bool:
     return all(row.holds or (is_empty(row) and row.invariant in shown) for row in rows)
 
 
-def _shown(row: "AuditRow") -> "Row":
+def _shown(row: "AuditRow") -> Row:
     first = None if row.first_run is None else f"{row.first_run} seq {row.first_seq}: {row.first_found}"
     return {
         "invariant": row.invariant,

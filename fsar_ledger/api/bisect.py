@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from itertools import islice
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import msgspec
 
@@ -87,21 +87,14 @@ class Bisected(Answer, msgspec.Struct, frozen=True, kw_only=True):
 )
 def bisect(
     ledger: "Ledger",
-    outcome: Annotated[
-        str,
-        declare(
-            "--outcome",
-            "CONDITION",
-            "On what they disagree: METRIC > NUMBER, INVARIANT > NUMBER, or a SELECT of run_id.",
-        ),
-    ] = "",
+    outcome: str = declare(
+        "CONDITION", "On what they disagree: METRIC > NUMBER, INVARIANT > NUMBER, or a SELECT of run_id.", value=""
+    ),
     first: FirstOption = None,
     second: SecondOption = None,
     other: OtherArgument = None,
     *,
-    changes: Annotated[
-        Names, declare("--change", "TEXT", "Instead of two sides: the runs, and forks with this.")
-    ] = None,
+    changes: Names = declare("TEXT", "Instead of two sides: the runs, and forks with this.", flag="--change"),
     architecture: ArchitectureOption = None,
 ) -> Bisected:
     """Find the first run in which two sides disagree on an outcome, and the event at which they part there.
@@ -164,11 +157,11 @@ def _sides(
 
 def _changes(ledger: "Ledger", changes: str | Sequence[str], architectures: Sequence[str], outcome: str) -> Bisected:
     """Compare the runs of a ledger with their forks by an outcome."""
+    from fsar_ledger.analysis.asked_forks import changes_of, fork_pairs, runs_of
     from fsar_ledger.analysis.causes import outcome_of
 
     from .diff import difference_of
     from .lookup import present
-    from .whatif import changes_of, fork_pairs, runs_of
 
     view, provenance = present(ledger)
     asked = outcome_of(outcome)

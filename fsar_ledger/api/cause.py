@@ -10,7 +10,7 @@ from fsar_ledger.errors import UsageError, option
 from fsar_ledger.printable import SafeText, counted
 
 from .answers import Answer, Screen
-from .verbs import OneRunOption, Shows, declare, verb
+from .verbs import OneRunOption, Option, Shows, declare, switch, verb
 from .workload import Progress
 
 if TYPE_CHECKING:
@@ -116,15 +116,13 @@ def cause(
     run: OneRunOption,
     outcome: Annotated[
         str,
-        declare(
+        Option(
             "--outcome", "CONDITION", "What to explain: METRIC > NUMBER, INVARIANT > NUMBER, or a SELECT of run_id."
         ),
     ],
     *,
-    lengths: Annotated[
-        bool, declare("--lengths", None, "Also ask whether the lengths of messages, ways and work mattered.")
-    ] = False,
-    futures: Annotated[int, declare("--futures", "N", "Futures to draw from each moment; 0: no curve.")] = 50,
+    lengths: bool = switch("Also ask whether the lengths of messages, ways and work mattered."),
+    futures: int = declare("N", "Futures to draw from each moment; 0: no curve.", value=50),
     progress: Annotated[Progress | None, Shows("played", "runs")] = None,
 ) -> Caused:
     """Find the smallest cause of an outcome of a run, and when it could no longer be avoided.

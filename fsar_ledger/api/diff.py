@@ -1,6 +1,5 @@
 """The verb `diff`: in what two runs differ, and why; and how that is told."""
 
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,12 +10,12 @@ from fsar_ledger.printable import SafeText, counted
 
 from .answers import Answer, Screen
 from .names import Place, Run
-from .verbs import argument, declare, verb
+from .verbs import Option, argument, declare, verb
 
 if TYPE_CHECKING:
-    from fsar_ledger.analysis.difference import Difference, OutcomesDiff
+    from fsar_ledger.analysis.difference import OutcomesDiff
     from fsar_ledger.analysis.records import Line
-    from fsar_ledger.events import Event
+    from fsar_ledger.analysis.told_difference import DifferenceLine, Parameter, Parting
     from fsar_ledger.ledger.rows.codec import LedgerRun
 
     from .ledger import Ledger
@@ -29,45 +28,6 @@ MAX_PARAMETER = 60
 """Characters of a field of event 0; constants are long."""
 
 
-class Parameter(msgspec.Struct, frozen=True):
-    """A field of an event in which two runs differ, as text."""
-
-    field: str
-    first: str | None
-    second: str | None
-
-
-class DifferenceLine(msgspec.Struct, frozen=True):
-    """A difference in words. `shift_s`: how much later the event is in the second run. Units: seconds of run time.
-
-    None: the event is not in that run, or has no words there.
-    """
-
-    kind: str
-    first_seq: int | None
-    second_seq: int | None
-    first_s: float | None
-    second_s: float | None
-    shift_s: float | None
-    fields: str
-    is_consequence: bool
-    words: str
-
-
-class Parting(msgspec.Struct, frozen=True):
-    """Where two runs part: the first event of each that is not the same in the other, with its chain of causes.
-
-    Each chain begins with the event and goes back to a fact of the world; empty where all events of the run are the
-    same in the other. `fields` are those that differ where both are the same event. Units: `at_s` seconds of run time;
-    what a field named `_us` holds, microseconds.
-    """
-
-    at_s: float
-    first: tuple["Line", ...]
-    second: tuple["Line", ...]
-    fields: tuple[Parameter, ...] = ()
-
-
 class Diff(Answer, msgspec.Struct, frozen=True, kw_only=True):
     """The differences of two runs.
 
@@ -77,11 +37,11 @@ class Diff(Answer, msgspec.Struct, frozen=True, kw_only=True):
 
     first: str
     second: str
-    parameters: tuple[Parameter, ...]
+    parameters: tuple["Parameter", ...]
     same: int
     counts: dict[str, int]
-    differences: tuple[DifferenceLine, ...]
-    parting: Parting | None
+    differences: tuple["DifferenceLine", ...]
+    parting: "Parting | None"
     consequences: "OutcomesDiff | None"
     provenances: tuple["Provenance", ...]
 
@@ -92,6 +52,8 @@ class Diff(Answer, msgspec.Struct, frozen=True, kw_only=True):
 
     def table(self) -> "Table":
         """Return a row for each difference, in order of time."""
+        from fsar_ledger.analysis.told_difference import DifferenceLine
+
         from .table import Table, of_structs
 
         return Table(of_structs(self.differences, DifferenceLine), self.provenances[0])
@@ -119,15 +81,13 @@ class Diff(Answer, msgspec.Struct, frozen=True, kw_only=True):
     "diff out/ledger 1 2",
     "diff out/ledger 1 4 --all",
     "diff out/ledger 1 1 --other out/large --verified --json",
-    beside={"lists": declare("--all", None, "Also list every difference, one a line.")},
+    beside={"lists": Option("--all", None, "Also list every difference, one a line.")},
 )
 def diff(
     ledger: "Ledger",
     first: Annotated[Run, argument("RUN", "The first run.", complete="runs")],
     second: Annotated[Run, argument("RUN2", "The second run.", complete="runs")],
-    other: Annotated[
-        "Ledger | Place | None", declare("--other", "LEDGER", "Another ledger, which holds the second run.")
-    ] = None,
+    other: "Ledger | Place | None" = declare("LEDGER", "Another ledger, which holds the second run."),
 ) -> Diff:
     """Say in what two runs differ: where they part and why, and what they came to.
 
@@ -147,98 +107,9 @@ def diff(
 
 def difference_of(first: "LedgerRun", second: "LedgerRun", provenances: "tuple[Provenance, ...]") -> Diff:
     """Return the differences of two records. Raises: as `Database.rows`."""
-    from fsar_ledger.analysis.difference import FIRST, KINDS, SECOND, align, chain, outcomes_diff
-    from fsar_ledger.analysis.records import lines_from
-    from fsar_ledger.ledger.rows.codec import encode_coded
-    from fsar_ledger.metrics.database import from_table
+    from fsar_ledger.analysis.told_difference import told_difference
 
-    found = align(first, second)
-    differing = [one for one in found.differences if (one.first_seq, one.second_seq) != (0, 0)]
-    kinds = Counter(one.kind for one in differing)
-    named = [msgspec.structs.replace(run, run_id=name) for name, run in ((FIRST, first), (SECOND, second))]
-    told: tuple[DifferenceLine, ...] = ()
-    parting = after = None
-    if differing:
-        starts = _starts(differing)
-        chains = [chain(run, seq) if seq is not None else [] for run, seq in zip((first, second), starts, strict=True)]
-        with from_table(encode_coded(named)) as database:
-            places = [(FIRST, one.first_seq) for one in differing if one.first_seq is not None]
-            places += [(SECOND, one.second_seq) for one in differing if one.second_seq is not None]
-            places += [(name, seq) for name, seqs in zip((FIRST, SECOND), chains, strict=True) for seq in seqs]
-            lines = lines_from(database, places)
-            after = outcomes_diff(database, first, second, found.pairs)
-        told = tuple(_told(one, first, second, lines) for one in differing)
-        both = [tuple(lines[(name, seq)] for seq in seqs) for name, seqs in zip((FIRST, SECOND), chains, strict=True)]
-        at_s = min(one.time_s for side in both for one in side[:1])
-        parting = Parting(at_s, both[0], both[1], _changed(first, second, starts, found.pairs))
-    return Diff(
-        first=first.run_id,
-        second=second.run_id,
-        parameters=_parameters(first.events[0], second.events[0]),
-        same=found.same + (len(found.differences) > len(differing)),
-        counts={kind: kinds[kind] for kind in KINDS if kinds[kind]},
-        differences=told,
-        parting=parting,
-        consequences=after,
-        provenances=provenances,
-    )
-
-
-def _starts(differing: "list[Difference]") -> tuple[int | None, int | None]:
-    """Return the first event of each run that is not the same in the other."""
-    firsts = [one.first_seq for one in differing if one.first_seq is not None]
-    seconds = [one.second_seq for one in differing if one.second_seq is not None]
-    return min(firsts, default=None), min(seconds, default=None)
-
-
-def _changed(
-    first: "LedgerRun", second: "LedgerRun", starts: tuple[int | None, int | None], pairs: dict[int, int]
-) -> tuple[Parameter, ...]:
-    """Return the fields in which the first differing events differ, if they are the same event."""
-    one, other = starts
-    if one is None or other is None or pairs.get(one) != other:
-        return ()
-    return _parameters(first.events[one], second.events[other])
-
-
-def _told(
-    one: "Difference", first: "LedgerRun", second: "LedgerRun", lines: "dict[tuple[str, int], Line]"
-) -> DifferenceLine:
-    from fsar_ledger.analysis.difference import FIRST, SECOND
-
-    words = [
-        lines[place].text
-        for place in ((FIRST, one.first_seq), (SECOND, one.second_seq))
-        if place[1] is not None and place in lines
-    ]
-    return DifferenceLine(
-        one.kind,
-        one.first_seq,
-        one.second_seq,
-        None if one.first_seq is None else first.times_us[one.first_seq] / 1e6,
-        None if one.second_seq is None else second.times_us[one.second_seq] / 1e6,
-        None if one.shift_us is None else one.shift_us / 1e6,
-        ", ".join(one.fields),
-        one.is_consequence,
-        " / ".join(dict.fromkeys(words)),
-    )
-
-
-def _parameters(first: "Event", second: "Event") -> tuple[Parameter, ...]:
-    from fsar_ledger.events.envelope import flat
-
-    firsts, seconds = flat(first), flat(second)
-    return tuple(
-        Parameter(name, _text(firsts.get(name)), _text(seconds.get(name)))
-        for name in dict.fromkeys((*firsts, *seconds))
-        if firsts.get(name) != seconds.get(name)
-    )
-
-
-def _text(value: object) -> str | None:
-    if isinstance(value, tuple):
-        return "; ".join(map(str, value)) or "nothing"
-    return None if value is None else str(value)
+    return Diff(**msgspec.structs.asdict(told_difference(first, second)), provenances=provenances)
 
 
 def story(found: Diff, names: tuple[str, str], screen: Screen) -> Iterator[SafeText]:
@@ -257,7 +128,7 @@ def story(found: Diff, names: tuple[str, str], screen: Screen) -> Iterator[SafeT
     yield _verdicts(found.consequences, names)
 
 
-def _parting(found: Parting, names: tuple[str, str]) -> Iterator[str]:
+def _parting(found: "Parting", names: tuple[str, str]) -> Iterator[str]:
     for one in found.fields:
         values = (
             f"{name} {_value(one.field, text)}" for name, text in zip(names, (one.first, one.second), strict=True)
@@ -272,18 +143,13 @@ def _parting(found: Parting, names: tuple[str, str]) -> Iterator[str]:
             if line is None:
                 yield f"{'':>24}  ..."
             else:
-                yield f"{line.seq:>8} {line.time_s:>11.3f} s  {'' if not at else 'because '}{_words(line)}"
+                yield f"{line.seq:>8} {line.time_s:>11.3f} s  {'' if not at else 'because '}{line.words}"
 
 
 def _value(field: str, text: str | None) -> str:
     if text is None:
         return "-"
     return f"{int(text) / 1e6:.6f} s" if field.endswith("_us") else printable.value(text, 200)
-
-
-def _words(line: "Line") -> str:
-    action = "" if line.action_id is None else f"{printable.value(line.action_id)}  "
-    return action + printable.value(line.text, 1_000)
 
 
 def _shortened(lines: "Sequence[Line]") -> "list[Line | None]":

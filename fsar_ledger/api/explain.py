@@ -6,16 +6,16 @@ The rows are those of `queries/audit/requests.sql`, `request_timeline.sql` and `
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import msgspec
 
 from fsar_ledger import printable
 from fsar_ledger.errors import UsageError, option
 
-from .answers import Answer, Drawable, Listing, Screen, drawn
+from .answers import Answer, Screen, figure_place
 from .names import Place, Run
-from .verbs import SvgOption, declare, verb
+from .verbs import WIDE, declare, verb
 
 if TYPE_CHECKING:
     from fsar_ledger.metrics.database import Database
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from .table import Table
 
 Rows = list[dict[str, Any]]
+TIMELINE = "audit/request_timeline"
 PARTIES = ("asked_by", "allowed_by", "denied_by", "denied_under", "executed_by", "supervised_by")
 DENIED = ("denied_by", "denied_under")
 UNKNOWN = "not on record"
@@ -35,18 +36,8 @@ WORDS, MAX_WORDS = ("message", "note"), 1_000
 
 
 COLUMNS = (
-    "began_s",
-    "action_id",
-    "capability",
-    "asked_by",
-    "allowed_by",
-    "denied_by",
-    "denied_under",
-    "executed_by",
-    "supervised_by",
-    "failures",
-    "result",
-    "seq",
+    *("began_s", "action_id", "capability", "asked_by", "allowed_by", "denied_by", "denied_under", "executed_by"),
+    *("supervised_by", "failures", "result", "seq"),
 )
 LATER = ("capability", "denied_under", "executed_by", "supervised_by", "failures")
 """Columns that a terminal shows if there is room beside the others."""
@@ -63,7 +54,7 @@ GROUNDS = """
 """The windows and rules of the event that decided a request, and of the calls for review that are told of it."""
 
 
-class Account(Drawable, msgspec.Struct, frozen=True):
+class Account(Answer, msgspec.Struct, frozen=True):
     """The account of one request: who asked, who allowed or denied, who acted, who supervised.
 
     `timeline` has a row for each step, `recovery` one for each attempt after a failure, level by level. `grounds` are
@@ -95,15 +86,10 @@ class Account(Drawable, msgspec.Struct, frozen=True):
             UsageError: Neither gives a format, or the file lies inside a ledger.
             WriteFailed: The file cannot be written.
         """
-        from fsar_ledger.ledger.store.paths import require_outside
         from fsar_ledger.publishing import publish
         from fsar_ledger.report import sequence
 
-        place = Path(file)
-        form = place.suffix[1:] if kind is None else kind
-        if form not in ("svg", "pdf"):
-            raise UsageError(f"{place}: expected a name that ends in .svg or .pdf")
-        require_outside(place, str(place))
+        place, form = figure_place(file, kind)
         rows, figure = (self.recovery, sequence.ladder) if self.is_failure else (self.timeline, sequence.sequence)
         publish(place, figure(rows, form))
 
@@ -122,40 +108,33 @@ class Account(Drawable, msgspec.Struct, frozen=True):
 
     def _proof(self, screen: Screen, seq: int, what: str = "") -> str:
         """Return the call that proves an event, and what it is."""
-        event = printable.word(f"{screen.numbers().get(self.run, self.run)}:{seq}")
+        event = screen.event_word(self.run, seq)
         return f"`fsar-ledger prove {printable.word(screen.path)} {event}` proves event {seq}{what} to others"
 
 
-def _asked(
-    ledger: "Ledger",
-    run: Run | None,
-    request: str | None,
-    failure: str | None,
-    svg: SvgOption = None,
-    pdf: Annotated[Place | None, declare("--pdf", "FILE", "Also draw it, as PDF; replaced if it exists.")] = None,
-) -> Answer:
+def _asked(ledger: "Ledger", run: Run | None, request: str | None, failure: str | None) -> Answer:
     if request is not None and failure is not None:
         raise UsageError(
             f"--request {request} and --failure {failure}: expected one of them; --request shows a failure, too"
         )
     if request is not None or failure is not None:
-        return drawn(lambda: explain(ledger, run, request, failure), svg=svg, pdf=pdf)
-    if svg is not None or pdf is not None:
-        found = "svg" if svg is not None else "pdf"
-        raise UsageError(f"--{found}: found no request to draw; give --request ACTION or --failure ACTION")
-    with ledger.about_run(run) as (database, name, _):
-        rows = _requests(database, name)
+        return explain(ledger, run, request, failure)
+    from .table import Listing
+
+    name, rows = _requests(ledger, run)
 
     def hint(screen: Screen, first: Mapping[str, Any]) -> str:
         call = f"explain {printable.word(screen.path)} --run {screen.run_word(name)} --request"
         return f"`fsar-ledger {call} {printable.word(first['action_id'])}` tells one of them"
 
     return Listing(
-        name,
-        rows,
+        run=name,
+        found=rows,
         time="began_s",
-        nothing=("requests", "not all that a request leaves was observed"),
+        nothing="requests",
+        unseen="not all that a request leaves was observed",
         hint=hint,
+        undrawn="found no request to draw; give --request ACTION or --failure ACTION",
         columns=lambda is_fitted: sorted(COLUMNS, key=LATER.__contains__) if is_fitted else COLUMNS,
         name="requests",
     )
@@ -166,28 +145,23 @@ def _asked(
     "explain out/ledger --run 1 --request A1-1/2.1",
     "explain out/ledger --run 2 --request A1-1/2.1 --svg out/request.svg",
     "explain out/ledger --run 1 --json",
+    takes=("svg", "pdf", *WIDE),
     call=_asked,
 )
 def explain(
     ledger: "Ledger",
-    run: Annotated[
-        Run | None,
-        declare(
-            "--run",
-            "RUN",
-            "A run: its number, its name, or a part of it that no other run has.",
-            "the first run, or the only one that has the ACTION",
-            complete="runs",
-        ),
-    ] = None,
-    request: Annotated[
-        str | None,
-        declare("--request", "ACTION", "The request (action) to show, as in the list.", "list all", complete="actions"),
-    ] = None,
-    failure: Annotated[
-        str | None,
-        declare("--failure", "ACTION", "The failed action whose recovery to show, level by level.", complete="actions"),
-    ] = None,
+    run: Run | None = declare(
+        "RUN",
+        "A run: its number, its name, or a part of it that no other run has.",
+        "the first run, or the only one that has the ACTION",
+        complete="runs",
+    ),
+    request: str | None = declare(
+        "ACTION", "The request (action) to show, as in the list.", "list all", complete="actions"
+    ),
+    failure: str | None = declare(
+        "ACTION", "The failed action whose recovery to show, level by level.", complete="actions"
+    ),
 ) -> Account:
     """Show the timeline of a request: who asked, who allowed or denied, who acted, who supervised.
 
@@ -204,8 +178,16 @@ def explain(
 
 def requests(ledger: "Ledger", run: Run | None = None) -> "Table":
     """Return the requests of a run, the first by default: who asked, allowed, executed, supervised; the result."""
+    return _requests(ledger, run)[1]
+
+
+def _requests(ledger: "Ledger", run: Run | None) -> "tuple[str, Table]":
+    from .provenance import of_rows
+    from .table import Table
+
     with ledger.about_run(run) as (database, name, _):
-        return _requests(database, name)
+        rows = database.query("audit/requests", {"run": name, "action": "all"})
+        return name, Table(rows, of_rows(database, TIMELINE, name))
 
 
 def _account(about: "AboutRun", ledger: Path, request: str | None, failure: str | None) -> Account:
@@ -215,6 +197,7 @@ def _account(about: "AboutRun", ledger: Path, request: str | None, failure: str 
         UsageError: The run has no such action, the action has not failed, or both or neither are named.
     """
     from .lookup import resting_on_rows
+    from .provenance import of_rows
 
     database, run, number = about
     if "" in (request, failure):
@@ -227,12 +210,12 @@ def _account(about: "AboutRun", ledger: Path, request: str | None, failure: str 
         raise UsageError(
             "explain: expected the name of a request or of a failure; requests() lists the requests of a run"
         )
-    timeline = _rows(database, "request_timeline", run, action)
+    timeline = _rows(database, TIMELINE, run, action)
     if not timeline:
         with resting_on_rows(database.rows_verified):
             raise UsageError(_no_action(database, ledger, run, action, number))
-    (parties,) = _rows(database, "requests", run, action)
-    recovery = _rows(database, "failure_timeline", run, action)
+    (parties,) = _rows(database, "audit/requests", run, action)
+    recovery = _rows(database, "audit/failure_timeline", run, action)
     if failure is not None and not recovery:
         with resting_on_rows(database.rows_verified):
             raise UsageError(
@@ -241,13 +224,8 @@ def _account(about: "AboutRun", ledger: Path, request: str | None, failure: str 
             )
     grounds = database.rows(GROUNDS, {"run": run, "seq": parties["seq"], "told": [row["seq"] for row in timeline]})
     found = tuple(row["seq"] for row in grounds)
-    return Account(run, action, parties, timeline, recovery, found, failure is not None, _about(database, run))
-
-
-def _requests(database: "Database", run: str) -> "Table":
-    from .table import Table
-
-    return Table(database.query("audit/requests", {"run": run, "action": "all"}), _about(database, run))
+    about_rows = of_rows(database, TIMELINE, run)
+    return Account(run, action, parties, timeline, recovery, found, failure is not None, about_rows)
 
 
 def run_with(database: "Database", ledger: Path, action: str) -> str:
@@ -276,21 +254,15 @@ def run_with(database: "Database", ledger: Path, action: str) -> str:
         raise UsageError(_no_action(database, ledger, only, action, number) if runs else no_run(ledger))
 
 
-def _about(database: "Database", run: str) -> "Provenance":
-    from .provenance import of_rows
-
-    return of_rows(database, database.library.find("audit/request_timeline"), run)
-
-
 def _rows(database: "Database", query: str, run: str, action: str) -> Rows:
     from fsar_ledger.metrics.database import plain_rows
 
-    return plain_rows(database.query(f"audit/{query}", {"run": run, "action": action}))
+    return plain_rows(database.query(query, {"run": run, "action": action}))
 
 
 def _no_action(database: "Database", ledger: Path, run: str | None, asked: str, number: int | None = None) -> str:
     """Say that the run, or with None every run, lacks the action; name the nearest, and how to list those there are."""
-    from .lookup import names_on_record
+    from fsar_ledger.metrics.on_record import names_on_record
 
     place = "any run" if run is None else f"run {printable.value(run)}"
     hint = printable.did_you_mean(asked, names_on_record(database, "action", run)) or ";"

@@ -11,7 +11,7 @@ from fsar_ledger.errors import UsageError
 
 from .answers import Answer, Screen
 from .names import Place
-from .verbs import ParameterOption, RawOption, Shows, declare, verb
+from .verbs import Option, ParameterOption, RawOption, Shows, declare, switch, verb
 from .workload import Progress
 
 if TYPE_CHECKING:
@@ -42,22 +42,17 @@ def export(
     ledger: "Ledger",
     out: Annotated[
         Place,
-        declare(
+        Option(
             "--out",
             "FILE",
             "A .csv, .parquet, .ndjson or .jsonl file; replaced if it exists. With --tiles a new folder.",
         ),
     ],
-    query: Annotated[
-        str | None,
-        declare("--query", "NAME", "Export the answer of this query.", "every event", complete="queries"),
-    ] = None,
+    query: str | None = declare("NAME", "Export the answer of this query.", "every event", complete="queries"),
     parameters: ParameterOption = None,
     *,
     raw: RawOption = False,
-    tiles: Annotated[
-        bool, declare("--tiles", None, "Write the hashes of the tree and the checkpoint instead, as C2SP tlog-tiles.")
-    ] = False,
+    tiles: bool = switch("Write the hashes of the tree and the checkpoint instead, as C2SP tlog-tiles."),
     progress: Annotated[Progress | None, Shows("exported", "commits")] = None,
 ) -> ExportResult:
     """Write events, or the answer of a query, to a file.
@@ -75,10 +70,12 @@ def export(
     if tiles:
         if query is not None or parameters or raw:
             raise UsageError("export: found tiles and a query, parameters or raw text, expected tiles alone")
-        from .tiles import write_tiles
+        from fsar_ledger.ledger.store.tiles import write_tiles
 
-        written = write_tiles(ledger.path, file, demanded=ledger.demanded, progress=progress)
-        return ExportResult(*written, file, "tiles")
+        from .lookup import present
+
+        view, provenance = present(ledger)
+        return ExportResult(write_tiles(view, file, progress), provenance, file, "tiles")
     require_place(file)
     if query is not None:
         found = ledger.query(query, **(parameters or {}))

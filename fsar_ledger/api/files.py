@@ -25,7 +25,8 @@ from fsar_ledger.metrics.sandbox import SENT_BYTES, slices
 from fsar_ledger.metrics.verified import is_verified
 
 from .provenance import Provenance
-from .texts import harmless, in_turn, json_lines, json_texts
+from .table import Table
+from .texts import csv_header, csv_lines, harmless, in_turn, json_lines, json_texts
 
 LINES = (".ndjson", ".jsonl")
 SUFFIXES = (".csv", ".parquet", *LINES)
@@ -55,6 +56,11 @@ def write_events(
 def write_table(out: Path, table: pa.Table, *, raw: bool = False) -> int:
     """Write the rows, text as in `write_events`; return their number. Raises: As `write_events`."""
     return _write_tables(out, table.schema, [table], raw=raw)
+
+
+def write_csv(out: Path, rows: Table) -> None:
+    """Write the rows as `--csv` shows them. Raises: WriteFailed if the file cannot be written."""
+    write_text(out, "".join([csv_header(rows.columns), *map(csv_lines, rows.batches())]))
 
 
 def write_text(out: Path, text: str) -> None:

@@ -11,6 +11,7 @@ import msgspec
 from msgspec import structs
 
 from fsar_ledger import printable
+from fsar_ledger.printable import counted
 
 from .answers import Answer, Screen
 from .verbs import verb
@@ -27,15 +28,7 @@ if TYPE_CHECKING:
 # A rectangle has, for each scenario of its model, seed and fleet size, all runs from 0 to the highest number there;
 # runs without a number make none, nor do forks.
 GROUPS = """
-WITH sizes AS (
-    SELECT run_id, count(*) AS event_count FROM events GROUP BY run_id
-),
-
-planned AS (
-    SELECT DISTINCT run_id FROM planned_runs
-),
-
-groups AS (
+WITH groups AS (
     SELECT
         runs.kind,
         runs.source,
@@ -45,52 +38,31 @@ groups AS (
         runs.fleet_size,
         runs.architecture,
         runs.configuration,
+        settings.kind AS made_as,
+        CASE WHEN settings.kind = 'fork' THEN settings.constants END AS changes,
         coalesce(list(DISTINCT runs.scenario) FILTER (runs.scenario IS NOT NULL), []) AS scenarios,
         max(runs.run) AS last,
         count(DISTINCT (runs.scenario, runs.run)) FILTER (
             runs.scenario IS NOT NULL AND runs.run IS NOT NULL
         ) AS numbered,
-        settings.kind AS made_as,
-        CASE WHEN settings.kind = 'fork' THEN settings.constants END AS changes,
         count(*) AS runs,
-        count(*) FILTER (planned.run_id IS NULL) AS runs_unplanned,
-        sum(sizes.event_count)::BIGINT AS events,
+        count(*) FILTER (runs.run_id NOT IN (SELECT run_id FROM planned_runs)) AS runs_unplanned,
+        sum(sizes.events)::BIGINT AS events,
         list(runs.number ORDER BY runs.number) AS numbers
     FROM runs
-    INNER JOIN sizes ON runs.run_id = sizes.run_id
+    INNER JOIN (SELECT run_id, count(*) AS events FROM events GROUP BY run_id) AS sizes ON runs.run_id = sizes.run_id
     INNER JOIN run_settings AS settings ON runs.run_id = settings.run_id
-    LEFT JOIN planned ON runs.run_id = planned.run_id
-    GROUP BY
-        runs.kind,
-        runs.source,
-        runs.model_version,
-        settings.parameter_set,
-        runs.seed,
-        runs.fleet_size,
-        runs.architecture,
-        runs.configuration,
-        settings.kind,
-        CASE WHEN settings.kind = 'fork' THEN settings.constants END
+    GROUP BY ALL
 )
 
 SELECT
-    kind,
-    source,
-    model_version,
-    parameter_set,
-    seed,
-    fleet_size,
-    architecture,
-    configuration,
-    changes,
+    kind, source, model_version, parameter_set, seed, fleet_size, architecture, configuration, changes,
     len(scenarios) AS scenarios,
     runs,
     runs_unplanned,
-    CASE
-        WHEN changes IS NULL
-            THEN
-                len(list_distinct(flatten(list(scenarios) OVER world)))::HUGEINT
-                * (max(last) OVER world + 1)::HUGEINT - numbered
+    CASE WHEN changes IS NULL THEN
+        len(list_distinct(flatten(list(scenarios) OVER world)))::HUGEINT
+        * (max(last) OVER world + 1)::HUGEINT - numbered
     END AS runs_to_rectangle,
     events,
     numbers
@@ -103,18 +75,8 @@ MAX_DIFFERING = 1_000
 """Characters shown of the constants in which a model differs from others."""
 
 COLUMNS = (
-    "constants",
-    "seed",
-    "fleet_size",
-    "architecture",
-    "configuration",
-    "changes",
-    "scenarios",
-    "runs",
-    "runs_unplanned",
-    "runs_to_rectangle",
-    "events",
-    "numbers",
+    *("constants", "seed", "fleet_size", "architecture", "configuration", "changes", "scenarios", "runs"),
+    *("runs_unplanned", "runs_to_rectangle", "events", "numbers"),
 )
 """The columns of `groups` that people are shown."""
 
@@ -177,7 +139,7 @@ class Contents(Answer, msgspec.Struct, frozen=True):
         assert head is not None
         standing = "" if self.provenance.rows_verified else " (the rows were not compared with it)"
         yield printable.lines(
-            f"{screen.path}: {printable.counted(head.size, 'event')} in {printable.counted(head.commits, 'commit')}",
+            f"{screen.path}: {counted(head.size, 'event')} in {counted(head.commits, 'commit')}",
             f"root {head.root}{standing}",
             *self.summary(),
         )
@@ -185,105 +147,58 @@ class Contents(Answer, msgspec.Struct, frozen=True):
             yield printable.line("")
             yield screen.table(rows)
 
-    def summary(self) -> list[str]:
-        """Return lines on the runs and the plans."""
-        return [
-            *self._standing(),
-            *self._forks(),
-            *self._unfinished(),
-            *self._enlarged(),
-            *self._unlike(),
-            *self._models(),
-            *self._unseen(),
-        ]
-
-    def _standing(self) -> list[str]:
-        from .plans import runs
-
-        held = runs(self.run_count)
-        if not self.plans:
-            nothing = "no plan is on record, so nothing says whether they are all that was meant"
-            return [f"{held}; {nothing}" if self.groups else "no runs yet, and no plan on record"]
-        lacking = (
-            "not complete"
-            if self.missing is None
-            else f"not complete: {printable.counted(self.missing, 'planned run')} {_are(self.missing)} missing"
-        )
-        of_plans = lacking if self.is_complete is False else "complete: all that was planned is there"
-        if not self.unplanned:
-            return [f"{held}, {of_plans}"]
-        kinds = ", ".join(f"{count:,} {printable.value(kind)}" for kind, count in self.unplanned.items())
-        return [
-            held,
-            f"planned runs: {of_plans}",
-            f"other runs: {kinds}; no plan names them, so nothing says whether they are all that was meant",
-        ]
-
-    def _forks(self) -> list[str]:
-        count = sum(group["runs"] for group in self.groups if group["changes"] is not None)
-        if not count:
-            return []
-        said = f"{printable.counted(count, 'fork')} among them" if count < self.run_count else "all of them forks"
-        return [f"{said}; the query forks says of which runs, and how far they repeat them"]
-
-    def _unfinished(self) -> list[str]:
-        """Return a line for each plan that lacks runs, except those that a larger plan covers."""
-        from .plans import shape
-
-        lines = []
-        for plan in self.plans:
-            if plan["missing_count"] and not plan["larger_plans"]:
-                of_plan = f"{plan['there_count']:,} of {plan['planned_count']:,} runs of {shape(plan)}"
-                further = (
-                    f"go on with: {plan['continues_with']}"
-                    if plan["continues_with"]
-                    else "go on with the version and the constants that began it"
-                )
-                lines.append(f"interrupted, or still at work: {of_plan}; {further}")
-        return lines
-
-    def _enlarged(self) -> list[str]:
-        smaller = sum(bool(plan["larger_plans"]) for plan in self.plans)
-        if not smaller:
-            return []
-        of_all = f"{smaller:,} of {len(self.plans):,} plans {_are(smaller)} part of a larger one"
-        return [
-            f"enlarged: {of_all}; runs, run ids and metrics are as if it had been planned so large at once, the root "
-            "is not"
-        ]
-
-    def _unlike(self) -> list[str]:
-        """Describe the shape of what is there, where no plan says what is missing."""
-        from .plans import runs
-
-        if self.is_complete is False:
-            return []
-        measured = [group["runs_to_rectangle"] for group in self.groups if group["runs_to_rectangle"] is not None]
-        missing = sum(measured)
-        if missing:
-            return [
-                f"not a rectangle: {runs(missing)} less than if each group had all runs of all scenarios of its "
-                "model, seed and fleet size"
-            ]
-        return (
-            ["a rectangle: each group has all runs of all scenarios of its model, seed and fleet size"]
-            if measured and not self.plans
-            else []
-        )
-
-    def _models(self) -> list[str]:
-        if len(self.models) == 1:
-            return [_described(self.models[0])]
-        more = len(self.models) - printable.NAMED
-        return [
-            *map(_among_others, self.models[: printable.NAMED]),
-            *([f"and {more:,} more, --json names all"] if more > 0 else []),
-        ]
-
-    def _unseen(self) -> list[str]:
+    def summary(self) -> Iterator[str]:
+        """Yield lines on the runs, the plans and the models."""
         from fsar_ledger.metrics.observing import shown
 
-        return [f"not observed, so that no answer is about it: {shown(self.not_observed)}"] if self.not_observed else []
+        yield from self._standing()
+        if forks := sum(group["runs"] for group in self.groups if group["changes"] is not None):
+            said = f"{counted(forks, 'fork')} among them" if forks < self.run_count else "all of them forks"
+            yield f"{said}; the query forks says of which runs, and how far they repeat them"
+        for plan in self.plans:
+            if plan["missing_count"] and not plan["larger_plans"]:
+                yield _unfinished(plan)
+        if smaller := sum(bool(plan["larger_plans"]) for plan in self.plans):
+            yield (
+                f"enlarged: {smaller:,} of {len(self.plans):,} plans {_are(smaller)} part of a larger one; runs, run "
+                "ids and metrics are as if it had been planned so large at once, the root is not"
+            )
+        if self.is_complete is not False:
+            yield from self._rectangle()
+        if len(self.models) == 1:
+            yield _described(self.models[0])
+        else:
+            yield from map(_among_others, self.models[: printable.NAMED])
+            more = len(self.models) - printable.NAMED
+            yield from [f"and {more:,} more, --json names all"] if more > 0 else []
+        if self.not_observed:
+            yield f"not observed, so that no answer is about it: {shown(self.not_observed)}"
+
+    def _standing(self) -> Iterator[str]:
+        held = counted(self.run_count, "run")
+        if not self.plans:
+            nothing = "no plan is on record, so nothing says whether they are all that was meant"
+            yield f"{held}; {nothing}" if self.groups else "no runs yet, and no plan on record"
+            return
+        of_plans = "complete: all that was planned is there"
+        if self.is_complete is False:
+            lacking = "" if self.missing is None else f": {counted(self.missing, 'planned run')} {_are(self.missing)}"
+            of_plans = f"not complete{lacking and f'{lacking} missing'}"
+        if not self.unplanned:
+            yield f"{held}, {of_plans}"
+            return
+        kinds = ", ".join(f"{count:,} {printable.value(kind)}" for kind, count in self.unplanned.items())
+        yield from (held, f"planned runs: {of_plans}")
+        yield f"other runs: {kinds}; no plan names them, so nothing says whether they are all that was meant"
+
+    def _rectangle(self) -> Iterator[str]:
+        """Describe the shape of what is there, where no plan says what is missing."""
+        measured = [group["runs_to_rectangle"] for group in self.groups if group["runs_to_rectangle"] is not None]
+        of_all = "each group {} all runs of all scenarios of its model, seed and fleet size"
+        if missing := sum(measured):
+            yield f"not a rectangle: {counted(missing, 'run')} less than if {of_all.format('had')}"
+        elif measured and not self.plans:
+            yield f"a rectangle: {of_all.format('has')}"
 
     def rows(self) -> list[dict[str, Any]]:
         """Return the groups as people are shown them, without columns that say nothing."""
@@ -309,8 +224,8 @@ def info(ledger: "Ledger") -> Contents:
     from fsar_ledger.metrics.observing import never_observed
     from fsar_ledger.metrics.plans import completeness
     from fsar_ledger.metrics.results import lettered, models
+    from fsar_ledger.runtime.continued import PlanRow, plans
 
-    from .plans import PlanRow, plans
     from .provenance import Provenance
 
     with ledger.database() as database:
@@ -343,6 +258,16 @@ def ranges(numbers: Sequence[int]) -> str:
     return ", ".join(parts)
 
 
+def _unfinished(plan: Mapping[str, Any]) -> str:
+    """Describe a plan that lacks runs, and how to go on."""
+    from fsar_ledger.runtime.continued import shape
+
+    further = plan["continues_with"]
+    go_on = f"with: {further}" if further else "with the version and the constants that began it"
+    of_plan = f"{plan['there_count']:,} of {plan['planned_count']:,} runs of {shape(plan)}"
+    return f"interrupted, or still at work: {of_plan}; go on {go_on}"
+
+
 def _are(number: int) -> str:
     return "is" if number == 1 else "are"
 
@@ -353,43 +278,25 @@ def _key(row: Mapping[str, Any]) -> tuple[str | None, ...]:
 
 def _of_model(one: "Model", letter: str | None) -> dict[str, Any]:
     """Describe a model for JSON; `differing` names its constants that differ from others of its kind and version."""
-    return {
-        "constants": letter,
-        "kind": one.kind,
-        "source": one.source,
-        "model_version": one.model_version,
-        "runs": one.runs,
-        "differing": one.constants,
-        "parameters": one.parameters,
-        "parameters_sha256": one.sha256,
-    }
+    told = {name: getattr(one, name) for name in ("kind", "source", "model_version", "runs")}
+    what = {"differing": one.constants, "parameters": one.parameters, "parameters_sha256": one.sha256}
+    return {"constants": letter, **told, **what}
 
 
 def _described(model: Mapping[str, Any]) -> str:
-    version = (
-        "no model" if model["model_version"] is None else f"model version {printable.value(model['model_version'])}"
+    version, parameters = model["model_version"], model["parameters"]
+    parts: tuple[Any, ...] = (
+        printable.value(model["kind"]),
+        model["source"] and printable.value(model["source"]),
+        "no model" if version is None else f"model version {printable.value(version)}",
+        parameters is None and f"parameters that cannot be read, SHA-256 {model['parameters_sha256'][:12]}",
     )
-    unread = (
-        f"parameters that cannot be read, SHA-256 {model['parameters_sha256'][:12]}"
-        if model["parameters"] is None
-        else None
-    )
-    return ", ".join(
-        filter(
-            None,
-            (printable.value(model["kind"]), model["source"] and printable.value(model["source"]), version, unread),
-        )
-    )
+    return ", ".join(filter(None, parts))
 
 
 def _among_others(model: Mapping[str, Any]) -> str:
     """Describe a model beside others: its letter, and the constants that differ from theirs."""
-    from .plans import runs
-
     letter = "no constants on record" if model["constants"] is None else f"constants {model['constants']}"
-    differing = (
-        f": {printable.value(model['differing'], MAX_DIFFERING)}"
-        if model["differing"] and model["parameters"] is not None
-        else ""
-    )
-    return f"{letter}: {_described(model)}, {runs(model['runs'])}{differing}"
+    differing = model["differing"] if model["parameters"] is not None else None
+    more = f": {printable.value(differing, MAX_DIFFERING)}" if differing else ""
+    return f"{letter}: {_described(model)}, {counted(model['runs'], 'run')}{more}"

@@ -9,7 +9,7 @@ from fsar_ledger import printable
 from fsar_ledger.errors import UsageError, option
 
 from .names import Place
-from .verbs import argument, declare, verb
+from .verbs import Option, argument, declare, verb
 
 if TYPE_CHECKING:
     from fsar_ledger.ledger.log.note import Checkpoint, Signer, VerifierKey
@@ -24,9 +24,7 @@ if TYPE_CHECKING:
 )
 def key_new(
     file: Annotated[Place, argument("FILE", "Where the secret key goes; the public one goes to FILE.pub.")],
-    name: Annotated[
-        str | None, declare("--name", "NAME", "The origin of the ledgers it signs.", "fsar-ledger/simulated")
-    ] = None,
+    name: str | None = declare("NAME", "The origin of the ledgers it signs.", "fsar-ledger/simulated"),
 ) -> "VerifierKey":
     """Make a key that signs ledgers, and print its public half.
 
@@ -52,7 +50,7 @@ def key_new(
 )
 def key_public(
     key: Annotated[str, argument("KEY", "A public key: a .pub file, or the key itself.")],
-    name: Annotated[str, declare("--name", "NAME", "The origin of the ledger to verify.")],
+    name: Annotated[str, Option("--name", "NAME", "The origin of the ledger to verify.")],
 ) -> "VerifierKey":
     """Print a public key under another name, for `verify --trusted-key`.
 

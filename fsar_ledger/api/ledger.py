@@ -101,7 +101,9 @@ class Ledger:
         Raises:
             UsageError: There is no such run or robot, `since` is after the last event, or `until` not after `since`.
         """
-        from .events import Events, Filter, span
+        from fsar_ledger.metrics.event_filter import Filter
+
+        from .events import Events, span
 
         since_us, until_us = span(since, until)
         name = None

@@ -11,7 +11,7 @@ from fsar_ledger.printable import SafeText
 
 from .answers import Answer, Screen
 from .names import Names, Run, Time
-from .verbs import Gives, declare, verb
+from .verbs import Gives, declare, switch, verb
 
 if TYPE_CHECKING:
     from .ledger import Ledger
@@ -41,13 +41,14 @@ class Timeline(Answer):
 
     def text(self, screen: Screen) -> Iterator[SafeText]:
         """Yield the lines, or a JSON object for each."""
-        from .fields import json_rows
+        if self._as_json:
+            from .texts import json_lines
 
+            yield from (SafeText(json_lines(batch)) for table in self._tables for batch in table.batches())
+            return
         lines = Lines(screen)
-        for table in self._tables:
-            for rows in table.parts():
-                yield json_rows(rows) if self._as_json else lines.text(rows)
-        if self._ends and lines.run is None and not self._as_json:
+        yield from (lines.text(rows) for table in self._tables for rows in table.parts())
+        if self._ends and lines.run is None:
             yield printable.line("no such events")
 
 
@@ -58,10 +59,8 @@ def _asked(
     until: Time,
     robot: str | None,
     about: Names,
-    follow: Annotated[
-        bool, declare("--follow", None, "Show every run, then wait for more commits, until Ctrl-C.")
-    ] = False,
-    as_json: Annotated[bool, declare("--json", None, "A JSON object for each event, one a line.")] = False,
+    follow: bool = switch("Show every run, then wait for more commits, until Ctrl-C."),
+    as_json: bool = switch("A JSON object for each event, one a line.", flag="--json"),
     pause: Annotated[Callable[[float], None] | None, Gives("pause")] = None,
 ) -> Timeline:
     if follow and run not in (None, ALL):
@@ -90,21 +89,15 @@ def _asked(
 )
 def log(
     ledger: "Ledger",
-    run: Annotated[
-        Run | None,
-        declare("--run", "RUN", "A run, or a part of its name; all: every run.", "the first run"),
-    ] = None,
-    since: Annotated[
-        Time, declare("--from", "TIME", "Only from this time on, within the run: 46.6, 46.6s or 46600ms.", "0")
-    ] = None,
-    until: Annotated[
-        Time, declare("--to", "TIME", "Only before this time, which may be after the end of the run.", "the end")
-    ] = None,
-    robot: Annotated[str | None, declare("--robot", "ROBOT", "Only events that name this robot.", "all")] = None,
-    about: Annotated[
-        Names,
-        declare("--about", "CONCERN", "Only events of these concerns, as in requests,policy; may be repeated.", "all"),
-    ] = None,
+    run: Run | None = declare("RUN", "A run, or a part of its name; all: every run.", "the first run"),
+    since: Time = declare(
+        "TIME", "Only from this time on, within the run: 46.6, 46.6s or 46600ms.", "0", flag="--from"
+    ),
+    until: Time = declare(
+        "TIME", "Only before this time, which may be after the end of the run.", "the end", flag="--to"
+    ),
+    robot: str | None = declare("ROBOT", "Only events that name this robot.", "all"),
+    about: Names = declare("CONCERN", "Only events of these concerns, as in requests,policy; may be repeated.", "all"),
 ) -> "Table":
     """Show a run event by event: who told whom what, or did what, and when.
 

@@ -3,27 +3,28 @@
 The lines of all runs are told segment by segment, or by groups of those that share runs, with one in memory at a time.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import pyarrow as pa
 
 from fsar_ledger import printable
-from fsar_ledger.errors import LedgerCorrupted, UsageError, option
+from fsar_ledger.designs.names import known
+from fsar_ledger.errors import UsageError, option
 from fsar_ledger.events import CONCERNS
-from fsar_ledger.ledger.opening import open_for_answers
-from fsar_ledger.ledger.store.paths import CHAIN, CHECKPOINT, JOURNAL, MANIFEST
+from fsar_ledger.ledger.opening import Pause, growth
 from fsar_ledger.ledger.store.read import View
 from fsar_ledger.metrics import relation
 from fsar_ledger.metrics.connection import Value
 from fsar_ledger.metrics.database import Database
+from fsar_ledger.metrics.event_filter import Filter
 from fsar_ledger.metrics.verified import is_verified
 
-from .events import Filter, span
+from .events import span
 from .log import ALL
 from .lookup import resting_on_rows, robot_of, run_of
-from .names import Run, Time, known, names_of
+from .names import Run, Time, names_of
 from .provenance import Provenance, of_rows
 from .table import Table
 
@@ -31,9 +32,6 @@ _QUERY = "facts/log_lines"
 _PLURALS = {f"{name}s": name for name in CONCERNS} | {
     f"{name.removesuffix('y')}ies": name for name in CONCERNS if name.endswith("y")
 }
-
-Pause = Callable[[], None]
-"""Waits a moment; what it raises ends the waiting."""
 
 
 class LogRequest(NamedTuple):
@@ -103,7 +101,7 @@ def stream(
     Raises:
         LedgerCorrupted: The ledger is damaged, or no longer the one whose lines were told.
     """
-    for view, first in _growth(ledger, pause):
+    for view, first in growth(ledger, pause):
         provenance = Provenance(view.head, is_verified(view, demanded), None, about.not_observed)
         for group in view.groups():
             if view.end(group[-1]) > first:
@@ -144,46 +142,3 @@ def _require_in_run(database: Database, run: str | None, since: Time, since_us: 
         return
     where = "the last of all runs" if run is None else f"run {printable.value(run)}"
     raise UsageError(f"{option('since', since)}: {where} ends at {end_us / 1_000_000:.3f} s, expected an earlier time")
-
-
-def _growth(ledger: Path, pause: Pause | None) -> Iterator[tuple[View, int]]:
-    """Yield the ledger as it is, then, with `pause`, each time it has grown; and the first event not yet yielded.
-
-    Between two looks only the state of a few files is read. Raises: As `open_for_answers` and `_require_same`.
-    """
-    state = _state(ledger)
-    view = open_for_answers(ledger)
-    yield view, 0
-    while pause is not None:
-        pause()
-        # A file system may give two changes in a row one time.
-        if (found := _state(ledger)) == state and view.is_current():
-            continue
-        state, grown = found, open_for_answers(ledger)
-        _require_same(view, grown)
-        if grown.head.size > view.head.size:
-            yield grown, view.head.size
-        view = grown
-
-
-def _state(ledger: Path) -> tuple[tuple[int, int, int] | None, ...]:
-    """Return what changes when the ledger grows or is replaced; None for a file that is not there."""
-    found: list[tuple[int, int, int] | None] = []
-    for name in (MANIFEST, CHAIN, JOURNAL, CHECKPOINT):
-        try:
-            status = (ledger / name).stat()
-        except OSError:
-            found.append(None)
-        else:
-            found.append((status.st_ino, status.st_size, status.st_mtime_ns))
-    return tuple(found)
-
-
-def _require_same(view: View, grown: View) -> None:
-    """Require that the ledger still begins with the commits that it had. Raises: LedgerCorrupted."""
-    count = len(view.commits)
-    if grown.manifest_sha256 != view.manifest_sha256 or grown.commits[:count] != view.commits:
-        raise LedgerCorrupted(
-            f"{view.path}: found another ledger of {len(grown.commits):,} commits, expected the one of {count:,} whose "
-            "lines were told, or more of it; it was replaced; run fsar-ledger verify"
-        )

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from fsar_ledger import printable
 from fsar_ledger.errors import UsageError
+from fsar_ledger.metrics.on_record import PRINCIPALS, RUNS, names_on_record
 from fsar_ledger.metrics.query_parameters import TIME, require_known
 from fsar_ledger.metrics.verified import is_verified_for_runs, require_runs
 
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
     from .provenance import Provenance
 
 _RUN = "SELECT run_id FROM run_numbers WHERE run_id = $run"
-_RUNS = "SELECT run_id FROM run_numbers ORDER BY number"
 _NUMBERS = """
     SELECT run_id, number FROM run_numbers
     WHERE number::VARCHAR NOT IN (
@@ -33,34 +33,6 @@ _NUMBERS = """
 """
 _PLANS = "SELECT run_id FROM experiment_planned ORDER BY run_id"
 _EXTENT = "SELECT max(time_us) AS time_us, max(seq) AS seq FROM events WHERE $run IS NULL OR run_id = $run"
-_ON_RECORD = {
-    "robot": """
-        SELECT robot AS name FROM robot_joined WHERE $run IS NULL OR run_id = $run
-        UNION ALL
-        SELECT unnest([decided_by, requested_by, executed_by]) AS name FROM events WHERE $run IS NULL OR run_id = $run
-    """,
-    "supervisor": """
-        SELECT supervisor AS name FROM robot_joined WHERE $run IS NULL OR run_id = $run
-        UNION ALL
-        SELECT unnest([decided_by, supervised_by, supervisor]) AS name
-        FROM events
-        WHERE $run IS NULL OR run_id = $run
-    """,
-    "action": "SELECT action_id AS name FROM keyed_events WHERE $run IS NULL OR run_id = $run",
-    "capability": "SELECT capability AS name FROM events",
-    "context": "SELECT unnest([task_id, context]) AS name FROM events WHERE $run IS NULL OR run_id = $run",
-    "reason": "SELECT reason AS name FROM refusal_reasons UNION ALL SELECT reason AS name FROM events",
-    "record": "SELECT record_kind AS name FROM event_classes",
-    "architecture": "SELECT architecture AS name FROM runs UNION ALL SELECT unnest(['fsar', 'cfc', 'dhma']) AS name",
-    "claim": "SELECT claim AS name FROM case_definitions",
-    "case": "SELECT case_number::VARCHAR AS name FROM case_definitions",
-}
-"""By kind, the names that have a meaning: in this run, or wherever the kind is the same for every run.
-
-A name that is one of them may well have no row in an answer; any other is a typing error.
-"""
-
-_PRINCIPALS = ("robot", "supervisor")
 _WORDS = {"record": "kind of record", "case": "case number"}
 
 
@@ -101,7 +73,7 @@ def run_of(database: "Database", asked: object, ledger: Path | None = None) -> s
     """
     if isinstance(asked, str) and database.rows(_RUN, {"run": asked}):
         return asked
-    runs, plans = ([str(row["run_id"]) for row in database.rows(sql)] for sql in (_RUNS, _PLANS))
+    runs, plans = ([str(row["run_id"]) for row in database.rows(sql)] for sql in (RUNS, _PLANS))
     with resting_on_rows(database.rows_verified):
         return run_named(asked, runs, plans) if ledger is None else run_named(asked, runs, plans, _way(ledger))
 
@@ -211,19 +183,10 @@ def parameters_of(database: "Database", query: "Query", given: Mapping[str, obje
     return found
 
 
-def names_on_record(database: "Database", kind: str, run: str | None) -> list[str]:
-    """Return the names that a parameter of this kind can have in this run, or in any, in order."""
-    if kind == "run":
-        return [str(row["run_id"]) for row in database.rows(_RUNS)]
-    sql = f"SELECT DISTINCT name FROM ({_ON_RECORD[kind]}) WHERE name IS NOT NULL ORDER BY name"
-    names = [str(row["name"]) for row in database.rows(sql, {"run": run} if "$run" in sql else None)]
-    return [name for name in names if name.startswith(f"{kind}/")] if kind in _PRINCIPALS else names
-
-
 def _named(database: "Database", kind: str, asked: str, run: str | None) -> str:
     names, what = names_on_record(database, kind, run), _WORDS.get(kind, kind)
     with resting_on_rows(database.rows_verified):
-        return principal_named(what, asked, names) if kind in _PRINCIPALS else named(what, asked, names)
+        return principal_named(what, asked, names) if kind in PRINCIPALS else named(what, asked, names)
 
 
 def _value(database: "Database", one: "Parameter", text: str, run: str | None) -> str:

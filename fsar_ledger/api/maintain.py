@@ -13,7 +13,7 @@ from fsar_ledger.printable import SafeText, counted
 from .answers import Answer, Lines, Screen, head_json
 from .key import anchor_of, signature_text, trusted_of
 from .names import Place
-from .verbs import Shows, TrustedKeyOption, WorkersOption, declare, verb
+from .verbs import Option, Shows, TrustedKeyOption, WorkersOption, declare, verb
 from .workload import Progress, readers_of
 
 if TYPE_CHECKING:
@@ -153,13 +153,9 @@ def _recovered(
 )
 def recover(
     ledger: "Ledger",
-    into: Annotated[
-        Place | None, declare("--into", "NEW", "Copy what can be trusted of a damaged ledger to this new folder.")
-    ] = None,
+    into: Place | None = declare("NEW", "Copy what can be trusted of a damaged ledger to this new folder."),
     *,
-    anchor: Annotated[
-        Place | None, declare("--anchor", "FILE", "A copy of LEDGER/checkpoint that was kept elsewhere.")
-    ] = None,
+    anchor: Place | None = declare("FILE", "A copy of LEDGER/checkpoint that was kept elsewhere."),
     trusted_key: TrustedKeyOption = None,
     workers: WorkersOption = None,
     progress: Annotated[Progress | None, Shows("examined", "segments")] = None,
@@ -198,7 +194,7 @@ def _upgraded(ledger: "Ledger", into: Path, *, progress: Progress | None) -> Lin
 )
 def upgrade(
     ledger: "Ledger",
-    into: Annotated[Place, declare("--into", "NEW", "The new folder of the ledger.")],
+    into: Annotated[Place, Option("--into", "NEW", "The new folder of the ledger.")],
     *,
     progress: Annotated[Progress | None, Shows("written", "commits")] = None,
 ) -> "Head":

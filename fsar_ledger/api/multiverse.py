@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from msgspec import structs
 
@@ -10,13 +10,12 @@ from fsar_ledger import printable
 from fsar_ledger.metrics.multiverse import Cell, Multiverse, Ranking, ReadingNames
 from fsar_ledger.printable import SafeText, counted
 
-from .answers import Answer, Screen
-from .names import Names, Place, known, names_of, pools_seeds
-from .verbs import PoolOption, Shows, SvgOption, declare, verb
+from .answers import Answer, Row, Screen
+from .names import Names, Place, names_of, pools_seeds
+from .verbs import PoolOption, Shows, declare, verb
 from .workload import Progress
 
 if TYPE_CHECKING:
-    from .fields import Row
     from .ledger import Ledger
     from .provenance import Provenance
     from .table import Table
@@ -44,7 +43,7 @@ class MultiverseResult(Answer, Multiverse, frozen=True, kw_only=True):
 
         return Table(of_structs(self.cells, Cell), self.provenance)
 
-    def draw(self, file: Place) -> None:
+    def draw(self, file: Place, kind: str | None = None) -> None:  # noqa: ARG002 - it is SVG
         """Draw every cell under every combination of readings as SVG.
 
         Raises: WriteFailed if the file cannot be written.
@@ -56,7 +55,7 @@ class MultiverseResult(Answer, Multiverse, frozen=True, kw_only=True):
 
     def text(self, screen: Screen) -> Iterator[SafeText]:
         """Yield the ranges, the rankings and the readings as tables."""
-        from .fields import plain
+        from .table import plain
 
         if not self.cells:
             yield printable.line("no runs to read")
@@ -72,31 +71,17 @@ class MultiverseResult(Answer, Multiverse, frozen=True, kw_only=True):
         yield screen.table(readings)
 
 
-def _drawn(
-    ledger: "Ledger", metric: Names, pool: Any, svg: SvgOption = None, *, progress: Progress | None
-) -> MultiverseResult:
-    from fsar_ledger.ledger.store.paths import require_outside
-
-    if svg is not None:
-        require_outside(Path(svg), f"--svg {svg}")
-    found = multiverse(ledger, metric, pool, progress=progress)
-    if svg is not None:
-        found.draw(svg)
-    return found
-
-
 @verb(
     "study run multiverse out/ledger",
     "study run multiverse out/ledger --metric authority_conflicts --json",
     "study run multiverse out/ledger --metric human_intervention --svg out/multiverse.svg",
     name="study run multiverse",
-    takes=("verified", "json", "csv", "raw", "wide"),
-    call=_drawn,
+    takes=("svg", "verified", "json", "csv", "raw", "wide"),
     old="multiverse",
 )
 def multiverse(
     ledger: "Ledger",
-    metric: Annotated[Names, declare("--metric", "NAME", "Only this metric; may be repeated.", "all")] = None,
+    metric: Names = declare("NAME", "Only this metric; may be repeated.", "all"),
     pool: PoolOption = None,
     *,
     progress: Annotated[Progress | None, Shows("read", "combinations of readings")] = None,
@@ -111,6 +96,7 @@ def multiverse(
     Raises:
         InvalidExperiment: There is no such metric.
     """
+    from fsar_ledger.designs.names import known
     from fsar_ledger.metrics.multiverse import multiverse as read
 
     from .provenance import of_judgement
@@ -141,13 +127,13 @@ def _verdicts(rankings: Sequence[Ranking]) -> Iterator[str]:
             yield f"whether {what}: nothing to rank; that takes means of two architectures{fsar}"
 
 
-def _columns(rows: "Sequence[Row]", columns: tuple[str, ...]) -> list[str]:
+def _columns(rows: Sequence[Row], columns: tuple[str, ...]) -> list[str]:
     """Return the columns to show: those of the setting after the first, those of `WHERE_ANY` at the end."""
     telling = [name for name in WHERE_TELLING if name in rows[0] and len({row[name] for row in rows}) > 1]
     return [columns[0], *telling, *columns[1:], *(name for name in WHERE_ANY if any(row.get(name) for row in rows))]
 
 
-def _named(row: Ranking) -> "Row":
+def _named(row: Ranking) -> Row:
     changed, not_best = _texts(row.changed_under), _texts(row.fsar_not_best_under)
     return {**structs.asdict(row), "changed_under": changed, "fsar_not_best_under": not_best}
 

@@ -5,12 +5,10 @@ from collections.abc import Sequence
 from decimal import Decimal
 from math import isfinite
 from os import PathLike
-from typing import Literal, TypeVar
+from typing import Literal
 
 from fsar_ledger import printable
-from fsar_ledger.errors import InvalidExperiment, UsageError, option
-
-_Name = TypeVar("_Name", bound=str)
+from fsar_ledger.errors import UsageError, option
 
 Place = str | PathLike[str]
 Pool = Literal["seeds"] | None
@@ -52,19 +50,6 @@ def pools_seeds(asked: str | None) -> bool:
             "other constants, models or fleet sizes are never pooled"
         )
     return asked is not None
-
-
-def known(what: str, asked: Sequence[str] | None, names: tuple[_Name, ...]) -> tuple[_Name, ...]:
-    """Return the names asked for, each once, in the order of `names`.
-
-    Raises:
-        InvalidExperiment: A name is unknown; the message suggests the nearest.
-    """
-    for name in asked or ():
-        if name not in names:
-            hint = printable.did_you_mean(name.lower(), names)
-            raise InvalidExperiment(f"unknown {what} {name!r}{hint or ';'} expected one of {', '.join(names)}")
-    return tuple(name for name in names if name in (asked or ()))
 
 
 def run_named(

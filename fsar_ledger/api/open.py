@@ -49,9 +49,7 @@ class Opened(Answer, msgspec.Struct, frozen=True):
 @verb("open out/ledger --out out/ledger.duckdb", takes=("verified",))
 def open(  # named as the command is
     ledger: "Ledger",
-    out: Annotated[
-        Place | None, declare("--out", "FILE", "A .duckdb file; replaced if `open` wrote it.", "LEDGER.duckdb here")
-    ] = None,
+    out: Place | None = declare("FILE", "A .duckdb file; replaced if `open` wrote it.", "LEDGER.duckdb here"),
     *,
     progress: Annotated[Progress | None, Shows("written", "views and queries")] = None,
 ) -> Opened:

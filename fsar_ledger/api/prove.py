@@ -41,10 +41,7 @@ def prove(
             "number is the event's place in the ledger, from 0.",
         ),
     ],
-    out: Annotated[
-        Place | None,
-        declare("--out", "FILE", "A new file, .tlog-proof by convention; never replaced.", "print it"),
-    ] = None,
+    out: Place | None = declare("FILE", "A new file, .tlog-proof by convention; never replaced.", "print it"),
 ) -> "Proof":
     """Prove that one event is in a ledger.
 

@@ -37,9 +37,10 @@ def of_run(provenance: Provenance, lacking: Iterable[str]) -> Provenance:
     return msgspec.structs.replace(provenance, not_observed=tuple(Unobserved(one, 1, 1) for one in lacking))
 
 
-def of_rows(database: "Database", query: "Query | None" = None, run: str | None = None) -> Provenance:
+def of_rows(database: "Database", query: "Query | str | None" = None, run: str | None = None) -> Provenance:
     """Return the provenance of the rows of a query, for one run or for all."""
-    missing = () if query is None else tuple(unobserved(database, query, run))
+    found = database.library.find(query) if isinstance(query, str) else query
+    missing = () if found is None else tuple(unobserved(database, found, run))
     return Provenance(database.head, database.rows_verified, None, missing)
 
 

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 from fsar_ledger import printable
 from fsar_ledger.errors import QueryFailed, UsageError
@@ -13,14 +13,13 @@ from fsar_ledger.printable import SafeText
 
 from .answers import Answer, Plain, Screen
 from .names import Place
-from .verbs import STREAM, ParameterOption, argument, declare, verb
+from .verbs import STREAM, ParameterOption, argument, declare, switch, verb
 
 if TYPE_CHECKING:
     from fsar_ledger.metrics.library import Query
 
     from .ledger import Ledger
-    from .sql import Rows
-    from .table import Table
+    from .table import Rows, Table
 
 
 class Queries(Answer):
@@ -151,33 +150,21 @@ def _arrange(given: dict[str, Any]) -> None:
     is_apart=lambda given: given["file"] is not None,
 )
 def query(
-    name: Annotated[
-        str | None, argument("NAME", "A name of `query --list`; its last part is enough.", complete="queries")
-    ] = None,
-    ledger: Annotated["Ledger | Place | None", argument("LEDGER", "The folder of a ledger.")] = None,
+    name: str | None = argument("NAME", "A name of `query --list`; its last part is enough.", complete="queries"),
+    ledger: "Ledger | Place | None" = argument("LEDGER", "The folder of a ledger."),
     parameters: ParameterOption = None,
     *,
-    file: Annotated[
-        Place | None,
-        declare("--file", "FILE", "Answer the SELECT in this file instead of NAME; `-` reads standard input."),
-    ] = None,
-    list: Annotated[bool, declare("--list", None, "List the queries by group, with titles and parameters.")] = False,
-    all: Annotated[
-        bool, declare("--all", None, "With --list: also the view of each event type and of each concern.")
-    ] = False,
-    show: Annotated[
-        bool, declare("--show", None, "Print the SQL of NAME, with the header that says what its rows mean.")
-    ] = False,
-    seconds: Annotated[int | None, declare("--seconds", "N", "The time limit for a SELECT of your own.", "60")] = None,
-    memory_mib: Annotated[
-        int | None,
-        declare(
-            "--memory",
-            "MIB",
-            "The memory limit; for a SELECT of your own at least 1024.",
-            "4096 for a SELECT of your own; else as for `metrics`",
-        ),
-    ] = None,
+    file: Place | None = declare("FILE", "Answer the SELECT in this file instead of NAME; `-` reads standard input."),
+    list: bool = switch("List the queries by group, with titles and parameters."),
+    all: bool = switch("With --list: also the view of each event type and of each concern."),
+    show: bool = switch("Print the SQL of NAME, with the header that says what its rows mean."),
+    seconds: int | None = declare("N", "The time limit for a SELECT of your own.", "60"),
+    memory_mib: int | None = declare(
+        "MIB",
+        "The memory limit; for a SELECT of your own at least 1024.",
+        "4096 for a SELECT of your own; else as for `metrics`",
+        flag="--memory",
+    ),
 ) -> "Answer | Table | AbstractContextManager[Rows]":
     """Answer a packaged query, or a SELECT in a file.
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from .answers import Lines
 from .names import Place, pools_seeds
-from .verbs import Gives, PoolOption, WorkersOption, declare, verb
+from .verbs import Gives, Option, PoolOption, WorkersOption, declare, verb
 from .workload import readers_of
 
 if TYPE_CHECKING:
@@ -23,29 +23,20 @@ if TYPE_CHECKING:
 )
 def report(
     ledger: "Ledger",
-    out: Annotated[Place, declare("--out", "FILE", "The PDF; replaced if it exists.")],
+    out: Annotated[Place, Option("--out", "FILE", "The PDF; replaced if it exists.")],
     *,
-    beside: Annotated[
-        Sequence[Place],
-        declare(
-            "--with",
-            "LEDGER",
-            "Another ledger to show, of ablations, larger fleets or workflows; may be repeated.",
-            "say what is missing",
-        ),
-    ] = (),
-    workflows: Annotated[
-        Place | None,
-        declare("--workflows", "LEDGER", "A ledger of the paper's three workflows.", "say that there is none"),
-    ] = None,
-    sensitivity: Annotated[
-        Place | None,
-        declare("--sensitivity", "FILE", "A file of `study run sensitivity`.", "say how to make one"),
-    ] = None,
-    numbers: Annotated[
-        Place | None,
-        declare("--numbers", "FILE", "Write all numbers of the report, as JSON; replaced if it exists.", "not written"),
-    ] = None,
+    beside: Sequence[Place] = declare(
+        "LEDGER",
+        "Another ledger to show, of ablations, larger fleets or workflows; may be repeated.",
+        "say what is missing",
+        flag="--with",
+        value=(),
+    ),
+    workflows: Place | None = declare("LEDGER", "A ledger of the paper's three workflows.", "say that there is none"),
+    sensitivity: Place | None = declare("FILE", "A file of `study run sensitivity`.", "say how to make one"),
+    numbers: Place | None = declare(
+        "FILE", "Write all numbers of the report, as JSON; replaced if it exists.", "not written"
+    ),
     pool: PoolOption = None,
     workers: WorkersOption = None,
     showing: Annotated["Showing | None", Gives("showing")] = None,

@@ -11,7 +11,7 @@ from fsar_ledger.errors import option
 from fsar_ledger.printable import SafeText, counted
 
 from .answers import Answer, Screen
-from .names import Names, Place, known, names_of
+from .names import Names, Place, names_of
 from .simulate import CONTINUES
 from .verbs import AdoptOption, Gives, KeyOption, WorkersOption, declare, verb
 from .workload import workers_of
@@ -62,17 +62,12 @@ class Reproduced(Answer, msgspec.Struct, frozen=True):
     after_interruption=CONTINUES,
 )
 def reproduce(
-    out: Annotated[Place, declare("--out", "FOLDER", "Where the ledgers, the tables and the report go.")] = "fsar-out",
+    out: Place = declare("FOLDER", "Where the ledgers, the tables and the report go.", value="fsar-out"),
     *,
-    only: Annotated[
-        Names,
-        declare(
-            "--only", "EXPERIMENT", "results (always made), ablation, scaling or workflows; may be repeated.", "all"
-        ),
-    ] = None,
-    runs: Annotated[
-        int | None, declare("--runs", "N", "Runs of each scenario.", "results 200, ablation 40, scaling 20")
-    ] = None,
+    only: Names = declare(
+        "EXPERIMENT", "results (always made), ablation, scaling or workflows; may be repeated.", "all"
+    ),
+    runs: int | None = declare("N", "Runs of each scenario.", "results 200, ablation 40, scaling 20"),
     key: KeyOption = None,
     adopt: AdoptOption = False,
     workers: WorkersOption = None,
@@ -88,6 +83,7 @@ def reproduce(
         UsageError: The folder is a ledger, or lies inside one.
         InvalidExperiment: An experiment is unknown, or the number of runs impossible.
     """
+    from fsar_ledger.designs.names import known
     from fsar_ledger.ledger.store.paths import require_outside
     from fsar_ledger.metrics.database import connect
     from fsar_ledger.metrics.progress import unseen
@@ -96,8 +92,7 @@ def reproduce(
     from fsar_ledger.report.build import write_report
     from fsar_ledger.runtime.paper import NAMES, SEED, paper_ledger
 
-    from .fields import csv_text, plain
-    from .files import write_text
+    from .files import write_csv
     from .key import signer_of
     from .provenance import of_judgement
     from .table import Table, of_structs
@@ -118,8 +113,8 @@ def reproduce(
     with connect(ledger, demanded=demanded) as database:
         metrics, statistics = metric_rows(database), statistic_rows(database)
         table = Table(of_structs(metrics, MetricRow), of_judgement(database))
-    write_text(folder / "metrics.csv", csv_text(plain(metrics), MetricRow.__struct_fields__))
-    write_text(folder / "statistics.csv", csv_text(plain(statistics), StatisticRow.__struct_fields__))
+    write_csv(folder / "metrics.csv", table)
+    write_csv(folder / "statistics.csv", Table(of_structs(statistics, StatisticRow)))
     write_report(
         ledger,
         folder / "report.pdf",

@@ -29,6 +29,9 @@ def named_in(folder: Path) -> str:
     return f"{', '.join(names)} or {last}"
 
 
+NAMES = named_in(SCENARIOS)
+
+
 @dataclass(frozen=True)
 class Simulated(Answer):
     """The result of `simulate`; the ledger may also hold runs from before. `key` is the one to sign with."""
@@ -69,89 +72,50 @@ class Simulated(Answer):
 def simulate(
     out: Annotated[Place, argument("OUT", "A new folder, or that of a ledger to continue or enlarge.")],
     *,
-    architecture: Annotated[
-        Names,
-        declare(
-            "--architecture",
-            "NAME",
-            "fsar, cfc or dhma; may be repeated.",
-            "all; with --without, the one that has the mechanism",
-            complete="architectures",
-        ),
-    ] = None,
-    scenario: Annotated[
-        Names,
-        declare(
-            "--scenario",
-            "NAME",
-            f"{named_in(SCENARIOS)}; may be repeated. Or one of your own: a .toml file (docs/own-fleet.md).",
-            "the paper's five",
-            complete="scenarios",
-        ),
-    ] = None,
-    workflow: Annotated[
-        Names,
-        declare(
-            "--workflow",
-            "NAME",
-            "Play one of the paper's workflows under FSAR instead: door-relay, layered-recovery or human-supervision; "
-            "may be repeated.",
-            complete="workflows",
-        ),
-    ] = None,
-    runs: Annotated[
-        int | None,
-        declare("--runs", "N", "Runs per scenario (or workflow) and architecture.", "20; with --workflow, 1"),
-    ] = None,
-    seed: Annotated[int, declare("--seed", "N", "Decides every draw of the world.")] = 42,
-    fleet: Annotated[
-        Place | None, declare("--fleet", "FILE", "A .toml file with a fleet of your own.", "the paper's")
-    ] = None,
-    settings: Annotated[
-        Names,
-        declare(
-            "--set",
-            "NAME=VALUE",
-            "A new value of a constant, such as world.review_share=0.5; may be repeated.",
-            complete="constants",
-        ),
-    ] = None,
-    fleet_size: Annotated[
-        int | None,
-        declare(
-            "--fleet-size",
-            "N",
-            "Robots: a multiple of 4, since a team has four roles, or of the size of your --fleet.",
-            "one team",
-        ),
-    ] = None,
-    teams_working: Annotated[
-        int | None,
-        declare("--teams-working", "N", "Teams that have tasks; the others stand by and can be asked.", "all"),
-    ] = None,
-    task_sets: Annotated[
-        int, declare("--task-sets", "N", "How often each team that works gets the tasks of its scenario, 30 s apart.")
-    ] = 1,
-    without: Annotated[
-        Names,
-        declare(
-            "--without",
-            "MECHANISM",
-            "Remove a mechanism of FSAR: trust-evaluation, policy-composition, layered-recovery or shared-registry "
-            "(docs/model.md lists more, also of CFC and DHMA), or several of one architecture, joined by +. May be "
-            "repeated, for one configuration each.",
-            complete="mechanisms",
-        ),
-    ] = None,
-    origin: Annotated[
-        str | None,
-        declare(
-            "--origin",
-            "NAME",
-            "Publish the ledger under this name, such as host/path.",
-            "the key's name, else fsar-ledger/simulated",
-        ),
-    ] = None,
+    architecture: Names = declare(
+        "NAME",
+        "fsar, cfc or dhma; may be repeated.",
+        "all; with --without, the one that has the mechanism",
+        complete="architectures",
+    ),
+    scenario: Names = declare(
+        "NAME",
+        f"{NAMES}; may be repeated. Or one of your own: a .toml file (docs/own-fleet.md).",
+        "the paper's five",
+        complete="scenarios",
+    ),
+    workflow: Names = declare(
+        "NAME",
+        "Play one of the paper's workflows under FSAR instead: door-relay, layered-recovery or human-supervision; "
+        "may be repeated.",
+        complete="workflows",
+    ),
+    runs: int | None = declare("N", "Runs per scenario (or workflow) and architecture.", "20; with --workflow, 1"),
+    seed: int = declare("N", "Decides every draw of the world.", value=42),
+    fleet: Place | None = declare("FILE", "A .toml file with a fleet of your own.", "the paper's"),
+    settings: Names = declare(
+        "NAME=VALUE",
+        "A new value of a constant, such as world.review_share=0.5; may be repeated.",
+        complete="constants",
+        flag="--set",
+    ),
+    fleet_size: int | None = declare(
+        "N", "Robots: a multiple of 4, since a team has four roles, or of the size of your --fleet.", "one team"
+    ),
+    teams_working: int | None = declare("N", "Teams that have tasks; the others stand by and can be asked.", "all"),
+    task_sets: int = declare(
+        "N", "How often each team that works gets the tasks of its scenario, 30 s apart.", value=1
+    ),
+    without: Names = declare(
+        "MECHANISM",
+        "Remove a mechanism of FSAR: trust-evaluation, policy-composition, layered-recovery or shared-registry "
+        "(docs/model.md lists more, also of CFC and DHMA), or several of one architecture, joined by +. May be "
+        "repeated, for one configuration each.",
+        complete="mechanisms",
+    ),
+    origin: str | None = declare(
+        "NAME", "Publish the ledger under this name, such as host/path.", "the key's name, else fsar-ledger/simulated"
+    ),
     key: KeyOption = None,
     adopt: AdoptOption = False,
     workers: WorkersOption = None,
@@ -167,9 +131,9 @@ def simulate(
         UsageError: The arguments contradict each other.
         WriteFailed: A write failed; what is committed stays.
     """
+    from fsar_ledger.runtime.asked import experiment_of
     from fsar_ledger.runtime.experiment import run_experiment
 
-    from .experiments import experiment_of
     from .key import origin_of, signer_of
     from .ledger import Ledger
 

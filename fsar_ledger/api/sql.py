@@ -1,43 +1,18 @@
 """The verb `sql`: a SELECT of your own."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Annotated
 
 from fsar_ledger.errors import UsageError, option
 
-from .answers import Screen
 from .verbs import STREAM, argument, declare, verb
 
 if TYPE_CHECKING:
-    import pyarrow as pa
-
     from fsar_ledger.metrics.sandbox import Limits
-    from fsar_ledger.printable import SafeText
 
     from .ledger import Ledger
-    from .provenance import Provenance
-    from .table import Table
-
-
-class Rows:
-    """Rows as a process sends them, so that a long answer is never in memory at once; else as a `Table`."""
-
-    def __init__(self, provenance: "Provenance", columns: Sequence[str], batches: "Iterator[pa.RecordBatch]") -> None:
-        self.provenance, self.columns = provenance, columns
-        self._batches = batches
-
-    def batches(self) -> "Iterator[pa.RecordBatch]":
-        """Yield the rows in Arrow, once."""
-        return self._batches
-
-    def columns_shown(self) -> Sequence[str]:
-        """Return the columns that people are shown."""
-        return self.columns
-
-    def below(self, _: Screen) -> "Iterator[SafeText]":
-        """Yield the lines below the rows, for people."""
-        yield from ()
+    from .table import Rows, Table
 
 
 MEMORY_MIB_MIN = 1024
@@ -68,11 +43,12 @@ def limits_of(seconds: int | None = None, memory_mib: int | None = None) -> "Lim
 
 
 @contextmanager
-def rows_of_select(ledger: "Ledger", select: str, seconds: int | None, memory_mib: int | None) -> Iterator[Rows]:
+def rows_of_select(ledger: "Ledger", select: str, seconds: int | None, memory_mib: int | None) -> "Iterator[Rows]":
     """Yield the answer of a SELECT; the time limit covers all of it. Raises: As `sql`."""
     from fsar_ledger.metrics.untrusted import stream_untrusted
 
     from .provenance import Provenance
+    from .table import Rows
 
     limits = limits_of(seconds, memory_mib)
     with stream_untrusted(ledger.path, select, limits, ledger.demanded) as found:
@@ -92,11 +68,10 @@ def sql(
     ledger: "Ledger",
     select: Annotated[str, argument("SELECT", "One SELECT in DuckDB's SQL.")],
     *,
-    seconds: Annotated[int | None, declare("--seconds", "N", "The time limit for a SELECT of your own.", "60")] = None,
-    memory_mib: Annotated[
-        int | None,
-        declare("--memory", "MIB", "The memory limit for a SELECT of your own; at least 1024.", "4096"),
-    ] = None,
+    seconds: int | None = declare("N", "The time limit for a SELECT of your own.", "60"),
+    memory_mib: int | None = declare(
+        "MIB", "The memory limit for a SELECT of your own; at least 1024.", "4096", flag="--memory"
+    ),
 ) -> "Table":
     """Answer a SELECT of your own.
 

@@ -3,7 +3,7 @@
 from bisect import bisect_right
 from collections.abc import Iterator, Mapping
 from operator import itemgetter
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import msgspec
 
@@ -70,20 +70,13 @@ class Moment(Answer, msgspec.Struct, frozen=True, kw_only=True):
 def state(
     ledger: "Ledger",
     run: OneRunOption,
-    at: Annotated[Time, declare("--at", "TIME", "Within the run: 46.6, 46.6s or 46600ms.", "its end")] = None,
+    at: Time = declare("TIME", "Within the run: 46.6, 46.6s or 46600ms.", "its end"),
     *,
-    robot: Annotated[str | None, declare("--robot", "ROBOT", "Only what this robot has a part in.", "all")] = None,
-    as_known_by: Annotated[
-        str | None,
-        declare(
-            "--as-known-by",
-            "DECIDER",
-            "Also what it had been told: coordinator, robot/A1, service/registry, agent/A1/planning.",
-        ),
-    ] = None,
-    by_commit: Annotated[
-        int | None, declare("--by-commit", "N", "From what the ledger had recorded after N commits.", "all")
-    ] = None,
+    robot: str | None = declare("ROBOT", "Only what this robot has a part in.", "all"),
+    as_known_by: str | None = declare(
+        "DECIDER", "Also what it had been told: coordinator, robot/A1, service/registry, agent/A1/planning."
+    ),
+    by_commit: int | None = declare("N", "From what the ledger had recorded after N commits.", "all"),
 ) -> Moment:
     """Show a fleet at a moment of a run: who does what, what waits, what is in force, and what is open.
 

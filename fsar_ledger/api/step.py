@@ -50,7 +50,7 @@ def _asked(
     ledger: "Ledger",
     run: str,
     at: Time = None,
-    script: Annotated[str | None, declare("--script", "MOVES", "Moves with ; between them, instead of keys.")] = None,
+    script: str | None = declare("MOVES", "Moves with ; between them, instead of keys."),
     walk: Annotated["Callable[[Steps, str], None] | None", Gives("walk")] = None,
 ) -> Walk:
     if script is None and walk is None:
@@ -67,7 +67,7 @@ def _asked(
 def step(
     ledger: "Ledger",
     run: OneRunOption,
-    at: Annotated[Time, declare("--at", "TIME", "Begin there: 46.6, 46.6s or 46600ms.", "event 0")] = None,
+    at: Time = declare("TIME", "Begin there: 46.6, 46.6s or 46600ms.", "event 0"),
 ) -> "Steps":
     """Walk through a run event by event, with the record and the state of the fleet at each.
 

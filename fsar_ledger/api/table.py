@@ -1,27 +1,26 @@
 """An answer as a table: Arrow, polars or plain rows, with its provenance."""
 
 import html
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import msgspec
 import pyarrow as pa
 
 from fsar_ledger import printable
+from fsar_ledger.errors import UsageError
 from fsar_ledger.metrics.database import plain_rows
 from fsar_ledger.metrics.sandbox import SENT_BYTES, slices
+from fsar_ledger.printable import SafeText
 
-from .fields import as_python
+from .answers import Answer, Row, Screen
+from .names import Place
 from .provenance import Provenance
+from .tables import Constant, fitted, more_text
+from .texts import as_python
 
 if TYPE_CHECKING:
     import polars as pl
-
-    from fsar_ledger.printable import SafeText
-
-    from .answers import Screen
-
-Row = dict[str, Any]
 
 NOTHING = Provenance()
 SHOWN_ROWS = 20
@@ -30,26 +29,60 @@ SETTING = ("family", "family_tests", "seed", "seeds", "kind", "source", "model_v
 """Columns of metrics that people are shown only where they tell rows apart."""
 
 
-class Table:
+class Rows(Answer):
+    """Rows that are read once, some megabytes at a time, so that a long answer is never in memory as a whole."""
+
+    def __init__(self, provenance: Provenance, columns: Sequence[str], batches: Iterable[pa.RecordBatch]) -> None:
+        self.provenance = provenance
+        self.columns = list(columns)
+        """The names of the columns."""
+        self._batches = batches
+        self.name = "rows"
+        """What they are called in JSON."""
+
+    def batches(self) -> Iterable[pa.RecordBatch]:
+        """Return the rows in Arrow, some megabytes at a time."""
+        return self._batches
+
+    def rows_alone(self) -> "Rows":
+        """Return the rows."""
+        return self
+
+    def columns_shown(self) -> list[str]:
+        """Return the columns that people are shown."""
+        return self.columns
+
+    def text(self, screen: Screen) -> Iterator[SafeText]:
+        """Yield the first rows as a table, in which a terminal names runs by their numbers, and how many there are.
+
+        Raises:
+            QueryFailed: Python cannot hold a date or time.
+        """
+        shown: list[Row] = []
+        count, columns = 0, self.columns_shown()
+        constant = Constant(columns if screen.is_fitted else ())
+        for batch in self.batches():
+            wanted = batch.slice(0, screen.limit - len(shown)) if screen.limit else batch
+            shown += [row for rows in rows_of(wanted) for row in rows]
+            count += len(batch)
+            constant.see(batch)
+        yield fitted(shown, columns, screen.width, screen.numbers, constant.names) or SafeText("(no rows)\n")
+        if count > len(shown):
+            yield more_text(count - len(shown))
+
+
+class Table(Rows):
     """The rows of an answer, read-only. Iterating yields a dictionary for each row, with None for NULL.
 
     `provenance` says which head of the ledger they hold for, whether the rows that were read were compared with its
     root (`Ledger.verify` does that, and remembers it), which planned runs are missing, and what runs do not observe.
     """
 
-    def __init__(
-        self,
-        rows: pa.Table,
-        provenance: Provenance = NOTHING,
-    ) -> None:
+    def __init__(self, rows: pa.Table, provenance: Provenance = NOTHING, *, name: str = "rows") -> None:
+        super().__init__(provenance, rows.column_names, ())
+        self.name = name
         self.stored = rows
         """The rows as DuckDB gave them."""
-        self.provenance = provenance
-
-    @property
-    def columns(self) -> list[str]:
-        """Return the names of the columns."""
-        return list(self.stored.column_names)
 
     def arrow(self) -> pa.Table:
         """Return the rows as an Arrow table; sums of integers are int64 where they fit."""
@@ -63,11 +96,11 @@ class Table:
         assert isinstance(frame, pl.DataFrame)
         return frame
 
-    def rows(self) -> list[Row]:
+    def rows(self) -> list[dict[str, Any]]:
         """Return all rows as dictionaries. Raises: As `parts`."""
         return [row for part in self.parts() for row in part]
 
-    def parts(self) -> Iterator[list[Row]]:
+    def parts(self) -> Iterator[list[dict[str, Any]]]:
         """Yield the rows as dictionaries, some at a time.
 
         Raises:
@@ -81,15 +114,7 @@ class Table:
         for batch in self.stored.to_batches():
             yield from slices(batch, SENT_BYTES)
 
-    def columns_shown(self) -> list[str]:
-        """Return the columns that people are shown."""
-        return self.columns
-
-    def below(self, screen: "Screen") -> "Iterator[SafeText]":  # noqa: ARG002 - other tables look at it
-        """Yield the lines below the rows, for people."""
-        yield from ()
-
-    def __iter__(self) -> Iterator[Row]:
+    def __iter__(self) -> Iterator[dict[str, Any]]:
         return (row for part in self.parts() for row in part)
 
     def __len__(self) -> int:
@@ -115,24 +140,78 @@ class MetricTable(Table):
         """Return the columns that people are shown."""
         return telling(self.rows())
 
-    def below(self, screen: "Screen") -> "Iterator[SafeText]":
-        """Yield the lines below the rows, for people."""
+    def text(self, screen: Screen) -> Iterator[SafeText]:
+        """Yield the rows, and what one of the metrics counts."""
+        yield from super().text(screen)
         yield from unit_of_interventions(screen)
 
 
-def telling(rows: Sequence[Mapping[str, object]]) -> list[str]:
+class Listing(Answer, msgspec.Struct, frozen=True, kw_only=True):
+    """Rows about a run, with words for when there are none, and a hint of how to ask about the first.
+
+    Attributes:
+        run: The name of the run.
+        found: The rows.
+        time: The column of times, which people read with three digits.
+        nothing: What there is none of.
+        unseen: What is added to that where not all that it rests on was observed.
+        hint: Returns the hint for the first row.
+        undrawn: Why it cannot be drawn.
+        columns: Those that people are shown, by whether they are fitted to a terminal; None: all.
+        name: What the rows are called in JSON.
+        about: What JSON says besides.
+    """
+
+    run: str
+    found: Table
+    time: str
+    nothing: str
+    unseen: str
+    hint: Callable[[Screen, Row], str]
+    undrawn: str
+    columns: Callable[[bool], Sequence[str] | None] = lambda _: None
+    name: str = "rows"
+    about: Mapping[str, object] = {}
+
+    @property
+    def provenance(self) -> Provenance:
+        """What the rows hold for."""
+        return self.found.provenance
+
+    def draw(self, file: Place, kind: str | None = None) -> None:
+        """Refuse. Raises: UsageError."""
+        raise UsageError(f"--{kind} {file}: {self.undrawn}")
+
+    def document(self, _: Screen) -> Mapping[str, object]:
+        """Return the rows."""
+        return {"run": self.run, **self.about, self.name: self.found.rows()}
+
+    def text(self, screen: Screen) -> Iterator[SafeText]:
+        """Yield the rows, and the hint."""
+        rows = self.found.rows()
+        if not rows:
+            unseen = f" on record; {self.unseen}" if self.provenance.not_observed else ""
+            yield printable.lines(screen.run_text(self.run), f"no {self.nothing}{unseen}")
+            return
+        yield printable.lines(screen.run_text(self.run), "")
+        times = [{**row, self.time: f"{row[self.time]:.3f}"} for row in rows]
+        yield screen.table(times, self.columns(screen.is_fitted))
+        yield printable.lines("", self.hint(screen, rows[0]))
+
+
+def telling(rows: Sequence[Row]) -> list[str]:
     """Return the columns, without those of a setting that is the same in every row."""
     return [name for name in (rows[0] if rows else ()) if name not in SETTING or len({row[name] for row in rows}) > 1]
 
 
-def unit_of_interventions(screen: "Screen") -> "Iterator[SafeText]":
+def unit_of_interventions(screen: Screen) -> Iterator[SafeText]:
     """Yield, on a terminal, the line that keeps a share of runs from being read as a number of calls."""
     if screen.is_fitted:
         calls = f"`fsar-ledger query interventions {printable.word(screen.path)}` lists the calls"
         yield printable.lines("", f"human_intervention is the share of runs that called the fleet supervisor; {calls}")
 
 
-def rows_of(batch: pa.RecordBatch) -> Iterator[list[Row]]:
+def rows_of(batch: pa.RecordBatch) -> Iterator[list[dict[str, Any]]]:
     """Yield the rows as dictionaries, some at a time.
 
     Raises:
@@ -142,6 +221,11 @@ def rows_of(batch: pa.RecordBatch) -> Iterator[list[Row]]:
         with as_python():
             rows = plain_rows(pa.Table.from_batches([part]))
         yield rows
+
+
+def plain(rows: Sequence[msgspec.Struct]) -> list[dict[str, Any]]:
+    """Return typed rows as mappings."""
+    return [msgspec.structs.asdict(row) for row in rows]
 
 
 def of_structs(rows: Sequence[msgspec.Struct], kind: type[msgspec.Struct]) -> pa.Table:

@@ -1,30 +1,31 @@
-"""Arrow columns as text, a column at a time: what each value is in CSV and in JSON.
+"""Rows as text: what each value is in CSV and in JSON, of Arrow columns a column at a time.
+
+Text from a ledger is escaped as it becomes a field of CSV (`printable`), unless raw.
 
 A column whose text nothing would change is taken as it is; of others, each distinct value goes once through the
-function for a single value (`fields.field_text`, `printable`). So the text of a column is to the byte that of its
+function for a single value (`field_text`, `printable`). So the text of a column is to the byte that of its
 values.
 """
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from functools import reduce
 from typing import Any, TypeAlias, TypeVar
 
 import msgspec
-import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
 from fsar_ledger import printable
-
-from .fields import as_python, encodable, field_text
+from fsar_ledger.errors import QueryFailed
 
 _SEEN = bytes(range(0x20, 0x7F))
 _JSON_PLAIN = bytes(set(_SEEN) - set(b'"\\'))
 _CSV_PLAIN = bytes(set(_SEEN) - set(b"\\"))
-_FORMULA, _BEGINS_FORMULA = r"^'*[ ]*[=+\-@]", b"' =+-@"
-"""What may be a formula in text of visible ASCII, and the characters that it begins with."""
+_FORMULA = r"^'*[ ]*[=+\-@]"
+"""What may be a formula in text of visible ASCII."""
 _NOT_CSV_PLAIN = r"[^ -\[\]-~]"
 _QUOTED = (",", '"', "\r", "\n")
 _SIMPLE = (pa.types.is_string, pa.types.is_integer, pa.types.is_boolean, pa.types.is_floating)
@@ -55,6 +56,11 @@ def in_turn(convert: Callable[[pa.RecordBatch], Converted], batches: Iterable[pa
             yield waiting.popleft().result()
 
 
+def csv_header(columns: Sequence[str], *, raw: bool = False) -> str:
+    """Return the line of CSV that names the columns."""
+    return csv_lines(pa.RecordBatch.from_pydict({f"{at}": [name] for at, name in enumerate(columns)}), raw=raw)
+
+
 def csv_lines(batch: pa.RecordBatch, *, raw: bool = False) -> str:
     """Return the rows as lines of comma-separated values, as `fields.csv_text` makes them. Raises: as `json_lines`."""
     if not batch.num_columns:
@@ -78,7 +84,10 @@ def json_lines(batch: pa.RecordBatch, before: str = "", after: str = "\n") -> st
     parts: list[Texts] = []
     for name, column in zip(batch.schema.names, batch.columns, strict=True):
         quoted = printable.ascii_json(msgspec.json.encode(name).decode())
-        parts += [f"{',' if parts else before + '{'}{quoted}:", *_json_parts(column)]
+        parts += [
+            f"{',' if parts else before + '{'}{quoted}:",
+            "null" if column.null_count == len(column) else json_texts(column),
+        ]
     parts += ["}" + after] if parts else [before + "{}" + after]
     return _joined(_side_by_side(parts, "", len(batch)))
 
@@ -97,13 +106,8 @@ def csv_texts(column: pa.Array, *, raw: bool = False) -> pa.Array:
 
 def harmless(column: pa.Array) -> pa.Array:
     """Return each text as `printable.field` makes it."""
-    is_plain = _holds_only(column, _CSV_PLAIN)
-    found = [] if is_plain else [_NOT_CSV_PLAIN]
-    if set(_beginnings(column)) & set(_BEGINS_FORMULA):
-        found.append(_FORMULA)
-    if not found:
-        return column
-    return _replaced(column, pc.match_substring_regex(column, "|".join(found)), column, printable.field)
+    found = _FORMULA if _holds_only(column, _CSV_PLAIN) else f"{_NOT_CSV_PLAIN}|{_FORMULA}"
+    return _replaced(column, pc.match_substring_regex(column, found), column, printable.field)
 
 
 def json_texts(column: pa.Array, *, in_ascii: bool = True, quote: str = '"') -> pa.Array:
@@ -125,17 +129,6 @@ def json_texts(column: pa.Array, *, in_ascii: bool = True, quote: str = '"') -> 
         texts = pc.binary_join_element_wise("[", _items(column, in_ascii=in_ascii, quote=quote), "]", "")
         return pc.if_else(column.is_valid(), texts, "null") if column.null_count else texts
     return _texts(column, encode, "null")
-
-
-def _json_parts(column: pa.Array) -> tuple[Texts, ...]:
-    """Return the parts that together are each value as JSON."""
-    if column.null_count == len(column):
-        return ("null",)
-    if not column.null_count and pa.types.is_string(column.type) and _holds_only(column, _JSON_PLAIN):
-        return '"', column, '"'
-    if not column.null_count and _is_simple_list(column.type):
-        return "[", _items(column), "]"
-    return (json_texts(column),)
 
 
 def _csv_field(column: pa.Array, *, raw: bool) -> Texts:
@@ -235,15 +228,6 @@ def _is_any_in(texts: pa.Array, characters: Sequence[str]) -> pa.Array:
     return reduce(pc.or_, found, pa.repeat(False, len(texts)))
 
 
-def _beginnings(texts: pa.Array) -> bytes:
-    """Return the first byte of each text; of an empty one any."""
-    content = np.frombuffer(_content(texts), np.uint8)
-    if not len(content):
-        return b""
-    starts = np.frombuffer(texts.buffers()[1], np.int32)[texts.offset : texts.offset + len(texts)]
-    return bytes(np.take(content, starts - starts[0], mode="clip"))
-
-
 def _holds_only(texts: pa.Array, characters: bytes) -> bool:
     """Tell whether the texts hold none but these bytes; one look at all of them together."""
     return not bytes(_content(texts)).translate(None, characters)
@@ -260,3 +244,46 @@ def _content(texts: pa.Array) -> memoryview:
 
 def _joined(texts: pa.Array) -> str:
     return str(_content(texts), "utf-8")
+
+
+@contextmanager
+def as_python() -> Iterator[None]:
+    """Say what to do about a value of Arrow that Python cannot hold. Raises: QueryFailed for a date or time."""
+    try:
+        yield
+    except (OverflowError, ValueError) as error:
+        raise QueryFailed(
+            "the answer: found a date or time that Python cannot hold, expected years 1 to 9999 and whole "
+            "microseconds; make it text, as in CAST(... AS VARCHAR), or take it in Python with arrow()"
+        ) from error
+
+
+def json_bytes(document: object) -> bytes:
+    """Return the document as JSON; bytes of file names that are not UTF-8 are escaped, `\\udcff` for ff."""
+    try:
+        return msgspec.json.encode(document)
+    except UnicodeEncodeError:  # rare, and to look for it in every value takes most of the time
+        return msgspec.json.encode(encodable(document))
+
+
+def encodable(value: object) -> object:
+    """Return the value with those bytes of file names escaped that are not UTF-8: `\\udcff` for ff."""
+    if isinstance(value, str):
+        return value if value.isascii() else value.encode("utf-8", "backslashreplace").decode()
+    if isinstance(value, dict):
+        return {encodable(name): encodable(one) for name, one in value.items()}
+    return [encodable(one) for one in value] if isinstance(value, list | tuple) else value
+
+
+def field_text(value: object, *, raw: bool) -> str:
+    """Return the value as a field of CSV."""
+    if isinstance(value, str):
+        return value if raw else printable.field(value)
+    if value is None:
+        return ""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, list | tuple | dict):
+        text = json_bytes(value).decode()
+        return text if raw else printable.ascii_json(text)
+    return repr(value) if isinstance(value, float) else str(value)

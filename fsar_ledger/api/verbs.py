@@ -1,7 +1,9 @@
 """What a verb is: one function, whose signature and docstring are those of Python and of the command line.
 
-The parameters of a verb carry a declaration (`declare`, `argument`) in their annotation; `cli/building.py` makes the
-options of the command of them, and the docstring gets its `Args:` from them. One without is for Python alone.
+A parameter of a verb has its declaration in place of its default (`declare`, `switch`, `argument`), which names the
+true default; a parameter that must be given, and one that several verbs share, has an `Option` in its annotation.
+`cli/building.py` makes the options of the command of them, and the docstring gets its `Args:` from them. A parameter
+without one is for Python alone.
 Modules of verbs are imported to show a help text, so they import what takes time inside their functions.
 """
 
@@ -32,8 +34,8 @@ NOTHING_CHANGED = "nothing was changed"
 class Option(NamedTuple):
     """An option of the command line, or an argument if it has no flag; a switch has no metavar.
 
-    `default` says what holds without it, where the value of the parameter does not. `complete` is the function of
-    `cli/completing.py` that offers values to a shell.
+    `default` says what holds without it, where the value of the parameter does not. `complete` names the
+    values that a shell is offered (`cli/completing.py`).
     """
 
     flag: str | None
@@ -44,6 +46,8 @@ class Option(NamedTuple):
     least: int | None = None
     most: int | None = None
     environment: str | None = None
+    value: Any = None
+    """The value of the parameter without it, where it stands in place of that."""
 
 
 class Shows(NamedTuple):
@@ -104,12 +108,20 @@ class Verb(NamedTuple):
 VERBS: dict[str, Verb] = {}
 """The verbs of the modules that are imported, by name."""
 
-declare = Option
+
+def declare(metavar: str | None, help: str, default: str | None = None, *, flag: str = "", **more: Any) -> Any:
+    """Declare an option, in place of the default of its parameter, which is `value`; `flag`: if not the name of it."""
+    return Option(flag, metavar, help, default, **more)
 
 
-def argument(metavar: str, help: str, default: str | None = None, *, complete: str | None = None) -> Option:
-    """Declare an argument."""
-    return Option(None, metavar, help, default, complete)
+def switch(help: str, *, flag: str = "") -> Any:
+    """Declare a switch, in place of the default of its parameter, which is False."""
+    return Option(flag, None, help, value=False)
+
+
+def argument(metavar: str, help: str, default: str | None = None, **more: Any) -> Any:
+    """Declare an argument, in an annotation or as `declare`."""
+    return Option(None, metavar, help, default, **more)
 
 
 def verb(
@@ -138,6 +150,9 @@ def verb(
     """
 
     def register(function: _Function) -> _Function:
+        _settle(function)
+        if call is not None:
+            _settle(call)
         called = name or function.__name__.replace("_", "-")
         calls = tuple(f"fsar-ledger {one}" if one.startswith(called) else one for one in examples)
         VERBS[called] = Verb(
@@ -147,6 +162,22 @@ def verb(
         return function
 
     return register
+
+
+def _settle(function: Callable[..., Any]) -> None:
+    """Give each parameter whose default is a declaration its true default, and the declaration as an annotation."""
+    settled = []
+    for name, one in inspect.signature(function).parameters.items():
+        if isinstance(found := one.default, Option):
+            found = found._replace(flag=f"--{name.replace('_', '-')}") if found.flag == "" else found
+            one = one.replace(annotation=Annotated[one.annotation, found], default=found.value)
+        settled.append(one)
+    plain = [one for one in settled if one.kind is not one.KEYWORD_ONLY]
+    function.__defaults__ = tuple(one.default for one in plain if one.default is not one.empty)
+    function.__kwdefaults__ = {
+        one.name: one.default for one in settled if one.kind is one.KEYWORD_ONLY and one.default is not one.empty
+    }
+    function.__annotations__.update({one.name: one.annotation for one in settled if one.annotation is not one.empty})
 
 
 def declared(parameter: inspect.Parameter) -> Option | Shows | Gives | None:
@@ -166,11 +197,11 @@ def _documented(function: Callable[..., Any]) -> str:
     return "\n".join([f"{before}\n\nArgs:", *lines]) + raises + after
 
 
-ByOption = Annotated[By, declare("--by", "scenario", "One row for each scenario.")]
-PoolOption = Annotated[Pool, declare("--pool", "seeds", "Pool the runs of all seeds.", "each seed by itself")]
+ByOption = Annotated[By, Option("--by", "scenario", "One row for each scenario.")]
+PoolOption = Annotated[Pool, Option("--pool", "seeds", "Pool the runs of all seeds.", "each seed by itself")]
 InvariantOption = Annotated[
     Names,
-    declare(
+    Option(
         "--invariant",
         "NAME",
         "i1 to i5 or a1 to a5, or a whole name; may be repeated.",
@@ -180,7 +211,7 @@ InvariantOption = Annotated[
 ]
 ArchitectureOption = Annotated[
     Names,
-    declare(
+    Option(
         "--architecture",
         "NAME",
         "Only the runs of fsar, cfc or dhma; may be repeated.",
@@ -192,27 +223,27 @@ SIDE = (
     "ARCHITECTURE[:CONFIGURATION][@CONSTANTS][/ROBOTS]: `fsar`, `fsar:without-layered-recovery`, `cfc@B`, "
     "`dhma/8`; constants by the letters of `info`."
 )
-FirstOption = Annotated[str | None, declare("--first", "NAME", SIDE, "the first of two")]
+FirstOption = Annotated[str | None, Option("--first", "NAME", SIDE, "the first of two")]
 SecondOption = Annotated[
-    str | None, declare("--second", "NAME", "The same; of OTHER, if it is given.", "the other of two")
+    str | None, Option("--second", "NAME", "The same; of OTHER, if it is given.", "the other of two")
 ]
 OtherArgument = Annotated["Ledger | Place | None", argument("OTHER", "The ledger of the second side.", "the same")]
 OneRunOption = Annotated[
-    Run, declare("--run", "RUN", "A run: its number, its name, or a unique part of it.", complete="runs")
+    Run, Option("--run", "RUN", "A run: its number, its name, or a unique part of it.", complete="runs")
 ]
 TrustedKeyOption = Annotated[
     str | None,
-    declare("--trusted-key", "KEY", "Require the signature of this public key: a .pub file, or the key itself."),
+    Option("--trusted-key", "KEY", "Require the signature of this public key: a .pub file, or the key itself."),
 ]
-RAW = declare("--raw", None, "Do not escape text in CSV, not even control characters and spreadsheet formulas.")
+RAW = Option("--raw", None, "Do not escape text in CSV, not even control characters and spreadsheet formulas.")
 RawOption = Annotated[bool, RAW]
 ParameterOption = Annotated[
     Mapping[str, object] | None,
-    declare("--param", "NAME=VALUE", "A parameter of the query; may be repeated.", complete="parameters"),
+    Option("--param", "NAME=VALUE", "A parameter of the query; may be repeated.", complete="parameters"),
 ]
 KeyOption = Annotated[
     Place | None,
-    declare(
+    Option(
         "--key",
         "FILE",
         "Sign with this key, of `fsar-ledger key new`.",
@@ -221,12 +252,11 @@ KeyOption = Annotated[
     ),
 ]
 AdoptOption = Annotated[
-    bool, declare("--adopt", None, "Continue a ledger that another key signed, or none; verify it first.")
+    bool, Option("--adopt", None, "Continue a ledger that another key signed, or none; verify it first.")
 ]
-SvgOption = Annotated[Place | None, declare("--svg", "FILE", "Also draw it, as SVG; replaced if it exists.")]
 WorkersOption = Annotated[
     int | None,
-    declare(
+    Option(
         "--workers",
         "N",
         "Processes at once; the answer is the same for any number.",

@@ -13,16 +13,16 @@ from fsar_ledger.printable import counted
 from .answers import Answer, Screen
 from .key import anchor_of, signature_text, trusted_of
 from .names import Place
-from .verbs import Gives, Shows, TrustedKeyOption, WorkersOption, declare, verb
+from .verbs import Gives, Shows, TrustedKeyOption, WorkersOption, declare, switch, verb
 from .workload import Progress, readers_of
 
 if TYPE_CHECKING:
     from fsar_ledger.ledger.store.problem import Problem
     from fsar_ledger.ledger.verify.report import VerifyReport
     from fsar_ledger.runtime.replay import ReplayReport
+    from fsar_ledger.witness.seen import WitnessAnswer
 
     from .ledger import Ledger
-    from .witness import WitnessAnswer
 
 
 class Verification(Answer, msgspec.Struct, frozen=True):
@@ -123,49 +123,21 @@ class Verification(Answer, msgspec.Struct, frozen=True):
 def verify(
     ledger: "Ledger",
     *,
-    quick: Annotated[
-        bool,
-        declare("--quick", None, "Read no rows: only the chain of records, the files' hashes and the notes."),
-    ] = False,
-    anchor: Annotated[
-        Place | None,
-        declare("--anchor", "FILE", "Prove that the ledger only grew since this copy of LEDGER/checkpoint."),
-    ] = None,
+    quick: bool = switch("Read no rows: only the chain of records, the files' hashes and the notes."),
+    anchor: Place | None = declare("FILE", "Prove that the ledger only grew since this copy of LEDGER/checkpoint."),
     trusted_key: TrustedKeyOption = None,
-    witness_policy: Annotated[
-        Place | None,
-        declare(
-            "--witness-policy",
-            "FILE",
-            "Ask the witnesses in this C2SP tlog-policy what they saw of the ledger; enough of them must have seen it, "
-            "as it is or before it grew.",
-        ),
-    ] = None,
-    cosigned: Annotated[
-        Sequence[Place],
-        declare(
-            "--cosigned",
-            "FILE",
-            "With --witness-policy: ask nobody, and take what this note shows; may be repeated.",
-        ),
-    ] = (),
-    replay: Annotated[
-        bool,
-        declare(
-            "--replay",
-            None,
-            "Also play every run again: each recorded decision must be what the handlers decide from the recorded "
-            "world.",
-        ),
-    ] = False,
-    recorded: Annotated[
-        bool,
-        declare(
-            "--recorded",
-            None,
-            "With --replay: take what the world did and answered from the ledger, not from the seed.",
-        ),
-    ] = False,
+    witness_policy: Place | None = declare(
+        "FILE",
+        "Ask the witnesses in this C2SP tlog-policy what they saw of the ledger; enough of them must have seen it, "
+        "as it is or before it grew.",
+    ),
+    cosigned: Sequence[Place] = declare(
+        "FILE", "With --witness-policy: ask nobody, and take what this note shows; may be repeated.", value=()
+    ),
+    replay: bool = switch(
+        "Also play every run again: each recorded decision must be what the handlers decide from the recorded world."
+    ),
+    recorded: bool = switch("With --replay: take what the world did and answered from the ledger, not from the seed."),
     workers: WorkersOption = None,
     progress: Annotated[Progress | None, Shows("verified", "segments", {"replay": "verified and replayed"})] = None,
     now_s: Annotated[int | None, Gives("now")] = None,
@@ -184,8 +156,7 @@ def verify(
     """
     from fsar_ledger.ledger.verify.report import VerifyOptions
     from fsar_ledger.metrics.verified import full_verify
-
-    from .witness import seen_of
+    from fsar_ledger.witness.seen import seen_of
 
     if recorded and not replay:
         raise UsageError(f"{option('recorded')}: expected it with {option('replay')}, of which it says in which world")

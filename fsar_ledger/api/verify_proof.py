@@ -104,10 +104,8 @@ def verify_proof(
     file: Annotated[Place, argument("FILE", "What `fsar-ledger prove` wrote.")],
     trusted_key: TrustedKeyOption = None,
     *,
-    anchor: Annotated[
-        Place | None, declare("--anchor", "FILE", "Compare the root with that of this checkpoint, kept elsewhere.")
-    ] = None,
-    root: Annotated[str | None, declare("--root", "HEX", "Compare the root with this one.")] = None,
+    anchor: Place | None = declare("FILE", "Compare the root with that of this checkpoint, kept elsewhere."),
+    root: str | None = declare("HEX", "Compare the root with this one."),
 ) -> "Proven":
     """Check a proof without the ledger, and show the event. A `-` reads it from standard input.
 

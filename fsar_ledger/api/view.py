@@ -1,6 +1,5 @@
 """The verb `view`: a run, or two beside each other, as a page of HTML; or a run as a trace that Perfetto opens."""
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -9,9 +8,9 @@ import msgspec
 from fsar_ledger import printable
 from fsar_ledger.errors import UsageError, option
 
-from .answers import Answer, Screen
+from .answers import Lines
 from .names import Place, Run
-from .verbs import declare, verb
+from .verbs import Option, declare, verb
 
 if TYPE_CHECKING:
     from fsar_ledger.view.page import PageOptions
@@ -45,33 +44,16 @@ class Picture(msgspec.Struct, frozen=True):
         return f"{shown}s {names}: " + ("no difference" if first is None else f"the first difference is event {first}")
 
 
-class Pictures(Answer, msgspec.Struct, frozen=True):
-    """The files that were written."""
-
-    found: tuple[Picture, ...]
-
-    @property
-    def provenances(self) -> "tuple[Provenance, ...]":
-        """What they hold for."""
-        first = self.found[0]
-        return (first.provenance,) if first.other is None else (first.provenance, first.other)
-
-    def text(self, _: Screen) -> Iterator[printable.SafeText]:
-        """Yield what each shows."""
-        yield printable.lines(*map(str, self.found))
-
-
 def _asked(
     ledger: "Ledger",
     out: Place | None = None,
     run: Run | None = None,
     second: Run | None = None,
     other: "Ledger | None" = None,
-    perfetto: Annotated[
-        Place | None,
-        declare("--perfetto", "FILE", "A .json file of trace events for ui.perfetto.dev; replaced if it exists."),
-    ] = None,
-) -> Pictures:
+    perfetto: Place | None = declare(
+        "FILE", "A .json file of trace events for ui.perfetto.dev; replaced if it exists."
+    ),
+) -> Lines:
     if out is None and perfetto is None:
         raise UsageError("found neither --out nor --perfetto, expected a file to write; give --out FILE.html")
     if perfetto is not None and (second is not None or other is not None):
@@ -84,7 +66,10 @@ def _asked(
             require_picture(Path(place), suffix, name)
     written = [] if out is None else [view(ledger, out, run, second, other)]
     written += [] if perfetto is None else [trace(ledger, perfetto, run)]
-    return Pictures(tuple(written))
+    first, other_one = written[0].provenance, written[0].other
+    answer = Lines(*map(str, written))
+    answer.provenances = (first,) if other_one is None else (first, other_one)
+    return answer
 
 
 @verb(
@@ -96,29 +81,14 @@ def _asked(
 )
 def view(
     ledger: "Ledger",
-    out: Annotated[Place, declare("--out", "FILE", "A .html file; replaced if it exists.")],
-    run: Annotated[
-        Run | None,
-        declare(
-            "--run",
-            "RUN",
-            "A run: its number, its name, or a part of it that no other run has.",
-            "the first run",
-            complete="runs",
-        ),
-    ] = None,
-    second: Annotated[
-        Run | None,
-        declare(
-            "--with",
-            "RUN",
-            "Show this run, too, below the other; their first difference is marked.",
-            complete="runs",
-        ),
-    ] = None,
-    other: Annotated[
-        "Ledger | None", declare("--other", "LEDGER", "The ledger that holds the run of --with.", "LEDGER")
-    ] = None,
+    out: Annotated[Place, Option("--out", "FILE", "A .html file; replaced if it exists.")],
+    run: Run | None = declare(
+        "RUN", "A run: its number, its name, or a part of it that no other run has.", "the first run", complete="runs"
+    ),
+    second: Run | None = declare(
+        "RUN", "Show this run, too, below the other; their first difference is marked.", complete="runs", flag="--with"
+    ),
+    other: "Ledger | None" = declare("LEDGER", "The ledger that holds the run of --with.", "LEDGER"),
 ) -> Picture:
     """Write a page that shows a run: who did what when, what held at any moment, and every event.
 

@@ -8,20 +8,18 @@ import msgspec
 
 from fsar_ledger import printable
 from fsar_ledger.errors import UsageError, option
-from fsar_ledger.printable import SafeText, counted, did_you_mean, value
+from fsar_ledger.printable import SafeText, counted
 
 from .answers import Answer, Screen
 from .diff import Diff, story
 from .names import Names, Place, Run, names_of
-from .verbs import ArchitectureOption, Shows, declare, verb
+from .verbs import ArchitectureOption, Option, Shows, declare, switch, verb
 from .workload import Progress
 
 if TYPE_CHECKING:
-    from fsar_ledger.analysis.whatif import Divergence, Effects, Pair
+    from fsar_ledger.analysis.whatif import Divergence, Effects
     from fsar_ledger.ledger.rows.codec import LedgerRun
-    from fsar_ledger.ledger.store.read import View
     from fsar_ledger.ledger.store.view import Head
-    from fsar_ledger.runtime.changes import Changes
 
     from .ledger import Ledger
     from .provenance import Provenance
@@ -105,32 +103,13 @@ class WhatIf(Answer, msgspec.Struct, frozen=True):
             yield printable.lines(f"kept in {place}: {count}, each beside its base, root {self.kept.root}")
 
 
-class Changeables(Answer, msgspec.Struct, frozen=True):
-    """What the changes of a run can name."""
-
-    found: "Table"
-
-    @property
-    def provenance(self) -> "Provenance":
-        """What the answer holds for."""
-        return self.found.provenance
-
-    def document(self, _: Screen) -> Mapping[str, object]:
-        """Return a row for each."""
-        return {"changeable": self.found.rows()}
-
-    def text(self, screen: Screen) -> Iterator[SafeText]:
-        """Yield a table."""
-        yield screen.table(self.found.rows(), self.found.columns)
-
-
 def _asked(
     ledger: "Ledger",
-    changes: Annotated[Names, declare("--change", "TEXT", "What is otherwise; may be repeated.")] = None,
-    file: Annotated[Place | None, declare("--changes", "FILE", "A .toml file of changes.")] = None,
+    changes: Names = declare("TEXT", "What is otherwise; may be repeated.", flag="--change"),
+    file: Place | None = declare("FILE", "A .toml file of changes.", flag="--changes"),
     run: Run | None = None,
-    all_runs: Annotated[bool, declare("--all-runs", None, "Fork every simulated run.")] = False,
-    lists: Annotated[bool, declare("--list", None, "List what changes of the run can name.")] = False,
+    all_runs: bool = switch("Fork every simulated run."),
+    lists: bool = switch("List what changes of the run can name.", flag="--list"),
     architecture: Names = None,
     out: Place | None = None,
     progress: Progress | None = None,
@@ -138,7 +117,7 @@ def _asked(
     if lists:
         if run is None:
             raise UsageError("--list: found no run, expected --run RUN")
-        return Changeables(changeable(ledger, run))
+        return changeable(ledger, run)
     if (run is None) == (not all_runs):
         found = "--run and --all-runs" if all_runs else "neither --run nor --all-runs"
         raise UsageError(f"found {found}, expected one of them")
@@ -162,15 +141,11 @@ def _asked(
 )
 def whatif(
     ledger: "Ledger",
-    changes: Annotated[Texts, declare("--change", "TEXT", "What is otherwise; may be repeated.")],
-    run: Annotated[
-        Run | None, declare("--run", "RUN", "Fork this run: its number, its name, or a unique part of it.")
-    ] = None,
+    changes: Annotated[Texts, Option("--change", "TEXT", "What is otherwise; may be repeated.")],
+    run: Run | None = declare("RUN", "Fork this run: its number, its name, or a unique part of it."),
     *,
     architecture: ArchitectureOption = None,
-    out: Annotated[
-        Place | None, declare("--out", "LEDGER", "Store each fork beside its base in this ledger.", "nowhere")
-    ] = None,
+    out: Place | None = declare("LEDGER", "Store each fork beside its base in this ledger.", "nowhere"),
     progress: Annotated[Progress | None, Shows("played", "forks")] = None,
 ) -> WhatIf:
     """Fork runs with a change, and show what it does: in one run, or over all in pairs.
@@ -186,6 +161,7 @@ def whatif(
             the ledger itself, or lies inside one.
         WriteFailed: `out` cannot be written.
     """
+    from fsar_ledger.analysis.asked_forks import changes_of, fork_of, fork_pairs, runs_of
     from fsar_ledger.analysis.records import record_of
     from fsar_ledger.analysis.whatif import commit_pairs, effects
     from fsar_ledger.ledger.store.paths import require_outside
@@ -203,7 +179,7 @@ def whatif(
         require_outside(place.parent, option("out", place))
     texts = tuple(map(str, meant))
     if record is not None:
-        pair = _one(view, record, meant)
+        pair = fork_of(view, record, meant)
         found, judged = effects([pair])
         story = difference_of(record, pair.fork.record, (provenance,))
         kept = None if place is None else commit_pairs(place, [pair])
@@ -212,7 +188,7 @@ def whatif(
     played = None if progress is None else lambda done: progress(done, len(runs))
     found, judged = effects(fork_pairs(view, runs, meant), played)
     if meant and not any(one.parts_at for one in found):
-        _one(view, record_of(view, runs[0]), meant)  # says why it has no effect there
+        fork_of(view, record_of(view, runs[0]), meant)  # says why it has no effect there
         raise UsageError(f"none of {len(runs):,} runs does anything else with these changes; expected some effect")
     kept = None if place is None else commit_pairs(place, fork_pairs(view, runs, meant))
     return WhatIf(texts, tuple(found), judged, None, provenance, kept, place)
@@ -227,13 +203,14 @@ def fork(ledger: "Ledger", run: Run, changes: Texts) -> Fork:
     Raises:
         UsageError: There is no such run, it cannot be made again, or a change is none or has no effect.
     """
+    from fsar_ledger.analysis.asked_forks import changes_of, fork_of
     from fsar_ledger.events.fleet import RunStarted
 
     from .lookup import present, recorded
 
     view, _ = present(ledger)
     record = recorded(ledger, view, run)
-    pair = _one(view, record, changes_of(changes))
+    pair = fork_of(view, record, changes_of(changes))
     started = pair.fork.record.events[0]
     assert isinstance(started, RunStarted)
     return Fork(record, pair.fork.record, started.changes or (), pair.fork.parts_at)
@@ -255,62 +232,11 @@ def changeable(ledger: "Ledger", run: Run) -> "Table":
 
     view, provenance = present(ledger)
     found = rerun(base_of_record(recorded(ledger, view, run), view.head.root)).changeable()
-    return Table(of_structs(found, Changeable), provenance)
-
-
-def changes_of(asked: Texts) -> "Changes":
-    """Return the changes of these texts and files. Raises: UsageError."""
-    from fsar_ledger.runtime.change_texts import parsed, read_changes
-
-    found: Changes = ()
-    for one in [asked] if isinstance(asked, str) else asked:
-        found += read_changes(Path(one)) if one.endswith(".toml") else parsed([one])
-    return found
-
-
-def runs_of(view: "View", architectures: Sequence[str]) -> list[str]:
-    """Return the simulated runs of these architectures, or all, but no forks.
-
-    Raises:
-        UsageError: There is none.
-    """
-    from fsar_ledger.analysis.records import starts_of
-
-    starts = [(run, started) for run, started in starts_of(view) if started.kind == "simulated" and not started.changes]
-    names = {started.architecture or "" for _, started in starts}
-    for asked in architectures:
-        if asked not in names:
-            hint = did_you_mean(asked, names) or ";"
-            raise UsageError(
-                f"{option('architecture', value(asked))}: there is no such run{hint} expected one of "
-                f"{', '.join(sorted(names)) or 'none: it holds no simulated run'}"
-            )
-    found = [run for run, started in starts if not architectures or started.architecture in architectures]
-    if not found:
-        raise UsageError(f"{view.path}: found no simulated run that is not a fork itself, expected some to fork from")
-    return found
-
-
-def fork_pairs(view: "View", runs: Sequence[str], changes: "Changes") -> "Iterator[Pair]":
-    """Yield these runs of a ledger, each with its fork. Raises: UsageError if one cannot be made again."""
-    from fsar_ledger.analysis.fork_base import base_of_record
-    from fsar_ledger.analysis.whatif import forks_of
-
-    asked = set(runs)
-    records = (record for record in view.runs() if record.run_id in asked)
-    return forks_of((base_of_record(record, view.head.root) for record in records), changes)
-
-
-def _one(view: "View", record: "LedgerRun", changes: "Changes") -> "Pair":
-    from fsar_ledger.analysis.fork_base import base_of_record, rerun
-    from fsar_ledger.analysis.whatif import Pair
-
-    base = base_of_record(record, view.head.root)
-    return Pair(base, rerun(base).fork_with_effect(changes))
+    return Table(of_structs(found, Changeable), provenance, name="changeable")
 
 
 def _effects(found: "Effects", screen: Screen) -> Iterator[SafeText]:
-    from .fields import plain
+    from .table import plain
 
     rows = [{NAMES.get(name, name): row[name] for name in COLUMNS} for row in plain(found.rows)]
     who = found.architecture or "-"

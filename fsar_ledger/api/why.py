@@ -1,9 +1,7 @@
 """The verb `why`: why an event happened, and which events made a verdict of SQL, in words."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from functools import partial
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import msgspec
 
@@ -11,48 +9,25 @@ from fsar_ledger import printable
 from fsar_ledger.errors import UsageError, option
 from fsar_ledger.printable import SafeText
 
-from .answers import Answer, Drawable, Listing, Screen, drawn
+from .answers import Answer, Row, Screen, figure_place
 from .names import Place, Run
-from .verbs import SvgOption, argument, declare, verb
+from .verbs import WIDE, argument, declare, verb
 
 if TYPE_CHECKING:
     from fsar_ledger.analysis.records import Line
     from fsar_ledger.analysis.why import DecisionTrace, Read
     from fsar_ledger.ledger.rows.codec import LedgerRun
-    from fsar_ledger.metrics.database import Database
 
     from .ledger import Ledger
     from .provenance import Provenance
     from .table import Table
-
-JUDGES = {
-    "violation": "policy_violations",
-    "conflict": "authority_conflicts",
-    "late": "coordination_success",
-    "unattributed": "audit_attributability",
-}
-"""By kind of verdict, the metric that counts such verdicts."""
-
-_OF_METRICS = """
-    SELECT seq, time_us / 1e6 AS time_s, action_id, about, found, made_by
-    FROM verdict_events
-    WHERE run_id = $run AND verdict = $kind
-    ORDER BY seq, action_id, about
-"""
-_OF_INVARIANT = """
-    SELECT seq, time_us / 1e6 AS time_s, action_id, type AS about, found, [seq] AS made_by
-    FROM {relation}
-    WHERE run_id = $run
-    ORDER BY seq
-"""
-
 
 MAX_WORDS = 1_000
 MAX_VALUE = 80
 INDENT = "    "
 
 
-class Why(Drawable, msgspec.Struct, frozen=True, kw_only=True):
+class Why(Answer, msgspec.Struct, frozen=True, kw_only=True):
     """Why an event of a run happened.
 
     Attributes:
@@ -72,22 +47,20 @@ class Why(Drawable, msgspec.Struct, frozen=True, kw_only=True):
     lines: dict[int, "Line"]
     provenance: "Provenance"
 
-    def draw(self, file: Place, kind: str | None = None) -> None:  # noqa: ARG002 - the suffix tells
+    def draw(self, file: Place, kind: str | None = None) -> None:
         """Draw the event and what it rests on, as SVG or PDF by the suffix; the file is replaced if it exists.
 
         Raises:
             UsageError: The name has another suffix, or the file lies inside a ledger.
             WriteFailed: The file cannot be written.
         """
-        from fsar_ledger.ledger.store.paths import require_outside
         from fsar_ledger.publishing import publish
         from fsar_ledger.view.why import figure
 
-        place = Path(file)
-        if place.suffix not in (".svg", ".pdf"):
-            raise UsageError(f"{place}: expected a name that ends in .svg or .pdf")
-        require_outside(place, str(place))
-        publish(place, figure(self.seq, self.made, self.lines, place.suffix[1:]))
+        place, form = figure_place(file, kind)
+        if place.suffix[1:] != form:
+            raise UsageError(f"--{kind} {file}: expected a name that ends in .{kind}")
+        publish(place, figure(self.seq, self.made, self.lines, form))
 
     def document(self, _: Screen) -> Mapping[str, object]:
         """Return how the event came about, and every event that is named."""
@@ -96,7 +69,7 @@ class Why(Drawable, msgspec.Struct, frozen=True, kw_only=True):
 
     def text(self, screen: Screen) -> Iterator[SafeText]:
         """Yield the answer as an indented tree."""
-        proven = printable.word(f"{screen.run_word(self.run)}:{self.seq}")
+        proven = screen.event_word(self.run, self.seq)
         hint = f"`fsar-ledger prove {printable.word(screen.path)} {proven}` proves event {self.seq} to others"
         yield printable.lines(screen.run_text(self.run), "", *Tree(self).lines(), "", hint)
 
@@ -105,53 +78,46 @@ def _asked(
     ledger: "Ledger",
     event: str | None = None,
     depth: int = 2,
-    svg: SvgOption = None,
-    run: Annotated[
-        Run | None,
-        declare(
-            "--run",
-            "RUN",
-            "With --verdict: the run, by number, name, or a part of it that no other run has.",
-            complete="runs",
-        ),
-    ] = None,
-    verdict: Annotated[
-        str | None,
-        declare(
-            "--verdict",
-            "KIND",
-            "Instead of an event: list violation, conflict, late, unattributed, or an invariant, as i4.",
-        ),
-    ] = None,
+    run: Run | None = declare(
+        "RUN", "With --verdict: the run, by number, name, or a part of it that no other run has.", complete="runs"
+    ),
+    verdict: str | None = declare(
+        "KIND", "Instead of an event: list violation, conflict, late, unattributed, or an invariant, as i4."
+    ),
 ) -> Answer:
+    from .table import Listing
+
     if (event is None) == (verdict is None):
         raise UsageError("why: expected an EVENT, as RUN:SEQ, or --run RUN and --verdict KIND")
-    if verdict is not None and run is None:
+    if event is not None:
+        if run is not None:
+            raise UsageError(f"--run {run}: expected it with --verdict only; EVENT names the run")
+        return why(ledger, event, depth=depth)
+    if run is None:
         raise UsageError(f"--verdict {verdict}: expected the run, too; give --run RUN")
-    if verdict is None and run is not None:
-        raise UsageError(f"--run {run}: expected it with --verdict only; EVENT names the run")
-    if verdict is not None and svg is not None:
-        raise UsageError(f"--svg {svg}: found no event to draw, expected EVENT without --verdict")
-    if verdict is not None and run is not None:
-        name = ledger.record(run).run_id
-        nothing = (verdict, "not all that it rests on was observed")
-        found = verdicts(ledger, name, verdict)
-        return Listing(name, found, time="time_s", nothing=nothing, hint=partial(_hint, name), verdict=verdict)
-    assert event is not None
-    if svg is not None and Path(svg).suffix != ".svg":
-        raise UsageError(f"--svg {svg}: expected a name that ends in .svg")
-    return drawn(lambda: why(ledger, event, depth=depth), svg=svg)
+    name = ledger.record(run).run_id
 
+    def hint(screen: Screen, first: Row) -> str:
+        asked = f"{printable.word(screen.path)} {screen.event_word(name, first['seq'])}"
+        return f"`fsar-ledger why {asked}` says why event {first['seq']} happened"
 
-def _hint(run: str, screen: Screen, first: Mapping[str, Any]) -> str:
-    event = printable.word(f"{screen.run_word(run)}:{first['seq']}")
-    return f"`fsar-ledger why {printable.word(screen.path)} {event}` says why event {first['seq']} happened"
+    return Listing(
+        run=name,
+        found=verdicts(ledger, name, f"{verdict}"),
+        time="time_s",
+        nothing=f"{verdict}",
+        unseen="not all that it rests on was observed",
+        hint=hint,
+        undrawn="found no event to draw, expected EVENT without --verdict",
+        about={"verdict": verdict},
+    )
 
 
 @verb(
     "why out/ledger 1:148",
     "why out/ledger 1:148 --depth 1 --svg out/why.svg",
     "why out/ledger --run 2 --verdict violation",
+    takes=("svg", *WIDE),
     call=_asked,
 )
 def why(
@@ -161,15 +127,12 @@ def why(
         argument("[EVENT]", "RUN:SEQ, or the event's place in the ledger, as for `prove`."),
     ],
     *,
-    depth: Annotated[
-        int | None,
-        declare(
-            "--depth",
-            "N",
-            "1: how the event came about; 2: and how the events came about that it rests on; and so on.",
-            least=1,
-        ),
-    ] = 2,
+    depth: int | None = declare(
+        "N",
+        "1: how the event came about; 2: and how the events came about that it rests on; and so on.",
+        least=1,
+        value=2,
+    ),
 ) -> Why:
     """Say why an event happened: what triggered it, what the decision read, and what was answered.
 
@@ -199,10 +162,15 @@ def verdicts(ledger: "Ledger", run: Run, kind: str) -> "Table":
     Raises:
         UsageError: There is no such run or kind.
     """
+    from fsar_ledger.metrics.verdict_events import verdict_rows
+
     from .lookup import about_run, present
+    from .provenance import of_rows
+    from .table import Table
 
     with about_run(present(ledger)[0], run, ledger.demanded) as (database, name, _):
-        return _verdicts_of(database, name, kind)
+        rows, query = verdict_rows(database, name, kind)
+        return Table(rows, of_rows(database, query, name))
 
 
 def why_of(record: "LedgerRun", provenance: "Provenance", seq: int, depth: int | None) -> Why:
@@ -223,46 +191,8 @@ def why_of(record: "LedgerRun", provenance: "Provenance", seq: int, depth: int |
         )
     found = reasons(record, seq, depth)
     lines = lines_of([record], [(record.run_id, one) for one in found.seqs])
-    return Why(
-        run=found.run,
-        seq=found.seq,
-        triggers=found.triggers,
-        made=found.made,
-        lines={seq: line for (_, seq), line in sorted(lines.items())},
-        provenance=provenance,
-    )
-
-
-def kinds() -> dict[str, str]:
-    """Return the kinds of verdicts, each with the metric or invariant that judges."""
-    from fsar_ledger.metrics.invariants import invariants
-
-    return JUDGES | {query.relation.partition("_")[0]: query.relation for query in invariants()}
-
-
-def _verdicts_of(database: "Database", run: str, kind: str) -> "Table":
-    """Return the verdicts of this kind on a run, with the events that made each.
-
-    Raises:
-        UsageError: There is no such kind.
-    """
-    from .provenance import of_rows
-    from .table import Table
-
-    judges = kinds()
-    if kind not in judges:
-        hint = printable.did_you_mean(kind, judges) or ";"
-        raise UsageError(
-            f"{option('verdict', printable.value(kind))}: there is no such kind of verdict{hint} expected one of "
-            f"{', '.join(judges)}"
-        )
-    judge = judges[kind]
-    if kind in JUDGES:
-        values: dict[str, Any] = {"run": run, "kind": kind}
-        rows, query = database.table(_OF_METRICS, values), f"metrics/{judge}"
-    else:
-        rows, query = database.table(_OF_INVARIANT.format(relation=judge), {"run": run}), f"invariants/{judge}"
-    return Table(rows, of_rows(database, database.library.find(query), run))
+    by_seq = {seq: line for (_, seq), line in sorted(lines.items())}
+    return Why(**msgspec.structs.asdict(found), lines=by_seq, provenance=provenance)
 
 
 class Tree:
@@ -290,7 +220,7 @@ class Tree:
 
     def _line(self, seq: int) -> str:
         line = self._found.lines[seq]
-        return f"{seq:>6} {line.time_s:>10.3f} s  {_words(line)}"
+        return f"{seq:>6} {line.time_s:>10.3f} s  {line.words}"
 
     def _origin(self, one: "DecisionTrace", indent: str) -> Iterator[str]:
         """Yield how a batch came about, and below it what it rests on."""
@@ -321,7 +251,7 @@ class Tree:
     def _below(self, above: "DecisionTrace", seq: int, how: str, reads: Sequence[str], indent: str) -> Iterator[str]:
         """Yield an event that a batch rests on, what was read of it, and how it came about if its place is here."""
         line, deeper = self._found.lines[seq], indent + INDENT
-        yield f"{indent}{how} {seq}  {line.time_s:.3f} s  {_words(line)}"
+        yield f"{indent}{how} {seq}  {line.time_s:.3f} s  {line.words}"
         yield from (f"{deeper}{read}" for read in reads)
         made = self._made.get(seq)
         if made is None or made.origin == "founding":
@@ -331,11 +261,6 @@ class Tree:
             yield f"{deeper}(told under {self._found.seq if under == self._found.made[0].seq else under})"
         else:
             yield from self._origin(made, deeper + INDENT if reads else deeper)
-
-
-def _words(line: "Line") -> str:
-    action = "" if line.action_id is None else f"{printable.value(line.action_id)}  "
-    return action + printable.value(line.text, MAX_WORDS)
 
 
 def _by_writer(reads: "Sequence[Read]") -> dict[int | None, list[str]]:
@@ -366,7 +291,7 @@ def _by_writer(reads: "Sequence[Read]") -> dict[int | None, list[str]]:
 def _value(read: "Read") -> str:
     if read.is_absent:
         return "absent"
-    from fsar_ledger.api.fields import json_bytes
+    from .texts import json_bytes
 
     shown = read.value if isinstance(read.value, str) else json_bytes(read.value).decode()
     return printable.value(shown, MAX_VALUE) or '""'

@@ -1,167 +1,31 @@
-"""The verbs `witness new`, `witness serve` and `witness ask`, and what witnesses saw of a ledger."""
+"""The verbs `witness new`, `witness serve` and `witness ask`."""
 
 import signal
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any
 
 from fsar_ledger import printable
-from fsar_ledger.errors import LedgerCorrupted, NotCosigned, UsageError, option
+from fsar_ledger.errors import NotCosigned
 from fsar_ledger.printable import SafeText
 
 from .answers import Answer, Lines, Plain, Screen
 from .key import short
 from .names import Place
-from .verbs import Gives, argument, declare, verb
+from .verbs import Gives, Option, argument, declare, verb
 
 if TYPE_CHECKING:
-    from fsar_ledger.ledger.log.note import VerifierKey
     from fsar_ledger.witness.cosign import Cosigned
     from fsar_ledger.witness.cosignature import WitnessKey
-    from fsar_ledger.witness.evidence import Evidence
-    from fsar_ledger.witness.policy import Policy
 
     from .ledger import Ledger
-
-_LAST_SECOND = 253_402_300_799  # of the year 9999
-
-
-class WitnessAnswer(NamedTuple):
-    """What the witnesses of a policy saw of a ledger; one of the keys of `logs` must have signed what they cosigned."""
-
-    policy: "Policy"
-    logs: tuple["VerifierKey", ...]
-    evidence: "Evidence"
-
-    @property
-    def log(self) -> "VerifierKey | None":
-        """Return the key that must have signed the ledger, where there is no choice."""
-        return self.logs[0] if len(self.logs) == 1 else None
-
-    @property
-    def is_enough(self) -> bool:
-        """Return whether enough witnesses saw anything."""
-        return self.evidence.size > 0
-
-    def lines(self, events: int) -> list[str]:
-        """Describe what they saw, for people; `events` counts the ledger's."""
-        size, statements = self.evidence.size, self.evidence.statements
-        rest = "" if size >= events else f"; fewer saw the newest {events - size:,}"
-        return [
-            (
-                f"witnessed: {min(size, events):,} of {events:,} events, by {self._heard()} (enough: "
-                f"{self.policy.rule()}){rest}"
-            ),
-            *(
-                f"witness {one.witness}: its word does not count: {one.reason}"
-                for one in statements
-                if one.reason is not None
-            ),
-        ]
-
-    def doubt(self, ledger: Path) -> str:
-        """Describe why too few of them saw anything."""
-        reasons = "; ".join(
-            f"{one.witness}: {one.reason}" for one in self.evidence.statements if one.reason is not None
-        )
-        return (
-            f"{self.policy.file}: found {self._heard() or 'no cosignature that counts'} ({reasons}), expected "
-            f"{self.policy.rule()}; {ledger} may be "
-            "consistent, but nothing shows that it is what they saw: ask again, or find out why they are silent"
-        )
-
-    def _heard(self) -> str:
-        return listed({one.witness: one.time_s for one in self.evidence.statements if one.time_s is not None})
-
-    def json(self) -> dict[str, object]:
-        """Return what they saw, for JSON."""
-        return {
-            "policy": self.policy.file,
-            "ok": self.is_enough,
-            "size": self.evidence.size,
-            "witnesses": self.evidence.statements,
-        }
-
-
-def seen_of(
-    ledger: Path,
-    policy: Path | None,
-    cosigned: Sequence[Path] | None,
-    trusted: "VerifierKey | None",
-    now_s: int | None,
-) -> WitnessAnswer | None:
-    """Return what the witnesses of the policy saw of the ledger; None without a policy.
-
-    They are asked now, or have answered in these files.
-
-    Raises:
-        UsageError: The policy is invalid, or does not fit the other arguments.
-        NotALedger, FormatVersionMismatch: There is no ledger.
-        LedgerCorrupted: The ledger is of a log that the policy does not name.
-    """
-    if policy is None:
-        if cosigned:
-            raise UsageError(
-                f"{option('cosigned')}: found no {option('witness_policy')}, expected the policy that names the "
-                "witnesses"
-            )
-        return None
-    from fsar_ledger.ledger.store.manifest import parse_manifest, read_manifest
-    from fsar_ledger.ledger.store.paths import MANIFEST
-    from fsar_ledger.witness.evidence import ask_witnesses, read_cosigned
-    from fsar_ledger.witness.policy import read_policy
-
-    read = read_policy(policy)
-    logs = _logs_of(read, trusted)
-    try:
-        origin = parse_manifest(ledger / MANIFEST, read_manifest(ledger)).origin
-    except LedgerCorrupted:
-        return None  # `verify` reports it, with whatever else is wrong
-    logs = tuple(key for key in logs if key.name == origin)
-    if not logs:
-        raise LedgerCorrupted(
-            f"{ledger}: found a ledger of {origin}, expected one of a log that {policy} or {option('trusted_key')} "
-            "names"
-        )
-    if now_s is None:
-        raise UsageError("witness policy: found no time, expected now_s, seconds since 1970; cosignatures have dates")
-    if cosigned:
-        return WitnessAnswer(read, logs, read_cosigned(read, logs, origin, now_s, cosigned))
-    return WitnessAnswer(read, logs, ask_witnesses(read, logs, origin, now_s))
-
-
-def _logs_of(policy: "Policy", trusted: "VerifierKey | None") -> tuple["VerifierKey", ...]:
-    """Return the keys, one of which must have signed what the witnesses cosigned."""
-    if policy.quorum is None:
-        raise UsageError(
-            f"{policy.file}: found `quorum none`, expected a witness or a group; without one nothing is shown"
-        )
-    if trusted is None and not policy.logs:
-        raise UsageError(f"{policy.file}: found no log, expected a line `log KEY`, or {option('trusted_key', 'KEY')}")
-    if trusted is not None and policy.logs and trusted not in policy.logs:
-        raise UsageError(f"{option('trusted_key')}: found {trusted.key}, expected a log of {policy.file}")
-    return policy.logs if trusted is None else (trusted,)
-
-
-def listed(times: "dict[str, int]") -> str:
-    """Return witnesses and when they cosigned, in words."""
-    return ", ".join(f"{name} ({_time(time_s)})" for name, time_s in times.items())
-
-
-def _time(time_s: int) -> str:
-    return (
-        datetime.fromtimestamp(time_s, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
-        if time_s <= _LAST_SECOND
-        else f"second {time_s:,}"
-    )
 
 
 @verb("witness new out/witness --name example.org/w1", name="witness new", takes=())
 def witness_new(
     state: Annotated[Place, argument("STATE", "The folder of the witness: a new one.")],
-    name: Annotated[str, declare("--name", "NAME", "Its name, host/path by convention.")],
+    name: Annotated[str, Option("--name", "NAME", "Its name, host/path by convention.")],
 ) -> "WitnessKey":
     """Make a witness, and print its public key.
 
@@ -221,11 +85,11 @@ class Served(Answer):
 def witness_serve(
     state: Annotated[Place, argument("STATE", "What `fsar-ledger witness new` made.")],
     log: Annotated[
-        Sequence[str], declare("--log", "KEY", "Watch this log: its .pub file or public key; may be repeated.")
+        Sequence[str], Option("--log", "KEY", "Watch this log: its .pub file or public key; may be repeated.")
     ],
     *,
-    host: Annotated[str, declare("--host", "ADDRESS", "The address to listen at.")] = "127.0.0.1",
-    port: Annotated[int, declare("--port", "N", "The port to listen at; 0 takes a free one.", least=0, most=65535)] = 0,
+    host: str = declare("ADDRESS", "The address to listen at.", value="127.0.0.1"),
+    port: int = declare("N", "The port to listen at; 0 takes a free one.", least=0, most=65535, value=0),
     clock: Annotated["Callable[[], int]", Gives("clock")],
     ticks: Annotated["Callable[[], float]", Gives("ticks")],
     say: Annotated["Callable[[str], None]", Gives("say")],
@@ -242,13 +106,12 @@ def witness_serve(
 def _ask(
     ledger: "Ledger",
     policy: Path,
-    out: Annotated[
-        Place | None, declare("--out", "FILE", "Where the cosigned checkpoint goes; replaced.", "print it")
-    ] = None,
+    out: Place | None = declare("FILE", "Where the cosigned checkpoint goes; replaced.", "print it"),
     *,
     say: Annotated["Callable[..., None]", Gives("say")],
 ) -> Answer:
     from fsar_ledger.ledger.store.paths import require_outside
+    from fsar_ledger.witness.seen import listed
 
     from .files import write_text
 
@@ -272,7 +135,7 @@ def _ask(
 )
 def witness_ask(
     ledger: "Ledger",
-    policy: Annotated[Place, declare("--policy", "FILE", "A C2SP tlog-policy that names the witnesses.")],
+    policy: Annotated[Place, Option("--policy", "FILE", "A C2SP tlog-policy that names the witnesses.")],
 ) -> "Cosigned":
     """Have the newest checkpoint of a ledger cosigned.
 
@@ -284,6 +147,7 @@ def witness_ask(
     """
     from fsar_ledger.witness.cosign import cosign
     from fsar_ledger.witness.policy import read_policy
+    from fsar_ledger.witness.seen import listed
 
     read = read_policy(Path(policy))
     found = cosign(ledger.path, read)

@@ -11,7 +11,7 @@ from typing import Annotated, Any, get_args
 import typer
 from typer.core import TyperCommand, TyperOption
 
-from fsar_ledger.api.verbs import RAW, Option, Verb, argument, declare, declared
+from fsar_ledger.api.verbs import RAW, Option, Verb, argument, declared
 from fsar_ledger.errors import QueryFailed, UsageError
 
 from . import completing
@@ -20,31 +20,41 @@ from .memory import bounded
 SHOWN_ROWS = 100
 
 LEDGER = argument("LEDGER", "The folder of a ledger.")
-TAKEN: Mapping[str, tuple[str, bool | int | None, Option]] = {
+TAKEN: Mapping[str, tuple[str, Any, bool | int | None, Option]] = {
+    "svg": ("svg", Path | None, None, Option("--svg", "FILE", "Also draw it, as SVG; replaced if it exists.")),
+    "pdf": ("pdf", Path | None, None, Option("--pdf", "FILE", "Also draw it, as PDF; replaced if it exists.")),
     "verified": (
         "verified",
+        bool,
         False,
-        declare(
+        Option(
             "--verified",
             None,
             "Answer only from rows that were compared with the root, as `verify` does. Unless `verify` has checked "
             "this head before, that takes some 4 s for a million events on two cores.",
         ),
     ),
-    "json": ("as_json", False, declare("--json", None, "Answer as JSON, with the head (size, root) of the ledger.")),
-    "csv": ("as_csv", False, declare("--csv", None, "Answer as comma-separated values.")),
-    "ndjson": ("as_ndjson", False, declare("--ndjson", None, "Answer as JSON, one row a line and nothing else.")),
-    "raw": ("raw", False, RAW),
-    "limit": ("limit", SHOWN_ROWS, declare("--limit", "N", "Show at most N rows of the table; 0 shows all.")),
+    "json": (
+        "as_json",
+        bool,
+        False,
+        Option("--json", None, "Answer as JSON, with the head (size, root) of the ledger."),
+    ),
+    "csv": ("as_csv", bool, False, Option("--csv", None, "Answer as comma-separated values.")),
+    "ndjson": ("as_ndjson", bool, False, Option("--ndjson", None, "Answer as JSON, one row a line and nothing else.")),
+    "raw": ("raw", bool, False, RAW),
+    "limit": ("limit", int, SHOWN_ROWS, Option("--limit", "N", "Show at most N rows of the table; 0 shows all.")),
     "wide": (
         "wide",
+        bool,
         False,
-        declare("--wide", None, "Show every column and whole cells, not what fits the terminal; as when piped."),
+        Option("--wide", None, "Show every column and whole cells, not what fits the terminal; as when piped."),
     ),
     "memory": (
         "memory_mib",
+        int | None,
         None,
-        declare(
+        Option(
             "--memory",
             "MIB",
             "The memory limit.",
@@ -52,7 +62,7 @@ TAKEN: Mapping[str, tuple[str, bool | int | None, Option]] = {
         ),
     ),
 }
-"""What a command can have beside the options of its verb: the name of each, its default and its declaration."""
+"""What a command can have beside the options of its verb: of each its name, type, default and declaration."""
 
 
 class Command(TyperCommand):
@@ -99,8 +109,7 @@ def _callback(verb: Verb) -> Callable[..., None]:
     taken = [TAKEN[name] for name in (*verb.takes, *(["memory"] if has_limit else []))]
 
     def call(context: typer.Context, **given: Any) -> None:
-        from .render import respond
-        from .streaming import Form
+        from .render import Form, respond
 
         beside = {name: given.pop(name) for name, *_ in taken}
         most = beside.pop("memory_mib", given.get("memory_mib"))
@@ -109,12 +118,13 @@ def _callback(verb: Verb) -> Callable[..., None]:
             if found.metavar == "NAME=VALUE" and found.flag == "--param":
                 given[name] = parameters_of(given[name])
         asked = {name for name in verb.beside if given.pop(name)}
+        drawn = {kind: file for kind in ("svg", "pdf") if (file := beside.pop(kind, None)) is not None}
         form = Form(**beside)
         verb.arrange(given)
         is_bounded = "ledger" in ledgers and not verb.is_apart(given)
         read = [given[name] for name in ledgers] + [place for name in stored for place in _several(given[name])]
         with bounded(most, *read, workers=given.get("workers")) if is_bounded else nullcontext():
-            code = respond(verb, given, ledgers, form, asked, verified=verified, clock=context.obj)
+            code = respond(verb, given, ledgers, form, asked, drawn, verified=verified, clock=context.obj)
         if code:
             raise typer.Exit(code)
 
@@ -125,10 +135,7 @@ def _callback(verb: Verb) -> Callable[..., None]:
         _accepted(one.name, _type_of(one), one.default, own[one.name]) for one in parameters if one.name in own
     ]
     accepted += [_accepted(name, bool, False, found) for name, found in verb.beside.items()]
-    accepted += [
-        _accepted(name, int | None if default is None else type(default), default, found)
-        for name, default, found in taken
-    ]
+    accepted += [_accepted(name, kind, default, found) for name, kind, default, found in taken]
     call.__signature__ = inspect.Signature(accepted)  # type: ignore[attr-defined]
     call.__annotations__ = {one.name: one.annotation for one in accepted}
     return call
@@ -140,7 +147,7 @@ def _accepted(name: str, kind: Any, default: object, found: Option) -> inspect.P
     if found.default is not None or default in (None, inspect.Parameter.empty):
         told["show_default"] = found.default or False
     if found.complete is not None:
-        told["autocompletion"] = getattr(completing, found.complete)
+        told["autocompletion"] = completing.offered(found.complete)
     info = typer.Argument(**told) if found.flag is None else typer.Option(found.flag, **told)
     return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, annotation=Annotated[kind, info], default=default)
 

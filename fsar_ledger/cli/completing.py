@@ -1,11 +1,10 @@
 """What a shell offers for the word that is being typed: names of designs, queries, runs, parameters and constants.
 
-Each function is called by typer when the shell asks. It imports what it needs then, and offers nothing where it cannot
-tell: a shell has no place for a message.
+What is called when the shell asks imports what it needs then, and offers nothing where it cannot tell: a shell has no
+place for a message.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -15,7 +14,6 @@ from fsar_ledger import printable
 from fsar_ledger.errors import FsarLedgerError
 
 if TYPE_CHECKING:
-    from fsar_ledger.metrics.database import Database
     from fsar_ledger.metrics.query_parameters import Parameter
 
 DESIGNS = Path(__file__).parents[1] / "runtime/world"
@@ -30,17 +28,20 @@ class Line(NamedTuple):
     typed: str
 
 
-def offering(offer: Callable[[Line], Iterable[str]]) -> Callable[[typer.Context, str], list[str]]:
-    """Offer only single words that a terminal shows as they are, and nothing where the line or the ledger is wrong."""
+def offered(what: str) -> Callable[[typer.Context, str], list[str]]:
+    """Return what typer asks for names of this kind.
 
-    def offered(ctx: typer.Context, incomplete: str) -> list[str]:
+    It offers only single words that a terminal shows as they are, and nothing where the line or the ledger is wrong.
+    """
+
+    def offer(ctx: typer.Context, incomplete: str) -> list[str]:
         try:
-            found = [name for name in offer(Line(_given(ctx), incomplete)) if name.startswith(incomplete)]
+            found = [name for name in OFFERS[what](Line(_given(ctx), incomplete)) if name.startswith(incomplete)]
         except (FsarLedgerError, OSError):
             return []
         return [name for name in found if printable.is_shown(name) and not any(map(str.isspace, name))][:MOST]
 
-    return offered
+    return offer
 
 
 def _given(ctx: typer.Context) -> dict[str, Any]:
@@ -53,26 +54,11 @@ def _given(ctx: typer.Context) -> dict[str, Any]:
     return {**ctx.params, **by_place}
 
 
-@offering
-def scenarios(_: Line) -> Iterable[str]:
-    """Return the packaged scenarios."""
-    return sorted(file.stem for file in (DESIGNS / "scenarios").glob("*.toml"))
+def _designs(folder: str) -> list[str]:
+    return sorted(file.stem for file in (DESIGNS / folder).glob("*.toml"))
 
 
-@offering
-def workflows(_: Line) -> Iterable[str]:
-    """Return the workflows of the paper."""
-    return sorted(file.stem.removeprefix("workflow-") for file in (DESIGNS / "workflows").glob("*.toml"))
-
-
-@offering
-def architectures(_: Line) -> Iterable[str]:
-    """Return the architectures."""
-    return ("fsar", "cfc", "dhma")
-
-
-@offering
-def mechanisms(line: Line) -> Iterable[str]:
+def _mechanisms(line: Line) -> Iterable[str]:
     """Return the mechanisms of all architectures; after a `+`, further ones."""
     from fsar_ledger.events.configuration import EVERY_MECHANISM
 
@@ -80,55 +66,33 @@ def mechanisms(line: Line) -> Iterable[str]:
     return [f"{begun}{plus}{name}" for name in EVERY_MECHANISM]
 
 
-@offering
-def invariants(_: Line) -> Iterable[str]:
-    """Return the short names of the invariants."""
-    from fsar_ledger.metrics.invariants import invariants as known
+def _invariants(_: Line) -> Iterable[str]:
+    from fsar_ledger.metrics.invariants import invariants
 
-    return [one.relation.partition("_")[0] for one in known()]
+    return [one.relation.partition("_")[0] for one in invariants()]
 
 
-@offering
-def constants(_: Line) -> Iterable[str]:
-    """Return the constants that `--set` takes, each with its `=`."""
+def _constants(_: Line) -> Iterable[str]:
     from fsar_ledger.metrics.constant_names import names_of_constants
 
     return [f"{name}=" for name in names_of_constants()]
 
 
-@offering
-def queries(line: Line) -> Iterable[str]:
-    """Return the queries: their full names, or where no `/` is typed, also the last parts."""
+def _queries(line: Line) -> Iterable[str]:
+    """Return the full names of the queries, or where no `/` is typed, also the last parts."""
     from fsar_ledger.metrics.library import library
 
     known = library()
     return [*known.queries, *(known.relations if line.typed and "/" not in line.typed else ())]
 
 
-@offering
-def studies(_: Line) -> Iterable[str]:
-    """Return the studies that `study show` shows."""
+def _studies(_: Line) -> Iterable[str]:
     from fsar_ledger.studies.verbs import STUDIES
 
     return STUDIES
 
 
-@offering
-def runs(line: Line) -> Iterable[str]:
-    """Return the runs of the ledger that the line names."""
-    with _ledger(line) as database:
-        return _on_record(database, "run", None)
-
-
-@offering
-def actions(line: Line) -> Iterable[str]:
-    """Return the actions of the run that the line names, or of all runs."""
-    with _ledger(line) as database:
-        return _on_record(database, "action", line.given.get("run"))
-
-
-@offering
-def parameters(line: Line) -> Iterable[str]:
+def _parameters(line: Line) -> Iterable[str]:
     """Return the parameters of the query that the line names, as `NAME=`, and after the `=` their values."""
     from fsar_ledger.metrics.library import library
 
@@ -136,31 +100,37 @@ def parameters(line: Line) -> Iterable[str]:
     name, equals, _ = line.typed.partition("=")
     if not equals:
         return [f"{one}=" for one in known]
-    if name not in known:
-        return []
-    return [f"{name}={value}" for value in _values(line, known[name])]
+    return [f"{name}={value}" for value in _values(line, known[name])] if name in known else []
+
+
+OFFERS: Mapping[str, Callable[[Line], Iterable[str]]] = {
+    "scenarios": lambda _: _designs("scenarios"),
+    "workflows": lambda _: [name.removeprefix("workflow-") for name in _designs("workflows")],
+    "architectures": lambda _: ("fsar", "cfc", "dhma"),
+    "mechanisms": _mechanisms,
+    "invariants": _invariants,
+    "constants": _constants,
+    "queries": _queries,
+    "studies": _studies,
+    "runs": lambda line: _on_record(line, "run", None),
+    "actions": lambda line: _on_record(line, "action", line.given.get("run")),
+    "parameters": _parameters,
+}
+"""By what `Option.complete` says, the names that are offered."""
 
 
 def _values(line: Line, one: "Parameter") -> Sequence[str]:
     """Return the values that a parameter can have: its default, and what the ledger has on record."""
     given = dict(pair.partition("=")[::2] for pair in line.given.get("param") or line.given.get("parameters") or ())
     default = [] if one.default is None else [one.default]
-    if one.kind in ("time", "seq"):
-        return default
-    with _ledger(line) as database:
-        return [*default, *_on_record(database, one.kind, given.get("run"))]
+    return default if one.kind in ("time", "seq") else [*default, *_on_record(line, one.kind, given.get("run"))]
 
 
-def _on_record(database: "Database", kind: str, run: str | None) -> list[str]:
-    from fsar_ledger.api.lookup import names_on_record, run_of
-
-    return names_on_record(database, kind, None if run in (None, "all") else run_of(database, run))
-
-
-@contextmanager
-def _ledger(line: Line) -> "Iterator[Database]":
-    """Open the ledger that the line names. Raises: As `connect`."""
+def _on_record(line: Line, kind: str, run: str | None) -> list[str]:
+    """Return the names of this kind in the ledger that the line names, of one run or of all. Raises: As `connect`."""
+    from fsar_ledger.api.lookup import run_of
     from fsar_ledger.metrics.database import connect
+    from fsar_ledger.metrics.on_record import names_on_record
 
     with connect(Path(str(line.given.get("ledger") or ""))) as database:
-        yield database
+        return names_on_record(database, kind, None if run in (None, "all") else run_of(database, run))

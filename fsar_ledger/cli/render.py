@@ -1,91 +1,150 @@
 """Answer a verb's call: open its ledgers, show the answer in the form asked for, and warn of what it leaves open.
 
-Warnings go to stderr before the answer goes to stdout.
+Warnings go to stderr before the answer goes to stdout. Answers of any length become text a few rows at a time, so that
+memory does not grow with the answer.
 """
 
+import tempfile
 import time
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack
-from itertools import chain
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import msgspec
+
 from fsar_ledger import printable
-from fsar_ledger.api.answers import Answer, Lines, provenances
-from fsar_ledger.api.fields import Row
+from fsar_ledger.api.answers import Answer, Lines, Screen, head_json, provenances
 from fsar_ledger.api.verbs import Gives, Shows, Verb, declared
+from fsar_ledger.errors import UsageError
 from fsar_ledger.printable import SafeText
 
 from .progress import Progress
-from .streaming import Form, Kept, answer_json
-from .tables import fitted
-from .terminal import has_keys, pause, say, show, width_of_names
+from .terminal import has_keys, pause, say, show, width_of_output
 
 if TYPE_CHECKING:
     from fsar_ledger.api.ledger import Ledger
     from fsar_ledger.api.provenance import Provenance
+    from fsar_ledger.api.table import Rows
     from fsar_ledger.api.walks import Steps
 
+KEPT_BYTES = 16 << 20
+"""Longer text waits in an unnamed file, not in memory, until it is complete."""
+PIECE = 1 << 20
 
-class Screen:
-    """What an answer may know of its call, as `api.answers.Screen` says."""
 
-    def __init__(self, ledger: "Ledger | None", asked: Collection[str], width: int | None) -> None:
-        self._ledger = ledger
-        self._asked = asked
-        self._numbers: Mapping[str, int] | None = None
-        self._width = width
-        self._began_s = time.monotonic()
+class Form(msgspec.Struct, frozen=True, kw_only=True):
+    """The form of an answer: JSON, a JSON object a line, CSV, or a table.
+
+    A table has at most `limit` rows (0: all), and with `wide` every column.
+
+    Raises:
+        UsageError: Two forms at once, or --raw without --csv.
+    """
+
+    as_json: bool = False
+    as_csv: bool = False
+    as_ndjson: bool = False
+    raw: bool = False
+    limit: int = 0
+    wide: bool = False
+
+    def __post_init__(self) -> None:
+        forms = {"--json": self.as_json, "--csv": self.as_csv, "--ndjson": self.as_ndjson}
+        if len(found := [option for option, is_asked in forms.items() if is_asked]) > 1:
+            raise UsageError(f"found {' and '.join(found)}, expected one of them")
+        if self.raw and not self.as_csv:
+            raise UsageError(
+                "found --raw without --csv, expected both or neither; --json always gives the values themselves"
+            )
 
     @property
-    def path(self) -> Path:
-        """The folder of the ledger."""
-        assert self._ledger is not None  # only answers about a ledger ask
-        return self._ledger.path
+    def is_for_programs(self) -> bool:
+        """Return whether nothing may stand beside the answer."""
+        return self.as_json or self.as_csv or self.as_ndjson
 
-    @property
-    def elapsed_s(self) -> float:
-        """Seconds since the call began."""
-        return time.monotonic() - self._began_s
+    def screen(self, ledger: "Ledger | None" = None, asked: Collection[str] = ()) -> Screen:
+        """Return what an answer about this ledger, with these switches, may know of its call."""
+        return Screen(ledger, asked, width_of_output(), is_wide=self.wide, limit=self.limit)
 
-    def has(self, switch: str) -> bool:
-        """Return whether the call has this switch."""
-        return switch in self._asked
+    def pieces(self, answer: Answer, screen: Screen) -> Iterable[SafeText]:
+        """Return the answer in this form, as text.
 
-    @property
-    def is_fitted(self) -> bool:
-        """Whether tables are fitted to a terminal."""
-        return self._width is not None
+        Raises:
+            QueryFailed: Python cannot hold a date or time.
+        """
+        from fsar_ledger.api.table import Rows
 
-    def numbers(self) -> Mapping[str, int]:
-        """Return the number of each run that has one, by its name."""
-        if self._numbers is None:
-            self._numbers = {} if self._ledger is None else self._ledger.numbers()
-        return self._numbers
+        if self.as_json:
+            about, *_ = (*provenances(answer), None)
+            if isinstance(answer, Rows):
+                return _json(answer_json(about, {answer.name: []}), answer)
+            return [answer_json(about, answer.document(screen))]
+        if not (self.as_csv or self.as_ndjson):
+            return answer.text(screen)
+        say(*answer.beside_rows())
+        rows = answer.rows_alone()
+        return _csv(rows, raw=self.raw) if self.as_csv else _ndjson(rows)
 
-    def _number(self, run: str) -> int | None:
-        """Return the number of a run, which may have come since the numbers were read."""
-        if run not in self.numbers():
-            self._numbers = None
-        return self.numbers().get(run)
 
-    def table(self, rows: Sequence[Row], columns: Sequence[str] | None = None) -> SafeText:
-        """Return the rows as a table; None: with the columns of the first."""
-        return fitted(rows, list(rows[0]) if columns is None else columns, self._width)
+def answer_json(about: "Provenance | None", answer: Mapping[str, object]) -> SafeText:
+    """Return one JSON object in ASCII: what the answer holds for, then the answer.
 
-    def run_text(self, run: str) -> str:
-        """Return the words that name a run: `run 12, NAME`; `run NAME` where it has no number."""
-        number = self._number(run)
-        return f"run {printable.value(run)}" if number is None else f"run {number}, {printable.value(run)}"
+    Bytes of a file name that are not UTF-8 are escaped, `\\udcff` for ff.
+    """
+    from fsar_ledger.api.texts import json_bytes
 
-    def run_word(self, run: str) -> str:
-        """Return what names the run in a command that people may copy: its number, where it has one."""
-        number = self._number(run)
-        return printable.word(run if number is None else number)
+    if about is not None:
+        verified = {} if about.rows_verified is None else {"rows_verified": about.rows_verified}
+        answer = {"head": about.head and head_json(about.head), **verified, **about.answer(), **answer}
+    text = msgspec.json.format(json_bytes(msgspec.to_builtins(answer)), indent=2).decode()
+    return printable.ascii_json(f"{text}\n")
 
-    def width_of_names(self, longest: int, beside: int) -> int:
-        """Return the width of the column of names before words, in a line with so many columns beside both."""
-        return width_of_names(longest, beside)
+
+def _json(empty: str, rows: "Rows") -> Iterator[SafeText]:
+    from fsar_ledger.api.texts import in_turn, json_lines
+
+    before, after = empty.rsplit("[]", 1)
+    is_first = True
+    for lines in in_turn(partial(json_lines, before="    ", after=",\n"), filter(len, rows.batches())):
+        yield SafeText((before + "[\n" if is_first else ",\n") + lines.removesuffix(",\n"))
+        is_first = False
+    yield SafeText(f"{before}[]{after}" if is_first else f"\n  ]{after}")
+
+
+def _ndjson(rows: "Rows") -> Iterator[SafeText]:
+    from fsar_ledger.api.texts import in_turn, json_lines
+
+    return map(SafeText, in_turn(json_lines, rows.batches()))
+
+
+def _csv(rows: "Rows", *, raw: bool) -> Iterator[SafeText]:
+    from fsar_ledger.api.texts import csv_header, csv_lines, in_turn
+
+    yield SafeText(csv_header(rows.columns, raw=raw))
+    yield from map(SafeText, in_turn(partial(csv_lines, raw=raw), rows.batches()))
+
+
+class Kept:
+    """Text that is shown only once all of it is there, so that a reader gets a whole answer or an error."""
+
+    def __init__(self, pieces: Iterable[SafeText]):
+        """Make all pieces now. Raises: Whatever that raises."""
+        self._file = tempfile.SpooledTemporaryFile(KEPT_BYTES)  # noqa: SIM115
+        try:
+            for piece in pieces:
+                self._file.write(piece.encode("utf-8", "surrogatepass"))
+        except BaseException:
+            self._file.close()
+            raise
+
+    def __iter__(self) -> Iterator[SafeText]:
+        """Yield the text, a few whole lines at a time; once."""
+        with self._file as file:
+            file.seek(0)
+            while data := file.read(PIECE):
+                yield SafeText((data + file.readline()).decode("utf-8", "surrogatepass"))
 
 
 def _gift(what: str, clock: Callable[[], int]) -> object:
@@ -138,6 +197,7 @@ def respond(
     ledgers: Sequence[str],
     form: Form,
     asked: Collection[str] = (),
+    drawn: Mapping[str, Path] = {},
     *,
     verified: bool,
     clock: Callable[[], int],
@@ -150,12 +210,17 @@ def respond(
         ledgers: Which of the parameters are ledgers; they are opened.
         form: The form of the answer.
         asked: The switches that were given for its text.
+        drawn: The files to draw it to, by their formats.
         verified: Compare the rows of the ledgers with their roots first.
         clock: Gives the present time in seconds since 1970.
     """
+    from fsar_ledger.ledger.store.paths import require_outside
+
+    for kind, file in drawn.items():  # before anything is asked
+        require_outside(file, f"--{kind} {file}")
     places = {name: given[name] for name in ledgers if given[name] is not None}
     held = {name: opened(place, verified=verified) for name, place in places.items()}
-    screen = Screen(held.get("ledger"), asked, form.width)
+    screen = form.screen(held.get("ledger"), asked)
     with ExitStack() as stack:
         for one in verb.parameters.values():
             beside = declared(one)
@@ -167,36 +232,21 @@ def respond(
         answer = verb.call(**given | held)
         for ledger in held.values():
             ledger.demanded  # noqa: B018 - compares the rows, had the verb not asked for them
-    if not isinstance(answer, Answer | AbstractContextManager) and not hasattr(answer, "batches"):
-        answer = Lines(str(answer))
     if isinstance(answer, AbstractContextManager):  # rows that come from a process, which may fail in their midst
         with answer as rows:
-            pieces: Iterable[SafeText] = Kept(_pieces(rows, form, screen))
+            pieces: Iterable[SafeText] = Kept(form.pieces(rows, screen))
             answer = rows
     else:
-        failure = answer.failure if isinstance(answer, Answer) else None
-        pieces = [] if failure is not None and not form.as_json else _pieces(answer, form, screen)
+        answer = answer if isinstance(answer, Answer) else Lines(str(answer))
+        for kind, file in drawn.items():
+            answer.draw(file, kind)
+        pieces = [] if answer.failure is not None and not form.as_json else form.pieces(answer, screen)
     for place, provenance in zip(places.values(), provenances(answer), strict=False):
         warn(place, provenance)
-    form.show(pieces)
-    if isinstance(answer, Answer):
-        if answer.failure is not None:
-            raise answer.failure
-        return answer.exit_code
-    return 0
-
-
-def _pieces(answer: Any, form: Form, screen: Screen) -> Iterable[SafeText]:
-    if isinstance(answer, Answer):
-        if form.as_json:
-            document = answer.document(screen)
-            first, *_ = (*provenances(answer), None)
-            return [answer_json(first, document)]
-        if not (form.as_csv or form.as_ndjson):
-            return answer.text(screen)
-        say(*answer.beside_rows())
-        answer = answer.rows_alone()
-    if form.as_json or form.as_csv or form.as_ndjson:
-        return form.pieces(answer.provenance, answer.columns, answer.batches())
-    pieces = form.pieces(answer.provenance, answer.columns_shown(), answer.batches(), screen.numbers)
-    return chain(pieces, answer.below(screen))
+    for piece in pieces:
+        show(piece, raw=form.raw)
+    if not form.is_for_programs:
+        show(printable.lines(*map(str, drawn.values())))
+    if answer.failure is not None:
+        raise answer.failure
+    return int(answer.exit_code)

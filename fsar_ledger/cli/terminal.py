@@ -15,15 +15,13 @@ from typing import TextIO
 
 from fsar_ledger import printable
 from fsar_ledger.errors import WriteFailed
-from fsar_ledger.printable import SafeText
+from fsar_ledger.printable import SafeText, columns_of
 
 ON = "  | "
 """The mark before the rest of a line for which the terminal is too narrow."""
 
 NARROWEST, USUAL = 20, 80
 """Columns: the fewest for which lines are folded, and those of a terminal that does not report them."""
-ROOM = 40
-"""Columns that lines of words keep for the words, whatever names stand before them."""
 MAX_LINES = 20
 """Lines of one message; DuckDB's have up to six."""
 
@@ -99,15 +97,6 @@ def width_of_output() -> int | None:
     return None if sys.stdout is None else _width_of(sys.stdout)
 
 
-def width_of_names(longest: int, beside: int) -> int:
-    """Return the width of the column of names before words, in a line with so many columns beside both.
-
-    It is that of the longest name, but on a terminal no more than leaves room for the words; longer names shift theirs.
-    """
-    width = width_of_output()
-    return longest if width is None else max(0, min(longest, width - beside - ROOM))
-
-
 def _width_of(stream: TextIO) -> int | None:
     try:
         width = (os.get_terminal_size(stream.fileno()).columns or USUAL) if stream.isatty() else 0
@@ -153,12 +142,3 @@ def folded(line: str, width: int) -> str:
         if line[place] == " " and used > width // 2:
             blank = place + 1
     return f"\n{ON}".join([*parts, line[at:]])
-
-
-def columns_of(character: str) -> int:
-    """Return the width of this character on a terminal."""
-    if character.isascii():
-        return 1
-    from unicodedata import category, east_asian_width
-
-    return 0 if category(character) in ("Mn", "Me") else 2 if east_asian_width(character) in "WF" else 1

@@ -6,14 +6,18 @@ So are the derived hashes, except those of a proof, which is checked against the
 compared with their records.
 """
 
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.ledger.store import turns
 from fsar_ledger.ledger.store.checkpoint import check_chain_checkpoint
 from fsar_ledger.ledger.store.manifest import read_manifest
-from fsar_ledger.ledger.store.paths import SEGMENTS
+from fsar_ledger.ledger.store.paths import CHAIN, CHECKPOINT, JOURNAL, MANIFEST, SEGMENTS
 from fsar_ledger.ledger.store.read import View, open_chain
+
+Pause = Callable[[], None]
+"""Waits a moment; what it raises ends the waiting."""
 
 
 def open_ledger(path: Path) -> View:
@@ -49,3 +53,46 @@ def open_for_answers(path: Path) -> View:
             "fsar-ledger maintain recover if it says so"
         )
     return view
+
+
+def growth(ledger: Path, pause: Pause | None) -> Iterator[tuple[View, int]]:
+    """Yield the ledger as it is, then, with `pause`, each time it has grown; and the first event not yet yielded.
+
+    Between two looks only the state of a few files is read. Raises: As `open_for_answers` and `_require_same`.
+    """
+    state = _state(ledger)
+    view = open_for_answers(ledger)
+    yield view, 0
+    while pause is not None:
+        pause()
+        # A file system may give two changes in a row one time.
+        if (found := _state(ledger)) == state and view.is_current():
+            continue
+        state, grown = found, open_for_answers(ledger)
+        _require_same(view, grown)
+        if grown.head.size > view.head.size:
+            yield grown, view.head.size
+        view = grown
+
+
+def _state(ledger: Path) -> tuple[tuple[int, int, int] | None, ...]:
+    """Return what changes when the ledger grows or is replaced; None for a file that is not there."""
+    found: list[tuple[int, int, int] | None] = []
+    for name in (MANIFEST, CHAIN, JOURNAL, CHECKPOINT):
+        try:
+            status = (ledger / name).stat()
+        except OSError:
+            found.append(None)
+        else:
+            found.append((status.st_ino, status.st_size, status.st_mtime_ns))
+    return tuple(found)
+
+
+def _require_same(view: View, grown: View) -> None:
+    """Require that the ledger still begins with the commits that it had. Raises: LedgerCorrupted."""
+    count = len(view.commits)
+    if grown.manifest_sha256 != view.manifest_sha256 or grown.commits[:count] != view.commits:
+        raise LedgerCorrupted(
+            f"{view.path}: found another ledger of {len(grown.commits):,} commits, expected the one of {count:,} whose "
+            "lines were told, or more of it; it was replaced; run fsar-ledger verify"
+        )

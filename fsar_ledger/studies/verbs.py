@@ -1,14 +1,13 @@
 """The verbs `study run NAME` and `study show`. `study run multiverse` is a verb of a ledger (`api/multiverse.py`)."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from fsar_ledger import printable
-from fsar_ledger.api.answers import Answer, Lines, Screen
-from fsar_ledger.api.fields import Row, plain
-from fsar_ledger.api.names import Place, known
-from fsar_ledger.api.verbs import Shows, WorkersOption, argument, declare, verb
+from fsar_ledger.api.answers import Answer, Lines, Row, Screen
+from fsar_ledger.api.names import Place
+from fsar_ledger.api.verbs import Option, Shows, WorkersOption, argument, declare, verb
 from fsar_ledger.api.workload import Progress
 from fsar_ledger.errors import UsageError
 from fsar_ledger.printable import SafeText
@@ -20,7 +19,7 @@ if TYPE_CHECKING:
 STUDIES = ("calibration", "predictions", "comparison", "sensitivity")
 """Those whose results are files."""
 
-OutOption = Annotated[Place, declare("--out", "FILE", "The result, as JSON; replaced if it exists.")]
+OutOption = Annotated[Place, Option("--out", "FILE", "The result, as JSON; replaced if it exists.")]
 
 
 @verb(
@@ -31,9 +30,7 @@ OutOption = Annotated[Place, declare("--out", "FILE", "The result, as JSON; repl
 )
 def study_show(
     name: Annotated[str, argument("NAME", "calibration, predictions, comparison or sensitivity.", complete="studies")],
-    file: Annotated[
-        Place | None, argument("FILE", "What `study run NAME` wrote.", "the result in this package")
-    ] = None,
+    file: Place | None = argument("FILE", "What `study run NAME` wrote.", "the result in this package"),
 ) -> Answer:
     """Show the result of a study as tables, and whether what it rests on has changed since.
 
@@ -45,6 +42,7 @@ def study_show(
         UsageError: The file cannot be read, or none is given and the package has none.
         FsarLedgerError: It holds something else.
     """
+    from fsar_ledger.designs.names import known
     from fsar_ledger.metrics.effects import MADE_BY, open_effects
     from fsar_ledger.metrics.study_results import Calibration, Comparison, Predictions, packaged, read
 
@@ -149,13 +147,11 @@ class Effects(Answer):
     old="sensitivity",
 )
 def sensitivity(
-    out: Annotated[Place, declare("--out", "FILE", "The effects, as Parquet; replaced if it exists.")],
-    trajectories: Annotated[int, declare("--trajectories", "N", "How often each factor is moved.")] = 20,
-    runs: Annotated[int, declare("--runs", "N", "Runs per scenario and architecture of each evaluation.")] = 10,
-    points: Annotated[
-        int, declare("--points", "N", "Evaluations for the Sobol indices; 0: none, only the screening.")
-    ] = 512,
-    svg: Annotated[Place | None, declare("--svg", "FILE", "Also draw them, as SVG; replaced if it exists.")] = None,
+    out: Annotated[Place, Option("--out", "FILE", "The effects, as Parquet; replaced if it exists.")],
+    trajectories: int = declare("N", "How often each factor is moved.", value=20),
+    runs: int = declare("N", "Runs per scenario and architecture of each evaluation.", value=10),
+    points: int = declare("N", "Evaluations for the Sobol indices; 0: none, only the screening.", value=512),
+    svg: Place | None = declare("FILE", "Also draw them, as SVG; replaced if it exists."),
     workers: WorkersOption = None,
     progress: Annotated[Progress | None, Shows("evaluated", "points")] = None,
 ) -> Effects:
@@ -200,8 +196,9 @@ def _standing(result: "Calibration | Predictions | Comparison | About") -> str:
     return f"stale: found results {differs}" if differs else "nothing that it rests on has changed since"
 
 
-def _tables(result: "Calibration | Predictions | Comparison") -> Iterator[list[Row]]:
+def _tables(result: "Calibration | Predictions | Comparison") -> "Iterator[Sequence[Row]]":
     """Yield the tables of a result: the numbers of all scenarios together, and no single checks."""
+    from fsar_ledger.api.table import plain
     from fsar_ledger.metrics.study_results import Calibration, Predictions
 
     if isinstance(result, Calibration):

@@ -11,13 +11,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fsar_ledger.api.fields import csv_text, json_bytes
 from fsar_ledger.api.table import Table
-from fsar_ledger.api.texts import csv_lines, json_lines
-from fsar_ledger.cli.streaming import answer_json
+from fsar_ledger.api.texts import csv_header, csv_lines, json_bytes, json_lines
+from fsar_ledger.cli.render import answer_json
 from fsar_ledger.errors import QueryFailed
 from fsar_ledger.metrics.connection import plain_rows
 from fsar_ledger.printable import ascii_json
+from tests.one_by_one import csv_text
 
 TEXT = st.text(alphabet="ab =+-@'\",\\\n\r\t\x00\x1b\x7f\x85\u202e\u0301é\u05d0\u2800\U000e0001xuUn", max_size=6)
 NUMBER = st.floats() | st.sampled_from((0.0, -0.0, 1e16, 1e15, 1e-4, 9.9e-5, 5.0))
@@ -61,7 +61,7 @@ def batches(draw: st.DrawFn) -> pa.RecordBatch:
 @given(batches(), st.booleans())
 def test_csv_of_columns_is_csv_of_values(batch: pa.RecordBatch, raw: bool) -> None:
     rows, names = plain_rows(pa.Table.from_batches([batch])), batch.schema.names
-    assert csv_lines(batch, raw=raw) == csv_text(rows, names, raw=raw)[len(csv_text([], names, raw=raw)) :]
+    assert csv_header(names, raw=raw) + csv_lines(batch, raw=raw) == csv_text(rows, names, raw=raw)
 
 
 @pytest.mark.slow

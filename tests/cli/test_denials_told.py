@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 from fsar_ledger import Ledger, open_ledger
+from fsar_ledger.api.answers import Screen
 from fsar_ledger.api.explain import account_lines, shown
-from fsar_ledger.cli.render import Screen
 from fsar_ledger.metrics.database import plain_rows
 from tests.cli.conftest import Call
 from tests.queries.histories import Row, S, event, run
@@ -22,7 +22,7 @@ PRINCIPALS = ("decided_by", "requested_by", "executed_by", "supervised_by")
 def story(ledger: Ledger, run_id: str, action: str) -> tuple[dict[str, Any], str]:
     """The row of the action and its story as text."""
     account = ledger.explain(run=run_id, request=action)
-    screen = Screen(ledger, (), None)
+    screen = Screen(ledger)
     told = account_lines(screen, (account.run, action), shown(account.timeline), account.parties, [])
     return account.parties, "\n".join(told)
 

@@ -8,13 +8,15 @@ import msgspec
 import pyarrow as pa
 import pytest
 
-from fsar_ledger.api.fields import Row, csv_text
+from fsar_ledger.api.answers import Row
 from fsar_ledger.api.provenance import Provenance
-from fsar_ledger.cli.streaming import KEPT_BYTES, Form, Kept, answer_json
-from fsar_ledger.cli.tables import more_text, table_text
+from fsar_ledger.api.table import Rows
+from fsar_ledger.api.tables import more_text, table_text
+from fsar_ledger.cli.render import KEPT_BYTES, Form, Kept, answer_json
 from fsar_ledger.errors import UsageError
 from fsar_ledger.ledger.store.view import Head
 from fsar_ledger.printable import SafeText, ascii_json
+from tests.one_by_one import csv_text
 
 ABOUT = Provenance(Head(3, 1000, "ab" * 32), rows_verified=False)
 COLUMNS = ["seq", 'a "name"\nof two lines', "path"]
@@ -53,7 +55,7 @@ def test_the_pieces_are_the_answer(form: Form, cuts: list[int]) -> None:
     whole = pa.RecordBatch.from_pylist(ROWS)
     batches = [whole[one:other] for one, other in pairwise(cuts)]
     rows = [row for batch in batches for row in batch.to_pylist()]
-    assert "".join(form.pieces(ABOUT, COLUMNS, batches)) == at_once(form, rows, COLUMNS)
+    assert "".join(form.pieces(Rows(ABOUT, COLUMNS, batches), form.screen())) == at_once(form, rows, COLUMNS)
 
 
 def test_an_answer_has_one_form() -> None:
@@ -79,6 +81,6 @@ def test_what_breaks_off_is_not_shown() -> None:
 
 
 def test_a_table_without_rows_says_so_under_its_columns() -> None:
-    assert "".join(Form().pieces(ABOUT, ["run_id"], [])) == "run_id\n------\n(no rows)\n"
-    assert "".join(Form(as_csv=True).pieces(ABOUT, ["run_id"], [])) == "run_id\n"
-    assert "".join(Form().pieces(ABOUT, [], [])) == "(no rows)\n"
+    assert "".join(Form().pieces(Rows(ABOUT, ["run_id"], []), Form().screen())) == "run_id\n------\n(no rows)\n"
+    assert "".join(Form(as_csv=True).pieces(Rows(ABOUT, ["run_id"], []), Form().screen())) == "run_id\n"
+    assert "".join(Form().pieces(Rows(ABOUT, [], []), Form().screen())) == "(no rows)\n"

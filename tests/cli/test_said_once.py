@@ -14,7 +14,8 @@ import pyarrow as pa
 import pytest
 
 from fsar_ledger.api.provenance import Provenance
-from fsar_ledger.cli.streaming import Form
+from fsar_ledger.api.table import Rows
+from fsar_ledger.cli.render import Form
 from fsar_ledger.ledger.store.view import Head
 
 ABOUT = Provenance(Head(3, 1000, "ab" * 32), rows_verified=False)
@@ -45,7 +46,8 @@ def terminal() -> Iterator[None]:
 
 def shown(limit: int, columns: Sequence[str], batches: Iterable[pa.RecordBatch]) -> str:
     with terminal():
-        return "".join(Form(limit=limit).pieces(ABOUT, columns, batches))
+        form = Form(limit=limit)
+        return "".join(form.pieces(Rows(ABOUT, columns, batches), form.screen()))
 
 
 def said_of_every_row(text: str) -> set[str]:

@@ -10,7 +10,6 @@ import msgspec
 import pytest
 from scipy import stats
 
-from fsar_ledger.api.experiments import experiment_of
 from fsar_ledger.constants import Constants
 from fsar_ledger.errors import InvalidExperiment
 from fsar_ledger.events import Event
@@ -25,6 +24,7 @@ from fsar_ledger.metrics.definitions import metrics, published_metrics
 from fsar_ledger.report import build, document, mechanisms, specs
 from fsar_ledger.report.findings import SCENARIOS, Findings, Mechanisms
 from fsar_ledger.report.mechanisms import carried, mechanisms_of
+from fsar_ledger.runtime.asked import experiment_of
 from fsar_ledger.runtime.experiment import Experiment
 from fsar_ledger.runtime.knockouts import KNOCKOUTS, Knockout
 from fsar_ledger.runtime.paper import paper_ledger

@@ -13,12 +13,12 @@ import pyarrow as pa
 import pyarrow.csv as pa_csv
 import pytest
 
-from fsar_ledger.api.fields import csv_text
 from fsar_ledger.api.files import _write_tables
-from fsar_ledger.cli.streaming import answer_json
-from fsar_ledger.cli.tables import table_text
+from fsar_ledger.api.tables import table_text
+from fsar_ledger.cli.render import answer_json
 from fsar_ledger.report import build, document, printing, sequence
 from fsar_ledger.report.findings import Findings
+from tests.one_by_one import csv_text
 from tests.report.test_sequence import TIMELINE, told
 from tests.terminal import PAINT, painted
 

@@ -6,13 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from fsar_ledger.api.experiments import experiment_of
 from fsar_ledger.constants import Constants
 from fsar_ledger.errors import InvalidExperiment
 from fsar_ledger.events.configuration import CONFIGURATIONS, FULL, MECHANISMS, is_known, removed_mechanisms, without
 from fsar_ledger.ledger.rows.codec import encode
 from fsar_ledger.metrics.database import from_table
 from fsar_ledger.metrics.results import metric_rows
+from fsar_ledger.runtime.asked import experiment_of
 from fsar_ledger.runtime.experiment import Experiment
 from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, simulate_run
 

@@ -25,6 +25,7 @@ checkpoint the file `checkpoint`, which may be behind
 held       which runs a ledger holds, and how far
 compact    which segments are put together
 places     where the events of a run are
+tiles      the hashes of the tree as C2SP tlog-tiles
 proof      proof that one event is in a ledger
 prepare    create and lock a ledger; finish what an interrupted writer left
 append     Writer

@@ -2,17 +2,20 @@
 
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 from fsar_ledger import printable
+from fsar_ledger.constants import Load, read_constants
+from fsar_ledger.designs.registered import PAPER_SCENARIOS, workflows
 from fsar_ledger.errors import InvalidExperiment, UsageError
 from fsar_ledger.ledger.store.read import View
+from fsar_ledger.metrics.database import Database
 from fsar_ledger.metrics.plans import EXPERIMENTS
-
-from .experiments import RUNS, experiment_of
-
-if TYPE_CHECKING:
-    from fsar_ledger.metrics.database import Database
+from fsar_ledger.parameters import BadParameters
+from fsar_ledger.runtime.asked import RUNS, experiment_of
+from fsar_ledger.runtime.experiment import ORIGIN
+from fsar_ledger.runtime.paper import NAMES, SEED, paper_ledger
+from fsar_ledger.runtime.simulation import ARCHITECTURES, plan_id
 
 MAX_RUNS = 9999  # of an experiment
 MAX_COUNTS = 32
@@ -30,7 +33,7 @@ class PlanRow(NamedTuple):
     view: View
 
 
-def plans(database: "Database", ledger: PlanRow) -> list[dict[str, Any]]:
+def plans(database: Database, ledger: PlanRow) -> list[dict[str, Any]]:
     """Return every plan, the largest first, with the command that continues it.
 
     The command is None where no run is missing, or where this version cannot make the missing runs.
@@ -55,9 +58,6 @@ def reproducing(counts: Iterable[int], ledger: PlanRow) -> dict[str, str]:
     `simulate` cannot continue such a ledger, because no key signs under its name. `counts` are the numbers of runs in
     the ledger's plans: `reproduce --runs` was one of these, or not given.
     """
-    from fsar_ledger.runtime.paper import NAMES, SEED, paper_ledger
-    from fsar_ledger.runtime.simulation import plan_id
-
     path = ledger.path if ledger.path.name else ledger.path.resolve()
     name = next((one for one in NAMES if one == path.name), NAMES[0])
     if name == NAMES[0] or not ledger.view.manifest.origin.endswith(f"/{name}"):
@@ -81,7 +81,7 @@ def shape(plan: Mapping[str, Any]) -> str:
     """Describe what a plan names: `door-relay x 20 runs x fsar, cfc (full), seed 42, 4 robots`."""
     parts = (
         _some(plan["scenarios"], "scenarios"),
-        runs(plan["run_count"]),
+        printable.counted(plan["run_count"], "run"),
         _some(plan["architectures"], "architectures"),
     )
     configurations = (
@@ -99,8 +99,6 @@ def continues_with(plan: Mapping[str, Any], parameters: str, ledger: PlanRow) ->
 
     None has it where the model, the constants or the names differ.
     """
-    from fsar_ledger.runtime.simulation import plan_id
-
     asked = _asked(plan, parameters)
     try:
         if asked is None or plan_id(experiment_of(**asked).plan()) != plan["plan"]:
@@ -115,11 +113,6 @@ def _asked(plan: Mapping[str, Any], parameters: str) -> dict[str, Any] | None:
 
     An argument is None where the default will do.
     """
-    from fsar_ledger.constants import Load, read_constants
-    from fsar_ledger.designs.registered import PAPER_SCENARIOS, workflows
-    from fsar_ledger.parameters import BadParameters
-    from fsar_ledger.runtime.simulation import ARCHITECTURES
-
     try:
         load = read_constants(parameters).load or Load()
     except BadParameters:
@@ -159,14 +152,7 @@ def _options(asked: Mapping[str, Any]) -> Iterator[str]:
 
 def _name(view: View) -> Iterator[str]:
     """Yield the option that this ledger must be written with: its key if it is signed, else an unusual origin."""
-    from fsar_ledger.runtime.experiment import ORIGIN
-
     if _is_signed(view):
         yield "--key KEY"
     elif view.manifest.origin != ORIGIN:
         yield f"--origin {printable.word(view.manifest.origin)}"
-
-
-def runs(count: int) -> str:
-    """Return a number of runs, in words."""
-    return printable.counted(count, "run")

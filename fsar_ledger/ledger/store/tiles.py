@@ -2,25 +2,19 @@
 
 import os
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 from fsar_ledger.errors import LedgerCorrupted, UsageError, option
 from fsar_ledger.ledger.log.tiles import WIDTH, Edge, Tile, partial_tiles
-from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.store import disk
 from fsar_ledger.ledger.store.paths import CHECKPOINT, require_outside
-from fsar_ledger.metrics.progress import each
-from fsar_ledger.metrics.verified import is_verified
-
-from .provenance import Provenance
-from .workload import Progress
+from fsar_ledger.ledger.store.read import View
 
 
-def write_tiles(
-    ledger: Path, out: Path, *, demanded: str | None = None, progress: Progress | None = None
-) -> tuple[int, Provenance]:
-    """Write every tile of the newest tree, and its checkpoint, into a new folder; return how many.
+def write_tiles(view: View, out: Path, progress: Callable[[int, int], None] | None = None) -> int:
+    """Write every tile of the tree, and its checkpoint, into a new folder; return how many.
 
     The hashes are those of the rows, each of which is read and hashed. `progress` is called with the segments that were
     hashed, and their number.
@@ -33,20 +27,20 @@ def write_tiles(
     if os.path.lexists(out):
         raise UsageError(f"{option('out', out)}: found something there, expected a free path for a new folder")
     require_outside(out, option("out", out))
-    view = open_for_answers(ledger)
-    provenance = Provenance(view.head, is_verified(view, demanded))
     work = disk.temporary_name(out)
     try:
         with disk.refusals(out, "writing tiles"):
             work.mkdir(parents=True)
         count, edge = 0, Edge()
-        for table, _ in zip(view.tables(), each(view.releases, progress), strict=True):
+        for done, table in enumerate(view.tables(), start=1):
             edge, made = edge.extend(canonical.leaves(table))
             count += _write(work, out, {tile: data for tile, data in made.items() if tile.width == WIDTH})
+            if progress is not None:
+                progress(done, len(view.releases))
         if edge.frontier().root().hex() != view.head.root:
             raise LedgerCorrupted(
-                f"{ledger}: found rows that lead to root {edge.frontier().root().hex()}, expected {view.head.root} as "
-                "committed; run fsar-ledger verify"
+                f"{view.path}: found rows that lead to root {edge.frontier().root().hex()}, expected "
+                f"{view.head.root} as committed; run fsar-ledger verify"
             )
         count += _write(work, out, {tile: edge.partial[tile.level] for tile in partial_tiles(edge.size)})
         note = view.note()
@@ -57,7 +51,7 @@ def write_tiles(
     except BaseException:
         shutil.rmtree(work, ignore_errors=True)
         raise
-    return count, provenance
+    return count
 
 
 def _write(work: Path, out: Path, tiles: dict[Tile, bytes]) -> int:

@@ -9,14 +9,17 @@ is no terminal, a table is plain (`table_text`). Cells are escaped (`printable`)
 
 import re
 import shlex
-from collections.abc import Callable, Collection, Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, NamedTuple
 
 from fsar_ledger import printable
-from fsar_ledger.api.fields import Row, field_text
-from fsar_ledger.printable import SafeText
+from fsar_ledger.printable import SafeText, columns_of
 
-from .terminal import columns_of
+from .answers import Row
+from .texts import field_text
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 GAP = 2
 """Columns of the terminal between two columns of a table."""
@@ -309,3 +312,23 @@ def _cell_text(value: object) -> str:
         if len(shown) <= printable.MAX_VALUE
         else f"{shown[: printable.MAX_VALUE]}... ({len(shown) - printable.MAX_VALUE:,} more)"
     )
+
+
+class Constant:
+    """The columns that have had one value in every row seen, shown or not."""
+
+    def __init__(self, names: Iterable[str]):
+        self.names = set(names)
+        self._last: pa.RecordBatch | None = None
+
+    def see(self, batch: "pa.RecordBatch") -> None:
+        """Leave out the columns that differ in these rows, or from the rows before them."""
+        if not len(batch):
+            return
+        before = batch if self._last is None else self._last
+        self._last = batch.slice(len(batch) - 1)
+        for name in sorted(self.names):
+            column, one = batch[name], before[name].slice(len(before) - 1)
+            is_one = column.slice(1).equals(column.slice(0, len(column) - 1))
+            if not (is_one and column.slice(len(column) - 1).equals(one)):
+                self.names.discard(name)

@@ -1,14 +1,21 @@
 """Make an experiment from the arguments of `simulate`."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import msgspec
 
 from fsar_ledger import printable
+from fsar_ledger.constants import Constants, Load
+from fsar_ledger.designs import registered
+from fsar_ledger.designs.names import known
 from fsar_ledger.errors import InvalidExperiment, UsageError, option
-
-from .names import known
-
-if TYPE_CHECKING:
-    from fsar_ledger.runtime.experiment import Experiment
+from fsar_ledger.events.configuration import EVERY_MECHANISM, FULL, MECHANISMS_OF, removed_mechanisms
+from fsar_ledger.events.configuration import without as ablation
+from fsar_ledger.runtime.architectures import REGISTERED
+from fsar_ledger.runtime.experiment import Experiment, workflow_experiment
+from fsar_ledger.runtime.own import is_file, with_own
+from fsar_ledger.runtime.simulation import ARCHITECTURES
+from fsar_ledger.runtime.world.founding import team_size
 
 RUNS = 20  # per scenario and architecture, as in the paper
 
@@ -24,7 +31,7 @@ def experiment_of(
     load: tuple[int | None, int] = (None, 1),
     fleet: str | None = None,
     settings: list[str] | None = None,
-) -> "Experiment":
+) -> Experiment:
     """Return the experiment that the arguments of `simulate` name.
 
     With `without`, the default architecture is the one that has the mechanisms. `load` is the number of teams that work
@@ -44,17 +51,6 @@ def experiment_of(
             "settings": settings,
         }
         return _workflows_of(workflows, runs, seed, others, architectures, fleet_size)
-    import msgspec
-
-    from fsar_ledger.constants import Constants, Load
-    from fsar_ledger.designs import registered
-    from fsar_ledger.events.configuration import EVERY_MECHANISM, FULL, MECHANISMS_OF, removed_mechanisms
-    from fsar_ledger.events.configuration import without as ablation
-    from fsar_ledger.runtime.architectures import REGISTERED
-    from fsar_ledger.runtime.experiment import Experiment
-    from fsar_ledger.runtime.own import is_file, with_own
-    from fsar_ledger.runtime.simulation import ARCHITECTURES
-    from fsar_ledger.runtime.world.founding import team_size
 
     configurations = tuple(
         dict.fromkeys(ablation(known("mechanism", _joined(name), EVERY_MECHANISM)) for name in without or ())
@@ -103,11 +99,8 @@ def _workflows_of(
     others: dict[str, Any],
     architectures: list[str] | None,
     fleet_size: int | None,
-) -> "Experiment":
+) -> Experiment:
     """Return the experiment of these workflows, under FSAR, with one robot of each role."""
-    from fsar_ledger.designs.registered import workflows
-    from fsar_ledger.runtime.experiment import workflow_experiment
-
     for name, found in others.items():
         if found is not None and found != []:
             shown = found[0] if isinstance(found, list) else found
@@ -121,6 +114,6 @@ def _workflows_of(
         raise UsageError(
             f"{option('workflow')} and {option('fleet_size', fleet_size)}: expected 4, one robot of each role"
         )
-    names = {name.removeprefix("workflow-"): name for name in workflows()}
+    names = {name.removeprefix("workflow-"): name for name in registered.workflows()}
     chosen = tuple(names[name] for name in known("workflow", asked, tuple(names)))
     return workflow_experiment(seed, 1 if runs is None else runs, chosen)
