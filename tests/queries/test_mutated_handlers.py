@@ -35,7 +35,7 @@ def changed(event: type[Event], **fields: Any) -> HandlerTable:
 def unchecked_start(state: Any, command: StartAction) -> tuple[Any, ...]:
     """FSAR's handler without its look at policy."""
     would_be = start_as_fsar(state, command)
-    return (started(state.fleet, state.world, state.execution.actions[command.action_id], command),) if would_be else ()
+    return (started(state, state.execution.actions[command.action_id], command),) if would_be else ()
 
 
 def unchecked_routine(state: Any, command: DecideRoutine) -> tuple[Any, ...]:
