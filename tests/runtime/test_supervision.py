@@ -114,17 +114,17 @@ def failing(*before: Event) -> State:
 def test_what_concerns_one_robot_goes_to_its_own_supervisor_and_the_rest_to_the_fleets() -> None:
     state = given("fsar")
     assert (
-        supervisor_for(state.fleet, state.world, B, is_cross_robot=False),
-        supervisor_for(state.fleet, state.world, B, is_cross_robot=True),
+        supervisor_for(state, B, is_cross_robot=False),
+        supervisor_for(state, B, is_cross_robot=True),
     ) == (H_B, H_F)
 
 
 def test_off_shift_or_without_an_own_supervisor_it_goes_to_the_fleets() -> None:
     state = given("fsar", SupervisorLeft(H_B), RobotJoined(robot=Robot("robot/X1"), role="A", team=1, supervisor=None))
-    assert supervisor_for(state.fleet, state.world, B, is_cross_robot=False) == H_F
-    assert supervisor_for(state.fleet, state.world, Robot("robot/X1"), is_cross_robot=False) == H_F
+    assert supervisor_for(state, B, is_cross_robot=False) == H_F
+    assert supervisor_for(state, Robot("robot/X1"), is_cross_robot=False) == H_F
     apply(state, SupervisorReturned(H_B))
-    assert supervisor_for(state.fleet, state.world, B, is_cross_robot=False) == H_B
+    assert supervisor_for(state, B, is_cross_robot=False) == H_B
 
 
 @pytest.mark.parametrize("approves", [True, False])
