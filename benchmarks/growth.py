@@ -14,7 +14,7 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from fsar_ledger.constants import Constants, Load
+from fsar_ledger.designs.constants import Constants, Load
 from fsar_ledger.projections.fold import fold
 from fsar_ledger.runtime.simulation import ARCHITECTURES, RunSpec, simulate_run
 from fsar_ledger.runtime.world.founding import founding

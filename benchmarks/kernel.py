@@ -25,7 +25,7 @@ import simpy
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from benchmarks.table import note
-from fsar_ledger.constants import Constants
+from fsar_ledger.designs.constants import Constants
 from fsar_ledger.events.envelope import Robot
 from fsar_ledger.events.world import PolicyWindowClosed, PolicyWindowOpened, RoutineDue, TaskArrived
 from fsar_ledger.runtime.experiment import Experiment

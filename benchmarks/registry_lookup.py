@@ -17,7 +17,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from fsar_ledger.constants import Constants
+from fsar_ledger.designs.constants import Constants
 from fsar_ledger.designs.registered import fleet
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import Robot, robot_named

@@ -14,7 +14,7 @@ from pathlib import Path
 from fsar_ledger import open_ledger
 from fsar_ledger.analysis.asked_forks import fork_pairs, runs_of
 from fsar_ledger.analysis.whatif import effects
-from fsar_ledger.constants import Constants
+from fsar_ledger.designs.constants import Constants
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.runtime.change_texts import parsed
 from fsar_ledger.runtime.experiment import Experiment, run_experiment

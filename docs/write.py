@@ -32,7 +32,7 @@ from typer.main import get_command
 
 from fsar_ledger.api.ledger import Ledger
 from fsar_ledger.cli.app import app, run
-from fsar_ledger.constants import WORDS, Constants, Load, Outages, origins
+from fsar_ledger.designs.constants import WORDS, Constants, Load, Outages, origins
 from fsar_ledger.events.configuration import MECHANISMS_OF
 from fsar_ledger.events.envelope import Robot
 from fsar_ledger.events.task import TaskAbandoned, TaskCompleted

@@ -12,7 +12,6 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from fsar_ledger import errors
     from fsar_ledger.api.audit import Audit
     from fsar_ledger.api.events import Events, LoggedEvent
     from fsar_ledger.api.explain import Account
@@ -24,7 +23,8 @@ if TYPE_CHECKING:
     from fsar_ledger.api.verify import Verification
     from fsar_ledger.api.verify_proof import verify_proof
     from fsar_ledger.api.witness import witness_new
-    from fsar_ledger.errors import FsarLedgerError
+    from fsar_ledger.base import errors
+    from fsar_ledger.base.errors import FsarLedgerError
     from fsar_ledger.studies.calibration import calibrate
     from fsar_ledger.studies.comparison import judge
     from fsar_ledger.studies.predictions import predict
@@ -69,7 +69,7 @@ _HOMES = {
     "api.verify": ("Verification",),
     "api.verify_proof": ("verify_proof",),
     "api.witness": ("witness_new",),
-    "errors": ("FsarLedgerError",),
+    "base.errors": ("FsarLedgerError",),
     "studies.calibration": ("calibrate",),
     "studies.comparison": ("judge",),
     "studies.predictions": ("predict",),
@@ -81,7 +81,7 @@ _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 def __getattr__(name: str) -> Any:
     """Load a public name on first use, so that importing the package loads no library."""
     if name == "errors":
-        return import_module(f"{__name__}.errors")
+        return import_module(f"{__name__}.base.errors")
     if name not in _HOME_OF:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     value = getattr(import_module(f"{__name__}.{_HOME_OF[name]}"), name)

@@ -6,9 +6,10 @@ import os
 import sys
 from types import TracebackType
 
-from . import __version__, printable
+from . import __version__
+from .base import printable
+from .base.errors import WriteFailed
 from .cli.terminal import Enough, say, say_failure, show
-from .errors import WriteFailed
 
 
 def main() -> None:

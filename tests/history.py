@@ -31,7 +31,7 @@ MODEL = (
     "fsar_ledger/runtime/world",
     "fsar_ledger/runtime/kernel.py",
 )
-CONSTANTS = "fsar_ledger/constants.py"
+CONSTANTS = "fsar_ledger/designs/constants.py"
 
 
 def git(root: Path, *arguments: str) -> str:

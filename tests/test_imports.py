@@ -60,7 +60,7 @@ def contracts(root: Path) -> subprocess.CompletedProcess[str]:
 
 def test_no_modules_import_each_other_in_a_circle() -> None:
     graph = imports(ROOT)
-    assert {"fsar_ledger.errors", "fsar_ledger.ledger.store.disk"} <= graph["fsar_ledger.ledger.store.staging"]
+    assert {"fsar_ledger.base.errors", "fsar_ledger.ledger.store.disk"} <= graph["fsar_ledger.ledger.store.staging"]
     assert circle(graph) == []
 
 

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fsar_ledger import printable
+from fsar_ledger.base import printable
 from fsar_ledger.cli.terminal import ON, folded
 from tests.terminal import PAINT, painted
 

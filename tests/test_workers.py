@@ -13,10 +13,10 @@ from typing import Any
 
 import pytest
 
-from fsar_ledger.constants import Constants, read_constants
-from fsar_ledger.errors import LedgerCorrupted, WorkerDied
-from fsar_ledger.parameters import BadParameters, read_parameters
-from fsar_ledger.workers import WorkerPool
+from fsar_ledger.base.errors import LedgerCorrupted, WorkerDied
+from fsar_ledger.base.parameters import BadParameters, read_parameters
+from fsar_ledger.base.workers import WorkerPool
+from fsar_ledger.designs.constants import Constants, read_constants
 from tests.running import ran
 
 
@@ -136,7 +136,7 @@ def test_a_pool_that_is_left_drops_what_has_not_begun() -> None:
 
 ORPHANED = """
 import os, time
-from fsar_ledger.workers import WorkerPool
+from fsar_ledger.base.workers import WorkerPool
 from tests.test_workers import squared
 
 pool = WorkerPool(2)

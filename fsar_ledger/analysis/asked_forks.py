@@ -3,8 +3,8 @@
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from fsar_ledger import printable
-from fsar_ledger.errors import UsageError, option
+from fsar_ledger.base import printable
+from fsar_ledger.base.errors import UsageError, option
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.store.read import View
 from fsar_ledger.runtime.change_texts import parsed, read_changes

@@ -4,8 +4,8 @@ from collections.abc import Iterator
 
 import msgspec
 
-from fsar_ledger import printable
-from fsar_ledger.errors import UsageError
+from fsar_ledger.base import printable
+from fsar_ledger.base.errors import UsageError
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import COORDINATOR, FLEET_SUPERVISOR, REGISTRY, Robot
 from fsar_ledger.events.knowledge import CopySynced, SnapshotTaken

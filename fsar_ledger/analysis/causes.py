@@ -23,10 +23,10 @@ from typing import NamedTuple
 
 import msgspec
 
-from fsar_ledger import printable
-from fsar_ledger.errors import QueryFailed, UsageError
+from fsar_ledger.base import printable
+from fsar_ledger.base.errors import QueryFailed, UsageError
+from fsar_ledger.base.memory import without_collection
 from fsar_ledger.ledger.rows.codec import LedgerRun, encode_coded
-from fsar_ledger.memory import without_collection
 from fsar_ledger.metrics.database import from_table
 from fsar_ledger.metrics.definitions import metrics
 from fsar_ledger.metrics.invariants import invariants

@@ -6,8 +6,8 @@ import msgspec
 import numpy as np
 import pyarrow.compute as pc
 
-from fsar_ledger import printable
-from fsar_ledger.errors import UsageError
+from fsar_ledger.base import printable
+from fsar_ledger.base.errors import UsageError
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.ledger.rows import codec, segment
 from fsar_ledger.ledger.rows.codec import LedgerRun, encode_coded

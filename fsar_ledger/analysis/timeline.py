@@ -4,8 +4,8 @@ import re
 from bisect import bisect_right
 from collections.abc import Callable
 
-from fsar_ledger import printable
-from fsar_ledger.errors import UsageError
+from fsar_ledger.base import printable
+from fsar_ledger.base.errors import UsageError
 from fsar_ledger.events import Event
 from fsar_ledger.events.command import CommandRejected
 from fsar_ledger.events.envelope import flat

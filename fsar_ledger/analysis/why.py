@@ -9,8 +9,8 @@ from typing import Any, Literal, NamedTuple
 
 import msgspec
 
-from fsar_ledger import printable
-from fsar_ledger.errors import UsageError
+from fsar_ledger.base import printable
+from fsar_ledger.base.errors import UsageError
 from fsar_ledger.events import Event
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.ledger.rows.codec import LedgerRun

@@ -5,9 +5,9 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from fsar_ledger import printable
-from fsar_ledger.errors import FsarLedgerError, UsageError
-from fsar_ledger.printable import SafeText
+from fsar_ledger.base import printable
+from fsar_ledger.base.errors import FsarLedgerError, UsageError
+from fsar_ledger.base.printable import SafeText
 
 if TYPE_CHECKING:
     from fsar_ledger.ledger.store.view import Head

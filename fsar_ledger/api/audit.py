@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import msgspec
 
-from fsar_ledger import printable
+from fsar_ledger.base import printable
 
 from .answers import Answer, Row, Screen
 from .names import names_of

@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Any
 
 from msgspec import structs
 
-from fsar_ledger import printable
-from fsar_ledger.errors import UsageError
+from fsar_ledger.base import printable
+from fsar_ledger.base.errors import UsageError
+from fsar_ledger.base.printable import counted
 from fsar_ledger.metrics.comparison_sides import LeftOut, Paired, Side, SideRow, chosen, paired, sides
-from fsar_ledger.printable import counted
 
 from .answers import Answer, Screen
 from .names import by_scenario, pools_seeds

@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import msgspec
 
-from fsar_ledger import printable
-from fsar_ledger.printable import SafeText, counted
+from fsar_ledger.base import printable
+from fsar_ledger.base.printable import SafeText, counted
 
 from .answers import Answer, Screen
 from .names import Place, Run

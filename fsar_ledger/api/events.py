@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from fsar_ledger.errors import UsageError, option
+from fsar_ledger.base.errors import UsageError, option
 from fsar_ledger.events import Event
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.rows import codec

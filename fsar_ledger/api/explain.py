@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import msgspec
 
-from fsar_ledger import printable
-from fsar_ledger.errors import UsageError, option
+from fsar_ledger.base import printable
+from fsar_ledger.base.errors import UsageError, option
 
 from .answers import Answer, Screen, figure_place
 from .names import Place, Run
@@ -86,7 +86,7 @@ class Account(Answer, msgspec.Struct, frozen=True):
             UsageError: Neither gives a format, or the file lies inside a ledger.
             WriteFailed: The file cannot be written.
         """
-        from fsar_ledger.publishing import publish
+        from fsar_ledger.base.publishing import publish
         from fsar_ledger.report import sequence
 
         place, form = figure_place(file, kind)

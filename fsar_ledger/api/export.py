@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import msgspec
 
-from fsar_ledger import printable
-from fsar_ledger.errors import UsageError
+from fsar_ledger.base import printable
+from fsar_ledger.base.errors import UsageError
 
 from .answers import Answer, Screen
 from .names import Place

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 from msgspec import structs
 
-from fsar_ledger import printable
-from fsar_ledger.printable import counted
+from fsar_ledger.base import printable
+from fsar_ledger.base.printable import counted
 
 from .answers import Answer, Screen
 from .verbs import verb

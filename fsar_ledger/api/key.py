@@ -5,8 +5,8 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from fsar_ledger import printable
-from fsar_ledger.errors import UsageError, option
+from fsar_ledger.base import printable
+from fsar_ledger.base.errors import UsageError, option
 
 from .names import Place
 from .verbs import Option, argument, declare, verb

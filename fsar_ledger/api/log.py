@@ -5,9 +5,9 @@ from functools import partial
 from itertools import chain
 from typing import TYPE_CHECKING, Annotated, Any
 
-from fsar_ledger import printable
-from fsar_ledger.errors import UsageError
-from fsar_ledger.printable import SafeText
+from fsar_ledger.base import printable
+from fsar_ledger.base.errors import UsageError
+from fsar_ledger.base.printable import SafeText
 
 from .answers import Answer, Screen
 from .names import Names, Run, Time

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import msgspec
 
-from fsar_ledger import printable
-from fsar_ledger.printable import SafeText, counted
+from fsar_ledger.base import printable
+from fsar_ledger.base.printable import SafeText, counted
 
 from .answers import Answer, Lines, Screen, head_json
 from .key import anchor_of, signature_text, trusted_of

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Annotated
 
 from msgspec import structs
 
-from fsar_ledger import printable
+from fsar_ledger.base import printable
+from fsar_ledger.base.printable import SafeText, counted
 from fsar_ledger.metrics.multiverse import Cell, Multiverse, Ranking, ReadingNames
-from fsar_ledger.printable import SafeText, counted
 
 from .answers import Answer, Row, Screen
 from .names import Names, Place, names_of, pools_seeds
@@ -48,7 +48,7 @@ class MultiverseResult(Answer, Multiverse, frozen=True, kw_only=True):
 
         Raises: WriteFailed if the file cannot be written.
         """
-        from fsar_ledger.publishing import publish
+        from fsar_ledger.base.publishing import publish
         from fsar_ledger.report import all_readings
 
         publish(Path(file), all_readings.curves(self))

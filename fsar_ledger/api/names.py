@@ -7,8 +7,8 @@ from math import isfinite
 from os import PathLike
 from typing import Literal
 
-from fsar_ledger import printable
-from fsar_ledger.errors import UsageError, option
+from fsar_ledger.base import printable
+from fsar_ledger.base.errors import UsageError, option
 
 Place = str | PathLike[str]
 Pool = Literal["seeds"] | None

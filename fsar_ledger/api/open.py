@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import msgspec
 
-from fsar_ledger import printable
-from fsar_ledger.errors import QueryFailed, UsageError, WriteFailed, option
+from fsar_ledger.base import printable
+from fsar_ledger.base.errors import QueryFailed, UsageError, WriteFailed, option
 
 from .answers import Answer, Screen
 from .names import Place

@@ -3,8 +3,8 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from fsar_ledger import printable
-from fsar_ledger.errors import UsageError, option
+from fsar_ledger.base import printable
+from fsar_ledger.base.errors import UsageError, option
 
 from .answers import Answer, Lines, Plain
 from .names import MAX_DIGITS, Place

@@ -7,9 +7,9 @@ from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fsar_ledger import printable
-from fsar_ledger.errors import QueryFailed, UsageError
-from fsar_ledger.printable import SafeText
+from fsar_ledger.base import printable
+from fsar_ledger.base.errors import QueryFailed, UsageError
+from fsar_ledger.base.printable import SafeText
 
 from .answers import Answer, Plain, Screen
 from .names import Place

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import msgspec
 
-from fsar_ledger import printable
-from fsar_ledger.errors import option
-from fsar_ledger.printable import SafeText, counted
+from fsar_ledger.base import printable
+from fsar_ledger.base.errors import option
+from fsar_ledger.base.printable import SafeText, counted
 
 from .answers import Answer, Screen
 from .names import Names, Place, names_of

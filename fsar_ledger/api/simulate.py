@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from fsar_ledger import printable
-from fsar_ledger.printable import SafeText, counted
+from fsar_ledger.base import printable
+from fsar_ledger.base.printable import SafeText, counted
 
 from .answers import Answer, Screen, head_json
 from .names import Names, Place, names_of

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Annotated
 
-from fsar_ledger.errors import UsageError, option
+from fsar_ledger.base.errors import UsageError, option
 
 from .verbs import STREAM, argument, declare, verb
 
@@ -26,7 +26,7 @@ def limits_of(seconds: int | None = None, memory_mib: int | None = None) -> "Lim
         UsageError: Less than a second or more than a year; or less memory than the process needs for the packaged
             queries, or more than a machine has.
     """
-    from fsar_ledger.memory import MOST_MIB
+    from fsar_ledger.base.memory import MOST_MIB
     from fsar_ledger.metrics.sandbox import Limits
 
     default = Limits()

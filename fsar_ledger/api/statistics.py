@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 from msgspec import structs
 
-from fsar_ledger import printable
+from fsar_ledger.base import printable
 
 from .answers import Answer, Screen
 from .names import pools_seeds

@@ -3,9 +3,9 @@
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Annotated
 
-from fsar_ledger import printable
-from fsar_ledger.errors import UsageError
-from fsar_ledger.printable import SafeText
+from fsar_ledger.base import printable
+from fsar_ledger.base.errors import UsageError
+from fsar_ledger.base.printable import SafeText
 
 from .answers import Answer, Screen
 from .names import Time

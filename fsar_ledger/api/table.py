@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import pyarrow as pa
 
-from fsar_ledger import printable
-from fsar_ledger.errors import UsageError
+from fsar_ledger.base import printable
+from fsar_ledger.base.errors import UsageError
+from fsar_ledger.base.printable import SafeText
 from fsar_ledger.metrics.database import plain_rows
 from fsar_ledger.metrics.sandbox import SENT_BYTES, slices
-from fsar_ledger.printable import SafeText
 
 from .answers import Answer, Row, Screen
 from .names import Place

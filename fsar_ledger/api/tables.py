@@ -12,8 +12,8 @@ import shlex
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
-from fsar_ledger import printable
-from fsar_ledger.printable import SafeText, columns_of
+from fsar_ledger.base import printable
+from fsar_ledger.base.printable import SafeText, columns_of
 
 from .answers import Row
 from .texts import field_text

@@ -18,8 +18,8 @@ import msgspec
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from fsar_ledger import printable
-from fsar_ledger.errors import QueryFailed
+from fsar_ledger.base import printable
+from fsar_ledger.base.errors import QueryFailed
 
 _SEEN = bytes(range(0x20, 0x7F))
 _JSON_PLAIN = bytes(set(_SEEN) - set(b'"\\'))

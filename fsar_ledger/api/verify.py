@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import msgspec
 
-from fsar_ledger import printable
-from fsar_ledger.errors import FsarLedgerError, LedgerCorrupted, ReplayMismatch, UsageError, option
-from fsar_ledger.printable import counted
+from fsar_ledger.base import printable
+from fsar_ledger.base.errors import FsarLedgerError, LedgerCorrupted, ReplayMismatch, UsageError, option
+from fsar_ledger.base.printable import counted
 
 from .answers import Answer, Screen
 from .key import anchor_of, signature_text, trusted_of

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import msgspec
 
-from fsar_ledger import printable
-from fsar_ledger.errors import LedgerCorrupted, option
+from fsar_ledger.base import printable
+from fsar_ledger.base.errors import LedgerCorrupted, option
 
 from .answers import Answer, Screen
 from .key import checkpoint_of, root_of, signature_text, trusted_of

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from fsar_ledger.analysis.records import lines_of
 from fsar_ledger.analysis.situation import Coverage, Situation, situation
 from fsar_ledger.analysis.timeline import Timeline, Walk
-from fsar_ledger.errors import UsageError
+from fsar_ledger.base.errors import UsageError
 from fsar_ledger.events.envelope import flat
 from fsar_ledger.ledger.rows.codec import LedgerRun
 

@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import msgspec
 
-from fsar_ledger import printable
-from fsar_ledger.errors import UsageError, option
-from fsar_ledger.printable import SafeText
+from fsar_ledger.base import printable
+from fsar_ledger.base.errors import UsageError, option
+from fsar_ledger.base.printable import SafeText
 
 from .answers import Answer, Row, Screen, figure_place
 from .names import Place, Run
@@ -54,7 +54,7 @@ class Why(Answer, msgspec.Struct, frozen=True, kw_only=True):
             UsageError: The name has another suffix, or the file lies inside a ledger.
             WriteFailed: The file cannot be written.
         """
-        from fsar_ledger.publishing import publish
+        from fsar_ledger.base.publishing import publish
         from fsar_ledger.view.why import figure
 
         place, form = figure_place(file, kind)

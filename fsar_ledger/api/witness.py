@@ -6,9 +6,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from fsar_ledger import printable
-from fsar_ledger.errors import NotCosigned
-from fsar_ledger.printable import SafeText
+from fsar_ledger.base import printable
+from fsar_ledger.base.errors import NotCosigned
+from fsar_ledger.base.printable import SafeText
 
 from .answers import Answer, Lines, Plain, Screen
 from .key import short

@@ -4,7 +4,7 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
-from fsar_ledger.errors import UsageError, option
+from fsar_ledger.base.errors import UsageError, option
 
 Progress = Callable[[int, int], None]
 """Called with the amount done and the total."""

@@ -18,9 +18,9 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from fsar_ledger import printable
 from fsar_ledger.api.verbs import NOTHING_CHANGED, VERBS, Verb
-from fsar_ledger.errors import FsarLedgerError, UsageError, named_as_options
+from fsar_ledger.base import printable
+from fsar_ledger.base.errors import FsarLedgerError, UsageError, named_as_options
 
 from .building import command
 from .terminal import Enough, say, show

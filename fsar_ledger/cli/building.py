@@ -12,7 +12,7 @@ import typer
 from typer.core import TyperCommand, TyperOption
 
 from fsar_ledger.api.verbs import RAW, Option, Verb, argument, declared
-from fsar_ledger.errors import QueryFailed, UsageError
+from fsar_ledger.base.errors import QueryFailed, UsageError
 
 from . import completing
 from .memory import bounded

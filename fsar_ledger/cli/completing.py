@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import typer
 
-from fsar_ledger import printable
-from fsar_ledger.errors import FsarLedgerError
+from fsar_ledger.base import printable
+from fsar_ledger.base.errors import FsarLedgerError
 
 if TYPE_CHECKING:
     from fsar_ledger.metrics.query_parameters import Parameter

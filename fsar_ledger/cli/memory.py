@@ -6,9 +6,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from fsar_ledger import memory
 from fsar_ledger.api.workload import stored, workers_of
-from fsar_ledger.errors import LimitReached, UsageError
+from fsar_ledger.base import memory
+from fsar_ledger.base.errors import LimitReached, UsageError
 
 from .terminal import say
 

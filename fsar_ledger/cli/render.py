@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from fsar_ledger import printable
 from fsar_ledger.api.answers import Answer, Lines, Screen, head_json, provenances
 from fsar_ledger.api.verbs import Gives, Shows, Verb, declared
-from fsar_ledger.errors import UsageError
-from fsar_ledger.printable import SafeText
+from fsar_ledger.base import printable
+from fsar_ledger.base.errors import UsageError
+from fsar_ledger.base.printable import SafeText
 
 from .progress import Progress
 from .terminal import has_keys, pause, say, show, width_of_output

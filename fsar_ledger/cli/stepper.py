@@ -11,9 +11,9 @@ from textual.containers import Horizontal, VerticalScroll
 from textual.content import Content
 from textual.widgets import Footer, Input, Static
 
-from fsar_ledger import printable
 from fsar_ledger.api.state import standing_lines
-from fsar_ledger.errors import UsageError
+from fsar_ledger.base import printable
+from fsar_ledger.base.errors import UsageError
 
 if TYPE_CHECKING:
     from fsar_ledger.api.walks import Steps

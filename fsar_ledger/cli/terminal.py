@@ -13,9 +13,9 @@ import time
 from contextlib import suppress
 from typing import TextIO
 
-from fsar_ledger import printable
-from fsar_ledger.errors import WriteFailed
-from fsar_ledger.printable import SafeText, columns_of
+from fsar_ledger.base import printable
+from fsar_ledger.base.errors import WriteFailed
+from fsar_ledger.base.printable import SafeText, columns_of
 
 ON = "  | "
 """The mark before the rest of a line for which the terminal is too narrow."""

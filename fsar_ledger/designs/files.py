@@ -7,8 +7,8 @@ from typing import Any, TypeVar
 
 import msgspec
 
-from fsar_ledger import printable
-from fsar_ledger.errors import UsageError
+from fsar_ledger.base import printable
+from fsar_ledger.base.errors import UsageError
 
 _T = TypeVar("_T")
 Field = tuple[str | int, ...]

@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 from typing import TypeVar
 
-from fsar_ledger import printable
-from fsar_ledger.errors import InvalidExperiment
+from fsar_ledger.base import printable
+from fsar_ledger.base.errors import InvalidExperiment
 
 _Name = TypeVar("_Name", bound=str)
 

@@ -9,7 +9,7 @@ compared with their records.
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from fsar_ledger.errors import LedgerCorrupted
+from fsar_ledger.base.errors import LedgerCorrupted
 from fsar_ledger.ledger.store import turns
 from fsar_ledger.ledger.store.checkpoint import check_chain_checkpoint
 from fsar_ledger.ledger.store.manifest import read_manifest

@@ -13,7 +13,7 @@ from typing import Annotated
 
 import msgspec
 
-from fsar_ledger.errors import LedgerCorrupted, UsageError
+from fsar_ledger.base.errors import LedgerCorrupted, UsageError
 from fsar_ledger.ledger.log.hashing import sha256_hex
 from fsar_ledger.ledger.log.merkle import Frontier
 from fsar_ledger.ledger.log.note import checkpoint_of, is_name, parse_note

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 
 import msgspec
 
-from fsar_ledger.printable import NAMED, counted, every, number, some
+from fsar_ledger.base.printable import NAMED, counted, every, number, some
 
 from .database import Database
 from .results import StatisticRow, setting_of, typed

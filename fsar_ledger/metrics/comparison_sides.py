@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from fsar_ledger import printable
-from fsar_ledger.errors import UsageError
+from fsar_ledger.base import printable
+from fsar_ledger.base.errors import UsageError
+from fsar_ledger.base.printable import counted
 from fsar_ledger.events.configuration import FULL
-from fsar_ledger.printable import counted
 
 if TYPE_CHECKING:  # the verb `compare` imports this module for its help text, so functions import these
     import pyarrow as pa

@@ -14,8 +14,8 @@ from typing import Any
 import duckdb
 import pyarrow as pa
 
-from fsar_ledger import memory
-from fsar_ledger.errors import FsarLedgerError, LedgerCorrupted, LimitReached, QueryFailed
+from fsar_ledger.base import memory
+from fsar_ledger.base.errors import FsarLedgerError, LedgerCorrupted, LimitReached, QueryFailed
 from fsar_ledger.ledger.rows.schema import SCHEMA
 from fsar_ledger.ledger.rows.segment import read_table
 from fsar_ledger.ledger.store.view import Head

@@ -10,8 +10,8 @@ from typing import Any
 
 import msgspec
 
-from fsar_ledger.constants import DESIGNS, Constants, Load, Outages, read_constants, write_constants
-from fsar_ledger.parameters import BadParameters, read_parameters
+from fsar_ledger.base.parameters import BadParameters, read_parameters
+from fsar_ledger.designs.constants import DESIGNS, Constants, Load, Outages, read_constants, write_constants
 
 MAX_PARAMETERS = 65_536
 """Characters of parameters that are read constant by constant; those of the model have 2,000.

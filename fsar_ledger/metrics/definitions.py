@@ -11,9 +11,9 @@ from typing import Literal
 
 import msgspec
 
-from fsar_ledger import printable
+from fsar_ledger.base import printable
+from fsar_ledger.base.errors import UsageError
 from fsar_ledger.designs.files import Field, at_line, decoded
-from fsar_ledger.errors import UsageError
 from fsar_ledger.events import CONCERNS
 
 from .paths import written

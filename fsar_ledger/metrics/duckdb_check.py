@@ -13,7 +13,7 @@ from functools import cache
 import numpy as np
 import pyarrow as pa
 
-from fsar_ledger.errors import QueryFailed
+from fsar_ledger.base.errors import QueryFailed
 from fsar_ledger.ledger.rows.arrow import numbers, validity, whole
 from fsar_ledger.ledger.rows.schema import COLUMNS
 from fsar_ledger.ledger.verify.segment import Digest

@@ -7,8 +7,8 @@ import msgspec
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from fsar_ledger.errors import UsageError
-from fsar_ledger.parameters import BadParameters, read_parameters
+from fsar_ledger.base.errors import UsageError
+from fsar_ledger.base.parameters import BadParameters, read_parameters
 
 from .definitions import published_metrics
 

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import msgspec
 import pyarrow as pa
 
-from fsar_ledger.errors import UnknownQuery, UsageError
-from fsar_ledger.printable import did_you_mean
+from fsar_ledger.base.errors import UnknownQuery, UsageError
+from fsar_ledger.base.printable import did_you_mean
 
 from .database import Database, Slices, from_rows
 from .library import Query, library

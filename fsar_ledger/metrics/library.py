@@ -21,8 +21,8 @@ from typing import get_args
 
 import msgspec
 
-from fsar_ledger import printable
-from fsar_ledger.errors import InvalidQuery, UnknownQuery
+from fsar_ledger.base import printable
+from fsar_ledger.base.errors import InvalidQuery, UnknownQuery
 from fsar_ledger.events import CONCERN_OF, CONCERNS
 from fsar_ledger.events.world import WorldEvent
 from fsar_ledger.ledger.rows.schema import COLUMNS, ENVELOPE, LAYOUTS, Field, Kind, StoredType

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import duckdb
 import pyarrow as pa
 
-from fsar_ledger.errors import QueryFailed
+from fsar_ledger.base.errors import QueryFailed
 from fsar_ledger.metrics.groups import listed
 from fsar_ledger.metrics.library import Library, Query
 

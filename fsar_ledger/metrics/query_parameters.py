@@ -8,8 +8,8 @@ from collections.abc import Collection, Mapping
 
 import msgspec
 
-from fsar_ledger import printable
-from fsar_ledger.errors import InvalidQuery, UnknownQuery
+from fsar_ledger.base import printable
+from fsar_ledger.base.errors import InvalidQuery, UnknownQuery
 from fsar_ledger.ledger.rows.schema import MAX_INTEGER
 
 TIME, END = "time", "end"

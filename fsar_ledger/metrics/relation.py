@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import pyarrow as pa
 
-from fsar_ledger.errors import FsarLedgerError, LedgerCorrupted
+from fsar_ledger.base.errors import FsarLedgerError, LedgerCorrupted
 from fsar_ledger.events import ADDITIONS
 from fsar_ledger.ledger.rows.codec import upcast_rows
 from fsar_ledger.ledger.rows.releases import FINGERPRINTS, RELEASE, SCHEMAS

@@ -9,9 +9,9 @@ from typing import Any, TypeVar
 
 import msgspec
 
-from fsar_ledger.errors import LedgerCorrupted
+from fsar_ledger.base.errors import LedgerCorrupted
+from fsar_ledger.base.parameters import BadParameters, read_parameters
 from fsar_ledger.metrics.database import Database
-from fsar_ledger.parameters import BadParameters, read_parameters
 
 _Row = TypeVar("_Row", bound=msgspec.Struct)
 

@@ -18,7 +18,7 @@ import msgspec
 import pyarrow as pa
 import pyarrow.dataset as ds
 
-from fsar_ledger.errors import LedgerCorrupted, QueryFailed
+from fsar_ledger.base.errors import LedgerCorrupted, QueryFailed
 from fsar_ledger.ledger.rows.schema import SCHEMA
 
 from .connection import FAULTS_OF_SQL, OUT_OF_MEMORY, Database

@@ -14,8 +14,8 @@ from typing import ClassVar, TypeVar
 
 import msgspec
 
-from fsar_ledger.errors import FsarLedgerError, UsageError
-from fsar_ledger.parameters import read_parameters
+from fsar_ledger.base.errors import FsarLedgerError, UsageError
+from fsar_ledger.base.parameters import read_parameters
 
 from .definitions import concerns_sql, definitions_sql, measured_sql, published_metrics
 from .library import Library, Query, library, plain_sql

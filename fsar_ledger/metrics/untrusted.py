@@ -21,7 +21,7 @@ from typing import NamedTuple
 import msgspec
 import pyarrow as pa
 
-from fsar_ledger.errors import QueryFailed
+from fsar_ledger.base.errors import QueryFailed
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.store.view import Head
 

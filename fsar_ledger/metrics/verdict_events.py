@@ -2,8 +2,8 @@
 
 import pyarrow as pa
 
-from fsar_ledger import printable
-from fsar_ledger.errors import UsageError, option
+from fsar_ledger.base import printable
+from fsar_ledger.base.errors import UsageError, option
 
 from .connection import Database
 from .invariants import invariants

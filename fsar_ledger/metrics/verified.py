@@ -22,7 +22,7 @@ from pathlib import Path
 import msgspec
 
 from fsar_ledger import __version__
-from fsar_ledger.errors import LedgerCorrupted, SequenceConflict, UsageError
+from fsar_ledger.base.errors import LedgerCorrupted, SequenceConflict, UsageError
 from fsar_ledger.ledger.log.hashing import sha256_hex
 from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.store import disk

@@ -6,8 +6,8 @@ from typing import TypeVar, assert_never
 
 import msgspec
 
-from fsar_ledger.constants import Constants, Outages, Structure, read_constants
 from fsar_ledger.designs import registered
+from fsar_ledger.designs.constants import Constants, Outages, Structure, read_constants
 from fsar_ledger.events.configuration import removed_mechanisms
 from fsar_ledger.events.envelope import Robot, Supervisor
 from fsar_ledger.events.fleet import RobotJoined, RunStarted

@@ -6,7 +6,7 @@ from typing import assert_never
 import msgspec
 from msgspec.structs import replace
 
-from fsar_ledger.constants import END_US
+from fsar_ledger.designs.constants import END_US
 from fsar_ledger.events.envelope import Robot
 from fsar_ledger.events.task import StepBegan, StepCompleted, TaskAbandoned, TaskCompleted
 from fsar_ledger.events.world import TaskArrived

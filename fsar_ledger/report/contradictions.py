@@ -11,7 +11,7 @@ from typing import TypeAlias
 
 import msgspec
 
-from fsar_ledger import printable
+from fsar_ledger.base import printable
 from fsar_ledger.metrics.definitions import published_metrics
 from fsar_ledger.report import specs
 

@@ -8,8 +8,9 @@ from typing import Any
 import msgspec
 
 import fsar_ledger
-from fsar_ledger import constants, printable
-from fsar_ledger.constants import Constants, write_constants
+from fsar_ledger.base import printable
+from fsar_ledger.designs import constants
+from fsar_ledger.designs.constants import Constants, write_constants
 from fsar_ledger.metrics.definitions import metric_named, published_metrics
 from fsar_ledger.metrics.registration import registration
 from fsar_ledger.metrics.study_results import Calibration, changed

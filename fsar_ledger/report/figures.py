@@ -8,7 +8,7 @@ from functools import lru_cache
 from typing import Any
 from unicodedata import combining
 
-from fsar_ledger import printable
+from fsar_ledger.base import printable
 from fsar_ledger.metrics.definitions import Metric, published_metrics
 from fsar_ledger.report import specs
 from fsar_ledger.report.numbers import OPEN, STANDS, UNDECIDED

@@ -6,7 +6,7 @@ Grades and cells come from `queries/tables/`.
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 
-from fsar_ledger.errors import UsageError
+from fsar_ledger.base.errors import UsageError
 from fsar_ledger.metrics.database import Database, connect, plain_rows
 from fsar_ledger.report import specs
 from fsar_ledger.report.findings import ARCHITECTURES, MAIN_CONFIGURATION, Row, Workflows

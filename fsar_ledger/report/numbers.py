@@ -15,11 +15,11 @@ from typing import Any
 import msgspec
 
 import fsar_ledger
-from fsar_ledger import printable
+from fsar_ledger.base import printable
+from fsar_ledger.base.parameters import read_parameters
 from fsar_ledger.metrics import verdicts
 from fsar_ledger.metrics.registration import registration
 from fsar_ledger.metrics.study_results import Comparison, changed, packaged
-from fsar_ledger.parameters import read_parameters
 from fsar_ledger.report.findings import Findings, LedgerHead, Row, Workflows
 from fsar_ledger.report.printing import flat, words
 

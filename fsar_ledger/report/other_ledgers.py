@@ -9,7 +9,7 @@ from tempfile import TemporaryDirectory
 
 import msgspec
 
-from fsar_ledger.errors import UsageError
+from fsar_ledger.base.errors import UsageError
 from fsar_ledger.metrics.database import Database, connect
 from fsar_ledger.report import ablation_scaling, grades, mechanisms
 from fsar_ledger.report.findings import Ablation, Mechanisms, Scaling, Workflows

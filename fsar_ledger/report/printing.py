@@ -9,7 +9,7 @@ from typing import Any
 
 import msgspec
 
-from fsar_ledger import printable
+from fsar_ledger.base import printable
 from fsar_ledger.metrics.definitions import metric_named
 from fsar_ledger.report import specs
 

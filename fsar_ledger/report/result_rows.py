@@ -7,13 +7,13 @@ from collections.abc import Collection, Iterable, Mapping
 
 import msgspec
 
+from fsar_ledger.base.printable import counted, some
 from fsar_ledger.metrics import verdicts
 from fsar_ledger.metrics.database import Database
 from fsar_ledger.metrics.definitions import published_metrics
 from fsar_ledger.metrics.plans import completeness
 from fsar_ledger.metrics.results import MetricRow, StatisticRow
 from fsar_ledger.metrics.verdicts import Cell, Odds
-from fsar_ledger.printable import counted, some
 from fsar_ledger.report import printing, specs
 from fsar_ledger.report.findings import ARCHITECTURES, COMPARISONS, SCENARIOS, LedgerHead, Row, interval, with_agreement
 

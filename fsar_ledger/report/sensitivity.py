@@ -6,11 +6,11 @@ from typing import Any
 
 import msgspec
 
-from fsar_ledger import printable
+from fsar_ledger.base import printable
+from fsar_ledger.base.parameters import read_parameters
 from fsar_ledger.metrics.definitions import published_metrics
 from fsar_ledger.metrics.effects import ARCHITECTURES, MADE_BY, About, Effect, Sensitivity, dozen, reach
 from fsar_ledger.metrics.study_results import changed
-from fsar_ledger.parameters import read_parameters
 from fsar_ledger.report import figures, printing, specs
 
 BOUNDS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)  # of a cell of the heat map, in margins

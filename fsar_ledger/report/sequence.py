@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from itertools import groupby
 from typing import Any
 
-from fsar_ledger import printable
+from fsar_ledger.base import printable
 from fsar_ledger.report import figures
 
 Row = Mapping[str, Any]

@@ -4,11 +4,11 @@ from typing import Any
 
 import msgspec
 
-from fsar_ledger import printable
-from fsar_ledger.constants import Constants, Load
+from fsar_ledger.base import printable
+from fsar_ledger.base.errors import InvalidExperiment, UsageError, option
 from fsar_ledger.designs import registered
+from fsar_ledger.designs.constants import Constants, Load
 from fsar_ledger.designs.names import known
-from fsar_ledger.errors import InvalidExperiment, UsageError, option
 from fsar_ledger.events.configuration import EVERY_MECHANISM, FULL, MECHANISMS_OF, removed_mechanisms
 from fsar_ledger.events.configuration import without as ablation
 from fsar_ledger.runtime.architectures import REGISTERED

@@ -8,9 +8,9 @@ from typing import Any, get_args
 
 import msgspec
 
-from fsar_ledger import printable
+from fsar_ledger.base import printable
+from fsar_ledger.base.errors import UsageError
 from fsar_ledger.designs.files import at_line, read_design
-from fsar_ledger.errors import UsageError
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import Robot, local_supervisor
 from fsar_ledger.events.world import (

@@ -4,14 +4,14 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from fsar_ledger import printable
-from fsar_ledger.constants import Load, read_constants
+from fsar_ledger.base import printable
+from fsar_ledger.base.errors import InvalidExperiment, UsageError
+from fsar_ledger.base.parameters import BadParameters
+from fsar_ledger.designs.constants import Load, read_constants
 from fsar_ledger.designs.registered import PAPER_SCENARIOS, workflows
-from fsar_ledger.errors import InvalidExperiment, UsageError
 from fsar_ledger.ledger.store.read import View
 from fsar_ledger.metrics.database import Database
 from fsar_ledger.metrics.plans import EXPERIMENTS
-from fsar_ledger.parameters import BadParameters
 from fsar_ledger.runtime.asked import RUNS, experiment_of
 from fsar_ledger.runtime.experiment import ORIGIN
 from fsar_ledger.runtime.paper import NAMES, SEED, paper_ledger

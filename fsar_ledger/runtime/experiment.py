@@ -6,10 +6,10 @@ from pathlib import Path
 
 import msgspec
 
-from fsar_ledger import printable
-from fsar_ledger.constants import Constants, negatives, write_constants
+from fsar_ledger.base import printable
+from fsar_ledger.base.errors import InvalidExperiment
 from fsar_ledger.designs import Fleet, Scenario, Workflow, registered
-from fsar_ledger.errors import InvalidExperiment
+from fsar_ledger.designs.constants import Constants, negatives, write_constants
 from fsar_ledger.events.configuration import (
     EVERY_MECHANISM,
     FULL,

@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import msgspec
 
-from fsar_ledger.constants import END_US
-from fsar_ledger.errors import UsageError
+from fsar_ledger.base.errors import UsageError
+from fsar_ledger.designs.constants import END_US
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import FLEET_SUPERVISOR
 from fsar_ledger.events.fleet import RunStarted

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import msgspec
 
-from fsar_ledger.constants import Structure
+from fsar_ledger.designs.constants import Structure
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityClaimed
 from fsar_ledger.events.configuration import MECHANISMS_OF, Configuration, removed_mechanisms, without

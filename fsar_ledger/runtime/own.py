@@ -12,11 +12,11 @@ from typing import Any
 
 import msgspec
 
-from fsar_ledger import printable
-from fsar_ledger.constants import SIGNED, Constants, Load, Outages
+from fsar_ledger.base import printable
+from fsar_ledger.base.errors import InvalidExperiment, UsageError
 from fsar_ledger.designs import Fleet, Scenario, registered
+from fsar_ledger.designs.constants import SIGNED, Constants, Load, Outages
 from fsar_ledger.designs.files import at_line, read_design
-from fsar_ledger.errors import InvalidExperiment, UsageError
 from fsar_ledger.metrics.constant_names import names_of_constants
 
 from .world.checks import Problem, problems_of_fleet, problems_of_scenario

@@ -12,7 +12,7 @@ from typing import Literal, get_args
 
 import msgspec
 
-from fsar_ledger.constants import Constants, Load
+from fsar_ledger.designs.constants import Constants, Load
 from fsar_ledger.events.configuration import CONFIGURATIONS, FULL, MECHANISMS, MECHANISMS_OF, Configuration, without
 from fsar_ledger.ledger.log.note import Signer
 from fsar_ledger.runtime.experiment import ORIGIN, WORKFLOWS_ORIGIN, Experiment, workflow_experiment

@@ -12,14 +12,14 @@ from itertools import combinations
 
 import msgspec
 
-from fsar_ledger import printable
-from fsar_ledger.constants import Constants, read_constants
-from fsar_ledger.errors import InvalidExperiment, UsageError
+from fsar_ledger.base import printable
+from fsar_ledger.base.errors import InvalidExperiment, UsageError
+from fsar_ledger.base.parameters import BadParameters
+from fsar_ledger.base.printable import NAMED, some
+from fsar_ledger.designs.constants import Constants, read_constants
 from fsar_ledger.events.configuration import EVERY_MECHANISM, removed_mechanisms, without
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.metrics.constant_names import constants_of, names_of_constants, unlike_ours
-from fsar_ledger.parameters import BadParameters
-from fsar_ledger.printable import NAMED, some
 
 from .change_texts import parsed
 from .changes import AnyChange, Architecture, Changes, Set, Without, microseconds_of

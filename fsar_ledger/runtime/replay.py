@@ -32,6 +32,8 @@ from pathlib import Path
 
 import msgspec
 
+from fsar_ledger.base.memory import without_collection
+from fsar_ledger.base.workers import WorkerPool
 from fsar_ledger.events import ALONE, Event
 from fsar_ledger.events.envelope import flat
 from fsar_ledger.events.fleet import RunStarted
@@ -40,9 +42,7 @@ from fsar_ledger.ledger.rows import segment
 from fsar_ledger.ledger.rows.codec import LedgerRun, decode
 from fsar_ledger.ledger.rows.pieces import joined
 from fsar_ledger.ledger.verify.report import MAX_PROBLEMS
-from fsar_ledger.memory import without_collection
 from fsar_ledger.projections.fold import State
-from fsar_ledger.workers import WorkerPool
 
 from .forks import command, edited_environment, last_shared, run_to_end
 from .handlers.commands import Command, Decide

@@ -7,8 +7,8 @@ from importlib import import_module
 
 import msgspec
 
-from fsar_ledger.constants import Constants, Range, WorldConstants, write_constants
 from fsar_ledger.designs import Fleet
+from fsar_ledger.designs.constants import Constants, Range, WorldConstants, write_constants
 from fsar_ledger.designs.registered import PAPER_SCENARIOS
 from fsar_ledger.events import CONCERNS, Event
 from fsar_ledger.events.configuration import FULL, MECHANISMS, Configuration, removed_mechanisms

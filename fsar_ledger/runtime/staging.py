@@ -9,14 +9,14 @@ from typing import TypeAlias
 
 import msgspec
 
-from fsar_ledger.constants import Constants
-from fsar_ledger.errors import CommitTooLarge
+from fsar_ledger.base.errors import CommitTooLarge
+from fsar_ledger.base.memory import without_collection
+from fsar_ledger.base.workers import WorkerPool
+from fsar_ledger.designs.constants import Constants
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.rows.pieces import joined, piece
 from fsar_ledger.ledger.store.staging import Staged, stage
-from fsar_ledger.memory import without_collection
 from fsar_ledger.runtime.simulation import RunSpec, simulate_slices
-from fsar_ledger.workers import WorkerPool
 
 IN_FLIGHT = 2
 """Batches in progress per worker at most, so that memory stays flat."""

@@ -21,7 +21,8 @@ import numpy as np
 
 from fsar_ledger.api.names import Place
 from fsar_ledger.api.workload import Progress, workers_of
-from fsar_ledger.constants import Constants
+from fsar_ledger.base.workers import WorkerPool
+from fsar_ledger.designs.constants import Constants
 from fsar_ledger.metrics import study_results
 from fsar_ledger.metrics.registration import Free, registration
 from fsar_ledger.metrics.results import MetricRow, metric_rows
@@ -29,7 +30,6 @@ from fsar_ledger.metrics.study_results import METRICS, Calibration, Direction, O
 from fsar_ledger.metrics.verdicts import published
 from fsar_ledger.runtime.experiment import Experiment
 from fsar_ledger.runtime.simulation import ARCHITECTURES, MODEL_VERSION, SCENARIOS
-from fsar_ledger.workers import WorkerPool
 
 from .evaluations import measured, simulated
 from .factor_effects import Matrix, Vector

@@ -13,7 +13,8 @@ from typing import Any
 
 import msgspec
 
-from fsar_ledger.errors import FsarLedgerError, UsageError
+from fsar_ledger.base.errors import FsarLedgerError, UsageError
+from fsar_ledger.base.publishing import require_another
 from fsar_ledger.events.configuration import FULL, MECHANISMS, Configuration, without
 from fsar_ledger.events.envelope import Architecture
 from fsar_ledger.metrics import verdicts
@@ -22,7 +23,6 @@ from fsar_ledger.metrics.paper_numbers import Place, Table, printed
 from fsar_ledger.metrics.registration import registration
 from fsar_ledger.metrics.study_results import Cell, Check, Comparison, Outcome, Predicted, Predictions, read
 from fsar_ledger.metrics.verdicts import MARGINS, Answer
-from fsar_ledger.publishing import require_another
 from fsar_ledger.runtime.simulation import ARCHITECTURES
 
 from .predictions import CASES, SEED, SEEDS

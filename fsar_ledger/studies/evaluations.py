@@ -17,8 +17,9 @@ from tempfile import TemporaryDirectory
 import msgspec
 
 import fsar_ledger
-from fsar_ledger.constants import Constants, write_constants
-from fsar_ledger.errors import UsageError, WriteFailed
+from fsar_ledger.base.errors import UsageError, WriteFailed
+from fsar_ledger.base.workers import WorkerPool
+from fsar_ledger.designs.constants import Constants, write_constants
 from fsar_ledger.events.configuration import FULL
 from fsar_ledger.events.envelope import Architecture
 from fsar_ledger.ledger.rows.codec import encode
@@ -27,7 +28,6 @@ from fsar_ledger.metrics.results import MetricRow, metric_rows
 from fsar_ledger.metrics.verdicts import MARGINS
 from fsar_ledger.runtime.experiment import Experiment, run_experiment
 from fsar_ledger.runtime.simulation import ARCHITECTURES, MODEL_VERSION, SCENARIOS, RunSpec, simulate_run
-from fsar_ledger.workers import WorkerPool
 
 from .factors import Setting
 

@@ -13,8 +13,8 @@ from typing import Any, Literal
 
 import msgspec
 
-from fsar_ledger import printable
-from fsar_ledger.constants import Constants, Load, Range, origins
+from fsar_ledger.base import printable
+from fsar_ledger.designs.constants import Constants, Load, Range, origins
 
 SHARES = (
     "world.context_window_share",

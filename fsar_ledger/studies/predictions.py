@@ -14,7 +14,7 @@ import msgspec
 
 from fsar_ledger.api.names import Place
 from fsar_ledger.api.workload import Progress, workers_of
-from fsar_ledger.constants import Constants, Load, write_constants
+from fsar_ledger.designs.constants import Constants, Load, write_constants
 from fsar_ledger.events.configuration import CONFIGURATIONS, MECHANISMS, Configuration, without
 from fsar_ledger.events.envelope import Architecture
 from fsar_ledger.metrics.progress import each

@@ -3,12 +3,12 @@
 from hashlib import sha256
 from pathlib import Path
 
-from fsar_ledger import printable
-from fsar_ledger.constants import Constants, write_constants
+from fsar_ledger.base import printable
+from fsar_ledger.base.publishing import publish, require_place
+from fsar_ledger.designs.constants import Constants, write_constants
 from fsar_ledger.ledger.store.paths import require_outside
 from fsar_ledger.metrics.effects import About
 from fsar_ledger.metrics.study_results import Calibration, Comparison, Predictions, changed, encoded
-from fsar_ledger.publishing import publish, require_place
 from fsar_ledger.runtime.simulation import MODEL_VERSION
 
 

@@ -13,12 +13,12 @@ import numpy as np
 
 from fsar_ledger.api.names import Place
 from fsar_ledger.api.workload import Progress, workers_of
-from fsar_ledger.constants import Constants, write_constants
-from fsar_ledger.errors import UsageError
+from fsar_ledger.base.errors import UsageError
+from fsar_ledger.base.publishing import publish
+from fsar_ledger.designs.constants import Constants, write_constants
 from fsar_ledger.metrics.effects import About, Effect, Sensitivity, parquet, that_matter
 from fsar_ledger.metrics.study_results import METRICS, rules
 from fsar_ledger.metrics.verdicts import MARGINS
-from fsar_ledger.publishing import publish
 from fsar_ledger.runtime.simulation import MODEL_VERSION
 
 from .evaluations import CELLS, Answers, Evaluate, Question, answer_all, evaluate

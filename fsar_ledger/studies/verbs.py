@@ -4,13 +4,13 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from fsar_ledger import printable
 from fsar_ledger.api.answers import Answer, Lines, Row, Screen
 from fsar_ledger.api.names import Place
 from fsar_ledger.api.verbs import Option, Shows, WorkersOption, argument, declare, verb
 from fsar_ledger.api.workload import Progress
-from fsar_ledger.errors import UsageError
-from fsar_ledger.printable import SafeText
+from fsar_ledger.base import printable
+from fsar_ledger.base.errors import UsageError
+from fsar_ledger.base.printable import SafeText
 
 if TYPE_CHECKING:
     from fsar_ledger.metrics.effects import About, Sensitivity
@@ -161,8 +161,8 @@ def sensitivity(
     then give the part of each number's variance that is due to each of the dozen constants that move a number furthest.
     An interrupted study continues where it stopped.
     """
+    from fsar_ledger.base.publishing import publish
     from fsar_ledger.ledger.store.paths import require_outside
-    from fsar_ledger.publishing import publish
     from fsar_ledger.report.sensitivity import heat_map
 
     from .sensitivity import sensitivity as study

@@ -4,9 +4,9 @@ import textwrap
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from fsar_ledger import printable
 from fsar_ledger.analysis.records import Line
 from fsar_ledger.analysis.why import DecisionTrace
+from fsar_ledger.base import printable
 from fsar_ledger.report import figures
 
 FONT = 7.5  # points

@@ -20,7 +20,7 @@ from pathlib import Path
 
 import msgspec
 
-from fsar_ledger.errors import LedgerCorrupted, UsageError
+from fsar_ledger.base.errors import LedgerCorrupted, UsageError
 from fsar_ledger.ledger.log.note import (
     Checkpoint,
     Note,

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import msgspec
 
-from fsar_ledger.errors import LedgerCorrupted, UsageError
+from fsar_ledger.base.errors import LedgerCorrupted, UsageError
 from fsar_ledger.ledger.log.note import Note, VerifierKey
 from fsar_ledger.ledger.store import disk
 from fsar_ledger.ledger.verify.notes import Anchor

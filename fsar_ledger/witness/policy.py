@@ -17,7 +17,7 @@ from pathlib import Path
 
 import msgspec
 
-from fsar_ledger.errors import UsageError
+from fsar_ledger.base.errors import UsageError
 from fsar_ledger.ledger.log.note import VerifierKey
 from fsar_ledger.ledger.store import disk
 from fsar_ledger.witness.cosignature import WitnessKey, parse_vkey

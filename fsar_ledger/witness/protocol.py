@@ -22,7 +22,7 @@ from http import HTTPStatus
 
 import msgspec
 
-from fsar_ledger.errors import LedgerCorrupted
+from fsar_ledger.base.errors import LedgerCorrupted
 from fsar_ledger.ledger.log.hashing import HASH_BYTES
 from fsar_ledger.ledger.log.merkle import EMPTY_ROOT, is_consistent
 from fsar_ledger.ledger.log.note import Checkpoint, Note, Signature, VerifierKey

@@ -5,7 +5,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import NamedTuple
 
-from fsar_ledger.errors import LedgerCorrupted, UsageError, option
+from fsar_ledger.base.errors import LedgerCorrupted, UsageError, option
 from fsar_ledger.ledger.log.note import VerifierKey
 from fsar_ledger.ledger.store.manifest import parse_manifest, read_manifest
 from fsar_ledger.ledger.store.paths import MANIFEST

@@ -21,7 +21,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from fsar_ledger.errors import LedgerCorrupted, UsageError, WriteFailed
+from fsar_ledger.base.errors import LedgerCorrupted, UsageError, WriteFailed
 from fsar_ledger.ledger.log.ed25519 import KEY_BYTES
 from fsar_ledger.ledger.log.note import Checkpoint, Note, Signature, VerifierKey, is_name
 from fsar_ledger.ledger.store import disk

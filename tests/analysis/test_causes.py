@@ -7,8 +7,8 @@ import pytest
 from fsar_ledger.analysis.avoidability import curve
 from fsar_ledger.analysis.causes import Cause, Outcome, Search, cause, outcome_of
 from fsar_ledger.analysis.fork_base import Rerun, base_of_record, rerun
+from fsar_ledger.base.errors import QueryFailed, UnknownQuery, UsageError
 from fsar_ledger.designs.registered import PAPER_SCENARIOS
-from fsar_ledger.errors import QueryFailed, UnknownQuery, UsageError
 from fsar_ledger.events.world import PolicyWindowOpened
 from fsar_ledger.ledger.rows.codec import LedgerRun, encode
 from fsar_ledger.metrics.database import from_table

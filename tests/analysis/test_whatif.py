@@ -8,7 +8,7 @@ from scipy import stats
 
 from fsar_ledger.analysis.fork_base import Base, base_of_record, rerun
 from fsar_ledger.analysis.whatif import Effect, Pair, commit_pairs, effects, forks_of
-from fsar_ledger.errors import UsageError
+from fsar_ledger.base.errors import UsageError
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows.codec import LedgerRun, encode
 from fsar_ledger.ledger.verify.verify import verify

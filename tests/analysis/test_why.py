@@ -9,8 +9,8 @@ import pytest
 
 from fsar_ledger.analysis.fork_base import base_of_record, rerun
 from fsar_ledger.analysis.why import DecisionTrace, Read, decisions, first_of, reasons
-from fsar_ledger.constants import Constants, Outages
-from fsar_ledger.errors import UsageError
+from fsar_ledger.base.errors import UsageError
+from fsar_ledger.designs.constants import Constants, Outages
 from fsar_ledger.events import Event
 from fsar_ledger.events.execution import ExecutionStarted
 from fsar_ledger.events.fleet import RunStarted

@@ -8,8 +8,8 @@ import pytest
 from fsar_ledger.api.ledger import Ledger
 from fsar_ledger.api.log_rows import LogRequest, stream
 from fsar_ledger.api.provenance import Provenance
-from fsar_ledger.constants import Constants
-from fsar_ledger.errors import UsageError
+from fsar_ledger.base.errors import UsageError
+from fsar_ledger.designs.constants import Constants
 from fsar_ledger.ledger.log.merkle import tree_root
 from fsar_ledger.ledger.log.tiles import Tile, node_of
 from fsar_ledger.ledger.opening import open_for_answers

@@ -7,7 +7,7 @@ import pytest
 
 import fsar_ledger
 from fsar_ledger.api.table import Table
-from fsar_ledger.errors import InvalidExperiment, LedgerCorrupted, QueryFailed, UnknownQuery, UsageError
+from fsar_ledger.base.errors import InvalidExperiment, LedgerCorrupted, QueryFailed, UnknownQuery, UsageError
 from fsar_ledger.metrics import definitions
 from fsar_ledger.projections.fold import fold
 from tests.api.conftest import RUN

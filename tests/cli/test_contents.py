@@ -11,7 +11,7 @@ import pytest
 
 from fsar_ledger.api.reproduce import beyond
 from fsar_ledger.api.simulate import before
-from fsar_ledger.constants import Constants, Load, WorldConstants
+from fsar_ledger.designs.constants import Constants, Load, WorldConstants
 from fsar_ledger.events.envelope import Architecture
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.ledger.opening import open_ledger

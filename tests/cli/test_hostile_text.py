@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from fsar_ledger.constants import Constants
+from fsar_ledger.designs.constants import Constants
 from fsar_ledger.ledger.log.note import Signer
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run

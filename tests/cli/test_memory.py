@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from fsar_ledger import memory
 from fsar_ledger.api.workload import WORTH_BYTES, readers_of, workers_of
+from fsar_ledger.base import memory
+from fsar_ledger.base.errors import LimitReached, UsageError
 from fsar_ledger.cli.memory import BASE_BYTES, PER_BYTE, PER_WORKER_BYTES, bounded, default_bytes
-from fsar_ledger.errors import LimitReached, UsageError
 from fsar_ledger.ledger.store.problem import unexpected
 from fsar_ledger.metrics.database import from_rows
 from tests.ledger.bomb_trial import cost_of
@@ -22,7 +22,7 @@ LITTLE = "memory: this needs more than 256 MiB, its limit"
 HUNGRY = """
 import sys
 from pathlib import Path
-from fsar_ledger import memory
+from fsar_ledger.base import memory
 from fsar_ledger.cli.memory import bounded
 Path("part").touch()
 memory.unfinished.add(Path("part"))
@@ -36,7 +36,7 @@ print("done")
 
 FORKING = """
 import os
-from fsar_ledger import memory
+from fsar_ledger.base import memory
 kept = bytearray(b"x") * (1 << 28)
 before = memory.bytes_held()
 waits, ends = os.pipe()

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from fsar_ledger import printable
+from fsar_ledger.base import printable
 from fsar_ledger.ledger.store.append import Writer
 from tests.cli.conftest import Call, Called
 from tests.ledger.crash_trials import RUNS

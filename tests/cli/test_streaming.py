@@ -14,7 +14,7 @@ import pytest
 
 from benchmarks.rows import COPY, ROWS, duckdb_copy, ours
 from fsar_ledger.api import files
-from fsar_ledger.printable import field
+from fsar_ledger.base.printable import field
 from tests.cli.conftest import Call, one_message
 from tests.ledger.bomb_trial import cost_of
 from tests.quick import few

@@ -8,8 +8,8 @@ import pytest
 
 from fsar_ledger import Ledger
 from fsar_ledger.api.tables import fitted, table_text
+from fsar_ledger.base.printable import columns_of
 from fsar_ledger.metrics.groups import GROUPS
-from fsar_ledger.printable import columns_of
 from tests.cli.conftest import Call, one_message
 from tests.cli.terminals import left_of, on_a_terminal, on_a_terminal_here, stream_of
 from tests.running import ran

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import fsar_ledger
-from fsar_ledger.errors import LedgerCorrupted, UsageError
+from fsar_ledger.base.errors import LedgerCorrupted, UsageError
 
 from .conftest import Call, one_message
 

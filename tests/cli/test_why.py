@@ -13,7 +13,7 @@ from fsar_ledger.analysis.records import Line, record_of
 from fsar_ledger.analysis.why import DecisionTrace, Read, decisions, first_of, reasons
 from fsar_ledger.api.provenance import Provenance
 from fsar_ledger.api.why import Tree, why_of
-from fsar_ledger.errors import UsageError
+from fsar_ledger.base.errors import UsageError
 from fsar_ledger.events.envelope import Robot, Supervisor
 from fsar_ledger.events.fleet import RobotJoined, RunStarted
 from fsar_ledger.ledger.opening import open_for_answers

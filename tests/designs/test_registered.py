@@ -25,7 +25,7 @@ WRONG = {
 }
 PROGRAM = """
 import sys
-from fsar_ledger.errors import UsageError
+from fsar_ledger.base.errors import UsageError
 from fsar_ledger.runtime.experiment import Experiment
 for name in sys.argv[1:]:
     try:

@@ -9,7 +9,7 @@ import pytest
 from msgspec.structs import asdict
 
 from fsar_ledger.api.ledger import open_ledger
-from fsar_ledger.constants import Constants
+from fsar_ledger.designs.constants import Constants
 from fsar_ledger.events import CONCERN_OF, CONCERNS
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.metrics.database import Database

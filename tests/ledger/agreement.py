@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import pyarrow as pa
 
-from fsar_ledger.errors import NotALedger
+from fsar_ledger.base.errors import NotALedger
 from fsar_ledger.events import CONCERNS
 from fsar_ledger.ledger.log.merkle import Frontier
 from fsar_ledger.ledger.log.note import Note, Signer, VerifierKey, checkpoint_of

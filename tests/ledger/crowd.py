@@ -12,7 +12,7 @@ from typing import Any
 
 import msgspec
 
-from fsar_ledger.errors import FsarLedgerError, NotALedger, WriteFailed
+from fsar_ledger.base.errors import FsarLedgerError, NotALedger, WriteFailed
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.rows.codec import encode_lines
 from fsar_ledger.ledger.rows.runs import LedgerRun

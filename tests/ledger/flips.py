@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from fsar_ledger.cli import app
-from fsar_ledger.constants import Constants
+from fsar_ledger.designs.constants import Constants
 from fsar_ledger.events.envelope import Scenario
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.staging import stage

@@ -12,7 +12,7 @@ from pathlib import Path
 import msgspec
 
 import fsar_ledger
-from fsar_ledger.constants import Constants
+from fsar_ledger.designs.constants import Constants
 from fsar_ledger.ledger.log.note import Signer
 from fsar_ledger.ledger.rows.pieces import piece
 from fsar_ledger.ledger.rows.releases import RELEASE

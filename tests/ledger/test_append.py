@@ -6,7 +6,7 @@ from pathlib import Path
 import pyarrow as pa
 import pytest
 
-from fsar_ledger.errors import LedgerCorrupted, WriteFailed
+from fsar_ledger.base.errors import LedgerCorrupted, WriteFailed
 from fsar_ledger.ledger.log import merkle
 from fsar_ledger.ledger.log.note import Note, checkpoint_of
 from fsar_ledger.ledger.opening import open_ledger

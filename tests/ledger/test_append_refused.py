@@ -7,7 +7,7 @@ from pathlib import Path
 import pyarrow as pa
 import pytest
 
-from fsar_ledger.errors import (
+from fsar_ledger.base.errors import (
     FormatVersionMismatch,
     LedgerCorrupted,
     NotALedger,

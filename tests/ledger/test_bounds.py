@@ -8,7 +8,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from fsar_ledger.errors import LedgerCorrupted
+from fsar_ledger.base.errors import LedgerCorrupted
 from fsar_ledger.ledger.rows import bounds, segment
 from fsar_ledger.ledger.rows.bounds import text_bytes
 from fsar_ledger.ledger.rows.codec import encode

@@ -12,7 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from fsar_ledger.api.ledger import Ledger
-from fsar_ledger.errors import InvalidRun, LedgerCorrupted
+from fsar_ledger.base.errors import InvalidRun, LedgerCorrupted
 from fsar_ledger.ledger.log import pack
 from fsar_ledger.ledger.log.hashing import HASH_BYTES
 from fsar_ledger.ledger.log.merkle import Frontier, inclusion_proof, leaf_hash, root_of_inclusion

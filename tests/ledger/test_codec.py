@@ -12,7 +12,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from fsar_ledger.errors import InvalidRun, LedgerCorrupted, UnknownEventTag
+from fsar_ledger.base.errors import InvalidRun, LedgerCorrupted, UnknownEventTag
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import flat, with_columns
 from fsar_ledger.ledger.log import merkle

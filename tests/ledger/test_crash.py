@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from fsar_ledger.errors import FsarLedgerError, WriteFailed
+from fsar_ledger.base.errors import FsarLedgerError, WriteFailed
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.staging import stage
 from tests.ledger.crash_trials import ROWS, RUNS, Laboratory, write_with

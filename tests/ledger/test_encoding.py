@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fsar_ledger.errors import InvalidRun
+from fsar_ledger.base.errors import InvalidRun
 from fsar_ledger.events import CONCERN_OF
 from fsar_ledger.events.envelope import with_columns
 from fsar_ledger.ledger.rows import encoding

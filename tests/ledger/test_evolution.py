@@ -13,8 +13,8 @@ from pathlib import Path
 
 import pytest
 
+from fsar_ledger.base.errors import FormatVersionMismatch, UnknownEventTag
 from fsar_ledger.cli import app
-from fsar_ledger.errors import FormatVersionMismatch, UnknownEventTag
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows.releases import FINGERPRINTS, RELEASE
 from fsar_ledger.ledger.store.append import Writer

@@ -12,8 +12,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from fsar_ledger.base.errors import FsarLedgerError, LedgerCorrupted
 from fsar_ledger.cli import app
-from fsar_ledger.errors import FsarLedgerError, LedgerCorrupted
 from fsar_ledger.ledger.store import disk
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.paths import CHAIN, INDEX, NODES

@@ -9,7 +9,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from fsar_ledger.errors import LedgerCorrupted
+from fsar_ledger.base.errors import LedgerCorrupted
 from fsar_ledger.ledger.rows import segment
 from fsar_ledger.ledger.rows.codec import encode
 from fsar_ledger.ledger.rows.layout import check_layout

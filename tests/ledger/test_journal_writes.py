@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from fsar_ledger.errors import WriteFailed
+from fsar_ledger.base.errors import WriteFailed
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.rows.pieces import piece
 from fsar_ledger.ledger.store import growing, journal

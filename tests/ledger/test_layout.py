@@ -10,7 +10,7 @@ from typing import cast
 import pyarrow as pa
 import pytest
 
-from fsar_ledger.errors import LedgerCorrupted
+from fsar_ledger.base.errors import LedgerCorrupted
 from fsar_ledger.ledger.rows import grammar, segment
 from fsar_ledger.ledger.rows.codec import encode
 from fsar_ledger.ledger.rows.layout import check_layout, read_file, read_layout

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fsar_ledger.errors import LedgerCorrupted, UsageError, WriteFailed
+from fsar_ledger.base.errors import LedgerCorrupted, UsageError, WriteFailed
 from fsar_ledger.ledger.log.merkle import Frontier, leaf_hash
 from fsar_ledger.ledger.log.note import MAX_SIGNATURES, Checkpoint, Note, Signature, Signer, checkpoint_of, parse_note
 from fsar_ledger.ledger.store.append import Writer

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fsar_ledger.errors import LedgerCorrupted
+from fsar_ledger.base.errors import LedgerCorrupted
 from fsar_ledger.ledger.rows import canonical, codec, parsing, segment
 from fsar_ledger.ledger.rows.codec import LedgerRun, encode_coded, encode_hashed, encode_lines
 from fsar_ledger.ledger.rows.compiled import IS_COMPILED

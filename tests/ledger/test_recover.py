@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from fsar_ledger.errors import LedgerCorrupted, NotALedger, UsageError, WriteFailed
+from fsar_ledger.base.errors import LedgerCorrupted, NotALedger, UsageError, WriteFailed
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.paths import JOURNAL

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from fsar_ledger.errors import WriteFailed
+from fsar_ledger.base.errors import WriteFailed
 from fsar_ledger.ledger.log.hashing import sha256_hex
 from fsar_ledger.ledger.verify.recover import recover
 from fsar_ledger.ledger.verify.verify import verify

@@ -10,7 +10,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from fsar_ledger.errors import InvalidRun, LedgerCorrupted, WriteFailed
+from fsar_ledger.base.errors import InvalidRun, LedgerCorrupted, WriteFailed
 from fsar_ledger.events import CONCERNS
 from fsar_ledger.events.envelope import Robot, with_columns
 from fsar_ledger.events.fleet import RunStarted

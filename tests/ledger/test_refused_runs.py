@@ -12,7 +12,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from fsar_ledger.errors import InvalidRun, UsageError
+from fsar_ledger.base.errors import InvalidRun, UsageError
 from fsar_ledger.events.envelope import with_columns
 from fsar_ledger.ledger.rows.check import first_flaw
 from fsar_ledger.ledger.rows.codec import LedgerRun, encode

@@ -10,8 +10,8 @@ import msgspec
 import pytest
 
 import fsar_ledger
+from fsar_ledger.base.errors import LedgerCorrupted
 from fsar_ledger.cli.app import run
-from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.events import ALONE, EVENT_TYPES
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.ledger.compacting import compact

@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 import fsar_ledger
-from fsar_ledger import printable
+from fsar_ledger.base import printable
+from fsar_ledger.base.errors import FormatVersionMismatch, FsarLedgerError, LedgerCorrupted, UsageError
 from fsar_ledger.cli.app import run
-from fsar_ledger.errors import FormatVersionMismatch, FsarLedgerError, LedgerCorrupted, UsageError
 from fsar_ledger.ledger.log.hashing import sha256_hex
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.rows import canonical

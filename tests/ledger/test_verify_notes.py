@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from fsar_ledger.errors import UsageError
+from fsar_ledger.base.errors import UsageError
 from fsar_ledger.ledger.log.merkle import EMPTY_ROOT, tree_root
 from fsar_ledger.ledger.log.note import Checkpoint, Note, Signer
 from fsar_ledger.ledger.opening import open_ledger

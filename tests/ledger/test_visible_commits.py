@@ -9,7 +9,7 @@ from unittest.mock import patch
 
 import pytest
 
-from fsar_ledger.errors import NotALedger, WriteFailed
+from fsar_ledger.base.errors import NotALedger, WriteFailed
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.rows.pieces import piece
 from fsar_ledger.ledger.store import snapshot, turns

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from fsar_ledger.errors import UsageError
+from fsar_ledger.base.errors import UsageError
 from fsar_ledger.ledger.log.ed25519 import flaw_of
 from fsar_ledger.ledger.log.merkle import Frontier
 from fsar_ledger.ledger.log.note import Signer, VerifierKey, checkpoint_of

@@ -15,7 +15,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from fsar_ledger.errors import InvalidRun
+from fsar_ledger.base.errors import InvalidRun
 from fsar_ledger.events import CONCERNS, Event
 from fsar_ledger.events.envelope import flat, with_columns
 from fsar_ledger.ledger.opening import open_ledger

@@ -5,7 +5,7 @@ from pathlib import Path
 import pyarrow as pa
 import pytest
 
-from fsar_ledger.errors import FsarLedgerError, LedgerCorrupted, QueryFailed, UnknownQuery
+from fsar_ledger.base.errors import FsarLedgerError, LedgerCorrupted, QueryFailed, UnknownQuery
 from fsar_ledger.events import CONCERNS
 from fsar_ledger.ledger.rows.schema import LAYOUTS, SCHEMA
 from fsar_ledger.metrics.database import Database, Value, connect, from_rows, from_table, plain_rows, table_of

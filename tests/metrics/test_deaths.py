@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from fsar_ledger.errors import QueryFailed
+from fsar_ledger.base.errors import QueryFailed
 from fsar_ledger.metrics.sandbox import Limits
 from fsar_ledger.metrics.untrusted import ENVIRONMENT, cause_of_death
 from tests.untrusted import children, run_untrusted

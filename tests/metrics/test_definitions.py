@@ -2,8 +2,8 @@
 
 import pytest
 
-from fsar_ledger.constants import Constants
-from fsar_ledger.errors import UsageError
+from fsar_ledger.base.errors import UsageError
+from fsar_ledger.designs.constants import Constants
 from fsar_ledger.ledger.rows.codec import encode
 from fsar_ledger.metrics.definitions import metrics, metrics_in
 from fsar_ledger.metrics.library import Query, library

@@ -14,7 +14,7 @@ import duckdb
 import pyarrow as pa
 import pytest
 
-from fsar_ledger.errors import QueryFailed
+from fsar_ledger.base.errors import QueryFailed
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.metrics.database import from_rows

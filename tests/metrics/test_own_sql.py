@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from fsar_ledger.errors import QueryFailed
+from fsar_ledger.base.errors import QueryFailed
 from fsar_ledger.metrics.database import Database, connect, from_rows
 from fsar_ledger.metrics.library import library
 from fsar_ledger.metrics.own_sql import listing, understood

@@ -7,7 +7,7 @@ from pathlib import Path
 import pyarrow as pa
 import pytest
 
-from fsar_ledger.errors import QueryFailed
+from fsar_ledger.base.errors import QueryFailed
 from fsar_ledger.metrics import untrusted
 from fsar_ledger.metrics.definitions import metrics
 from fsar_ledger.metrics.sandbox import SLICE_BYTES, Limits, slices, weight

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fsar_ledger.constants import Constants
+from fsar_ledger.designs.constants import Constants
 from fsar_ledger.projections import maps
 from fsar_ledger.projections.maps import SharedMap, among, put, without
 from fsar_ledger.runtime.simulation import ARCHITECTURES, RunSpec, simulate_run

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from fsar_ledger.api.lookup import parameters_of
-from fsar_ledger.errors import QueryFailed
+from fsar_ledger.base.errors import QueryFailed
 from fsar_ledger.metrics.database import Database, connect, plain_rows
 from fsar_ledger.metrics.library import library
 from fsar_ledger.runtime.experiment import Experiment, run_experiment

@@ -7,8 +7,8 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pytest
 
-from fsar_ledger.constants import Constants
-from fsar_ledger.errors import QueryFailed
+from fsar_ledger.base.errors import QueryFailed
+from fsar_ledger.designs.constants import Constants
 from fsar_ledger.events import CONCERNS
 from fsar_ledger.ledger.rows.codec import encode
 from fsar_ledger.metrics.database import from_rows, from_table

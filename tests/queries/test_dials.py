@@ -4,7 +4,7 @@ alike."""
 import json
 from typing import Any
 
-from fsar_ledger.constants import Constants, Load
+from fsar_ledger.designs.constants import Constants, Load
 from fsar_ledger.metrics.results import dialled_rows
 from tests.queries.histories import Row, answer, event, run
 from tests.recycled import from_rows

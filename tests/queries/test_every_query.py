@@ -8,7 +8,7 @@ from pathlib import Path
 import duckdb
 import pytest
 
-from fsar_ledger.errors import InvalidQuery
+from fsar_ledger.base.errors import InvalidQuery
 from fsar_ledger.ledger.rows.schema import COLUMNS, LAYOUTS
 from fsar_ledger.metrics.database import Database, from_rows
 from fsar_ledger.metrics.groups import is_event_view

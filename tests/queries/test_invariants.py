@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from fsar_ledger.constants import Constants
+from fsar_ledger.designs.constants import Constants
 from fsar_ledger.events.configuration import Configuration
 from fsar_ledger.events.envelope import Architecture, Scenario
 from fsar_ledger.ledger.rows.codec import encode

@@ -7,7 +7,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pytest
 
-from fsar_ledger.constants import Constants
+from fsar_ledger.designs.constants import Constants
 from fsar_ledger.events import BESIDE, CONCERNS, EVENT_TYPES, RETIRED_TYPES
 from fsar_ledger.ledger.rows.codec import encode
 from fsar_ledger.ledger.rows.schema import LAYOUTS

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from fsar_ledger.constants import Constants
+from fsar_ledger.designs.constants import Constants
 from fsar_ledger.events.registry import RegistryQueried
 from fsar_ledger.ledger.rows.codec import encode
 from fsar_ledger.metrics.database import plain_rows

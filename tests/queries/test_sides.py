@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy import stats
 
-from fsar_ledger.errors import UsageError
+from fsar_ledger.base.errors import UsageError
 from fsar_ledger.metrics.comparison_sides import Paired, Side, chosen, paired, sides
 from fsar_ledger.metrics.database import Database
 from tests.queries.histories import Row, S, event, run

@@ -8,8 +8,8 @@ from typing import Any
 import msgspec
 import pytest
 
-from fsar_ledger.constants import Constants, Load
-from fsar_ledger.errors import UsageError
+from fsar_ledger.base.errors import UsageError
+from fsar_ledger.designs.constants import Constants, Load
 from fsar_ledger.events.envelope import Architecture
 from fsar_ledger.ledger.rows.codec import encode
 from fsar_ledger.metrics.database import Database

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from fsar_ledger.errors import NotALedger, UsageError, WriteFailed
-from fsar_ledger.publishing import publish
+from fsar_ledger.base.errors import NotALedger, UsageError, WriteFailed
+from fsar_ledger.base.publishing import publish
 from fsar_ledger.report import build
 from fsar_ledger.report.build import result_figure_svg, write_report
 
@@ -19,7 +19,7 @@ Make = Callable[..., Path]
 REPORT = """
 import sys
 from pathlib import Path
-from fsar_ledger.publishing import publish
+from fsar_ledger.base.publishing import publish
 from fsar_ledger.report.build import write_report
 ledger, out, workflows = map(Path, sys.argv[1:])
 write_report(ledger, out, workflows, numbers_out=out.with_name(out.name + ".json"))

@@ -8,7 +8,7 @@ import msgspec
 import pytest
 import typst
 
-from fsar_ledger.errors import FsarLedgerError
+from fsar_ledger.base.errors import FsarLedgerError
 from fsar_ledger.metrics.study_results import METRICS, Calibration, Parameter, packaged, rules
 from fsar_ledger.report import build, document, specs
 from fsar_ledger.report.findings import Findings

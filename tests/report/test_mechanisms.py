@@ -10,8 +10,8 @@ import msgspec
 import pytest
 from scipy import stats
 
-from fsar_ledger.constants import Constants
-from fsar_ledger.errors import InvalidExperiment
+from fsar_ledger.base.errors import InvalidExperiment
+from fsar_ledger.designs.constants import Constants
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityClaimed
 from fsar_ledger.events.configuration import MECHANISMS, MECHANISMS_OF, ON_RECORD_ALONE, without

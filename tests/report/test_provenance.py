@@ -7,8 +7,8 @@ from typing import Any
 import msgspec
 import pytest
 
-from fsar_ledger import constants
-from fsar_ledger.constants import (
+from fsar_ledger.designs import constants
+from fsar_ledger.designs.constants import (
     DESIGNS,
     GIVEN,
     WORDS,

@@ -9,7 +9,7 @@ import msgspec
 import pytest
 import typst
 
-from fsar_ledger.errors import FsarLedgerError, UsageError
+from fsar_ledger.base.errors import FsarLedgerError, UsageError
 from fsar_ledger.metrics import study_results as bound
 from fsar_ledger.metrics.library import Library, library, plain_sql
 from fsar_ledger.metrics.study_results import (

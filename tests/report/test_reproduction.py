@@ -7,7 +7,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from fsar_ledger.errors import UsageError
+from fsar_ledger.base.errors import UsageError
 from fsar_ledger.metrics.study_results import Calibration, packaged
 from fsar_ledger.report import document
 from fsar_ledger.report.build import write_report

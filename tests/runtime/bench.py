@@ -13,7 +13,7 @@ from typing import Any, Literal, get_args, get_origin, get_type_hints
 import msgspec
 from hypothesis import strategies as st
 
-from fsar_ledger.constants import DURATIONS, Constants, Range, WorldConstants
+from fsar_ledger.designs.constants import DURATIONS, Constants, Range, WorldConstants
 from fsar_ledger.events import CONCERNS, EVENT_TYPES, Event
 from fsar_ledger.events.envelope import Robot, Supervisor, robot_named
 from fsar_ledger.events.fleet import RobotJoined, RunStarted

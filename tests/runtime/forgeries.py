@@ -6,7 +6,7 @@ A forger who owns the writer can give such a run hashes that agree; only the han
 from itertools import count
 from typing import Any, NamedTuple
 
-from fsar_ledger.constants import Constants
+from fsar_ledger.designs.constants import Constants
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import Robot, Subject, with_columns
 from fsar_ledger.events.execution import (

@@ -1,6 +1,6 @@
 """Whole FSAR runs in which supervisors intervene: their decisions are put among the world's facts."""
 
-from fsar_ledger.constants import Constants
+from fsar_ledger.designs.constants import Constants
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import Scenario, Supervisor
 from fsar_ledger.ledger.rows.codec import LedgerRun

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from fsar_ledger.constants import Constants
+from fsar_ledger.designs.constants import Constants
 from fsar_ledger.events import Event
 from fsar_ledger.events.configuration import Configuration
 from fsar_ledger.events.envelope import Architecture, Robot, Subject

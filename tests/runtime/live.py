@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from typing import Any
 
-from fsar_ledger.constants import Constants
+from fsar_ledger.designs.constants import Constants
 from fsar_ledger.events import Event
 from fsar_ledger.events.command import CommandRejected
 from fsar_ledger.projections.fold import State

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fsar_ledger.errors import UsageError
+from fsar_ledger.base.errors import UsageError
 from fsar_ledger.events.envelope import PolicyOutcome, PolicyScope, RecoveryLevel, TrustScope
 from fsar_ledger.events.world import ObstructionAppeared, ObstructionCleared, PeersMet, PolicyWindowClosed
 from fsar_ledger.runtime.change_texts import FORMS, SHORT, fact_of, fact_text, parsed, read_changes, seconds_of

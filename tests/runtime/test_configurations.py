@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from fsar_ledger.constants import Constants
-from fsar_ledger.errors import InvalidExperiment
+from fsar_ledger.base.errors import InvalidExperiment
+from fsar_ledger.designs.constants import Constants
 from fsar_ledger.events.configuration import CONFIGURATIONS, FULL, MECHANISMS, is_known, removed_mechanisms, without
 from fsar_ledger.ledger.rows.codec import encode
 from fsar_ledger.metrics.database import from_table

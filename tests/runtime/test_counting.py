@@ -5,7 +5,7 @@ from functools import cache
 import msgspec
 import pytest
 
-from fsar_ledger.constants import Constants, Structure, WorldConstants
+from fsar_ledger.designs.constants import Constants, Structure, WorldConstants
 from fsar_ledger.events.envelope import Architecture
 from fsar_ledger.ledger.rows.codec import encode
 from fsar_ledger.metrics.results import metric_rows

@@ -2,7 +2,7 @@
 
 from functools import partial
 
-from fsar_ledger.constants import Constants
+from fsar_ledger.designs.constants import Constants
 from fsar_ledger.events.authority import AuthorityClaimed
 from fsar_ledger.events.envelope import Robot, Subject
 from fsar_ledger.events.execution import ExecutionStarted

@@ -5,7 +5,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from fsar_ledger.constants import Constants
+from fsar_ledger.designs.constants import Constants
 from fsar_ledger.events.envelope import Robot, Subject
 from fsar_ledger.events.registry import CapabilityWithdrawn, RegistryQueried
 from fsar_ledger.events.world import OutsiderRequestInjected

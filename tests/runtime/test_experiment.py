@@ -7,8 +7,8 @@ from typing import Any
 import msgspec
 import pytest
 
-from fsar_ledger.constants import Constants, Outages, Range, Structure, WorldConstants
-from fsar_ledger.errors import InvalidExperiment, NotALedger
+from fsar_ledger.base.errors import InvalidExperiment, NotALedger
+from fsar_ledger.designs.constants import Constants, Outages, Range, Structure, WorldConstants
 from fsar_ledger.ledger.opening import open_for_answers, open_ledger
 from fsar_ledger.ledger.verify.verify import verify
 from fsar_ledger.runtime.experiment import Experiment, missing_runs, run_experiment

@@ -5,9 +5,9 @@ from collections.abc import Sequence
 import msgspec
 import pytest
 
-from fsar_ledger.constants import Constants, Load, Outages
+from fsar_ledger.base.errors import InvalidExperiment, UsageError
+from fsar_ledger.designs.constants import Constants, Load, Outages
 from fsar_ledger.designs.registered import PAPER_SCENARIOS
-from fsar_ledger.errors import InvalidExperiment, UsageError
 from fsar_ledger.events import Event
 from fsar_ledger.events.execution import ExecutionFailed, ExecutionStarted
 from fsar_ledger.events.fleet import RunStarted

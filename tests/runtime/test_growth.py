@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from fsar_ledger.constants import Constants, Load, WorldConstants
-from fsar_ledger.errors import InvalidExperiment
+from fsar_ledger.base.errors import InvalidExperiment
+from fsar_ledger.designs.constants import Constants, Load, WorldConstants
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import Architecture, Robot, Scenario
 from fsar_ledger.events.fleet import RobotJoined

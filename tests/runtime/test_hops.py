@@ -9,7 +9,7 @@ from itertools import pairwise
 
 import pytest
 
-from fsar_ledger.constants import Constants, WorldConstants
+from fsar_ledger.designs.constants import Constants, WorldConstants
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import flat
 from fsar_ledger.events.request import InternalHandoff

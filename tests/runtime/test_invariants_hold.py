@@ -4,7 +4,7 @@ from collections.abc import Iterable
 
 import pytest
 
-from fsar_ledger.constants import Constants, Outages
+from fsar_ledger.designs.constants import Constants, Outages
 from fsar_ledger.designs.registered import PAPER_WORKFLOWS
 from fsar_ledger.events.configuration import MECHANISMS, Configuration, without
 from fsar_ledger.events.request import RequestUnanswered

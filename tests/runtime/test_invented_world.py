@@ -13,7 +13,7 @@ from typing import Any, get_args
 import msgspec
 import pytest
 
-from fsar_ledger.constants import Constants, Outages
+from fsar_ledger.designs.constants import Constants, Outages
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import Architecture, Robot, flat, with_columns
 from fsar_ledger.events.world import (

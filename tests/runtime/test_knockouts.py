@@ -3,7 +3,7 @@
 import msgspec
 import pytest
 
-from fsar_ledger.constants import Constants, Outages
+from fsar_ledger.designs.constants import Constants, Outages
 from fsar_ledger.events.configuration import Configuration
 from fsar_ledger.events.envelope import Architecture, Principal, Robot, Scenario, Service
 from fsar_ledger.events.execution import ExecutionHeld, ExecutionQueued, RoutineWithheld

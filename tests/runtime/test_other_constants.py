@@ -6,7 +6,7 @@ from typing import get_args, get_type_hints
 import msgspec
 import pytest
 
-from fsar_ledger.constants import (
+from fsar_ledger.designs.constants import (
     DESIGNS,
     DURATIONS,
     Constants,

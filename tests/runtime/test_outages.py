@@ -9,7 +9,8 @@ from typing import get_args
 import msgspec
 import pytest
 
-from fsar_ledger.constants import Constants, Outages, Range, WorldConstants, read_constants, write_constants
+from fsar_ledger.base.parameters import BadParameters
+from fsar_ledger.designs.constants import Constants, Outages, Range, WorldConstants, read_constants, write_constants
 from fsar_ledger.events import Event
 from fsar_ledger.events.configuration import CONFIGURATIONS, Configuration
 from fsar_ledger.events.envelope import Architecture, Robot, flat
@@ -31,7 +32,6 @@ from fsar_ledger.events.world import (
     WorldEvent,
 )
 from fsar_ledger.ledger.rows.codec import LedgerRun, decode, encode
-from fsar_ledger.parameters import BadParameters
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.world import World, evolve
 from fsar_ledger.runtime.architectures.handler_table import HandlerTable

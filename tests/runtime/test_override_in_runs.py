@@ -11,7 +11,7 @@ from hypothesis import given as any_of
 from hypothesis import settings
 from hypothesis import strategies as st
 
-from fsar_ledger.constants import Constants
+from fsar_ledger.designs.constants import Constants
 from fsar_ledger.events.authority import AuthorityClaimed, AuthorityReleased
 from fsar_ledger.events.envelope import OverrideLevel, Subject
 from fsar_ledger.events.execution import (

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from fsar_ledger.constants import Constants, Load, Outages, read_constants, write_constants
+from fsar_ledger.base.errors import InvalidExperiment, UsageError
 from fsar_ledger.designs import (
     Capability,
     Fleet,
@@ -23,7 +23,7 @@ from fsar_ledger.designs import (
     Trust,
     registered,
 )
-from fsar_ledger.errors import InvalidExperiment, UsageError
+from fsar_ledger.designs.constants import Constants, Load, Outages, read_constants, write_constants
 from fsar_ledger.events.envelope import Supervisor, TrustScope
 from fsar_ledger.events.execution import ExecutionStarted
 from fsar_ledger.events.fleet import RobotJoined

@@ -6,7 +6,7 @@ with.
 
 import pytest
 
-from fsar_ledger.constants import Constants, Outages, Range
+from fsar_ledger.designs.constants import Constants, Outages, Range
 from fsar_ledger.events.envelope import Architecture, flat
 from fsar_ledger.events.execution import (
     ApproachStarted,

@@ -1,6 +1,6 @@
 """Physics of robots at work: lost actuators, blocked ways and help, over every architecture and whole runs."""
 
-from fsar_ledger.constants import Outages
+from fsar_ledger.designs.constants import Outages
 from fsar_ledger.events.envelope import Architecture
 from fsar_ledger.events.execution import ExecutionFailed, ExecutionFinished, ExecutionResumed, ExecutionStarted
 from fsar_ledger.events.recovery import (

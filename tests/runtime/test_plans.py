@@ -8,7 +8,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from fsar_ledger.constants import Constants, WorldConstants
+from fsar_ledger.designs.constants import Constants, WorldConstants
 from fsar_ledger.events.envelope import Architecture
 from fsar_ledger.events.fleet import ExperimentPlanned
 from fsar_ledger.ledger.opening import open_ledger

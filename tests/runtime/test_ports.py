@@ -4,7 +4,7 @@ from typing import get_args
 
 import pytest
 
-from fsar_ledger.constants import Constants
+from fsar_ledger.designs.constants import Constants
 from fsar_ledger.designs.registered import PAPER_SCENARIOS
 from fsar_ledger.events.envelope import Robot, Supervisor
 from fsar_ledger.events.execution import ExecutionFinished, ExecutionStarted

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from fsar_ledger.constants import Constants, Outages
+from fsar_ledger.designs.constants import Constants, Outages
 from fsar_ledger.events.configuration import CONFIGURATIONS
 from fsar_ledger.events.envelope import with_columns
 from fsar_ledger.events.execution import ExecutionStarted

@@ -5,7 +5,7 @@ Paper: eq:recovery, app:foundations.
 
 import pytest
 
-from fsar_ledger.constants import Constants
+from fsar_ledger.designs.constants import Constants
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import Robot, Subject, Supervisor
 from fsar_ledger.events.recovery import AssistanceAdmitted, AssistanceRequested, RecoveryAttempted, RecoveryEscalated

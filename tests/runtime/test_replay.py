@@ -11,7 +11,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from fsar_ledger.constants import Constants, Range, Structure, WorldConstants
+from fsar_ledger.designs.constants import Constants, Range, Structure, WorldConstants
 from fsar_ledger.events import Event
 from fsar_ledger.events.configuration import CONFIGURATIONS, Configuration
 from fsar_ledger.events.envelope import Architecture, Robot, flat, with_columns

@@ -8,7 +8,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from fsar_ledger.constants import Constants, Range, Structure, WorldConstants
+from fsar_ledger.designs.constants import Constants, Range, Structure, WorldConstants
 from fsar_ledger.events import CONCERNS, Event
 from fsar_ledger.events.envelope import Architecture, Robot
 from fsar_ledger.events.world import RoutineDue

@@ -10,7 +10,7 @@ from itertools import count
 import pyarrow.parquet as pq
 import pytest
 
-from fsar_ledger.constants import Constants, Outages
+from fsar_ledger.designs.constants import Constants, Outages
 from fsar_ledger.events import Event
 from fsar_ledger.events.configuration import CONFIGURATIONS, Configuration
 from fsar_ledger.events.envelope import Architecture, Robot, Scenario

@@ -10,7 +10,7 @@ from typing import get_args
 import pytest
 from msgspec.structs import replace
 
-from fsar_ledger.constants import Constants, Structure, WorldConstants
+from fsar_ledger.designs.constants import Constants, Structure, WorldConstants
 from fsar_ledger.events import Event
 from fsar_ledger.events.configuration import CONFIGURATIONS, Configuration
 from fsar_ledger.events.envelope import Architecture, Scenario

@@ -6,7 +6,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from fsar_ledger.constants import Constants, Load, Range, WorldConstants, read_constants, write_constants
+from fsar_ledger.designs.constants import Constants, Load, Range, WorldConstants, read_constants, write_constants
 from fsar_ledger.events import CONCERNS, UPCASTS
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.events.retired import RunStartedV1

@@ -7,7 +7,7 @@ from functools import cache
 import msgspec
 import pytest
 
-from fsar_ledger.constants import Constants, Outages, Range, WorldConstants
+from fsar_ledger.designs.constants import Constants, Outages, Range, WorldConstants
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityReleased
 from fsar_ledger.events.envelope import Architecture, Availability, Robot

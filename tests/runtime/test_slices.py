@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from fsar_ledger.constants import Constants
-from fsar_ledger.errors import InvalidExperiment
+from fsar_ledger.base.errors import InvalidExperiment
+from fsar_ledger.designs.constants import Constants
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.rows.pieces import joined
 from fsar_ledger.ledger.verify.verify import verify

@@ -7,9 +7,9 @@ from typing import TypeVar
 
 import pytest
 
-from fsar_ledger.constants import Constants, Outages
+from fsar_ledger.base.errors import InvalidExperiment
+from fsar_ledger.designs.constants import Constants, Outages
 from fsar_ledger.designs.registered import PAPER_WORKFLOWS as WORKFLOWS
-from fsar_ledger.errors import InvalidExperiment
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import Robot, Subject, Workflow
 from fsar_ledger.events.execution import ExecutionFailed, ExecutionFinished, ExecutionStarted

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from fsar_ledger.constants import Constants
+from fsar_ledger.designs.constants import Constants
 from fsar_ledger.metrics.effects import Sensitivity, open_effects
 from fsar_ledger.studies import sensitivity
 from fsar_ledger.studies.evaluations import CELLS, Answer, Question

@@ -10,8 +10,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from fsar_ledger.constants import Constants, Structure, WorldConstants
-from fsar_ledger.errors import WriteFailed
+from fsar_ledger.base.errors import WriteFailed
+from fsar_ledger.designs.constants import Constants, Structure, WorldConstants
 from fsar_ledger.metrics.registration import registration
 from fsar_ledger.runtime.simulation import MODEL_VERSION
 from fsar_ledger.studies import calibration
@@ -68,7 +68,7 @@ import sys
 opened = set()
 sys.addaudithook(lambda name, arguments: opened.add(str(arguments[0])) if name == "open" else None)
 from fsar_ledger.studies import calibration, evaluations
-from fsar_ledger.constants import Constants
+from fsar_ledger.designs.constants import Constants
 assert len(calibration.distances(evaluations.measured(Constants(), 1, 1))) == 24
 print(*sorted(name.rpartition("/")[2].removesuffix(".csv") for name in opened if name.endswith(".csv")))
 """

@@ -8,8 +8,8 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from fsar_ledger.constants import Constants, write_constants
-from fsar_ledger.errors import FsarLedgerError, UsageError
+from fsar_ledger.base.errors import FsarLedgerError, UsageError
+from fsar_ledger.designs.constants import Constants, write_constants
 from fsar_ledger.metrics.paper_numbers import printed
 from fsar_ledger.metrics.registration import registration
 from fsar_ledger.metrics.study_results import METRICS, Predicted, Predictions, rules

@@ -6,7 +6,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from fsar_ledger.errors import WriteFailed
+from fsar_ledger.base.errors import WriteFailed
 from fsar_ledger.events.configuration import CONFIGURATIONS, removed_mechanisms
 from fsar_ledger.metrics.definitions import metrics
 from fsar_ledger.runtime.simulation import MODEL_VERSION

@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from fsar_ledger.constants import Constants, negatives, origins
+from fsar_ledger.designs.constants import Constants, negatives, origins
 from fsar_ledger.runtime.experiment import Experiment
 from fsar_ledger.runtime.simulation import ARCHITECTURES, SCENARIOS
 from fsar_ledger.studies.factor_effects import (

@@ -8,9 +8,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from fsar_ledger.base.errors import UsageError
 from fsar_ledger.cli.app import run
-from fsar_ledger.constants import Constants, write_constants
-from fsar_ledger.errors import UsageError
+from fsar_ledger.designs.constants import Constants, write_constants
 from fsar_ledger.metrics.effects import METADATA, Sensitivity, dozen, open_effects, parquet, reach
 from fsar_ledger.metrics.study_results import METRICS, rules
 from fsar_ledger.report.printing import flat

@@ -8,7 +8,7 @@ import msgspec
 import pytest
 
 import fsar_ledger
-from fsar_ledger.errors import UsageError, WriteFailed
+from fsar_ledger.base.errors import UsageError, WriteFailed
 from fsar_ledger.metrics.effects import Sensitivity, that_matter
 from fsar_ledger.runtime.simulation import MODEL_VERSION
 from fsar_ledger.studies.evaluations import CELLS, Answer, Question, evaluate

@@ -5,7 +5,7 @@ from hashlib import sha256
 
 import msgspec
 
-from fsar_ledger.constants import Constants, Outages, Structure
+from fsar_ledger.designs.constants import Constants, Outages, Structure
 from fsar_ledger.events import Event
 from fsar_ledger.events.configuration import FULL, MECHANISMS_OF, without
 from fsar_ledger.events.envelope import Robot, Scenario, Supervisor, Workflow, flat

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import pytest
 
-from fsar_ledger.constants import Constants
+from fsar_ledger.designs.constants import Constants
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
 from fsar_ledger.view.drawn import Words, drawn

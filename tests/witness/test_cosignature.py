@@ -4,7 +4,7 @@ import hashlib
 import pytest
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
 
-from fsar_ledger.errors import LedgerCorrupted, UsageError
+from fsar_ledger.base.errors import LedgerCorrupted, UsageError
 from fsar_ledger.ledger.log.note import Checkpoint, Note, Signature, VerifierKey
 from fsar_ledger.witness.cosignature import (
     MAX_TIME_S,

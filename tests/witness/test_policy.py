@@ -3,7 +3,7 @@ from pathlib import Path
 
 import pytest
 
-from fsar_ledger.errors import UsageError
+from fsar_ledger.base.errors import UsageError
 from fsar_ledger.witness.cosignature import Cosigner
 from fsar_ledger.witness.policy import Policy, parse_policy, read_policy
 from tests.witness.conftest import LOG, ORIGIN, STRANGER

@@ -6,7 +6,7 @@ from threading import Thread
 
 import pytest
 
-from fsar_ledger.errors import LedgerCorrupted, UsageError, WriteFailed
+from fsar_ledger.base.errors import LedgerCorrupted, UsageError, WriteFailed
 from fsar_ledger.ledger.log.note import Note
 from fsar_ledger.witness.cosignature import parse_vkey
 from fsar_ledger.witness.protocol import Request, origin_hash

@@ -13,7 +13,7 @@ from zlib import crc32
 
 import pyarrow as pa
 
-from fsar_ledger.errors import LedgerCorrupted
+from fsar_ledger.base.errors import LedgerCorrupted
 from fsar_ledger.ledger.rows import bounds
 from fsar_ledger.ledger.rows.grammar import (
     BOUNDS_END,

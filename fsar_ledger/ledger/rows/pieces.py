@@ -3,8 +3,8 @@
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import chain
 
-from fsar_ledger import printable
-from fsar_ledger.errors import LedgerCorrupted
+from fsar_ledger.base import printable
+from fsar_ledger.base.errors import LedgerCorrupted
 from fsar_ledger.ledger.rows.runs import LedgerRun
 
 

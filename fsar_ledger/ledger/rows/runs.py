@@ -10,13 +10,13 @@ from typing import NamedTuple
 
 import msgspec
 
-from fsar_ledger import printable
-from fsar_ledger.errors import InvalidRun
+from fsar_ledger.base import printable
+from fsar_ledger.base.errors import InvalidRun
+from fsar_ledger.base.parameters import BadParameters, read_parameters
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import flat
 from fsar_ledger.ledger.rows.bounds import MAX_NAME_BYTES
 from fsar_ledger.ledger.rows.schema import LAYOUTS, MAX_INTEGER, Field, Kind
-from fsar_ledger.parameters import BadParameters, read_parameters
 
 
 class LedgerRun(msgspec.Struct, frozen=True):

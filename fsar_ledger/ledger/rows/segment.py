@@ -7,7 +7,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from fsar_ledger.errors import LedgerCorrupted
+from fsar_ledger.base.errors import LedgerCorrupted
 from fsar_ledger.ledger.rows.bounds import MAX_TEXT_BYTES, has_more_text_than, text_bytes
 from fsar_ledger.ledger.rows.grammar import HAS_STATISTICS, path_of
 from fsar_ledger.ledger.rows.layout import Layout, check_layout, read_file

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from functools import lru_cache
 
-from fsar_ledger.errors import InvalidRun
+from fsar_ledger.base.errors import InvalidRun
 from fsar_ledger.events import CONCERNS
 from fsar_ledger.ledger.rows.blocks import Block
 from fsar_ledger.ledger.rows.check import disordered, unprintable

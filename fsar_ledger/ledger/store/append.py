@@ -21,7 +21,7 @@ from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 
-from fsar_ledger.errors import InvalidRun, NotALedger, WriteFailed, option
+from fsar_ledger.base.errors import InvalidRun, NotALedger, WriteFailed, option
 from fsar_ledger.ledger.log import pack
 from fsar_ledger.ledger.log.hashing import HASH_BYTES, sha256_hex
 from fsar_ledger.ledger.log.merkle import Frontier

@@ -6,7 +6,7 @@ So it may be behind by the commits that the journal holds, and, after a crash, b
 
 import msgspec
 
-from fsar_ledger.errors import LedgerCorrupted
+from fsar_ledger.base.errors import LedgerCorrupted
 from fsar_ledger.ledger.store.paths import CHECKPOINT
 from fsar_ledger.ledger.store.problem import Problem
 from fsar_ledger.ledger.store.read import View

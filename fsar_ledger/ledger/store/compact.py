@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 
 import pyarrow as pa
 
-from fsar_ledger.errors import LedgerCorrupted
+from fsar_ledger.base.errors import LedgerCorrupted
 from fsar_ledger.ledger.rows import canonical, segment
 from fsar_ledger.ledger.store.read import View
 from fsar_ledger.ledger.store.record import Placement

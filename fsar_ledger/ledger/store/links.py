@@ -13,6 +13,7 @@ from operator import lt, sub
 
 import msgspec
 
+from fsar_ledger.base.memory import without_collection
 from fsar_ledger.ledger.log.hashing import digests, sha256_hex
 from fsar_ledger.ledger.log.merkle import EMPTY_ROOT, Frontier
 from fsar_ledger.ledger.rows.releases import FINGERPRINTS, RELEASE, is_later
@@ -21,7 +22,6 @@ from fsar_ledger.ledger.store.problem import LaterRelease, Problem
 from fsar_ledger.ledger.store.record import LEAST_LINE_BYTES, Commit, Placement, Record, parse_line, parse_lines
 from fsar_ledger.ledger.store.staging import Staged
 from fsar_ledger.ledger.store.torn import has_later_append
-from fsar_ledger.memory import without_collection
 
 _FEW_BYTES = 1 << 14
 """How much is read at once where lines are too many to be records."""

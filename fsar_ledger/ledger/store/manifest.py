@@ -5,8 +5,8 @@ from typing import TypeVar
 
 import msgspec
 
-from fsar_ledger import printable
-from fsar_ledger.errors import FormatVersionMismatch, LedgerCorrupted, NotALedger
+from fsar_ledger.base import printable
+from fsar_ledger.base.errors import FormatVersionMismatch, LedgerCorrupted, NotALedger
 from fsar_ledger.ledger.log.note import is_name
 from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.store import disk

@@ -4,7 +4,7 @@ import os
 from contextlib import suppress
 from pathlib import Path
 
-from fsar_ledger.errors import NotALedger, UsageError
+from fsar_ledger.base.errors import NotALedger, UsageError
 from fsar_ledger.ledger.store import disk
 
 MANIFEST = "ledger.json"

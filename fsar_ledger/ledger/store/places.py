@@ -7,7 +7,7 @@ of one; its rows are there, and lead to the root.
 import msgspec
 import pyarrow.compute as pc
 
-from fsar_ledger.errors import LedgerCorrupted
+from fsar_ledger.base.errors import LedgerCorrupted
 from fsar_ledger.ledger.rows import segment
 from fsar_ledger.ledger.store.index import require_lines
 from fsar_ledger.ledger.store.read import View

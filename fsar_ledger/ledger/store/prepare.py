@@ -6,7 +6,7 @@ import stat
 from contextlib import suppress
 from pathlib import Path
 
-from fsar_ledger.errors import LedgerCorrupted, NotALedger, UsageError, option
+from fsar_ledger.base.errors import LedgerCorrupted, NotALedger, UsageError, option
 from fsar_ledger.ledger.log import pack
 from fsar_ledger.ledger.log.hashing import HASH_BYTES, sha256_hex
 from fsar_ledger.ledger.log.merkle import Frontier

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import msgspec
 
-from fsar_ledger import printable
-from fsar_ledger.errors import FsarLedgerError, InvalidQuery, UsageError
+from fsar_ledger.base import printable
+from fsar_ledger.base.errors import FsarLedgerError, InvalidQuery, UsageError
 
 MAX_TEXT = 600
 """The most characters of a file that a message shows. A note takes some 300."""

@@ -13,7 +13,7 @@ from pathlib import Path
 import msgspec
 import pyarrow as pa
 
-from fsar_ledger.errors import LedgerCorrupted
+from fsar_ledger.base.errors import LedgerCorrupted
 from fsar_ledger.ledger.log import merkle
 from fsar_ledger.ledger.log.hashing import leaves_of, sha256_hex
 from fsar_ledger.ledger.log.merkle import Frontier

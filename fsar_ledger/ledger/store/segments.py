@@ -14,7 +14,7 @@ import stat
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
-from fsar_ledger.errors import FsarLedgerError
+from fsar_ledger.base.errors import FsarLedgerError
 from fsar_ledger.ledger.store import disk
 from fsar_ledger.ledger.store.manifest import parse_manifest
 from fsar_ledger.ledger.store.paths import MANIFEST, STAGING, staged_file

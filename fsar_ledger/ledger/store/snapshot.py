@@ -10,7 +10,7 @@ from pathlib import Path
 from time import monotonic, sleep
 from typing import NamedTuple
 
-from fsar_ledger.errors import FormatVersionMismatch, LedgerCorrupted
+from fsar_ledger.base.errors import FormatVersionMismatch, LedgerCorrupted
 from fsar_ledger.ledger.store import disk, growing, turns
 from fsar_ledger.ledger.store.journal import FIRST, Journal, after_lines, read_frames
 from fsar_ledger.ledger.store.links import Chain, Followed, follow

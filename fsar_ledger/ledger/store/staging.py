@@ -9,7 +9,7 @@ from pathlib import Path
 import msgspec
 import pyarrow as pa
 
-from fsar_ledger.errors import CommitTooLarge, InvalidRun
+from fsar_ledger.base.errors import CommitTooLarge, InvalidRun
 from fsar_ledger.ledger.log.hashing import sha256_hex
 from fsar_ledger.ledger.rows import segment
 from fsar_ledger.ledger.rows.blocks import Block, blocks_of

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import pyarrow as pa
 import pyarrow.json
 
-from fsar_ledger.errors import LedgerCorrupted, WriteFailed
+from fsar_ledger.base.errors import LedgerCorrupted, WriteFailed
 from fsar_ledger.ledger.log.hashing import HASH_BYTES, sha256_hex
 from fsar_ledger.ledger.rows import canonical, segment
 from fsar_ledger.ledger.rows.parsing import plain_table

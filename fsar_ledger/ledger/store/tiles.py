@@ -5,7 +5,7 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
-from fsar_ledger.errors import LedgerCorrupted, UsageError, option
+from fsar_ledger.base.errors import LedgerCorrupted, UsageError, option
 from fsar_ledger.ledger.log.tiles import WIDTH, Edge, Tile, partial_tiles
 from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.store import disk

@@ -7,7 +7,7 @@ from typing import TypeAlias
 
 import msgspec
 
-from fsar_ledger.errors import LedgerCorrupted, UsageError, option
+from fsar_ledger.base.errors import LedgerCorrupted, UsageError, option
 from fsar_ledger.ledger.log.merkle import Node, consistency_proof, is_consistent
 from fsar_ledger.ledger.log.note import Checkpoint, Note, Signed, VerifierKey, doubt, names, parse_note, signers_of
 from fsar_ledger.ledger.store import disk

@@ -19,7 +19,7 @@ from typing import Literal
 
 import msgspec
 
-from fsar_ledger.errors import LedgerCorrupted, UsageError, WriteFailed, option
+from fsar_ledger.base.errors import LedgerCorrupted, UsageError, WriteFailed, option
 from fsar_ledger.ledger.store import disk
 from fsar_ledger.ledger.store.paths import SEGMENTS
 from fsar_ledger.ledger.store.problem import Problem

@@ -15,7 +15,8 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from fsar_ledger.errors import LedgerCorrupted
+from fsar_ledger.base.errors import LedgerCorrupted
+from fsar_ledger.base.workers import WorkerPool
 from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.rows.arrow import Columns
 from fsar_ledger.ledger.rows.blocks import Block, blocks_of
@@ -26,7 +27,6 @@ from fsar_ledger.ledger.rows.schema import SCHEMA, fingerprint
 from fsar_ledger.ledger.rows.segment import read_coded, to_parquet
 from fsar_ledger.ledger.store.problem import Problem, refusal, unexpected
 from fsar_ledger.ledger.store.segments import Names, Stored, find_segment, read_segment
-from fsar_ledger.workers import WorkerPool
 
 _MOST_SEGMENTS, _MOST_ROWS = 16, 1 << 18
 """How many a second reader reads at once: planning takes longer than reading one."""

@@ -12,7 +12,7 @@ from typing import Literal
 
 import msgspec
 
-from fsar_ledger.errors import LedgerCorrupted
+from fsar_ledger.base.errors import LedgerCorrupted
 from fsar_ledger.ledger.log import pack
 from fsar_ledger.ledger.log.hashing import sha256_hex
 from fsar_ledger.ledger.log.merkle import Frontier, consistency_proof, is_consistent

@@ -9,7 +9,7 @@ import os
 from contextlib import suppress
 from pathlib import Path
 
-from fsar_ledger.errors import NotALedger, WorkerDied
+from fsar_ledger.base.errors import NotALedger, WorkerDied
 from fsar_ledger.ledger.store import disk, growing, turns
 from fsar_ledger.ledger.store.manifest import refuse_version_1
 from fsar_ledger.ledger.store.paths import CHAIN, INDEX, JOURNAL, MANIFEST, NODES, SEALING, SEGMENTS, require_created

@@ -5,9 +5,9 @@ from collections.abc import Collection, Iterator, Sequence
 from math import isfinite
 from typing import NamedTuple
 
-from fsar_ledger import printable
-from fsar_ledger.constants import DURATIONS, END_US
+from fsar_ledger.base import printable
 from fsar_ledger.designs import Fleet, Robot, Scenario, Task, Workflow
+from fsar_ledger.designs.constants import DURATIONS, END_US
 from fsar_ledger.designs.files import Field, field_name
 
 _NAME = re.compile(r"[a-z][a-z0-9-]{0,38}[a-z0-9]")

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from hashlib import blake2b
 from math import log
 
-from fsar_ledger.constants import END_US, Range, WorldConstants
+from fsar_ledger.designs.constants import END_US, Range, WorldConstants
 from fsar_ledger.runtime.ports import AS_USUAL, Ask, Fact
 
 FOREVER_US = (

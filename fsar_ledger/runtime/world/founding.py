@@ -3,8 +3,8 @@
 from typing import NamedTuple
 
 from fsar_ledger import designs
-from fsar_ledger.constants import WorldConstants
 from fsar_ledger.designs import Fleet, registered
+from fsar_ledger.designs.constants import WorldConstants
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import Robot, Supervisor, local_supervisor, robot_named
 from fsar_ledger.events.fleet import RobotJoined

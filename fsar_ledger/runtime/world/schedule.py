@@ -8,8 +8,8 @@ from functools import lru_cache
 from itertools import combinations, groupby
 from math import inf
 
-from fsar_ledger.constants import END_US, Constants, Load, Outages, WorldConstants
 from fsar_ledger.designs import Scenario, Task, Workflow, registered
+from fsar_ledger.designs.constants import END_US, Constants, Load, Outages, WorldConstants
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import PolicyOutcome, PolicyScope, Robot, robot_named
 from fsar_ledger.events.world import (

@@ -21,7 +21,7 @@ from multiprocessing.reduction import ForkingPickler
 from types import ModuleType
 from typing import Any, ParamSpec, TypeVar
 
-from fsar_ledger.errors import WorkerDied
+from fsar_ledger.base.errors import WorkerDied
 
 _P = ParamSpec("_P")
 _T = TypeVar("_T")

@@ -4,7 +4,7 @@ import os
 from contextlib import suppress
 from pathlib import Path
 
-from fsar_ledger.errors import UsageError, WriteFailed
+from fsar_ledger.base.errors import UsageError, WriteFailed
 
 ADVICE = "free space or choose another --out"
 

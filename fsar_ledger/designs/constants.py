@@ -14,8 +14,8 @@ from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
 
 import msgspec
 
+from fsar_ledger.base.parameters import decode_parameters
 from fsar_ledger.designs import Fleet, Scenario
-from fsar_ledger.parameters import decode_parameters
 
 _T = TypeVar("_T")
 Paper = Annotated[_T, msgspec.Meta(extra={"from": "paper"})]
