@@ -17,8 +17,9 @@ from fsar_ledger.base.errors import (
 )
 from fsar_ledger.ledger.log.note import Signer
 from fsar_ledger.ledger.opening import open_ledger
-from fsar_ledger.ledger.rows import segment
+from fsar_ledger.ledger.rows import canonical, segment
 from fsar_ledger.ledger.store.append import Writer
+from fsar_ledger.ledger.store.manifest import Manifest
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.ledger.store.view import EMPTY_HEAD
 from fsar_ledger.ledger.verify.verify import verify
@@ -95,6 +96,13 @@ def test_an_empty_folder_or_a_half_made_ledger_becomes_one(tmp_path: Path) -> No
     assert contents(tmp_path / "empty") == contents(tmp_path / "half")
 
 
+def test_what_an_interrupted_creation_left_is_no_damage(tmp_path: Path) -> None:
+    (tmp_path / "half" / "segments").mkdir(parents=True)
+    for look in (verify, open_ledger):
+        with pytest.raises(NotALedger, match="creation was interrupted before anything was in it"):
+            look(tmp_path / "half")
+
+
 @pytest.mark.parametrize("place", ["another", "segments/another", "tile/0/another"])
 def test_no_ledger_is_created_inside_another(path: Path, place: str) -> None:
     append_all(path, BATCHES[:1])
@@ -108,6 +116,14 @@ def test_a_ledger_of_another_origin_is_not_appended_to(path: Path) -> None:
     append_all(path, BATCHES[:1])
     with pytest.raises(NotALedger, match=r"found a ledger of origin 'example\.org/fsar-test', expected 'other\.org/x'"):
         Writer(path, "other.org/x")
+
+
+def test_a_ledger_of_another_format_version_is_not_read(path: Path) -> None:
+    append_all(path, BATCHES[:1])
+    (path / "ledger.json").write_bytes(canonical.document(Manifest("fsar-ledger", ORIGIN, 3)))
+    for opens in (lambda: Writer(path, ORIGIN), lambda: open_ledger(path)):
+        with pytest.raises(FormatVersionMismatch, match="found format version 3, expected 2"):
+            opens()
 
 
 def test_a_path_without_a_ledger_is_neither_opened_nor_verified(tmp_path: Path) -> None:

@@ -315,6 +315,14 @@ def test_a_changed_byte_anywhere_is_found(path: Path, name: str) -> None:
     assert verify(path).ok
 
 
+def test_a_reader_refuses_a_ledger_whose_chain_was_cut(path: Path) -> None:
+    lines = (path / CHAIN).read_bytes().splitlines(keepends=True)
+    (path / CHAIN).write_bytes(b"".join(lines[:2]))
+    with pytest.raises(LedgerCorrupted):
+        open_for_answers(path)
+    assert not verify(path).ok
+
+
 def test_a_reader_proves_every_event_while_the_pack_lacks_what_an_interrupted_append_leaves_out(path: Path) -> None:
     with Writer(path, ORIGIN, SIGNER) as writer:
         writer.seal()

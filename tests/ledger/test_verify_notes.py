@@ -15,7 +15,7 @@ from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.ledger.verify.notes import Anchor, read_anchor
 from fsar_ledger.ledger.verify.report import VerifyOptions, VerifyReport
 from fsar_ledger.ledger.verify.verify import verify
-from tests.ledger.forgery import changed, forge, forge_segment, table_of
+from tests.ledger.forgery import changed, forge, forge_segment, segment_at, table_of
 from tests.ledger.once import decoded_once
 from tests.ledger.samples import ORIGIN, append_all, contents, made_up_batches, made_up_run
 
@@ -240,6 +240,11 @@ def test_every_character_of_an_anchor_counts(path: Path) -> None:
             assert not anchored(path, text[:at] + instead + text[at + 1 :], is_quick=True, key=SIGNER).ok, at
 
 
+def test_an_anchor_that_is_not_there_is_the_callers_mistake(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="found no file"):
+        read_anchor(tmp_path / "none")
+
+
 def test_a_quick_look_says_what_it_did_not_compare(path: Path) -> None:
     assert verify(path, asked=VerifyOptions(is_quick=True)).remarks == (
         "rows were not compared with the recorded roots",
@@ -250,6 +255,15 @@ def test_a_quick_look_says_what_it_did_not_compare(path: Path) -> None:
 
 
 # --- a quick look ---
+
+
+def test_a_quick_look_finds_any_flipped_byte_of_a_segment_and_says_that_it_was_quick(path: Path) -> None:
+    data = segment_at(path, 1).read_bytes()
+    for at in range(0, len(data), 37):
+        segment_at(path, 1).write_bytes(data[:at] + bytes([data[at] ^ 1]) + data[at + 1 :])
+        report = verify(path, asked=VerifyOptions(is_quick=True))
+        assert "segments/000000000024-000000000048.parquet: commit 1, field segment_sha256" in the_problem(report)
+        assert report.is_quick
 
 
 def test_a_quick_look_at_an_intact_ledger_gives_the_recorded_head(path: Path) -> None:
