@@ -189,10 +189,18 @@ class Lines(Answer):
 
 
 class Plain(Answer):
-    """An answer that is text as it is, such as a note or SQL."""
+    """An answer that is text as it is, such as a note or SQL; `refusal` is said where another form is asked for."""
 
-    def __init__(self, text: str) -> None:
-        self._text = text
+    def __init__(self, text: str, refusal: str = "") -> None:
+        self._text, self._refusal = text, refusal
+
+    def document(self, _: Screen) -> Mapping[str, object]:
+        """Refuse. Raises: UsageError."""
+        raise UsageError(self._refusal)
+
+    def table(self) -> "Table":
+        """Refuse. Raises: UsageError."""
+        raise UsageError(self._refusal)
 
     def text(self, _: Screen) -> Iterator[SafeText]:
         """Yield the text."""

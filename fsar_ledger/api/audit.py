@@ -94,7 +94,7 @@ def audit(
     from fsar_ledger.designs.names import known
     from fsar_ledger.ledger.opening import open_for_answers
     from fsar_ledger.metrics.database import Slices, connect_view
-    from fsar_ledger.metrics.invariants import audit_rows, chosen
+    from fsar_ledger.metrics.invariants import all_shown, audit_rows, chosen
     from fsar_ledger.metrics.results import models
     from fsar_ledger.runtime.architectures import REGISTERED
 
@@ -114,17 +114,6 @@ def audit(
         rows = audit_rows(slices, queries, wanted, progress)
     holds = False if any(row.holds is False for row in rows) else all_shown(rows) or None
     return Audit(rows, holds, unreadable, provenance)
-
-
-def is_empty(row: "AuditRow") -> bool:
-    """Return whether everything was observed, and nothing happened that the invariant is about."""
-    return row.holds is None and not row.runs_not_observed
-
-
-def all_shown(rows: "Sequence[AuditRow]") -> bool:
-    """Return whether a case of some architecture shows each invariant to hold, and none is broken or not observable."""
-    shown = {row.invariant for row in rows if row.holds}
-    return all(row.holds or (is_empty(row) and row.invariant in shown) for row in rows)
 
 
 def _shown(row: "AuditRow") -> Row:
@@ -159,7 +148,7 @@ def _on_a_terminal(rows: "Sequence[AuditRow]", screen: Screen) -> Iterator[print
 
 
 def _word(row: "AuditRow") -> str:
-    if is_empty(row):
+    if row.is_empty:
         return "no case"
     if row.holds is None:
         return f"not observable: {row.not_observed}" + (
@@ -190,8 +179,8 @@ def _footer(rows: "Sequence[AuditRow]", ledger: Path) -> Iterator[str]:
 
 def _verdict(rows: "Sequence[AuditRow]") -> Iterator[str]:
     """Yield how many invariants hold under one architecture, and which ones had no case or are not observable."""
-    unseen = [row.invariant for row in rows if row.holds is None and not is_empty(row)]
-    empty = [row.invariant for row in rows if is_empty(row)]
+    unseen = [row.invariant for row in rows if row.holds is None and not row.is_empty]
+    empty = [row.invariant for row in rows if row.is_empty]
     held = sum(row.holds is True for row in rows)
     yield f"{held} of {len(rows)} hold, {len(empty)} had no case" if empty else f"{held} of {len(rows)} invariants hold"
     if unseen:

@@ -4,7 +4,7 @@ A plan on record says what is missing. Without one (live runs, ledgers from befo
 then the summary describes the shape of what is there, and never says that it is complete.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -232,7 +232,7 @@ def info(ledger: "Ledger") -> Contents:
         found = lettered(models(database))
         letters = {_key(structs.asdict(one)): letter for one, letter in found}
         groups = [
-            {"constants": letters.get(_key(row)), **row, "numbers": ranges(row["numbers"])}
+            {"constants": letters.get(_key(row)), **row, "numbers": printable.ranges(row["numbers"])}
             for row in database.rows(GROUPS)
         ]
         planned = plans(database, PlanRow(ledger.path, open_ledger(ledger.path)))
@@ -240,22 +240,6 @@ def info(ledger: "Ledger") -> Contents:
         missing = completeness(database).missing
         provenance = Provenance(database.head, database.rows_verified)
         return Contents(groups, named, planned, missing, provenance, tuple(never_observed(database)))
-
-
-def ranges(numbers: Sequence[int]) -> str:
-    """Return numbers in ascending order as ranges: `1-100`, `2-299 by 3`, `7, 9`."""
-    parts, at = [], 0
-    while at < len(numbers):
-        step = numbers[at + 1] - numbers[at] if at + 1 < len(numbers) else 1
-        end = at
-        while end + 1 < len(numbers) and numbers[end + 1] - numbers[end] == step:
-            end += 1
-        if end - at < 2 and step != 1:  # two apart are no range, and the second may begin one
-            end = at
-        first, last = numbers[at], numbers[end]
-        parts.append(str(first) if first == last else f"{first}-{last}" + (f" by {step}" if step > 1 else ""))
-        at = end + 1
-    return ", ".join(parts)
 
 
 def _unfinished(plan: Mapping[str, Any]) -> str:

@@ -83,27 +83,6 @@ def _title(query: "Query") -> str:
     return query.header["Title"].partition(". ")[0]
 
 
-class Sql(Plain):
-    """The SQL of a packaged query, which has no other form."""
-
-    def __init__(self, name: str, text: str) -> None:
-        super().__init__(text)
-        self._name = name
-
-    def document(self, _: Screen) -> Mapping[str, object]:
-        """Refuse. Raises: UsageError."""
-        raise self._refusal()
-
-    def table(self) -> "Table":
-        """Refuse. Raises: UsageError."""
-        raise self._refusal()
-
-    def _refusal(self) -> UsageError:
-        return UsageError(
-            f"query {self._name} --show: found --json, --csv or --ndjson, expected none of them; SQL is text"
-        )
-
-
 def _arrange(given: dict[str, Any]) -> None:
     """With --file the first argument is the ledger. Raises: UsageError if the arguments contradict each other."""
     name, ledger, file, parameters = (given[one] for one in ("name", "ledger", "file", "parameters"))
@@ -178,7 +157,8 @@ def query(
     if show:
         from fsar_ledger.metrics.groups import text_of
 
-        return Sql(f"{name}", text_of(f"{name}"))
+        refusal = f"query {name} --show: found --json, --csv or --ndjson, expected none of them; SQL is text"
+        return Plain(text_of(f"{name}"), refusal)
     assert isinstance(ledger, Ledger)  # `_arrange` requires it, and the command line opens it
     if file is not None:
         return _of_file(ledger, Path(file), seconds, memory_mib)

@@ -16,7 +16,7 @@ from .verbs import JSON, OneRunOption, declare, verb
 
 if TYPE_CHECKING:
     from fsar_ledger.analysis.beliefs import Belief
-    from fsar_ledger.analysis.situation import RobotNow, Situation
+    from fsar_ledger.analysis.situation import RobotNow, RuleNow, Situation, TrustNow
     from fsar_ledger.projections.fold import State
 
     from .ledger import Ledger
@@ -135,7 +135,7 @@ def standing_lines(found: "Situation") -> Iterator[str]:
     for robot in found.robots or ():
         yield ""
         yield from _robot(robot)
-    for name, lines in _lists(found):
+    for name, lines in _lists(found).items():
         if lines:
             yield ""
             yield name
@@ -173,11 +173,10 @@ def _robot(one: "RobotNow") -> Iterator[str]:
             yield f"{BESIDE}offers as {availability}: {printable.some(map(printable.value, names))}"
 
 
-def _lists(found: "Situation") -> Iterator[tuple[str, list[str]]]:
+def _lists(found: "Situation") -> Mapping[str, list[str]]:
     text = printable.value
-    yield (
-        "tasks",
-        [
+    return {
+        "tasks": [
             f"{text(one.task_id)} of {text(one.robot)}: {one.steps_done}"
             + (" steps done" if one.steps is None else f" of {one.steps} steps done")
             + (f", now {text(one.step)}" if one.step else "")
@@ -185,51 +184,35 @@ def _lists(found: "Situation") -> Iterator[tuple[str, list[str]]]:
             + ("; its arrival is not on record" if one.due_s is None else f"; due {one.due_s:.3f} s")
             for one in found.tasks or ()
         ],
-    )
-    yield (
-        "requests",
-        [
+        "requests": [
             f"{text(one.action_id)} {text(one.capability)}: {text(one.requester)} -> {text(one.target or '?')}, "
             f"{one.phase}"
             for one in found.requests or ()
             if one.target != one.requester
         ],
-    )
-    yield "claims", [f"{text(one.action_id)} {one.dimension}: {text(one.claimant)}" for one in found.claims or ()]
-    yield (
-        "recoveries",
-        [
+        "claims": [f"{text(one.action_id)} {one.dimension}: {text(one.claimant)}" for one in found.claims or ()],
+        "recoveries": [
             f"{text(one.action_id)} at {text(one.robot)}: {one.cause or 'cause not on record'}, level {one.level}, "
             f"{one.attempts} attempts" + ("" if one.since_s is None else f", since {one.since_s:.3f} s")
             for one in found.recoveries or ()
         ],
-    )
-    yield (
-        "calls",
-        [
+        "calls": [
             f"{one.number}: {text(one.supervisor)} about {text(one.action_id)}, {one.purpose}"
             for one in found.calls or ()
         ],
-    )
-    yield "supervisors off shift", [text(one) for one in found.off_shift or ()]
-    yield (
-        "rules",
-        [
-            f"{one.scope} {one.outcome} for {text(one.robot or 'every robot')}"
-            + (f", {text(one.capability)}" if one.capability else "")
-            + (f", task {text(one.task)}" if one.task else "")
+        "supervisors off shift": [text(one) for one in found.off_shift or ()],
+        "rules": [
+            f"{one.scope} {one.outcome} for {text(one.robot or 'every robot')}{_limits(one)}"
             for one in found.rules or ()
         ],
-    )
-    yield (
-        "trust",
-        [
-            f"{text(one.robot)} -> {text(one.peer)}: {one.scope}"
-            + (f", {text(one.capability)}" if one.capability else "")
-            + (f", task {text(one.task)}" if one.task else "")
-            for one in found.trust or ()
-        ],
-    )
+        "trust": [f"{text(one.robot)} -> {text(one.peer)}: {one.scope}{_limits(one)}" for one in found.trust or ()],
+    }
+
+
+def _limits(one: "RuleNow | TrustNow") -> str:
+    """Return the capability and the task that a rule or trust is limited to."""
+    capability = f", {printable.value(one.capability)}" if one.capability else ""
+    return capability + (f", task {printable.value(one.task)}" if one.task else "")
 
 
 def _belief(one: "Belief") -> str:

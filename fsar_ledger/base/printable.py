@@ -188,6 +188,22 @@ def every(parts: Sequence[str], nothing: str = "none") -> str:
     return " and ".join(filter(None, (", ".join(parts[:-1]), *parts[-1:]))) or nothing
 
 
+def ranges(numbers: Sequence[int]) -> str:
+    """Return numbers in ascending order as ranges: `1-100`, `2-299 by 3`, `7, 9`."""
+    parts, at = [], 0
+    while at < len(numbers):
+        step = numbers[at + 1] - numbers[at] if at + 1 < len(numbers) else 1
+        end = at
+        while end + 1 < len(numbers) and numbers[end + 1] - numbers[end] == step:
+            end += 1
+        if end - at < 2 and step != 1:  # two apart are no range, and the second may begin one
+            end = at
+        first, last = numbers[at], numbers[end]
+        parts.append(str(first) if first == last else f"{first}-{last}" + (f" by {step}" if step > 1 else ""))
+        at = end + 1
+    return ", ".join(parts)
+
+
 def did_you_mean(asked: str, names: Collection[str]) -> str:
     """Return `; did you mean NAME?` for the nearest name, or nothing where none is near."""
     near = nearest(asked, names)

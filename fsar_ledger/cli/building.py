@@ -17,52 +17,30 @@ from fsar_ledger.base.errors import QueryFailed, UsageError
 from . import completing
 from .memory import bounded
 
-SHOWN_ROWS = 100
-
 LEDGER = argument("LEDGER", "The folder of a ledger.")
-TAKEN: Mapping[str, tuple[str, Any, bool | int | None, Option]] = {
-    "svg": ("svg", Path | None, None, Option("--svg", "FILE", "Also draw it, as SVG; replaced if it exists.")),
-    "pdf": ("pdf", Path | None, None, Option("--pdf", "FILE", "Also draw it, as PDF; replaced if it exists.")),
-    "verified": (
-        "verified",
-        bool,
-        False,
-        Option(
-            "--verified",
-            None,
-            "Answer only from rows that were compared with the root, as `verify` does. Unless `verify` has checked "
-            "this head before, that takes some 4 s for a million events on two cores.",
-        ),
-    ),
-    "json": (
-        "as_json",
-        bool,
-        False,
-        Option("--json", None, "Answer as JSON, with the head (size, root) of the ledger."),
-    ),
-    "csv": ("as_csv", bool, False, Option("--csv", None, "Answer as comma-separated values.")),
-    "ndjson": ("as_ndjson", bool, False, Option("--ndjson", None, "Answer as JSON, one row a line and nothing else.")),
-    "raw": ("raw", bool, False, RAW),
-    "limit": ("limit", int, SHOWN_ROWS, Option("--limit", "N", "Show at most N rows of the table; 0 shows all.")),
-    "wide": (
-        "wide",
-        bool,
-        False,
-        Option("--wide", None, "Show every column and whole cells, not what fits the terminal; as when piped."),
-    ),
-    "memory": (
-        "memory_mib",
-        int | None,
+TAKEN: Mapping[str, Option] = {
+    "svg": Option("--svg", "FILE", "Also draw it, as SVG; replaced if it exists."),
+    "pdf": Option("--pdf", "FILE", "Also draw it, as PDF; replaced if it exists."),
+    "verified": Option(
+        "--verified",
         None,
-        Option(
-            "--memory",
-            "MIB",
-            "The memory limit.",
-            "576, 192 for each core or worker beyond two, and 16 times the size of the segments",
-        ),
+        "Answer only from rows that were compared with the root, as `verify` does. Unless `verify` has checked "
+        "this head before, that takes some 4 s for a million events on two cores.",
+    ),
+    "json": Option("--json", None, "Answer as JSON, with the head (size, root) of the ledger."),
+    "csv": Option("--csv", None, "Answer as comma-separated values."),
+    "ndjson": Option("--ndjson", None, "Answer as JSON, one row a line and nothing else."),
+    "raw": RAW,
+    "limit": Option("--limit", "N", "Show at most N rows of the table; 0 shows all.", value=100),
+    "wide": Option("--wide", None, "Show every column and whole cells, not what fits the terminal; as when piped."),
+    "memory": Option(
+        "--memory",
+        "MIB",
+        "The memory limit.",
+        "576, 192 for each core or worker beyond two, and 16 times the size of the segments",
     ),
 }
-"""What a command can have beside the options of its verb: of each its name, type, default and declaration."""
+"""What a command can have beside the options of its verb; without a metavar it is a switch, without a value None."""
 
 
 class Command(TyperCommand):
@@ -106,25 +84,26 @@ def _callback(verb: Verb) -> Callable[..., None]:
     ledgers = [one.name for one in parameters if _names_ledger(one.annotation)]
     stored = [name for name, found in own.items() if found.metavar == "LEDGER" and name not in ledgers]
     has_limit = "ledger" in ledgers and not any(found.flag == "--memory" for found in own.values())
-    taken = [TAKEN[name] for name in (*verb.takes, *(["memory"] if has_limit else []))]
+    taken = {name: TAKEN[name] for name in (*verb.takes, *(["memory"] if has_limit else []))}
 
     def call(context: typer.Context, **given: Any) -> None:
         from .render import Form, respond
 
-        beside = {name: given.pop(name) for name, *_ in taken}
-        most = beside.pop("memory_mib", given.get("memory_mib"))
-        verified = beside.pop("verified", False)
+        beside = {name: given.pop(name) for name in taken}
+        most = beside.get("memory", given.get("memory_mib"))
         for name, found in own.items():
             if found.metavar == "NAME=VALUE" and found.flag == "--param":
                 given[name] = parameters_of(given[name])
         asked = {name for name in verb.beside if given.pop(name)}
-        drawn = {kind: file for kind in ("svg", "pdf") if (file := beside.pop(kind, None)) is not None}
-        form = Form(**beside)
+        drawn = {kind: file for kind in ("svg", "pdf") if (file := beside.get(kind)) is not None}
+        forms = {f"as_{name}": beside.get(name, False) for name in ("json", "csv", "ndjson")}
+        form = Form(**forms, **{name: beside[name] for name in ("raw", "limit", "wide") if name in beside})
         verb.arrange(given)
         is_bounded = "ledger" in ledgers and not verb.is_apart(given)
         read = [given[name] for name in ledgers] + [place for name in stored for place in _several(given[name])]
         with bounded(most, *read, workers=given.get("workers")) if is_bounded else nullcontext():
-            code = respond(verb, given, ledgers, form, asked, drawn, verified=verified, clock=context.obj)
+            demands = beside.get("verified", False)
+            code = respond(verb, given, ledgers, form, asked, drawn, verified=demands, clock=context.obj)
         if code:
             raise typer.Exit(code)
 
@@ -135,7 +114,11 @@ def _callback(verb: Verb) -> Callable[..., None]:
         _accepted(one.name, _type_of(one), one.default, own[one.name]) for one in parameters if one.name in own
     ]
     accepted += [_accepted(name, bool, False, found) for name, found in verb.beside.items()]
-    accepted += [_accepted(name, kind, default, found) for name, kind, default, found in taken]
+    kinds = {None: bool, "FILE": Path | None, "N": int, "MIB": int | None}
+    accepted += [
+        _accepted(name, kinds[found.metavar], False if found.metavar is None else found.value, found)
+        for name, found in taken.items()
+    ]
     call.__signature__ = inspect.Signature(accepted)  # type: ignore[attr-defined]
     call.__annotations__ = {one.name: one.annotation for one in accepted}
     return call

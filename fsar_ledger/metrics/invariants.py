@@ -38,6 +38,17 @@ class AuditRow(msgspec.Struct, frozen=True):
     first_type: str | None
     first_found: str | None
 
+    @property
+    def is_empty(self) -> bool:
+        """Return whether everything was observed, and nothing happened that the invariant is about."""
+        return self.holds is None and not self.runs_not_observed
+
+
+def all_shown(rows: Sequence[AuditRow]) -> bool:
+    """Return whether a case of some architecture shows each invariant to hold, and none is broken or not observable."""
+    shown = {row.invariant for row in rows if row.holds}
+    return all(row.holds or (row.is_empty and row.invariant in shown) for row in rows)
+
 
 def invariants() -> list[Query]:
     """Return the queries of the invariants, I1 to I5 before A1 to A5."""

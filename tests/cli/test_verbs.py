@@ -16,7 +16,6 @@ import fsar_ledger
 from fsar_ledger import api
 from fsar_ledger.api.verbs import VERBS, Option, declared
 from fsar_ledger.cli.app import _summary, app
-from fsar_ledger.cli.building import TAKEN
 from tests.cli.conftest import Call, one_message
 
 for module in iter_modules(api.__path__):
@@ -60,9 +59,9 @@ def test_a_verb_has_one_text_and_one_declaration_of_each_parameter(name: str) ->
     for parameter, found in own.items():
         if parameter in inspect.signature(verb.function).parameters:
             assert f"    {parameter}: {found.help}" in documented
-    beside = {TAKEN[taken][0] for taken in verb.takes} | set(verb.beside)
+    beside = set(verb.takes) | set(verb.beside)
     ledger = {"ledger"} & verb.parameters.keys()
-    memory = {TAKEN["memory"][0]} if ledger and not any(found.flag == "--memory" for found in own.values()) else set()
+    memory = {"memory"} if ledger and not any(found.flag == "--memory" for found in own.values()) else set()
     assert {one.name for one in command.params} - {"help"} == set(own) | beside | ledger | memory
 
 
