@@ -24,7 +24,7 @@ from typing import NamedTuple
 from fsar_ledger.designs.constants import Constants
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows.codec import encode_lines
-from fsar_ledger.ledger.rows.pieces import piece
+from fsar_ledger.ledger.rows.run_slices import piece
 from fsar_ledger.ledger.rows.runs import LedgerRun
 from fsar_ledger.ledger.rows.small import rows_of
 from fsar_ledger.ledger.store.append import Writer

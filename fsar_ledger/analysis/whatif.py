@@ -200,7 +200,7 @@ def commit_pairs(out: Path, pairs: Iterable[Pair]) -> Head:
         NotALedger, FormatVersionMismatch, LedgerCorrupted, UsageError, WriteFailed: See `Writer`.
     """
     with Writer(out, ORIGIN) as writer, without_collection():
-        held = {*writer.held().runs}
+        held = {*writer.existing_runs().runs}
 
         def missing() -> Iterator[LedgerRun]:
             for record in (record for pair in pairs for record in pair.records):

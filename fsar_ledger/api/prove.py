@@ -95,7 +95,7 @@ def asked_event(view: "View", event: str, demanded: str | None) -> tuple[str | N
 
 def found_event(view: "View", run: str | None, seq: str, demanded: str | None) -> tuple[str, int]:
     """Return run and seq of the event that `asked_event` gave. Raises: UsageError if there is no such event."""
-    from fsar_ledger.ledger.store.places import event_at
+    from fsar_ledger.ledger.store.locations import event_at
 
     found = event_at(view, _index_of(view, run, seq, demanded))
     return str(found["run_id"]), int(str(found["seq"]))
@@ -107,7 +107,7 @@ def _index_of(view: "View", run: str | None, seq: str, demanded: str | None) -> 
     Raises:
         UsageError: There is no such event.
     """
-    from fsar_ledger.ledger.store.places import place_of
+    from fsar_ledger.ledger.store.locations import place_of
     from fsar_ledger.metrics.verified import is_verified
 
     from .lookup import resting_on_rows

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from fsar_ledger.base.errors import LedgerCorrupted
-from fsar_ledger.ledger.store import turns
+from fsar_ledger.ledger.store import locks
 from fsar_ledger.ledger.store.checkpoint import check_chain_checkpoint
 from fsar_ledger.ledger.store.manifest import read_manifest
 from fsar_ledger.ledger.store.paths import CHAIN, CHECKPOINT, JOURNAL, MANIFEST, SEGMENTS
@@ -44,7 +44,7 @@ def open_for_answers(path: Path) -> View:
     view = open_ledger(path)
     problems = check_chain_checkpoint(view)
     if problems:
-        with turns.turn(path / SEGMENTS, is_shared=True):
+        with locks.locked(path / SEGMENTS, is_shared=True):
             view = open_ledger(path)
             problems = check_chain_checkpoint(view)
     for problem in problems:

@@ -26,8 +26,8 @@ from fsar_ledger.base.errors import LedgerCorrupted, SequenceConflict, UsageErro
 from fsar_ledger.ledger.log.hashing import sha256_hex
 from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.store import disk
+from fsar_ledger.ledger.store.locations import compare_index
 from fsar_ledger.ledger.store.paths import require_outside
-from fsar_ledger.ledger.store.places import compare_index
 from fsar_ledger.ledger.store.read import View
 from fsar_ledger.ledger.verify.report import VerifyOptions, VerifyReport
 from fsar_ledger.ledger.verify.verify import verify

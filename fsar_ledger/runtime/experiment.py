@@ -306,8 +306,8 @@ def run_experiment(
             f"fleet size: found {experiment.fleet_size}, expected at most {MOST_ROBOTS}: a fleet is held in memory"
         )
     with Writer(out, name, signer, adopts=adopts) as writer:
-        found = writer.held()
-        going_on = writer.going_on()
+        found = writer.existing_runs()
+        going_on = writer.unfinished_runs()
         held = found.runs - going_on.keys()
         batches = experiment.batches()
         missing = missing_runs(batches, lambda spec: run_id(run_started(spec, constants)) in held) if held else batches

@@ -12,10 +12,10 @@ import fsar_ledger
 from fsar_ledger.api.lookup import numbers_of, run_of
 from fsar_ledger.api.names import MAX_SECONDS, microseconds, named, principal_named, run_named
 from fsar_ledger.base.errors import InvalidQuery, UnknownQuery, UsageError
+from fsar_ledger.base.printable import ranges
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.metrics.library import library, parse
 from fsar_ledger.metrics.query_parameters import KINDS, Parameter
-from fsar_ledger.printable import ranges
 from tests.api.conftest import RUN
 from tests.queries.histories import run
 from tests.queries.test_every_query import HEADER

@@ -19,7 +19,7 @@ from unittest.mock import patch
 
 from fsar_ledger.ledger.log.note import Signer
 from fsar_ledger.ledger.opening import open_ledger
-from fsar_ledger.ledger.rows import pieces
+from fsar_ledger.ledger.rows import run_slices
 from fsar_ledger.ledger.rows.runs import LedgerRun
 from fsar_ledger.ledger.store import journal
 from fsar_ledger.ledger.store.append import Writer
@@ -134,7 +134,7 @@ ROOM = 64
 
 def piece(number: int, first: int, end: int) -> LedgerRun:
     """Return these events of a run, which goes on unless they are its last."""
-    return pieces.piece(RUNS[number], first, end)
+    return run_slices.piece(RUNS[number], first, end)
 
 
 def keep(path: Path, snapshots: Path | None) -> None:

@@ -18,7 +18,7 @@ from fsar_ledger.ledger.rows import encoding
 from fsar_ledger.ledger.rows.codec import LedgerRun, encode_lines
 from fsar_ledger.ledger.rows.compiled import IS_COMPILED
 from fsar_ledger.ledger.rows.encoding import MARK_OF, OPENING, marks_of, plain_lines
-from fsar_ledger.ledger.rows.pieces import piece
+from fsar_ledger.ledger.rows.run_slices import piece
 from fsar_ledger.ledger.rows.schema import LAYOUTS
 from fsar_ledger.ledger.rows.small import rows_of
 from tests.ledger.samples import IN_RUNS, any_runs, made_up_batches, made_up_run, run_of_every_type

@@ -6,12 +6,14 @@ releases    the columns that each release wrote
 runs        what a run handed to a writer may hold
 codec       runs of events <-> one Arrow table
 small       a few events -> their bytes, without columns
-making      helpers for making columns
+arrays      helpers for making columns
+compiled    the hot paths of the codec in C, where they were built
+encoding    events -> rows in C; parsing: rows -> columns in C
 canonical   the hashed bytes of a row, made from structs and again from columns
 check       the rules for every stored row
-blocks      which rows of which run a table holds; pieces: a run put together from several
+blocks      which rows of which run a table holds; run_slices: a run put together from several
 segment     one batch of runs as one Parquet file
-layout      whether a segment has the accepted form: grammar (which bytes may be there), footer (what is wrong)
+layout      whether a segment has the accepted form; grammar: which bytes may be there
 bounds      what a segment may cost to read
 arrow       helpers for reading columns
 ```

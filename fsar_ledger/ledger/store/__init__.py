@@ -6,7 +6,7 @@ growing    files that grow, or change at a place
 paths      where the files are, and where other commands must not write
 manifest   what ledger.json holds
 problem    one finding, with its place
-turns      turns of writers
+locks      locks by which writers take turns
 keys       key files
 view       Head, and what else every reader sees
 record     the lines of a chain: commits, and placements of their rows
@@ -22,9 +22,9 @@ index      which runs are where, and which segments share runs
 snapshot   what readers keep between openings
 read       View: what is committed
 checkpoint the file `checkpoint`, which may be behind
-held       which runs a ledger holds, and how far
+existing_runs   which runs a ledger holds, and how far
 compact    which segments are put together
-places     where the events of a run are
+locations  where the events of a run are
 tiles      the hashes of the tree as C2SP tlog-tiles
 proof      proof that one event is in a ledger
 prepare    create and lock a ledger; finish what an interrupted writer left

@@ -31,10 +31,10 @@ from fsar_ledger.ledger.rows.blocks import Block
 from fsar_ledger.ledger.rows.releases import RELEASE
 from fsar_ledger.ledger.rows.runs import LedgerRun, refusal
 from fsar_ledger.ledger.rows.small import rows_of
-from fsar_ledger.ledger.store import disk, growing, paths, turns
+from fsar_ledger.ledger.store import disk, growing, locks, paths
 from fsar_ledger.ledger.store.compact import mergeable, merged_segment
 from fsar_ledger.ledger.store.derived import append_derived
-from fsar_ledger.ledger.store.held import ExistingRuns, RunsAndPlans, continued
+from fsar_ledger.ledger.store.existing_runs import ExistingRuns, RunsAndPlans, continued
 from fsar_ledger.ledger.store.index import index_line
 from fsar_ledger.ledger.store.journal import Frame, JournalFile
 from fsar_ledger.ledger.store.manifest import read_manifest
@@ -74,9 +74,9 @@ class Writer:
         create(ledger, origin)
         self._path, self._origin, self._signer, self._adopts = ledger, origin, signer, adopts
         self._segments = ledger / SEGMENTS
-        self._turn = turns.Turns(self._segments)
+        self._turn = locks.FolderLock(self._segments)
         self._is_broken = False
-        self._chain = growing.Watched(ledger / paths.CHAIN)
+        self._chain = growing.OpenFile(ledger / paths.CHAIN)
         self._journal = JournalFile(ledger / paths.JOURNAL)
         self._sealing = Sealing()
         self._lock = -1
@@ -147,11 +147,11 @@ class Writer:
             self._journal.trim(self._view.journal.end)
             self._write_checkpoint()
 
-    def held(self) -> RunsAndPlans:
+    def existing_runs(self) -> RunsAndPlans:
         """Read from the rows which runs and plans the ledger holds. Raises: LedgerCorrupted if they cannot be read."""
         return self._runs().told()
 
-    def going_on(self) -> dict[str, int]:
+    def unfinished_runs(self) -> dict[str, int]:
         """Return the runs of which later commits may hold more, and how many events the ledger holds of each."""
         return {run: self._runs().events(run) for run in sorted(self._view.chain.going_on)}
 

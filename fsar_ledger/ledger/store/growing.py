@@ -57,7 +57,7 @@ def read_whole(path: Path, most: int, start: int = 0) -> bytes:
         ) from error
 
 
-class Watched:
+class OpenFile:
     """A file whose size is asked for again and again. It is opened once it is there."""
 
     def __init__(self, path: Path) -> None:

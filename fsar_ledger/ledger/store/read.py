@@ -22,8 +22,8 @@ from fsar_ledger.ledger.rows import canonical, codec, segment
 from fsar_ledger.ledger.rows.blocks import BLOCK_COLUMNS
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.rows.layout import Layout, check_layout
-from fsar_ledger.ledger.rows.pieces import gathered
 from fsar_ledger.ledger.rows.releases import RELEASE
+from fsar_ledger.ledger.rows.run_slices import gathered
 from fsar_ledger.ledger.rows.schema import SCHEMA
 from fsar_ledger.ledger.store import growing
 from fsar_ledger.ledger.store.derived import holds_nodes, node_reader
@@ -161,7 +161,7 @@ class View(msgspec.Struct, frozen=True, dict=True):
         return canonical.leaves(self.table(number))
 
     # See docs/decisions/journal-status-is-never-read.md.
-    def is_current(self, chain: growing.Watched | None = None, journal: int = -1) -> bool:
+    def is_current(self, chain: growing.OpenFile | None = None, journal: int = -1) -> bool:
         """Return whether nothing was appended since the ledger was opened; `chain` and `journal` are these, if open.
 
         Sealing appends to the chain, handing over gives the journal's room back and renames it, and others write where

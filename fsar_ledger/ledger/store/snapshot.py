@@ -11,7 +11,7 @@ from time import monotonic, sleep
 from typing import NamedTuple
 
 from fsar_ledger.base.errors import FormatVersionMismatch, LedgerCorrupted
-from fsar_ledger.ledger.store import disk, growing, turns
+from fsar_ledger.ledger.store import disk, growing, locks
 from fsar_ledger.ledger.store.journal import FIRST, Journal, after_lines, read_frames
 from fsar_ledger.ledger.store.links import Chain, Followed, follow
 from fsar_ledger.ledger.store.paths import CHAIN, CHECKPOINT, JOURNAL, SEALING, SEGMENTS
@@ -66,14 +66,14 @@ def _settled(reader: "_Reader") -> Snapshot:
         snapshot = reader.look()
         if not reader.is_steady:
             if monotonic() > until:
-                with turns.turn(reader.path / SEGMENTS, is_shared=True):
+                with locks.locked(reader.path / SEGMENTS, is_shared=True):
                     return reader.look(counts_hidden=reader.is_synced())
             continue
         seen = snapshot.followed.end, len(snapshot.chain.commits)
         # What was hidden at first may have been seen already, if a crash left it; what was hidden later may not.
         if snapshot.problem is None and (not reader.has_hidden or first not in (None, seen)):
             return snapshot
-        with turns.free_turn(reader.path / SEGMENTS) as is_free:
+        with locks.lock_if_free(reader.path / SEGMENTS) as is_free:
             if is_free:
                 return reader.look(counts_hidden=reader.is_synced())
         if monotonic() > until:

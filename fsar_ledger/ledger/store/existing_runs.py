@@ -6,7 +6,7 @@ from typing import NamedTuple
 from fsar_ledger.ledger.rows.blocks import BLOCK_COLUMNS, Block, Runs, blocks_of
 from fsar_ledger.ledger.rows.runs import Flaw
 from fsar_ledger.ledger.store.index import Index
-from fsar_ledger.ledger.store.places import event_at, place_of
+from fsar_ledger.ledger.store.locations import event_at, place_of
 from fsar_ledger.ledger.store.read import View
 
 _MOST_SOUGHT = 64

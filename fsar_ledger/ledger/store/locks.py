@@ -13,7 +13,7 @@ from fsar_ledger.ledger.store.disk import close, refusals
 
 
 @contextmanager
-def turn(folder: Path, is_shared: bool = False) -> Iterator[None]:
+def locked(folder: Path, is_shared: bool = False) -> Iterator[None]:
     """Hold a lock on this folder that excludes all others or, with `is_shared`, all but shared ones.
 
     Has no effect where the file system has no locks. It ends with its process.
@@ -31,8 +31,8 @@ def turn(folder: Path, is_shared: bool = False) -> Iterator[None]:
 
 
 @contextmanager
-def free_turn(folder: Path) -> Iterator[bool]:
-    """Hold a shared lock on this folder, as `turn`, if nobody has it alone; yield whether that is so.
+def lock_if_free(folder: Path) -> Iterator[bool]:
+    """Hold a shared lock on this folder, as `locked`, if nobody has it alone; yield whether that is so.
 
     Yields True also where the file system has no locks, or the folder cannot be opened.
     """
@@ -54,10 +54,10 @@ def free_turn(folder: Path) -> Iterator[bool]:
         close(handle)
 
 
-class Turns:
-    """Turns on this folder, each as `turn` that excludes all others, for who takes many: the folder is opened once.
+class FolderLock:
+    """An exclusive lock on this folder, taken again and again; the folder is opened once.
 
-    Use it as a context manager, again and again. Raises: WriteFailed if the folder cannot be opened.
+    Use it as a context manager. Raises: WriteFailed if the folder cannot be opened.
     """
 
     def __init__(self, folder: Path) -> None:
