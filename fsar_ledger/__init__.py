@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from fsar_ledger.studies.predictions import predict
     from fsar_ledger.studies.sensitivity import sensitivity
 
-__version__ = "0.8.1"
+__version__ = "0.9.0"
 
 __all__ = [
     "Account",
