@@ -64,13 +64,14 @@ def beliefs(record: LedgerRun, seq: int, state: State, decider: str) -> list[Bel
             f"{printable.value(decider)}: there is no such principal{hint} expected one of {printable.some(known)}"
         )
     last = _Last(record, seq)
-    planned = {f"agent/{robot[6:]}/planning": robot for robot in state.fleet.robots}
+    robots = {str(robot): robot for robot in state.fleet.robots}
+    planned = {f"agent/{robot[6:]}/planning": robot for robot in robots.values()}
     if decider == COORDINATOR:
         return list(_of_coordinator(state, last))
     if decider == REGISTRY:
         return list(_of_registry(state, last))
-    if decider in state.fleet.robots:
-        return list(_of_robot(state, Robot(decider), last))
+    if decider in robots:
+        return list(_of_robot(state, robots[decider], last))
     if decider in planned:
         return list(_of_planner(state, planned[decider], last))
     raise UsageError(

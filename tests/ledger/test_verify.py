@@ -134,7 +134,7 @@ def test_a_folder_that_is_missing_or_a_link_is_named(path: Path, tmp_path: Path,
     "name",
     [
         *("notes.txt", "tile", "chain.jsonl~", "segments/000000000072-000000000096.parquet"),
-        *("segments/000000000000-000000000048.parquet"),
+        "segments/000000000000-000000000048.parquet",
         *("segments/+00000000000-000000000024.parquet", "segments/x"),
     ],
 )
