@@ -12,7 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from fsar_ledger import open_ledger
-from fsar_ledger.analysis.asked_forks import fork_pairs, runs_of
+from fsar_ledger.analysis.fork_pairs import fork_pairs, runs_of
 from fsar_ledger.analysis.whatif import effects
 from fsar_ledger.designs.constants import Constants
 from fsar_ledger.ledger.opening import open_for_answers

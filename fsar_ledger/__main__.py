@@ -9,7 +9,7 @@ from types import TracebackType
 from . import __version__
 from .base import printable
 from .base.errors import WriteFailed
-from .cli.terminal import Enough, say, say_failure, show
+from .cli.terminal import OutputClosed, say, say_failure, show
 
 
 def main() -> None:
@@ -19,7 +19,7 @@ def main() -> None:
     if sys.argv[1:] == ["--version"]:
         try:
             show(printable.line(f"fsar-ledger {__version__}"))
-        except Enough:
+        except OutputClosed:
             pass
         except WriteFailed as problem:
             say(str(problem))

@@ -157,8 +157,8 @@ def _sides(
 
 def _changes(ledger: "Ledger", changes: str | Sequence[str], architectures: Sequence[str], outcome: str) -> Bisected:
     """Compare the runs of a ledger with their forks by an outcome."""
-    from fsar_ledger.analysis.asked_forks import changes_of, fork_pairs, runs_of
     from fsar_ledger.analysis.causes import outcome_of
+    from fsar_ledger.analysis.fork_pairs import changes_of, fork_pairs, runs_of
 
     from .diff import difference_of
     from .lookup import present

@@ -14,8 +14,8 @@ from .verbs import Option, argument, declare, verb
 
 if TYPE_CHECKING:
     from fsar_ledger.analysis.difference import OutcomesDiff
+    from fsar_ledger.analysis.difference_text import DifferenceLine, FirstDifference, Parameter
     from fsar_ledger.analysis.records import Line
-    from fsar_ledger.analysis.told_difference import DifferenceLine, Parameter, Parting
     from fsar_ledger.ledger.rows.codec import LedgerRun
 
     from .ledger import Ledger
@@ -41,7 +41,7 @@ class Diff(Answer, msgspec.Struct, frozen=True, kw_only=True):
     same: int
     counts: dict[str, int]
     differences: tuple["DifferenceLine", ...]
-    parting: "Parting | None"
+    parting: "FirstDifference | None"
     consequences: "OutcomesDiff | None"
     provenances: tuple["Provenance", ...]
 
@@ -52,7 +52,7 @@ class Diff(Answer, msgspec.Struct, frozen=True, kw_only=True):
 
     def table(self) -> "Table":
         """Return a row for each difference, in order of time."""
-        from fsar_ledger.analysis.told_difference import DifferenceLine
+        from fsar_ledger.analysis.difference_text import DifferenceLine
 
         from .table import Table, of_structs
 
@@ -107,9 +107,9 @@ def diff(
 
 def difference_of(first: "LedgerRun", second: "LedgerRun", provenances: "tuple[Provenance, ...]") -> Diff:
     """Return the differences of two records. Raises: as `Database.rows`."""
-    from fsar_ledger.analysis.told_difference import told_difference
+    from fsar_ledger.analysis.difference_text import difference_text
 
-    return Diff(**msgspec.structs.asdict(told_difference(first, second)), provenances=provenances)
+    return Diff(**msgspec.structs.asdict(difference_text(first, second)), provenances=provenances)
 
 
 def story(found: Diff, names: tuple[str, str], screen: Screen) -> Iterator[SafeText]:
@@ -128,7 +128,7 @@ def story(found: Diff, names: tuple[str, str], screen: Screen) -> Iterator[SafeT
     yield _verdicts(found.consequences, names)
 
 
-def _parting(found: "Parting", names: tuple[str, str]) -> Iterator[str]:
+def _parting(found: "FirstDifference", names: tuple[str, str]) -> Iterator[str]:
     for one in found.fields:
         values = (
             f"{name} {_value(one.field, text)}" for name, text in zip(names, (one.first, one.second), strict=True)

@@ -224,7 +224,7 @@ def info(ledger: "Ledger") -> Contents:
     from fsar_ledger.metrics.observing import never_observed
     from fsar_ledger.metrics.plans import completeness
     from fsar_ledger.metrics.results import lettered, models
-    from fsar_ledger.runtime.continued import PlanRow, plans
+    from fsar_ledger.runtime.plan_rows import PlanRow, plans
 
     from .provenance import Provenance
 
@@ -244,7 +244,7 @@ def info(ledger: "Ledger") -> Contents:
 
 def _unfinished(plan: Mapping[str, Any]) -> str:
     """Describe a plan that lacks runs, and how to go on."""
-    from fsar_ledger.runtime.continued import shape
+    from fsar_ledger.runtime.plan_rows import shape
 
     further = plan["continues_with"]
     go_on = f"with: {further}" if further else "with the version and the constants that began it"

@@ -131,8 +131,8 @@ def simulate(
         UsageError: The arguments contradict each other.
         WriteFailed: A write failed; what is committed stays.
     """
-    from fsar_ledger.runtime.asked import experiment_of
     from fsar_ledger.runtime.experiment import run_experiment
+    from fsar_ledger.runtime.experiment_arguments import experiment_of
 
     from .key import origin_of, signer_of
     from .ledger import Ledger

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from fsar_ledger.ledger.store.problem import Problem
     from fsar_ledger.ledger.verify.report import VerifyReport
     from fsar_ledger.runtime.replay import ReplayReport
-    from fsar_ledger.witness.seen import WitnessAnswer
+    from fsar_ledger.witness.answers import WitnessAnswer
 
     from .ledger import Ledger
 
@@ -156,7 +156,7 @@ def verify(
     """
     from fsar_ledger.ledger.verify.report import VerifyOptions
     from fsar_ledger.metrics.verified import full_verify
-    from fsar_ledger.witness.seen import seen_of
+    from fsar_ledger.witness.answers import answers_of
 
     if recorded and not replay:
         raise UsageError(f"{option('recorded')}: expected it with {option('replay')}, of which it says in which world")
@@ -168,7 +168,7 @@ def verify(
     place, trusted, kept = ledger.path, trusted_of(trusted_key), anchor_of(anchor)
     policy = None if witness_policy is None else Path(witness_policy)
     # Before the check, during which the ledger may grow.
-    seen = seen_of(place, policy, list(map(Path, cosigned or ())), trusted, now_s)
+    seen = answers_of(place, policy, list(map(Path, cosigned or ())), trusted, now_s)
     if trusted is None and seen is not None:
         trusted = seen.log
     asked = VerifyOptions(quick, trusted, kept, seen.evidence.checkpoints if seen is not None else ())

@@ -161,7 +161,7 @@ def whatif(
             the ledger itself, or lies inside one.
         WriteFailed: `out` cannot be written.
     """
-    from fsar_ledger.analysis.asked_forks import changes_of, fork_of, fork_pairs, runs_of
+    from fsar_ledger.analysis.fork_pairs import changes_of, fork_of, fork_pairs, runs_of
     from fsar_ledger.analysis.records import record_of
     from fsar_ledger.analysis.whatif import commit_pairs, effects
     from fsar_ledger.ledger.store.paths import require_outside
@@ -203,7 +203,7 @@ def fork(ledger: "Ledger", run: Run, changes: Texts) -> Fork:
     Raises:
         UsageError: There is no such run, it cannot be made again, or a change is none or has no effect.
     """
-    from fsar_ledger.analysis.asked_forks import changes_of, fork_of
+    from fsar_ledger.analysis.fork_pairs import changes_of, fork_of
     from fsar_ledger.events.fleet import RunStarted
 
     from .lookup import present, recorded

@@ -111,7 +111,7 @@ def _ask(
     say: Annotated["Callable[..., None]", Gives("say")],
 ) -> Answer:
     from fsar_ledger.ledger.store.paths import require_outside
-    from fsar_ledger.witness.seen import listed
+    from fsar_ledger.witness.answers import listed
 
     from .files import write_text
 
@@ -145,9 +145,9 @@ def witness_ask(
     Raises:
         NotCosigned: Fewer cosigned than the policy demands.
     """
+    from fsar_ledger.witness.answers import listed
     from fsar_ledger.witness.cosign import cosign
     from fsar_ledger.witness.policy import read_policy
-    from fsar_ledger.witness.seen import listed
 
     read = read_policy(Path(policy))
     found = cosign(ledger.path, read)

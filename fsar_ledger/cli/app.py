@@ -23,7 +23,7 @@ from fsar_ledger.base import printable
 from fsar_ledger.base.errors import FsarLedgerError, UsageError, named_as_options
 
 from .building import command
-from .terminal import Enough, say, show
+from .terminal import OutputClosed, say, show
 
 INTERRUPTED = 130
 GROUPS = {
@@ -191,7 +191,7 @@ def run(arguments: Sequence[str]) -> int:
                 standalone_mode=False,
                 obj=lambda: int(time.time()),
             )
-    except Enough:
+    except OutputClosed:
         return 0
     except FsarLedgerError as problem:
         say(*map(str, problem.args))

@@ -26,14 +26,14 @@ MAX_LINES = 20
 """Lines of one message; DuckDB's have up to six."""
 
 
-class Enough(Exception):
+class OutputClosed(Exception):
     """The reader of the answer has closed it (`| head`)."""
 
 
 def show(text: SafeText, *, raw: bool = False) -> None:
     """Write the text to stdout. `raw` text is for programs, and is not checked unless stdout is a terminal.
 
-    Raises: Enough if the reader has closed it; WriteFailed.
+    Raises: OutputClosed if the reader has closed it; WriteFailed.
     """
     is_for_people = sys.stdout is not None and sys.stdout.isatty()
     _write(sys.stdout, text if raw and not is_for_people else printable.sanitized(text))
@@ -46,7 +46,7 @@ def has_keys() -> bool:
 
 
 def pause(seconds: float) -> None:
-    """Wait this long. Raises: Enough as soon as the reader of stdout has closed it."""
+    """Wait this long. Raises: OutputClosed as soon as the reader of stdout has closed it."""
     try:
         look = select.poll()
         look.register(sys.stdout.fileno(), 0)  # no event but that the other end has gone
@@ -54,12 +54,12 @@ def pause(seconds: float) -> None:
         time.sleep(seconds)
         return
     if look.poll(seconds * 1_000):
-        raise Enough
+        raise OutputClosed
 
 
 def say(*messages: str) -> None:
     """Write the messages to stderr, each after the name of the command; further lines of a message follow a mark."""
-    with suppress(Enough, WriteFailed):
+    with suppress(OutputClosed, WriteFailed):
         _write(sys.stderr, "".join(map(_message, messages)))
 
 
@@ -71,7 +71,7 @@ def _message(text: str) -> SafeText:
 
 def say_failure(trace: str) -> None:
     """Write the traceback of a bug to stderr, escaped, since it may quote a ledger."""
-    with suppress(Enough, WriteFailed):
+    with suppress(OutputClosed, WriteFailed):
         _write(sys.stderr, printable.sanitized(trace))
 
 
@@ -86,7 +86,7 @@ def _write(stream: TextIO | None, text: str) -> None:
         _write_whole(stream, text.encode(encoding, "backslashreplace"), encoding)
     except BrokenPipeError:
         _divert(stream)
-        raise Enough from None
+        raise OutputClosed from None
     except OSError as error:
         _divert(stream)
         raise WriteFailed(f"the output is incomplete ({error.strerror}); write it where there is free space") from error

@@ -21,9 +21,9 @@ from fsar_ledger.ledger.store.keys import read_signer
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.ledger.store.view import EMPTY_HEAD
 from fsar_ledger.runtime import experiment as module
-from fsar_ledger.runtime.continued import MAX_COUNTS, MAX_RUNS, PlanRow, reproducing
 from fsar_ledger.runtime.experiment import ORIGIN, Experiment, SimulationResult, run_experiment
 from fsar_ledger.runtime.paper import paper_ledger
+from fsar_ledger.runtime.plan_rows import MAX_COUNTS, MAX_RUNS, PlanRow, reproducing
 from fsar_ledger.runtime.simulation import RunSpec, plan_record, run_started, simulate_run
 from tests.ledger.hostile import stage_anything
 from tests.quick import few

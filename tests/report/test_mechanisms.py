@@ -24,8 +24,8 @@ from fsar_ledger.metrics.definitions import metrics, published_metrics
 from fsar_ledger.report import build, document, mechanisms, specs
 from fsar_ledger.report.findings import SCENARIOS, Findings, Mechanisms
 from fsar_ledger.report.mechanisms import carried, mechanisms_of
-from fsar_ledger.runtime.asked import experiment_of
 from fsar_ledger.runtime.experiment import Experiment
+from fsar_ledger.runtime.experiment_arguments import experiment_of
 from fsar_ledger.runtime.knockouts import KNOCKOUTS, Knockout
 from fsar_ledger.runtime.paper import paper_ledger
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run

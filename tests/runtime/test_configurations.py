@@ -12,8 +12,8 @@ from fsar_ledger.events.configuration import CONFIGURATIONS, FULL, MECHANISMS, i
 from fsar_ledger.ledger.rows.codec import encode
 from fsar_ledger.metrics.database import from_table
 from fsar_ledger.metrics.results import metric_rows
-from fsar_ledger.runtime.asked import experiment_of
 from fsar_ledger.runtime.experiment import Experiment
+from fsar_ledger.runtime.experiment_arguments import experiment_of
 from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, simulate_run
 
 EVERY = [set(some) for size in range(5) for some in combinations(MECHANISMS, size)]

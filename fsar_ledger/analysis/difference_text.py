@@ -38,7 +38,7 @@ class DifferenceLine(msgspec.Struct, frozen=True):
     words: str
 
 
-class Parting(msgspec.Struct, frozen=True):
+class FirstDifference(msgspec.Struct, frozen=True):
     """Where two runs part: the first event of each that is not the same in the other, with its chain of causes.
 
     Each chain begins with the event and goes back to a fact of the world; empty where all events of the run are the
@@ -52,7 +52,7 @@ class Parting(msgspec.Struct, frozen=True):
     fields: tuple[Parameter, ...] = ()
 
 
-class ToldDifference(msgspec.Struct, frozen=True, kw_only=True):
+class DifferenceText(msgspec.Struct, frozen=True, kw_only=True):
     """The differences of two runs; the fields are those of the answer of `diff`."""
 
     first: str
@@ -61,11 +61,11 @@ class ToldDifference(msgspec.Struct, frozen=True, kw_only=True):
     same: int
     counts: dict[str, int]
     differences: tuple[DifferenceLine, ...]
-    parting: Parting | None
+    parting: FirstDifference | None
     consequences: OutcomesDiff | None
 
 
-def told_difference(first: LedgerRun, second: LedgerRun) -> ToldDifference:
+def difference_text(first: LedgerRun, second: LedgerRun) -> DifferenceText:
     """Return the differences of two records. Raises: as `Database.rows`."""
     found = align(first, second)
     differing = [one for one in found.differences if (one.first_seq, one.second_seq) != (0, 0)]
@@ -85,8 +85,8 @@ def told_difference(first: LedgerRun, second: LedgerRun) -> ToldDifference:
         told = tuple(_told(one, first, second, lines) for one in differing)
         both = [tuple(lines[(name, seq)] for seq in seqs) for name, seqs in zip((FIRST, SECOND), chains, strict=True)]
         at_s = min(one.time_s for side in both for one in side[:1])
-        parting = Parting(at_s, both[0], both[1], _changed(first, second, starts, found.pairs))
-    return ToldDifference(
+        parting = FirstDifference(at_s, both[0], both[1], _changed(first, second, starts, found.pairs))
+    return DifferenceText(
         first=first.run_id,
         second=second.run_id,
         parameters=_parameters(first.events[0], second.events[0]),

@@ -72,7 +72,7 @@ class WitnessAnswer(NamedTuple):
         }
 
 
-def seen_of(
+def answers_of(
     ledger: Path,
     policy: Path | None,
     cosigned: Sequence[Path] | None,
