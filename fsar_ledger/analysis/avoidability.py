@@ -11,9 +11,9 @@ import msgspec
 from fsar_ledger.analysis.causes import Outcome
 from fsar_ledger.analysis.fork_base import Rerun
 from fsar_ledger.base.memory import without_collection
+from fsar_ledger.base.progress import Progress
 from fsar_ledger.designs.constants import END_US
 from fsar_ledger.events.world import OutsiderRequestInjected, TaskArrived
-from fsar_ledger.metrics.progress import Progress
 from fsar_ledger.runtime.changeable import facts_by_name
 from fsar_ledger.runtime.forks import kernel_of
 from fsar_ledger.runtime.ports import Environment, Fact

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Annotated
 import msgspec
 
 from fsar_ledger.base import printable
+from fsar_ledger.base.progress import Progress
 
 from .answers import Answer, Row, Screen
 from .names import names_of
 from .verbs import ArchitectureOption, InvariantOption, Shows, verb
-from .workload import Progress
 
 if TYPE_CHECKING:
     from fsar_ledger.metrics.invariants import AuditRow

@@ -8,10 +8,10 @@ import msgspec
 from fsar_ledger.base import printable
 from fsar_ledger.base.errors import UsageError, option
 from fsar_ledger.base.printable import SafeText, counted
+from fsar_ledger.base.progress import Progress
 
 from .answers import Answer, Screen
 from .verbs import OneRunOption, Option, Shows, declare, switch, verb
-from .workload import Progress
 
 if TYPE_CHECKING:
     from fsar_ledger.analysis.avoidability import Chance

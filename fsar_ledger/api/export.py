@@ -8,11 +8,11 @@ import msgspec
 
 from fsar_ledger.base import printable
 from fsar_ledger.base.errors import UsageError
+from fsar_ledger.base.progress import Progress
 
 from .answers import Answer, Screen
 from .names import Place
 from .verbs import Option, ParameterOption, RawOption, Shows, declare, switch, verb
-from .workload import Progress
 
 if TYPE_CHECKING:
     from .ledger import Ledger

@@ -17,10 +17,10 @@ import pyarrow.parquet as pq
 
 from fsar_ledger.base.errors import UsageError, WriteFailed, option
 from fsar_ledger.base.memory import unfinished
+from fsar_ledger.base.progress import Progress, each
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.rows.schema import SCHEMA
 from fsar_ledger.ledger.store.paths import require_outside
-from fsar_ledger.metrics.progress import Progress, each
 from fsar_ledger.metrics.sandbox import SENT_BYTES, slices
 from fsar_ledger.metrics.verified import is_verified
 

@@ -5,6 +5,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from fsar_ledger.base.progress import Progress
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.metrics.verified import ensure_verified, is_remembered
 
@@ -34,7 +35,7 @@ from . import why as _why
 from . import witness as _witness
 from .lookup import AboutRun, about_run, numbers_of, parameters_of, recorded, robot_of, run_of, time_of
 from .names import Place, Run, Time
-from .workload import Progress, readers_of
+from .workload import readers_of
 
 if TYPE_CHECKING:
     from fsar_ledger.ledger.rows.codec import LedgerRun

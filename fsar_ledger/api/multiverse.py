@@ -8,12 +8,12 @@ from msgspec import structs
 
 from fsar_ledger.base import printable
 from fsar_ledger.base.printable import SafeText, counted
+from fsar_ledger.base.progress import Progress
 from fsar_ledger.metrics.multiverse import Cell, Multiverse, Ranking, ReadingNames
 
 from .answers import Answer, Row, Screen
 from .names import Names, Place, names_of, pools_seeds
 from .verbs import PoolOption, Shows, declare, verb
-from .workload import Progress
 
 if TYPE_CHECKING:
     from .ledger import Ledger

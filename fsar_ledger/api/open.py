@@ -9,11 +9,11 @@ import msgspec
 
 from fsar_ledger.base import printable
 from fsar_ledger.base.errors import QueryFailed, UsageError, WriteFailed, option
+from fsar_ledger.base.progress import Progress
 
 from .answers import Answer, Screen
 from .names import Place
 from .verbs import Shows, declare, verb
-from .workload import Progress
 
 if TYPE_CHECKING:
     from fsar_ledger.metrics.database import Database
@@ -92,7 +92,7 @@ def _fill(database: "Database", ledger: Path, file: Path, progress: Progress | N
     """Make every relation and macro, and the tables that say what the file is."""
     import pyarrow as pa
 
-    from fsar_ledger.metrics.progress import each
+    from fsar_ledger.base.progress import each
 
     from .provenance import Provenance
 

@@ -10,7 +10,7 @@ from .verbs import Gives, Option, PoolOption, WorkersOption, declare, verb
 from .workload import readers_of
 
 if TYPE_CHECKING:
-    from fsar_ledger.metrics.progress import Showing
+    from fsar_ledger.base.progress import Showing
 
     from .ledger import Ledger
 
@@ -51,7 +51,7 @@ def report(
         LedgerCorrupted: The comparison found something.
         WriteFailed: The PDF cannot be written.
     """
-    from fsar_ledger.metrics.progress import unseen
+    from fsar_ledger.base.progress import unseen
     from fsar_ledger.report.build import write_report
 
     def path(place: Place | None) -> Path | None:

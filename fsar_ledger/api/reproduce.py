@@ -17,8 +17,8 @@ from .verbs import AdoptOption, Gives, KeyOption, WorkersOption, declare, verb
 from .workload import workers_of
 
 if TYPE_CHECKING:
+    from fsar_ledger.base.progress import Showing
     from fsar_ledger.ledger.log.note import Signer
-    from fsar_ledger.metrics.progress import Showing
     from fsar_ledger.runtime.experiment import SimulationResult
     from fsar_ledger.runtime.paper import Name, PaperLedger
 
@@ -83,10 +83,10 @@ def reproduce(
         UsageError: The folder is a ledger, or lies inside one.
         InvalidExperiment: An experiment is unknown, or the number of runs impossible.
     """
+    from fsar_ledger.base.progress import unseen
     from fsar_ledger.designs.names import known
     from fsar_ledger.ledger.store.paths import require_outside
     from fsar_ledger.metrics.database import connect
-    from fsar_ledger.metrics.progress import unseen
     from fsar_ledger.metrics.results import MetricRow, StatisticRow, metric_rows, statistic_rows
     from fsar_ledger.metrics.verified import ensure_verified
     from fsar_ledger.report.build import write_report

@@ -67,7 +67,7 @@ class Gives(NamedTuple):
     `now`: the present time, in seconds since 1970, and `clock`: a function that returns it. `ticks`: a function that
     returns seconds that never go back. `pause`: a function that waits so many seconds, and ends when nobody reads any
     more. `say`: a function that tells the operator a line. `show`: one that shows a part of the answer. `showing`: as
-    `metrics.progress.Showing`. `walk`: lets a user walk through a run by keys; None where there are none.
+    `base.progress.Showing`. `walk`: lets a user walk through a run by keys; None where there are none.
     """
 
     what: Literal["now", "clock", "ticks", "pause", "say", "show", "showing", "walk"]

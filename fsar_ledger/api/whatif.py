@@ -9,12 +9,12 @@ import msgspec
 from fsar_ledger.base import printable
 from fsar_ledger.base.errors import UsageError, option
 from fsar_ledger.base.printable import SafeText, counted
+from fsar_ledger.base.progress import Progress
 
 from .answers import Answer, Screen
 from .diff import Diff, story
 from .names import Names, Place, Run, names_of
 from .verbs import ArchitectureOption, Option, Shows, declare, switch, verb
-from .workload import Progress
 
 if TYPE_CHECKING:
     from fsar_ledger.analysis.whatif import Divergence, Effects

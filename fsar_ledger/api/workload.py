@@ -1,13 +1,9 @@
 """The number of processes that a piece of work is worth."""
 
 import os
-from collections.abc import Callable
 from pathlib import Path
 
 from fsar_ledger.base.errors import UsageError, option
-
-Progress = Callable[[int, int], None]
-"""Called with the amount done and the total."""
 
 WORTH_ROBOTS = 320
 """Robots, summed over all runs, whose simulation takes about as long as a process takes to start (0.4 s)."""

@@ -7,13 +7,14 @@ been interrupted; fsar-ledger 0.8 can finish that, and nothing here does.
 import base64
 import os
 import stat
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Annotated
 
 import msgspec
 
 from fsar_ledger.base.errors import LedgerCorrupted, UsageError
+from fsar_ledger.base.progress import Progress
 from fsar_ledger.ledger.log.hashing import sha256_hex
 from fsar_ledger.ledger.log.merkle import Frontier
 from fsar_ledger.ledger.log.note import checkpoint_of, is_name, parse_note
@@ -33,8 +34,6 @@ from fsar_ledger.ledger.verify.segment import SegmentFacts, examine_all
 
 _NAMES = frozenset({MANIFEST, COMMITS, SEGMENTS, STAGING, TILE, CHECKPOINT})
 _SIGNATURE_BYTES = 64  # RFC 8032
-
-Progress = Callable[[int, int], None]
 
 
 class CommitRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -7,10 +7,10 @@ import pyarrow as pa
 
 from fsar_ledger.base.errors import UnknownQuery, UsageError
 from fsar_ledger.base.printable import did_you_mean
+from fsar_ledger.base.progress import Progress
 
 from .database import Database, Slices, from_rows
 from .library import Query, library
-from .progress import Progress
 from .results import typed
 
 

@@ -12,9 +12,10 @@ from typing import Any
 
 import msgspec
 
+from fsar_ledger.base.progress import Progress
+
 from .database import Database
 from .library import READINGS, Query, library
-from .progress import Progress
 from .results import CONDITIONS, SETTINGS, setting_of, typed
 from .verdicts import published
 

@@ -7,6 +7,7 @@ ranking survives.
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from fsar_ledger.base.progress import Progress
 from fsar_ledger.metrics import verdicts
 from fsar_ledger.metrics.database import Database
 from fsar_ledger.metrics.definitions import Metric, metric_named, published_metrics
@@ -22,7 +23,6 @@ from fsar_ledger.metrics.multiverse import (
     readings,
     universes,
 )
-from fsar_ledger.metrics.progress import Progress
 from fsar_ledger.metrics.results import CONDITIONS
 from fsar_ledger.report import figures, printing, specs
 from fsar_ledger.report.findings import ARCHITECTURES, Row

@@ -9,10 +9,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from fsar_ledger.base.errors import WriteFailed
+from fsar_ledger.base.progress import Showing, unseen
 from fsar_ledger.base.publishing import publish, require_another, require_place
 from fsar_ledger.ledger.store.paths import require_outside
 from fsar_ledger.metrics.effects import open_effects
-from fsar_ledger.metrics.progress import Showing, unseen
 from fsar_ledger.metrics.study_results import Calibration, packaged
 from fsar_ledger.metrics.verified import ensure_verified
 from fsar_ledger.report import document, figures, specs

@@ -9,13 +9,13 @@ from importlib.resources import files
 from pathlib import Path
 from typing import TypeAlias
 
+from fsar_ledger.base.progress import Showing, unseen
 from fsar_ledger.metrics import verdicts
 from fsar_ledger.metrics.comparability import differing_worlds
 from fsar_ledger.metrics.database import Database, connect
 from fsar_ledger.metrics.definitions import published_metrics
 from fsar_ledger.metrics.multiverse import Multiverse
 from fsar_ledger.metrics.plans import completeness
-from fsar_ledger.metrics.progress import Showing, unseen
 from fsar_ledger.metrics.results import MetricRow, metric_rows, models, setting_of, statistic_rows
 from fsar_ledger.metrics.verdicts import Cell, Odds, odds
 from fsar_ledger.report import all_readings, grades, printing, result_rows

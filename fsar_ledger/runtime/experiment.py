@@ -8,6 +8,7 @@ import msgspec
 
 from fsar_ledger.base import printable
 from fsar_ledger.base.errors import InvalidExperiment
+from fsar_ledger.base.progress import Progress
 from fsar_ledger.designs import Fleet, Scenario, Workflow, registered
 from fsar_ledger.designs.constants import Constants, negatives, write_constants
 from fsar_ledger.events.configuration import (
@@ -44,8 +45,6 @@ MAX_OWN = 60_000
 
 Without either, they have about 2,000.
 """
-
-Progress = Callable[[int, int], None]
 
 
 class Experiment(msgspec.Struct, frozen=True):

@@ -13,11 +13,11 @@ from typing import Any
 import msgspec
 
 from fsar_ledger.api.names import Place
-from fsar_ledger.api.workload import Progress, workers_of
+from fsar_ledger.api.workload import workers_of
+from fsar_ledger.base.progress import Progress, each
 from fsar_ledger.designs.constants import Constants, Load, write_constants
 from fsar_ledger.events.configuration import CONFIGURATIONS, MECHANISMS, Configuration, without
 from fsar_ledger.events.envelope import Architecture
-from fsar_ledger.metrics.progress import each
 from fsar_ledger.metrics.results import MetricRow, metric_rows, typed
 from fsar_ledger.metrics.study_results import CLAIMS, METRICS, Claim, Predicted, Predictions, rules
 from fsar_ledger.runtime.experiment import Experiment

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Annotated
 from fsar_ledger.api.answers import Answer, Lines, Row, Screen
 from fsar_ledger.api.names import Place
 from fsar_ledger.api.verbs import Option, Shows, WorkersOption, argument, declare, verb
-from fsar_ledger.api.workload import Progress
 from fsar_ledger.base import printable
 from fsar_ledger.base.errors import UsageError
 from fsar_ledger.base.printable import SafeText
+from fsar_ledger.base.progress import Progress
 
 if TYPE_CHECKING:
     from fsar_ledger.metrics.effects import About, Sensitivity

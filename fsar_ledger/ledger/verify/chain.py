@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from fsar_ledger.base.errors import LedgerCorrupted
+from fsar_ledger.base.progress import Progress
 from fsar_ledger.ledger.log import merkle, pack
 from fsar_ledger.ledger.log.hashing import HASH_BYTES
 from fsar_ledger.ledger.log.merkle import Frontier
@@ -44,7 +45,7 @@ from fsar_ledger.ledger.verify.notes import (
     not_compared,
     root_by_hashes,
 )
-from fsar_ledger.ledger.verify.report import MAX_PROBLEMS, NOT_LOOKED_AT, Progress, VerifyOptions, VerifyReport
+from fsar_ledger.ledger.verify.report import MAX_PROBLEMS, NOT_LOOKED_AT, VerifyOptions, VerifyReport
 from fsar_ledger.ledger.verify.segment import SegmentFacts, examine_all
 
 FOLDERS = frozenset({SEGMENTS, STAGING})

@@ -20,11 +20,12 @@ from typing import Literal
 import msgspec
 
 from fsar_ledger.base.errors import LedgerCorrupted, UsageError, WriteFailed, option
+from fsar_ledger.base.progress import Progress
 from fsar_ledger.ledger.store import disk
 from fsar_ledger.ledger.store.paths import SEGMENTS
 from fsar_ledger.ledger.store.problem import Problem
 from fsar_ledger.ledger.store.view import Head
-from fsar_ledger.ledger.verify.report import Progress, VerifyOptions, VerifyReport
+from fsar_ledger.ledger.verify.report import VerifyOptions, VerifyReport
 from fsar_ledger.ledger.verify.trusted import Did, Found, Later, find_trusted, mend, write_copy
 from fsar_ledger.ledger.verify.verify import require_ledger, verify
 

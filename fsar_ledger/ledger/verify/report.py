@@ -1,7 +1,5 @@
 """What `verify` is asked, and what it reports."""
 
-from collections.abc import Callable
-
 import msgspec
 
 from fsar_ledger.ledger.log.note import Signed, VerifierKey
@@ -12,8 +10,6 @@ from fsar_ledger.ledger.verify.segment import SecondReader
 
 MAX_PROBLEMS = 100
 """The most problems that a report names; a ledger with more is lost anyway."""
-
-Progress = Callable[[int, int], None]
 
 
 class VerifyOptions(msgspec.Struct, frozen=True):

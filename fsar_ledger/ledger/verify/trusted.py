@@ -13,6 +13,7 @@ from typing import Literal
 import msgspec
 
 from fsar_ledger.base.errors import LedgerCorrupted
+from fsar_ledger.base.progress import Progress
 from fsar_ledger.ledger.log import pack
 from fsar_ledger.ledger.log.hashing import sha256_hex
 from fsar_ledger.ledger.log.merkle import Frontier, consistency_proof, is_consistent
@@ -35,7 +36,7 @@ from fsar_ledger.ledger.store.snapshot import read_checkpoint
 from fsar_ledger.ledger.store.view import EMPTY_HEAD, Head
 from fsar_ledger.ledger.verify.chain import FILES, FOLDERS, Verification, unplaced
 from fsar_ledger.ledger.verify.notes import Nodes, check_anchor
-from fsar_ledger.ledger.verify.report import Progress, VerifyOptions, VerifyReport
+from fsar_ledger.ledger.verify.report import VerifyOptions, VerifyReport
 
 Did = Literal["moved into place", "made again", "set aside"]
 SetAside = Callable[[str], None]

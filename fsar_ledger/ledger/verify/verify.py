@@ -10,13 +10,14 @@ from contextlib import suppress
 from pathlib import Path
 
 from fsar_ledger.base.errors import NotALedger, WorkerDied
+from fsar_ledger.base.progress import Progress
 from fsar_ledger.ledger.store import disk, growing, locks
 from fsar_ledger.ledger.store.manifest import refuse_version_1
 from fsar_ledger.ledger.store.paths import CHAIN, INDEX, JOURNAL, MANIFEST, NODES, SEALING, SEGMENTS, require_created
 from fsar_ledger.ledger.store.problem import Problem, unexpected
 from fsar_ledger.ledger.store.snapshot import read_checkpoint
 from fsar_ledger.ledger.verify.chain import Verification
-from fsar_ledger.ledger.verify.report import MAX_PROBLEMS, Progress, VerifyOptions, VerifyReport
+from fsar_ledger.ledger.verify.report import MAX_PROBLEMS, VerifyOptions, VerifyReport
 
 
 def verify(

@@ -129,14 +129,7 @@ def grant_authority(state: State, command: GrantAuthority) -> tuple[Event, ...]:
     )
     if reason is None and command.supervisor != FLEET_SUPERVISOR and _is_revoked_by_fleet(state.authority, command):
         reason = f"{FLEET_SUPERVISOR} has revoked it, expected {FLEET_SUPERVISOR} to lift that"
-    made = made_from(
-        AuthorityGranted,
-        command,
-        requested_by=command.requester,
-        executed_by=command.executor,
-        decided_by=command.supervisor,
-    )
-    return carried_out(command, command.requester, reason, command.supervisor, made)
+    return _decided(AuthorityGranted, command, reason)
 
 
 @HANDLERS.decide(RevokeAuthority)
@@ -153,14 +146,7 @@ def revoke_authority(state: State, command: RevokeAuthority) -> tuple[Event, ...
     reason = reason or unknown_word("reason", command.reason, get_args(RevocationReason))
     if reason is None and isinstance(_standing(state.authority, command), AuthorityRevoked):
         reason = "it is revoked already, expected a right that stands"
-    made = made_from(
-        AuthorityRevoked,
-        command,
-        requested_by=command.requester,
-        executed_by=command.executor,
-        decided_by=command.supervisor,
-    )
-    return carried_out(command, command.requester, reason, command.supervisor, made)
+    return _decided(AuthorityRevoked, command, reason)
 
 
 @HANDLERS.decide(ReleaseAuthority)
@@ -222,6 +208,14 @@ def _unknown(fleet: Fleet, registry: Registry, command: GrantAuthority | RevokeA
     if reason is None and command.requester == command.executor:
         reason = f"{command.requester} needs nobody's authority to ask itself, expected two robots"
     return reason or unknown_capability(registry, command.capability)
+
+
+def _decided(
+    kind: type[AuthorityGranted | AuthorityRevoked], command: GrantAuthority | RevokeAuthority, refused: str | None
+) -> tuple[Event, ...]:
+    """Return what the supervisor decided about the requester's right, or its rejection if something is refused."""
+    names = {"requested_by": command.requester, "executed_by": command.executor, "decided_by": command.supervisor}
+    return carried_out(command, command.requester, refused, command.supervisor, made_from(kind, command, **names))
 
 
 def _latest(authority: Authority, about: AuthorityRevoked) -> Right | None:
