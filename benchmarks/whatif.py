@@ -12,8 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from fsar_ledger import open_ledger
-from fsar_ledger.analysis.fork_pairs import fork_pairs, runs_of
-from fsar_ledger.analysis.whatif import effects
+from fsar_ledger.analysis.whatif import effects, fork_pairs, runs_of
 from fsar_ledger.designs.constants import Constants
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.runtime.change_texts import parsed

@@ -70,7 +70,7 @@ PRINTING = {
     *(f"typer.{name}" for name in ("echo", "secho", "echo_via_pager", "prompt", "confirm", "progressbar", "launch")),
 }
 PRINTERS = {"rich", "click", "logging", "curses", "readline", "pdb", "faulthandler"}
-MAY_PRINT = ("cli/terminal.py", "cli/progress.py")
+MAY_PRINT = ("cli/terminal.py", "cli/render.py")
 
 
 def prints(root: Path) -> list[str]:

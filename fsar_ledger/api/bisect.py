@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from fsar_ledger.metrics.comparison_sides import Side
     from fsar_ledger.metrics.database import Database
 
+    from .answers import Provenance
     from .ledger import Ledger
-    from .provenance import Provenance
 
 PAIRS = """
     SELECT run_id, run_number, seed, scenario, run FROM (
@@ -158,7 +158,7 @@ def _sides(
 def _changes(ledger: "Ledger", changes: str | Sequence[str], architectures: Sequence[str], outcome: str) -> Bisected:
     """Compare the runs of a ledger with their forks by an outcome."""
     from fsar_ledger.analysis.causes import outcome_of
-    from fsar_ledger.analysis.fork_pairs import changes_of, fork_pairs, runs_of
+    from fsar_ledger.analysis.whatif import changes_of, fork_pairs, runs_of
 
     from .diff import difference_of
     from .lookup import present

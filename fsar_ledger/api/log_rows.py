@@ -11,7 +11,7 @@ import pyarrow as pa
 
 from fsar_ledger.base import printable
 from fsar_ledger.base.errors import UsageError, option
-from fsar_ledger.designs.names import known
+from fsar_ledger.designs.registered import known
 from fsar_ledger.events import CONCERNS
 from fsar_ledger.ledger.opening import Pause, growth
 from fsar_ledger.ledger.store.read import View
@@ -21,11 +21,11 @@ from fsar_ledger.metrics.database import Database
 from fsar_ledger.metrics.event_filter import Filter
 from fsar_ledger.metrics.verified import is_verified
 
+from .answers import Provenance, of_rows
 from .events import span
 from .log import ALL
 from .lookup import resting_on_rows, robot_of, run_of
 from .names import Run, Time, names_of
-from .provenance import Provenance, of_rows
 from .table import Table
 
 _QUERY = "facts/log_lines"

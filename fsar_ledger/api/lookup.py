@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from fsar_ledger.base import printable
 from fsar_ledger.base.errors import UsageError
+from fsar_ledger.metrics.database import PRINCIPALS, RUNS, names_on_record
 from fsar_ledger.metrics.query_parameters import TIME, require_known
-from fsar_ledger.metrics.recorded_names import PRINCIPALS, RUNS, names_on_record
 from fsar_ledger.metrics.verified import is_verified_for_runs, require_runs
 
 from .names import MAX_DIGITS, Time, microseconds, named, principal_named, run_named
@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from fsar_ledger.metrics.library import Query
     from fsar_ledger.metrics.query_parameters import Parameter
 
+    from .answers import Provenance
     from .ledger import Ledger
     from .names import Place, Run
-    from .provenance import Provenance
 
 _RUN = "SELECT run_id FROM run_numbers WHERE run_id = $run"
 _NUMBERS = """
@@ -215,7 +215,7 @@ def present(ledger: "Ledger") -> "tuple[View, Provenance]":
     from fsar_ledger.ledger.opening import open_for_answers
     from fsar_ledger.metrics.verified import is_verified
 
-    from .provenance import Provenance
+    from .answers import Provenance
 
     view = open_for_answers(ledger.path)
     return view, Provenance(view.head, is_verified(view, ledger.demanded))

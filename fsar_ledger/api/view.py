@@ -13,10 +13,10 @@ from .names import Place, Run
 from .verbs import Option, declare, verb
 
 if TYPE_CHECKING:
-    from fsar_ledger.view.page import PageOptions
+    from fsar_ledger.view.drawn import PageOptions
 
+    from .answers import Provenance
     from .ledger import Ledger
-    from .provenance import Provenance
 
 PAGE, TRACE = ".html", ".json"
 
@@ -101,7 +101,7 @@ def view(
         WriteFailed: The file cannot be written.
     """
     from fsar_ledger.runtime.forks import parts_at
-    from fsar_ledger.view.page import page
+    from fsar_ledger.view.drawn import page
 
     file = Path(out)
     require_picture(file, PAGE, "out")
@@ -173,8 +173,7 @@ def _shown(ledger: "Ledger", asked: Run | None) -> "tuple[PageOptions, Provenanc
     """Return a run with all that is drawn of it, and the provenance of that."""
     from fsar_ledger.analysis.records import record_of
     from fsar_ledger.events import ALONE, CONCERNS
-    from fsar_ledger.view.drawn import drawn, words_of
-    from fsar_ledger.view.page import PageOptions
+    from fsar_ledger.view.drawn import PageOptions, drawn, words_of
 
     from .log_rows import asked_of, timeline
     from .lookup import about_run, present
@@ -204,7 +203,7 @@ def _shown(ledger: "Ledger", asked: Run | None) -> "tuple[PageOptions, Provenanc
 
 def _together(found: "list[Provenance]") -> "Provenance":
     """Return what holds for runs of one ledger: its head, and each gap once."""
-    from .provenance import Provenance
+    from .answers import Provenance
 
     gaps = {one.concern: one for each in found for one in each.not_observed}
     verified = all(each.rows_verified for each in found)

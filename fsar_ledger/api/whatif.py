@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from fsar_ledger.ledger.rows.codec import LedgerRun
     from fsar_ledger.ledger.store.view import Head
 
+    from .answers import Provenance
     from .ledger import Ledger
-    from .provenance import Provenance
     from .table import Table
 
 NAMES = {"base_mean": "base", "fork_mean": "fork"}
@@ -161,9 +161,8 @@ def whatif(
             the ledger itself, or lies inside one.
         WriteFailed: `out` cannot be written.
     """
-    from fsar_ledger.analysis.fork_pairs import changes_of, fork_of, fork_pairs, runs_of
     from fsar_ledger.analysis.records import record_of
-    from fsar_ledger.analysis.whatif import commit_pairs, effects
+    from fsar_ledger.analysis.whatif import changes_of, commit_pairs, effects, fork_of, fork_pairs, runs_of
     from fsar_ledger.ledger.store.paths import require_outside
 
     from .diff import difference_of
@@ -203,7 +202,7 @@ def fork(ledger: "Ledger", run: Run, changes: Texts) -> Fork:
     Raises:
         UsageError: There is no such run, it cannot be made again, or a change is none or has no effect.
     """
-    from fsar_ledger.analysis.fork_pairs import changes_of, fork_of
+    from fsar_ledger.analysis.whatif import changes_of, fork_of
     from fsar_ledger.events.fleet import RunStarted
 
     from .lookup import present, recorded

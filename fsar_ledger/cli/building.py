@@ -1,21 +1,37 @@
-"""Commands from verbs: the options from the signature of the function, and the call from what was given."""
+"""Commands from verbs: the options from the signature of the function, and the call from what was given.
+
+Completion: what is called when the shell asks imports what it needs then, and offers nothing where it cannot tell: a
+shell has no place for a message.
+"""
+
+import os
+import signal
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import typer
+
+from fsar_ledger.base import memory, printable
+from fsar_ledger.base.errors import FsarLedgerError, LimitReached, UsageError
+from fsar_ledger.base.workers import stored, workers_of
+
+from .terminal import say
+
+if TYPE_CHECKING:
+    from fsar_ledger.metrics.query_parameters import Parameter
 
 import inspect
 import re
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
-from pathlib import Path
-from typing import Annotated, Any, get_args
+from typing import Annotated, get_args
 
-import typer
 from typer.core import TyperCommand, TyperOption
 
 from fsar_ledger.api.verbs import RAW, Option, Verb, argument, declared
-from fsar_ledger.base.errors import QueryFailed, UsageError
-
-from . import completing
-from .memory import bounded
+from fsar_ledger.base.errors import QueryFailed
 
 LEDGER = argument("LEDGER", "The folder of a ledger.")
 TAKEN: Mapping[str, Option] = {
@@ -130,7 +146,7 @@ def _accepted(name: str, kind: Any, default: object, found: Option) -> inspect.P
     if found.default is not None or default in (None, inspect.Parameter.empty):
         told["show_default"] = found.default or False
     if found.complete is not None:
-        told["autocompletion"] = completing.offered(found.complete)
+        told["autocompletion"] = offered(found.complete)
     info = typer.Argument(**told) if found.flag is None else typer.Option(found.flag, **told)
     return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, annotation=Annotated[kind, info], default=default)
 
@@ -170,3 +186,176 @@ def parameters_of(pairs: Sequence[str] | None) -> dict[str, str]:
             )
         values[name] = value
     return values
+
+
+DESIGNS = Path(__file__).parents[1] / "runtime/world"
+MOST = 1_000
+"""Names offered; a terminal cannot show more."""
+
+
+class Line(NamedTuple):
+    """The line so far: the arguments and options that it gives, by name, and the word that is being typed."""
+
+    given: Mapping[str, Any]
+    typed: str
+
+
+def offered(what: str) -> Callable[[typer.Context, str], list[str]]:
+    """Return what typer asks for names of this kind.
+
+    It offers only single words that a terminal shows as they are, and nothing where the line or the ledger is wrong.
+    """
+
+    def offer(ctx: typer.Context, incomplete: str) -> list[str]:
+        try:
+            found = [name for name in OFFERS[what](Line(_given(ctx), incomplete)) if name.startswith(incomplete)]
+        except (FsarLedgerError, OSError):
+            return []
+        return [name for name in found if printable.is_shown(name) and not any(map(str.isspace, name))][:MOST]
+
+    return offer
+
+
+def _given(ctx: typer.Context) -> dict[str, Any]:
+    """Return the arguments and options by name.
+
+    After an option that still lacks its value, which is the one being typed, the arguments are not yet by name.
+    """
+    lacking = [one.name for one in ctx.command.params if one.param_type_name == "argument"]
+    by_place = {name: value for name, value in zip(lacking, ctx.args, strict=False) if name is not None}
+    return {**ctx.params, **by_place}
+
+
+def _designs(folder: str) -> list[str]:
+    return sorted(file.stem for file in (DESIGNS / folder).glob("*.toml"))
+
+
+def _mechanisms(line: Line) -> Iterable[str]:
+    """Return the mechanisms of all architectures; after a `+`, further ones."""
+    from fsar_ledger.events.configuration import EVERY_MECHANISM
+
+    begun, plus, _ = line.typed.rpartition("+")
+    return [f"{begun}{plus}{name}" for name in EVERY_MECHANISM]
+
+
+def _invariants(_: Line) -> Iterable[str]:
+    from fsar_ledger.metrics.invariants import invariants
+
+    return [one.relation.partition("_")[0] for one in invariants()]
+
+
+def _constants(_: Line) -> Iterable[str]:
+    from fsar_ledger.metrics.constant_names import names_of_constants
+
+    return [f"{name}=" for name in names_of_constants()]
+
+
+def _queries(line: Line) -> Iterable[str]:
+    """Return the full names of the queries, or where no `/` is typed, also the last parts."""
+    from fsar_ledger.metrics.library import library
+
+    known = library()
+    return [*known.queries, *(known.relations if line.typed and "/" not in line.typed else ())]
+
+
+def _studies(_: Line) -> Iterable[str]:
+    from fsar_ledger.studies.verbs import STUDIES
+
+    return STUDIES
+
+
+def _parameters(line: Line) -> Iterable[str]:
+    """Return the parameters of the query that the line names, as `NAME=`, and after the `=` their values."""
+    from fsar_ledger.metrics.library import library
+
+    known = library().find(line.given.get("name") or line.given.get("query") or "").parameters
+    name, equals, _ = line.typed.partition("=")
+    if not equals:
+        return [f"{one}=" for one in known]
+    return [f"{name}={value}" for value in _values(line, known[name])] if name in known else []
+
+
+OFFERS: Mapping[str, Callable[[Line], Iterable[str]]] = {
+    "scenarios": lambda _: _designs("scenarios"),
+    "workflows": lambda _: [name.removeprefix("workflow-") for name in _designs("workflows")],
+    "architectures": lambda _: ("fsar", "cfc", "dhma"),
+    "mechanisms": _mechanisms,
+    "invariants": _invariants,
+    "constants": _constants,
+    "queries": _queries,
+    "studies": _studies,
+    "runs": lambda line: _on_record(line, "run", None),
+    "actions": lambda line: _on_record(line, "action", line.given.get("run")),
+    "parameters": _parameters,
+}
+"""By what `Option.complete` says, the names that are offered."""
+
+
+def _values(line: Line, one: "Parameter") -> Sequence[str]:
+    """Return the values that a parameter can have: its default, and what the ledger has on record."""
+    given = dict(pair.partition("=")[::2] for pair in line.given.get("param") or line.given.get("parameters") or ())
+    default = [] if one.default is None else [one.default]
+    return default if one.kind in ("time", "seq") else [*default, *_on_record(line, one.kind, given.get("run"))]
+
+
+def _on_record(line: Line, kind: str, run: str | None) -> list[str]:
+    """Return the names of this kind in the ledger that the line names, of one run or of all. Raises: As `connect`."""
+    from fsar_ledger.api.lookup import run_of
+    from fsar_ledger.metrics.database import connect, names_on_record
+
+    with connect(Path(str(line.given.get("ledger") or ""))) as database:
+        return names_on_record(database, kind, None if run in (None, "all") else run_of(database, run))
+
+
+LEAST_MIB = 256
+BASE_BYTES = 576 << 20
+PER_BYTE = 16
+"""By default a command may take `BASE_BYTES`, and `PER_BYTE` bytes for each byte of the segments on disk. Most commands
+need 300 MiB and 10. Of a ledger of ten million events `study run multiverse`, `open` and `report` need more and are
+given it with --memory: by default as much would be there for a small file that unpacks to much.
+"""
+
+PER_WORKER_BYTES = 192 << 20
+"""Memory for each core or worker beyond two, since each has buffers of its own: `verify` takes 150 MiB for each."""
+
+MACHINE_SHARE = 0.8
+
+
+@contextmanager
+def bounded(asked_mib: int | None, *ledgers: Path | None, workers: int | None = None) -> Iterator[None]:
+    """Limit the memory of the command to what was asked for, or to what ledgers of this size need.
+
+    Beyond that the command ends with one message and exit code 2.
+
+    Raises:
+        UsageError: The limit is less than a command needs to begin.
+        LimitReached: The system, or a library with a limit of its own, refused more.
+    """
+    if asked_mib is not None and not LEAST_MIB <= asked_mib <= memory.MOST_MIB:
+        raise UsageError(f"--memory {asked_mib}: expected at least {LEAST_MIB} and at most {memory.MOST_MIB} (MiB)")
+    most = default_bytes(*ledgers, workers=workers) if asked_mib is None else asked_mib << 20
+
+    def end() -> None:
+        say(memory.exceeded_message())
+        for child in memory.children():
+            with suppress(OSError):
+                os.kill(int(child), signal.SIGKILL)
+        for path in tuple(memory.unfinished):
+            with suppress(OSError):
+                path.unlink()
+        os._exit(LimitReached.exit_code)
+
+    with memory.limited(most, end):
+        try:
+            yield
+        except MemoryError as error:
+            raise LimitReached(memory.exceeded_message()) from error
+
+
+def default_bytes(*ledgers: Path | None, workers: int | None = None) -> int:
+    """Return the default limit, which grows with the segments and workers, and is never all of the machine's memory."""
+    more = max(0, (workers_of(None) if workers is None else workers) - 2)
+    return min(
+        BASE_BYTES + PER_WORKER_BYTES * more + PER_BYTE * stored(*ledgers),
+        int(MACHINE_SHARE * memory.bytes_installed()),
+    )

@@ -10,11 +10,12 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from fsar_ledger.base.errors import LedgerCorrupted
-from fsar_ledger.ledger.store import locks
 from fsar_ledger.ledger.store.checkpoint import check_chain_checkpoint
 from fsar_ledger.ledger.store.manifest import read_manifest
 from fsar_ledger.ledger.store.paths import CHAIN, CHECKPOINT, JOURNAL, MANIFEST, SEGMENTS
 from fsar_ledger.ledger.store.read import View, open_chain
+
+from .store import disk
 
 Pause = Callable[[], None]
 """Waits a moment; what it raises ends the waiting."""
@@ -44,7 +45,7 @@ def open_for_answers(path: Path) -> View:
     view = open_ledger(path)
     problems = check_chain_checkpoint(view)
     if problems:
-        with locks.locked(path / SEGMENTS, is_shared=True):
+        with disk.locked(path / SEGMENTS, is_shared=True):
             view = open_ledger(path)
             problems = check_chain_checkpoint(view)
     for problem in problems:

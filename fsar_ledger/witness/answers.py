@@ -1,18 +1,164 @@
-"""What the witnesses of a policy saw of a ledger, for whoever verifies it, and in words."""
+"""What the witnesses of a policy saw of a ledger, for whoever verifies it, and in words.
 
+Two things follow from it. The ledger must begin with every checkpoint that its own key signed, whoever presents it: no
+witness can forge one. It also gives the number of events for which enough witnesses vouch: each vouches for the tree
+that it cosigned and for every prefix of that tree.
+"""
+
+import os
 from collections.abc import Sequence
 from datetime import UTC, datetime
+from http import HTTPStatus
 from pathlib import Path
 from typing import NamedTuple
 
+import msgspec
+
 from fsar_ledger.base.errors import LedgerCorrupted, UsageError, option
-from fsar_ledger.ledger.log.note import VerifierKey
+from fsar_ledger.ledger.log.note import Note, VerifierKey
+from fsar_ledger.ledger.store import disk
 from fsar_ledger.ledger.store.manifest import parse_manifest, read_manifest
 from fsar_ledger.ledger.store.paths import MANIFEST
-from fsar_ledger.witness.evidence import Evidence, ask_witnesses, read_cosigned
-from fsar_ledger.witness.policy import Policy, read_policy
+from fsar_ledger.ledger.verify.notes import Anchor
+
+from .cosign import NoAnswer, ask, ask_all
+from .cosignature import parse_cosigned
+from .policy import Policy, Witness, read_policy
+from .protocol import checkpoint_path
 
 _LAST_SECOND = 253_402_300_799  # of the year 9999
+
+
+MAX_AGE_S = 300
+"""Seconds by which the time of a fresh cosignature may differ from ours; beyond that it is old or a clock is wrong."""
+
+
+class Statement(msgspec.Struct, frozen=True):
+    """The statement of one witness: it saw `size` events at `time_s` (seconds since 1970).
+
+    Both are None if the statement does not count; `reason` then says why.
+    """
+
+    witness: str
+    size: int | None = None
+    time_s: int | None = None
+    reason: str | None = None
+
+
+class Evidence(msgspec.Struct, frozen=True):
+    """The statements of all witnesses of a policy.
+
+    `size` is the largest number of events that enough of them saw, or 0. `checkpoints` are those that the log's key
+    signed: the ledger must begin with each.
+    """
+
+    size: int
+    statements: tuple[Statement, ...]
+    checkpoints: tuple[Anchor, ...]
+
+
+def ask_witnesses(policy: Policy, logs: Sequence[VerifierKey], origin: str, now_s: int) -> Evidence:
+    """Ask the witnesses of the policy for their newest checkpoint. Raises: UsageError if none has a URL."""
+    statements, checkpoints = [], []
+    otherwise = "; or give what they cosigned with --cosigned FILE"
+    for witness, answer in ask_all(lambda witness: _newest(witness, origin), policy, otherwise):
+        if isinstance(answer, NoAnswer):
+            statements.append(Statement(witness.name, reason=str(answer)))
+            continue
+        where = f"witness {witness.name} ({witness.url})"
+        statements.append(_statement(witness, where, answer, logs, origin, now_s, is_asked=True))
+        checkpoints += [Anchor(where, answer)] if _is_of(logs, answer, origin) else []
+    return _weigh(policy, statements, checkpoints)
+
+
+def read_cosigned(
+    policy: Policy, logs: Sequence[VerifierKey], origin: str, now_s: int, files: Sequence[Path]
+) -> Evidence:
+    """Read the statements of the policy's witnesses from notes that were cosigned at any time.
+
+    Raises:
+        UsageError: A file cannot be read, or is not a note of this log.
+    """
+    notes = {file: _read(file) for file in files}
+    for file, note in notes.items():
+        if not _is_of(logs, note, origin):
+            raise UsageError(
+                f"--cosigned {file}: found no checkpoint of {origin} with a signature of its key, "
+                "expected a note of this ledger"
+            )
+    statements = []
+    for witness in policy.witnesses:
+        said = [
+            _statement(witness, str(file), note, logs, origin, now_s, is_asked=False) for file, note in notes.items()
+        ]
+        statements.append(max(said, key=lambda one: (one.size is not None, one.size or 0, one.time_s or 0)))
+    return _weigh(policy, statements, [Anchor(str(file), note) for file, note in notes.items()])
+
+
+def _newest(witness: Witness, origin: str) -> Note:
+    """Ask this witness for the newest note that it cosigned. Raises: NoAnswer."""
+    url = witness.url or ""
+    answer = ask(url, checkpoint_path(origin))
+    if answer.status != HTTPStatus.OK:
+        said = (
+            "it has no checkpoint of this log"
+            if answer.status == HTTPStatus.NOT_FOUND
+            else f"an answer with status {answer.status}"
+        )
+        raise NoAnswer(f"{url}: {said}")
+    try:
+        return parse_cosigned(url, answer.text.encode())
+    except LedgerCorrupted as error:
+        raise NoAnswer(f"{url}: an answer that is no C2SP checkpoint") from error
+
+
+def _read(file: Path) -> Note:
+    try:
+        return parse_cosigned(f"--cosigned {file}", disk.read_document(Path(os.path.realpath(file))))
+    except OSError as error:
+        raise UsageError(
+            f"--cosigned {file}: it cannot be read ({error.strerror}), expected what `fsar-ledger witness ask` wrote"
+        ) from error
+    except LedgerCorrupted as error:
+        raise UsageError(str(error)) from error
+
+
+def _is_of(logs: Sequence[VerifierKey], note: Note, origin: str) -> bool:
+    """Return whether the note is about this log and signed by one of its keys."""
+    return note.checkpoint.origin == origin and any(key.has_signed(note) for key in logs)
+
+
+def _statement(
+    witness: Witness, where: str, note: Note, logs: Sequence[VerifierKey], origin: str, now_s: int, *, is_asked: bool
+) -> Statement:
+    """Return the statement of this witness according to this note."""
+    time_s = witness.key.time_of(note)
+    reason = None
+    if not _is_of(logs, note, origin):
+        reason = f"{where}: a checkpoint that no key of the log {origin} signed"
+    elif time_s is None:
+        named = any(one.key == witness.key.key for one in note.signatures)
+        reason = f"{where}: {'a cosignature that its key did not make' if named else 'no cosignature of it'}"
+    elif time_s > now_s + MAX_AGE_S:
+        reason = f"{where}: a cosignature {time_s - now_s:,} s in the future"
+    elif is_asked and time_s < now_s - MAX_AGE_S:
+        reason = f"{where}: a cosignature {now_s - time_s:,} s old, where it was asked for a new one"
+    return (
+        Statement(witness.name, note.checkpoint.size, time_s)
+        if reason is None
+        else Statement(witness.name, reason=reason)
+    )
+
+
+def _weigh(policy: Policy, statements: Sequence[Statement], checkpoints: Sequence[Anchor]) -> Evidence:
+    """Find the largest size that enough witnesses saw; one that saw a larger tree also saw the smaller one in it."""
+    sizes = sorted({one.size for one in statements if one.size}, reverse=True)
+    enough = (
+        size
+        for size in sizes
+        if policy.is_met({one.witness for one in statements if one.size is not None and one.size >= size})
+    )
+    return Evidence(next(enough, 0), tuple(statements), tuple(checkpoints))
 
 
 class WitnessAnswer(NamedTuple):

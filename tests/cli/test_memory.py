@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from fsar_ledger.api.workload import WORTH_BYTES, readers_of, workers_of
 from fsar_ledger.base import memory
 from fsar_ledger.base.errors import LimitReached, UsageError
-from fsar_ledger.cli.memory import BASE_BYTES, PER_BYTE, PER_WORKER_BYTES, bounded, default_bytes
+from fsar_ledger.base.workers import WORTH_BYTES, readers_of, workers_of
+from fsar_ledger.cli.building import BASE_BYTES, PER_BYTE, PER_WORKER_BYTES, bounded, default_bytes
 from fsar_ledger.ledger.store.problem import unexpected
 from fsar_ledger.metrics.database import from_rows
 from tests.ledger.bomb_trial import cost_of
@@ -23,7 +23,7 @@ HUNGRY = """
 import sys
 from pathlib import Path
 from fsar_ledger.base import memory
-from fsar_ledger.cli.memory import bounded
+from fsar_ledger.cli.building import bounded
 Path("part").touch()
 memory.unfinished.add(Path("part"))
 with bounded(256, Path("ledger")):
@@ -89,7 +89,7 @@ def test_the_processes_that_it_starts_count_too(tmp_path: Path) -> None:
         "import subprocess, sys\nwith bounded(256, Path('ledger')):\n    subprocess.run([sys.executable, '-c', "
         f"{grow!r}])\n"
     )
-    code = f"from pathlib import Path\nfrom fsar_ledger.cli.memory import bounded\n{within}"
+    code = f"from pathlib import Path\nfrom fsar_ledger.cli.building import bounded\n{within}"
     done = ran([sys.executable, "-c", code], cwd=tmp_path, timeout=60)
     assert done.returncode == 2
     assert LITTLE in done.stderr
@@ -97,7 +97,7 @@ def test_the_processes_that_it_starts_count_too(tmp_path: Path) -> None:
 
 def test_what_is_asked_for_at_once_is_refused_by_the_system(tmp_path: Path) -> None:
     code = (
-        "from pathlib import Path\nfrom fsar_ledger.cli.memory import bounded\nwith bounded(256, "
+        "from pathlib import Path\nfrom fsar_ledger.cli.building import bounded\nwith bounded(256, "
         "Path('ledger')):\n    bytearray(64 << 30)\n"
     )
     done = ran([sys.executable, "-c", code], cwd=tmp_path)
@@ -106,7 +106,7 @@ def test_what_is_asked_for_at_once_is_refused_by_the_system(tmp_path: Path) -> N
 
 def test_a_process_that_has_reserved_much_already_is_limited_like_another(tmp_path: Path) -> None:
     code = (
-        "import mmap\nfrom pathlib import Path\nfrom fsar_ledger.cli.memory import bounded\n"
+        "import mmap\nfrom pathlib import Path\nfrom fsar_ledger.cli.building import bounded\n"
         "reserved = [mmap.mmap(-1, 1 << 30, mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS) for _ in range(8)]\n"
         "with bounded(256, Path('ledger')):\n    kept = bytearray(32 << 20)\nprint('done')\n"
     )

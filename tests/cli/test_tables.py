@@ -316,7 +316,7 @@ def test_a_query_shows_its_sql_as_its_file_holds_it(call: Call) -> None:
 
 WORK = """
 import sys, time
-from fsar_ledger.cli.progress import Progress
+from fsar_ledger.cli.render import Progress
 with Progress("verified", "segments") as progress:
     for done in range(1, 6):
         time.sleep(0.11)

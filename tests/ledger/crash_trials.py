@@ -19,7 +19,7 @@ from fsar_ledger.ledger.store import append, growing
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.journal import ALLOTTED
 from fsar_ledger.ledger.store.paths import MANIFEST
-from fsar_ledger.ledger.store.sealing import Sealing
+from fsar_ledger.ledger.store.prepare import Sealing
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.faults import Fault, FaultyOs, Killed, in_place_of_os

@@ -14,7 +14,7 @@ from fsar_ledger.ledger.log.note import Signer
 from fsar_ledger.ledger.rows.run_slices import piece
 from fsar_ledger.ledger.rows.runs import LedgerRun
 from fsar_ledger.ledger.store.append import Writer
-from fsar_ledger.ledger.store.existing_runs import ExistingRuns
+from fsar_ledger.ledger.store.locations import ExistingRuns
 from fsar_ledger.ledger.store.paths import CHAIN, JOURNAL
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.ledger.v1 import upgrade

@@ -10,7 +10,7 @@ import pytest
 
 from fsar_ledger.base.errors import LedgerCorrupted
 from fsar_ledger.ledger.opening import open_for_answers
-from fsar_ledger.ledger.store import torn
+from fsar_ledger.ledger.store import record
 from fsar_ledger.ledger.store.paths import CHAIN, INDEX, JOURNAL, NODES, SEALING
 from fsar_ledger.ledger.store.record import Commit, parse_line
 from tests.ledger.damage import write_handed_over
@@ -85,7 +85,7 @@ def test_a_later_record_is_found_wherever_it_begins_in_a_line(path: Path) -> Non
         text = text[draw.randrange(30) * draw.randrange(2) :]
         expected = draw.randrange(2)
         is_there = has_later_frame(text, expected)
-        assert torn.has_later_commit(text, 0, expected) == is_there, text
+        assert record.has_later_commit(text, 0, expected) == is_there, text
         found[is_there] += 1
     assert min(found) > 30
 
@@ -101,6 +101,6 @@ def test_a_later_record_is_sought_in_linear_time(hostile: bytes) -> None:
         tried += len(line)
         return parse_line(line)
 
-    with patch.object(torn, "parse_line", parse):
-        assert not torn.has_later_commit(hostile + b"\n", 0, 0)
+    with patch.object(record, "parse_line", parse):
+        assert not record.has_later_commit(hostile + b"\n", 0, 0)
     assert tried <= len(hostile)

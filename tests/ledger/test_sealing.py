@@ -13,7 +13,7 @@ from fsar_ledger.base.errors import LedgerCorrupted
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.rows import run_slices
 from fsar_ledger.ledger.rows.codec import encode_lines
-from fsar_ledger.ledger.store import append, growing, sealing
+from fsar_ledger.ledger.store import append, growing, prepare
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.paths import CHAIN, JOURNAL, SEALING, SEGMENTS
 from fsar_ledger.ledger.store.staging import stage
@@ -39,13 +39,13 @@ def rows_in(path: Path) -> list[bytes]:
 def held_back() -> Iterator[Event]:
     """Let the thread that makes a segment wait until this is set."""
     may_go_on = Event()
-    made = sealing.sealed
+    made = prepare.sealed
 
     def later(*given: Any) -> Any:
         assert may_go_on.wait(60)
         return made(*given)
 
-    with patch.object(sealing, "sealed", later), patch.object(append, "SEAL_ROWS", 5):
+    with patch.object(prepare, "sealed", later), patch.object(append, "SEAL_ROWS", 5):
         yield may_go_on
         may_go_on.set()
 

@@ -12,7 +12,7 @@ import pytest
 from fsar_ledger.base.errors import NotALedger, WriteFailed
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.rows.run_slices import piece
-from fsar_ledger.ledger.store import locks, snapshot
+from fsar_ledger.ledger.store import disk, snapshot
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.paths import CHAIN, JOURNAL, SEGMENTS
 from fsar_ledger.ledger.store.staging import stage
@@ -170,7 +170,7 @@ def test_a_commit_that_is_not_visible_does_not_count_while_a_writer_is_at_it(
 ) -> None:
     path = tmp_path / "ledger"
     leave(path)
-    with locks.locked(path / SEGMENTS):
+    with disk.locked(path / SEGMENTS):
         assert open_for_answers(path).head.size == 10
 
 

@@ -28,7 +28,7 @@ from fsar_ledger.runtime.handlers.authority import (
 )
 from fsar_ledger.runtime.handlers.commands import Command, StartAction, TakeTurn
 from fsar_ledger.runtime.handlers.request import RequestCapability
-from fsar_ledger.runtime.handlers.withdrawal import EndClaims
+from fsar_ledger.runtime.handlers.task import EndClaims
 from tests import past
 from tests.runtime.histories import given, types
 from tests.runtime.live import decided, of, play, played

@@ -7,8 +7,7 @@ import pytest
 from fsar_ledger.designs.constants import Constants
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
-from fsar_ledger.view.drawn import Words, drawn
-from fsar_ledger.view.page import PageOptions
+from fsar_ledger.view.drawn import PageOptions, Words, drawn
 
 ARCHITECTURES = ("fsar", "cfc", "dhma")
 

@@ -31,21 +31,29 @@ from fsar_ledger.ledger.rows.blocks import Block
 from fsar_ledger.ledger.rows.releases import RELEASE
 from fsar_ledger.ledger.rows.runs import LedgerRun, refusal
 from fsar_ledger.ledger.rows.small import rows_of
-from fsar_ledger.ledger.store import disk, growing, locks, paths
-from fsar_ledger.ledger.store.compact import mergeable, merged_segment
 from fsar_ledger.ledger.store.derived import append_derived
-from fsar_ledger.ledger.store.existing_runs import ExistingRuns, RunsAndPlans, continued
 from fsar_ledger.ledger.store.index import index_line
 from fsar_ledger.ledger.store.journal import Frame, JournalFile
+from fsar_ledger.ledger.store.locations import ExistingRuns, RunsAndPlans, continued
 from fsar_ledger.ledger.store.manifest import read_manifest
 from fsar_ledger.ledger.store.paths import CHECKPOINT, SEGMENTS, STAGING, staged_path
-from fsar_ledger.ledger.store.prepare import create, lock, repair, require_name, require_own
+from fsar_ledger.ledger.store.prepare import (
+    Sealing,
+    create,
+    lock,
+    mergeable,
+    merged_segment,
+    repair,
+    require_name,
+    require_own,
+)
 from fsar_ledger.ledger.store.read import View, open_chain
 from fsar_ledger.ledger.store.record import Commit, Placement, segment_of
-from fsar_ledger.ledger.store.sealing import Sealing
 from fsar_ledger.ledger.store.staging import Staged
 from fsar_ledger.ledger.store.tables import require_staged, stage_made
 from fsar_ledger.ledger.store.view import Head
+
+from . import disk, growing, paths
 
 # See docs/decisions/commits-hold-16384-events.md.
 SEAL_ROWS, SEAL_BYTES = 1 << 14, 1 << 23
@@ -74,7 +82,7 @@ class Writer:
         create(ledger, origin)
         self._path, self._origin, self._signer, self._adopts = ledger, origin, signer, adopts
         self._segments = ledger / SEGMENTS
-        self._turn = locks.FolderLock(self._segments)
+        self._turn = disk.FolderLock(self._segments)
         self._is_broken = False
         self._chain = growing.OpenFile(ledger / paths.CHAIN)
         self._journal = JournalFile(ledger / paths.JOURNAL)

@@ -25,8 +25,7 @@ from fsar_ledger.ledger.store import disk, growing
 from fsar_ledger.ledger.store.links import Chain, Doubt
 from fsar_ledger.ledger.store.paths import CHAIN, JOURNAL, SEALING
 from fsar_ledger.ledger.store.problem import LaterRelease, Problem
-from fsar_ledger.ledger.store.record import Commit, line_at, parse_line
-from fsar_ledger.ledger.store.torn import has_later_commit
+from fsar_ledger.ledger.store.record import Commit, has_later_commit, line_at, parse_line
 
 FIRST = b"{"
 """The first byte of every frame."""

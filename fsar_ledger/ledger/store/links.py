@@ -19,9 +19,16 @@ from fsar_ledger.ledger.log.merkle import EMPTY_ROOT, Frontier
 from fsar_ledger.ledger.rows.releases import FINGERPRINTS, RELEASE, is_later
 from fsar_ledger.ledger.store.paths import CHAIN, MANIFEST
 from fsar_ledger.ledger.store.problem import LaterRelease, Problem
-from fsar_ledger.ledger.store.record import LEAST_LINE_BYTES, Commit, Placement, Record, parse_line, parse_lines
+from fsar_ledger.ledger.store.record import (
+    LEAST_LINE_BYTES,
+    Commit,
+    Placement,
+    Record,
+    has_later_append,
+    parse_line,
+    parse_lines,
+)
 from fsar_ledger.ledger.store.staging import Staged
-from fsar_ledger.ledger.store.torn import has_later_append
 
 _FEW_BYTES = 1 << 14
 """How much is read at once where lines are too many to be records."""

@@ -4,12 +4,17 @@ Signatures bind roots. Whoever can write the folder can chain a line of the inde
 of one; its rows are there, and lead to the root.
 """
 
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
 import msgspec
 import pyarrow.compute as pc
 
 from fsar_ledger.base.errors import LedgerCorrupted
 from fsar_ledger.ledger.rows import segment
-from fsar_ledger.ledger.store.index import require_lines
+from fsar_ledger.ledger.rows.blocks import BLOCK_COLUMNS, Block, Runs, blocks_of
+from fsar_ledger.ledger.rows.runs import Flaw
+from fsar_ledger.ledger.store.index import Index, require_lines
 from fsar_ledger.ledger.store.read import View
 
 
@@ -57,3 +62,106 @@ def compare_index(view: View) -> bool:
         require_lines(view.path, view.chain.placed_in(number), lines)
         view.believed.add(number)
     return is_read
+
+
+_MOST_SOUGHT = 64
+"""How many runs are sought in the index by name before all of it is read, which takes about as long."""
+
+
+class RunsAndPlans(NamedTuple):
+    """The names of the runs that a ledger holds, and of its plans."""
+
+    runs: frozenset[str]
+    plans: frozenset[str]
+
+
+class ExistingRuns:
+    """The runs of a ledger, sought in its index as they are asked about.
+
+    A writer believes the index, as it believes the rows: it only appends.
+
+    Raises: LedgerCorrupted if rows must be read and cannot be.
+    """
+
+    def __init__(self, view: View) -> None:
+        self._runs = Runs()
+        view.believe_index()
+        self._index: Index | None = view.index  # None once all of it is read
+        self._sought: set[str] = set()
+        self._indexed: set[str] = set()  # what these observe is not known: the index does not say it
+
+    def add_from(self, view: View, first: int) -> None:
+        """Add the events of this view from that index on. Raises: LedgerCorrupted if they cannot be read."""
+        for table in view.tables_from(first, BLOCK_COLUMNS):
+            self.add(blocks_of(table))
+
+    def add(self, blocks: Iterable[Block]) -> None:
+        """Add what was committed."""
+        for block in blocks:
+            self._seek(block.run)
+            self._runs.add(block)
+
+    def _seek(self, run: str) -> None:
+        """Take over what the index says of this run."""
+        if self._index is None or run in self._sought:
+            return
+        if len(self._sought) == _MOST_SOUGHT:
+            self._read_all()
+            return
+        self._sought.add(run)
+        self._take_over(block for _, block in self._index.of_run(run))
+
+    def _read_all(self) -> None:
+        """Take over what the index says of all runs."""
+        if self._index is not None:
+            self._take_over(block for block in self._index.blocks() if block.run not in self._sought)
+            self._index = None
+
+    def _take_over(self, blocks: Iterable[Block]) -> None:
+        for block in blocks:
+            self._runs.add(block)
+            self._indexed.add(block.run)
+
+    def told(self) -> RunsAndPlans:
+        """Return the names of these runs, and of the plans."""
+        self._read_all()
+        plans = frozenset(run for run, known in self._runs.known.items() if known.is_alone)
+        return RunsAndPlans(frozenset(self._runs.known.keys() - plans), plans)
+
+    def events(self, run: str) -> int:
+        """Return how many events of this run the ledger holds."""
+        self._seek(run)
+        known = self._runs.known.get(run)
+        return 0 if known is None else known.next
+
+    def refused(self, blocks: Sequence[Block], view: View) -> Flaw | None:
+        """Return why these blocks cannot be the next of this ledger; None if they can.
+
+        Raises: LedgerCorrupted if the beginning of a run that goes on cannot be read.
+        """
+        seen: set[str] = set()
+        for block in blocks:
+            if block.run in seen:
+                return Flaw(-1, block.run, block.first, "run_id", "the run twice in one commit", "each run once")
+            seen.add(block.run)
+            self._seek(block.run)
+            if block.first and block.run in self._indexed:
+                self._read_beginning(block.run, view)
+            if (flaw := self._runs.flaw(block) or self._runs.backwards(block)) is not None:
+                return flaw
+            if block.first and block.run not in view.chain.going_on:
+                return Flaw(-1, block.run, block.first, "seq", f"{block.first}", "no more of a run that has ended")
+        return None
+
+    def _read_beginning(self, run: str, view: View) -> None:
+        """Read what the run observes. Raises: LedgerCorrupted."""
+        view.believe_index()
+        observes = event_at(view, place_of(view, run, 0)).get("observes")
+        names = tuple(map(str, observes)) if isinstance(observes, list) else None
+        self._runs.known[run] = self._runs.known[run]._replace(observes=names)
+        self._indexed.remove(run)
+
+
+def continued(blocks: Sequence[Block]) -> tuple[tuple[str, int], ...]:
+    """Return, for the record of a commit, the runs that these blocks continue, and from which seq on."""
+    return tuple(sorted([(block.run, block.first) for block in blocks if block.first]))

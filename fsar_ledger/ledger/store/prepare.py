@@ -1,22 +1,28 @@
-"""What a Writer does before it appends: create the ledger, lock it, and finish what an interrupted writer left."""
+"""What a Writer makes before it appends: a ledger, its lock, what an interrupted writer left, and merged segments."""
 
 import fcntl
 import os
 import stat
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
+from typing import NamedTuple
+
+import pyarrow as pa
 
 from fsar_ledger.base.errors import LedgerCorrupted, NotALedger, UsageError, option
 from fsar_ledger.ledger.log import pack
 from fsar_ledger.ledger.log.hashing import HASH_BYTES, sha256_hex
 from fsar_ledger.ledger.log.merkle import Frontier
 from fsar_ledger.ledger.log.note import VerifierKey, doubt, is_name
-from fsar_ledger.ledger.rows import canonical
+from fsar_ledger.ledger.rows import canonical, segment
+from fsar_ledger.ledger.rows.blocks import Block, blocks_of
 from fsar_ledger.ledger.rows.bounds import MAX_NAME_BYTES
 from fsar_ledger.ledger.store import disk, growing
 from fsar_ledger.ledger.store.checkpoint import behind
 from fsar_ledger.ledger.store.derived import append_derived, derived_sizes
-from fsar_ledger.ledger.store.journal import FIRST
+from fsar_ledger.ledger.store.journal import FIRST, Frame, leaves_in, lines_of
 from fsar_ledger.ledger.store.manifest import FORMAT, VERSION, Manifest, parse_manifest, read_manifest
 from fsar_ledger.ledger.store.paths import (
     CHAIN,
@@ -32,7 +38,9 @@ from fsar_ledger.ledger.store.paths import (
     require_outside,
 )
 from fsar_ledger.ledger.store.read import View, open_chain
-from fsar_ledger.ledger.store.record import segment_of
+from fsar_ledger.ledger.store.record import Placement, segment_of
+from fsar_ledger.ledger.store.staging import Staged
+from fsar_ledger.ledger.store.tables import UnstagedSegment, made_of, stage_made, table_of
 
 
 def lock(ledger: Path) -> tuple[int, bool]:
@@ -227,3 +235,102 @@ def _derive_nodes(view: View, good: int, have: int) -> None:
                 f"{placed[number].tree().root().hex()} as placed; run fsar-ledger verify"
             )
         append_derived(view.path, NODES, nodes, pack.count(first) * HASH_BYTES)
+
+
+class Sealed(NamedTuple):
+    """The segment of some frames, its blocks, the tree after them, and what they add to the pack of the tree."""
+
+    made: UnstagedSegment
+    blocks: tuple[Block, ...]
+    tree: Frontier
+    nodes: bytes
+
+
+def sealed(path: Path, frames: Sequence[Frame], before: Frontier) -> Sealed:
+    """Make the segment of these frames of the journal of a ledger, whose tree is this one before them.
+
+    Raises: LedgerCorrupted if their rows are no events.
+    """
+    table = table_of(path / JOURNAL, lines_of(frames))
+    leaves = leaves_in(frames)
+    return Sealed(made_of(table, leaves), tuple(blocks_of(table)), *pack.grow(before, leaves))
+
+
+class Sealing:
+    """What is being made in a thread: of some frames, the last of which tells which."""
+
+    def __init__(self) -> None:
+        self._threads: ThreadPoolExecutor | None = None
+        self._found: Future[Sealed] | None = None
+        self._last: Frame | None = None
+
+    def begin(self, path: Path, frames: Sequence[Frame], before: Frontier) -> None:
+        """Begin to make the segment of these frames."""
+        if self._threads is None:
+            self._threads = ThreadPoolExecutor(1, "fsar-ledger-sealing")
+        self._found, self._last = self._threads.submit(sealed, path, frames, before), frames[-1]
+
+    @property
+    def is_begun(self) -> bool:
+        """Return whether something is being made, or was."""
+        return self._found is not None
+
+    @property
+    def is_done(self) -> bool:
+        """Return whether something was made."""
+        return self._found is not None and self._found.done()
+
+    def taken(self, path: Path, frames: Sequence[Frame], before: Frontier) -> Sealed:
+        """Return the segment of these frames, which is made now if that was not begun. Raises: As `sealed`."""
+        ready, last = self._found, self._last
+        self._found = self._last = None
+        if ready is None or last is None or last.commit != frames[-1].commit or last.line != frames[-1].line:
+            return sealed(path, frames, before)
+        return ready.result()
+
+    def close(self) -> None:
+        """End the thread, after what it is at."""
+        if self._threads is not None:
+            self._threads.shutdown()
+            self._threads = None
+
+
+MERGED_ROWS = 1 << 14
+"""The most events of a segment that others are put into."""
+MERGED_BYTES = 1 << 20
+"""The most bytes of the segments that are put together; a tenth of what a segment may have."""
+
+
+def mergeable(placed: Sequence[Placement]) -> Iterator[Sequence[Placement]]:
+    """Yield groups of at least two neighbouring segments that fit into one, greedily from the first on."""
+    group: list[Placement] = []
+    rows = size = 0
+    for placement in placed:
+        rows, size = rows + placement.rows, size + placement.segment_bytes
+        if rows > MERGED_ROWS or size > MERGED_BYTES:
+            if len(group) > 1:
+                yield group
+            group, rows, size = [], placement.rows, placement.segment_bytes
+        group.append(placement)
+    if len(group) > 1:
+        yield group
+
+
+def merged_segment(view: View, old: Sequence[Placement]) -> Staged:
+    """Write the rows of these neighbouring segments into one, in the staging folder.
+
+    Raises: LedgerCorrupted if their rows do not lead from the tree before them to the tree after.
+    """
+    tables: list[pa.Table] = [segment.read_table(view.placed_segment(placement)) for placement in old]
+    table = pa.concat_tables(tables).combine_chunks()
+    leaves = canonical.leaves(table)
+    before = view.chain.tree_at(old[0].first)
+    after = before.extend(leaves)
+    if after != old[-1].tree():
+        raise LedgerCorrupted(
+            f"{view.path}: events {old[0].first} to {old[-1].end - 1}: found rows that lead to root "
+            f"{after.root().hex()}, expected {old[-1].tree().root().hex()} as placed; run fsar-ledger verify"
+        )
+    unstaged = made_of(table, leaves)
+    stage_made(view.path, unstaged)
+    return unstaged.staged

@@ -11,12 +11,13 @@ from time import monotonic, sleep
 from typing import NamedTuple
 
 from fsar_ledger.base.errors import FormatVersionMismatch, LedgerCorrupted
-from fsar_ledger.ledger.store import disk, growing, locks
 from fsar_ledger.ledger.store.journal import FIRST, Journal, after_lines, read_frames
 from fsar_ledger.ledger.store.links import Chain, Followed, follow
 from fsar_ledger.ledger.store.paths import CHAIN, CHECKPOINT, JOURNAL, SEALING, SEGMENTS
 from fsar_ledger.ledger.store.problem import LaterRelease, Problem
 from fsar_ledger.ledger.store.record import Commit, Placement, line_at, parse_line
+
+from . import disk, growing
 
 MAX_CHAIN_BYTES = 1 << 32
 MAX_JOURNAL_BYTES = 1 << 30
@@ -66,14 +67,14 @@ def _settled(reader: "_Reader") -> Snapshot:
         snapshot = reader.look()
         if not reader.is_steady:
             if monotonic() > until:
-                with locks.locked(reader.path / SEGMENTS, is_shared=True):
+                with disk.locked(reader.path / SEGMENTS, is_shared=True):
                     return reader.look(counts_hidden=reader.is_synced())
             continue
         seen = snapshot.followed.end, len(snapshot.chain.commits)
         # What was hidden at first may have been seen already, if a crash left it; what was hidden later may not.
         if snapshot.problem is None and (not reader.has_hidden or first not in (None, seen)):
             return snapshot
-        with locks.lock_if_free(reader.path / SEGMENTS) as is_free:
+        with disk.lock_if_free(reader.path / SEGMENTS) as is_free:
             if is_free:
                 return reader.look(counts_hidden=reader.is_synced())
         if monotonic() > until:

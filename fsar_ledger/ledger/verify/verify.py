@@ -11,7 +11,7 @@ from pathlib import Path
 
 from fsar_ledger.base.errors import NotALedger, WorkerDied
 from fsar_ledger.base.progress import Progress
-from fsar_ledger.ledger.store import disk, growing, locks
+from fsar_ledger.ledger.store import disk, growing
 from fsar_ledger.ledger.store.manifest import refuse_version_1
 from fsar_ledger.ledger.store.paths import CHAIN, INDEX, JOURNAL, MANIFEST, NODES, SEALING, SEGMENTS, require_created
 from fsar_ledger.ledger.store.problem import Problem, unexpected
@@ -43,7 +43,7 @@ def verify(
     before = _moment(path)
     report = _look(path, workers, progress, asked or VerifyOptions())
     if not report.ok and _moment(path) != before:  # what was read late need not fit what was read early
-        with locks.locked(path / SEGMENTS, is_shared=True):
+        with disk.locked(path / SEGMENTS, is_shared=True):
             report = _look(path, workers, progress, asked or VerifyOptions())
     return report
 

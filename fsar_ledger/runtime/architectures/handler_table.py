@@ -17,12 +17,11 @@ from fsar_ledger.runtime.handlers import (
     supervision,
     task,
     trust,
-    withdrawal,
 )
 from fsar_ledger.runtime.handlers.commands import Actor, Command, Decide, Handlers, React
 from fsar_ledger.runtime.handlers.public import PublicCommand
 
-COMMON = (task, execution, supervision, withdrawal)
+COMMON = (task, execution, supervision)
 """What every architecture has: tasks, bodies, supervisors, and what becomes of a task that is given up."""
 
 PUBLIC = (fleet, registry, advertising, request, authority, trust, policy, recovery)
