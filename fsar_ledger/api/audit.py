@@ -16,8 +16,8 @@ from .verbs import ArchitectureOption, InvariantOption, Shows, verb
 if TYPE_CHECKING:
     from fsar_ledger.metrics.invariants import AuditRow
 
-    from .answers import Provenance
     from .ledger import Ledger
+    from .provenance import Provenance
     from .table import Table
 
 _ARCHITECTURES = "SELECT DISTINCT architecture FROM runs WHERE architecture IS NOT NULL ORDER BY ALL"
@@ -98,7 +98,7 @@ def audit(
     from fsar_ledger.metrics.results import models
     from fsar_ledger.runtime.architectures import REGISTERED
 
-    from .answers import of_judgement
+    from .provenance import of_judgement
 
     view = open_for_answers(ledger.path)
     queries = chosen(names_of(invariant) or ())

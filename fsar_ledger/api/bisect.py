@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from fsar_ledger.metrics.comparison_sides import Side
     from fsar_ledger.metrics.database import Database
 
-    from .answers import Provenance
     from .ledger import Ledger
+    from .provenance import Provenance
 
 PAIRS = """
     SELECT run_id, run_number, seed, scenario, run FROM (

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from fsar_ledger.analysis.avoidability import Chance
     from fsar_ledger.analysis.causes import Element
 
-    from .answers import Provenance
     from .ledger import Ledger
+    from .provenance import Provenance
     from .table import Table
 
 MOST_FUTURES = 10_000

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from fsar_ledger.analysis.records import Line
     from fsar_ledger.ledger.rows.codec import LedgerRun
 
-    from .answers import Provenance
     from .ledger import Ledger
+    from .provenance import Provenance
     from .table import Table
 
 CHAIN = 6

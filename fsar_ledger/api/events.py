@@ -16,8 +16,8 @@ from fsar_ledger.metrics.database import connect
 from fsar_ledger.metrics.event_filter import Filter
 from fsar_ledger.metrics.verified import is_verified
 
-from .answers import of_rows
 from .names import Time, microseconds
+from .provenance import of_rows
 from .table import Table
 
 if TYPE_CHECKING:

@@ -20,9 +20,9 @@ from .verbs import WIDE, declare, verb
 if TYPE_CHECKING:
     from fsar_ledger.metrics.database import Database
 
-    from .answers import Provenance
     from .ledger import Ledger
     from .lookup import AboutRun
+    from .provenance import Provenance
     from .table import Table
 
 Rows = list[dict[str, Any]]
@@ -182,7 +182,7 @@ def requests(ledger: "Ledger", run: Run | None = None) -> "Table":
 
 
 def _requests(ledger: "Ledger", run: Run | None) -> "tuple[str, Table]":
-    from .answers import of_rows
+    from .provenance import of_rows
     from .table import Table
 
     with ledger.about_run(run) as (database, name, _):
@@ -196,8 +196,8 @@ def _account(about: "AboutRun", ledger: Path, request: str | None, failure: str 
     Raises:
         UsageError: The run has no such action, the action has not failed, or both or neither are named.
     """
-    from .answers import of_rows
     from .lookup import resting_on_rows
+    from .provenance import of_rows
 
     database, run, number = about
     if "" in (request, failure):

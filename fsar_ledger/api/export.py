@@ -15,8 +15,8 @@ from .names import Place
 from .verbs import Option, ParameterOption, RawOption, Shows, declare, switch, verb
 
 if TYPE_CHECKING:
-    from .answers import Provenance
     from .ledger import Ledger
+    from .provenance import Provenance
 
 
 class ExportResult(Answer, msgspec.Struct, frozen=True):

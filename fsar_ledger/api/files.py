@@ -24,7 +24,7 @@ from fsar_ledger.ledger.store.paths import require_outside
 from fsar_ledger.metrics.sandbox import SENT_BYTES, slices
 from fsar_ledger.metrics.verified import is_verified
 
-from .answers import Provenance
+from .provenance import Provenance
 from .table import Table
 from .texts import csv_header, csv_lines, harmless, in_turn, json_lines, json_texts
 

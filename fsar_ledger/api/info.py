@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from fsar_ledger.metrics.observing import Unobserved
     from fsar_ledger.metrics.results import Model
 
-    from .answers import Provenance
     from .ledger import Ledger
+    from .provenance import Provenance
 
 # Grain: one row per model (kind of run, source, model version, constants), seed, fleet size, architecture,
 # configuration and changes of forks; NULL where runs have none.
@@ -226,7 +226,7 @@ def info(ledger: "Ledger") -> Contents:
     from fsar_ledger.metrics.results import lettered, models
     from fsar_ledger.runtime.plan_rows import PlanRow, plans
 
-    from .answers import Provenance
+    from .provenance import Provenance
 
     with ledger.database() as database:
         found = lettered(models(database))

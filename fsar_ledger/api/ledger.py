@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fsar_ledger.base.progress import Progress
-from fsar_ledger.base.workers import readers_of
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.metrics.verified import ensure_verified, is_remembered
 
@@ -36,6 +35,7 @@ from . import why as _why
 from . import witness as _witness
 from .lookup import AboutRun, about_run, numbers_of, parameters_of, recorded, robot_of, run_of, time_of
 from .names import Place, Run, Time
+from .workload import readers_of
 
 if TYPE_CHECKING:
     from fsar_ledger.ledger.rows.codec import LedgerRun
@@ -153,7 +153,7 @@ class Ledger:
             UnknownQuery: There is no query or parameter of this name.
             UsageError: A parameter names nothing that there is, or is no time of the run.
         """
-        from .answers import of_rows
+        from .provenance import of_rows
         from .table import Table
 
         with self.database() as database:

@@ -21,11 +21,11 @@ from fsar_ledger.metrics.database import Database
 from fsar_ledger.metrics.event_filter import Filter
 from fsar_ledger.metrics.verified import is_verified
 
-from .answers import Provenance, of_rows
 from .events import span
 from .log import ALL
 from .lookup import resting_on_rows, robot_of, run_of
 from .names import Run, Time, names_of
+from .provenance import Provenance, of_rows
 from .table import Table
 
 _QUERY = "facts/log_lines"

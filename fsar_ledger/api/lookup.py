@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from fsar_ledger.metrics.library import Query
     from fsar_ledger.metrics.query_parameters import Parameter
 
-    from .answers import Provenance
     from .ledger import Ledger
     from .names import Place, Run
+    from .provenance import Provenance
 
 _RUN = "SELECT run_id FROM run_numbers WHERE run_id = $run"
 _NUMBERS = """
@@ -215,7 +215,7 @@ def present(ledger: "Ledger") -> "tuple[View, Provenance]":
     from fsar_ledger.ledger.opening import open_for_answers
     from fsar_ledger.metrics.verified import is_verified
 
-    from .answers import Provenance
+    from .provenance import Provenance
 
     view = open_for_answers(ledger.path)
     return view, Provenance(view.head, is_verified(view, ledger.demanded))

@@ -10,12 +10,12 @@ import msgspec
 from fsar_ledger.base import printable
 from fsar_ledger.base.printable import SafeText, counted
 from fsar_ledger.base.progress import Progress
-from fsar_ledger.base.workers import readers_of
 
 from .answers import Answer, Lines, Screen, head_json
 from .key import anchor_of, signature_text, trusted_of
 from .names import Place
 from .verbs import Option, Shows, TrustedKeyOption, WorkersOption, declare, verb
+from .workload import readers_of
 
 if TYPE_CHECKING:
     from fsar_ledger.ledger.compacting import Compacted

@@ -26,7 +26,7 @@ def metrics(ledger: "Ledger", by: ByOption = None, pool: PoolOption = None) -> "
     """
     from fsar_ledger.metrics.results import MetricRow, metric_rows
 
-    from .answers import of_judgement
+    from .provenance import of_judgement
     from .table import MetricTable, of_structs
 
     per_scenario, pooled = by_scenario(by), pools_seeds(pool)

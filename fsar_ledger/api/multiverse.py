@@ -16,8 +16,8 @@ from .names import Names, Place, names_of, pools_seeds
 from .verbs import PoolOption, Shows, declare, verb
 
 if TYPE_CHECKING:
-    from .answers import Provenance
     from .ledger import Ledger
+    from .provenance import Provenance
     from .table import Table
 
 OURS = "our reading"
@@ -99,7 +99,7 @@ def multiverse(
     from fsar_ledger.designs.registered import known
     from fsar_ledger.metrics.multiverse import multiverse as read
 
-    from .answers import of_judgement
+    from .provenance import of_judgement
 
     pooled = pools_seeds(pool)
     with ledger.database() as database:

@@ -18,8 +18,8 @@ from .verbs import Shows, declare, verb
 if TYPE_CHECKING:
     from fsar_ledger.metrics.database import Database
 
-    from .answers import Provenance
     from .ledger import Ledger
+    from .provenance import Provenance
 
 SUFFIX = ".duckdb"
 HEAD = "ledger_head"
@@ -94,7 +94,7 @@ def _fill(database: "Database", ledger: Path, file: Path, progress: Progress | N
 
     from fsar_ledger.base.progress import each
 
-    from .answers import Provenance
+    from .provenance import Provenance
 
     found = sorted(database.library.queries.values(), key=lambda query: bool(query.parameters))
     left_out = []

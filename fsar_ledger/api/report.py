@@ -4,11 +4,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from fsar_ledger.base.workers import readers_of
-
 from .answers import Lines
 from .names import Place, pools_seeds
 from .verbs import Gives, Option, PoolOption, WorkersOption, declare, verb
+from .workload import readers_of
 
 if TYPE_CHECKING:
     from fsar_ledger.base.progress import Showing

@@ -9,12 +9,12 @@ import msgspec
 from fsar_ledger.base import printable
 from fsar_ledger.base.errors import option
 from fsar_ledger.base.printable import SafeText, counted
-from fsar_ledger.base.workers import workers_of
 
 from .answers import Answer, Screen
 from .names import Names, Place, names_of
 from .simulate import CONTINUES
 from .verbs import AdoptOption, Gives, KeyOption, WorkersOption, declare, verb
+from .workload import workers_of
 
 if TYPE_CHECKING:
     from fsar_ledger.base.progress import Showing
@@ -92,9 +92,9 @@ def reproduce(
     from fsar_ledger.report.build import write_report
     from fsar_ledger.runtime.paper import NAMES, SEED, paper_ledger
 
-    from .answers import of_judgement
     from .files import write_csv
     from .key import signer_of
+    from .provenance import of_judgement
     from .table import Table, of_structs
 
     folder, processes, signer, show = Path(out), workers_of(workers), signer_of(key, adopts=adopt), showing or unseen

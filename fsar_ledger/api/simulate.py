@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Annotated
 from fsar_ledger.base import printable
 from fsar_ledger.base.printable import SafeText, counted
 from fsar_ledger.base.progress import Progress
-from fsar_ledger.base.workers import WORTH_ROBOTS, workers_of
 
 from .answers import Answer, Screen, head_json
 from .names import Names, Place, names_of
 from .verbs import AdoptOption, KeyOption, Shows, WorkersOption, argument, declare, verb
+from .workload import WORTH_ROBOTS, workers_of
 
 if TYPE_CHECKING:
     from fsar_ledger.runtime.experiment import SimulationResult

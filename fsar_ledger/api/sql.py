@@ -47,7 +47,7 @@ def rows_of_select(ledger: "Ledger", select: str, seconds: int | None, memory_mi
     """Yield the answer of a SELECT; the time limit covers all of it. Raises: As `sql`."""
     from fsar_ledger.metrics.untrusted import stream_untrusted
 
-    from .answers import Provenance
+    from .provenance import Provenance
     from .table import Rows
 
     limits = limits_of(seconds, memory_mib)
@@ -84,7 +84,7 @@ def sql(
     """
     from fsar_ledger.metrics.untrusted import table_untrusted
 
-    from .answers import Provenance
+    from .provenance import Provenance
     from .table import Table
 
     rows, head, rows_verified = table_untrusted(ledger.path, select, limits_of(seconds, memory_mib), ledger.demanded)

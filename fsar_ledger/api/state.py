@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from fsar_ledger.analysis.situation import RobotNow, RuleNow, Situation, TrustNow
     from fsar_ledger.projections.fold import State
 
-    from .answers import Provenance
     from .ledger import Ledger
+    from .provenance import Provenance
 
 BESIDE = "    "
 
@@ -92,8 +92,8 @@ def state(
     from fsar_ledger.analysis.situation import situation
     from fsar_ledger.analysis.timeline import Timeline
 
-    from .answers import of_run
     from .lookup import about_run, present, robot_of, time_of
+    from .provenance import of_run
 
     view, provenance = present(ledger)
     with about_run(view, run, ledger.demanded) as (database, name, _):

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from fsar_ledger.metrics.comparability import DifferingWorlds
     from fsar_ledger.metrics.results import StatisticRow
 
-    from .answers import Provenance
     from .ledger import Ledger
+    from .provenance import Provenance
     from .table import Table
 
 NOTHING = (
@@ -117,7 +117,7 @@ def statistics(ledger: "Ledger", pool: PoolOption = None) -> Statistics:
     )
     from fsar_ledger.metrics.results import StatisticRow, statistic_rows
 
-    from .answers import of_judgement
+    from .provenance import of_judgement
 
     pooled = pools_seeds(pool)
     with ledger.database() as database:

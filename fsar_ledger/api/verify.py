@@ -10,12 +10,12 @@ from fsar_ledger.base import printable
 from fsar_ledger.base.errors import FsarLedgerError, LedgerCorrupted, ReplayMismatch, UsageError, option
 from fsar_ledger.base.printable import counted
 from fsar_ledger.base.progress import Progress
-from fsar_ledger.base.workers import readers_of
 
 from .answers import Answer, Screen
 from .key import anchor_of, signature_text, trusted_of
 from .names import Place
 from .verbs import Gives, Shows, TrustedKeyOption, WorkersOption, declare, switch, verb
+from .workload import readers_of
 
 if TYPE_CHECKING:
     from fsar_ledger.ledger.store.problem import Problem

@@ -9,8 +9,8 @@ from fsar_ledger.base.errors import UsageError
 from fsar_ledger.events.envelope import flat
 from fsar_ledger.ledger.rows.codec import LedgerRun
 
-from .answers import Provenance, of_run
 from .names import microseconds
+from .provenance import Provenance, of_run
 
 
 class Steps:

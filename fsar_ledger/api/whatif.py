@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from fsar_ledger.ledger.rows.codec import LedgerRun
     from fsar_ledger.ledger.store.view import Head
 
-    from .answers import Provenance
     from .ledger import Ledger
+    from .provenance import Provenance
     from .table import Table
 
 NAMES = {"base_mean": "base", "fork_mean": "fork"}

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from fsar_ledger.analysis.why import DecisionTrace, Read
     from fsar_ledger.ledger.rows.codec import LedgerRun
 
-    from .answers import Provenance
     from .ledger import Ledger
+    from .provenance import Provenance
     from .table import Table
 
 MAX_WORDS = 1_000
@@ -164,8 +164,8 @@ def verdicts(ledger: "Ledger", run: Run, kind: str) -> "Table":
     """
     from fsar_ledger.metrics.verdicts import verdict_rows
 
-    from .answers import of_rows
     from .lookup import about_run, present
+    from .provenance import of_rows
     from .table import Table
 
     with about_run(present(ledger)[0], run, ledger.demanded) as (database, name, _):

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import typer
 
+from fsar_ledger.api.workload import stored, workers_of
 from fsar_ledger.base import memory, printable
 from fsar_ledger.base.errors import FsarLedgerError, LimitReached, UsageError
-from fsar_ledger.base.workers import stored, workers_of
 
 from .terminal import say
 

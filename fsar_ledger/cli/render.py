@@ -31,8 +31,8 @@ from fsar_ledger.base.printable import SafeText
 from .terminal import has_keys, pause, say, show, width_of_output
 
 if TYPE_CHECKING:
-    from fsar_ledger.api.answers import Provenance
     from fsar_ledger.api.ledger import Ledger
+    from fsar_ledger.api.provenance import Provenance
     from fsar_ledger.api.table import Rows
     from fsar_ledger.api.walks import Steps
 

@@ -20,8 +20,9 @@ import msgspec
 import numpy as np
 
 from fsar_ledger.api.names import Place
+from fsar_ledger.api.workload import workers_of
 from fsar_ledger.base.progress import Progress
-from fsar_ledger.base.workers import WorkerPool, workers_of
+from fsar_ledger.base.workers import WorkerPool
 from fsar_ledger.designs.constants import Constants
 from fsar_ledger.metrics import study_results
 from fsar_ledger.metrics.registration import Free, registration

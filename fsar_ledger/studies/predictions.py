@@ -13,8 +13,8 @@ from typing import Any
 import msgspec
 
 from fsar_ledger.api.names import Place
+from fsar_ledger.api.workload import workers_of
 from fsar_ledger.base.progress import Progress, each
-from fsar_ledger.base.workers import workers_of
 from fsar_ledger.designs.constants import Constants, Load, write_constants
 from fsar_ledger.events.configuration import CONFIGURATIONS, MECHANISMS, Configuration, without
 from fsar_ledger.events.envelope import Architecture

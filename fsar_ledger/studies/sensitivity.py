@@ -12,10 +12,10 @@ import msgspec
 import numpy as np
 
 from fsar_ledger.api.names import Place
+from fsar_ledger.api.workload import workers_of
 from fsar_ledger.base.errors import UsageError
 from fsar_ledger.base.progress import Progress
 from fsar_ledger.base.publishing import publish
-from fsar_ledger.base.workers import workers_of
 from fsar_ledger.designs.constants import Constants, write_constants
 from fsar_ledger.metrics.effects import About, Effect, Sensitivity, parquet, that_matter
 from fsar_ledger.metrics.study_results import METRICS, rules

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from fsar_ledger.api.answers import Provenance
 from fsar_ledger.api.ledger import Ledger
 from fsar_ledger.api.log_rows import LogRequest, stream
+from fsar_ledger.api.provenance import Provenance
 from fsar_ledger.base.errors import UsageError
 from fsar_ledger.designs.constants import Constants
 from fsar_ledger.ledger.log.merkle import tree_root

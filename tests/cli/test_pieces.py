@@ -8,7 +8,8 @@ import msgspec
 import pyarrow as pa
 import pytest
 
-from fsar_ledger.api.answers import Provenance, Row
+from fsar_ledger.api.answers import Row
+from fsar_ledger.api.provenance import Provenance
 from fsar_ledger.api.table import Rows
 from fsar_ledger.api.tables import more_text, table_text
 from fsar_ledger.base.errors import UsageError

@@ -13,7 +13,7 @@ from itertools import pairwise, product
 import pyarrow as pa
 import pytest
 
-from fsar_ledger.api.answers import Provenance
+from fsar_ledger.api.provenance import Provenance
 from fsar_ledger.api.table import Rows
 from fsar_ledger.cli.render import Form
 from fsar_ledger.ledger.store.view import Head

@@ -11,7 +11,7 @@ import pytest
 from fsar_ledger import Ledger
 from fsar_ledger.analysis.records import Line, record_of
 from fsar_ledger.analysis.why import DecisionTrace, Read, decisions, first_of, reasons
-from fsar_ledger.api.answers import Provenance
+from fsar_ledger.api.provenance import Provenance
 from fsar_ledger.api.why import Tree, why_of
 from fsar_ledger.base.errors import UsageError
 from fsar_ledger.events.envelope import Robot, Supervisor
