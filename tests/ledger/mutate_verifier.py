@@ -32,7 +32,7 @@ TESTS = tuple(
 )
 SLOW = (
     "every_byte or even_where_a_forger or anything_in_a_field or workers_find or any_json or bomb or readers_would "
-    "or killed or of_two_writers or however_runs_are_cut or of_each_release or eight_processes"
+    "or killed or of_two_writers or however_runs_are_cut or of_each_release"
 )
 PARALLEL = len(os.sched_getaffinity(0))
 LIMIT_S = 600

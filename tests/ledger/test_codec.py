@@ -12,7 +12,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from fsar_ledger.base.errors import InvalidRun, LedgerCorrupted, UnknownEventTag
+from fsar_ledger.base.errors import InvalidRun, LedgerCorrupted
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import flat, with_columns
 from fsar_ledger.ledger.log import merkle
@@ -272,11 +272,6 @@ def test_valid_rows_have_no_flaw() -> None:
     assert first_flaw(encode(made_up_batches(1, runs=2, size=400)[0])) is None
     assert first_flaw(SCHEMA.empty_table()) is None
     assert list(decode(SCHEMA.empty_table())) == []
-
-
-def test_unknown_event_type_is_named() -> None:
-    with pytest.raises(UnknownEventTag, match=r"run run-0000, seq 9, field type: found 'RobotFlew\.v1'"):
-        list(decode(table_with("type", 9, "RobotFlew.v1")))
 
 
 def test_wrong_columns_are_refused() -> None:

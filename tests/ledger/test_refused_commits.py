@@ -2,7 +2,6 @@
 
 import pickle
 import re
-import shutil
 from concurrent.futures import ThreadPoolExecutor
 from itertools import product
 from pathlib import Path
@@ -28,17 +27,7 @@ from tests.ledger.samples import ORIGIN, append_all, contents, made_up_run
 from tests.ledger.test_refused_runs import BATCHES, RUN, refused
 from tests.ledger.test_writer_property import with_event
 
-
-@pytest.fixture(scope="module")
-def intact(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("intact") / "ledger"
-    append_all(path, BATCHES[:2])
-    return path
-
-
-@pytest.fixture
-def path(intact: Path, tmp_path: Path) -> Path:
-    return Path(shutil.copytree(intact, tmp_path / "ledger"))
+COMMITTED = BATCHES[:2]
 
 
 def too_large() -> dict[str, LedgerRun]:

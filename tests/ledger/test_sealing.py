@@ -17,7 +17,6 @@ from fsar_ledger.ledger.store import append, growing, sealing
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.paths import CHAIN, JOURNAL, SEALING, SEGMENTS
 from fsar_ledger.ledger.store.staging import stage
-from fsar_ledger.ledger.verify.recover import recover
 from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.agreement import Case, judged
 from tests.ledger.agreement_chain import hand_over, view_of
@@ -121,11 +120,6 @@ def test_what_a_writer_left_is_read_verified_continued_and_sealed(chained: Path)
         writer.seal()
     assert (rows_in(chained), verify(chained).remarks) == (ROWS[:10], ())
     assert not {SEALING, JOURNAL} & contents(chained).keys()
-
-
-def test_recover_finds_nothing_to_do_but_what_a_writer_would(chained: Path) -> None:
-    recover(chained)
-    assert (rows_in(chained), verify(chained).ok) == (ROWS[:8], True)
 
 
 @pytest.mark.parametrize("step", few([23, 61], [61]))
