@@ -11,21 +11,14 @@ from fsar_ledger.base.errors import LedgerCorrupted
 from fsar_ledger.ledger.rows import bounds, segment
 from fsar_ledger.ledger.rows.bounds import text_bytes
 from fsar_ledger.ledger.rows.codec import encode
-from fsar_ledger.ledger.rows.grammar import path_of
 from fsar_ledger.ledger.rows.layout import check_layout, read_file
-from fsar_ledger.ledger.rows.schema import COLUMNS
 from tests.ledger.agreement import ROOT, independent
-from tests.ledger.hostile import lying_pages, written
+from tests.ledger.hostile import lying_pages, packed
 from tests.ledger.parts import Parts
 from tests.ledger.samples import made_up_run
 from tests.ledger.thrift import Struct, field, put
 
 TABLE = encode([made_up_run("run-0", 300, 1)])
-AS_OURS: Mapping[str, object] = {
-    "use_dictionary": [path_of(name) for name, kind in COLUMNS.items() if kind in ("string", "strings")],
-    "column_encoding": {name: "DELTA_BINARY_PACKED" for name, kind in COLUMNS.items() if kind == "integer"},
-    "write_statistics": ["run_id", "seq", "time_us"],
-}
 
 
 @pytest.fixture
@@ -36,7 +29,7 @@ def file(tmp_path: Path) -> Path:
 
 
 def refusal(file: Path, data: bytes | pa.Table, **options: object) -> str:
-    file.write_bytes(data if isinstance(data, bytes) else written(data, **{**AS_OURS, **options}))
+    file.write_bytes(data if isinstance(data, bytes) else packed(data, **options))
     with pytest.raises(LedgerCorrupted) as caught:
         check_layout(file, read_file(file))
     assert str(caught.value).startswith(f"{file}: ")
@@ -52,7 +45,7 @@ def test_a_segment_as_it_is_written_is_within_bounds(file: Path) -> None:
     "options", [{"compression_level": 9}, {"write_statistics": False}, {"data_page_size": 100, "write_batch_size": 7}]
 )
 def test_what_other_writers_may_choose_is_read(file: Path, options: Mapping[str, object]) -> None:
-    file.write_bytes(written(TABLE, **{**AS_OURS, **options}))
+    file.write_bytes(packed(TABLE, **options))
     assert file.read_bytes() != bytes(segment.to_parquet(TABLE))
     assert segment.read_table(file).equals(TABLE)
 

@@ -45,16 +45,19 @@ def events_of(view: View) -> list[bytes]:
     return found
 
 
-@pytest.fixture
-def path(tmp_path: Path) -> Path:
-    """Return a ledger with two segments and a journal."""
-    path = tmp_path / "ledger"
+def write(path: Path) -> Path:
+    """Write a ledger with two segments, of which the second ends within a run, and two commits in its journal."""
     with Writer(path, ORIGIN, SIGNER) as writer:
         writer.append(stage(path, RUNS[:1]))
         writer.append(stage(path, [piece(RUNS[1], 0, 20)]))
         writer.add([piece(RUNS[1], 20, 25), piece(RUNS[2], 0, 5)])
         writer.add([piece(RUNS[2], 5, 30)])
     return path
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return write(tmp_path / "ledger")
 
 
 # --- the same events ---
