@@ -238,17 +238,6 @@ def test_parameters_that_nobody_can_read_are_refused(path: Path, text: str) -> N
 
 @pytest.mark.parametrize("text", [None, "{}", '{"speed":{"limit_m_per_s":3.0},"modes":["slow"]}'])
 def test_parameters_of_somebody_elses_are_any_json_object(path: Path, text: str | None) -> None:
-    append_all(
-        path,
-        [
-            [
-                LedgerRun(
-                    "night",
-                    [0],
-                    [None],
-                    [RunStarted(kind="foreign", observes=("fleet",), source="example.org", parameters=text)],
-                )
-            ]
-        ],
-    )
+    started = RunStarted(kind="foreign", observes=("fleet",), source="example.org", parameters=text)
+    append_all(path, [[LedgerRun("night", [0], [None], [started])]])
     assert verify(path).ok
