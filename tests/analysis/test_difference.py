@@ -25,7 +25,8 @@ def test_a_run_does_not_differ_from_itself(runs: list[LedgerRun]) -> None:
         assert alignment.same == len(run.events)
 
 
-def require_planted(runs: list[LedgerRun], cases: int) -> None:
+@pytest.mark.parametrize("cases", [60, pytest.param(1_000, marks=pytest.mark.slow)])
+def test_exactly_the_planted_edits_are_found(runs: list[LedgerRun], cases: int) -> None:
     kinds: Counter[str] = Counter()
     for case in range(cases):
         run = runs[case % len(runs)]
@@ -33,15 +34,6 @@ def require_planted(runs: list[LedgerRun], cases: int) -> None:
         assert Counter(found(run, edited.run)) == Counter(edited.edits), case
         kinds.update(kind for kind, _ in edited.edits)
     assert min(kinds[kind] for kind in ("only first", "only second", "changed", "moved")) > cases // 4
-
-
-def test_exactly_the_planted_edits_are_found(runs: list[LedgerRun]) -> None:
-    require_planted(runs, 60)
-
-
-@pytest.mark.slow
-def test_exactly_the_planted_edits_are_found_in_a_thousand_cases(runs: list[LedgerRun]) -> None:
-    require_planted(runs, 1_000)
 
 
 def test_the_other_way_round_the_same_differs(runs: list[LedgerRun]) -> None:

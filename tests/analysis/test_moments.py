@@ -12,7 +12,13 @@ from tests.analysis.conftest import OUTAGES, simulated
 CELLS = [(architecture, constants) for architecture in ("fsar", "cfc", "dhma") for constants in (Constants(), OUTAGES)]
 
 
-def require_equal_to_a_stopped_simulation(architecture: str, constants: Constants, run: int, step: int) -> None:
+@pytest.mark.parametrize(("architecture", "constants"), CELLS)
+@pytest.mark.parametrize(
+    ("run", "step"), [(0, 7), *(pytest.param(run, 1, marks=pytest.mark.slow) for run in range(1, 5))]
+)
+def test_the_state_at_a_time_is_that_of_a_simulation_stopped_then(
+    architecture: str, constants: Constants, run: int, step: int
+) -> None:
     record = simulated(architecture, run, constants)
     timeline = Timeline(record)
     stopped = kernel(RunSpec(42, architecture, "full", "door-relay", 4, run), constants)
@@ -20,20 +26,6 @@ def require_equal_to_a_stopped_simulation(architecture: str, constants: Constant
         stopped.run(time_us)
         assert len(stopped.events) == timeline.seq_at(time_us) + 1
         assert timeline.after(timeline.seq_at(time_us)) == stopped.state
-
-
-@pytest.mark.parametrize(("architecture", "constants"), CELLS)
-def test_the_state_at_a_time_is_that_of_a_simulation_stopped_then(architecture: str, constants: Constants) -> None:
-    require_equal_to_a_stopped_simulation(architecture, constants, 0, 7)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("architecture", "constants"), CELLS)
-@pytest.mark.parametrize("run", range(1, 5))
-def test_at_every_event_the_state_is_that_of_a_stopped_simulation(
-    architecture: str, constants: Constants, run: int
-) -> None:
-    require_equal_to_a_stopped_simulation(architecture, constants, run, 1)
 
 
 def test_the_state_after_an_event_does_not_depend_on_what_is_kept(runs: list[LedgerRun]) -> None:

@@ -19,6 +19,7 @@ from tests.analysis.conftest import simulated
 
 ROOT = "0b" * 32
 RUNS = 12
+Values = np.ndarray[tuple[int], np.dtype[np.float64]]
 
 
 @pytest.fixture(scope="module")
@@ -31,11 +32,16 @@ def pairs(bases: list[Base]) -> list[Pair]:
     return list(forks_of(bases, parsed(["drop window:fleet/B1/*"])))
 
 
-def values(records: list[LedgerRun], metric: str) -> list[float | None]:
+def values(records: list[LedgerRun], metric: str) -> Values:
     with from_table(encode(records)) as database:
         rows = database.rows(f"SELECT run_id, value FROM {metric}")
     found = {row["run_id"]: row["value"] for row in rows}
-    return [found[record.run_id] for record in records]
+    return np.array([found[record.run_id] for record in records], float)
+
+
+def both_values(pairs: list[Pair], metric: str) -> tuple[Values, Values]:
+    """The metric of each base, and of each fork."""
+    return values([pair.base.record for pair in pairs], metric), values([pair.fork.record for pair in pairs], metric)
 
 
 def effect(pairs: list[Pair], metric: str) -> Effect:
@@ -47,8 +53,7 @@ def effect(pairs: list[Pair], metric: str) -> Effect:
 def test_the_means_and_the_difference_are_those_of_the_runs(pairs: list[Pair]) -> None:
     for metric in ("policy_violations", "authority_conflicts", "coordination_success"):
         found = effect(pairs, metric)
-        base = np.array(values([pair.base.record for pair in pairs], metric), float)
-        fork = np.array(values([pair.fork.record for pair in pairs], metric), float)
+        base, fork = both_values(pairs, metric)
         assert found.n == RUNS
         assert found.base_mean == pytest.approx(base.mean())
         assert found.fork_mean == pytest.approx(fork.mean())
@@ -60,10 +65,7 @@ def test_the_means_and_the_difference_are_those_of_the_runs(pairs: list[Pair]) -
 
 def test_where_few_pairs_differ_the_test_is_the_exact_sign_test(pairs: list[Pair]) -> None:
     found = effect(pairs, "policy_violations")
-    base, fork = (
-        np.array(values(records, "policy_violations"), float)
-        for records in ([pair.base.record for pair in pairs], [pair.fork.record for pair in pairs])
-    )
+    base, fork = both_values(pairs, "policy_violations")
     more, less = int((fork > base).sum()), int((fork < base).sum())
     assert 0 < more + less < RUNS / 2
     assert found.test == "sign"
@@ -73,10 +75,7 @@ def test_where_few_pairs_differ_the_test_is_the_exact_sign_test(pairs: list[Pair
 
 def test_the_bootstrap_interval_is_that_of_resampled_pairs(pairs: list[Pair]) -> None:
     found = effect(pairs, "policy_violations")
-    base, fork = (
-        np.array(values(records, "policy_violations"), float)
-        for records in ([pair.base.record for pair in pairs], [pair.fork.record for pair in pairs])
-    )
+    base, fork = both_values(pairs, "policy_violations")
     drawn = np.random.default_rng(3).choice(fork - base, (20_000, RUNS)).mean(axis=1)
     low, high = np.quantile(drawn, [0.025, 0.975], method="inverted_cdf")
     assert found.low == pytest.approx(low, abs=1.01 / RUNS)

@@ -13,7 +13,7 @@ from fsar_ledger.designs.constants import Constants
 from fsar_ledger.ledger.log.merkle import tree_root
 from fsar_ledger.ledger.log.tiles import Tile, node_of
 from fsar_ledger.ledger.opening import open_for_answers
-from fsar_ledger.ledger.rows.runs import LedgerRun
+from fsar_ledger.ledger.rows.run_slices import piece
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.metrics.event_filter import Filter
@@ -23,12 +23,6 @@ from tests.ledger.samples import contents
 
 RUNS = [simulate_run(RunSpec(7, name, "full", "door-relay", 4, 0), Constants()) for name in ("fsar", "cfc")]
 ORIGIN = "example.org/growing"
-
-
-def piece(run: LedgerRun, first: int, end: int) -> LedgerRun:
-    end = min(end, len(run.events))
-    times, causes, events = run.times_us[first:end], run.caused_by[first:end], run.events[first:end]
-    return LedgerRun(run.run_id, times, causes, events, first, end < len(run.events))
 
 
 def write(path: Path) -> None:

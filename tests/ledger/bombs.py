@@ -27,6 +27,7 @@ from tests.metrics.conftest import record
 
 MIB = 1 << 20
 LEDGER = "LEDGER"
+BESIDE = "../beside"
 SOME = (
     ("info", LEDGER),
     ("metrics", LEDGER),
@@ -49,6 +50,17 @@ QUICK = (("info", LEDGER), ("verify", LEDGER, "--workers", "1"))
 Values = dict[str, object]
 
 
+STARTED = {
+    "kind": "simulated",
+    "architecture": "fsar",
+    "configuration": "full",
+    "scenario": "door-relay",
+    "model_version": "x",
+    "parameters": "{}",
+}
+"""What each run says of itself."""
+
+
 class Bomb(NamedTuple):
     """What is put into or beside a ledger of one small commit, and the calls that touch it."""
 
@@ -64,14 +76,6 @@ def base_ledger(path: Path) -> None:
 def rows(count: int, **values: object) -> pa.Table:
     """Return this many rows of one run that begins with RunStarted. A value goes into every row, an array is used as it
     is."""
-    started = {
-        "kind": "simulated",
-        "architecture": "fsar",
-        "configuration": "full",
-        "scenario": "door-relay",
-        "model_version": "x",
-        "parameters": "{}",
-    }
     types = pa.DictionaryArray.from_arrays(
         pa.array(np.minimum(np.arange(count), 1).astype(np.int32)), pa.array(["RunStarted.v1", "TaskCompleted.v1"])
     )
@@ -84,7 +88,7 @@ def rows(count: int, **values: object) -> pa.Table:
         "caused_by": pa.array(numbers - 1, mask=numbers == 0),
         **values,
     }
-    given |= {name: _first(count, value) for name, value in started.items() if name not in values}
+    given |= {name: _first(count, value) for name, value in STARTED.items() if name not in values}
     given |= {
         name: _first(count, value)
         for name, value in {"seed": 1, "fleet_size": 4, "run": 0}.items()
@@ -161,11 +165,6 @@ def committed(make: Callable[[], pa.Table], times: int = 1) -> Callable[[Path], 
     return lay
 
 
-def texts(count: int, *values: str) -> pa.DictionaryArray:
-    """Return this many texts that cycle through these."""
-    return pa.DictionaryArray.from_arrays(pa.array((np.arange(count) % len(values)).astype(np.int32)), pa.array(values))
-
-
 def claims(count: int, claimants: int) -> pa.Table:
     """Return this many claims of one dimension of one action, none of them released."""
     numbers = pa.array((np.arange(count) % claimants).astype(np.int32))
@@ -187,14 +186,6 @@ def lists(count: int, each: int) -> pa.Table:
 def runs(count: int) -> pa.Table:
     """Return this many runs of one event."""
     names = pa.array([f"run-{number:07d}" for number in range(count)])
-    started = {
-        "kind": "simulated",
-        "architecture": "fsar",
-        "configuration": "full",
-        "scenario": "door-relay",
-        "model_version": "x",
-        "parameters": "{}",
-    }
     numbers = np.arange(count)
     own = {
         "run_id": names,
@@ -205,20 +196,11 @@ def runs(count: int) -> pa.Table:
         "seed": numbers,
         "run": numbers,
     }
-    return rows(count, fleet_size=4, **own, **started)
-
-
-def replaced(name: str, data: bytes) -> Callable[[Path], None]:
-    """Return a function that replaces the content of this file of the ledger."""
-
-    def lay(path: Path) -> None:
-        (path / name).write_bytes(data)
-
-    return lay
+    return rows(count, fleet_size=4, **own, **STARTED)
 
 
 def instead(name: str, make: Callable[[Path], object]) -> Callable[[Path], None]:
-    """Return a function that puts something else in place of this file of the ledger."""
+    """Return a function that puts something else in place of this file of the ledger, or beside it."""
 
     def lay(path: Path) -> None:
         (path / name).unlink(missing_ok=True)
@@ -237,18 +219,10 @@ def sparse(size: int) -> Callable[[Path], None]:
     return make
 
 
-def beside(name: str, make: Callable[[Path], object]) -> Callable[[Path], None]:
-    """Return a function that puts something beside the ledger."""
-
-    def lay(path: Path) -> None:
-        make(path.parent / name)
-
-    return lay
-
-
-def document(what: str) -> bytes:
-    """Return one of the malformed documents."""
-    return dict(documents(b'{"format":"fsar-ledger","origin":"example.org/x","version":2}'))[what]
+def document(what: str) -> Callable[[Path], object]:
+    """Return a function that makes one of the malformed documents."""
+    data = dict(documents(b'{"format":"fsar-ledger","origin":"example.org/x","version":2}'))[what]
+    return lambda file: file.write_bytes(data)
 
 
 def unpacking(size: int) -> bytes:
@@ -306,23 +280,25 @@ BOMBS: dict[str, Bomb] = {
         instead(NODES, sparse(1 << 40)), (("verify", LEDGER, "--workers", "1"), ("prove", LEDGER, "1"))
     ),
     # documents
-    "a record that nests": Bomb(replaced(CHAIN, document("100,000 objects in each other")), QUICK),
-    "a description of a million names": Bomb(replaced("ledger.json", document("a million names")), QUICK),
-    "a number of 100,000 digits for a record": Bomb(replaced(CHAIN, document("a number of 100,000 digits")), QUICK),
-    "a checkpoint of a megabyte of lines": Bomb(replaced("checkpoint", b"\n" * MIB), QUICK),
+    "a record that nests": Bomb(instead(CHAIN, document("100,000 objects in each other")), QUICK),
+    "a description of a million names": Bomb(instead("ledger.json", document("a million names")), QUICK),
+    "a number of 100,000 digits for a record": Bomb(instead(CHAIN, document("a number of 100,000 digits")), QUICK),
+    "a checkpoint of a megabyte of lines": Bomb(
+        instead("checkpoint", lambda file: file.write_bytes(b"\n" * MIB)), QUICK
+    ),
     # proofs, anchors and keys
-    "a proof of a terabyte": Bomb(beside("beside", sparse(1 << 40)), PROOF),
+    "a proof of a terabyte": Bomb(instead(BESIDE, sparse(1 << 40)), PROOF),
     "a proof with 20,000 hashes": Bomb(
-        beside(
-            "beside", lambda file: file.write_text("c2sp.org/tlog-proof@v1\nindex 1\n" + ("A" * 43 + "=\n") * 20_000)
+        instead(
+            BESIDE, lambda file: file.write_text("c2sp.org/tlog-proof@v1\nindex 1\n" + ("A" * 43 + "=\n") * 20_000)
         ),
         PROOF,
     ),
-    "a device for an anchor": Bomb(beside("beside", lambda file: file.symlink_to("/dev/zero")), ANCHORED),
-    "a pipe for a key": Bomb(beside("beside", os.mkfifo), KEYED),
+    "a device for an anchor": Bomb(instead(BESIDE, lambda file: file.symlink_to("/dev/zero")), ANCHORED),
+    "a pipe for a key": Bomb(instead(BESIDE, os.mkfifo), KEYED),
     # SQL and parameters
     "SELECTs that grow": Bomb(
-        beside("beside", NOTHING),
+        instead(BESIDE, NOTHING),
         asked(
             "SELECT [x, x, x, x, x, x] AS l FROM range(1000000) AS t(x)",
             "SELECT len(list(i)) FROM range(100000000000) AS t(i)",
@@ -333,7 +309,7 @@ BOMBS: dict[str, Bomb] = {
         ),
     ),
     "a parameter of 100 kB": Bomb(
-        beside("beside", NOTHING),
+        instead(BESIDE, NOTHING),
         (
             ("query", "audit/policy_at", LEDGER, "--param", "run=" + "x" * 100_000),
             ("query", "audit/overlapping_claims", LEDGER, "--param", f"run={'9' * 6_000}"),

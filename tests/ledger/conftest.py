@@ -1,4 +1,4 @@
-"""A ledger for tests that look at many damaged copies of it."""
+"""Ledgers for tests that look at many damaged copies of one."""
 
 import shutil
 from collections.abc import Iterator
@@ -11,6 +11,7 @@ from tests.ledger.crash_writer import Nursery
 from tests.ledger.damage import write_ledger
 from tests.ledger.faults import FaultyOs, calls_of
 from tests.ledger.once import decoded_once
+from tests.ledger.samples import append_all
 
 
 @pytest.fixture(scope="session")
@@ -29,10 +30,21 @@ def snapshots(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathF
     return folder
 
 
+@pytest.fixture(scope="module")
+def intact(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Write a ledger to be read only: of the module's `SIZES`, or of its `COMMITTED` batches, signed by `SIGNED_BY`."""
+    own = vars(request.module)
+    if "SIZES" in own:
+        return Path(request.getfixturevalue("snapshots") / "whole")
+    path = tmp_path_factory.mktemp("intact") / "ledger"
+    append_all(path, own["COMMITTED"], signer=own.get("SIGNED_BY"))
+    return path
+
+
 @pytest.fixture
-def path(snapshots: Path, tmp_path: Path) -> Iterator[Path]:
+def path(intact: Path, tmp_path: Path) -> Iterator[Path]:
     """Copy the ledger, to be damaged. Only damaged segments are decoded again."""
-    path = Path(shutil.copytree(snapshots / "whole", tmp_path / "ledger"))
+    path = Path(shutil.copytree(intact, tmp_path / "ledger"))
     with decoded_once():
         yield path
 

@@ -15,6 +15,7 @@ import msgspec
 from fsar_ledger.base.errors import FsarLedgerError, NotALedger, WriteFailed
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.rows.codec import encode_lines
+from fsar_ledger.ledger.rows.run_slices import piece
 from fsar_ledger.ledger.rows.runs import LedgerRun
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.paths import MANIFEST
@@ -36,14 +37,7 @@ def part(name: str, number: int) -> LedgerRun:
     run, at = divmod(number, len(CUTS) - 1)
     whole = made_up_run(f"{name}-{run:04d}", CUTS[-1], seed=NAMES.index(name) * 1000 + run)
     first, end = CUTS[at : at + 2]
-    return LedgerRun(
-        whole.run_id,
-        whole.times_us[first:end],
-        whole.caused_by[first:end],
-        whole.events[first:end],
-        first,
-        end < CUTS[-1],
-    )
+    return piece(whole, first, end)
 
 
 @cache

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import cast
 
 from tests.ledger.parts import Parts
-from tests.ledger.thrift import BINARY, I32, I64, LIST, STRUCT, TRUE, Field, Listed, Raw, Struct, field, put
+from tests.ledger.thrift import BINARY, FALSE, I32, I64, LIST, STRUCT, TRUE, Field, Listed, Raw, Struct, field, put
 
 Change = Callable[[Parts], object]
 
@@ -29,6 +29,7 @@ def statistics(parts: Parts, name: str) -> Struct:
     return cast(Struct, field(about(parts, name), 12))
 
 
+IN_ORDER = Listed(STRUCT, [[Field(1, I32, 0), Field(2, FALSE, 0), Field(3, TRUE, 1)]])
 CHANGES: dict[str, tuple[Change, str]] = {
     "another version of the format": (lambda parts: put(parts.footer, 1, 1), "the footer: "),
     "key-value metadata": (
@@ -62,7 +63,7 @@ CHANGES: dict[str, tuple[Change, str]] = {
     "other rows in the row group": (lambda parts: add(parts.group(), 3, 1), "a row group of 121 rows, expected 120"),
     "other bytes stored in the row group": (lambda parts: add(parts.group(), 6, 1), "bytes stored, expected"),
     "another place of the row group": (lambda parts: put(parts.group(), 5, 5), "the footer: "),
-    "sorted rows": (lambda parts: put(parts.group(), 4, Listed(STRUCT, []), LIST), "the footer: "),
+    "sorted rows": (lambda parts: put(parts.group(), 4, IN_ORDER, LIST), "the footer: "),
     "a column in another file": (lambda parts: put(parts.chunks()[1], 1, b"x", BINARY), "the footer: column seq"),
     "a place of metadata": (lambda parts: put(parts.chunks()[1], 2, 4), "the footer: "),
     "a page index": (lambda parts: put(parts.chunks()[1], 4, 4, I64), "the footer: column seq"),

@@ -4,6 +4,7 @@ verifier must refuse."""
 from collections.abc import Callable
 from typing import cast
 
+from tests.ledger.layout_changes import CHANGES
 from tests.ledger.parts import MAGIC, Parts
 from tests.ledger.thrift import (
     BINARY,
@@ -11,7 +12,6 @@ from tests.ledger.thrift import (
     I16,
     I32,
     I64,
-    LIST,
     STRUCT,
     TRUE,
     Field,
@@ -29,7 +29,7 @@ Damage = Callable[[bytes], bytes]
 Alter = Callable[[Struct], None]
 
 
-def forged(alter: Callable[[Parts], None]) -> Damage:
+def forged(alter: Callable[[Parts], object]) -> Damage:
     """Alter the parts of the file."""
 
     def damage(data: bytes) -> bytes:
@@ -43,16 +43,6 @@ def forged(alter: Callable[[Parts], None]) -> Damage:
 def in_footer(alter: Alter) -> Damage:
     """Alter the footer."""
     return forged(lambda parts: alter(parts.footer))
-
-
-def in_group(alter: Alter) -> Damage:
-    """Alter the row group."""
-    return forged(lambda parts: alter(parts.group()))
-
-
-def in_chunk(alter: Alter) -> Damage:
-    """Alter a column chunk."""
-    return forged(lambda parts: alter(parts.chunks()[TYPE]))
 
 
 def in_column(alter: Alter, column: int = TYPE) -> Damage:
@@ -143,55 +133,26 @@ def longer_footer(data: bytes) -> bytes:
     return data[:-8] + b"\0" + (int.from_bytes(data[-8:-4], "little") + 1).to_bytes(4, "little") + MAGIC
 
 
-KEYS_AND_VALUES = Listed(STRUCT, [[Field(1, BINARY, b"key"), Field(2, BINARY, b"value")]])
-IN_ORDER = Listed(STRUCT, [[Field(1, I32, 0), Field(2, FALSE, 0), Field(3, TRUE, 1)]])
 ZERO = bytes(8)
 
 DAMAGED: dict[str, Damage] = {
+    **{name: forged(change) for name, (change, _) in CHANGES.items() if name != "statistics of another column"},
     "bytes before the footer": gap(None),
     "bytes between columns": gap(SEQ),
     "bytes before the first column": gap(0),
     "columns in another order in the file": forged(swapped),
     "bytes behind the fields of the footer": longer_footer,
-    "another version": in_footer(plus(7, 1)),
-    "more rows in the file": in_footer(plus(1, 3)),
-    "key-value metadata": in_footer(to(5, KEYS_AND_VALUES, LIST)),
-    "another writer": in_footer(to(6, b"parquet-mr version 1.15")),
     "no order of values": in_footer(without(7)),
     "an order of values less": in_footer(one_less(7)),
-    "a field of the footer that nobody knows": in_footer(to(30, 4, I64)),
     "a field of the footer twice": in_footer(again(3, at_once=True)),
-    "more rows in the row group": in_group(plus(1, 3)),
-    "a larger row group": in_group(plus(1, 2)),
-    "a larger row group as it is stored": in_group(plus(1, 6)),
-    "a row group elsewhere": in_group(plus(1, 5)),
-    "a number of the row group": in_group(to(7, 0, I16)),
-    "an order of rows": in_group(to(4, IN_ORDER, LIST)),
-    "a column in another file": in_chunk(to(1, b"other.parquet", BINARY)),
-    "the metadata of a column elsewhere": in_chunk(plus(4, 2)),
-    "an encrypted column": in_chunk(to(9, b"secret", BINARY)),
-    "a page index": in_chunk(to(4, 4, I64)),
-    "fewer values": in_column(plus(-1, 5)),
+    "a number of the row group": forged(lambda parts: put(parts.group(), 7, 0, I16)),
+    "an encrypted column": forged(lambda parts: put(parts.chunks()[TYPE], 9, b"secret", BINARY)),
     "more values": in_column(plus(1, 5)),
-    "a column that unpacks to more": in_column(plus(1, 6)),
-    "a larger column": in_column(plus(1, 7)),
-    "a dictionary elsewhere": in_column(plus(1, 11)),
-    "no dictionary": in_column(without(11)),
-    "a dictionary where there is none": in_column(to(11, 0, I64), SEQ),
-    "a data page elsewhere": in_column(plus(1, 9)),
-    "another codec": in_column(plus(-5, 4)),
-    "another type": in_column(plus(-4, 1)),
-    "key-value metadata of a column": in_column(to(8, KEYS_AND_VALUES, LIST)),
-    "a Bloom filter": in_column(to(14, 4, I64)),
     "a field that nobody knows": in_column(to(19, 4, I64)),
     "a field twice": in_column(again(5, at_once=False)),
     "a field as another type": in_column(lambda about: put(about, 5, field(about, 5), I32)),
-    "an encoding that no page has": in_column(to(2, Listed(I32, [0, 3, 8, 6]))),
-    "other counts of pages": in_column(within(13, plus(1, 3))),
     "statistics that lie": in_column(within(12, lying), TIME),
-    "statistics that say two things": in_column(within(12, to(5, ZERO)), TIME),
     "a count of distinct values": in_column(within(12, to(4, 1, I64)), SEQ),
-    "NULLs where there are none": in_column(within(12, plus(1, 3)), SEQ),
     "a lie about all strings": in_column(within(16, plus(1, 1))),
     "a wrong checksum": in_page(plus(1, 4)),
     "no checksum": in_page(without(4)),

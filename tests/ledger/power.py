@@ -166,11 +166,6 @@ class Disk:
         """Record that the name is gone."""
         self._change((path, None))
 
-    @property
-    def unsure(self) -> int:
-        """Return how many changes of names a power failure could undo."""
-        return sum(not change.is_durable for change in self._changes)
-
     def after_power_failure(self, choice: "Choice", path: Path) -> None:
         """Write to the new folder `path` what the root would hold after a power failure now, with this choice of what
         survives."""

@@ -1,8 +1,6 @@
 """Two verifiers that share no code agree on ledgers, good and damaged, and name the same first file."""
 
-import json
 import random
-import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -10,7 +8,6 @@ from typing import Any
 import msgspec
 import pytest
 
-from fsar_ledger.ledger.log.note import Signer
 from fsar_ledger.ledger.rows.run_slices import piece
 from fsar_ledger.ledger.rows.runs import LedgerRun
 from fsar_ledger.ledger.store.append import Writer
@@ -19,46 +16,16 @@ from fsar_ledger.ledger.store.paths import CHAIN, JOURNAL
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.ledger.v1 import upgrade
 from fsar_ledger.ledger.verify.verify import verify
-from tests.ledger.agreement import ROOT
+from tests.ledger.agreement import Case, event_types, independent, judged
 from tests.ledger.keep_release import LEDGERS
 from tests.ledger.samples import ORIGIN, contents, made_up_run
-from tests.ledger.test_chain import RUNS
+from tests.ledger.test_chain import RUNS, SIGNER, write
 from tests.quick import few
 
-SIGNER = Signer(ORIGIN, b"k" * 32)
-TYPES = json.loads((ROOT / "docs" / "event-types.json").read_text("utf-8"))
 
-
-@pytest.fixture(scope="module")
-def independent() -> Iterator[Any]:
-    """Import the second verifier as its command does."""
-    sys.path.insert(0, str(ROOT / "tests"))
-    try:
-        import independent_chain  # type: ignore[import-not-found]
-
-        yield independent_chain
-    finally:
-        sys.path.remove(str(ROOT / "tests"))
-
-
-def write(path: Path) -> Path:
-    """Write a ledger with two segments, of which the second ends within a run, and two commits in its journal."""
-    with Writer(path, ORIGIN, SIGNER) as writer:
-        writer.append(stage(path, RUNS[:1]))
-        writer.append(stage(path, [piece(RUNS[1], 0, 20)]))
-        writer.add([piece(RUNS[1], 20, 25), piece(RUNS[2], 0, 5)])
-        writer.add([piece(RUNS[2], 5, 30)])
-    return path
-
-
-def judged(independent: Any, path: Path) -> tuple[str | None, str | None]:
-    """Return the first file that each verifier doubts, None where it doubts none."""
-    problems = verify(path).problems
-    try:
-        independent.Verifier(path, None, None, TYPES).verify()
-    except independent.ProblemError as error:
-        return (problems[0].where if problems else None), error.where
-    return (problems[0].where if problems else None), None
+def second(path: Path) -> Any:
+    """Let the second verifier look."""
+    return independent("independent_chain").Verifier(path, None, None, event_types()).verify()
 
 
 def _sealed(path: Path) -> None:
@@ -77,22 +44,19 @@ def _nothing(path: Path) -> None:
 
 
 @pytest.mark.parametrize("change", [_nothing, _sealed, _compacted])
-def test_both_find_nothing_wrong_with_a_good_ledger(
-    independent: Any, tmp_path: Path, change: Callable[[Path], None]
-) -> None:
+def test_both_find_nothing_wrong_with_a_good_ledger(tmp_path: Path, change: Callable[[Path], None]) -> None:
     path = write(tmp_path / "ledger")
     change(path)
-    assert judged(independent, path) == (None, None)
-    size, root, signature, _ = independent.Verifier(path, None, None, TYPES).verify()
+    size, root, signature, _ = second(path)
     report = verify(path)
     assert (size, root, signature) == (report.events, report.root, report.signature)
 
 
-def test_both_find_nothing_wrong_with_an_empty_and_with_an_upgraded_ledger(independent: Any, tmp_path: Path) -> None:
+def test_both_find_nothing_wrong_with_an_empty_and_with_an_upgraded_ledger(tmp_path: Path) -> None:
     Writer(tmp_path / "empty", ORIGIN).close()
     upgrade(LEDGERS / "0.8.1" / "ledger", tmp_path / "upgraded")
     for name in ("empty", "upgraded"):
-        assert judged(independent, tmp_path / name) == (None, None)
+        assert judged(Case(name, tmp_path / name, True)).difference == ""
 
 
 LONGER = made_up_run("run-0", 40, 0)
@@ -116,7 +80,7 @@ FORGED: dict[str, tuple[list[LedgerRun], tuple[str, int] | None]] = {
 @pytest.mark.parametrize("how", ["append", "add"])
 @pytest.mark.parametrize("what", FORGED)
 def test_both_name_the_event_that_breaks_a_rule_across_commits(
-    independent: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, what: str, how: str
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, what: str, how: str
 ) -> None:
     monkeypatch.setattr(ExistingRuns, "refused", lambda *_: None)
     path, (pieces, event) = tmp_path / "ledger", FORGED[what]
@@ -124,8 +88,8 @@ def test_both_name_the_event_that_breaks_a_rule_across_commits(
         for one in pieces:
             writer.append(stage(path, [one])) if how == "append" else writer.add([one])
     problem = verify(path).problems[0]
-    with pytest.raises(independent.ProblemError) as caught:
-        independent.Verifier(path, None, None, TYPES).verify()
+    with pytest.raises(independent().ProblemError) as caught:
+        second(path)
     theirs = caught.value
     assert problem.where == theirs.where
     assert (problem.commit, problem.run, problem.seq) == (theirs.commit, theirs.run, theirs.seq)
@@ -157,7 +121,7 @@ def damages(path: Path, count: int, step: int) -> Iterator[tuple[str, dict[str, 
 
 
 @pytest.mark.parametrize("count", few([1, 2, 12], [1]))
-def test_both_name_the_same_first_file_of_a_damaged_ledger(independent: Any, tmp_path: Path, count: int) -> None:
+def test_both_name_the_same_first_file_of_a_damaged_ledger(tmp_path: Path, count: int) -> None:
     step = 5 if count == 1 else 1
     path = write(tmp_path / "ledger")
     found = 0
@@ -167,9 +131,9 @@ def test_both_name_the_same_first_file_of_a_damaged_ledger(independent: Any, tmp
         for name, data in files.items():
             (path / name).parent.mkdir(exist_ok=True)
             (path / name).write_bytes(data)
-        ours, theirs = judged(independent, path)
-        assert ours == theirs, what
-        found += ours is not None
+        outcome = judged(Case(what, path, None))
+        assert outcome.difference == ""
+        found += not outcome.is_good
         if (path / "commits").exists():
             (path / "commits" / "000000000000.json").unlink()
             (path / "commits").rmdir()

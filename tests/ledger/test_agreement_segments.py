@@ -12,10 +12,11 @@ from tests.ledger.agreement import OTHER_VERSION, VERSION, by_package, judged
 from tests.ledger.agreement_chain import tables_of
 from tests.ledger.agreement_segments import forged_segment, two_faces
 from tests.ledger.forgery import segment_at
+from tests.ledger.hostile import packed
 from tests.ledger.parquet_damage import DAMAGED, TIME, TYPE, lying, to, within, without
 from tests.ledger.parts import Page, Parts
 from tests.ledger.samples import append_all, made_up_run
-from tests.ledger.test_independent_parquet import CONTENT, packed
+from tests.ledger.test_independent_parquet import CONTENT
 from tests.ledger.thrift import I64, LIST, STRUCT, Field, Listed, put
 from tests.quick import few
 

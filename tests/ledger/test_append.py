@@ -98,14 +98,6 @@ def test_of_two_writers_one_wins_the_number_and_the_other_goes_on_from_it_with_w
     assert verify(path).ok
 
 
-def test_two_writers_with_the_same_batch_commit_it_once(path: Path) -> None:
-    with Writer(path, ORIGIN) as one, Writer(path, ORIGIN) as two:
-        staged = stage(path, BATCHES[0])
-        assert one.append(staged) == two.append(staged)
-        assert one.append(stage(path, BATCHES[1])).commits == 2
-    assert verify(path).ok
-
-
 @pytest.mark.parametrize("behind", [0, 1])
 def test_a_writer_that_lags_behind_with_the_same_batches_takes_nothing_back(path: Path, behind: int) -> None:
     with Writer(path, ORIGIN) as one, Writer(path, ORIGIN) as two:

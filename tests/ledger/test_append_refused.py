@@ -4,26 +4,24 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
-import pyarrow as pa
 import pytest
 
 from fsar_ledger.base.errors import (
     FormatVersionMismatch,
     LedgerCorrupted,
     NotALedger,
-    UnknownEventTag,
     UsageError,
     WriteFailed,
 )
 from fsar_ledger.ledger.log.note import Signer
 from fsar_ledger.ledger.opening import open_ledger
-from fsar_ledger.ledger.rows import canonical, segment
+from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.manifest import Manifest
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.ledger.store.view import EMPTY_HEAD
 from fsar_ledger.ledger.verify.verify import verify
-from tests.ledger.forgery import forge_segment, segment_at
+from tests.ledger.forgery import segment_at
 from tests.ledger.samples import ORIGIN, append_all, contents, made_up_run
 from tests.ledger.test_append import BATCHES
 
@@ -150,18 +148,6 @@ def test_a_missing_or_shortened_segment_is_named(path: Path) -> None:
             LedgerCorrupted, match=r"000000000048\.parquet: commit 1, field segment_sha256: found no segment"
         ):
             opens()
-
-
-def test_a_row_that_cannot_be_read_is_named_with_its_file(path: Path) -> None:
-    append_all(path, BATCHES[:2])
-    file = segment_at(path, 1)
-    table = segment.read_table(file)
-    changed = table.set_column(4, table.schema.field(4), pa.array(["RobotFlew.v1"] * table.num_rows))
-    forge_segment(path, 1, changed)
-    with pytest.raises(
-        UnknownEventTag, match=r"000000000048\.parquet: run run-0002, seq 0, field type: found 'RobotFlew\.v1'"
-    ):
-        list(open_ledger(path).runs())
 
 
 def test_a_record_that_contradicts_the_chain_is_named(path: Path) -> None:

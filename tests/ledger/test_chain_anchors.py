@@ -49,14 +49,6 @@ def looked(path: Path, anchor: Anchor | None, *, is_quick: bool = True) -> Verif
     return verify(path, asked=VerifyOptions(is_quick=is_quick, anchor=anchor))
 
 
-def test_a_ledger_that_only_grew_is_said_to_have_grown(path: Path, anchor: Anchor) -> None:
-    report = looked(path, anchor)
-    assert (report.ok, report.anchored) == (True, THEN)
-    said = f"the recorded roots only grew since the anchor's {THEN} events; rows were not compared with them"
-    assert said in report.remarks
-    assert "rows were not compared with the recorded roots" in looked(path, None).remarks
-
-
 def test_that_the_record_of_the_anchors_commit_is_there_proves_nothing(path: Path, anchor: Anchor) -> None:
     records, _ = records_of(path)
     root = records[0]["tree_root"]

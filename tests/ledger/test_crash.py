@@ -31,12 +31,6 @@ def laboratory(tmp_path: Path) -> Laboratory:
     return Laboratory(tmp_path)
 
 
-def test_without_faults_every_event_is_there(tmp_path: Path) -> None:
-    root = tmp_path / "calm"
-    root.mkdir()
-    assert write_with(FaultyOs(root), root / "out" / "ledger").acknowledged == len(ROWS)
-
-
 @pytest.mark.parametrize("step", few([7, 61], [61]))
 def test_a_fault_at_any_call_loses_nothing_acknowledged_and_the_power_may_fail_after_it(
     laboratory: Laboratory, calls: list[str], step: int

@@ -13,9 +13,9 @@ from fsar_ledger.base.errors import LedgerCorrupted
 from fsar_ledger.ledger.rows import segment
 from fsar_ledger.ledger.rows.codec import encode
 from fsar_ledger.ledger.rows.layout import check_layout
-from fsar_ledger.ledger.rows.schema import COLUMNS
 from tests.ledger import thrift
 from tests.ledger.agreement import independent, odd_run, with_value
+from tests.ledger.hostile import packed
 from tests.ledger.parquet_damage import DAMAGED, in_footer, to
 from tests.ledger.parts import Parts, two_faced
 from tests.ledger.samples import made_up_run
@@ -32,23 +32,6 @@ def read(data: bytes) -> tuple[int, list[tuple[str, str]], dict[str, list[Any]]]
 
 def rows_of(table: pa.Table) -> dict[str, list[Any]]:
     return {name: table.column(name).to_pylist() for name in table.column_names}
-
-
-def packed(table: pa.Table, **settings: Any) -> bytes:
-    """Write a segment as `segment.to_parquet` does, except for these settings."""
-    strings = [name for name in table.column_names if COLUMNS[name] == "string"]
-    own = {
-        "compression": "zstd",
-        "use_dictionary": strings
-        + [f"{name}.list.element" for name in table.column_names if COLUMNS[name] == "strings"],
-        "column_encoding": {name: "DELTA_BINARY_PACKED" for name in table.column_names if COLUMNS[name] == "integer"},
-        "write_statistics": ["run_id", "seq", "time_us"],
-        "write_page_checksum": True,
-        "store_schema": False,
-    }
-    sink = pa.BufferOutputStream()
-    pq.write_table(table, sink, **own | settings)
-    return bytes(sink.getvalue())
 
 
 def test_it_reads_what_the_library_reads() -> None:
@@ -79,10 +62,13 @@ def test_it_reads_pages_of_any_size_and_strings_beyond_a_full_dictionary(pages: 
         {"compression": "none"},
         {"compression": "snappy"},
         {"use_dictionary": False},
+        {"use_dictionary": False, "column_encoding": {"run_id": "DELTA_BYTE_ARRAY"}},
+        {"column_encoding": {}},
         {"column_encoding": {"seq": "BYTE_STREAM_SPLIT"}},
         {"data_page_version": "2.0"},
         {"version": "1.0"},
         {"write_statistics": True},
+        {"write_statistics": ["run_id", "caused_by"]},
         {"write_page_checksum": False},
         {"write_page_index": True},
         {"store_schema": True},

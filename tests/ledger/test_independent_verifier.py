@@ -13,18 +13,13 @@ import pytest
 from fsar_ledger.ledger.rows.releases import FINGERPRINTS
 from fsar_ledger.ledger.rows.schema import COLUMNS, STORED
 from tests.ledger.agreement import KEY, ROOT, Case, event_types, independent, judged
-from tests.ledger.samples import append_all, made_up_batches
+from tests.ledger.samples import made_up_batches
 from tests.running import ran
 
+COMMITTED, SIGNED_BY = made_up_batches(3), KEY
 VERIFIER = ROOT / "tests" / "independent_verifier.py"
 PAGE = (ROOT / "docs" / "ledger-format.md").read_text("utf-8")
 EXAMPLE = re.findall(r"```\n(.*?)```", PAGE.partition("<!-- example -->")[2], flags=re.DOTALL)
-
-
-@pytest.fixture
-def path(tmp_path: Path) -> Path:
-    append_all(tmp_path / "ledger", made_up_batches(3), signer=KEY)
-    return tmp_path / "ledger"
 
 
 def imported(file: Path) -> set[str]:

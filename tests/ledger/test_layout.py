@@ -24,7 +24,6 @@ from tests.quick import few
 
 TABLE = encode([made_up_run("run-0", 60, 1), made_up_run("run-1", 60, 2)])
 DATA = bytes(segment.to_parquet(TABLE))
-LIST_COLUMN = "achieved.list.element"
 
 
 def changed(change: Change) -> bytes:

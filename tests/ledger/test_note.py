@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from fsar_ledger.base.errors import LedgerCorrupted, UsageError, WriteFailed
 from fsar_ledger.ledger.log.merkle import Frontier, leaf_hash
 from fsar_ledger.ledger.log.note import MAX_SIGNATURES, Checkpoint, Note, Signature, Signer, checkpoint_of, parse_note
-from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.keys import new_key, read_signer, read_verifier
 from tests.ledger.samples import ORIGIN
 
@@ -321,12 +320,6 @@ def test_a_signer_does_not_leave_its_process() -> None:
     with pytest.raises(TypeError):
         pickle.dumps(SIGNER)
     assert (b"s" * 32).hex() not in repr(vars(SIGNER))
-
-
-def test_a_ledger_is_not_signed_by_the_key_of_another_origin(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match=f"named other, expected {ORIGIN}"):
-        Writer(tmp_path / "ledger", ORIGIN, Signer("other", bytes(32)))
-    assert not (tmp_path / "ledger").exists()
 
 
 @settings(max_examples=200, deadline=None)

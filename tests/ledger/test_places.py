@@ -1,15 +1,12 @@
-import os
 import shutil
 from pathlib import Path
 from typing import cast
 
 import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 
 from fsar_ledger.base.errors import InvalidQuery, UsageError
 from fsar_ledger.ledger.opening import open_ledger
-from fsar_ledger.ledger.rows import segment
 from fsar_ledger.ledger.store import segments
 from fsar_ledger.ledger.store.paths import CHAIN
 from fsar_ledger.ledger.store.record import segment_of
@@ -19,7 +16,7 @@ from fsar_ledger.ledger.verify.segment import SegmentFacts, examine
 from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger import thrift
 from tests.ledger.damage import only_problem
-from tests.ledger.forgery import forge_segment, segment_at, staged_at, table_of
+from tests.ledger.forgery import forge_segment, segment_at, staged_at
 from tests.ledger.parts import Parts
 
 SIZES = (130, 130, 20)
@@ -27,16 +24,6 @@ LAST = "000000000260-000000000280"
 
 
 # --- files and folders ---
-
-
-def test_a_segment_that_is_no_file_is_said_to_be_none(path: Path) -> None:
-    place = segment_at(path, 2)
-    place.unlink()
-    os.mkfifo(place)
-    assert (only_problem(path).where, only_problem(path).found) == (
-        f"segments/{LAST}.parquet",
-        "a link or something else than a file",
-    )
 
 
 def test_a_staged_segment_that_is_a_link_is_a_missing_segment(path: Path, tmp_path: Path) -> None:
@@ -153,27 +140,3 @@ def test_a_count_of_nulls_that_hides_rows_is_found_whoever_wrote_it(path: Path) 
         forge_segment(path, 2, bytes(parts))
         assert f"column {name}" in only_problem(path).found
         assert ("other statistics" if name == "run_id" else f"the footer: column {name}") in only_problem(path).found
-
-
-def test_a_footer_that_contradicts_itself_does_not_end_the_process(path: Path) -> None:
-    data = other_version(path)
-    for number in (1, 2, 3, 20, 120):
-        parts = Parts(data)
-        thrift.put(parts.about(number), 1, 3)  # pyarrow would end it
-        forge_segment(path, 2, bytes(parts))
-        assert "the footer: column " in only_problem(path).found
-
-
-def test_a_page_index_is_found_whoever_wrote_it(path: Path) -> None:
-    sink = pa.BufferOutputStream()
-    pq.write_table(
-        segment.coded(table_of(path, 2)),
-        sink,
-        store_schema=False,
-        compression="zstd",
-        write_page_index=True,
-        write_page_checksum=True,
-    )
-    version = pa.__version__.encode()
-    forge_segment(path, 2, bytes(sink.getvalue()).replace(version, b"9" * len(version)))
-    assert "the footer: column run_id" in only_problem(path).found

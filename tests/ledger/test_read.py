@@ -9,20 +9,10 @@ import pytest
 
 from fsar_ledger.base.errors import LedgerCorrupted
 from fsar_ledger.ledger.opening import open_for_answers, open_ledger
-from fsar_ledger.ledger.store.append import Writer
-from fsar_ledger.ledger.store.staging import stage
 from tests.ledger.forgery import segment_at, staged_at
 from tests.ledger.samples import ORIGIN, made_up_run
 
-
-@pytest.fixture
-def path(tmp_path: Path) -> Path:
-    """Write a ledger of three commits."""
-    ledger = tmp_path / "ledger"
-    for number in range(3):
-        with Writer(ledger, ORIGIN) as writer:
-            writer.append(stage(ledger, [made_up_run(f"run-{number}", 20, seed=number)]))
-    return ledger
+COMMITTED = [[made_up_run(f"run-{number}", 20, seed=number)] for number in range(3)]
 
 
 def flip(file: Path) -> None:

@@ -2,7 +2,7 @@
 
 import random
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -22,24 +22,10 @@ from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.damage import SIGNER
 from tests.ledger.forgery import forge, segment_at
 from tests.ledger.hostile import append_again
-from tests.ledger.once import decoded_once
 from tests.ledger.samples import append_all, contents, made_up_batches
 from tests.ledger.test_recover import aside, assert_nothing_lost
 
-BATCHES = made_up_batches(4, runs=2, size=20)
-
-
-@pytest.fixture(scope="module")
-def intact(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    path = tmp_path_factory.mktemp("intact") / "ledger"
-    append_all(path, BATCHES)
-    with decoded_once():
-        yield path
-
-
-@pytest.fixture
-def path(intact: Path, tmp_path: Path) -> Path:
-    return Path(shutil.copytree(intact, tmp_path / "ledger"))
+BATCHES = COMMITTED = made_up_batches(4, runs=2, size=20)
 
 
 def flip(file: Path, at: int) -> None:

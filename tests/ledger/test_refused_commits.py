@@ -2,7 +2,6 @@
 
 import pickle
 import re
-import shutil
 from concurrent.futures import ThreadPoolExecutor
 from itertools import product
 from pathlib import Path
@@ -28,17 +27,7 @@ from tests.ledger.samples import ORIGIN, append_all, contents, made_up_run
 from tests.ledger.test_refused_runs import BATCHES, RUN, refused
 from tests.ledger.test_writer_property import with_event
 
-
-@pytest.fixture(scope="module")
-def intact(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("intact") / "ledger"
-    append_all(path, BATCHES[:2])
-    return path
-
-
-@pytest.fixture
-def path(intact: Path, tmp_path: Path) -> Path:
-    return Path(shutil.copytree(intact, tmp_path / "ledger"))
+COMMITTED = BATCHES[:2]
 
 
 def too_large() -> dict[str, LedgerRun]:
@@ -249,17 +238,6 @@ def test_parameters_that_nobody_can_read_are_refused(path: Path, text: str) -> N
 
 @pytest.mark.parametrize("text", [None, "{}", '{"speed":{"limit_m_per_s":3.0},"modes":["slow"]}'])
 def test_parameters_of_somebody_elses_are_any_json_object(path: Path, text: str | None) -> None:
-    append_all(
-        path,
-        [
-            [
-                LedgerRun(
-                    "night",
-                    [0],
-                    [None],
-                    [RunStarted(kind="foreign", observes=("fleet",), source="example.org", parameters=text)],
-                )
-            ]
-        ],
-    )
+    started = RunStarted(kind="foreign", observes=("fleet",), source="example.org", parameters=text)
+    append_all(path, [[LedgerRun("night", [0], [None], [started])]])
     assert verify(path).ok

@@ -4,7 +4,6 @@ Each is reported with run, seq and field.
 """
 
 import re
-import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -27,18 +26,7 @@ from tests.ledger.test_writer_property import Number, Pair, Posing, Stranger, Wo
 
 RUN = run_of_every_type("run-1", seed=3)
 BATCHES = made_up_batches(4)
-
-
-@pytest.fixture(scope="module")
-def intact(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("intact") / "ledger"
-    append_all(path, BATCHES[:2])
-    return path
-
-
-@pytest.fixture
-def path(intact: Path, tmp_path: Path) -> Path:
-    return Path(shutil.copytree(intact, tmp_path / "ledger"))
+COMMITTED = BATCHES[:2]
 
 
 def seq_with(condition: Callable[[str, StoredType], bool]) -> tuple[int, str]:

@@ -218,12 +218,3 @@ def test_a_run_in_two_commits_is_found(old: Path) -> None:
     same = {name: first[name] for name in ("segment_sha256", "segment_bytes", "first_run", "last_run")}
     forge(old, 3, **same, rows=first["rows"], tree_size=last["tree_size"] - last["rows"] + first["rows"])
     refused(old, LedgerCorrupted, "commit 3")
-
-
-def test_on_the_command_line_a_damaged_one_ends_with_3(old: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (old / "checkpoint").write_bytes(b"x")
-    assert run(["upgrade", str(old), "--into", str(old.parent / "new")]) == 3
-    assert "checkpoint: commit" in capsys.readouterr().err or not (old.parent / "new").exists()
-    leave_in_staging(old)
-    assert run(["upgrade", str(old), "--into", str(old.parent / "new")]) == 2
-    assert "recover it with fsar-ledger 0.8 first" in capsys.readouterr().err

@@ -10,7 +10,6 @@ import pytest
 
 from fsar_ledger.ledger.log.merkle import EMPTY_ROOT, is_consistent, root_of_inclusion
 from fsar_ledger.ledger.log.note import VerifierKey, parse_note
-from fsar_ledger.ledger.log.tiles import Edge, Tile, partial_tiles
 
 VECTORS = Path(__file__).resolve().parents[1] / "vectors"
 
@@ -135,23 +134,3 @@ def test_the_checkpoint_that_the_specification_prints_is_read() -> None:
     assert [(one.name, one.key_id.hex(), len(one.data)) for one in note.signatures] == [
         ("example.com/behind-the-sofa", "033de0ae", 64)
     ]
-
-
-def test_the_request_to_a_witness_that_the_specification_prints_is_read_and_its_proof_has_the_right_length() -> None:
-    head, _, text = (VECTORS / "c2sp" / "add-checkpoint.txt").read_text("utf-8").partition("\n\n")
-    note = parse_note("example", text)
-    assert str(note) == text
-    assert [len(signature.data) for signature in note.signatures] == [64, 64]
-    old, *proof = head.split("\n")
-    assert old == "old 20852014"
-    assert [len(base64.b64decode(one, validate=True)) for one in proof] == [32] * 4
-
-
-def test_tiles_are_named_and_counted_as_the_specification_prints() -> None:
-    assert Tile(0, 1234067).name == "tile/0/x001/x234/067"
-    assert partial_tiles(70_000) == (Tile(0, 273, 112), Tile(1, 1, 17), Tile(2, 0, 1))
-    assert partial_tiles(256) == (Tile(1, 0, 1),)
-    _, made = Edge().extend(bytes(32 * 70_000))
-    widths = [(tile.level, tile.width) for tile in made]
-    assert [widths.count(one) for one in ((0, 256), (0, 112), (1, 256), (1, 17), (2, 1))] == [273, 1, 1, 1, 1]
-    assert len(made) == 277

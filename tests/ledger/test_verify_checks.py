@@ -109,13 +109,6 @@ def test_readers_take_a_segment_in_its_place_whatever_else_is_staged(path: Path)
     assert open_ledger(path).segment(1) == path / NEWEST
 
 
-def test_readers_follow_no_link_to_a_segment(path: Path, tmp_path: Path) -> None:
-    (path / NEWEST).rename(tmp_path / "aside")
-    (path / NEWEST).symlink_to(tmp_path / "aside")
-    with pytest.raises(LedgerCorrupted, match="found a link or something else than a file"):
-        open_ledger(path).segment(1)
-
-
 def test_readers_find_a_segment_that_a_writer_moves_into_its_place_meanwhile(
     path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -224,10 +217,3 @@ def test_an_anchor_within_the_newest_commit_is_proved_by_the_rows_where_its_hash
         shutil.copyfile(snapshots / "1" / name, path / name)
     report = verify(path, asked=VerifyOptions(trusted=SIGNER.verifier, anchor=read_anchor(tmp_path / "anchor")))
     assert (report.ok, report.anchored, report.remarks) == (True, 280, (BEHIND,))
-
-
-@pytest.mark.parametrize("is_quick", [False, True])
-def test_an_anchor_of_no_events_begins_every_ledger(path: Path, tmp_path: Path, is_quick: bool) -> None:
-    (tmp_path / "anchor").write_text("example.org/fsar-test\n0\n47DEQpj8HBSa+/TImW+5JCeuQeRkm5NMpJWZG3hSuFU=\n\n")
-    report = verify(path, asked=VerifyOptions(is_quick, anchor=read_anchor(tmp_path / "anchor")))
-    assert (report.ok, report.anchored) == (True, 0)

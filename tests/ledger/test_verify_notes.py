@@ -1,7 +1,5 @@
 import base64
 import re
-import shutil
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -16,27 +14,12 @@ from fsar_ledger.ledger.verify.notes import Anchor, read_anchor
 from fsar_ledger.ledger.verify.report import VerifyOptions, VerifyReport
 from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.forgery import changed, forge, forge_segment, segment_at, table_of
-from tests.ledger.once import decoded_once
 from tests.ledger.samples import ORIGIN, append_all, contents, made_up_batches, made_up_run
 
-BATCHES = made_up_batches(3)  # 24 events each
-SIGNER = Signer(ORIGIN, b"s" * 32)
+BATCHES = COMMITTED = made_up_batches(3)  # 24 events each
+SIGNER = SIGNED_BY = Signer(ORIGIN, b"s" * 32)
 NAMESAKE = Signer(ORIGIN, b"o" * 32)
 KEY = SIGNER.verifier
-
-
-@pytest.fixture(scope="module", autouse=True)
-def signed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """Write a signed ledger, whose segments are decoded once."""
-    path = tmp_path_factory.mktemp("signed") / "ledger"
-    append_all(path, BATCHES, signer=SIGNER)
-    with decoded_once():
-        yield path
-
-
-@pytest.fixture
-def path(signed: Path, tmp_path: Path) -> Path:
-    return Path(shutil.copytree(signed, tmp_path / "ledger"))
 
 
 def trusted(path: Path) -> VerifyReport:

@@ -89,10 +89,6 @@ TRUSTING: list[tuple[int, Command]] = [
 """Trust follows the record, and ends with the task that it was given for."""
 
 
-def _everything() -> list[Event]:
-    return played(EVERYTHING, RoleTrustSet(role="B", peer_role="A", scope="task", domain="", capability=DOOR)).events
-
-
 SILENT: list[tuple[int, Command]] = [
     (1 * S, ReportAvailability(B, "door.open.basic", "restricted", "inspection")),
     (10 * S, RequestCapability(A, B, DOOR, "visit", "q1")),
@@ -106,18 +102,6 @@ OUTAGE: tuple[tuple[int, Event], ...] = (
 """A robot is not as available in one capability as in another: it is off, it is back, its actuator wears."""
 
 
-def _planned() -> list[Event]:
-    return [Experiment(("fsar",), ("door-relay",), runs=1, seed=2, fleet_size=8).plan()]
-
-
-def _silent() -> list[Event]:
-    return played(SILENT, facts=OUTAGE).events
-
-
-def _trusting() -> list[Event]:
-    return played(TRUSTING).events
-
-
 def _simulated(spec: RunSpec, constants: Constants) -> History:
     return lambda: list(simulate_run(spec, constants).events)
 
@@ -125,10 +109,11 @@ def _simulated(spec: RunSpec, constants: Constants) -> History:
 def histories() -> Iterator[History]:
     """Yield each run, those that show most first."""
     yield lambda: list(commanded().events)
-    yield _everything
-    yield _trusting
-    yield _silent
-    yield _planned
+    founded = RoleTrustSet(role="B", peer_role="A", scope="task", domain="", capability=DOOR)
+    yield lambda: played(EVERYTHING, founded).events
+    yield lambda: played(TRUSTING).events
+    yield lambda: played(SILENT, facts=OUTAGE).events
+    yield lambda: [Experiment(("fsar",), ("door-relay",), runs=1, seed=2, fleet_size=8).plan()]
     plain, silent = Constants(), Constants(outages=Outages(off_rate_per_s=0.01, link_rate_per_s=0.02))
     for run in range(2):
         for scenario in SCENARIOS:

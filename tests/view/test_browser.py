@@ -302,14 +302,6 @@ def test_a_drag_over_the_strip_chooses_what_is_in_view(one: Page) -> None:
     assert one.locator("#overview .window").count() == 1
 
 
-def test_a_double_click_zooms(one: Page) -> None:
-    before = view(one)
-    box = one.locator("#runs").bounding_box()
-    one.mouse.dblclick(box["x"] + 500, box["y"] + 3)
-    settle(one)
-    assert view(one) != before
-
-
 def test_a_double_click_zooms_though_its_first_click_is_drawn_during_its_second(one: Page) -> None:
     before = view(one)
     box = one.locator("#runs").bounding_box()
