@@ -52,7 +52,7 @@ def played(commands: Iterable[tuple[int, Command]], *before: Event, facts: Itera
     return one
 
 
-def of(run: Kernel, *kinds: type[Event]) -> list[tuple[int, Event]]:
+def of(run: Kernel, *kinds: type[Event]) -> list[tuple[int, Any]]:
     """The events of these kinds with their times."""
     return [
         (time_us, event) for time_us, event in zip(run.times_us, run.events, strict=True) if isinstance(event, kinds)

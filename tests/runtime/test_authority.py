@@ -113,8 +113,8 @@ def test_a_revocation_takes_effect_at_the_next_request_and_leaves_alone_what_was
 def test_in_a_whole_run_a_running_action_outlives_its_revocation() -> None:
     [(began_us, _)] = of(played([(1_000_000, ASK)]), ExecutionStarted)
     run = played([(1_000_000, ASK), (began_us + 1_000, RevokeAuthority(H_F, A, B)), (began_us + 2_000, NEXT)])
-    assert [event.subject.action_id for _, event in of(run, RequestClosed)] == ["q1"]  # type: ignore[attr-defined]
-    assert [(event.subject.action_id, event.reason) for _, event in of(run, RequestDenied)] == [("q2", "authority")]  # type: ignore[attr-defined]
+    assert [event.subject.action_id for _, event in of(run, RequestClosed)] == ["q1"]
+    assert [(event.subject.action_id, event.reason) for _, event in of(run, RequestDenied)] == [("q2", "authority")]
     assert run.state == fold(run.events)
 
 
