@@ -12,8 +12,7 @@ ONE = ("--metric", "human_intervention")
 
 
 def test_people_see_ranges_rankings_and_what_the_readings_say(call: Call, ledger: Path) -> None:
-    called = call(*MULTIVERSE, ledger, *ONE)
-    assert called.code == 0
+    called = call(*MULTIVERSE, ledger, *ONE).good()
     ranges, rankings, verdicts, told = called.out.split("\n\n")
     assert ranges.splitlines()[0].split() == [
         *("metric", "architecture", "paper", "ours", "lowest", "highest"),

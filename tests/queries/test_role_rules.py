@@ -91,14 +91,8 @@ def test_handlers_and_queries_find_the_same_rules_of_robot_role_domain_capabilit
                 state = folded(events[:place])
                 for robot, scope in product(state.members, SCOPES):
                     expected = policy.ruled(state, scope, robot, capability, context)
-                    assert found[name, robot, scope] == (expected or "allow"), (
-                        name,
-                        place,
-                        robot,
-                        scope,
-                        capability,
-                        context,
-                    )
+                    about = (name, place, robot, scope, capability, context)
+                    assert found[name, robot, scope] == (expected or "allow"), about
                     seen.add(expected)
     assert seen == {*OUTCOMES, None}
 

@@ -64,18 +64,9 @@ def test_runs_that_differ_in_one_dimension_are_never_in_one_row() -> None:
         called(*[0] * (3 + at), **{"parameters": LOW, name: other}) for at, (name, other) in enumerate(OTHERS.items())
     ]
     metrics, statistics = judged([rows for group in groups for rows in group])
-    assert sorted(row.n for row in metrics if (row.metric, row.architecture) == ("human_intervention", "fsar")) == [
-        2,
-        3,
-        4,
-        5,
-        6,
-        7,
-        8,
-    ]
-    assert sorted(
-        row.n for row in statistics if (row.metric, row.comparison) == ("human_intervention", "fsar-cfc")
-    ) == [2, 3, 4, 5, 6, 7, 8]
+    means = sorted(row.n for row in metrics if (row.metric, row.architecture) == ("human_intervention", "fsar"))
+    tests = sorted(row.n for row in statistics if (row.metric, row.comparison) == ("human_intervention", "fsar-cfc"))
+    assert means == tests == list(range(2, 9))
 
 
 def test_other_constants_are_named_where_they_differ_and_only_there() -> None:
@@ -95,18 +86,8 @@ def test_constants_are_compared_by_value_and_not_by_text() -> None:
         ' {"list": [["carry.heavy", {"low_s": 2}]], "world": {"b": 25e-1, "a": 1.0}, "later": null}',
     )
     assert constants(*same) == [None, None]
-    assert (
-        len(
-            set(
-                answer(
-                    "staging/run_settings",
-                    *[run(run_id=f"r{at}", parameters=one) for at, one in enumerate(same)],
-                    columns=("setting",),
-                )
-            )
-        )
-        == 1
-    )
+    runs = [run(run_id=f"r{at}", parameters=one) for at, one in enumerate(same)]
+    assert len(set(answer("staging/run_settings", *runs, columns=("setting",)))) == 1
     other = '{"world":{"a":1,"b":2.5},"list":[["carry.heavy",{"low_s":3}]],"more":{"x":"y"}}'
     assert constants(*same, other) == [
         *['list["carry.heavy"].low_s=2, more.x=absent'] * 2,

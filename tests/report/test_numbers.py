@@ -1,6 +1,5 @@
 """The first page: every printed number once, with its class and what became of it, counted and drawn."""
 
-import re
 from collections.abc import Iterable
 from typing import Any
 
@@ -12,6 +11,7 @@ from fsar_ledger.report import document, specs
 from fsar_ledger.report.figures import overview_figure
 from fsar_ledger.report.findings import Ablation, Findings, LedgerHead, Row, Scaling, with_agreement
 from fsar_ledger.report.numbers import OPEN, OUTCOMES, STANDS, TABLES, UNDECIDED, numbers, said, tally
+from tests.report.test_figures import words
 
 HEAD = LedgerHead(1, 1, "root", 1, "complete", "2")
 FAILS = "does not"
@@ -69,10 +69,6 @@ def findings(
 
 def outcomes(found: Findings) -> list[str]:
     return [row["outcome"] for row in numbers(found)]
-
-
-def words(svg: bytes) -> list[str]:
-    return re.findall(r"<!-- (.*?) -->", svg.decode())
 
 
 def test_a_number_stands_or_does_not_by_the_answer_that_its_table_has() -> None:

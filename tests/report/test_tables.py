@@ -91,13 +91,8 @@ def test_the_tables_hold_the_answers_of_their_queries(ledger: Path, findings: Fi
             for row in plain_rows(database.query("tables/architecture_features"))
         }
     evidence = tables["feature-evidence"]
-    keys = list(
-        zip(
-            column(evidence, "feature-evidence", "feature"),
-            column(evidence, "feature-evidence", "architecture"),
-            strict=True,
-        )
-    )
+    parts = (column(evidence, "feature-evidence", name) for name in ("feature", "architecture"))
+    keys = list(zip(*parts, strict=True))
     assert len(keys) == len(set(keys)) == 24
     assert column(evidence, "feature-evidence", "grade") == [rows[key]["grade"] for key in keys]
     assert column(evidence, "feature-evidence", "evidence") == [rows[key]["evidence"] for key in keys]
@@ -108,16 +103,7 @@ def test_the_tables_hold_the_answers_of_their_queries(ledger: Path, findings: Fi
 
 def test_marks_are_the_papers_signs_and_a_mark_that_is_not_shown_is_a_dash(findings: Findings) -> None:
     table = printed(findings)["tables"]["architectural-comparison"]
-    assert column(table, "architectural-comparison", "fsar_paper", "printed") == [
-        "●",
-        "—",
-        "—",
-        "●",
-        "●",
-        "●",
-        "●",
-        "●",
-    ]
+    assert "".join(column(table, "architectural-comparison", "fsar_paper", "printed")) == "●——●●●●●"
     trust = list(specs.labels("feature")).index("trust_scoped_delegation")
     assert column(table, "architectural-comparison", "fsar_ours", "printed")[trust] == "–"
     assert {"RoboOS*", "JADE*", "ALLIANCE*"} <= set(table["heads"])

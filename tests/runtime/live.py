@@ -13,6 +13,7 @@ from fsar_ledger.runtime.handlers.commands import Command, Scheduled
 from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.world.draws import Draws, SimulatedEnvironment, run_key
 from tests.runtime.histories import happen, started
+from tests.sure import only
 
 
 def decided(state: State, command: Command, table: HandlerTable = FSAR) -> tuple[Event, ...]:
@@ -22,8 +23,7 @@ def decided(state: State, command: Command, table: HandlerTable = FSAR) -> tuple
 
 def refusal(events: tuple[Event, ...]) -> str:
     """Why the command was rejected."""
-    [one] = events
-    assert isinstance(one, CommandRejected)
+    one = only(CommandRejected, events)
     return one.reason
 
 

@@ -26,6 +26,7 @@ from fsar_ledger.runtime.handlers.commands import (
 )
 from tests.runtime import live
 from tests.runtime.histories import ARRIVED, DELEGATED_STEP, OWN_STEP, SECOND, given, happen, types, window
+from tests.sure import only
 
 A, B, C, D = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/C1"), Robot("robot/D1")
 
@@ -186,8 +187,7 @@ def test_a_failure_gets_one_ordered_retry() -> None:
 def test_a_retry_that_failed_says_of_which_failure_it_was() -> None:
     state = failed()
     state.recovery = {ACTION: msgspec.structs.replace(state.recovery[ACTION], failure=2)}
-    [report] = decided(state, EndAttempt(ACTION, 1))
-    assert isinstance(report, RecoveryAttemptFailed)
+    report = only(RecoveryAttemptFailed, decided(state, EndAttempt(ACTION, 1)))
     assert (report.failure, report.number) == (2, 1)
 
 

@@ -251,16 +251,7 @@ def test_amid_tasks_failures_and_changing_policy_nothing_is_lost_or_doubled(seed
     ) == ({}, withdrawn, {}, {})
     assert run.state == fold(run.events)
     moving: dict[str, str] = {}
-    for _, event in of(
-        run,
-        ExecutionStarted,
-        ExecutionResumed,
-        ExecutionPaused,
-        ExecutionFailed,
-        ExecutionPreempted,
-        ExecutionFinished,
-        ExecutionWithdrawn,
-    ):
+    for _, event in of(run, *STAGES, ExecutionPaused, ExecutionFailed, ExecutionWithdrawn):
         robot, action_id = event.robot, event.subject.action_id
         if isinstance(event, ExecutionStarted | ExecutionResumed):
             assert robot not in moving, f"{robot} executes {moving.get(robot)} and {action_id}"

@@ -21,6 +21,7 @@ from tests import past
 from tests.runtime.failures import ACTION, A, B, C, D, executing, failed, taken
 from tests.runtime.histories import types, window
 from tests.runtime.live import decided
+from tests.sure import only
 
 
 def escalation(events: tuple[Event, ...]) -> tuple[str, str, str | None]:
@@ -40,8 +41,7 @@ def called(events: tuple[Event, ...]) -> str:
 
 def test_local_recovery_is_left_when_its_attempts_are_spent() -> None:
     state = failed(executing(A, "carry.package", ObstructionAppeared(A, "o")))
-    [first] = taken(state, decided(state, StartRecovery(ACTION, now_us=2_000_001)))
-    assert isinstance(first, RecoveryAttempted)
+    first = only(RecoveryAttempted, taken(state, decided(state, StartRecovery(ACTION, now_us=2_000_001))))
     assert (first.number, first.deadline_us) == (1, 32_000_000)
     assert escalation(decided(state, EndAttempt(ACTION, 1, now_us=60_000_000)))[2] == "budget exhausted"
     assert types(taken(state, decided(state, EndAttempt(ACTION, 1, now_us=4_000_000)))) == [

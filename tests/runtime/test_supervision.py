@@ -33,6 +33,7 @@ from tests import past
 from tests.runtime.governed import H_F, governed
 from tests.runtime.histories import ARRIVED, DELEGATED_STEP, given, types, window
 from tests.runtime.live import decided, play, refusal
+from tests.sure import only
 
 A, B = Robot("robot/A1"), Robot("robot/B1")
 H_A, H_B = Supervisor("supervisor/A1"), Supervisor("supervisor/B1")
@@ -93,8 +94,7 @@ def test_the_supervisor_who_was_called_approves_a_review_or_not(approves: bool) 
 
 
 def test_a_disapproved_request_is_denied_by_the_executor_for_the_review() -> None:
-    [denied] = decided(given("fsar", *REQUESTED), AdmitReviewed(ACTION, False))
-    assert isinstance(denied, RequestDenied)
+    denied = only(RequestDenied, decided(given("fsar", *REQUESTED), AdmitReviewed(ACTION, False)))
     assert (denied.principals.decided_by, denied.reason) == (B, "review")
 
 
