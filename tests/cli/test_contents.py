@@ -182,16 +182,11 @@ def test_two_parameter_sets_are_told_apart_and_the_constants_named(call: Call, t
     planned_only(tmp_path / "ledger", small(constants=OTHER))
     run_experiment(tmp_path / "ledger", small(runs=1, constants=OTHER), 1)
     found = info(call, tmp_path / "ledger")
-    assert sorted((group["constants"], group["runs"], group["runs_to_rectangle"]) for group in found["groups"]) == [
-        ("A", 3, 0),
-        ("B", 1, 0),
-    ]
+    told = sorted((group["constants"], group["runs"], group["runs_to_rectangle"]) for group in found["groups"])
+    assert told == [("A", 3, 0), ("B", 1, 0)]
     assert [model["differing"] for model in found["models"]] == [OURS, "world.window_mean_s=12"]
-    assert [(plan["planned_count"], plan["missing_count"], plan["continues_with"]) for plan in found["plans"]] == [
-        (3, 0, None),
-        (2, 1, None),
-        (1, 0, None),
-    ]
+    result = [(plan["planned_count"], plan["missing_count"], plan["continues_with"]) for plan in found["plans"]]
+    assert result == [(3, 0, None), (2, 1, None), (1, 0, None)]
     assert found["is_complete"] is False
     text = said(call, tmp_path / "ledger")
     assert (

@@ -43,12 +43,8 @@ def test_programs_get_every_combination_and_the_same_bytes_again(call: Call, led
     ]
     means = [one["mean"] for one in answer["universes"] if one["architecture"] == "cfc"]
     (cell,) = [one for one in answer["cells"] if one["architecture"] == "cfc"]
-    assert (cell["ours"], cell["lowest"], cell["highest"], cell["combinations"]) == (
-        means[0],
-        min(means),
-        max(means),
-        4,
-    )
+    assert (cell["ours"], cell["lowest"], cell["highest"]) == (means[0], min(means), max(means))
+    assert cell["combinations"] == 4
     assert call(*MULTIVERSE, ledger, *ONE, "--json").out == called.out
 
 

@@ -71,10 +71,8 @@ def test_a_request_without_trust_discovers_whom_it_is_told_or_asks_and_is_execut
 
 
 def test_a_request_of_which_nothing_more_is_recorded_is_no_case() -> None:
-    assert counted(1, alone=[INJECTED], others=[INJECTED, act("ExecutionStarted", 5, "t1/1")]) == {
-        "alone": {},
-        "others": {},
-    }
+    found = counted(1, alone=[INJECTED], others=[INJECTED, act("ExecutionStarted", 5, "t1/1")])
+    assert found == {"alone": {}, "others": {}}
 
 
 # --- case 2 ---

@@ -282,9 +282,5 @@ def test_mechanisms_of_other_constants_than_the_results_say_so(findings: Finding
 
 
 def test_a_difference_is_printed_with_its_sign_unless_it_is_printed_as_0() -> None:
-    assert [mechanisms.signed("authority_conflicts", value) for value in (0.5, -0.5, 0.001, -0.001)] == [
-        "+0.50",
-        "\u22120.50",
-        "0.00",
-        "0.00",
-    ]
+    told = [mechanisms.signed("authority_conflicts", value) for value in (0.5, -0.5, 0.001, -0.001)]
+    assert told == ["+0.50", "\u22120.50", "0.00", "0.00"]

@@ -66,10 +66,8 @@ def test_an_advertisement_has_all_seven_fields_and_who_may_see_it() -> None:
     [event] = advertise_capability(given("fsar", GRIP), advertise(**terms))
     state = given("fsar", GRIP, event)
     record = known(advertisement(state.registry, B, "grasp"))
-    assert (record.version, record.contract) == (
-        "1.4.0",
-        Contract(GRIP.preconditions, GRIP.postconditions, GRIP.resources),
-    )
+    assert record.version == "1.4.0"
+    assert record.contract == Contract(GRIP.preconditions, GRIP.postconditions, GRIP.resources)
     assert {name: getattr(record, name) for name in terms} == terms
 
 
@@ -117,11 +115,8 @@ def test_a_withdrawn_capability_is_off_the_surface_and_still_possessed() -> None
 def test_a_robot_reports_the_availability_of_one_capability_or_of_all() -> None:
     [one] = decided(given("fsar"), ReportAvailability(*DOOR, "restricted", "inspection"))
     [everything] = decided(given("fsar"), ReportAvailability(B, None, "offline", "charging"))
-    assert [record.availability for record in surface(given("fsar", one).registry, B)] == [
-        "ready",
-        "ready",
-        "restricted",
-    ]
+    found = [record.availability for record in surface(given("fsar", one).registry, B)]
+    assert found == ["ready", "ready", "restricted"]
     assert {record.availability for record in surface(given("fsar", everything).registry, B)} == {"offline"}
 
 

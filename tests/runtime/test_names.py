@@ -42,10 +42,8 @@ def test_a_result_that_is_none_is_rejected() -> None:
     state = after(ASK, EvaluateRequest("q1"), TakeTurn("q1"))
     apply(state, past.started(Subject("visit", "q1"), B, A, DOOR, 9_000_000))
     wrong: Any = "weird"
-    assert (
-        refusal(state, ReportResult(B, "q1", wrong))
-        == "unknown result weird, expected one of success, partial, failure"
-    )
+    found = refusal(state, ReportResult(B, "q1", wrong))
+    assert found == "unknown result weird, expected one of success, partial, failure"
 
 
 def test_a_task_does_not_take_the_name_of_a_request() -> None:

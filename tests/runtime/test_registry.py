@@ -29,13 +29,8 @@ def why_not(*events: Event, **fields: Any) -> tuple[str, ...]:
 
 def test_the_candidate_is_who_offers_it_and_trusts_the_requester() -> None:
     answer = candidates(given("fsar"), ASKING)
-    assert (answer.candidates, answer.capabilities, answer.rejected, answer.domain, answer.as_of_us) == (
-        ("robot/B1",),
-        ("door.open.secure",),
-        (),
-        "",
-        None,
-    )
+    assert (answer.candidates, answer.capabilities, answer.rejected) == (("robot/B1",), ("door.open.secure",), ())
+    assert (answer.domain, answer.as_of_us) == ("", None)
 
 
 def test_the_requester_itself_is_neither_candidate_nor_rejected() -> None:
@@ -124,10 +119,8 @@ def test_ready_robots_come_before_busy_ones_before_degraded_ones() -> None:
     both = second()
     assert candidates(given("fsar", *both), ASKING).candidates == ("robot/B1", "robot/E1")
     assert candidates(given("fsar", *both, busy(B)), ASKING).candidates == ("robot/E1", "robot/B1")
-    assert candidates(given("fsar", *both, past.available(B, None, "busy", "charging")), ASKING).candidates == (
-        "robot/E1",
-        "robot/B1",
-    )
+    found = candidates(given("fsar", *both, past.available(B, None, "busy", "charging")), ASKING).candidates
+    assert found == ("robot/E1", "robot/B1")
     degraded = past.available(Robot("robot/E1"), None, "degraded", "actuator")
     assert candidates(given("fsar", *both, busy(B), degraded), ASKING).candidates == ("robot/B1", "robot/E1")
 

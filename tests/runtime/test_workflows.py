@@ -107,10 +107,8 @@ def test_recovery_of_the_slipping_grip_goes_through_all_four_levels(seed: int) -
         (2, failure.detected_us + budget.local_budget_us),
     ]
     assert (budget.local_budget_us, budget.local_attempts) == (30_000_000, 2)
-    assert [(event.result, event.achieved) for event in every(events, RecoveryAttemptFailed)] == [
-        ("partial", ("load.gripped",)),
-        ("failure", ()),
-    ]
+    found = [(event.result, event.achieved) for event in every(events, RecoveryAttemptFailed)]
+    assert found == [("partial", ("load.gripped",)), ("failure", ())]
     assert [(event.level, event.to_level, event.reason) for event in every(events, RecoveryEscalated)] == [
         ("local", "peer", "budget exhausted"),
         ("peer", "fleet", "no capable peer"),
@@ -125,11 +123,8 @@ def test_recovery_of_the_slipping_grip_goes_through_all_four_levels(seed: int) -
         every(events, SupervisorResponded),
         every(events, FailureResolved),
     )
-    assert (call.supervisor, answer.principals.decided_by, resolved.level) == (
-        "supervisor/fleet",
-        "supervisor/fleet",
-        "human",
-    )
+    assert (call.supervisor, answer.principals.decided_by) == ("supervisor/fleet", "supervisor/fleet")
+    assert resolved.level == "human"
     assert every(events, TaskCompleted)
     assert not every(events, RequestIssued)
 
@@ -154,19 +149,14 @@ def test_b_and_d_ask_at_once_and_the_time_critical_delivery_goes_first(seed: int
     assert critical.robot == B
     [call], [answer] = every(events, SupervisorCalled), every(events, SupervisorResponded)
     assert {call.subject.action_id, call.competing} == {event.subject.action_id for event in issued.values()}
-    assert (call.supervisor, call.purpose, answer.principals.decided_by) == (
-        "supervisor/fleet",
-        "ordering",
-        "supervisor/fleet",
-    )
+    assert (call.supervisor, call.purpose) == ("supervisor/fleet", "ordering")
+    assert answer.principals.decided_by == "supervisor/fleet"
     assert answer.preferred == issued[B].subject.action_id
     admitted = every(events, RequestAdmitted)
     assert [event.principals.requested_by for event in admitted] == [B, D]
     assert all(events.index(event) > events.index(answer) for event in admitted)
-    assert {event.subject.action_id for event in every(events, RequestDeferred)} == {
-        call.competing,
-        issued[D].subject.action_id,
-    }
+    found = {event.subject.action_id for event in every(events, RequestDeferred)}
+    assert found == {call.competing, issued[D].subject.action_id}
     assert [event.principals.requested_by for event in every(events, ExecutionStarted) if event.robot == A] == [B, D]
     assert {task.task_id for task in every(events, TaskCompleted)} == {"B1-1", "D1-2"}
 
@@ -279,10 +269,8 @@ def test_an_order_does_not_lift_a_denial_that_came_meanwhile() -> None:
     evaluated(state, "B1-1/1.1")
     evaluated(state, "D1-2/1.1")
     apply(state, window(A))
-    assert [types(evaluated(state, name)) for name in answered(state, "B1-1/1.1")] == [
-        ["RequestDenied"],
-        ["RequestDenied"],
-    ]
+    found = [types(evaluated(state, name)) for name in answered(state, "B1-1/1.1")]
+    assert found == [["RequestDenied"], ["RequestDenied"]]
 
 
 def test_both_askers_are_trusted() -> None:
