@@ -32,20 +32,8 @@ def test_compare_says_what_is_paired_before_the_numbers(call: Call, ledger: Path
 
 
 def test_two_ledgers_are_compared_each_with_its_head(call: Call, ledger: Path, tmp_path: Path) -> None:
-    call(
-        "simulate",
-        tmp_path / "more",
-        "--architecture",
-        "fsar",
-        "--scenario",
-        "door-relay",
-        "--runs",
-        "1",
-        "--seed",
-        "7",
-        "--fleet-size",
-        "8",
-    )
+    one_run = ("--architecture", "fsar", "--scenario", "door-relay", "--runs", "1", "--seed", "7")
+    call("simulate", tmp_path / "more", *one_run, "--fleet-size", "8")
     answer = json.loads(call("compare", ledger, tmp_path / "more", "--first", "fsar", "--json").out)
     assert (answer["pairs"], answer["same_draws"], answer["first_alone"]) == (1, 1, 3)
     assert answer["second"]["fleet_size"] == 8
