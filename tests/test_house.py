@@ -226,10 +226,8 @@ def test_nothing_names_a_registry_or_a_machine() -> None:
 
 def test_a_named_registry_is_found(tmp_path: Path) -> None:
     (tmp_path / "requirements.txt").write_text("--index-url https://pypi.example/simple\n")
-    assert foreign_places(tmp_path, [tmp_path / "requirements.txt"]) == [
-        "requirements.txt: --index-url",
-        "requirements.txt: https://pypi",
-    ]
+    found = foreign_places(tmp_path, [tmp_path / "requirements.txt"])
+    assert found == ["requirements.txt: --index-url", "requirements.txt: https://pypi"]
 
 
 def test_shared_handlers_and_projections_do_not_know_which_architecture_it_is() -> None:
@@ -241,10 +239,8 @@ def test_a_shared_handler_that_asks_for_the_architecture_is_found(tmp_path: Path
     (tmp_path / "fsar_ledger" / "projections" / "curious.py").write_text(
         '"""It is CFC."""\nX = "cfc"\nY = state.fleet.architecture\n'
     )
-    assert architectures_named(tmp_path) == [
-        "fsar_ledger/projections/curious.py:2",
-        "fsar_ledger/projections/curious.py:3",
-    ]
+    found = architectures_named(tmp_path)
+    assert found == ["fsar_ledger/projections/curious.py:2", "fsar_ledger/projections/curious.py:3"]
 
 
 @pytest.mark.slow  # builds and installs a wheel

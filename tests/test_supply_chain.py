@@ -16,6 +16,7 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 from tests.running import ran
+from tests.sure import known
 
 ROOT = Path(__file__).resolve().parent.parent
 SCRIPT = ROOT / ".ci" / "sbom.py"
@@ -87,8 +88,7 @@ class Bom(msgspec.Struct, forbid_unknown_fields=True):
 
 @pytest.fixture(scope="module")
 def script() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("sbom", SCRIPT)
-    assert spec is not None
+    spec = known(importlib.util.spec_from_file_location("sbom", SCRIPT))
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)

@@ -20,6 +20,11 @@ class Called(NamedTuple):
     out: str
     err: str
 
+    def good(self) -> "Called":
+        """The same, which ended without a failure."""
+        assert self.code == 0, self.err
+        return self
+
 
 Call = Callable[..., Called]
 
@@ -46,6 +51,12 @@ def call(capsys: pytest.CaptureFixture[str]) -> Call:
         return Called(code, captured.out, captured.err)
 
     return run
+
+
+@pytest.fixture
+def empty_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Start with an empty cache."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
 
 
 def made_in(folder: Path, *options: str) -> Path:

@@ -66,28 +66,14 @@ def test_simulate_says_what_was_committed(call: Call, ledger: Path, tmp_path: Pa
 @pytest.mark.slow
 def test_info_tells_a_complete_ledger_from_one_that_lacks_runs(call: Call, ledger: Path, tmp_path: Path) -> None:
     whole = json.loads(call("info", ledger, "--json").out)
-    assert (whole["is_complete"], whole["runs"], {group["runs_to_rectangle"] for group in whole["groups"]}) == (
-        True,
-        12,
-        {0},
-    )
+    assert (whole["is_complete"], whole["runs"]) == (True, 12)
+    assert {group["runs_to_rectangle"] for group in whole["groups"]} == {0}
     assert sum(group["events"] for group in whole["groups"]) + len(whole["plans"]) == whole["head"]["size"]
     assert whole["models"][0]["parameters"]
     assert "12 runs, complete" in call("info", ledger).out
     uneven = tmp_path / "uneven"
     for architecture, runs in (("fsar", "3"), ("cfc", "2")):
-        call(
-            "simulate",
-            uneven,
-            "--architecture",
-            architecture,
-            "--scenario",
-            "door-relay",
-            "--runs",
-            runs,
-            "--workers",
-            "1",
-        )
+        call("simulate", uneven, *SMALL[:2], "--architecture", architecture, "--runs", runs, "--workers", "1")
     partial = json.loads(call("info", uneven, "--json").out)
     assert partial["is_complete"] is True  # each was planned so
     assert {group["architecture"]: group["runs_to_rectangle"] for group in partial["groups"]} == {"fsar": 0, "cfc": 1}
@@ -179,8 +165,7 @@ def test_export_writes_the_answer_of_a_query(call: Call, ledger: Path, tmp_path:
 
 
 def test_verify_says_what_was_checked(call: Call, ledger: Path) -> None:
-    called = call("verify", ledger)
-    assert called.code == 0
+    called = call("verify", ledger).good()
     assert "consistent, unsigned" in called.out
     answer = json.loads(call("verify", ledger, "--json").out)
     assert (answer["ok"], answer["problems"]) == (True, [])
@@ -237,13 +222,8 @@ def reproduced(call: Call, tmp_path: Path, *only: str) -> None:
     )
     assert said.code == 0, said.err
     names = {"results", *only} if only else set(EXPERIMENTS)
-    assert {path.name for path in (tmp_path / "out").iterdir()} == {
-        *names,
-        "metrics.csv",
-        "statistics.csv",
-        "report.pdf",
-        "reproduction.json",
-    }
+    found = {path.name for path in (tmp_path / "out").iterdir()}
+    assert found == {*names, "metrics.csv", "statistics.csv", "report.pdf", "reproduction.json"}
     assert len(said.out.splitlines()) == 2 + 3 * len(metrics()) + 3
     told = json.loads((tmp_path / "out" / "reproduction.json").read_text())
     assert told["ledgers"].keys() >= names  # of mechanisms too where an ablation is there

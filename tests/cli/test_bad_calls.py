@@ -101,18 +101,12 @@ DOUBLED = [
 
 
 @pytest.mark.parametrize(("path", "option"), DOUBLED, ids=[" ".join((*path, option)) for path, option in DOUBLED])
-def test_an_option_with_one_value_is_refused_if_it_is_given_twice(
+def test_an_option_with_one_value_is_refused_if_it_is_given_twice_or_without_it(
     call: Call, path: tuple[str, ...], option: str
 ) -> None:
-    called = call(*path, option, "1", f"{option}=2")
-    one_message(called, 2, f"{option}: found it 2 times, expected it once", f"`fsar-ledger {' '.join(path)} --help`")
-
-
-@pytest.mark.parametrize(("path", "option"), DOUBLED, ids=[" ".join((*path, option)) for path, option in DOUBLED])
-def test_an_option_without_its_value_names_the_help_of_the_command(
-    call: Call, path: tuple[str, ...], option: str
-) -> None:
-    one_message(call(*path, option), 2, option, f"(see `fsar-ledger {' '.join(path)} --help`)")
+    told = f"`fsar-ledger {' '.join(path)} --help`"
+    one_message(call(*path, option, "1", f"{option}=2"), 2, f"{option}: found it 2 times, expected it once", told)
+    one_message(call(*path, option), 2, option, f"(see {told})")
 
 
 def test_options_of_several_values_and_flags_may_be_given_twice(call: Call, ledger: Path) -> None:

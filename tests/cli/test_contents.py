@@ -2,7 +2,6 @@
 
 import json
 import shlex
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -27,23 +26,12 @@ from fsar_ledger.runtime.plan_rows import MAX_COUNTS, MAX_RUNS, PlanRow, reprodu
 from fsar_ledger.runtime.simulation import RunSpec, plan_record, run_started, simulate_run
 from tests.ledger.hostile import stage_anything
 from tests.quick import few
+from tests.runtime.test_plans import Stopped, stop_after
 
 from .conftest import Call, one_message
 
 OTHER = Constants(world=WorldConstants(window_mean_s=12.0))
 OURS = f"world.window_mean_s={WorldConstants().window_mean_s}"
-
-
-class Stopped(Exception):
-    """What was done so far was enough."""
-
-
-def stop_after(batches: int) -> Callable[[int, int], None]:
-    def progress(done: int, _total: int) -> None:
-        if done >= batches:
-            raise Stopped
-
-    return progress
 
 
 def small(*architectures: Architecture, **given: Any) -> Experiment:
@@ -83,13 +71,8 @@ def test_a_ledger_with_all_that_was_planned_is_complete(call: Call, ledger: Path
     found = info(call, ledger)
     assert (found["is_complete"], found["runs"], found["runs_unplanned"]) == (True, 12, {})
     [plan] = found["plans"]
-    assert (
-        plan["planned_count"],
-        plan["there_count"],
-        plan["missing_count"],
-        plan["run_count"],
-        plan["continues_with"],
-    ) == (12, 12, 0, 2, None)
+    names = ("planned_count", "there_count", "missing_count", "run_count", "continues_with")
+    assert [plan[name] for name in names] == [12, 12, 0, 2, None]
     assert plan["scenarios"] == ["door-relay", "failure-recovery-chain"]
     assert "12 runs, complete: all that was planned is there" in said(call, ledger)
 
@@ -114,11 +97,7 @@ def test_an_interrupted_experiment_is_not_complete_and_the_call_that_goes_on_is_
         in said(call, path)
     )
     made = call(*shlex.split(plan["continues_with"])[1:], "--json")
-    assert {name: json.loads(made.out)[name] for name in ("runs_asked", "runs_made", "runs_held")} == {
-        "runs_asked": 6,
-        "runs_made": 4,
-        "runs_held": 6,
-    }
+    assert [json.loads(made.out)[f"runs_{name}"] for name in ("asked", "made", "held")] == [6, 4, 6]
     assert info(call, path)["is_complete"] is True
 
 
@@ -181,11 +160,8 @@ def test_two_shapes_in_one_ledger_are_two_plans_and_both_are_complete(call: Call
     run_experiment(tmp_path / "ledger", small("fsar", runs=3), 1)
     run_experiment(tmp_path / "ledger", small("cfc", scenarios=("fleet-contention",), runs=1), 1)
     found = info(call, tmp_path / "ledger")
-    assert (found["is_complete"], found["runs"], [plan["planned_count"] for plan in found["plans"]]) == (
-        True,
-        4,
-        [3, 1],
-    )
+    assert (found["is_complete"], found["runs"]) == (True, 4)
+    assert [plan["planned_count"] for plan in found["plans"]] == [3, 1]
     assert {group["architecture"]: group["runs_to_rectangle"] for group in found["groups"]} == {"fsar": 3, "cfc": 5}
     text = said(call, tmp_path / "ledger")
     assert "4 runs, complete: all that was planned is there" in text
@@ -206,16 +182,11 @@ def test_two_parameter_sets_are_told_apart_and_the_constants_named(call: Call, t
     planned_only(tmp_path / "ledger", small(constants=OTHER))
     run_experiment(tmp_path / "ledger", small(runs=1, constants=OTHER), 1)
     found = info(call, tmp_path / "ledger")
-    assert sorted((group["constants"], group["runs"], group["runs_to_rectangle"]) for group in found["groups"]) == [
-        ("A", 3, 0),
-        ("B", 1, 0),
-    ]
+    told = sorted((group["constants"], group["runs"], group["runs_to_rectangle"]) for group in found["groups"])
+    assert told == [("A", 3, 0), ("B", 1, 0)]
     assert [model["differing"] for model in found["models"]] == [OURS, "world.window_mean_s=12"]
-    assert [(plan["planned_count"], plan["missing_count"], plan["continues_with"]) for plan in found["plans"]] == [
-        (3, 0, None),
-        (2, 1, None),
-        (1, 0, None),
-    ]
+    result = [(plan["planned_count"], plan["missing_count"], plan["continues_with"]) for plan in found["plans"]]
+    assert result == [(3, 0, None), (2, 1, None), (1, 0, None)]
     assert found["is_complete"] is False
     text = said(call, tmp_path / "ledger")
     assert (
@@ -356,8 +327,7 @@ def test_what_is_judged_before_all_planned_runs_are_there_says_so(call: Call, tm
 
 def test_a_plan_without_runs_is_not_said_to_have_been_replayed(call: Call, tmp_path: Path) -> None:
     planned_only(tmp_path / "ledger", small())
-    said = call("verify", tmp_path / "ledger", "--replay")
-    assert said.code == 0
+    said = call("verify", tmp_path / "ledger", "--replay").good()
     assert "1 event of 0 runs in 1 commit\n" in said.out
     assert said.out.endswith("\nreplayed: nothing; the ledger holds no run\n")
 

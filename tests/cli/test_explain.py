@@ -40,8 +40,7 @@ def test_without_a_request_the_requests_of_the_first_run_are_listed(call: Call, 
 @pytest.mark.slow
 def test_the_call_that_the_list_suggests_runs(call: Call, ledger: Path) -> None:
     hint = call("explain", ledger).out.splitlines()[-1].partition("`")[2].partition("`")[0]
-    said = call(*hint.split()[1:])
-    assert said.code == 0
+    said = call(*hint.split()[1:]).good()
     assert "asked by" in said.out
 
 

@@ -58,11 +58,8 @@ def test_an_interrupted_simulation_can_be_continued(
     info = json.loads(call("info", out, "--json").out)
     assert info["head"]["size"] < whole["size"]
     [plan] = info["plans"]
-    assert (info["is_complete"], plan["planned_count"], plan["there_count"] + plan["missing_count"]) == (
-        False,
-        180,
-        180,
-    )
+    assert (info["is_complete"], plan["planned_count"]) == (False, 180)
+    assert plan["there_count"] + plan["missing_count"] == 180
     assert 0 < plan["there_count"] < 180
     continued = in_a_process(*shlex.split(plan["continues_with"])[1:], "--workers", workers, "--json")
     assert json.loads(continued.out)["head"] == whole

@@ -5,15 +5,14 @@ import io
 import json
 from pathlib import Path
 
-from .conftest import Call, one_message
+from .conftest import SMALL, Call, one_message
 
 MULTIVERSE = ("study", "run", "multiverse")
 ONE = ("--metric", "human_intervention")
 
 
 def test_people_see_ranges_rankings_and_what_the_readings_say(call: Call, ledger: Path) -> None:
-    called = call(*MULTIVERSE, ledger, *ONE)
-    assert called.code == 0
+    called = call(*MULTIVERSE, ledger, *ONE).good()
     ranges, rankings, verdicts, told = called.out.split("\n\n")
     assert ranges.splitlines()[0].split() == [
         *("metric", "architecture", "paper", "ours", "lowest", "highest"),
@@ -44,12 +43,8 @@ def test_programs_get_every_combination_and_the_same_bytes_again(call: Call, led
     ]
     means = [one["mean"] for one in answer["universes"] if one["architecture"] == "cfc"]
     (cell,) = [one for one in answer["cells"] if one["architecture"] == "cfc"]
-    assert (cell["ours"], cell["lowest"], cell["highest"], cell["combinations"]) == (
-        means[0],
-        min(means),
-        max(means),
-        4,
-    )
+    assert (cell["ours"], cell["lowest"], cell["highest"]) == (means[0], min(means), max(means))
+    assert cell["combinations"] == 4
     assert call(*MULTIVERSE, ledger, *ONE, "--json").out == called.out
 
 
@@ -76,21 +71,7 @@ def test_a_metric_that_is_none_is_an_error_that_names_the_nearest(call: Call, le
 
 
 def test_a_ledger_in_which_nothing_can_be_ranked_says_so(call: Call, tmp_path: Path) -> None:
-    assert (
-        call(
-            "simulate",
-            tmp_path / "one",
-            "--architecture",
-            "fsar",
-            "--scenario",
-            "door-relay",
-            "--runs",
-            "1",
-            "--workers",
-            "1",
-        ).code
-        == 0
-    )
+    call("simulate", tmp_path / "one", *SMALL[:2], "--architecture", "fsar", "--runs", "1", "--workers", "1").good()
     verdicts = call(*MULTIVERSE, tmp_path / "one", *ONE).out.split("\n\n")[2]
     assert verdicts.splitlines() == [
         "whether FSAR is the best one: nothing to rank; that takes means of two architectures, one of them FSAR",

@@ -56,10 +56,8 @@ def test_an_invariant_without_a_case_is_no_pass_although_all_is_observed(call: C
     said = call("audit", tmp_path / "ledger")
     assert said.code == 1
     assert said.out.splitlines()[13] == "1 of 10 hold, 9 had no case"
-    assert (
-        said.out.splitlines()[14]
-        == "nothing to judge was on record for I2, I3, I4, I5, A1, A2, A3, A4, A5; that is no pass"
-    )
+    found = said.out.splitlines()[14]
+    assert found == "nothing to judge was on record for I2, I3, I4, I5, A1, A2, A3, A4, A5; that is no pass"
     assert [("no case" in line, "holds" in line) for line in said.out.splitlines()[2:12]] == [(False, True)] + [
         (True, False)
     ] * 9

@@ -24,8 +24,7 @@ def question(tmp_path: Path) -> Path:
 def test_a_file_is_answered_like_its_text(
     call: Call, ledger: Path, question: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    answer = call("sql", ledger, SELECT, "--json")
-    assert answer.code == 0
+    answer = call("sql", ledger, SELECT, "--json").good()
     assert json.loads(answer.out)["rows"]
     assert call("query", "--file", question, ledger, "--json") == answer
     monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(SELECT.encode())))

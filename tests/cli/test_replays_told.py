@@ -16,8 +16,7 @@ VIOLATED = "policy_violations > 0"
 
 
 def test_a_moment_shows_each_robot_and_what_is_open(call: Call, ledger: Path) -> None:
-    answer = call("state", ledger, "--run", "1", "--at", "40s")
-    assert answer.code == 0
+    answer = call("state", ledger, "--run", "1", "--at", "40s").good()
     for robot in ("robot/A1", "robot/B1", "robot/C1", "robot/D1"):
         assert f"\n{robot}  role " in answer.out
     assert "\nat 40.000 s of " in answer.out
@@ -40,18 +39,15 @@ def test_a_moment_shows_each_robot_and_what_is_open(call: Call, ledger: Path) ->
 def test_what_a_decider_had_been_told_has_an_age(
     call: Call, ledger: Path, number: str, decider: str, what: str
 ) -> None:
-    answer = call("state", ledger, "--run", number, "--at", "40s", "--as-known-by", decider)
-    assert answer.code == 0
+    answer = call("state", ledger, "--run", number, "--at", "40s", "--as-known-by", decider).good()
     assert what in answer.out.partition("what it had been told")[2]
 
 
 @pytest.mark.slow
 def test_the_same_run_has_no_differences_and_two_have_a_story(call: Call, ledger: Path) -> None:
-    same = call("diff", ledger, "1", "1")
-    assert same.code == 0
+    same = call("diff", ledger, "1", "1").good()
     assert "the same " in same.out
-    other = call("diff", ledger, "1", "2", "--all")
-    assert other.code == 0
+    other = call("diff", ledger, "1", "2", "--all").good()
     assert "architecture: fsar and cfc" in other.out
     assert "they part at " in other.out
     assert "because " in other.out
@@ -65,14 +61,12 @@ def test_the_same_run_has_no_differences_and_two_have_a_story(call: Call, ledger
 
 def test_a_fork_is_told_kept_and_replays(call: Call, ledger: Path, tmp_path: Path) -> None:
     place = tmp_path / "forks"
-    answer = call("whatif", ledger, "--run", "1", "--change", "drop window:*", "--out", place)
-    assert answer.code == 0
+    answer = call("whatif", ledger, "--run", "1", "--change", "drop window:*", "--out", place).good()
     assert "they part at " in answer.out
     assert "kept in " in answer.out
     assert call("verify", place, "--replay").code == 0
     size = (place / "checkpoint").read_bytes()
-    again = call("whatif", ledger, "--run", "1", "--change", "drop window:*", "--out", place)
-    assert again.code == 0
+    call("whatif", ledger, "--run", "1", "--change", "drop window:*", "--out", place).good()
     assert (place / "checkpoint").read_bytes() == size
     assert call("prove", place, "2:0").code == 0
     told = json.loads(call("compare", place, "--first", "fsar+fork", "--second", "fsar@A/4", "--json").out)
@@ -95,8 +89,7 @@ def test_where_the_same_event_holds_something_else_its_fields_are_told(call: Cal
 
 def test_all_runs_of_an_architecture_are_compared_with_their_forks(call: Call, ledger: Path) -> None:
     words = ("whatif", ledger, "--all-runs", "--architecture", "fsar", "--change", "drop window:*")
-    answer = call(*words)
-    assert answer.code == 0
+    answer = call(*words).good()
     assert "fsar: 4 pairs, 4 of them part" in answer.out
     told = json.loads(call(*words, "--json").out)
     assert len(told["forks"]) == 4
@@ -138,8 +131,7 @@ def test_forks_are_not_stored_in_the_ledger_of_their_bases(call: Call, ledger: P
 
 @pytest.mark.slow
 def test_a_cause_is_told_with_the_call_that_takes_it_away(call: Call, ledger: Path) -> None:
-    answer = call("cause", ledger, "--run", "1", "--outcome", VIOLATED, "--futures", "3")
-    assert answer.code == 0
+    answer = call("cause", ledger, "--run", "1", "--outcome", VIOLATED, "--futures", "3").good()
     assert "suffice together" in answer.out
     assert "futures that avoid it, of 3" in answer.out
     assert "whatif " in answer.out
@@ -150,8 +142,7 @@ def test_a_cause_is_told_with_the_call_that_takes_it_away(call: Call, ledger: Pa
 
 def test_where_nothing_is_a_cause_the_point_of_no_return_comes_first(call: Call, ledger: Path) -> None:
     always = "coordination_success >= 0"
-    answer = call("cause", ledger, "--run", "1", "--outcome", always, "--futures", "2")
-    assert answer.code == 0
+    answer = call("cause", ledger, "--run", "1", "--outcome", always, "--futures", "2").good()
     _, outcome, first, left, *rest = answer.out.splitlines()
     assert (outcome, first) == (f"outcome: {always}", "no future avoids it, from the beginning on")
     assert "is a cause" in left
@@ -162,8 +153,7 @@ def test_where_nothing_is_a_cause_the_point_of_no_return_comes_first(call: Call,
 
 def test_a_pair_without_a_value_does_not_disagree(call: Call, ledger: Path) -> None:
     changed = ("--change", "drop task:*", "--architecture", "fsar")
-    answer = call("bisect", ledger, *changed, "--outcome", "coordination_success > 0")
-    assert answer.code == 0
+    answer = call("bisect", ledger, *changed, "--outcome", "coordination_success > 0").good()
     assert "\n0 pairs: " in answer.out
     assert "no pair disagrees" in answer.out
     told = json.loads(call("bisect", ledger, *changed, "--outcome", "coordination_success > 0", "--json").out)
@@ -177,14 +167,16 @@ def test_a_pair_without_a_value_does_not_disagree(call: Call, ledger: Path) -> N
 
 @pytest.mark.slow
 def test_the_first_pair_that_disagrees_is_told(call: Call, ledger: Path) -> None:
-    answer = call("bisect", ledger, "--first", "fsar", "--second", "dhma", "--outcome", "authority_conflicts > 3")
-    assert answer.code == 0
+    answer = call(
+        "bisect", ledger, "--first", "fsar", "--second", "dhma", "--outcome", "authority_conflicts > 3"
+    ).good()
     assert "4 pairs: " in answer.out
     assert "the first pair that disagrees: " in answer.out
     agree = call("bisect", ledger, "--first", "fsar", "--second", "dhma", "--outcome", "authority_conflicts >= 0")
     assert "no pair disagrees" in agree.out
-    changed = call("bisect", ledger, "--change", "drop window:*", "--architecture", "fsar", "--outcome", VIOLATED)
-    assert changed.code == 0
+    changed = call(
+        "bisect", ledger, "--change", "drop window:*", "--architecture", "fsar", "--outcome", VIOLATED
+    ).good()
     assert "as recorded" in changed.out
 
 

@@ -20,10 +20,7 @@ WITH_JSON = ("metrics", "statistics", "compare", "audit", "info", "explain", "qu
 ANSWERS = (*WITH_JSON, "export")
 
 
-@pytest.fixture(autouse=True)
-def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Start with an empty cache."""
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+pytestmark = pytest.mark.usefixtures("empty_cache")
 
 
 def grow(path: Path, *numbers: int) -> None:

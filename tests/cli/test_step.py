@@ -35,14 +35,8 @@ def landed(call: Call, ledger: Path, script: str, run: str = "1") -> list[int]:
 
 
 def test_a_script_shows_where_each_move_lands(call: Call, ledger: Path) -> None:
-    assert landed(call, ledger, "next; next; previous; last; first; go 7") == [
-        1,
-        2,
-        1,
-        len(steps_of(ledger).words) - 1,
-        0,
-        7,
-    ]
+    last = len(steps_of(ledger).words) - 1
+    assert landed(call, ledger, "next; next; previous; last; first; go 7") == [1, 2, 1, last, 0, 7]
 
 
 def steps_of(ledger: Path, run: int = 1) -> Steps:

@@ -171,10 +171,8 @@ def test_the_numbers_that_a_terminal_shows_are_those_that_questions_take(
     rows = Ledger(ledger).query("failures").rows()
     listed = shown.split("---\n", 1)[1].splitlines()[: len(rows)]
     assert [line.lstrip("| ").split()[0] for line in listed] == [str(numbers[row["run_id"]]) for row in rows]
-    assert (
-        Ledger(ledger).requests(str(numbers[rows[0]["run_id"]])).rows()
-        == Ledger(ledger).requests(rows[0]["run_id"]).rows()
-    )
+    found = Ledger(ledger).requests(str(numbers[rows[0]["run_id"]])).rows()
+    assert found == Ledger(ledger).requests(rows[0]["run_id"]).rows()
 
 
 def test_runs_that_could_not_be_told_apart_stay_whole() -> None:

@@ -13,13 +13,13 @@ from fsar_ledger.events.world import PolicyWindowOpened
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from tests.cli.conftest import Call, one_message
 from tests.ledger.samples import append_all
+from tests.sure import known
 
 DATA = re.compile(r'<script type="application/json" id="data">(.*?)</script>', re.DOTALL)
 
 
 def data_of(page: Path) -> dict[str, Any]:
-    found = DATA.search(page.read_text("utf-8"))
-    assert found is not None
+    found = known(DATA.search(page.read_text("utf-8")))
     document: dict[str, Any] = json.loads(found[1])
     return document
 
@@ -91,8 +91,7 @@ def test_the_record_of_another_system_is_shown_and_what_it_leaves_out_is_named(c
     started = RunStarted(kind="foreign", observes=("policy",), source="example.org")
     opened = PolicyWindowOpened(robot="robot/X9", scope="local", window="w", outcome="deny")  # type: ignore[arg-type]
     append_all(tmp_path / "ledger", [[LedgerRun("ward", (0, 7), (None, 0), (started, opened))]])
-    said = call("view", tmp_path / "ledger", "--out", tmp_path / "ward.html")
-    assert said.code == 0
+    said = call("view", tmp_path / "ledger", "--out", tmp_path / "ward.html").good()
     assert "not observed" in said.err
     (run,) = data_of(tmp_path / "ward.html")["runs"]
     assert "execution" in run["not_observed"]

@@ -255,8 +255,7 @@ def test_a_live_run_is_refused_because_its_commands_are_not_stored(call: Call, l
 
 def test_a_verdict_that_was_not_observed_is_not_said_to_be_absent(call: Call, live: Path) -> None:
     for kind in ("late", "conflict", "i4"):
-        called = call("why", live, "--run", "night", "--verdict", kind)
-        assert called.code == 0
+        called = call("why", live, "--run", "night", "--verdict", kind).good()
         assert called.out.splitlines()[1] == f"no {kind} on record; not all that it rests on was observed"
 
 

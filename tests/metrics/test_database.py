@@ -210,15 +210,11 @@ def test_a_refilled_database_has_forgotten_what_was_defined_and_held_in_it() -> 
     with from_rows([]) as database:
         database.define("runs", "SELECT 1 AS run_id")
         database.hold("conflicts", pa.table({"run_id": ["mine"]}))
-        assert [database.rows(f"SELECT count(*) AS n FROM {name}") for name in ("runs", "conflicts")] == [
-            [{"n": 1}],
-            [{"n": 1}],
-        ]
+        found = [database.rows(f"SELECT count(*) AS n FROM {name}") for name in ("runs", "conflicts")]
+        assert found == [[{"n": 1}], [{"n": 1}]]
         database.refill(pa.table({"run_id": pa.array([], pa.string())}))
-        assert [database.rows(f"SELECT count(*) AS n FROM {name}") for name in ("runs", "conflicts")] == [
-            [{"n": 0}],
-            [{"n": 0}],
-        ]
+        told = [database.rows(f"SELECT count(*) AS n FROM {name}") for name in ("runs", "conflicts")]
+        assert told == [[{"n": 0}], [{"n": 0}]]
 
 
 LARGE = "SELECT max(word) AS word FROM (SELECT hash(range)::VARCHAR AS word FROM range(1000000) ORDER BY word OFFSET 1)"

@@ -17,6 +17,7 @@ from fsar_ledger.metrics.verified import ReadAgain
 from tests.ledger.forgery import changed, forge_segment, segment_at
 from tests.ledger.parts import two_faced
 from tests.ledger.samples import append_all, made_up_run
+from tests.sure import known
 
 TABLE = encode([made_up_run("run-0", 60, 1), made_up_run("run-1", 40, 2)])
 ASKED = VerifyOptions(second_reader=ReadAgain())
@@ -57,8 +58,7 @@ def test_the_same_rows_are_the_same_by_both_readers(tmp_path: Path, is_as_writte
 def test_one_value_that_differs_is_found_and_its_column_named(tmp_path: Path, name: str, value: object) -> None:
     row = next(row for row in range(100) if TABLE[name][row].as_py() != value)
     path = written(tmp_path / "segment", TABLE)
-    found = read_again(path, changed(TABLE, name, row, value), False)
-    assert found is not None
+    found = known(read_again(path, changed(TABLE, name, row, value), False))
     assert found[0] == f"1 values of column {name} that DuckDB reads otherwise"
     is_counted = name == "time_us" or (value is None) != (TABLE[name][row].as_py() is None)
     by_digest = read_again(path, changed(TABLE, name, row, value), True)
@@ -69,16 +69,14 @@ def test_one_value_that_differs_is_found_and_its_column_named(tmp_path: Path, na
 def test_rows_too_many_or_too_few_are_found(tmp_path: Path, is_as_written: bool) -> None:
     path = written(tmp_path / "segment", TABLE)
     for other in (TABLE.slice(0, 99), pa.concat_tables([TABLE, TABLE.slice(0, 1)])):
-        found = read_again(path, other, is_as_written)
-        assert found is not None
+        found = known(read_again(path, other, is_as_written))
         assert "column run_id" in found[0]
 
 
 def test_a_file_that_duckdb_cannot_read_is_found(tmp_path: Path) -> None:
     path = written(tmp_path / "segment", TABLE)
     Path(path).write_bytes(Path(path).read_bytes()[:-1])
-    found = read_again(path, TABLE, True)
-    assert found is not None
+    found = known(read_again(path, TABLE, True))
     assert "a segment that DuckDB cannot read" in found[0]
 
 

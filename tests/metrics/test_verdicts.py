@@ -9,6 +9,7 @@ from scipy import stats
 from fsar_ledger.metrics.paper_numbers import Printed
 from fsar_ledger.metrics.results import MetricRow
 from fsar_ledger.metrics.verdicts import MARGINS, Comparison, Odds, compare, gives, odds, published
+from tests.sure import known
 
 
 def row(metric: str, architecture: str, mean: float | None, sd: float | None, n: int = 100) -> MetricRow:
@@ -131,8 +132,7 @@ def test_the_share_is_of_experiments_that_print_a_number_as_far_out_on_either_si
 
 
 def test_a_number_that_rounds_to_the_printed_one_is_the_printed_one() -> None:
-    found = odds({CELL: [0.934, 0.936, 0.944]}, {CELL: Printed(0.94, 0.01)})
-    assert found is not None
+    found = known(odds({CELL: [0.934, 0.936, 0.944]}, {CELL: Printed(0.94, 0.01)}))
     assert found.cells[CELL] == pytest.approx(1.0)
 
 
@@ -145,24 +145,21 @@ def test_a_table_drawn_from_the_model_is_refused_as_often_as_alpha_says() -> Non
     for _ in range(400):
         base = RNG.normal()
         one, two = (0.8 * base + 0.6 * RNG.normal() for _ in range(2))
-        found = odds(drawn, {CELL: Printed(one, 0.001), OTHER: Printed(two, 0.001)})
-        assert found is not None
+        found = known(odds(drawn, {CELL: Printed(one, 0.001), OTHER: Printed(two, 0.001)}))
         refused += found.table < 0.05
     assert 6 <= refused <= 36, "20 expected, give or take three and a half standard deviations"
 
 
 def test_a_table_with_one_number_that_the_model_never_gives_is_refused_as_a_whole() -> None:
     drawn = {CELL: RNG.normal(size=1000), OTHER: RNG.normal(size=1000)}
-    found = odds(drawn, {CELL: Printed(0.0, 0.01), OTHER: Printed(9.0, 0.01)})
-    assert found is not None
+    found = known(odds(drawn, {CELL: Printed(0.0, 0.01), OTHER: Printed(9.0, 0.01)}))
     assert found.cells[CELL] > 0.5
     assert found.cells[OTHER] == found.table == 0.0
 
 
 def test_what_an_experiment_leaves_undefined_counts_neither_way_and_a_cell_without_numbers_has_no_share() -> None:
-    found = odds(
-        {CELL: [0.1, None, 0.3], OTHER: [None, None, None]}, {CELL: Printed(0.1, 0.1), OTHER: Printed(0.1, 0.1)}
+    found = known(
+        odds({CELL: [0.1, None, 0.3], OTHER: [None, None, None]}, {CELL: Printed(0.1, 0.1), OTHER: Printed(0.1, 0.1)})
     )
-    assert found is not None
     assert found.cells == pytest.approx({CELL: 1.0})
     assert odds({OTHER: [None]}, {OTHER: Printed(0.1, 0.1)}) is None

@@ -102,19 +102,23 @@ def before_start(name: str, change: dict[str, Any]) -> Seeds:
             for at in where(rows, "ExecutionStarted")
             if rows[at]["robot"] != rows[at]["on_behalf_of"] and is_free(rows[at - 1])
         )
-        kept = {column: rows[start - 1][column] for column in ("run_id", "seq", "time_us", "caused_by")}
-        empty = dict.fromkeys(rows[start])
-        rows[start - 1] = {
-            **empty,
-            **kept,
-            "type": f"{name}.v1",
-            "action_id": rows[start]["action_id"],
-            "robot": rows[start]["robot"],
-            **change,
-        }
+        about = {key: rows[start][key] for key in ("action_id", "robot")}
+        put(rows, start - 1, {"type": f"{name}.v1", **about, **change})
         return [start]
 
     return seed
+
+
+def free_before(rows: list[Row], start: int, most: int) -> int | None:
+    """The last place before this one, of its run and fewer than `most` away, whose event no invariant judges."""
+    near = range(start - 1, max(start - most, 0), -1)
+    return next((at for at in near if is_free(rows[at]) and rows[at]["run_id"] == rows[start]["run_id"]), None)
+
+
+def put(rows: list[Row], place: int, said: dict[str, Any]) -> None:
+    """Put another event in this place, at its time and for its cause."""
+    kept = {column: rows[place][column] for column in ("run_id", "seq", "time_us", "caused_by")}
+    rows[place] = {**dict.fromkeys(rows[place]), **kept, **said}
 
 
 def is_free(row: Row) -> bool:
@@ -129,16 +133,8 @@ def under_its_own_deny(name: str) -> Seeds:
 
     def seed(rows: list[Row]) -> list[int]:
         for start in where(rows, name, **({"operation": "motion"} if name == "RoutinePerformed" else {})):
-            free = next(
-                (
-                    at
-                    for at in range(start - 1, max(start - 6, 0), -1)
-                    if is_free(rows[at]) and rows[at]["run_id"] == rows[start]["run_id"]
-                ),
-                None,
-            )
+            free = free_before(rows, start, 6)
             if free is not None:
-                kept = {column: rows[free][column] for column in ("run_id", "seq", "time_us", "caused_by")}
                 window = {
                     "type": "PolicyWindowOpened.v1",
                     "robot": rows[start]["robot"],
@@ -146,7 +142,7 @@ def under_its_own_deny(name: str) -> Seeds:
                     "window": "seeded",
                     "outcome": "deny",
                 }
-                rows[free] = {**dict.fromkeys(rows[free]), **kept, **window}
+                put(rows, free, window)
                 return [start]
         raise AssertionError(f"no place before {name}")
 
@@ -184,18 +180,9 @@ def in_place_before(name: str, inserted: str, change: dict[str, Any], kept: tupl
 
     def seed(rows: list[Row]) -> list[int]:
         for at in where(rows, name, **fields):
-            free = next(
-                (
-                    place
-                    for place in range(at - 1, max(at - 12, 0), -1)
-                    if is_free(rows[place]) and rows[place]["run_id"] == rows[at]["run_id"]
-                ),
-                None,
-            )
+            free = free_before(rows, at, 12)
             if free is not None:
-                place = {column: rows[free][column] for column in ("run_id", "seq", "time_us", "caused_by")}
-                same = {column: rows[at][column] for column in kept}
-                rows[free] = {**dict.fromkeys(rows[free]), **place, **same, "type": f"{inserted}.v1", **change}
+                put(rows, free, {**{column: rows[at][column] for column in kept}, "type": f"{inserted}.v1", **change})
                 return [free]
         raise AssertionError(f"no place before {name}")
 
@@ -205,23 +192,15 @@ def in_place_before(name: str, inserted: str, change: dict[str, Any], kept: tupl
 def revoked_before_admission(rows: list[Row]) -> list[int]:
     """Revoke the right to ask before a request is admitted; it shows at the admission."""
     for at in where(rows, "RequestAdmitted"):
-        free = next(
-            (
-                place
-                for place in range(at - 1, max(at - 12, 0), -1)
-                if is_free(rows[place]) and rows[place]["run_id"] == rows[at]["run_id"]
-            ),
-            None,
-        )
+        free = free_before(rows, at, 12)
         if free is not None:
-            place = {column: rows[free][column] for column in ("run_id", "seq", "time_us", "caused_by")}
             said = {
                 "type": "AuthorityRevoked.v1",
                 "requested_by": rows[at]["requested_by"],
                 "reason": "human override",
                 "decided_by": "supervisor/fleet",
             }
-            rows[free] = {**dict.fromkeys(rows[free]), **place, **said}
+            put(rows, free, said)
             return [at]
     raise AssertionError("no place before an admission")
 

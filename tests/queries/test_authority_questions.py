@@ -207,14 +207,10 @@ def test_a_chain_is_well_formed_when_each_link_was_admitted_by_itself() -> None:
         ("q1", 2, "q2", "robot/B1", "robot/C1", "admitted", None, True, None),
     ]
     denied = judged(6, "q2", "Denied", "C1", reason="trust")
-    assert sorted(asked("delegation_chains", "link verdict conjunct is_well_formed", *CHAIN, denied)) == [
-        (1, "admitted", None, False),
-        (2, "denied", "trust", False),
-    ]
-    assert sorted(asked("delegation_chains", "link verdict is_well_formed", *CHAIN)) == [
-        (1, "admitted", False),
-        (2, None, False),
-    ]
+    found = sorted(asked("delegation_chains", "link verdict conjunct is_well_formed", *CHAIN, denied))
+    assert found == [(1, "admitted", None, False), (2, "denied", "trust", False)]
+    told = sorted(asked("delegation_chains", "link verdict is_well_formed", *CHAIN))
+    assert told == [(1, "admitted", False), (2, None, False)]
 
 
 def test_a_request_that_serves_none_and_is_served_by_none_is_no_chain() -> None:
@@ -244,15 +240,11 @@ def test_a_relay_link_is_judged_by_the_trust_that_is_most_specific() -> None:
     columns = "link link_scope is_trusted"
     for about in ({"capability": "lift"}, {"context": "visit"}, {"capability": "lift", "context": "visit"}):
         narrow = trust(2, "B1", "A1", "none", **about)
-        assert asked("relay_links", columns, *broad, narrow, trust(3, "B1", "A1", "session"), *relayed) == [
-            (1, "task", True),
-            (2, "none", False),
-        ]
+        found = asked("relay_links", columns, *broad, narrow, trust(3, "B1", "A1", "session"), *relayed)
+        assert found == [(1, "task", True), (2, "none", False)]
     for about in ({"capability": "grasp"}, {"context": "rounds"}):
-        assert asked("relay_links", columns, *broad, trust(2, "B1", "A1", "none", **about), *relayed) == [
-            (1, "task", True),
-            (2, "task", True),
-        ]
+        told = asked("relay_links", columns, *broad, trust(2, "B1", "A1", "none", **about), *relayed)
+        assert told == [(1, "task", True), (2, "task", True)]
     both = (trust(1, "B1", "A1", "none", capability="lift"), trust(2, "B1", "A1", "session", context="visit"))
     assert asked("relay_links", columns, *broad, *both, *relayed)[1] == (2, "none", False), (
         "the capability's before the context's"

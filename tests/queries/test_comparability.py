@@ -52,14 +52,10 @@ def test_runs_whose_facts_differ_are_no_pair_and_are_named_with_the_first_fact()
     assert len(differing) == 1
     found = differing[0]
     assert (found.comparison, found.differs, found.pairs, found.is_fault) == ("fsar-cfc", "facts", 1, True)
-    assert (found.first.first_run_id, found.first.first_found) == (
-        "fsar-1-full",
-        '2.0 s PeersMet.v1 peer="robot/B1" robot="robot/A1"',
-    )
-    assert (found.first.second_run_id, found.first.second_found) == (
-        "cfc-1-full",
-        '2.0 s ObstructionAppeared.v1 obstruction="o1" robot="robot/A1"',
-    )
+    assert found.first.first_run_id == "fsar-1-full"
+    assert found.first.first_found == '2.0 s PeersMet.v1 peer="robot/B1" robot="robot/A1"'
+    assert found.first.second_run_id == "cfc-1-full"
+    assert found.first.second_found == '2.0 s ObstructionAppeared.v1 obstruction="o1" robot="robot/A1"'
     assert {row.n for row in rows} == {1}
     assert (
         "1 pair of runs is left out: they did not meet the same facts of the world; first under seed 42, "
@@ -96,10 +92,8 @@ def test_constants_of_a_pair_are_compared_by_value_and_other_ones_are_named() ->
     assert answer("statistics/differing_worlds", of("fsar", 0, parameters=text), of("cfc", 0, parameters=same)) == []
     (found,), (why, *_), rows = said(of("fsar", 0, parameters=text), of("cfc", 0, parameters=other))
     assert (found.differs, found.is_fault, rows) == ("setting", False, [])
-    assert (found.first.first_found, found.first.second_found) == (
-        "simulated, model test, world.b=2",
-        "simulated, model test, world.b=3",
-    )
+    assert found.first.first_found == "simulated, model test, world.b=2"
+    assert found.first.second_found == "simulated, model test, world.b=3"
     assert why == (
         "fsar-cfc: every pair of runs (1) is left out, as said above; simulate both under one world and the "
         "same constants"
@@ -163,12 +157,8 @@ def test_an_ablation_is_compared_with_the_whole_architecture_in_pairs() -> None:
     row = next(row for row in rows if row.metric == "human_intervention")
     first, second = np.arange(16) % 2, np.minimum(calls, 1)
     expected = stats.ttest_rel(first, second)
-    assert (row.comparison, row.configuration, row.family, row.n) == (
-        "fsar-without-trust-evaluation",
-        "without-trust-evaluation",
-        "ablations of fsar",
-        16,
-    )
+    assert (row.comparison, row.configuration) == ("fsar-without-trust-evaluation", "without-trust-evaluation")
+    assert (row.family, row.n) == ("ablations of fsar", 16)
     assert (row.first_mean, row.second_mean, row.t, row.p) == pytest.approx(
         (first.mean(), second.mean(), expected.statistic, expected.pvalue)
     )

@@ -72,10 +72,8 @@ def test_a_denial_of_something_else_or_by_somebody_else_is_decided() -> None:
 
 def test_who_asks_again_decides_to_ask_and_the_answer_is_a_decision() -> None:
     asked = event("RequestIssued", task_id="t1", decided_by="robot/A1", path=["robot/A1"])
-    assert (
-        decided(asked, denied(by="robot/B1"), asked, denied(by="robot/B1"))
-        == ["RequestIssued.v1", "RequestDenied.v1"] * 2
-    )
+    found = decided(asked, denied(by="robot/B1"), asked, denied(by="robot/B1"))
+    assert found == ["RequestIssued.v1", "RequestDenied.v1"] * 2
 
 
 def test_what_is_no_denial_is_decided_each_time() -> None:
@@ -136,11 +134,8 @@ def test_a_losing_bidder_is_not_credited_with_the_winner() -> None:
         supervised_by="supervisor/B1",
         **asked,
     )
-    assert judged(lost, won, accepted) == [
-        (True, False, True, False),
-        (True, True, True, True),
-        (True, True, True, True),
-    ]
+    found = judged(lost, won, accepted)
+    assert found == [(True, False, True, False), (True, True, True, True), (True, True, True, True)]
 
 
 def test_a_supervisor_is_not_credited_with_another_robots_shift() -> None:

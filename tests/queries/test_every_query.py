@@ -117,11 +117,8 @@ def relations_in(sql: str, connection: duckdb.DuckDBPyConnection) -> set[str]:
 def test_duckdb_reads_nothing_that_the_library_does_not_make_for_a_query() -> None:
     made = {query.relation for query in library().queries.values()} | {"events"}
     with duckdb.connect() as connection:
-        assert relations_in("SELECT a.x FROM a, (SELECT y FROM b) WHERE x IN (SELECT z FROM c)", connection) == {
-            "a",
-            "b",
-            "c",
-        }
+        found = relations_in("SELECT a.x FROM a, (SELECT y FROM b) WHERE x IN (SELECT z FROM c)", connection)
+        assert found == {"a", "b", "c"}
         read = {name: relations_in(query.sql, connection) & made for name, query in library().queries.items()}
     assert [
         (name, unseen) for name, relations in read.items() if (unseen := relations - library().queries[name].sources())
@@ -134,13 +131,8 @@ def test_every_event_type_has_a_view_with_its_fields_that_runs_on_an_empty_ledge
         for tag, layout in LAYOUTS.items():
             query = next(query for query in library().queries.values() if f"type = '{tag}'" in query.sql)
             table = database.query(query.name)
-            assert table.column_names == [
-                "run_id",
-                "seq",
-                "time_us",
-                "caused_by",
-                *(field.name for field in layout.fields),
-            ]
+            found = table.column_names
+            assert found == ["run_id", "seq", "time_us", "caused_by", *(field.name for field in layout.fields)]
 
 
 def test_a_query_that_reads_itself_is_refused() -> None:

@@ -54,29 +54,23 @@ def test_a_failure_is_told_level_by_level_with_results_reasons_and_times() -> No
         ("human", "asks supervisor/fleet", "resolved", 30.0),
         ("human", "resolved", None, 30.0),
     ]
-    assert asked("failure_timeline", "step achieved budget_s until_s", *TO_THE_END)[:2] == [
-        (1, "gripped", 30.0, 20.0),
-        (2, None, 30.0, 30.0),
-    ]
+    found = asked("failure_timeline", "step achieved budget_s until_s", *TO_THE_END)[:2]
+    assert found == [(1, "gripped", 30.0, 20.0), (2, None, 30.0, 30.0)]
 
 
 def test_the_last_attempt_succeeded_when_the_failure_is_resolved_after_it_and_is_open_otherwise() -> None:
     begun = TO_THE_END[:2]
     assert asked("failure_timeline", "result", *begun) == [(None,)]
     resolved = {**RESOLVED, "level": "local", "time_us": 12 * S}
-    assert asked("failure_timeline", "what result spent_s", *begun, resolved) == [
-        ("attempt 1", "success", 2.0),
-        ("resolved", None, 2.0),
-    ]
+    found = asked("failure_timeline", "what result spent_s", *begun, resolved)
+    assert found == [("attempt 1", "success", 2.0), ("resolved", None, 2.0)]
 
 
 def test_a_helper_helped_or_was_busy_and_a_reassignment_names_its_checkpoint() -> None:
     helped = step("AssistanceRequested", 31 * S, "peer", helper=C)
     resolved = {**RESOLVED, "level": "peer"}
-    assert asked("failure_timeline", "what result", failed(10 * S), helped, resolved)[0] == (
-        f"asks {C} for help",
-        "helped",
-    )
+    found = asked("failure_timeline", "what result", failed(10 * S), helped, resolved)[0]
+    assert found == (f"asks {C} for help", "helped")
     busy = act("AssistanceDeclined", 32 * S, "t1/1.1", robot=B, helper=C, failure=1)
     assert asked("failure_timeline", "result", failed(10 * S), helped, busy, resolved)[0] == ("busy",)
     moved = event(

@@ -84,10 +84,8 @@ def test_the_answer_of_the_registry_is_in_the_line_of_the_question() -> None:
 
 def test_a_claim_reads_as_a_claim_and_a_revocation_as_one() -> None:
     claim = {"action_id": "t1/1.1", "dimension": "execution", "claimant": B}
-    assert line(event("AuthorityClaimed", S, **claim, reason="acceptance")) == (
-        *(B, B),
-        *("claims authority: execution", "acceptance"),
-    )
+    found = line(event("AuthorityClaimed", S, **claim, reason="acceptance"))
+    assert found == (*(B, B), *("claims authority: execution", "acceptance"))
     assert line(event("AuthorityClaimed", S, **claim, reason="revocation")) == (B, B, "revokes", None)
 
 
@@ -106,8 +104,6 @@ def test_the_words_are_those_of_the_timeline_of_a_request() -> None:
 
 def test_a_line_has_the_concern_of_its_event_and_the_start_of_a_run_none() -> None:
     rows = run(event("RobotWentOff", S, robot=A))
-    assert answer("facts/log_lines", rows, columns=("type", "concern")) == [
-        ("RunStarted.v2", None),
-        ("RobotWentOff.v1", "world"),
-    ]
+    found = answer("facts/log_lines", rows, columns=("type", "concern"))
+    assert found == [("RunStarted.v2", None), ("RobotWentOff.v1", "world")]
     assert "world" in CONCERNS

@@ -78,10 +78,8 @@ def test_policy_that_is_not_observed_is_never_said_to_allow() -> None:
 def test_what_was_recorded_against_an_action_stands_even_if_policy_is_not_observed() -> None:
     given: dict[str, Any] = {"robot": "robot/B1", "observes": WITHOUT_POLICY}
     assert answers("policy_at", "scope outcome", rule(1), **given) == [("fleet", None), ("local", "deny")]
-    assert answers("policy_at", "scope outcome", rule(1), rule(2, "allow"), **given) == [
-        ("fleet", None),
-        ("local", None),
-    ]
+    found = answers("policy_at", "scope outcome", rule(1), rule(2, "allow"), **given)
+    assert found == [("fleet", None), ("local", None)]
 
 
 @pytest.mark.parametrize(
@@ -104,10 +102,8 @@ def test_where_nothing_was_known_the_answer_says_why(
 
 def test_somebody_who_was_told_needs_no_reason() -> None:
     copied = event("CopySynced", 1, local_deny=["robot/B1"])
-    assert answers("policy_known_at", "known_by known_outcome why_unknown", copied, robot="robot/B1") == [
-        ("coordinator", "allow", None),
-        ("coordinator", "deny", None),
-    ]
+    found = answers("policy_known_at", "known_by known_outcome why_unknown", copied, robot="robot/B1")
+    assert found == [("coordinator", "allow", None), ("coordinator", "deny", None)]
 
 
 # --- reviews ---

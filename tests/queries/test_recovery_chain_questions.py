@@ -119,20 +119,11 @@ def test_each_link_of_a_chain_is_judged_by_the_trust_of_its_receiver_as_of_then(
     links = "link sender receiver link_scope is_trusted direct_scope passed_us"
     chain = (trust(1, "B1", "A1", "task"), trust(1, "C1", "B1", "session"), request)
     first = (1, "robot/A1", "robot/B1", "task", True, None, 5)
-    assert asked("relay_links", links, *chain, relayed) == [
-        first,
-        (2, "robot/B1", "robot/C1", "session", True, None, 6),
-    ]
+    found = asked("relay_links", links, *chain, relayed)
+    assert found == [first, (2, "robot/B1", "robot/C1", "session", True, None, 6)]
     assert asked("relay_links", links, *chain) == [first, (2, "robot/B1", "robot/C1", "session", True, None, None)]
-    assert asked("relay_links", links, *chain, trust(5, "C1", "B1", "none"), relayed)[1] == (
-        2,
-        "robot/B1",
-        "robot/C1",
-        "none",
-        False,
-        None,
-        6,
-    )
+    told = asked("relay_links", links, *chain, trust(5, "C1", "B1", "none"), relayed)[1]
+    assert told == (2, "robot/B1", "robot/C1", "none", False, None, 6)
     assert (
         asked(
             "relay_links",
@@ -195,10 +186,8 @@ def test_time_at_each_level_runs_from_detection_to_resolution() -> None:
     assert asked("recovery_time", stays, *events) == [("local", 10, 20, 10, 2, False), ("peer", 20, 27, 7, 0, True)]
     assert asked("recovery_time", stays, *events[:-1])[1] == ("peer", 20, None, None, 0, False), "not resolved"
     assert asked("recovery_time", stays, *events[:2]) == [("local", 10, None, None, 1, False)]
-    assert asked("recovery_moves", "move time_us from_level level", *events) == [
-        (1, 11, None, "local"),
-        (2, 20, "local", "peer"),
-    ]
+    found = asked("recovery_moves", "move time_us from_level level", *events)
+    assert found == [(1, 11, None, "local"), (2, 20, "local", "peer")]
 
 
 def test_records_without_a_principal_are_counted_by_kind() -> None:
@@ -220,10 +209,8 @@ def test_claims_overlap_until_just_before_the_release(other_s: int, expected: li
         claimed("Released", 5, "robot/A1"),
         claimed("Claimed", other_s, "robot/B1"),
     ]
-    assert (
-        asked("overlapping_claims", "from_us until_us", *sorted(events, key=lambda row: str(row["time_us"])))
-        == expected
-    )
+    found = asked("overlapping_claims", "from_us until_us", *sorted(events, key=lambda row: str(row["time_us"])))
+    assert found == expected
 
 
 def test_claims_of_one_claimant_other_dimensions_or_other_actions_do_not_overlap() -> None:

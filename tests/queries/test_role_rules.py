@@ -91,14 +91,8 @@ def test_handlers_and_queries_find_the_same_rules_of_robot_role_domain_capabilit
                 state = folded(events[:place])
                 for robot, scope in product(state.members, SCOPES):
                     expected = policy.ruled(state, scope, robot, capability, context)
-                    assert found[name, robot, scope] == (expected or "allow"), (
-                        name,
-                        place,
-                        robot,
-                        scope,
-                        capability,
-                        context,
-                    )
+                    about = (name, place, robot, scope, capability, context)
+                    assert found[name, robot, scope] == (expected or "allow"), about
                     seen.add(expected)
     assert seen == {*OUTCOMES, None}
 
@@ -175,10 +169,8 @@ def test_a_rule_of_a_role_is_a_window_of_each_robot_until_a_nearer_one_is_set() 
 def test_a_supervisors_rule_of_a_role_is_on_the_list_of_what_it_decided() -> None:
     said = event("RolePolicyRuleSet", 2, scope="fleet", role="B", domain="", outcome="deny", decided_by=H_F)
     rows = run(said, {**said, "domain": "yard", "context": "t1"}, {**said, "decided_by": None})
-    assert answer("audit/supervisor_decisions", rows, columns=("decision",)) == [
-        ("B fleet deny",),
-        ("B of yard fleet deny in t1",),
-    ]
+    found = answer("audit/supervisor_decisions", rows, columns=("decision",))
+    assert found == [("B fleet deny",), ("B of yard fleet deny in t1",)]
 
 
 def test_a_hold_ends_when_a_rule_comes_into_force_for_the_robot() -> None:
@@ -234,7 +226,5 @@ def test_a_refusal_against_a_mandate_of_the_role_is_a_conflict_unless_the_robot_
     rows = [
         one for name, events in histories.items() for one in run(joined, *events, rule(2), ASKED, REFUSED, run_id=name)
     ]
-    assert answer("facts/mandate_conflicts", rows, columns=("run_id",)) == [
-        ("its role",),
-        ("the exception is the mandate",),
-    ]
+    found = answer("facts/mandate_conflicts", rows, columns=("run_id",))
+    assert found == [("its role",), ("the exception is the mandate",)]

@@ -57,8 +57,8 @@ def offences(database: Database) -> dict[tuple[str, str], int]:
 
 def test_in_a_commanded_run_the_role_is_ruled_the_exception_is_not_and_the_queries_agree_at_every_moment() -> None:
     one = played(COMMANDS)
-    began = {event.subject.action_id for _, event in of(one, ExecutionStarted)}  # type: ignore[attr-defined]
-    denied = {(event.subject.action_id, event.reason) for _, event in of(one, RequestDenied)}  # type: ignore[attr-defined]
+    began = {event.subject.action_id for _, event in of(one, ExecutionStarted)}
+    denied = {(event.subject.action_id, event.reason) for _, event in of(one, RequestDenied)}
     assert began == {"excepted", "of the yard"}
     assert denied == {("of the role", "policy"), ("of the visit", "policy"), ("no longer excepted", "policy")}
     with from_table(encode([LedgerRun("r1", one.times_us, one.caused_by, one.events)]), threads=1) as database:
@@ -87,7 +87,7 @@ def test_in_simulated_runs_rules_of_roles_are_heeded_and_a_start_that_does_not_l
     one = governed("door-relay", *INTERVENTIONS, run=4)
     starts = of(one, ExecutionStarted)
     for capability, from_us in ((DOOR, 60 * S), ("carry.package", 80 * S)):
-        times = [time_us for time_us, event in starts if event.capability == capability]  # type: ignore[attr-defined]
+        times = [time_us for time_us, event in starts if event.capability == capability]
         assert times
         assert min(times) > from_us
     blind = HandlerTable({**FSAR.decides, StartAction: unchecked_start}, FSAR.reacts)

@@ -98,13 +98,7 @@ def test_handlers_and_queries_find_the_same_entry_of_pair_role_domain_capability
             assert len(scopes) == len(found)
             for (run_id, robot, peer, *about), scope in expected.items():
                 if about == [capability, context]:
-                    assert scopes.get((run_id, robot, peer), "none") == scope, (
-                        run_id,
-                        robot,
-                        peer,
-                        capability,
-                        context,
-                    )
+                    assert scopes.get((run_id, robot, peer), "none") == scope, (run_id, robot, peer, *about)
 
 
 def of_roles(scope: TrustScope, **about: Any) -> RoleTrustSet:

@@ -64,18 +64,9 @@ def test_runs_that_differ_in_one_dimension_are_never_in_one_row() -> None:
         called(*[0] * (3 + at), **{"parameters": LOW, name: other}) for at, (name, other) in enumerate(OTHERS.items())
     ]
     metrics, statistics = judged([rows for group in groups for rows in group])
-    assert sorted(row.n for row in metrics if (row.metric, row.architecture) == ("human_intervention", "fsar")) == [
-        2,
-        3,
-        4,
-        5,
-        6,
-        7,
-        8,
-    ]
-    assert sorted(
-        row.n for row in statistics if (row.metric, row.comparison) == ("human_intervention", "fsar-cfc")
-    ) == [2, 3, 4, 5, 6, 7, 8]
+    means = sorted(row.n for row in metrics if (row.metric, row.architecture) == ("human_intervention", "fsar"))
+    tests = sorted(row.n for row in statistics if (row.metric, row.comparison) == ("human_intervention", "fsar-cfc"))
+    assert means == tests == list(range(2, 9))
 
 
 def test_other_constants_are_named_where_they_differ_and_only_there() -> None:
@@ -95,23 +86,11 @@ def test_constants_are_compared_by_value_and_not_by_text() -> None:
         ' {"list": [["carry.heavy", {"low_s": 2}]], "world": {"b": 25e-1, "a": 1.0}, "later": null}',
     )
     assert constants(*same) == [None, None]
-    assert (
-        len(
-            set(
-                answer(
-                    "staging/run_settings",
-                    *[run(run_id=f"r{at}", parameters=one) for at, one in enumerate(same)],
-                    columns=("setting",),
-                )
-            )
-        )
-        == 1
-    )
+    runs = [run(run_id=f"r{at}", parameters=one) for at, one in enumerate(same)]
+    assert len(set(answer("staging/run_settings", *runs, columns=("setting",)))) == 1
     other = '{"world":{"a":1,"b":2.5},"list":[["carry.heavy",{"low_s":3}]],"more":{"x":"y"}}'
-    assert constants(*same, other) == [
-        *['list["carry.heavy"].low_s=2, more.x=absent'] * 2,
-        'list["carry.heavy"].low_s=3, more.x="y"',
-    ]
+    found = constants(*same, other)
+    assert found == [*['list["carry.heavy"].low_s=2, more.x=absent'] * 2, 'list["carry.heavy"].low_s=3, more.x="y"']
 
 
 def test_five_constants_are_named_and_the_others_counted() -> None:
@@ -196,19 +175,15 @@ def test_all_seeds_are_taken_together_only_when_that_is_asked_for() -> None:
     assert {row.n for row in statistics if row.metric == "human_intervention"} == {5}
     assert {row.seed for row in statistics} == {None}
     metrics, statistics = judged(runs)
-    assert {(row.seed, row.seeds, row.n) for row in metrics if row.metric == "human_intervention"} == {
-        (42, 1, 2),
-        (43, 1, 3),
-    }
+    found = {(row.seed, row.seeds, row.n) for row in metrics if row.metric == "human_intervention"}
+    assert found == {(42, 1, 2), (43, 1, 3)}
     assert {(row.seed, row.n) for row in statistics if row.metric == "human_intervention"} == {(42, 2), (43, 3)}
 
 
 def test_constants_of_other_seeds_do_not_keep_seeds_together() -> None:
     metrics, _ = judged([*called(0, parameters=LOW, seed=1), *called(0, parameters=HIGH, seed=2)], pools_seeds=True)
-    assert {(row.constants, row.n) for row in metrics if row.metric == "human_intervention"} == {
-        ("world.rate_per_s=0.01", 1),
-        ("world.rate_per_s=0.03", 1),
-    }
+    found = {(row.constants, row.n) for row in metrics if row.metric == "human_intervention"}
+    assert found == {("world.rate_per_s=0.01", 1), ("world.rate_per_s=0.03", 1)}
 
 
 def test_a_run_without_a_scenario_counts_once() -> None:

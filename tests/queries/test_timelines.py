@@ -91,11 +91,8 @@ def test_records_without_an_action_belong_to_it_through_their_causes() -> None:
     rows[-1] = {**rows[-1], "caused_by": 0}
     with from_rows(rows) as database:
         told = plain_rows(database.query("audit/request_timeline", {"action": "t1/1.1"}))
-    assert [(row["message"], row["is_tied"]) for row in told] == [
-        ("lacks: lift", False),
-        ("considers a candidate: lift", False),
-        ("command", True),
-    ]
+    found = [(row["message"], row["is_tied"]) for row in told]
+    assert found == [("lacks: lift", False), ("considers a candidate: lift", False), ("command", True)]
 
 
 def test_what_the_record_does_not_say_stays_open() -> None:
@@ -105,11 +102,8 @@ def test_what_the_record_does_not_say_stays_open() -> None:
 
 def test_the_caller_of_a_supervisor_is_the_executor_the_last_decider_or_the_coordinator() -> None:
     review = act("SupervisorCalled", 4 * S, "t1/1.1", supervisor="supervisor/fleet", purpose="review")
-    assert asked("request_timeline", "sender receiver message", request(), review)[-1] == (
-        B,
-        "supervisor/fleet",
-        "asks to decide: review",
-    )
+    found = asked("request_timeline", "sender receiver message", request(), review)[-1]
+    assert found == (B, "supervisor/fleet", "asks to decide: review")
     recovery = {**review, "purpose": "recovery"}
     assert asked("request_timeline", "sender", request(), recovery)[-1] == (A,)
     assert asked("request_timeline", "sender", request(), {**review, "robot": C})[-1] == ("coordinator",)
@@ -136,10 +130,8 @@ def test_an_order_of_two_requests_stands_in_both_timelines() -> None:
     other = event("RequestIssued", 1 * S, **about("t2/1.1", by=C), capability="lift")
     for action in ("t1/1.1", "t2/1.1"):
         told = asked("request_timeline", "message note", request(), other, call, answer, action=action)
-        assert told[-2:] == [
-            ("asks to decide: ordering", "t1/1.1 competes with t2/1.1"),
-            ("decides: t1/1.1 first", None),
-        ]
+        found = told[-2:]
+        assert found == [("asks to decide: ordering", "t1/1.1 competes with t2/1.1"), ("decides: t1/1.1 first", None)]
     assert asked("requests", "supervised_by", other, call, answer, action="t2/1.1") == [("supervisor/fleet",)]
 
 
@@ -183,10 +175,8 @@ def test_an_outsiders_attempt_is_a_request_even_where_no_record_names_an_action(
     attempt = event("OutsiderRequestInjected", 1 * S, task_id="x1", robot=C, peer=B, capability="lift")
     refused = event("RequestDenied", 2 * S, task_id="x1", decided_by="coordinator", reason="trust")
     assert asked("requests", "action_id asked_by result", attempt, refused) == [("x1", C, "denied: trust")]
-    assert asked("request_timeline", "message", attempt, refused, action="x1") == [
-        ("attempts without trust: lift",),
-        ("deny: trust",),
-    ]
+    found = asked("request_timeline", "message", attempt, refused, action="x1")
+    assert found == [("attempts without trust: lift",), ("deny: trust",)]
 
 
 def test_an_own_step_is_listed_when_it_fails_or_is_asked_for() -> None:
@@ -304,9 +294,7 @@ def test_a_claim_that_revokes_nothing_is_not_told() -> None:
 
 def test_without_a_registry_the_requester_asks_itself_whom_it_met_and_a_copy_says_its_age() -> None:
     with from_rows(run(QUERY, configuration="without-shared-registry")) as database:
-        assert [(row["sender"], row["receiver"]) for row in plain_rows(database.query("audit/request_timeline"))] == [
-            (A, A),
-            (A, A),
-        ]
+        found = [(row["sender"], row["receiver"]) for row in plain_rows(database.query("audit/request_timeline"))]
+        assert found == [(A, A), (A, A)]
     copied = {**QUERY, "domain": "hall/cell", "as_of_us": S // 2, "rejected": [], "rejected_by": []}
     assert asked("request_timeline", "note", copied)[1] == ("in hall/cell; as of 0.5 s",)

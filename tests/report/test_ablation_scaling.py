@@ -21,6 +21,7 @@ from fsar_ledger.report.other_ledgers import OtherSections, read_ledgers
 from fsar_ledger.runtime.experiment import Experiment
 from fsar_ledger.runtime.simulation import ARCHITECTURES, simulate_run
 from tests.recycled import from_table
+from tests.sure import known
 
 MEANS = (30.0, 300.0)
 
@@ -60,9 +61,7 @@ def ablations() -> Iterator[Database]:
 
 @pytest.fixture(scope="module")
 def ablation(ablations: Database) -> Ablation:
-    found = ablation_of(ablations)
-    assert found is not None
-    return found
+    return known(ablation_of(ablations))
 
 
 @pytest.fixture(scope="module")

@@ -67,13 +67,8 @@ def test_record_is_quoted_with_its_numbers(tmp_path: Path, findings: Findings) -
     )
     assert data["fit"]["objective"]["accepted"] == 12.25
     assert (data["fit"]["identified"], data["fit"]["directions"]) == (1, 1)
-    assert [cell["printed"] for cell in data["tables"]["calibrated-parameters"]["rows"][0]][:5] == [
-        "world.motion_share",
-        "0.2",
-        "0.24",
-        "share",
-        "no",
-    ]
+    found = [cell["printed"] for cell in data["tables"]["calibrated-parameters"]["rows"][0]][:5]
+    assert found == ["world.motion_share", "0.2", "0.24", "share", "no"]
     assert data["tables"]["directions"]["rows"][0][3]["printed"] == "b \u22120.90, c 0.30, a 0.10"
 
 

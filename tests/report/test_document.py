@@ -21,6 +21,7 @@ from fsar_ledger.report import document, result_rows, specs
 from fsar_ledger.report.findings import SCENARIOS, Findings, answer, significance_level, with_agreement
 from fsar_ledger.report.gather import gather
 from tests.quick import few
+from tests.sure import known
 
 Make = Callable[..., Path]
 
@@ -37,16 +38,15 @@ def values(printed: dict[str, Any], table: str, key: str) -> list[Any]:
     return [row[position]["value"] for row in printed["tables"][table]["rows"]]
 
 
+def keys_of(printed: dict[str, Any], table: str, second: str = "architecture") -> list[tuple[str, str]]:
+    """The metric of each row and what it is of."""
+    return list(zip(values(printed, table, "metric"), values(printed, table, second), strict=True))
+
+
 def test_evaluation_table_holds_the_query_rows(ledger: Path, printed: dict[str, Any]) -> None:
     with connect(ledger) as database:
         rows = {(row.metric, row.architecture): row for row in metric_rows(database)}
-    keys = list(
-        zip(
-            values(printed, "evaluation-results", "metric"),
-            values(printed, "evaluation-results", "architecture"),
-            strict=True,
-        )
-    )
+    keys = keys_of(printed, "evaluation-results")
     assert len(keys) == len(set(keys)) == 24
     assert values(printed, "evaluation-results", "mean") == [rows[key].mean for key in keys]
     assert values(printed, "evaluation-results", "denominator") == [rows[key].denominator for key in keys]
@@ -66,11 +66,7 @@ def test_evaluation_table_prints_the_papers_own_digits_and_our_mean_in_the_same_
 def test_answers_are_those_of_the_rule(ledger: Path, printed: dict[str, Any]) -> None:
     with connect(ledger) as database:
         judged = {(one.metric, one.architecture): one for one in verdicts.compare(metric_rows(database))}
-    keys = zip(
-        values(printed, "evaluation-results", "metric"),
-        values(printed, "evaluation-results", "architecture"),
-        strict=True,
-    )
+    keys = keys_of(printed, "evaluation-results")
     expected = [None if judged[key].ours is None else judged[key].gives for key in keys]
     assert values(printed, "evaluation-results", "gives") == expected
     assert {"no", "undecided"} <= set(expected)
@@ -79,13 +75,7 @@ def test_answers_are_those_of_the_rule(ledger: Path, printed: dict[str, Any]) ->
 def test_significance_table_holds_the_query_rows(ledger: Path, printed: dict[str, Any]) -> None:
     with connect(ledger) as database:
         rows = {(row.metric, row.comparison): row for row in statistic_rows(database)}
-    keys = list(
-        zip(
-            values(printed, "statistical-significance", "metric"),
-            values(printed, "statistical-significance", "comparison"),
-            strict=True,
-        )
-    )
+    keys = keys_of(printed, "statistical-significance", "comparison")
     assert len(set(keys)) == 24
     for name in ("t", "p", "p_holm", "wilcoxon_p", "n"):
         assert values(printed, "statistical-significance", name) == [getattr(rows[key], name) for key in keys]
@@ -100,12 +90,8 @@ def test_scenario_table_holds_the_query_rows(ledger: Path, printed: dict[str, An
             (row.metric, row.architecture, row.scenario): row.mean for row in metric_rows(database, by_scenario=True)
         }
     for scenario in SCENARIOS:
-        keys = zip(
-            values(printed, "scenario-means", "metric"), values(printed, "scenario-means", "architecture"), strict=True
-        )
-        assert values(printed, "scenario-means", scenario) == [
-            rows[metric, architecture, scenario] for metric, architecture in keys
-        ]
+        expected = [rows[metric, architecture, scenario] for metric, architecture in keys_of(printed, "scenario-means")]
+        assert values(printed, "scenario-means", scenario) == expected
 
 
 def test_undefined_metric_is_printed_as_a_dash_and_named(printed: dict[str, Any]) -> None:
@@ -214,8 +200,7 @@ def test_pairs_of_another_shape_than_the_papers_are_not_judged() -> None:
     even: result_rows.RunCounts = dict.fromkeys(SCENARIOS, 1)
     held, pairs = {"fsar": runs, "cfc": runs}, {"fsar-cfc": {**even, "door-relay": 2}}
     assert result_rows.unjudged(held, pairs) == {"fsar-cfc"}
-    said = result_rows.why_unjudged(held, pairs)
-    assert said is not None
+    said = known(result_rows.why_unjudged(held, pairs))
     assert "but of FSAR vs CFC this ledger has 1 pair of collaborative-delivery, 2 pairs of door-relay, " in said
     assert result_rows.why_unjudged(held, {"fsar-cfc": even}) is None
 
@@ -352,11 +337,7 @@ def test_what_stands_behind_the_numbers_is_said_where_they_stand(ledger: Path, p
             if (row["configuration"], row["fleet_size"]) == ("full", 4)
         ]
         beside = {(row.metric, row.architecture): row.mean_without_routine for row in metric_rows(database)}
-    keys = zip(
-        values(printed, "evaluation-results", "metric"),
-        values(printed, "evaluation-results", "architecture"),
-        strict=True,
-    )
+    keys = keys_of(printed, "evaluation-results")
     assert values(printed, "evaluation-results", "mean_without_routine") == [beside[key] for key in keys]
     for name in (
         "routine_share_of_decisions",

@@ -30,6 +30,7 @@ from fsar_ledger.runtime.knockouts import KNOCKOUTS, Knockout
 from fsar_ledger.runtime.paper import paper_ledger
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
 from tests.recycled import from_table
+from tests.sure import known
 
 COPIES, CLAIMS, UNNAMED = "synced-copies", "safe-stop-claims", "unnamed-requests"
 CALM = msgspec.structs.replace(Constants().world, context_rate_per_s=0.0)
@@ -54,9 +55,7 @@ def database() -> Iterator[Database]:
 
 @pytest.fixture(scope="module")
 def found(database: Database) -> Mechanisms:
-    answered = mechanisms_of(database)
-    assert answered is not None
-    return answered
+    return known(mechanisms_of(database))
 
 
 def test_every_mechanism_that_has_a_name_can_be_taken_out_and_names_are_of_one_architecture() -> None:
@@ -269,24 +268,19 @@ def test_mechanisms_of_other_constants_than_the_results_say_so(findings: Finding
         other = mechanisms_of(calm)
     assert other is not None
     [digest] = other.parameters_sha256
-    said = mechanisms.sentences(msgspec.structs.replace(findings, mechanisms=other))
-    assert said is not None
+    said = known(mechanisms.sentences(msgspec.structs.replace(findings, mechanisms=other)))
     assert said["other_constants"] == digest[:12]
     assert "#carried.other_constants" in specs.text("templates", "report.typ")
-    same = mechanisms.sentences(msgspec.structs.replace(findings, mechanisms=other, parameters_sha256=digest))
-    assert same is not None
+    same = known(mechanisms.sentences(msgspec.structs.replace(findings, mechanisms=other, parameters_sha256=digest)))
     assert same["other_constants"] is None
-    unknown = mechanisms.sentences(
-        msgspec.structs.replace(findings, mechanisms=msgspec.structs.replace(other, parameters_sha256=()))
+    unknown = known(
+        mechanisms.sentences(
+            msgspec.structs.replace(findings, mechanisms=msgspec.structs.replace(other, parameters_sha256=()))
+        )
     )
-    assert unknown is not None
     assert unknown["other_constants"] == "not on record"
 
 
 def test_a_difference_is_printed_with_its_sign_unless_it_is_printed_as_0() -> None:
-    assert [mechanisms.signed("authority_conflicts", value) for value in (0.5, -0.5, 0.001, -0.001)] == [
-        "+0.50",
-        "\u22120.50",
-        "0.00",
-        "0.00",
-    ]
+    told = [mechanisms.signed("authority_conflicts", value) for value in (0.5, -0.5, 0.001, -0.001)]
+    assert told == ["+0.50", "\u22120.50", "0.00", "0.00"]

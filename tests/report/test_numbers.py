@@ -1,6 +1,5 @@
 """The first page: every printed number once, with its class and what became of it, counted and drawn."""
 
-import re
 from collections.abc import Iterable
 from typing import Any
 
@@ -12,6 +11,7 @@ from fsar_ledger.report import document, specs
 from fsar_ledger.report.figures import overview_figure
 from fsar_ledger.report.findings import Ablation, Findings, LedgerHead, Row, Scaling, with_agreement
 from fsar_ledger.report.numbers import OPEN, OUTCOMES, STANDS, TABLES, UNDECIDED, numbers, said, tally
+from tests.report.test_figures import words
 
 HEAD = LedgerHead(1, 1, "root", 1, "complete", "2")
 FAILS = "does not"
@@ -71,10 +71,6 @@ def outcomes(found: Findings) -> list[str]:
     return [row["outcome"] for row in numbers(found)]
 
 
-def words(svg: bytes) -> list[str]:
-    return re.findall(r"<!-- (.*?) -->", svg.decode())
-
-
 def test_a_number_stands_or_does_not_by_the_answer_that_its_table_has() -> None:
     rows = [cell("yes"), cell("no"), cell("undecided"), cell(None)]
     assert (
@@ -128,12 +124,8 @@ def test_a_pairwise_test_stands_where_its_sign_and_its_level_come_out() -> None:
         named = {"metric": "governance_locality", "comparison": "fsar-cfc", "n": 5}
         return named | with_agreement({"t": t, "p": p, "paper_t": -2.0, "paper_level": "p<.05"})
 
-    assert outcomes(findings(tests=[test(-1.0), test(1.0), test(-1.0, 0.2), test(None)])) == [
-        STANDS,
-        FAILS,
-        FAILS,
-        UNDECIDED,
-    ]
+    found = outcomes(findings(tests=[test(-1.0), test(1.0), test(-1.0, 0.2), test(None)]))
+    assert found == [STANDS, FAILS, FAILS, UNDECIDED]
     assert numbers(findings(tests=[test(None)])) == (), "no test at all is a table that is not there"
 
 
@@ -181,12 +173,8 @@ def test_every_number_of_a_table_is_counted_once_under_its_class_and_all_of_them
 
 
 def test_tables_of_which_no_run_is_there_are_named() -> None:
-    assert said(numbers(findings([cell()], scaling=[cell()])))["missing"] == [
-        "Ablation",
-        "Ablation (text)",
-        "Cases",
-        "Significance",
-    ]
+    found = said(numbers(findings([cell()], scaling=[cell()])))["missing"]
+    assert found == ["Ablation", "Ablation (text)", "Cases", "Significance"]
     assert said(())["missing"] == list(TABLES.values())
     assert numbers(findings([cell(mean=None)])) == ()
 
@@ -216,11 +204,8 @@ def test_the_numbers_of_a_ledger_are_those_of_its_tables(alone: Findings) -> Non
 def test_the_figure_has_a_panel_for_each_table_that_is_there_and_shows_what_became_of_a_number() -> None:
     alone, both = numbers(findings([cell("yes")])), numbers(findings([cell("yes")], scaling=[cell("no")]))
     assert words(overview_figure(alone)).count("Scaling") == 0
-    assert [words(overview_figure(both)).count(name) for name in ("Evaluation results", "Scaling", "Ablation")] == [
-        1,
-        1,
-        0,
-    ]
+    found = [words(overview_figure(both)).count(name) for name in ("Evaluation results", "Scaling", "Ablation")]
+    assert found == [1, 1, 0]
     assert overview_figure(both) == overview_figure(both)
     drawn = {gives: overview_figure(numbers(findings([cell(gives)]))) for gives in ("yes", "no", "undecided")}
     assert len(set(drawn.values())) == 3, "what stands, what does not and what is undecided look different"

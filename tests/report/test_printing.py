@@ -34,12 +34,8 @@ def test_significant_digits_keep_the_value_within_half_a_percent(value: float) -
 
 
 def test_integers_have_thin_spaces_from_five_digits_on() -> None:
-    assert [printing.integer(value) for value in (0, 9999, 10_000, 1_234_567)] == [
-        "0",
-        "9999",
-        "10\u2009000",
-        "1\u2009234\u2009567",
-    ]
+    found = [printing.integer(value) for value in (0, 9999, 10_000, 1_234_567)]
+    assert found == ["0", "9999", "10\u2009000", "1\u2009234\u2009567"]
 
 
 def test_small_p_is_printed_as_smaller_than_the_smallest() -> None:

@@ -30,6 +30,7 @@ from fsar_ledger.studies.comparison import judge
 from tests import records
 from tests.records import RELATIONS, renew, stale
 from tests.report.conftest import PARAMETERS
+from tests.sure import known
 
 CONFLICTS = "facts/conflicts"
 
@@ -65,8 +66,7 @@ def test_a_changed_rule_is_named_by_every_record(
         assert changed(kept(name)["rules"]) == [CONFLICTS]
     fit = document.data(of_the_record(findings), packaged(Calibration))["fit"]
     assert CONFLICTS in fit["changed"]
-    told = numbers.predictions_said(numbers.judged(of_the_record(findings)))
-    assert told is not None
+    told = known(numbers.predictions_said(numbers.judged(of_the_record(findings))))
     assert f"they were judged before {CONFLICTS} changed" in told["sentence"]
     place = tmp_path / "predictions.json"
     place.write_bytes(files("fsar_ledger.reports").joinpath("predictions.json").read_bytes())

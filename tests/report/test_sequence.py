@@ -47,10 +47,8 @@ TIMELINE = [
 
 def test_every_principal_has_one_life_line_in_order_of_appearance() -> None:
     assert sequence.lanes(TIMELINE) == [A, REGISTRY, B]
-    assert sequence.lanes([told(1, None, None, "lacks: lift", "deed"), told(2, A, None, "request: lift")]) == [
-        sequence.NOBODY,
-        A,
-    ]
+    found = sequence.lanes([told(1, None, None, "lacks: lift", "deed"), told(2, A, None, "request: lift")])
+    assert found == [sequence.NOBODY, A]
 
 
 def test_the_sequence_shows_principals_messages_times_and_the_evaluation() -> None:

@@ -44,11 +44,8 @@ def test_the_papers_marks_are_printed_as_they_are() -> None:
     assert [row["feature"] for row in rows.values()] == [
         row["feature"] for row in specs.paper_table("architecture_features")
     ]
-    assert (
-        rows["policy_composition"]["fsar_paper"],
-        rows["policy_composition"]["cfc_paper"],
-        rows["policy_composition"]["jade"],
-    ) == ("full", "partial", "partial")
+    assert (rows["policy_composition"]["fsar_paper"], rows["policy_composition"]["cfc_paper"]) == ("full", "partial")
+    assert rows["policy_composition"]["jade"] == "partial"
     assert {row["verdict"] for row in rows.values()} == {None}
 
 
@@ -91,13 +88,8 @@ def test_the_tables_hold_the_answers_of_their_queries(ledger: Path, findings: Fi
             for row in plain_rows(database.query("tables/architecture_features"))
         }
     evidence = tables["feature-evidence"]
-    keys = list(
-        zip(
-            column(evidence, "feature-evidence", "feature"),
-            column(evidence, "feature-evidence", "architecture"),
-            strict=True,
-        )
-    )
+    parts = (column(evidence, "feature-evidence", name) for name in ("feature", "architecture"))
+    keys = list(zip(*parts, strict=True))
     assert len(keys) == len(set(keys)) == 24
     assert column(evidence, "feature-evidence", "grade") == [rows[key]["grade"] for key in keys]
     assert column(evidence, "feature-evidence", "evidence") == [rows[key]["evidence"] for key in keys]
@@ -108,16 +100,7 @@ def test_the_tables_hold_the_answers_of_their_queries(ledger: Path, findings: Fi
 
 def test_marks_are_the_papers_signs_and_a_mark_that_is_not_shown_is_a_dash(findings: Findings) -> None:
     table = printed(findings)["tables"]["architectural-comparison"]
-    assert column(table, "architectural-comparison", "fsar_paper", "printed") == [
-        "●",
-        "—",
-        "—",
-        "●",
-        "●",
-        "●",
-        "●",
-        "●",
-    ]
+    assert "".join(column(table, "architectural-comparison", "fsar_paper", "printed")) == "●——●●●●●"
     trust = list(specs.labels("feature")).index("trust_scoped_delegation")
     assert column(table, "architectural-comparison", "fsar_ours", "printed")[trust] == "–"
     assert {"RoboOS*", "JADE*", "ALLIANCE*"} <= set(table["heads"])
@@ -221,18 +204,10 @@ def test_ours_stands_beside_the_papers_in_both_readings_with_what_was_counted() 
     )
     found = {(row["case"], row["architecture"]): row for row in rows}
     contained, handed = found[2, "fsar"], found[4, "cfc"]
-    assert (contained["paper"], contained["value"], contained["counted"], contained["other"]) == (
-        "0.67",
-        8 / 11,
-        "8 in 11 runs with a failure",
-        "0.67 (2 in 3)",
-    )
-    assert (handed["paper"], handed["value"], handed["counted"], handed["other"]) == (
-        "3",
-        3.0,
-        "180 of 420 in 60 handoffs",
-        None,
-    )
+    assert (contained["paper"], contained["value"]) == ("0.67", 8 / 11)
+    assert (contained["counted"], contained["other"]) == ("8 in 11 runs with a failure", "0.67 (2 in 3)")
+    assert (handed["paper"], handed["value"], handed["counted"]) == ("3", 3.0, "180 of 420 in 60 handoffs")
+    assert handed["other"] is None
     assert [row["class"] for row in rows].count("by construction") == 6
 
 

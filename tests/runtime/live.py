@@ -13,6 +13,7 @@ from fsar_ledger.runtime.handlers.commands import Command, Scheduled
 from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.world.draws import Draws, SimulatedEnvironment, run_key
 from tests.runtime.histories import happen, started
+from tests.sure import only
 
 
 def decided(state: State, command: Command, table: HandlerTable = FSAR) -> tuple[Event, ...]:
@@ -22,8 +23,7 @@ def decided(state: State, command: Command, table: HandlerTable = FSAR) -> tuple
 
 def refusal(events: tuple[Event, ...]) -> str:
     """Why the command was rejected."""
-    [one] = events
-    assert isinstance(one, CommandRejected)
+    one = only(CommandRejected, events)
     return one.reason
 
 
@@ -52,7 +52,7 @@ def played(commands: Iterable[tuple[int, Command]], *before: Event, facts: Itera
     return one
 
 
-def of(run: Kernel, *kinds: type[Event]) -> list[tuple[int, Event]]:
+def of(run: Kernel, *kinds: type[Event]) -> list[tuple[int, Any]]:
     """The events of these kinds with their times."""
     return [
         (time_us, event) for time_us, event in zip(run.times_us, run.events, strict=True) if isinstance(event, kinds)

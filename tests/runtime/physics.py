@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from functools import cache
+from typing import Any
 
 import msgspec
 import pytest
@@ -91,7 +92,7 @@ def failing(architecture: Architecture, outages: Outages, **changes: object) -> 
     return in_world(architecture, Constants(world=msgspec.structs.replace(OURS, **changes), outages=outages), 1)
 
 
-def of(events: tuple[tuple[Event, ...], ...], *types: type[Event]) -> list[Event]:
+def of(events: tuple[tuple[Event, ...], ...], *types: type[Event]) -> list[Any]:
     """The events of these types, of all runs."""
     return [event for run in events for event in run if isinstance(event, types)]
 

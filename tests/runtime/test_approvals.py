@@ -20,6 +20,7 @@ from tests import past
 from tests.runtime.histories import given, happen, types
 from tests.runtime.live import play
 from tests.runtime.test_authority import ASK, DOOR, H_B, A, B, scheduled
+from tests.sure import only
 
 APPROVAL = past.approved(Subject("visit", "q1"), A, B)
 
@@ -69,8 +70,7 @@ def test_an_approval_stands_while_a_window_denies_and_the_start_waits_for_it_to_
     apply(state, opened("w2", "deny"))
     assert types(play(state, *scheduled(state, APPROVAL))) == ["RequestAdmitted", "ExecutionQueued"]
     assert types(play(state, TakeTurn("q1"), START)) == ["ExecutionHeld"]
-    [again] = scheduled(state, PolicyWindowClosed(B, "local", "w2"))
-    assert isinstance(again, StartAction)
+    only(StartAction, scheduled(state, PolicyWindowClosed(B, "local", "w2")))
     assert types(play(state, START)) == ["ExecutionStarted"]
 
 
@@ -81,8 +81,7 @@ def test_what_a_rule_held_after_its_approval_starts_when_that_rule_is_lifted_alt
     apply(state, broad)
     assert types(play(state, START)) == ["ExecutionHeld"]
     assert scheduled(state, msgspec.structs.replace(broad, outcome="review")) == []
-    [again] = scheduled(state, msgspec.structs.replace(broad, outcome="allow"))
-    assert isinstance(again, StartAction)
+    only(StartAction, scheduled(state, msgspec.structs.replace(broad, outcome="allow")))
     assert types(play(state, START)) == ["ExecutionStarted"]
 
 
@@ -94,8 +93,7 @@ def test_an_approval_covers_the_windows_that_were_open_when_it_was_given() -> No
 def test_a_window_of_the_executors_own_that_opens_after_the_approval_holds_the_start(outcome: Any) -> None:
     state = approved(opened("w1", "review"))
     apply(state, opened("w2", outcome))
-    [held] = play(state, START)
-    assert isinstance(held, ExecutionHeld)
+    held = only(ExecutionHeld, play(state, START))
     assert (held.outcome, held.reason) == (outcome, "local-policy")
     [again] = scheduled(state, PolicyWindowClosed(B, "local", "w2"))
     assert isinstance(again, StartAction), "although the first is open still"

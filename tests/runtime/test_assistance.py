@@ -14,6 +14,7 @@ from tests import past
 from tests.runtime.failures import ACTION, A, B, D, executing, failed
 from tests.runtime.histories import happen, types
 from tests.runtime.live import decided
+from tests.sure import only
 
 DOOR = "door.open.basic"
 D_TOO = past.trusted(
@@ -84,8 +85,7 @@ def test_an_actuator_that_stands_in_has_to_hold() -> None:
         state, helper = helped(robot=A, capability="carry.package", cause="degradation")
         assert helper == D
         apply(state, ActuatorDegraded(D, grade))
-        [found] = ended(state, D, answer=0)
-        assert isinstance(found, AssistanceFailed)
+        found = only(AssistanceFailed, ended(state, D, answer=0))
         assert found.cause == "degradation"
         assert (types(ended(state, D)) == ["AssistanceEnded", "FailureResolved"]) == (grade == "unreliable")
 

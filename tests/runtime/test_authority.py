@@ -33,6 +33,7 @@ from tests import past
 from tests.runtime.histories import given, types
 from tests.runtime.live import decided, of, play, played
 from tests.runtime.test_requests import relayed, verdict
+from tests.sure import only
 
 A, B, C, D = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/C1"), Robot("robot/D1")
 
@@ -87,8 +88,7 @@ def test_a_supervisor_grants_authority_and_it_is_on_record_who() -> None:
 def test_a_right_that_nobody_may_give_or_take_is_rejected_and_changes_nothing(command: Command, found: str) -> None:
     state = given("fsar", TaskCompleted("rounds"), REVOKED)
     before = state.authority
-    [rejected] = play(state, command)
-    assert isinstance(rejected, CommandRejected)
+    rejected = only(CommandRejected, play(state, command))
     assert found in rejected.reason
     assert rejected.command == type(command).__name__
     assert state.authority == before
@@ -113,8 +113,8 @@ def test_a_revocation_takes_effect_at_the_next_request_and_leaves_alone_what_was
 def test_in_a_whole_run_a_running_action_outlives_its_revocation() -> None:
     [(began_us, _)] = of(played([(1_000_000, ASK)]), ExecutionStarted)
     run = played([(1_000_000, ASK), (began_us + 1_000, RevokeAuthority(H_F, A, B)), (began_us + 2_000, NEXT)])
-    assert [event.subject.action_id for _, event in of(run, RequestClosed)] == ["q1"]  # type: ignore[attr-defined]
-    assert [(event.subject.action_id, event.reason) for _, event in of(run, RequestDenied)] == [("q2", "authority")]  # type: ignore[attr-defined]
+    assert [event.subject.action_id for _, event in of(run, RequestClosed)] == ["q1"]
+    assert [(event.subject.action_id, event.reason) for _, event in of(run, RequestDenied)] == [("q2", "authority")]
     assert run.state == fold(run.events)
 
 
@@ -214,8 +214,7 @@ def test_trust_that_falls_while_nothing_is_admitted_revokes_nothing() -> None:
 def test_a_claim_is_released_by_who_holds_it_and_execution_not_before_its_end() -> None:
     state = given("fsar")
     play(state, ASK, EvaluateRequest("q1"), TakeTurn("q1"))
-    [held] = decided(state, ReleaseAuthority(B, "q1", "execution"))
-    assert isinstance(held, CommandRejected)
+    held = only(CommandRejected, decided(state, ReleaseAuthority(B, "q1", "execution")))
     assert "has yet to finish it" in held.reason
     [released] = play(state, ReleaseAuthority(B, "q1", "override"))
     assert released == AuthorityReleased(Subject("visit", "q1"), "override", B, "acceptance")
@@ -224,8 +223,7 @@ def test_a_claim_is_released_by_who_holds_it_and_execution_not_before_its_end() 
         ReleaseAuthority(A, "q1", "execution"),
         ReleaseAuthority(B, "q9", "audit"),
     ):
-        [rejected] = decided(state, command)
-        assert isinstance(rejected, CommandRejected)
+        rejected = only(CommandRejected, decided(state, command))
         assert "expected an open claim" in rejected.reason
     apply(state, AuthorityClaimed(Subject("visit", "q1"), "audit", H_F, "watch"))
     assert types(decided(state, ReleaseAuthority(H_F, "q1", "audit"))) == ["AuthorityReleased"]

@@ -108,13 +108,9 @@ def test_in_a_run_with_three_rivals_the_urgent_one_is_executed_before_all_that_c
     arrived = {task.robot: task for task in ARRIVED}
     tasks = [(number * 100_000, arrived[Robot(f"robot/{name}1")]) for number, name in enumerate(order, start=1)]
     run = played([], *TRUSTED, facts=tasks)
-    rivals = {
-        event.subject.action_id
-        for _, event in of(run, SupervisorCalled)
-        if isinstance(event, SupervisorCalled) and event.purpose == "ordering"
-    }
-    preferred = {event.preferred for _, event in of(run, SupervisorResponded) if isinstance(event, SupervisorResponded)}
-    admitted = [event.subject.action_id for _, event in of(run, RequestAdmitted) if isinstance(event, RequestAdmitted)]
+    rivals = {event.subject.action_id for _, event in of(run, SupervisorCalled) if event.purpose == "ordering"}
+    preferred = {event.preferred for _, event in of(run, SupervisorResponded)}
+    admitted = [event.subject.action_id for _, event in of(run, RequestAdmitted)]
     assert preferred == {URGENT}
     assert all(admitted.index(URGENT) < admitted.index(name) for name in rivals - {URGENT})
     assert len(of(run, TaskCompleted)) == 3

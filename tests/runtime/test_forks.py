@@ -1,6 +1,7 @@
 """A fork repeats its base up to what is changed, plays on under the same draws, and replays from its event 0 alone."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import msgspec
 import pytest
@@ -22,6 +23,7 @@ from fsar_ledger.runtime.forks import Fork, fork, parts_at, run_again
 from fsar_ledger.runtime.recipes import Recipe, base_of, recorded_recipe, with_changes
 from fsar_ledger.runtime.replay import replay_run
 from fsar_ledger.runtime.simulation import RunSpec, run_id, simulate_run
+from tests.sure import known
 
 ROOT = "0a" * 32
 S = 1_000_000
@@ -45,7 +47,7 @@ def started(record: LedgerRun) -> RunStarted:
     return event
 
 
-def of_type(record: LedgerRun, kind: type[Event]) -> list[tuple[int, Event]]:
+def of_type(record: LedgerRun, kind: type[Event]) -> list[tuple[int, Any]]:
     return [
         (time_us, event)
         for time_us, event in zip(record.times_us, record.events, strict=True)
@@ -160,11 +162,9 @@ def test_a_window_that_is_moved_keeps_its_length() -> None:
     of = base()
     found = forked("move window:fleet/B1/1 +2s", of=of)
     for record, shift_us in ((of[1], 0), (found.record, 2 * S)):
-        (opened,) = [
-            at for at, one in of_type(record, PolicyWindowOpened) if getattr(one, "window", "") == "fleet/B1/1"
-        ]
-        (closed,) = [
-            at for at, one in of_type(record, PolicyWindowClosed) if getattr(one, "window", "") == "fleet/B1/1"
+        (opened,), (closed,) = [
+            [at for at, one in of_type(record, kind) if one.window == "fleet/B1/1"]
+            for kind in (PolicyWindowOpened, PolicyWindowClosed)
         ]
         assert opened == 71_697_922 + shift_us
         length_us = closed - opened
@@ -206,7 +206,6 @@ def test_an_attempt_with_a_degraded_actuator_can_fail() -> None:
 def test_executions_take_as_long_as_is_answered() -> None:
     found = forked("answer execution:A1-1/1.1 9s")
     at, event = of_type(found.record, ExecutionStarted)[0]
-    assert isinstance(event, ExecutionStarted)
     assert event.subject.action_id == "A1-1/1.1"
     assert event.ends_us - at == 9 * S
 
@@ -289,16 +288,14 @@ def forged(record: LedgerRun, **fields: object) -> LedgerRun:
     ],
 )
 def test_a_forged_origin_is_found(fields: dict[str, object], field: str | None) -> None:
-    found = replay_run(forged(forked("drop window:fleet/B1/1").record, **fields))
-    assert found is not None
+    found = known(replay_run(forged(forked("drop window:fleet/B1/1").record, **fields)))
     assert found.field == field
 
 
 def test_a_wrong_value_of_the_base_is_found() -> None:
     record = forked("set world.review_share=0.5").record
     assert replay_run(record) is None
-    wrong = replay_run(forged(record, changes=("set world.review_share=0.5 instead of 0.2",)))
-    assert wrong is not None
+    wrong = known(replay_run(forged(record, changes=("set world.review_share=0.5 instead of 0.2",))))
     assert wrong.field == "forked_from_run"
 
 

@@ -26,6 +26,7 @@ from fsar_ledger.runtime.handlers.authority import close_execution
 from fsar_ledger.runtime.handlers.commands import CloseExecution, DecideRoutine, StartAction, TakeTurn
 from tests import past
 from tests.runtime.histories import ARRIVED, DELEGATED_STEP, OWN_STEP, given, happen, types, window
+from tests.sure import only
 
 A, B, C, D = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/C1"), Robot("robot/D1")
 
@@ -64,8 +65,9 @@ def test_an_empty_answer_leads_to_no_request() -> None:
 
 
 def test_the_request_carries_the_requesters_policy() -> None:
-    [issued] = issue_request(given("fsar", *REQUESTED, window(A, "review")), IssueRequest("A1-1/2.1"))
-    assert isinstance(issued, RequestIssued)
+    issued = only(
+        RequestIssued, issue_request(given("fsar", *REQUESTED, window(A, "review")), IssueRequest("A1-1/2.1"))
+    )
     assert issued.carried_policy == "review"
 
 
@@ -87,8 +89,7 @@ def test_without_policy_composition_a_robots_own_steps_and_routine_keep_the_flee
         state = given("fsar", *heard, configuration=configuration)
         assert types(decide_routine(state, DecideRoutine(A, "motion"))) == ["RoutineWithheld"]
         happen(state, *decide_own_step(state, DecideOwnStep("A1-1/1.1")))
-        [held] = start(state, StartAction("A1-1/1.1", now_us=5, answer=7))
-        assert isinstance(held, ExecutionHeld)
+        held = only(ExecutionHeld, start(state, StartAction("A1-1/1.1", now_us=5, answer=7)))
         assert held.reason == "fleet-rule"
 
 
@@ -102,10 +103,8 @@ def test_acceptance_claims_execution_and_override_for_the_executor() -> None:
     happen(state, *evaluate_request(state, EvaluateRequest("A1-1/2.1")))
     accepted = take_turn(state, TakeTurn("A1-1/2.1"))
     assert isinstance(accepted[0], RequestAccepted)
-    assert [(event.dimension, event.claimant) for event in accepted if isinstance(event, AuthorityClaimed)] == [
-        ("execution", "robot/B1"),
-        ("override", "robot/B1"),
-    ]
+    found = [(event.dimension, event.claimant) for event in accepted if isinstance(event, AuthorityClaimed)]
+    assert found == [("execution", "robot/B1"), ("override", "robot/B1")]
     happen(state, *accepted)
     assert take_turn(state, TakeTurn("A1-1/2.1")) == ()
 
@@ -134,8 +133,7 @@ def test_a_start_waits_for_the_robots_own_policy() -> None:
     queued = given("fsar", ARRIVED, OWN_STEP)
     happen(queued, *decide_own_step(queued, DecideOwnStep("A1-1/1.1")))
     apply(queued, window(A))
-    [held] = start(queued, StartAction("A1-1/1.1", now_us=5, answer=7))
-    assert isinstance(held, ExecutionHeld)
+    held = only(ExecutionHeld, start(queued, StartAction("A1-1/1.1", now_us=5, answer=7)))
     assert held.principals.path == ("robot/A1",)
     apply(queued, held)
     [again] = start(queued, StartAction("A1-1/1.1", now_us=9, answer=7))
@@ -146,8 +144,7 @@ def test_a_start_waits_for_the_robots_own_policy() -> None:
 def test_a_start_takes_as_long_as_the_world_says() -> None:
     queued = given("fsar", ARRIVED, OWN_STEP)
     happen(queued, *decide_own_step(queued, DecideOwnStep("A1-1/1.1")))
-    [began] = start(queued, StartAction("A1-1/1.1", now_us=5, answer=7))
-    assert isinstance(began, ExecutionStarted)
+    began = only(ExecutionStarted, start(queued, StartAction("A1-1/1.1", now_us=5, answer=7)))
     assert began.ends_us == 12
 
 

@@ -19,6 +19,7 @@ from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.ports import Ask
 from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, kernel
 from fsar_ledger.runtime.world.draws import Draws, SimulatedEnvironment, run_key
+from tests.sure import known
 
 HOP = re.compile(r"(.*)/hop(\D*)(\d*)$")
 PHASES = {
@@ -86,8 +87,7 @@ def drawn(events: list[Event], hops: set[str]) -> Iterator[tuple[str, str, str]]
     """Each hop that was drawn: its phase, and which agent talks to which in it."""
     own = {event.subject.action_id for event in events if isinstance(event, StepBegan) and event.target_role is None}
     for key in hops:
-        match = HOP.match(key)
-        assert match is not None
+        match = known(HOP.match(key))
         served, name, ordinal = match.groups()
         phase = (
             f"own {name}"

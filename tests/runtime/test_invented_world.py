@@ -45,6 +45,7 @@ from fsar_ledger.runtime.simulation import (
 from fsar_ledger.runtime.world.draws import Draws, SimulatedEnvironment, run_key
 from fsar_ledger.runtime.world.schedule import schedule
 from tests.runtime.forgeries import changed, dropped
+from tests.sure import known
 
 CONSTANTS = Constants()
 FACTS: tuple[type[Event], ...] = get_args(WorldEvent)
@@ -162,8 +163,7 @@ INVENTED: dict[str, Invent] = {
 def test_a_run_in_an_invented_world_is_found_where_it_leaves_its_own(name: str, architecture: Architecture) -> None:
     spec = RunSpec(9, architecture, "full", "fleet-contention", 4, 1)
     record = simulated_in(INVENTED[name](world_of(spec)), spec)
-    difference = replay_run(record)
-    assert difference is not None
+    difference = known(replay_run(record))
     assert (difference.run, difference.seq) == (record.run_id, first_other(spec, record))
     assert "of this run does not have" in difference.actual or difference.handler == "world.schedule.schedule"
 
@@ -175,8 +175,7 @@ def test_no_kind_of_fact_can_be_left_out() -> None:
         facts = world_of(spec)
         for kind in {type(event) for _, event in facts}:
             record = simulated_in(without(kind)(facts), spec)
-            difference = replay_run(record)
-            assert difference is not None
+            difference = known(replay_run(record))
             assert difference.seq == first_other(spec, record)
             assert difference.expected.startswith(f"{kind.__struct_config__.tag} at "), difference
             assert difference.handler == "world.schedule.schedule"
@@ -189,8 +188,7 @@ def test_a_difference_says_which_fact_was_found_and_which_was_expected() -> None
     facts = world_of(spec)
     at = next(at for at, (_, event) in enumerate(facts) if isinstance(event, ObstructionAppeared))
     missing, invented = facts[at], (facts[at][0], ObstructionCleared(Robot("robot/A1"), "obstruction/A1/0"))
-    difference = replay_run(simulated_in([*facts[:at], invented, *facts[at + 1 :]], spec))
-    assert difference is not None
+    difference = known(replay_run(simulated_in([*facts[:at], invented, *facts[at + 1 :]], spec)))
     assert isinstance(missing[1], ObstructionAppeared)
     assert difference.expected == (
         f"ObstructionAppeared.v1 at {missing[0]} microseconds (robot {missing[1].robot!r}, obstruction "
@@ -230,8 +228,7 @@ def test_any_single_fact_of_any_run_that_is_missing_or_another_is_found_at_its_p
         facts = [seq for seq, event in enumerate(record.events) if isinstance(event, FACTS)]
         assert len(facts) == len(world_of(spec))  # all of the schedule is in the record, to its end
         for seq in {facts[-1], *draw.sample(facts, min(4, len(facts)))}:
-            difference = replay_run(altered(draw, record, seq))
-            assert difference is not None
+            difference = known(replay_run(altered(draw, record, seq)))
             assert difference.seq == seq
             found.add(type(record.events[seq]))
     assert len(found) > 5
@@ -253,8 +250,7 @@ def test_every_fact_that_is_left_out_of_a_random_world_in_which_the_run_is_made_
         facts = world_of(spec)
         for at in draw.sample(range(len(facts)), 12):
             with suppress(RuntimeError):  # such a run has no end
-                difference = replay_run(simulated_in([*facts[:at], *facts[at + 1 :]], spec))
-                assert difference is not None
+                difference = known(replay_run(simulated_in([*facts[:at], *facts[at + 1 :]], spec)))
                 assert difference.expected.startswith(
                     f"{facts[at][1].__struct_config__.tag} at {facts[at][0]} microseconds"
                 )

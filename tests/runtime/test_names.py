@@ -16,6 +16,7 @@ from fsar_ledger.runtime.handlers.task import SubmitTask
 from tests import past
 from tests.runtime.histories import given, types
 from tests.runtime.live import decided, play
+from tests.sure import only
 
 A, B = Robot("robot/A1"), Robot("robot/B1")
 
@@ -33,8 +34,7 @@ def after(*commands: Command) -> State:
 
 
 def refusal(state: State, command: Command) -> str:
-    [rejected] = decided(state, command)
-    assert isinstance(rejected, CommandRejected)
+    rejected = only(CommandRejected, decided(state, command))
     return rejected.reason
 
 
@@ -42,10 +42,8 @@ def test_a_result_that_is_none_is_rejected() -> None:
     state = after(ASK, EvaluateRequest("q1"), TakeTurn("q1"))
     apply(state, past.started(Subject("visit", "q1"), B, A, DOOR, 9_000_000))
     wrong: Any = "weird"
-    assert (
-        refusal(state, ReportResult(B, "q1", wrong))
-        == "unknown result weird, expected one of success, partial, failure"
-    )
+    found = refusal(state, ReportResult(B, "q1", wrong))
+    assert found == "unknown result weird, expected one of success, partial, failure"
 
 
 def test_a_task_does_not_take_the_name_of_a_request() -> None:
@@ -74,6 +72,5 @@ def test_a_task_whose_steps_or_checkpoints_are_none_is_rejected(changes: dict[st
 
 @pytest.mark.parametrize("checkpoints", [None, (), ("1", "2")])
 def test_a_task_with_the_numbers_of_its_steps_as_checkpoints_arrives(checkpoints: tuple[str, ...] | None) -> None:
-    [arrived] = decided(given("fsar"), msgspec.structs.replace(TASK, checkpoints=checkpoints))
-    assert isinstance(arrived, TaskArrived)
+    arrived = only(TaskArrived, decided(given("fsar"), msgspec.structs.replace(TASK, checkpoints=checkpoints)))
     assert arrived.checkpoints == checkpoints

@@ -21,6 +21,7 @@ from tests import past
 from tests.runtime.histories import ARRIVED, happen, types
 from tests.runtime.live import decided, of, played
 from tests.runtime.test_requests import ASK, DOOR, A, B, D, asked, offered, served
+from tests.sure import only
 
 
 def countered(level: OverrideLevel = "hard-preempt", allowed: OverrideLevel = "soft-priority", *before: Event) -> State:
@@ -30,8 +31,7 @@ def countered(level: OverrideLevel = "hard-preempt", allowed: OverrideLevel = "s
 
 def test_an_executor_asked_for_more_override_than_it_allows_offers_what_it_allows() -> None:
     state = asked(offered("soft-priority"), command=msgspec.structs.replace(ASK, override="hard-preempt"))
-    [counter] = decided(state, EvaluateRequest("q1"))
-    assert isinstance(counter, RequestCountered)
+    counter = only(RequestCountered, decided(state, EvaluateRequest("q1")))
     assert (counter.round, counter.override, counter.principals.decided_by) == (1, "soft-priority", "robot/B1")
     apply(state, counter)
     assert decided(state, EvaluateRequest("q1")) == (), "it waits for the answer"
@@ -44,8 +44,7 @@ def test_a_grant_of_less_than_the_executor_allows_is_the_limit() -> None:
 
 def test_a_taken_offer_admits_the_request_on_those_terms() -> None:
     state = countered()
-    [answer] = decided(state, AnswerOffer(A, "q1", True))
-    assert isinstance(answer, OfferAnswered)
+    answer = only(OfferAnswered, decided(state, AnswerOffer(A, "q1", True)))
     assert (answer.round, answer.is_accepted, answer.override) == (1, True, "soft-priority")
     apply(state, answer)
     admitted, queued = decided(state, EvaluateRequest("q1"))
@@ -62,8 +61,7 @@ def test_a_negotiation_ends_after_so_many_rounds() -> None:
         state = served(state, AnswerOffer(A, "q1", False, "hard-preempt"))
         events = decided(state, EvaluateRequest("q1"))
         happen(state, *events)
-    [denied] = events
-    assert isinstance(denied, RequestDenied)
+    denied = only(RequestDenied, events)
     assert denied.reason == "negotiation"
 
 
@@ -90,7 +88,7 @@ def test_in_a_whole_run_a_negotiation_comes_to_its_end(answers: list[bool | None
     run = played(commands, offered("soft-priority"))
     assert len(of(run, RequestCountered)) == len(of(run, OfferAnswered)) == len(answers)
     assert bool(of(run, RequestClosed)) == (ends == "closed")
-    assert [event.reason for _, event in of(run, RequestDenied)] == (["negotiation"] if ends == "denied" else [])  # type: ignore[attr-defined]
+    assert [event.reason for _, event in of(run, RequestDenied)] == (["negotiation"] if ends == "denied" else [])
     assert run.state.request.open["q1"].is_over
     assert run.state == fold(run.events)
 
@@ -105,11 +103,9 @@ def test_in_a_whole_run_a_negotiation_comes_to_its_end(answers: list[bool | None
     ],
 )
 def test_an_answer_to_no_open_offer_is_rejected(command: AnswerOffer, found: str) -> None:
-    [rejected] = decided(countered(), command)
-    assert isinstance(rejected, CommandRejected)
+    rejected = only(CommandRejected, decided(countered(), command))
     assert found in rejected.reason
-    [again] = decided(served(countered(), AnswerOffer(A, "q1", True)), AnswerOffer(A, "q1", True))
-    assert isinstance(again, CommandRejected)
+    again = only(CommandRejected, decided(served(countered(), AnswerOffer(A, "q1", True)), AnswerOffer(A, "q1", True)))
     assert again.reason == "no counter-offer is open, expected one to answer"
 
 
@@ -124,13 +120,11 @@ def executing(result_of: str = "q1") -> State:
 def test_a_reported_result_ends_the_execution_and_the_closing_carries_it_on(
     result: Any, achieved: tuple[str, ...]
 ) -> None:
-    [finished] = decided(executing(), ReportResult(B, "q1", result, achieved))
-    assert isinstance(finished, ExecutionFinished)
+    finished = only(ExecutionFinished, decided(executing(), ReportResult(B, "q1", result, achieved)))
     assert (finished.result, finished.achieved, finished.principals.executed_by) == (result, achieved, "robot/B1")
     started = of(played([(1_000_000, ASK)]), ExecutionStarted)[0][0]
     run = played([(1_000_000, ASK), (started + 1_000, ReportResult(B, "q1", result, achieved))])
     [(_, closed)] = of(run, RequestClosed)
-    assert isinstance(closed, RequestClosed)
     assert closed.result == result
     assert of(run, AuthorityReleased)
     assert run.state.authority.claims == {}
@@ -147,8 +141,7 @@ def test_a_reported_result_ends_the_execution_and_the_closing_carries_it_on(
     ],
 )
 def test_a_result_of_nothing_that_the_executor_executes_is_rejected(command: ReportResult, found: str) -> None:
-    [rejected] = decided(executing(), command)
-    assert isinstance(rejected, CommandRejected)
+    rejected = only(CommandRejected, decided(executing(), command))
     assert found in rejected.reason
 
 
@@ -159,8 +152,7 @@ def test_a_result_before_the_start_or_after_the_end_is_rejected() -> None:
         (served(asked(), EvaluateRequest("q1")), "it is queued"),
         (served(executing(), report), "the request is over"),
     ):
-        [rejected] = decided(state, report)
-        assert isinstance(rejected, CommandRejected)
+        rejected = only(CommandRejected, decided(state, report))
         assert found in rejected.reason
 
 
@@ -181,18 +173,12 @@ def test_a_result_achieves_nothing_that_the_contract_does_not_promise() -> None:
 
 def test_a_step_whose_result_is_no_success_is_asked_for_again() -> None:
     begun = (ARRIVED,)
-    started = next(
-        time
-        for time, event in of(played([], *begun), ExecutionStarted)
-        if isinstance(event, ExecutionStarted) and event.robot == "robot/B1"
-    )
+    started = next(time for time, event in of(played([], *begun), ExecutionStarted) if event.robot == "robot/B1")
     run = played([(started + 1_000, ReportResult(B, "A1-1/2.1", "failure"))], *begun)
-    attempts = [event.attempt for _, event in of(run, StepBegan) if isinstance(event, StepBegan) and event.step == 2]
+    attempts = [event.attempt for _, event in of(run, StepBegan) if event.step == 2]
     assert attempts == [1, 2]
-    assert [event.subject.action_id for _, event in of(run, StepCompleted) if isinstance(event, StepCompleted)] == [
-        "A1-1/1.1",
-        "A1-1/2.2",
-    ]
+    found = [event.subject.action_id for _, event in of(run, StepCompleted)]
+    assert found == ["A1-1/1.1", "A1-1/2.2"]
     assert len(of(run, TaskCompleted)) == 1
 
 
@@ -200,15 +186,9 @@ def test_a_request_by_itself_in_the_context_of_a_task_leaves_the_task_alone() ->
     ask = msgspec.structs.replace(ASK, context="A1-1", action_id="q1")
     denied = msgspec.structs.replace(ASK, context="A1-1", action_id="q2", directives=("plan",))
     run = played([(1_000, ask), (1_001, denied)], ARRIVED)
-    assert [event.subject.action_id for _, event in of(run, StepCompleted) if isinstance(event, StepCompleted)] == [
-        "A1-1/1.1",
-        "A1-1/2.1",
-    ]
-    assert {event.subject.action_id for _, event in of(run, RequestClosed) if isinstance(event, RequestClosed)} == {
-        "q1",
-        "A1-1/2.1",
-    }
-    assert [event.subject.action_id for _, event in of(run, RegistryQueried) if isinstance(event, RegistryQueried)] == [
-        "A1-1/2.1"
-    ]
+    found = [event.subject.action_id for _, event in of(run, StepCompleted)]
+    assert found == ["A1-1/1.1", "A1-1/2.1"]
+    told = {event.subject.action_id for _, event in of(run, RequestClosed)}
+    assert told == {"q1", "A1-1/2.1"}
+    assert [event.subject.action_id for _, event in of(run, RegistryQueried)] == ["A1-1/2.1"]
     assert run.state == fold(run.events)

@@ -48,11 +48,8 @@ def busy(*before: Any, stage: str = "running", level: OverrideLevel = "none") ->
 
 @pytest.mark.parametrize("level", ["none", "soft-priority"])
 def test_a_weak_request_never_interrupts(level: OverrideLevel) -> None:
-    assert types(play(busy(), urgent(level), EvaluateRequest("q2", now_us=1_500_000))) == [
-        "RequestAdmitted",
-        "RequestDeferred",
-        "ExecutionQueued",
-    ]
+    found = types(play(busy(), urgent(level), EvaluateRequest("q2", now_us=1_500_000)))
+    assert found == ["RequestAdmitted", "RequestDeferred", "ExecutionQueued"]
 
 
 def test_soft_priority_goes_ahead_of_what_waits_without_it() -> None:
@@ -72,10 +69,8 @@ def test_hard_preempt_takes_the_robot_and_the_preempted_action_keeps_its_rest_it
     assert (state.execution.current[B], state.execution.queues[B]) == ("q2", ("q1", "q0"))
     kept = state.authority.claims["q1"]
     claimed = [event for event in play(state, TakeTurn("q2")) if isinstance(event, AuthorityClaimed)]
-    assert [(claim.dimension, claim.claimant) for claim in claimed] == [
-        ("execution", "robot/B1"),
-        ("override", "robot/B1"),
-    ]
+    found = [(claim.dimension, claim.claimant) for claim in claimed]
+    assert found == [("execution", "robot/B1"), ("override", "robot/B1")]
     assert state.authority.claims["q1"] == kept != ()
     assert play(state, ResumeAction("q1")) == (), "not before the robot is free"
     apply(state, past.finished(Subject("rounds", "q2"), B, C))
@@ -100,12 +95,8 @@ def test_what_was_preempted_before_its_turn_is_accepted_at_its_turn() -> None:
     play(state, urgent("hard-preempt"), EvaluateRequest("q2"))
     assert play(state, TakeTurn("q1")) == ()
     apply(state, past.finished(Subject("rounds", "q2"), B, C))
-    assert types(play(state, TakeTurn("q1"))) == [
-        "RequestAccepted",
-        "AuthorityClaimed",
-        "AuthorityClaimed",
-        "ApproachStarted",
-    ]
+    found = types(play(state, TakeTurn("q1")))
+    assert found == ["RequestAccepted", "AuthorityClaimed", "AuthorityClaimed", "ApproachStarted"]
 
 
 def test_equals_do_not_interrupt_each_other_and_emergency_interrupts_all() -> None:
@@ -146,11 +137,8 @@ def test_a_failure_is_first_handled_by_the_executors_own_recovery() -> None:
     state = busy()
     apply(state, ObstructionAppeared(B, "o"))
     assert types(play(state, DetectObstruction("q1", now_us=1_500_000))) == ["ExecutionFailed"]
-    assert types(play(state, urgent("hard-preempt"), EvaluateRequest("q2"))) == [
-        "RequestAdmitted",
-        "RequestDeferred",
-        "ExecutionQueued",
-    ]
+    found = types(play(state, urgent("hard-preempt"), EvaluateRequest("q2")))
+    assert found == ["RequestAdmitted", "RequestDeferred", "ExecutionQueued"]
 
 
 def test_an_own_step_that_was_preempted_while_policy_held_it_does_not_start_behind_the_other() -> None:

@@ -3,6 +3,7 @@
 import shutil
 import sys
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import pytest
@@ -58,7 +59,7 @@ OWN = Constants(scenario=SCENARIO, fleet=FLEET)
 SPEC = RunSpec(7, "fsar", "full", "night", 3, 0)
 
 
-def of(kind: type, record: LedgerRun) -> list[tuple[int, object]]:
+def of(kind: type, record: LedgerRun) -> list[tuple[int, Any]]:
     return [one for one in zip(record.times_us, record.events, strict=True) if isinstance(one[1], kind)]
 
 

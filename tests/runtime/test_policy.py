@@ -34,6 +34,7 @@ from tests import past
 from tests.runtime.governed import H_F, governed
 from tests.runtime.histories import ARRIVED, DELEGATED_STEP, OWN_STEP, given, happen, types, window
 from tests.runtime.live import decided, play, refusal
+from tests.sure import only
 
 A, B, C = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/C1")
 DOOR = "door.open.secure"
@@ -221,10 +222,8 @@ def test_a_mandate_against_a_denial_that_holds_the_start_is_escalated_at_every_h
     assert isinstance(held, ExecutionHeld)
     assert held.outcome == "deny"
     happen(state, *(escalated, held))
-    assert types(start(state, StartAction("A1-1/2.1", now_us=9, answer=7))) == [
-        "PolicyConflictEscalated",
-        "ExecutionHeld",
-    ]
+    found = types(start(state, StartAction("A1-1/2.1", now_us=9, answer=7)))
+    assert found == ["PolicyConflictEscalated", "ExecutionHeld"]
     apply(state, rule("review"))
     assert types(start(state, StartAction("A1-1/2.1", now_us=9, answer=7))) == ["ExecutionHeld"]
 
@@ -261,8 +260,7 @@ def test_a_start_that_a_rule_held_goes_on_when_the_rule_is_replaced() -> None:
     state = given("fsar", ARRIVED, OWN_STEP)
     play(state, DecideOwnStep("A1-1/1.1"))
     apply(state, rule("deny", robot=A))
-    [held] = start(state, StartAction("A1-1/1.1", now_us=5, answer=7))
-    assert isinstance(held, ExecutionHeld)
+    held = only(ExecutionHeld, start(state, StartAction("A1-1/1.1", now_us=5, answer=7)))
     apply(state, held)
 
     def woken(event: PolicyRuleSet | RolePolicyRuleSet) -> list[object]:
@@ -284,8 +282,7 @@ def test_what_a_rule_of_the_role_held_goes_on_when_that_or_the_robots_exception_
             RolePolicyRuleSet(scope="local", role="A", outcome="deny"),
         ):
             apply(state, event)
-        [held] = start(state, StartAction("A1-1/1.1", now_us=5, answer=7))
-        assert isinstance(held, ExecutionHeld)
+        held = only(ExecutionHeld, start(state, StartAction("A1-1/1.1", now_us=5, answer=7)))
         apply(state, held)
         apply(state, lifted)
         assert [one.command for react in FSAR.reacts[type(lifted)] for one in react(state, lifted, 6)] == [

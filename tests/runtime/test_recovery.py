@@ -21,6 +21,7 @@ from tests import past
 from tests.runtime.failures import ACTION, A, B, C, D, executing, failed, taken
 from tests.runtime.histories import types, window
 from tests.runtime.live import decided
+from tests.sure import only
 
 
 def escalation(events: tuple[Event, ...]) -> tuple[str, str, str | None]:
@@ -40,14 +41,11 @@ def called(events: tuple[Event, ...]) -> str:
 
 def test_local_recovery_is_left_when_its_attempts_are_spent() -> None:
     state = failed(executing(A, "carry.package", ObstructionAppeared(A, "o")))
-    [first] = taken(state, decided(state, StartRecovery(ACTION, now_us=2_000_001)))
-    assert isinstance(first, RecoveryAttempted)
+    first = only(RecoveryAttempted, taken(state, decided(state, StartRecovery(ACTION, now_us=2_000_001))))
     assert (first.number, first.deadline_us) == (1, 32_000_000)
     assert escalation(decided(state, EndAttempt(ACTION, 1, now_us=60_000_000)))[2] == "budget exhausted"
-    assert types(taken(state, decided(state, EndAttempt(ACTION, 1, now_us=4_000_000)))) == [
-        "RecoveryAttemptFailed",
-        "RecoveryAttempted",
-    ]
+    found = types(taken(state, decided(state, EndAttempt(ACTION, 1, now_us=4_000_000))))
+    assert found == ["RecoveryAttemptFailed", "RecoveryAttempted"]
     assert escalation(decided(state, EndAttempt(ACTION, 2, now_us=6_000_000))) == ("local", "peer", "budget exhausted")
 
 
@@ -134,10 +132,8 @@ def test_a_robot_that_is_offline_neither_helps_nor_takes_over() -> None:
     assert isinstance(query, RegistryQueried)
     assert (query.rejected, query.rejected_by) == ((D,), ("availability",))
     assert escalation((outward,)) == ("peer", "fleet", "no capable peer")
-    assert (
-        escalation(considered(failed(executing(A, "carry.package", offline), "fleet")))[2]
-        == "no feasible reassignment: no capable robot"
-    )
+    found = escalation(considered(failed(executing(A, "carry.package", offline), "fleet")))[2]
+    assert found == "no feasible reassignment: no capable robot"
 
 
 def test_a_substitute_stands_in_for_a_degraded_robot() -> None:
@@ -158,17 +154,11 @@ def test_the_query_of_a_recovery_starts_no_request() -> None:
 
 
 def test_a_spent_peer_budget_ends_the_peer_level() -> None:
-    assert escalation(asked(failed(executing(B, "door.open.basic"), "peer"), now_us=40_000_000)) == (
-        "peer",
-        "fleet",
-        "budget exhausted",
-    )
+    found = escalation(asked(failed(executing(B, "door.open.basic"), "peer"), now_us=40_000_000))
+    assert found == ("peer", "fleet", "budget exhausted")
     closed = past.budget(B, "peer", 0)
-    assert escalation(asked(failed(executing(B, "door.open.basic", closed), "peer"))) == (
-        "peer",
-        "fleet",
-        "budget exhausted",
-    )
+    told = escalation(asked(failed(executing(B, "door.open.basic", closed), "peer")))
+    assert told == ("peer", "fleet", "budget exhausted")
 
 
 def test_without_a_registry_no_peer_can_be_found() -> None:

@@ -16,6 +16,7 @@ from tests import past
 from tests.runtime.failures import ACTION, A, B, executing, failed, taken
 from tests.runtime.histories import given
 from tests.runtime.live import decided
+from tests.sure import only
 
 
 @pytest.mark.parametrize("issued_by", ["supervisor/A1", "supervisor/fleet"])
@@ -40,8 +41,7 @@ def test_a_supervisor_in_charge_sets_a_recovery_budget(issued_by: Supervisor) ->
     ],
 )
 def test_an_impossible_budget_is_rejected(command: SetRecoveryBudget, reason: str) -> None:
-    [found] = set_recovery_budget(given("fsar"), command)
-    assert isinstance(found, CommandRejected)
+    found = only(CommandRejected, set_recovery_budget(given("fsar"), command))
     assert (found.command, found.subject, found.issued_by) == ("SetRecoveryBudget", command.robot, command.issued_by)
     assert reason in found.reason
 
@@ -68,13 +68,11 @@ def test_a_reported_failure_is_recovered_like_any_other() -> None:
     ],
 )
 def test_a_report_about_what_the_robot_does_not_execute_is_rejected(command: ReportFailure, reason: str) -> None:
-    [found] = report_failure(executing(), command)
-    assert isinstance(found, CommandRejected)
+    found = only(CommandRejected, report_failure(executing(), command))
     assert (found.command, found.subject, found.issued_by) == ("ReportFailure", command.action_id, command.robot)
     assert reason in found.reason
 
 
 def test_a_second_report_of_the_same_failure_is_rejected() -> None:
-    [found] = decided(failed(executing()), ReportFailure(A, ACTION, "obstruction"))
-    assert isinstance(found, CommandRejected)
+    found = only(CommandRejected, decided(failed(executing()), ReportFailure(A, ACTION, "obstruction")))
     assert "is failed, expected running" in found.reason

@@ -7,20 +7,16 @@ import pytest
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import Robot, Subject
 from fsar_ledger.events.execution import ExecutionQueued
-from fsar_ledger.events.registry import CapabilityAdvertised, CapabilityDeprecated, CapabilityWithdrawn
+from fsar_ledger.events.registry import CapabilityDeprecated, CapabilityWithdrawn
 from fsar_ledger.runtime.handlers.candidates import Query, candidates
 from tests import past
 from tests.runtime.histories import given, window
 
 A, B = Robot("robot/A1"), Robot("robot/B1")
 
-B1, E1 = B, Robot("robot/E1")
-ASKING = Query(A, "door.open.secure", "A1-1")
-
-
-def offered(robot: Robot = B1, capability: str = "door.open.secure", **fields: Any) -> CapabilityAdvertised:
-    """Another advertisement of what the robot offers."""
-    return CapabilityAdvertised(robot=robot, capability=capability, **fields)
+E1 = Robot("robot/E1")
+DOOR = "door.open.secure"
+ASKING = Query(A, DOOR, "A1-1")
 
 
 def why_not(*events: Event, **fields: Any) -> tuple[str, ...]:
@@ -33,13 +29,8 @@ def why_not(*events: Event, **fields: Any) -> tuple[str, ...]:
 
 def test_the_candidate_is_who_offers_it_and_trusts_the_requester() -> None:
     answer = candidates(given("fsar"), ASKING)
-    assert (answer.candidates, answer.capabilities, answer.rejected, answer.domain, answer.as_of_us) == (
-        ("robot/B1",),
-        ("door.open.secure",),
-        (),
-        "",
-        None,
-    )
+    assert (answer.candidates, answer.capabilities, answer.rejected) == (("robot/B1",), ("door.open.secure",), ())
+    assert (answer.domain, answer.as_of_us) == ("", None)
 
 
 def test_the_requester_itself_is_neither_candidate_nor_rejected() -> None:
@@ -50,15 +41,15 @@ def test_the_requester_itself_is_neither_candidate_nor_rejected() -> None:
 @pytest.mark.parametrize(
     ("events", "asked", "by"),
     [
-        ((offered(visible_to=("C",)),), {}, "visibility"),
-        ((offered(visibility="trust-gated"), past.trusted(B, A, "none")), {}, "visibility"),
+        ((past.advertised(B, DOOR, visible_to=("C",)),), {}, "visibility"),
+        ((past.advertised(B, DOOR, visibility="trust-gated"), past.trusted(B, A, "none")), {}, "visibility"),
         ((), {"version": "^2.0"}, "version"),
-        ((offered(preconditions=("badge.shown",)),), {"provides": ()}, "contract"),
-        ((offered(resources=("arm",)),), {"resources": ("gripper",)}, "contract"),
+        ((past.advertised(B, DOOR, preconditions=("badge.shown",)),), {"provides": ()}, "contract"),
+        ((past.advertised(B, DOOR, resources=("arm",)),), {"resources": ("gripper",)}, "contract"),
         ((), {"needs": ("door.opened",)}, "contract"),
         ((past.trusted(B, A, "none"),), {}, "trust"),
-        ((offered(trust_required="session"),), {}, "trust"),
-        ((offered(policy_required=("delivery",)),), {}, "policy"),
+        ((past.advertised(B, DOOR, trust_required="session"),), {}, "trust"),
+        ((past.advertised(B, DOOR, policy_required=("delivery",)),), {}, "policy"),
         ((past.ruled("deny", B, "door.open.secure"),), {}, "policy"),
         ((), {"override": "emergency-only"}, "authority"),
         ((past.available(B, None, "offline", "charging"),), {}, "availability"),
@@ -73,22 +64,22 @@ def test_each_filter_rejects_and_is_named(events: tuple[Event, ...], asked: dict
 @pytest.mark.parametrize(
     ("events", "asked"),
     [
-        ((offered(visible_to=("C", "A")),), {}),
-        ((offered(visibility="trust-gated"),), {}),
-        ((offered(version="1.9.3"),), {"version": "^1.2"}),
-        ((offered(preconditions=("badge.shown",)),), {"provides": ("badge.shown", "door.closed")}),
-        ((offered(preconditions=("badge.shown",)),), {}),
-        ((offered(resources=("arm",)),), {"resources": ("gripper", "arm")}),
-        ((offered(postconditions=("door.opened", "door.logged")),), {"needs": ("door.opened",)}),
-        ((offered(trust_required="task"),), {}),
-        ((offered(policy_required=("delivery",)),), {"context": "delivery"}),
+        ((past.advertised(B, DOOR, visible_to=("C", "A")),), {}),
+        ((past.advertised(B, DOOR, visibility="trust-gated"),), {}),
+        ((past.advertised(B, DOOR, version="1.9.3"),), {"version": "^1.2"}),
+        ((past.advertised(B, DOOR, preconditions=("badge.shown",)),), {"provides": ("badge.shown", "door.closed")}),
+        ((past.advertised(B, DOOR, preconditions=("badge.shown",)),), {}),
+        ((past.advertised(B, DOOR, resources=("arm",)),), {"resources": ("gripper", "arm")}),
+        ((past.advertised(B, DOOR, postconditions=("door.opened", "door.logged")),), {"needs": ("door.opened",)}),
+        ((past.advertised(B, DOOR, trust_required="task"),), {}),
+        ((past.advertised(B, DOOR, policy_required=("delivery",)),), {"context": "delivery"}),
         ((past.ruled("review", B, "door.open.secure"),), {}),
         ((past.ruled("deny", B, "door.open.basic"),), {}),
         ((window(B),), {}),
         ((), {"override": "hard-preempt"}),
-        ((offered(override_allowed="soft-priority"),), {"override": "emergency-only"}),
+        ((past.advertised(B, DOOR, override_allowed="soft-priority"),), {"override": "emergency-only"}),
         ((past.available(B, "door.open.basic", "offline", "jammed"),), {}),
-        ((offered(embodiment=("arm", "wheels")),), {"embodiment": ("arm",)}),
+        ((past.advertised(B, DOOR, embodiment=("arm", "wheels")),), {"embodiment": ("arm",)}),
     ],
 )
 def test_what_no_filter_rejects_is_a_candidate(events: tuple[Event, ...], asked: dict[str, Any]) -> None:
@@ -104,7 +95,7 @@ def test_of_several_filters_the_first_in_their_order_is_named() -> None:
 
 
 def test_without_trust_evaluation_nobody_hides_and_nobody_distrusts() -> None:
-    events = (offered(visible_to=("C",)), past.trusted(B, A, "none"))
+    events = (past.advertised(B, DOOR, visible_to=("C",)), past.trusted(B, A, "none"))
     assert candidates(given("fsar", *events, configuration="without-trust-evaluation"), ASKING).candidates == (
         "robot/B1",
     )
@@ -115,7 +106,7 @@ def second(robot: Robot = E1, version: str = "1.0.0", domain: str = "", **fields
     return (
         past.joined(robot, "B", domain=domain),
         past.installed(robot, "door.open.secure", version),
-        offered(robot, version=version, **fields),
+        past.advertised(robot, DOOR, version=version, **fields),
         past.trusted(robot, A, "task"),
     )
 
@@ -128,10 +119,8 @@ def test_ready_robots_come_before_busy_ones_before_degraded_ones() -> None:
     both = second()
     assert candidates(given("fsar", *both), ASKING).candidates == ("robot/B1", "robot/E1")
     assert candidates(given("fsar", *both, busy(B)), ASKING).candidates == ("robot/E1", "robot/B1")
-    assert candidates(given("fsar", *both, past.available(B, None, "busy", "charging")), ASKING).candidates == (
-        "robot/E1",
-        "robot/B1",
-    )
+    found = candidates(given("fsar", *both, past.available(B, None, "busy", "charging")), ASKING).candidates
+    assert found == ("robot/E1", "robot/B1")
     degraded = past.available(Robot("robot/E1"), None, "degraded", "actuator")
     assert candidates(given("fsar", *both, busy(B), degraded), ASKING).candidates == ("robot/B1", "robot/E1")
 
@@ -150,20 +139,24 @@ def test_a_group_of_capabilities_matches_each_name_in_it_once_per_robot() -> Non
     answer = candidates(given("fsar"), Query(A, "door.*"))
     assert (answer.candidates, answer.capabilities) == (("robot/B1",), ("door.open.basic",))
     assert candidates(given("fsar"), Query(A, "doo.*")).candidates == ()
-    refusing = CapabilityWithdrawn(B, "door.open.basic", "jammed"), offered(visible_to=("C",))
+    refusing = CapabilityWithdrawn(B, "door.open.basic", "jammed"), past.advertised(B, DOOR, visible_to=("C",))
     assert candidates(given("fsar", *refusing), Query(A, "door.*")).rejected_by == ("visibility",)
 
 
 def test_a_robot_that_matches_twice_is_rejected_by_the_filter_that_its_best_record_came_to() -> None:
     answer = candidates(
-        given("fsar", offered(capability="door.open.basic", visible_to=("C",)), offered(availability="offline")),
+        given(
+            "fsar",
+            past.advertised(B, "door.open.basic", visible_to=("C",)),
+            past.advertised(B, DOOR, availability="offline"),
+        ),
         Query(A, "door.*"),
     )
     assert (answer.candidates, answer.rejected, answer.rejected_by) == ((), ("robot/B1",), ("availability",))
 
 
 def test_a_robot_that_one_filter_leaves_out_for_one_capability_may_be_a_candidate_for_another() -> None:
-    answer = candidates(given("fsar", offered(capability="door.open.basic", visible_to=("C",))), Query(A, "door.*"))
+    answer = candidates(given("fsar", past.advertised(B, "door.open.basic", visible_to=("C",))), Query(A, "door.*"))
     assert (answer.candidates, answer.capabilities, answer.rejected) == (("robot/B1",), ("door.open.secure",), ())
 
 

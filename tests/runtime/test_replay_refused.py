@@ -21,6 +21,7 @@ from tests.quick import few
 from tests.runtime.commanded import commanded
 from tests.runtime.forgeries import FORGERIES, HONEST, LATE, added, changed, renamed
 from tests.runtime.test_replay import CONSTANTS, committed
+from tests.sure import known
 
 # --- runs that cannot be checked, and content that nobody thought of ---
 
@@ -107,8 +108,7 @@ def test_facts_that_no_handler_can_decide_on_are_a_finding_with_its_place(tmp_pa
 )
 def test_odd_constants_end_in_a_finding_and_not_in_a_hang(architecture: Architecture, constants: Constants) -> None:
     record = simulate_run(RunSpec(5, architecture, "full", "failure-recovery-chain", 4, 0), CONSTANTS)
-    difference = replay_run(restarted(record, parameters=parameters(constants)))
-    assert difference is not None
+    difference = known(replay_run(restarted(record, parameters=parameters(constants))))
     assert difference.seq is not None
     assert 0 <= difference.seq < len(record.events)
 
@@ -126,8 +126,7 @@ def test_a_segment_that_cannot_be_read_is_a_finding(tmp_path: Path) -> None:
 
 def test_verify_with_replay_says_what_was_replayed(call: Call, tmp_path: Path) -> None:  # noqa: F811
     path = committed(tmp_path / "ledger", HONEST)
-    called = call("verify", path, "--replay")
-    assert called.code == 0
+    called = call("verify", path, "--replay").good()
     assert called.out.endswith(
         f"replayed: all {len(HONEST.events)} events of 1 run are as the world and the handlers make them\n"
     )

@@ -78,9 +78,8 @@ def test_where_another_robot_could_serve_nobody_waits_for_ever_for_one_that_is_s
     for scenario in SCENARIOS:
         for robot in ("robot/A1", "robot/B1", "robot/C1", "robot/D1"):
             run = without(architecture, scenario, robot, ends)
-            done = {event.task_id for _, event in of(run, TaskCompleted) if isinstance(event, TaskCompleted)}
+            done = {event.task_id for _, event in of(run, TaskCompleted)}
             for _, event in of(run, TaskArrived):
-                assert isinstance(event, TaskArrived)
                 if all(f"robot/{step.partition(' ')[0]}{event.team}" != robot for step in event.steps):
                     tasks += 1
                     assert event.task_id in done, (scenario, robot, event.task_id, event.steps)
@@ -108,7 +107,7 @@ def test_that_a_helper_is_silent_is_known_when_the_time_for_its_answer_is_over(a
     assert isinstance(admitted, AssistanceAdmitted)
     assert admitted.helper != B
     assert ANSWER_US <= admitted_us - turned[0] <= ANSWER_US + 2 * S
-    asked = [event.helper for _, event in of(run, AssistanceRequested) if isinstance(event, AssistanceRequested)]
+    asked = [event.helper for _, event in of(run, AssistanceRequested)]
     assert asked == (
         [admitted.helper] if architecture == "fsar" else [B, admitted.helper]
     )  # the coordinator orders one by one
@@ -120,17 +119,11 @@ def test_the_registry_has_a_silent_robot_offline_until_it_has_reported_back() ->
     last = msgspec.structs.replace(TASK, task_id="A1-3")
     for ends, begins in ((RobotWentOff, RobotCameBack), (LinkWentDown, LinkCameUp)):
         run = ran("fsar", [(1, ends(B)), (S, TASK), (30 * S, later), (60 * S, begins(B)), (61 * S, last)])
-        asked = [
-            (event.subject.action_id, event.principals.executed_by)
-            for _, event in of(run, RequestIssued)
-            if isinstance(event, RequestIssued)
-        ]
+        asked = [(event.subject.action_id, event.principals.executed_by) for _, event in of(run, RequestIssued)]
         assert asked == [("A1-1/1.1", B), ("A1-1/1.2", B2), ("A1-2/1.1", B2), ("A1-3/1.1", B)]
         (gone_us, gone), (back_us, back) = of(run, AvailabilityChanged)
-        assert (gone, back) == (
-            past.available(B, None, "offline", "no answer"),
-            past.available(B, None, "ready", "answers again"),
-        )
+        assert gone == past.available(B, None, "offline", "no answer")
+        assert back == past.available(B, None, "ready", "answers again")
         assert gone_us - of(run, RequestIssued)[0][0] == ANSWER_US
         assert 60 * S < back_us < 61 * S
 
@@ -138,11 +131,7 @@ def test_the_registry_has_a_silent_robot_offline_until_it_has_reported_back() ->
 def test_what_a_robot_has_said_of_itself_since_stands_when_it_reports_back() -> None:
     before = past.available(B, "door.open.basic", "restricted", "inspection")
     run = ran("fsar", [(1, before), (2, RobotWentOff(B)), (S, TASK), (60 * S, RobotCameBack(B))])
-    back = {
-        event.capability: event.availability
-        for _, event in of(run, AvailabilityChanged)[2:]
-        if isinstance(event, AvailabilityChanged)
-    }
+    back = {event.capability: event.availability for _, event in of(run, AvailabilityChanged)[2:]}
     assert back["door.open.basic"] == "restricted"
     assert back[DOOR] == "ready"
     assert run.state.registry.silent == {}
@@ -156,22 +145,15 @@ def test_a_requester_without_a_link_blames_nobody() -> None:
 
 def test_a_command_that_nobody_confirmed_is_taken_back_and_not_carried_out_later() -> None:
     run = ran("cfc", [(1, RobotWentOff(B)), (S, TASK), (7 * S, RobotCameBack(B))])  # a second after it was
-    commanded = [event.robot for _, event in of(run, CommandIssued) if isinstance(event, CommandIssued)]
+    commanded = [event.robot for _, event in of(run, CommandIssued)]
     assert commanded == [B, B2]
     [(late_us, late)] = of(run, RequestUnanswered)
-    assert isinstance(late, RequestUnanswered)
-    assert (late.principals.decided_by, late.principals.executed_by, late.principals.requested_by) == (
-        "coordinator",
-        B,
-        None,
-    )
+    assert (late.principals.decided_by, late.principals.executed_by) == ("coordinator", B)
+    assert late.principals.requested_by is None
     assert late_us - of(run, CommandIssued)[0][0] == ANSWER_US
-    assert [
-        event.dimension
-        for time_us, event in of(run, AuthorityReleased)
-        if isinstance(event, AuthorityReleased) and time_us == late_us
-    ] == ["execution", "override"]
-    assert [event.robot for _, event in of(run, ExecutionQueued) if isinstance(event, ExecutionQueued)] == [B2]
+    found = [event.dimension for time_us, event in of(run, AuthorityReleased) if time_us == late_us]
+    assert found == ["execution", "override"]
+    assert [event.robot for _, event in of(run, ExecutionQueued)] == [B2]
     assert len(of(run, StepCompleted)) == 1
 
 
@@ -181,24 +163,18 @@ def test_an_order_to_a_silent_helper_is_not_carried_out_after_another_was_asked(
     [(admitted_us, _)] = of(run, AssistanceAdmitted)
     again = ran("cfc", [*facts, (admitted_us + S, RobotCameBack(B))])
     assert len(of(again, AssistanceAdmitted)) == 1
-    assert [event.item for _, event in of(again, WorkQueued) if isinstance(event, WorkQueued)].count("no answer") == 1
+    assert [event.item for _, event in of(again, WorkQueued)].count("no answer") == 1
 
 
 def test_a_contract_whose_award_is_not_accepted_is_awarded_anew() -> None:
     calm = ran("dhma", [(S, TASK)])
     [(awarded_us, first)] = of(calm, AwardMade)
-    assert isinstance(first, AwardMade)
     run = ran("dhma", [(S, TASK), (awarded_us + 1, RobotWentOff(first.robot)), (60 * S, RobotCameBack(first.robot))])
     [(late_us, late)] = of(run, RequestUnanswered)
-    assert isinstance(late, RequestUnanswered)
     assert (late_us, late.principals.executed_by) == (awarded_us + ANSWER_US, first.robot)
-    assert [event.robot for _, event in of(run, AwardMade) if isinstance(event, AwardMade)] == [
-        first.robot,
-        ({B, B2} - {first.robot}).pop(),
-    ]
-    assert [event.robot for _, event in of(run, ExecutionQueued) if isinstance(event, ExecutionQueued)] == [
-        ({B, B2} - {first.robot}).pop()
-    ]
+    found = [event.robot for _, event in of(run, AwardMade)]
+    assert found == [first.robot, ({B, B2} - {first.robot}).pop()]
+    assert [event.robot for _, event in of(run, ExecutionQueued)] == [({B, B2} - {first.robot}).pop()]
 
 
 @EVERY
@@ -228,13 +204,13 @@ def test_a_bid_on_its_way_is_waited_for_when_another_candidate_is_silent() -> No
     run = in_a_world(RunSpec(5, "dhma", "full", "door-relay", 8, 0), slow, [(1, RobotWentOff(B)), (S, TASK)])
     (asked_us, _), *_ = of(run, RequestIssued)
     assert [time_us - asked_us > ANSWER_US for time_us, _ in of(run, BidReceived)] == [True]
-    assert [event.robot for _, event in of(run, AwardMade) if isinstance(event, AwardMade)] == [B2]
+    assert [event.robot for _, event in of(run, AwardMade)] == [B2]
     assert of(run, RequestUnanswered) == []
 
 
 def test_a_relayed_request_is_two_messages_and_each_has_its_time() -> None:
     run = relayed(2.6, 3.0)
-    assert [event.relay for _, event in of(run, RequestIssued) if isinstance(event, RequestIssued)] == [A]
+    assert [event.relay for _, event in of(run, RequestIssued)] == [A]
     assert of(run, RequestUnanswered, AvailabilityChanged) == []
     assert of(run, TaskCompleted)
 
@@ -245,7 +221,6 @@ def test_a_robot_that_nobody_can_reach_does_not_know_that_a_task_was_given_up(ar
     would begin."""
     short = past.arrived("A1-1", A, (f"A {DOOR} B",), budget_us=2 * S, due_us=2 * S)
     [(queued_us, queued)] = of(ran(architecture, [(S, short)]), ExecutionQueued)
-    assert isinstance(queued, ExecutionQueued)
     down = (queued_us + 1000, LinkWentDown(queued.robot))
     linked = ran(architecture, [(S, short)])
     for_long = ran(architecture, [(S, short), down, (80 * S, LinkCameUp(queued.robot))])
@@ -281,11 +256,7 @@ def test_a_robot_that_reports_back_says_what_has_become_of_its_actuator_since(
     for start, since, after in cases:
         facts: list[Fact] = [*start, (3, ends(B)), (S, TASK), *since, (60 * S, begins(B))]
         run = ran("fsar", facts, size=4)
-        words = [
-            event
-            for time_us, event in of(run, AvailabilityChanged)
-            if isinstance(event, AvailabilityChanged) and 60 * S < time_us < 61 * S
-        ]
+        words = [event for time_us, event in of(run, AvailabilityChanged) if 60 * S < time_us < 61 * S]
         first.add(tuple(word.reason for word in words))
         assert words[-1] == past.available(B, None, after, words[-1].reason), (start, since, words)
         assert run.state.registry.silent == {}
@@ -315,15 +286,9 @@ def test_where_the_relay_is_silent_the_relay_is_named_and_heard_when_its_word_co
     for run in (relayed(0.05, 0.5, (1, RobotWentOff(A))), relayed(5.5, 6.0)):
         (asked_us, asked), *_ = of(run, RequestIssued)
         (late_us, late), *_ = of(run, RequestUnanswered)
-        assert isinstance(asked, RequestIssued)
-        assert isinstance(late, RequestUnanswered)
         assert (asked.relay, asked.principals.executed_by, late.principals.executed_by) == (A, B, A)
         assert late_us - asked_us == ANSWER_US
-    words = [
-        (event.robot, event.availability)
-        for _, event in of(relayed(5.5, 6.0), AvailabilityChanged)
-        if isinstance(event, AvailabilityChanged)
-    ]
+    words = [(event.robot, event.availability) for _, event in of(relayed(5.5, 6.0), AvailabilityChanged)]
     assert words[:2] == [(A, "offline"), (A, "ready")]
 
 
@@ -331,7 +296,6 @@ def test_where_the_relay_is_silent_the_relay_is_named_and_heard_when_its_word_co
 def test_an_acceptance_that_was_given_before_the_link_went_down_counts(architecture: Architecture) -> None:
     calm = ran(architecture, [(S, TASK)])
     [(queued_us, queued)] = of(calm, ExecutionQueued)
-    assert isinstance(queued, ExecutionQueued)
     run = ran(
         architecture, [(S, TASK), (queued_us + 1, LinkWentDown(queued.robot)), (40 * S, LinkCameUp(queued.robot))]
     )
