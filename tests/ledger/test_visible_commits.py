@@ -153,7 +153,7 @@ def test_a_commit_that_was_on_disk_and_not_visible_counts_once_its_writer_is_gon
 ) -> None:
     path = tmp_path / "ledger"
     leave(path)
-    with locks.locked(path / SEGMENTS):  # by a writer that is at it
+    with disk.locked(path / SEGMENTS):  # by a writer that is at it
         assert open_for_answers(path).head.size == 10
     assert open_for_answers(path).head.size == 25
     report = verify(path)
