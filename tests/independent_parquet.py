@@ -218,6 +218,7 @@ def read_column(leaf: Leaf, column: dict[str, Any], pages: list[Page], rows: int
         own = read_values(reader, leaf.type, about["encoding"], defined.count(leaf.definition), dictionary)
         check_statistics(about["statistics"], leaf, own, len(defined) - len(own))
         values, repetitions, definitions = values + own, repetitions + again, definitions + defined
+    must(column.get("statistics") != {}, True, "no statistics of a column, or some: not empty ones,")
     check_statistics(column.get("statistics", {}), leaf, values, len(definitions) - len(values))
     check_sizes(column.get("sizes", {}), leaf, values, repetitions, definitions)
     found: Values = assembled(values, repetitions, definitions, leaf.definition)
