@@ -54,6 +54,19 @@ def test_every_event_has_one_line_that_says_something(is_bare: bool) -> None:
         assert note is None or (note.strip(" ;") == note != ""), (tag, note)
 
 
+def test_the_words_of_an_event_name_parts_of_the_line_that_are_there() -> None:
+    with from_rows([]) as database:
+        told = {str(row["type"]): row for row in database.query("facts/occurrence_words").to_pylist()}
+    columns = ("run_id", "seq", "sender", "receiver", "message")
+    runs = (run_with(tag, is_bare=False) for tag in told if not tag.startswith("RunStarted"))
+    lines = {tag: line for tag, seq, *line in answer("facts/log_lines", *runs, columns=columns) if seq == 1}
+    for tag, (sender, receiver, message) in lines.items():
+        assert None not in (sender, receiver), tag
+        if told[tag]["detail"] is not None:
+            assert str(message).startswith(f"{told[tag]['words']}: "), tag
+    assert len(lines) == len(told) - 1
+
+
 def test_the_parts_of_an_event_are_named_where_they_are_known() -> None:
     opened = event("PolicyWindowOpened", S, robot=B, scope="fleet", window="fleet/B1/0", outcome="deny")
     assert line(opened) == (B, B, "policy window opens: fleet/B1/0", "fleet deny")

@@ -35,7 +35,7 @@ from fsar_ledger.ledger.rows.codec import LedgerRun, decode, encode
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.world import World, evolve
 from fsar_ledger.runtime.architectures.handler_table import HandlerTable
-from fsar_ledger.runtime.handlers import task
+from fsar_ledger.runtime.handlers import execution, task
 from fsar_ledger.runtime.handlers.commands import BeginStep, Command, Handlers, Scheduled, StartAction
 from fsar_ledger.runtime.handlers.public import PublicCommand
 from fsar_ledger.runtime.kernel import Kernel
@@ -84,6 +84,8 @@ def test_a_handler_table_that_lacks_what_it_names_is_refused() -> None:
         HandlerTable.of(forgetful)
     with pytest.raises(ValueError, match="lacks what it names: reacts"):
         HandlerTable.of(task, instead={reacts: reacts})
+    with pytest.raises(ValueError, match="lacks what it names: TakeTurn by no handler, StartAction by no handler, Dec"):
+        HandlerTable.of(task, execution)
     with pytest.raises(ValueError, match="lacks what it names: Unknown by no module"):
         HandlerTable.of(task, own={Unknown: lambda _state, _command: ()})
 

@@ -18,11 +18,23 @@ from fsar_ledger.runtime.handlers import (
     task,
     trust,
 )
-from fsar_ledger.runtime.handlers.commands import Actor, Command, Decide, Handlers, React
+from fsar_ledger.runtime.handlers.commands import (
+    Actor,
+    Command,
+    Decide,
+    DecideRoutine,
+    Handlers,
+    React,
+    StartAction,
+    TakeTurn,
+)
 from fsar_ledger.runtime.handlers.public import PublicCommand
 
 COMMON = (task, execution, supervision)
 """What every architecture has: tasks, bodies, supervisors, and what becomes of a task that is given up."""
+
+EXPECTED: tuple[type[Command], ...] = (TakeTurn, StartAction, DecideRoutine)
+"""What the shared modules give, and each architecture decides in its own way."""
 
 PUBLIC = (fleet, registry, advertising, request, authority, trust, policy, recovery)
 """Commands from outside that need the registry, trust, policy and rights of FSAR."""
@@ -74,6 +86,8 @@ class HandlerTable(msgspec.Struct, frozen=True, eq=False):
             for command in decides
             if not issubclass(command, PublicCommand) and command not in actors
         ]
+        if execution in modules:
+            missing += [f"{command.__name__} by no handler" for command in EXPECTED if command not in decides]
         if missing:
             raise ValueError(f"a handler table lacks what it names: {', '.join(missing)}")
         return cls(decides | (own or {}), reacts, actors)
