@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from fsar_ledger.base import printable
 from fsar_ledger.base.errors import UsageError
-from fsar_ledger.metrics.database import PRINCIPALS, RUNS, names_on_record
 from fsar_ledger.metrics.query_parameters import TIME, require_known
+from fsar_ledger.metrics.recorded_names import PRINCIPALS, RUNS, names_on_record
 from fsar_ledger.metrics.verified import is_verified_for_runs, require_runs
 
 from .names import MAX_DIGITS, Time, microseconds, named, principal_named, run_named

@@ -96,7 +96,7 @@ def multiverse(
     Raises:
         InvalidExperiment: There is no such metric.
     """
-    from fsar_ledger.designs.registered import known
+    from fsar_ledger.designs.names import known
     from fsar_ledger.metrics.multiverse import multiverse as read
 
     from .provenance import of_judgement

@@ -4,34 +4,28 @@ Completion: what is called when the shell asks imports what it needs then, and o
 shell has no place for a message.
 """
 
+import inspect
 import os
+import re
 import signal
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, get_args
 
 import typer
+from typer.core import TyperCommand, TyperOption
 
+from fsar_ledger.api.verbs import RAW, Option, Verb, argument, declared
 from fsar_ledger.api.workload import stored, workers_of
 from fsar_ledger.base import memory, printable
-from fsar_ledger.base.errors import FsarLedgerError, LimitReached, UsageError
+from fsar_ledger.base.errors import FsarLedgerError, LimitReached, QueryFailed, UsageError
 
 from .terminal import say
 
 if TYPE_CHECKING:
     from fsar_ledger.metrics.query_parameters import Parameter
-
-import inspect
-import re
-from collections import Counter
-from contextlib import nullcontext
-from typing import Annotated, get_args
-
-from typer.core import TyperCommand, TyperOption
-
-from fsar_ledger.api.verbs import RAW, Option, Verb, argument, declared
-from fsar_ledger.base.errors import QueryFailed
 
 LEDGER = argument("LEDGER", "The folder of a ledger.")
 TAKEN: Mapping[str, Option] = {
@@ -301,7 +295,8 @@ def _values(line: Line, one: "Parameter") -> Sequence[str]:
 def _on_record(line: Line, kind: str, run: str | None) -> list[str]:
     """Return the names of this kind in the ledger that the line names, of one run or of all. Raises: As `connect`."""
     from fsar_ledger.api.lookup import run_of
-    from fsar_ledger.metrics.database import connect, names_on_record
+    from fsar_ledger.metrics.database import connect
+    from fsar_ledger.metrics.recorded_names import names_on_record
 
     with connect(Path(str(line.given.get("ledger") or ""))) as database:
         return names_on_record(database, kind, None if run in (None, "all") else run_of(database, run))

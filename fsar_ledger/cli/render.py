@@ -6,18 +6,13 @@ memory does not grow with the answer.
 
 import os
 import sys
-import time
-from types import TracebackType
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from rich.progress import Progress as Bar
-
 import tempfile
+import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack
 from functools import partial
 from pathlib import Path
+from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -31,6 +26,8 @@ from fsar_ledger.base.printable import SafeText
 from .terminal import has_keys, pause, say, show, width_of_output
 
 if TYPE_CHECKING:
+    from rich.progress import Progress as Bar
+
     from fsar_ledger.api.ledger import Ledger
     from fsar_ledger.api.provenance import Provenance
     from fsar_ledger.api.table import Rows

@@ -4,13 +4,12 @@ Adding a file, named after what is in it, registers another one; nothing else ch
 used.
 """
 
-from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 from typing import TypeVar
 
 from fsar_ledger.base import printable
-from fsar_ledger.base.errors import InvalidExperiment, UsageError
+from fsar_ledger.base.errors import UsageError
 
 from . import Fleet, Scenario, Workflow
 from .files import Field, at_line, decoded
@@ -88,19 +87,3 @@ def _read(folder: str, name: str, kind: type[_T]) -> _T:
 
 def _folder(name: str) -> Path:
     return Path(__file__).parents[1] / "runtime" / "world" / name
-
-
-_Name = TypeVar("_Name", bound=str)
-
-
-def known(what: str, asked: Sequence[str] | None, names: tuple[_Name, ...]) -> tuple[_Name, ...]:
-    """Return the names asked for, each once, in the order of `names`.
-
-    Raises:
-        InvalidExperiment: A name is unknown; the message suggests the nearest.
-    """
-    for name in asked or ():
-        if name not in names:
-            hint = printable.did_you_mean(name.lower(), names)
-            raise InvalidExperiment(f"unknown {what} {name!r}{hint or ';'} expected one of {', '.join(names)}")
-    return tuple(name for name in names if name in (asked or ()))

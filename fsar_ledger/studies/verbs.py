@@ -42,7 +42,7 @@ def study_show(
         UsageError: The file cannot be read, or none is given and the package has none.
         FsarLedgerError: It holds something else.
     """
-    from fsar_ledger.designs.registered import known
+    from fsar_ledger.designs.names import known
     from fsar_ledger.metrics.effects import MADE_BY, open_effects
     from fsar_ledger.metrics.study_results import Calibration, Comparison, Predictions, packaged, read
 

@@ -18,7 +18,7 @@ from fsar_ledger.events.envelope import Robot, Supervisor
 from fsar_ledger.events.fleet import RobotJoined, RunStarted
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.rows.codec import LedgerRun
-from fsar_ledger.metrics.verdicts import JUDGES, kinds
+from fsar_ledger.metrics.verdict_events import JUDGES, kinds
 from fsar_ledger.view.why import figure
 from tests.analysis.conftest import OUTAGES, simulated
 from tests.cli.conftest import Call, one_message

@@ -22,7 +22,7 @@ from fsar_ledger.events.world import ContextChanged, ObstructionAppeared, Policy
 from fsar_ledger.metrics.constant_names import default_of, unlike_ours
 from fsar_ledger.runtime.experiment import Experiment
 from fsar_ledger.runtime.recipes import constants_used, remarks_on
-from fsar_ledger.runtime.replay import replay_run
+from fsar_ledger.runtime.replay import Difference, replay_run
 from fsar_ledger.runtime.simulation import RunSpec, run_started, simulate_run
 from fsar_ledger.runtime.world.schedule import arrivals_expected, schedule
 from tests.runtime.forgeries import changed, renamed
@@ -125,37 +125,22 @@ EMPTY = {
 }
 
 
+def replayed_in(world: WorldConstants) -> Difference:
+    """In what a run differs that says it met this world."""
+    record = honest(SPECS[0])
+    started = msgspec.structs.replace(record.events[0], parameters=write_constants(Constants(world)))
+    return known(replay_run(renamed(changed(record, 0, started))))
+
+
 @pytest.mark.parametrize("name", list(ENDLESS))
 def test_a_world_that_nobody_can_make_is_a_finding_at_once(name: str) -> None:
-    record = honest(SPECS[0])
-    difference = known(
-        replay_run(
-            renamed(
-                changed(
-                    record,
-                    0,
-                    msgspec.structs.replace(record.events[0], parameters=write_constants(Constants(ENDLESS[name]))),
-                )
-            )
-        )
-    )
+    difference = replayed_in(ENDLESS[name])
     assert (difference.seq, difference.field) == (0, "parameters")
 
 
 @pytest.mark.parametrize("name", list(EMPTY))
 def test_a_world_in_which_something_never_happens_is_made_and_differs_where_it_did(name: str) -> None:
-    record = honest(SPECS[0])
-    difference = known(
-        replay_run(
-            renamed(
-                changed(
-                    record,
-                    0,
-                    msgspec.structs.replace(record.events[0], parameters=write_constants(Constants(EMPTY[name]))),
-                )
-            )
-        )
-    )
+    difference = replayed_in(EMPTY[name])
     assert (difference.seq or 0) > 0
     assert difference.actual.endswith("which the world of this run does not have")
 

@@ -1,4 +1,4 @@
-"""Helpers for reading columns: as one array, strings as codes, buffers as numpy arrays, each once a table."""
+"""Helpers for columns: read as one array, strings as codes, buffers as numpy arrays; and made from Python values."""
 
 from collections import defaultdict
 from collections.abc import Callable, Iterable
@@ -8,10 +8,13 @@ from typing import Any, TypeAlias, TypeVar
 import numpy as np
 import pyarrow as pa
 
-from .schema import MAX_INTEGER
+from fsar_ledger.ledger.rows.schema import MAX_INTEGER
 
 Mask: TypeAlias = "np.ndarray[tuple[int], np.dtype[np.bool_]]"
 Integers: TypeAlias = "np.ndarray[tuple[int], np.dtype[np.signedinteger[Any]]]"
+Positions: TypeAlias = "np.ndarray[tuple[int], np.dtype[np.int64]]"
+Codes: TypeAlias = "np.ndarray[tuple[int], np.dtype[np.int32]]"
+Values: TypeAlias = "np.ndarray[tuple[int], np.dtype[Any]]"
 
 _T = TypeVar("_T")
 
@@ -90,11 +93,6 @@ def places(strings: pa.DictionaryArray) -> Integers:
     if not strings.null_count:
         return numbers(strings.indices)
     return np.where(validity(strings.indices), numbers(strings.indices), len(strings.dictionary))
-
-
-Positions: TypeAlias = "np.ndarray[tuple[int], np.dtype[np.int64]]"
-Codes: TypeAlias = "np.ndarray[tuple[int], np.dtype[np.int32]]"
-Values: TypeAlias = "np.ndarray[tuple[int], np.dtype[Any]]"
 
 
 class Texts:

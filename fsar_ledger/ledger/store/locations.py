@@ -2,6 +2,8 @@
 
 Signatures bind roots. Whoever can write the folder can chain a line of the index anew that leaves a run out, or a part
 of one; its rows are there, and lead to the root.
+
+A writer asks which runs there are, and how far they go: a run goes on where it stopped.
 """
 
 from collections.abc import Iterable, Sequence

@@ -1,4 +1,8 @@
-"""What a Writer makes before it appends: a ledger, its lock, what an interrupted writer left, and merged segments."""
+"""What a Writer makes before it appends: a ledger, its lock, what an interrupted writer left, and merged segments.
+
+The segment of a journal is made in a thread, while its writer goes on with another journal; nothing is written there.
+What is made in vain, because another writer was quicker, is dropped.
+"""
 
 import fcntl
 import os

@@ -7,6 +7,9 @@ ledger.json), so the last line vouches for all. There are two kinds:
 commit      events were added: how many, the tree with them, perhaps a signature; never superseded
 placement   events FIRST to FIRST + ROWS are in this segment; a later one of the same events supersedes it
 ```
+
+An end that a crash has torn is told from damage: there, more follows that was on disk only after what cannot be read.
+What cannot be read may hold anything, so each byte is looked at a few times at most.
 """
 
 import base64

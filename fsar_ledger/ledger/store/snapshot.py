@@ -11,13 +11,12 @@ from time import monotonic, sleep
 from typing import NamedTuple
 
 from fsar_ledger.base.errors import FormatVersionMismatch, LedgerCorrupted
+from fsar_ledger.ledger.store import disk, growing
 from fsar_ledger.ledger.store.journal import FIRST, Journal, after_lines, read_frames
 from fsar_ledger.ledger.store.links import Chain, Followed, follow
 from fsar_ledger.ledger.store.paths import CHAIN, CHECKPOINT, JOURNAL, SEALING, SEGMENTS
 from fsar_ledger.ledger.store.problem import LaterRelease, Problem
 from fsar_ledger.ledger.store.record import Commit, Placement, line_at, parse_line
-
-from . import disk, growing
 
 MAX_CHAIN_BYTES = 1 << 32
 MAX_JOURNAL_BYTES = 1 << 30
