@@ -65,6 +65,13 @@ def ruled(
     return outcome
 
 
+def standing(
+    state: Policy, scope: PolicyScope, robot: Robot, capability: str | None, context: str | None
+) -> PolicyOutcome:
+    """Return the outcome of the strictest rule of this scope that applies; `allow` if none does."""
+    return "allow" if state.is_empty else ruled(state, scope, robot, capability, context) or "allow"
+
+
 def _about(
     state: Policy, scope: PolicyScope, robot: Robot, capability: str | None, context: str | None
 ) -> Iterator[tuple[Rule | RoleRule, PolicyOutcome]]:

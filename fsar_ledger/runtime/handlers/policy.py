@@ -8,7 +8,7 @@ from fsar_ledger.events.policy import PolicyConflictEscalated, PolicyRuleSet, Ro
 from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.knowledge import Knowledge
-from fsar_ledger.projections.policy import Policy, ruled
+from fsar_ledger.projections.policy import Policy, ruled, standing
 from fsar_ledger.projections.world import World, in_force, stricter
 
 from .commands import Handlers
@@ -53,10 +53,7 @@ def own_policy(
     policy: Policy, world: World, robot: Robot, capability: str | None, context: str | None
 ) -> PolicyOutcome:
     """Return P_i(e, sigma): the strictest of the robot's open windows and of its rules. Paper: app:foundations."""
-    window = in_force(world.local, robot)
-    return (
-        window if policy.is_empty else stricter(window, ruled(policy, "local", robot, capability, context) or "allow")
-    )
+    return stricter(in_force(world.local, robot), standing(policy, "local", robot, capability, context))
 
 
 def fleet_policy(
@@ -64,7 +61,7 @@ def fleet_policy(
 ) -> PolicyOutcome:
     """Return the strictest of the fleet's rules for the robot and the rule for its zone as last heard."""
     heard = knowledge.fleet_rule.get(robot, "allow")
-    return heard if policy.is_empty else stricter(heard, ruled(policy, "fleet", robot, capability, context) or "allow")
+    return stricter(heard, standing(policy, "fleet", robot, capability, context))
 
 
 def compose(

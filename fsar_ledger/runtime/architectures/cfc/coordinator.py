@@ -22,10 +22,11 @@ from fsar_ledger.events.world import SyncPhaseSet
 from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.knowledge import Knowledge
+from fsar_ledger.projections.policy import Policy, standing
 from fsar_ledger.projections.registry import Registry
 from fsar_ledger.projections.request import Request
 from fsar_ledger.projections.task import given_up_us
-from fsar_ledger.projections.world import in_force
+from fsar_ledger.projections.world import in_force, stricter
 from fsar_ledger.runtime.handlers import supervision
 from fsar_ledger.runtime.handlers.attribution import capable, is_idle
 from fsar_ledger.runtime.handlers.commands import (
@@ -97,6 +98,16 @@ def copied_rule(copy: CopySynced, robot: Robot) -> PolicyOutcome:
     if robot in copy.fleet_deny:
         return "deny"
     return "review" if robot in copy.fleet_review else "allow"
+
+
+# See docs/decisions/declared-rules-reach-every-architecture.md.
+def declared(policy: Policy, robot: Robot, capability: str | None, context: str | None) -> PolicyOutcome:
+    """Return what the rules on record say, the robot's own and the fleet's: no copy of them is out of date.
+
+    Only a founding sets rules under this architecture.
+    """
+    about = (robot, capability, context)
+    return stricter(standing(policy, "local", *about), standing(policy, "fleet", *about))
 
 
 def candidates_of(fleet: Fleet, registry: Registry, request: Request) -> tuple[Robot, ...]:

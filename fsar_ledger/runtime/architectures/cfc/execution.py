@@ -39,7 +39,7 @@ from fsar_ledger.runtime.handlers.commands import (
 )
 from fsar_ledger.runtime.handlers.execution import approach, pause_running, started, waiting
 
-from .coordinator import ReachCoordinator, copied_policy, copied_rule, until_next_sync_us
+from .coordinator import ReachCoordinator, copied_policy, copied_rule, declared, until_next_sync_us
 
 HANDLERS = Handlers()
 
@@ -107,7 +107,8 @@ def decide_routine(state: State, command: DecideRoutine) -> tuple[Event, ...]:
     robot = command.robot
     principals = Parties(requested_by=robot, executed_by=robot, supervised_by=FLEET_SUPERVISOR).decided(robot)
     copy = state.knowledge.copy
-    if command.operation == "motion" and "deny" in (copied_policy(copy, robot), copied_rule(copy, robot)):
+    known = (copied_policy(copy, robot), copied_rule(copy, robot), declared(state.policy, robot, None, None))
+    if command.operation == "motion" and "deny" in known:
         return (RoutineWithheld(principals, robot, command.operation),)
     return (RoutinePerformed(principals, robot, command.operation),)
 

@@ -53,6 +53,7 @@ from .coordinator import (
     by_coordinator,
     candidates_of,
     copied_policy,
+    declared,
     gap_of,
     to_coordinator,
     until_next_sync_us,
@@ -100,7 +101,7 @@ def process(state: State, command: ProcessWork) -> tuple[Event, ...]:
 
 
 def _match(state: State, command: ProcessWork) -> tuple[Event, ...]:
-    """Pick a robot by the coordinator's copy, then gate the step on the copied policy and the fleet's rule."""
+    """Pick a robot by the coordinator's copy, then gate the step on policy and the fleet's rule as it knows them."""
     request = state.request.open.get(command.action_id)
     if request is None or request.task_id not in state.task:
         return ()
@@ -113,7 +114,8 @@ def _match(state: State, command: ProcessWork) -> tuple[Event, ...]:
     if request.is_delegated and command.item == "step":
         records.append(RequestIssued(subject=unnamed, principals=by_coordinator(robot), capability=request.capability))
         records += [CandidateMatched(request.task_id, by_coordinator(None), request.capability) for _ in asked]
-    outcome = stricter(copied_policy(state.knowledge.copy, robot), in_force(state.world.fleet, robot))
+    window = stricter(copied_policy(state.knowledge.copy, robot), in_force(state.world.fleet, robot))
+    outcome = stricter(window, declared(state.policy, robot, request.capability, request.task_id))
     if outcome == "deny":
         return (*records, RequestDenied(unnamed, by_coordinator(robot), "policy"))
     if outcome == "review" and command.action_id not in state.supervision.approved:

@@ -20,9 +20,9 @@ from fsar_ledger.projections.authority import Authority
 from fsar_ledger.projections.execution import Action, Execution
 from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
-from fsar_ledger.projections.knowledge import Knowledge
+from fsar_ledger.projections.policy import standing
 from fsar_ledger.projections.request import Request
-from fsar_ledger.projections.world import in_force
+from fsar_ledger.projections.world import in_force, stricter
 from fsar_ledger.runtime.handlers.attribution import is_injected, recorded_by
 from fsar_ledger.runtime.handlers.authority import close_execution
 from fsar_ledger.runtime.handlers.commands import (
@@ -143,9 +143,14 @@ def planner(robot: Robot) -> Agent:
     return agent(robot, "planning")
 
 
-def snapshot(knowledge: Knowledge, robot: Robot) -> PolicyOutcome:
-    """Return the robot's own policy as its planner last saw it."""
-    return knowledge.snapshot.get(robot, "allow")
+# See docs/decisions/declared-rules-reach-every-architecture.md.
+def snapshot(state: State, robot: Robot, capability: str | None, context: str | None) -> PolicyOutcome:
+    """Return the robot's own policy as its planner knows it: its windows when last seen, and its rules.
+
+    No agent composes the fleet's rule or the requester's policy. Paper: sec:evaluation:baselines.
+    """
+    window = state.knowledge.snapshot.get(robot, "allow")
+    return stricter(window, standing(state.policy, "local", robot, capability, context))
 
 
 @HANDLERS.decide(TakeSnapshot, named)

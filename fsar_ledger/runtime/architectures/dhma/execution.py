@@ -199,7 +199,8 @@ class QueueOwnStep(ActionCommand):
 @HANDLERS.decide_on(open_request, PlanOwnStep, requester)
 def plan_own_step(state: State, command: PlanOwnStep, request: Request) -> tuple[Event, ...]:
     """Decide to do the step, unless the planner's snapshot forbids it for now."""
-    robot, outcome = request.requester, snapshot(state.knowledge, request.requester)
+    robot = request.requester
+    outcome = snapshot(state, robot, request.capability, request.task_id)
     parties = recorded_by(state, robot, requested_by=robot, executed_by=robot)
     principals = parties.decided(*path(robot, ("planning",)))
     if command.action_id not in state.supervision.approved:
@@ -245,7 +246,7 @@ def decide_routine(state: State, command: DecideRoutine) -> tuple[Event, ...]:
         own = recorded_by(state, robot, requested_by=robot, executed_by=robot)
         return (RoutinePerformed(own.decided(robot), robot, "sensing"),)
     parties = recorded_by(state, robot, requested_by=robot, executed_by=None)
-    kind = RoutinePerformed if snapshot(state.knowledge, robot) == "allow" else RoutineWithheld
+    kind = RoutinePerformed if snapshot(state, robot, None, None) == "allow" else RoutineWithheld
     return (
         kind(parties.decided(*path(robot, ("planning",))), robot, "motion"),
         RoutineReported(Parties(requested_by=None, executed_by=robot, supervised_by=None), robot),

@@ -122,7 +122,7 @@ def call_for_proposals(state: State, _command: CallForProposals, request: Reques
 @HANDLERS.decide_on(open_request, EvaluateBid, named)
 def evaluate_bid(state: State, command: EvaluateBid, request: Request) -> tuple[Event, ...]:
     """Bid by the snapshot of the candidate's planner, without naming the agent that would execute."""
-    robot, outcome = command.robot, snapshot(state.knowledge, command.robot)
+    robot, outcome = command.robot, snapshot(state, command.robot, request.capability, request.task_id)
     parties = _parties(state, request, robot, None)  # a candidate is not yet the executor
     judging = parties.decided(*path(robot, EVALUATION))
     submitted = BidSubmitted(request.task_id, parties, robot, outcome)
