@@ -102,7 +102,7 @@ class Structure(msgspec.Struct, frozen=True):
     poll_us: AfterFits[int] = 1_000_000  # an own step that the fleet's rule holds asks again after this
     replan_us: AfterFits[int] = 1_000_000  # replanning after a context change (the last part of it in CFC and DHMA)
     retry_preparation_us: AfterFits[int] = 400_000  # diagnosis before each attempt to recover (DHMA too)
-    local_attempts: Paper[int] = 2  # recovery budget of the local level: attempts (DHMA too)
+    local_attempts: Paper[int] = 2  # recovery budget of the local level: attempts (DHMA too; CFC one at most)
     local_budget_us: Paper[int] = 30_000_000  # recovery budget of the local level: time
     negotiation_rounds: Chosen[int] = 3  # counter-offers in one negotiation; the executor then denies
     peer_budget_us: Chosen[int] = 30_000_000  # of the peer level: time from turning to the peers until one is asked
@@ -110,7 +110,7 @@ class Structure(msgspec.Struct, frozen=True):
     fleet_budget_us: Chosen[int] = 30_000_000  # of the fleet level: time until the orchestrator has decided
     fleet_reassignments: AfterFits[int] = 1  # and reassignments: after one it is another robot's execution
     human_budget_us: Chosen[int] = 120_000_000  # of the human level: time a call stays open, twice the longest response
-    human_calls: Chosen[int] = 2  # and calls: an H_i who does not answer, then H_F
+    human_calls: Chosen[int] = 2  # and calls: an H_i who does not answer, then H_F (CFC and DHMA: H_F, once)
     encounter_memory_us: AfterFits[int] = 60_000_000  # without a registry, a met peer is known this long
     # CFC
     sync_period_us: Fitted[int] = 6_440_000  # the coordinator's copies are refreshed this often

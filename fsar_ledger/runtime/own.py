@@ -155,6 +155,10 @@ def _number(setting: str, name: str, value: str) -> float | int:
         raise UsageError(f"--set {setting}: found {printable.value(value)}, expected a number")
     if found < 0 and name not in SIGNED:
         raise UsageError(f"--set {setting}: found {value}, expected 0 or more")
+    if found < 1 and name == "structure.human_calls":
+        raise UsageError(
+            f"--set {setting}: found {value}, expected 1 or more: what nobody else resolved must reach a human"
+        )
     if found > 1 and name.endswith(_SHARES):
         raise UsageError(f"--set {setting}: found {value}, expected a share, 0 to 1")
     return found

@@ -267,9 +267,9 @@ def test_a_start_that_a_rule_held_goes_on_when_the_rule_is_replaced() -> None:
         apply(state, event)
         return [one.command for react in FSAR.reacts[type(event)] for one in react(state, event, 6)]
 
-    assert woken(rule("review", robot=A)) == []
     assert woken(RolePolicyRuleSet(scope="local", role="A", outcome="allow")) == [], "the robot's own stands"
     assert woken(rule("allow", robot=B)) == []
+    assert woken(rule("review", robot=A)) == [StartAction("A1-1/1.1")], "a supervisor can let it go"
     assert woken(rule("allow", robot=A)) == [StartAction("A1-1/1.1")]
     assert types(start(state, StartAction("A1-1/1.1", now_us=9, answer=7))) == ["ExecutionStarted"]
 

@@ -68,7 +68,8 @@ def process(state: State, command: ProcessWork) -> tuple[Event, ...]:
     if command.item == NO_ANSWER and recovery.awaited is None:  # it has answered at last
         return ()
     copy, robot = state.knowledge.copy, action.robot
-    if command.item == "failure" and robot not in copy.degraded and copied_policy(copy, robot) == "allow":
+    is_first = command.item == "failure" and state.fleet.structure.local_attempts > 0
+    if is_first and robot not in copy.degraded and copied_policy(copy, robot) == "allow":
         return (
             RecoveryAttempted(
                 subject=Subject(action.task_id, None),

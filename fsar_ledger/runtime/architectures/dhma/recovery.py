@@ -62,8 +62,10 @@ def dispute(state: State, _command: Dispute, failure: Failure) -> tuple[Event, .
 
 @HANDLERS.decide_on(open_failure, StartRecovery, body)
 def start_recovery(state: State, _command: StartRecovery, failure: Failure) -> tuple[Event, ...]:
-    """Start the first attempt to recover."""
+    """Start the first attempt to recover, or call H_F where the budget has none."""
     action, recovery = failure
+    if state.fleet.structure.local_attempts == 0:
+        return (*_escalated(state, action, recovery), *release(state.authority, action.action_id, DISPUTE))
     return (_attempted(state, action, recovery),)
 
 

@@ -2,7 +2,16 @@
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityClaimed
-from fsar_ledger.events.envelope import POLICY, PolicyOutcome, Principal, Principals, RequestSubject, Robot
+from fsar_ledger.events.envelope import (
+    FLEET_SUPERVISOR,
+    POLICY,
+    PolicyOutcome,
+    Principal,
+    Principals,
+    RequestSubject,
+    Robot,
+    Supervisor,
+)
 from fsar_ledger.events.execution import (
     ApproachStarted,
     ExecutionHeld,
@@ -14,12 +23,15 @@ from fsar_ledger.events.execution import (
 from fsar_ledger.events.knowledge import FleetRuleLearned
 from fsar_ledger.events.policy import PolicyRuleSet, RolePolicyRuleSet
 from fsar_ledger.events.request import RequestAccepted
+from fsar_ledger.events.supervision import SupervisorCalled, SupervisorResponded
 from fsar_ledger.events.task import StepBegan
 from fsar_ledger.events.world import ContextChanged, PolicyWindowClosed, PolicyWindowOpened
 from fsar_ledger.projections.execution import Action, Execution, in_hand
 from fsar_ledger.projections.fold import State
+from fsar_ledger.projections.policy import standing
 from fsar_ledger.projections.request import Request
-from fsar_ledger.projections.world import in_force
+from fsar_ledger.projections.supervision import is_asked
+from fsar_ledger.projections.world import in_force, stricter
 from fsar_ledger.runtime.handlers.admissibility import holding
 from fsar_ledger.runtime.handlers.attribution import recorded_by, supervisor_of
 from fsar_ledger.runtime.handlers.commands import (
@@ -31,6 +43,7 @@ from fsar_ledger.runtime.handlers.commands import (
     Scheduled,
     StartAction,
     TakeTurn,
+    at_once,
     body,
     known_action,
     message,
@@ -40,6 +53,7 @@ from fsar_ledger.runtime.handlers.commands import (
 )
 from fsar_ledger.runtime.handlers.execution import holds_robot, pause_running, queued, start_action, started
 from fsar_ledger.runtime.handlers.policy import conflict, fleet_policy, own_policy
+from fsar_ledger.runtime.handlers.supervision import supervisor_for
 
 HANDLERS = Handlers()
 
@@ -105,8 +119,9 @@ def take_turn(state: State, _command: TakeTurn, action: Action) -> tuple[Event, 
 def start(state: State, command: StartAction) -> tuple[Event, ...]:
     """Start the action, unless the robot's own policy holds it.
 
-    For an own step, the fleet's rule as last heard may hold it as well. A supervisor's approval lifts only the reviews
-    known then. Where the fleet mandates what is held here, the conflict is escalated.
+    For an own step, the fleet's rule as last heard may hold it as well, and a declared rule of review asks a
+    supervisor. An approval lifts only the reviews known then. Where the fleet mandates what is held here, the conflict
+    is escalated.
 
     Paper: sec:architecture:fleet (never a silent override).
     """
@@ -114,6 +129,10 @@ def start(state: State, command: StartAction) -> tuple[Event, ...]:
     if action is None:
         return ()
     local, rule = holding(state, action)
+    if not action.is_delegated and stricter(local, rule) == "review":
+        reviewer = _reviewer(state, action, local, rule)
+        if reviewer is not None:
+            return _asked(state, action, reviewer, "local-policy" if local == "review" else "fleet-rule")
     if local != "allow":
         # See docs/decisions/denials-are-decided-once.md.
         decided_by = None if action.is_delegated or action.was_denied else action.robot
@@ -123,6 +142,28 @@ def start(state: State, command: StartAction) -> tuple[Event, ...]:
     if rule != "allow" and not action.is_delegated:
         return (_held(state, action, rule, "fleet-rule", None),)
     return (started(state, action, command),)
+
+
+def _reviewer(state: State, action: Action, local: PolicyOutcome, rule: PolicyOutcome) -> Supervisor | None:
+    """Return whom a declared rule of review puts the robot's own step before, or None if only a window asks for one.
+
+    H_i for a rule of the robot's own where there is one on shift, else H_F. A window closes by itself; a rule does not.
+    Paper: sec:model:supervision, app:foundations.
+    """
+    about = (action.robot, action.capability, action.task_id)
+    if local == "review" and standing(state.policy, "local", *about) == "review":
+        return supervisor_for(state, action.robot, is_cross_robot=False)
+    if rule == "review" and standing(state.policy, "fleet", *about) == "review":
+        return FLEET_SUPERVISOR
+    return None
+
+
+def _asked(state: State, action: Action, reviewer: Supervisor, reason: str) -> tuple[Event, ...]:
+    """Hold the own step, and put it before the supervisor once."""
+    if is_asked(state.supervision, action.action_id, "review"):
+        return ()
+    called = SupervisorCalled(subject=action.subject, supervisor=reviewer, purpose="review", robot=action.robot)
+    return (_held(state, action, "review", reason, None), called)
 
 
 def _held(
@@ -173,6 +214,16 @@ def _on_hold(state: State, event: ExecutionHeld, _now_us: int) -> tuple[Schedule
     return (start_action(event.subject.action_id, capability, state.fleet.structure.poll_us),)
 
 
+@HANDLERS.react(SupervisorResponded)
+def _on_review(state: State, event: SupervisorResponded, _now_us: int) -> tuple[Scheduled, ...]:
+    """Start an own step that was put before a supervisor, or ask again after the back-off if it was not approved."""
+    action = state.execution.actions.get(event.subject.action_id)
+    if event.purpose != "review" or action is None or action.is_delegated:
+        return ()
+    after_us = 1 if event.approves else state.fleet.structure.back_off_us
+    return (start_action(action.action_id, action.capability, after_us, (at_once(event.principals.decided_by),)),)
+
+
 @HANDLERS.react(PolicyWindowClosed)
 def _on_window_closed(state: State, event: PolicyWindowClosed, now_us: int) -> tuple[Scheduled, ...]:
     return _on_fleet_rule(state, event, now_us) if event.scope == "fleet" else _let_go(state, event.robot)
@@ -192,9 +243,12 @@ def _on_rule(state: State, event: PolicyRuleSet | RolePolicyRuleSet, _now_us: in
 
 
 def _let_go(state: State, robot: Robot) -> tuple[Scheduled, ...]:
-    """Start what the robot's own policy held, if nothing holds it any more."""
+    """Start what the robot's own policy held, if nothing holds it any more or a supervisor can let it go."""
     action = in_hand(state.execution, robot)
-    if action is None or action.stage != "held" or holding(state, action)[0] != "allow":
+    if action is None or action.stage != "held":
+        return ()
+    local, rule = holding(state, action)
+    if local != "allow" and (action.is_delegated or _reviewer(state, action, local, rule) is None):
         return ()
     return (start_action(action.action_id, action.capability),)
 
