@@ -35,7 +35,7 @@ MECHANISMS_OF: dict[Architecture, dict[str, str]] = {
         "contract-questioning": "context changes put contracts in question (else they stand)",
         "policy-snapshots": "decisions on snapshots of policy (else on the present policy)",
         "hop-latency": "agents of a robot hear each other after a delay (else at once)",
-        "handoff-records": "each hop between agents is on record (else none is)",
+        "handoff-records": "an executor's agents record how they pass delegated work on (else they do not)",
         "agent-decisions": "decisions pass through agents (else the robot is on record as the decider)",
         "nested-queries": "nested queries carry requests past visibility (else they come to nothing)",
     },

@@ -215,7 +215,7 @@ def _fit(findings: Findings, record: Calibration | None) -> dict[str, Any] | Non
 
 
 def _background(findings: Findings) -> list[dict[str, str]]:
-    """Return what share of each architecture's decisions and records is routine, and of its losses absence, in percent.
+    """Return what share of each architecture's decisions and records is routine, and of its records under an absence, in percent.
 
     Architectures without decisions or records are left out.
     """
@@ -223,10 +223,10 @@ def _background(findings: Findings) -> list[dict[str, str]]:
         "decisions": "routine_share_of_decisions",
         "local": "routine_share_of_local_decisions",
         "records": "routine_share_of_coordination_events",
-        "absent": "off_shift_share_of_unattributable_events",
+        "absent": "off_shift_share_of_coordination_events",
     }
     return [
-        {"architecture": row["architecture"].upper(), "lost": printing.integer(row["unattributable_events"])}
+        {"architecture": row["architecture"].upper()}
         | {name: "" if row[key] is None else printing.significant(100 * row[key], 3) for name, key in shares.items()}
         for row in findings.background
         if row["routine_share_of_decisions"] is not None and row["routine_share_of_coordination_events"] is not None

@@ -5,6 +5,8 @@
 -- Units: time_us microseconds of run time
 -- NULL: decided_by, or a principal, that the row itself does not record; action_id when the record is not correlated
 --   with an action; part_of when it names no robot
+-- A supervisor is the robot's own where it has one, else H_F. While a robot's own is recorded as absent
+-- (is_off_shift), no record names anybody, and the owner can be recovered from the record of the absence (R8).
 -- Example: fsar-ledger query facts/coordination_events LEDGER
 WITH classified AS (
     SELECT
@@ -35,6 +37,19 @@ parts AS (
     GROUP BY run_id, action_id, part_of
 ),
 
+absent AS (
+    SELECT DISTINCT classified.run_id, classified.seq
+    FROM classified
+    INNER JOIN fleet_members AS members
+        ON classified.run_id = members.run_id AND classified.part_of = members.robot
+    INNER JOIN supervisor_absences AS absences
+        ON
+            members.run_id = absences.run_id AND members.supervisor = absences.supervisor
+            AND classified.seq > absences.left_seq
+            AND classified.seq < coalesce(absences.returned_seq, classified.seq + 1)
+    WHERE classified.supervised_by IS NULL AND classified.requires_supervisor
+),
+
 judged AS (
     SELECT
         records.run_id, records.seq, records.time_us, records.type, records.record_kind, records.task_id,
@@ -48,15 +63,18 @@ judged AS (
         OR coalesce(parts.has_executor, FALSE) AS has_executor,
         records.supervised_by IS NOT NULL
         OR NOT records.requires_supervisor
-        OR coalesce(parts.has_supervisor, FALSE) AS has_supervisor
+        OR coalesce(parts.has_supervisor, FALSE)
+        OR absent.seq IS NOT NULL AS has_supervisor,
+        absent.seq IS NOT NULL AND NOT coalesce(parts.has_supervisor, FALSE) AS is_off_shift
     FROM classified AS records
     LEFT JOIN parts
         ON records.run_id = parts.run_id AND records.action_id = parts.action_id AND records.part_of = parts.part_of
+    LEFT JOIN absent ON records.run_id = absent.run_id AND records.seq = absent.seq
     WHERE records.record_kind IS NOT NULL
 )
 
 SELECT
     run_id, seq, time_us, type, record_kind, task_id, action_id, part_of, decided_by, requested_by, executed_by,
-    supervised_by, has_origin, has_executor, has_supervisor,
+    supervised_by, has_origin, has_executor, has_supervisor, is_off_shift,
     has_origin AND has_executor AND has_supervisor AS is_attributable
 FROM judged

@@ -9,11 +9,6 @@
 WITH judges (judges, context, looked_at) AS (
     VALUES
     (
-        ['records with origin, executor and supervisor'],
-        'registry request policy execution recovery supervision message',
-        ''
-    ),
-    (
         ['i1_local_agent_coherence'], 'fleet',
         'registry trust policy request authority execution recovery supervision message'
     ),
@@ -21,7 +16,11 @@ WITH judges (judges, context, looked_at) AS (
     (['coordination_cost'], 'registry task request execution recovery supervision message', ''),
     (['i3_jointly_composed_policy'], 'request supervision', 'fleet policy execution knowledge'),
     (['i4_outward_recovery'], 'recovery supervision', 'fleet'),
-    (['i5_audit_attributability'], 'fleet registry request policy execution recovery supervision message', ''),
+    (
+        ['i5_audit_attributability', 'records with origin, executor and supervisor'],
+        'fleet registry request policy execution recovery supervision message',
+        ''
+    ),
     (['a1_local_runtime_self_sufficiency'], 'execution', ''),
     (
         ['a2_coordination_only_federation'], '',

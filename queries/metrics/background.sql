@@ -1,11 +1,9 @@
--- Title: How much of each count is routine, and how much of what is not attributable lacks only a supervisor who was
---   off shift
+-- Title: How much of each count is routine, and how much is on record while the supervisor in charge is off shift
 -- Paper: sec:evaluation:metrics
 -- Grain: one row per architecture, configuration, seed and setting (kind, source, model version, constants, fleet size)
 -- Key: architecture?, configuration?, seed?, fleet_size?, kind, source?, model_version?, constants?
 -- Units: counts, and shares of them: routine operations among decisions, local decisions, coordination events and
---   policy violations; among coordination events that are not attributable, those that lack only a supervisor during
---   a recorded absence (R8)
+--   policy violations; among coordination events, those during a recorded absence of the supervisor in charge (R8)
 -- NULL: seed, source, model version of runs that have none; constants where all runs of the kind and model have the
 --   same; a share of nothing; runs that do not observe decisions, records and policy are left out
 -- Example: fsar-ledger query metrics/background LEDGER
@@ -16,15 +14,14 @@ WITH counted AS (
         CASE WHEN is_local THEN decision_kind = 'routine' END AS decided_locally,
         NULL::BOOLEAN AS recorded,
         NULL::BOOLEAN AS violated,
-        NULL::BOOLEAN AS unattributed
+        NULL::BOOLEAN AS is_off_shift
     FROM decisions
     UNION ALL BY NAME
     SELECT
-        records.run_id,
-        records.record_kind = 'routine' AS recorded,
-        CASE WHEN NOT records.is_attributable THEN off_shift.seq IS NOT NULL END AS unattributed
-    FROM coordination_events AS records
-    LEFT JOIN off_shift_records AS off_shift ON records.run_id = off_shift.run_id AND records.seq = off_shift.seq
+        run_id,
+        record_kind = 'routine' AS recorded,
+        is_off_shift
+    FROM coordination_events
     UNION ALL BY NAME
     SELECT
         run_id,
@@ -44,8 +41,7 @@ SELECT
     avg(counted.recorded::INTEGER) AS routine_share_of_coordination_events,
     count(counted.violated) AS policy_violations,
     avg(counted.violated::INTEGER) AS routine_share_of_policy_violations,
-    count(counted.unattributed) AS unattributable_events,
-    avg(counted.unattributed::INTEGER) AS off_shift_share_of_unattributable_events
+    avg(counted.is_off_shift::INTEGER) AS off_shift_share_of_coordination_events
 FROM runs
 INNER JOIN run_settings AS settings ON runs.run_id = settings.run_id
 LEFT JOIN counted ON runs.run_id = counted.run_id

@@ -27,7 +27,8 @@ recovered AS (
         records.* REPLACE (
             records.has_origin OR coalesce(named.has_origin, FALSE) AS has_origin,
             records.has_executor OR coalesce(named.has_executor, FALSE) AS has_executor,
-            records.has_supervisor OR coalesce(named.has_supervisor, FALSE) AS has_supervisor
+            records.has_supervisor OR coalesce(named.has_supervisor, FALSE) AS has_supervisor,
+            records.is_off_shift AND NOT coalesce(named.has_supervisor, FALSE) AS is_off_shift
         )
     FROM coordination_events AS records
     LEFT JOIN named ON records.run_id = named.run_id AND records.action_id = named.action_id

@@ -14,10 +14,10 @@ SELECT
     * REPLACE (
         has_origin AND requested_by IS NOT NULL AS has_origin,
         has_executor AND executed_by IS NOT NULL AS has_executor,
-        has_supervisor AND supervised_by IS NOT NULL AS has_supervisor,
+        has_supervisor AND (supervised_by IS NOT NULL OR is_off_shift) AS has_supervisor,
         is_attributable
         AND requested_by IS NOT NULL
         AND executed_by IS NOT NULL
-        AND supervised_by IS NOT NULL AS is_attributable
+        AND (supervised_by IS NOT NULL OR is_off_shift) AS is_attributable
     )
 FROM coordination_events

@@ -226,6 +226,20 @@ CASES: dict[str, Case] = {
     "handoffs_leave_no_records": Case(
         "audit_attributability", 1 / 2, 2 / 3, [[MOTION, started(), event("InternalHandoff"), event("BidSubmitted")]]
     ),
+    "hops_of_records_are_records": Case(
+        "audit_attributability",
+        1 / 2,
+        1 / 4,
+        [
+            [
+                MOTION,
+                decided(
+                    "agent/B1/execution",
+                    *("agent/B1/communication", "agent/B1/planning", "agent/B1/execution"),
+                ),
+            ]
+        ],
+    ),
     "principals_on_the_record": Case(
         "audit_attributability",
         1.0,
@@ -244,12 +258,13 @@ CASES: dict[str, Case] = {
             ]
         ],
     ),
-    "absent_supervisors_are_excused": Case(
+    "absent_supervisors_are_missing": Case(
         "audit_attributability",
-        1 / 4,
         1 / 2,
+        1 / 4,
         [
             [
+                event("RobotJoined", robot="robot/B1", supervisor="supervisor/B1"),
                 event("SupervisorLeft", supervisor="supervisor/B1"),
                 event("RoutineReported", robot="robot/B1", requested_by="robot/B1", executed_by="robot/B1"),
                 event("RoutineReported", robot="robot/B1", executed_by="robot/B1"),

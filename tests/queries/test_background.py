@@ -76,8 +76,7 @@ def test_shares_of_routine_are_counted() -> None:
         "routine_share_of_coordination_events": pytest.approx(2 / 3),
         "policy_violations": 1,
         "routine_share_of_policy_violations": 1.0,
-        "unattributable_events": 1,
-        "off_shift_share_of_unattributable_events": 0.0,
+        "off_shift_share_of_coordination_events": 0.0,
     }
 
 
@@ -100,7 +99,7 @@ def test_runs_of_another_seed_have_a_row_of_their_own() -> None:
 def test_a_share_of_nothing_is_null() -> None:
     found = shares()
     assert {name: value for name, value in found.items() if "share" not in name} == dict.fromkeys(
-        ("decisions", "local_decisions", "coordination_events", "policy_violations", "unattributable_events"), 0
+        ("decisions", "local_decisions", "coordination_events", "policy_violations"), 0
     )
     assert {value for name, value in found.items() if "share" in name} == {None}
 
@@ -114,9 +113,11 @@ def test_only_a_supervisor_who_is_recorded_as_absent_is_off_shift() -> None:
         event("SupervisorLeft", supervisor="supervisor/A1"),
         event("SupervisorReturned", supervisor="supervisor/A1"),
     )
-    name = "off_shift_share_of_unattributable_events"
-    assert shares(left, lacking, back)[name] == 1.0
-    assert shares(left, back, lacking)[name] == 0.0
-    assert shares(lacking, left)[name] == 0.0
-    assert shares(left, lacking, nobody)[name] == 0.5, "a record that lacks its origin, too, is lost in any case"
-    assert shares(event("SupervisorLeft", supervisor="supervisor/B1"), lacking)[name] == 0.0
+    joined = event("RobotJoined", robot="robot/A1", supervisor="supervisor/A1")
+    name = "off_shift_share_of_coordination_events"
+    assert shares(joined, left, lacking, back, lacking)[name] == 0.5
+    assert shares(joined, left, back, lacking)[name] == 0.0
+    assert shares(joined, lacking, left)[name] == 0.0
+    assert shares(left, lacking)[name] == 0.0, "nobody knows whose supervisor left"
+    assert shares(joined, left, lacking, nobody)[name] == 1.0
+    assert shares(joined, event("SupervisorLeft", supervisor="supervisor/B1"), lacking)[name] == 0.0

@@ -168,11 +168,27 @@ def test_a_principal_is_not_recoverable_from_another_action_another_run_or_witho
     assert judged(uncorrelated, loose)[0] == (False, True, True, False)
 
 
-def test_an_off_shift_supervisor_is_required_and_lacking() -> None:
+def test_who_owns_supervision_can_be_recovered_while_an_absence_is_on_record() -> None:
+    """The metric and I5 give one answer; a robot without a supervisor of its own has H_F, who has to be named."""
+    joined, alone = (
+        event("RobotJoined", robot="robot/B1", supervisor=supervisor) for supervisor in ("supervisor/B1", None)
+    )
+    left = event("SupervisorLeft", supervisor="supervisor/B1")
+    back = event("SupervisorReturned", supervisor="supervisor/B1")
     started = event(
         "ExecutionStarted", action_id="t1/1", requested_by="robot/A1", executed_by="robot/B1", supervised_by=None
     )
-    assert judged(started) == [(True, True, False, False)]
+    for events, is_whole in (
+        ([joined, left, started, back], True),
+        ([joined, started], False),
+        ([joined, left, back, started], False),
+        ([joined, started, left], False),
+        ([joined, event("SupervisorLeft", supervisor="supervisor/A1"), started], False),
+        ([alone, left, started], False),
+    ):
+        assert judged(*events) == [(True, True, is_whole, is_whole)]
+        broken = answer("invariants/i5_audit_attributability", run(*events), columns=("seq",))
+        assert len(broken) == (not is_whole)
 
 
 def test_a_type_that_is_no_record_does_not_count() -> None:

@@ -172,13 +172,14 @@ TOGETHER = [
     (
         "audit_attributability",
         (
-            "absent_supervisors_are_excused",
+            "absent_supervisors_are_missing",
             "denials_are_records",
             "handoffs_leave_no_records",
             "principals_on_the_record",
         ),
         [
             *(
+                event("RobotJoined", robot="robot/B1", supervisor="supervisor/B1"),
                 event("SupervisorLeft", supervisor="supervisor/B1"),
                 REPORTED,
                 decided("coordinator", name="RequestDenied"),
@@ -186,8 +187,8 @@ TOGETHER = [
             ),
             *(started(), event("ExecutionFinished", action_id="a1", robot="robot/B1", executed_by="robot/B1")),
         ],
-        1 / 2,
-        1 / 2,
+        3 / 4,
+        1 / 4,
     ),
     (
         "authority_conflicts",

@@ -342,7 +342,7 @@ def test_what_stands_behind_the_numbers_is_said_where_they_stand(ledger: Path, p
     for name in (
         "routine_share_of_decisions",
         "routine_share_of_local_decisions",
-        "off_shift_share_of_unattributable_events",
+        "off_shift_share_of_coordination_events",
     ):
         assert values(printed, "background", name) == [row[name] for row in rows]
     assert [(one["architecture"].lower(), one["decisions"]) for one in printed["background"]] == [

@@ -1,8 +1,8 @@
 """DHMA: every robot is four fleet-visible agents that talk and pass work to each other.
 
-A talk is the row of agents through which the work goes. Each hop in it takes the latency of an internal message and
-leaves one record, in every phase; what is decided at its end has these agents as its path. Paper:
-sec:evaluation:baselines. Reading: R21.
+A talk is the row of agents through which the work goes. Each hop in it takes the latency of an internal message; what
+is decided at its end has these agents as its path. Only the hand-off of delegated work at its executor leaves records.
+Paper: sec:evaluation:baselines, sec:evaluation:qualitative (Case 4). Reading: R21.
 """
 
 from functools import lru_cache
@@ -28,7 +28,6 @@ from fsar_ledger.runtime.handlers.authority import close_execution
 from fsar_ledger.runtime.handlers.commands import (
     ActionCommand,
     CloseExecution,
-    Command,
     Handlers,
     RobotCommand,
     Scheduled,
@@ -43,7 +42,6 @@ from fsar_ledger.runtime.handlers.execution import pause_running
 from fsar_ledger.runtime.ports import Ask
 
 Talk = tuple[AgentKind, ...]
-TalkPlan = tuple[tuple[Ask, ...], Scheduled]
 
 CALL: Talk = ("planning", "communication")  # the planner wants another robot asked
 EVALUATION: Talk = (
@@ -80,44 +78,31 @@ HANDLERS = Handlers()
 
 
 class HandOver(RobotCommand):
-    """Record a talk between the agents of a robot."""
+    """Record what the executor's agents say when they pass delegated work on, or acknowledge it."""
 
     agents: Talk
 
 
 @HANDLERS.decide(HandOver, named)
 def hand_over(state: State, command: HandOver) -> tuple[InternalHandoff, ...]:
-    """Record each hop, without a requester: no message between agents names one."""
+    """Record each hop, without a requester: no message between agents names one. Reading: R21."""
     names = path(command.robot, command.agents)
     parties = recorded_by(state, command.robot, requested_by=None, executed_by=command.robot)
-    # See docs/decisions/dhma-hops-are-records.md.
+    # See docs/decisions/handoffs-of-delegated-work-are-records.md.
     return tuple([InternalHandoff(parties, sender, receiver) for sender, receiver in pairwise(names)])
 
 
-def talk(
-    fleet: Fleet,
-    robot: Robot,
-    agents: Talk,
-    key: str,
-    name: int | str,
-    before: tuple[Ask, ...] = (),
-    after_us: int = 0,
-) -> TalkPlan:
-    """Return how long these agents talk, and schedule the record of it.
-
-    The talk begins after what comes `before` it, and after `after_us`.
-    """
-    said = (hop(fleet, key, name),) if len(agents) == 2 else hops(fleet, key, str(name), len(agents) - 1)
-    lengths = (*before, *said)
-    return lengths, Scheduled(HandOver(robot, agents), after_us, lengths)
+def talk(fleet: Fleet, agents: Talk, key: str, name: int | str) -> tuple[Ask, ...]:
+    """Return how long these agents talk: the latency of each hop."""
+    return (hop(fleet, key, name),) if len(agents) == 2 else hops(fleet, key, str(name), len(agents) - 1)
 
 
-def after_talk(
-    command: Command, said: TalkPlan, after_us: int = 0, waits: tuple[Ask, ...] = ()
+def handed_over(
+    fleet: Fleet, robot: Robot, agents: Talk, key: str, name: str, command: ActionCommand
 ) -> tuple[Scheduled, ...]:
-    """Schedule what follows once the agents have talked and these waits are over, and the record of their talk."""
-    lengths, record = said
-    return (Scheduled(command, after_us, (*lengths, *waits)), record)
+    """Schedule what follows once these agents have passed on delegated work, and the record that they did."""
+    said = talk(fleet, agents, key, name)
+    return Scheduled(command, 0, said), Scheduled(HandOver(robot, agents), 0, said)
 
 
 @lru_cache(1 << 15)  # a talk of every robot of a large fleet: most of its events are hops

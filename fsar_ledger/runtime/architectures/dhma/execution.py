@@ -54,7 +54,7 @@ from .agents import (
     SETTLEMENT,
     TO_EXECUTION,
     TO_PLANNING,
-    after_talk,
+    handed_over,
     path,
     snapshot,
     talk,
@@ -162,30 +162,30 @@ def _on_acceptance(state: State, event: AuthorityClaimed, _now_us: int) -> tuple
     contract = (event.subject.action_id, request.round)
     match event.reason:
         case "double booking" if event.claimant == agent(robot, "execution"):
-            said = talk(state.fleet, robot, SETTLEMENT, key, "settle")
+            said = talk(state.fleet, SETTLEMENT, key, "settle")
             told = (message(robot, key, "settle"), message(request.requester, key, "settled"))
-            return after_talk(SettleBooking(event.subject.action_id), said, 0, told)
+            return (Scheduled(SettleBooking(event.subject.action_id), 0, (*said, *told)),)
         case "acceptance":
-            said = talk(state.fleet, robot, TO_PLANNING, key, "planning")
-            return after_talk(PassExecution(*contract, *TO_PLANNING), said)
+            passed = PassExecution(*contract, *TO_PLANNING)
+            return handed_over(state.fleet, robot, TO_PLANNING, key, "planning", passed)
         case "planning":
-            acknowledged = talk(state.fleet, robot, FROM_PLANNING, key, "acknowledged")
-            passed = talk(state.fleet, robot, TO_EXECUTION, key, "execution")
+            acknowledged = AcknowledgeExecution(*contract, "communication")
+            passed = PassExecution(*contract, *TO_EXECUTION)
             return (
-                *after_talk(AcknowledgeExecution(*contract, "communication"), acknowledged),
-                *after_talk(PassExecution(*contract, *TO_EXECUTION), passed),
+                *handed_over(state.fleet, robot, FROM_PLANNING, key, "acknowledged", acknowledged),
+                *handed_over(state.fleet, robot, TO_EXECUTION, key, "execution", passed),
             )
         case "execution":
-            said = talk(state.fleet, robot, FROM_EXECUTION, key, "confirmed")
-            return after_talk(AcknowledgeExecution(*contract, "planning"), said)
+            acknowledged = AcknowledgeExecution(*contract, "planning")
+            return handed_over(state.fleet, robot, FROM_EXECUTION, key, "confirmed", acknowledged)
         case _:
             return ()
 
 
 @HANDLERS.react(OutsiderRequestInjected)
 def _on_outsider(state: State, event: OutsiderRequestInjected, _now_us: int) -> tuple[Scheduled, ...]:
-    said = talk(state.fleet, event.robot, CALL, event.task_id, "query")
-    return after_talk(RunOutsider(event.task_id), said, 0, (message(event.robot, event.task_id, 0),))
+    asked = (*talk(state.fleet, CALL, event.task_id, "query"), message(event.robot, event.task_id, 0))
+    return (Scheduled(RunOutsider(event.task_id), 0, asked),)
 
 
 class PlanOwnStep(ActionCommand):
@@ -277,9 +277,8 @@ def _on_response(state: State, event: SupervisorResponded, _now_us: int) -> tupl
 @HANDLERS.react(OwnStepDecided)
 def _on_own_step(state: State, event: OwnStepDecided, _now_us: int) -> tuple[Scheduled, ...]:
     assert event.subject.action_id is not None
-    robot = state.request.open[event.subject.action_id].requester
-    said = talk(state.fleet, robot, OWN_STEP, event.subject.action_id, "own")
-    return after_talk(QueueOwnStep(event.subject.action_id), said)
+    said = talk(state.fleet, OWN_STEP, event.subject.action_id, "own")
+    return (Scheduled(QueueOwnStep(event.subject.action_id), 0, said),)
 
 
 @HANDLERS.react(ExecutionPaused)
@@ -289,12 +288,12 @@ def _on_pause(state: State, event: ExecutionPaused, _now_us: int) -> tuple[Sched
     action = state.execution.actions[event.subject.action_id]
     key = f"{event.subject.action_id}/replan{action.segments}"
     resume = ResumeAction(event.subject.action_id)
-    own = talk(state.fleet, action.robot, REPLANNING, key, "own")
+    own = talk(state.fleet, REPLANNING, key, "own")
     if not action.is_delegated:
-        return after_talk(resume, own, structure.replan_us)
-    heard = (*own[0], message(event.robot, key, 0), message(action.on_behalf_of, key, 1))
-    agreed, other = talk(state.fleet, action.on_behalf_of, RENEGOTIATION, key, "other", heard)
-    return (Scheduled(resume, structure.replan_us + structure.renegotiation_us, agreed), own[1], other)
+        return (Scheduled(resume, structure.replan_us, own),)
+    heard = (*own, message(event.robot, key, 0), message(action.on_behalf_of, key, 1))
+    agreed = (*heard, *talk(state.fleet, RENEGOTIATION, key, "other"))
+    return (Scheduled(resume, structure.replan_us + structure.renegotiation_us, agreed),)
 
 
 HANDLERS.decide(TakeTurn, body)(approach)

@@ -127,11 +127,10 @@ def _escalated(state: State, action: Action, recovery: Recovery, heard: Talk = R
 @HANDLERS.react(ExecutionFailed)
 def _on_failure(state: State, event: ExecutionFailed, now_us: int) -> tuple[Scheduled, ...]:
     key = f"{event.subject.action_id}/{event.failure}"
-    told, record = talk(state.fleet, event.robot, RECOVERY, key, "told")
-    start = Scheduled(StartRecovery(event.subject.action_id), 0, told)
+    start = Scheduled(StartRecovery(event.subject.action_id), 0, talk(state.fleet, RECOVERY, key, "told"))
     if state.knowledge.engaged_until_us.get(event.robot, -1) >= now_us:
-        return (Scheduled(Dispute(event.subject.action_id)), start, record)
-    return (start, record)
+        return (Scheduled(Dispute(event.subject.action_id)), start)
+    return (start,)
 
 
 @HANDLERS.react(PlannerEngaged)
@@ -149,8 +148,8 @@ def _on_attempt(state: State, event: RecoveryAttempted, _now_us: int) -> tuple[S
     key = f"{event.failed_action}/{event.failure}/{event.number}"
     end = EndAttempt(event.failed_action, event.number)
     preparation_us = state.fleet.structure.retry_preparation_us
-    length, record = talk(state.fleet, event.robot, RECOVERY, key, "report", (lasts("retry", key),), preparation_us)
-    return (Scheduled(end, preparation_us, length, holds("retry/" + key)), record)
+    length = (lasts("retry", key), *talk(state.fleet, RECOVERY, key, "report"))
+    return (Scheduled(end, preparation_us, length, holds("retry/" + key)),)
 
 
 @HANDLERS.react(RecoveryAttemptFailed)

@@ -46,7 +46,7 @@ from fsar_ledger.runtime.handlers.commands import (
 from fsar_ledger.runtime.handlers.execution import queued
 from fsar_ledger.runtime.ports import Ask
 
-from .agents import CALL, EVALUATION, OWN_RESULT, RELAY, RESULT, VOIDING, after_talk, path, snapshot, talk
+from .agents import CALL, EVALUATION, OWN_RESULT, RELAY, RESULT, VOIDING, path, snapshot, talk
 
 HANDLERS = Handlers()
 
@@ -240,26 +240,25 @@ def close_request(state: State, _command: CloseRequest, request: Request) -> tup
 LONGEST = 3  # a call that is delivered within the answer time, and two hops, are over after so many of them
 
 
-def call(fleet: Fleet, request: Request, robot: Robot, before: tuple[Ask, ...] = ()) -> tuple[Scheduled, ...]:
+def call(fleet: Fleet, request: Request, robot: Robot, before: tuple[Ask, ...] = ()) -> Scheduled:
     """Deliver the call to the candidate, whose agents work out a bid. The waits `before` come first."""
     key = f"{request.action_id}/{request.round}/{robot}"
-    said = talk(fleet, robot, EVALUATION, key, "evaluate", (*before, message(request.requester, key, "call")))
-    return after_talk(EvaluateBid(request.action_id, robot), said)
+    called = (*before, message(request.requester, key, "call"))
+    return Scheduled(EvaluateBid(request.action_id, robot), 0, (*called, *talk(fleet, EVALUATION, key, "evaluate")))
 
 
 @HANDLERS.react(GapDetected)
 def _on_gap(state: State, event: GapDetected, _now_us: int) -> tuple[Scheduled, ...]:
     assert event.subject.action_id is not None
-    robot = state.request.open[event.subject.action_id].requester
-    said = talk(state.fleet, robot, CALL, event.subject.action_id, 0)
-    return after_talk(CallForProposals(event.subject.action_id), said)
+    said = talk(state.fleet, CALL, event.subject.action_id, 0)
+    return (Scheduled(CallForProposals(event.subject.action_id), 0, said),)
 
 
 @HANDLERS.react(RegistryQueried)
 def _on_call(state: State, event: RegistryQueried, _now_us: int) -> tuple[Scheduled, ...]:
     assert event.subject.action_id is not None
     request = state.request.open[event.subject.action_id]
-    calls = tuple(scheduled for robot in event.candidates for scheduled in call(state.fleet, request, robot))
+    calls = tuple(call(state.fleet, request, robot) for robot in event.candidates)
     return (*calls, *_closing(state.fleet, request, (at_once(request.requester),)))
 
 
@@ -284,8 +283,8 @@ def _on_bid(state: State, event: BidSubmitted, _now_us: int) -> tuple[Scheduled,
         return ()
     key = f"{request.action_id}/{request.round}/{event.robot}"
     received = ReceiveBid(request.action_id, event.robot, event.outcome)
-    said = talk(state.fleet, request.requester, RELAY, key, "relay", (message(event.robot, key, "bid"),))
-    return after_talk(received, said)
+    relayed = (message(event.robot, key, "bid"), *talk(state.fleet, RELAY, key, "relay"))
+    return (Scheduled(received, 0, relayed),)
 
 
 @HANDLERS.react(BidReceived)
@@ -329,11 +328,10 @@ def _on_void(state: State, event: ContractVoided, _now_us: int) -> tuple[Schedul
     """Let both sides' agents agree that the contract is void, and negotiate again under the same action."""
     request = state.request.open[event.subject.action_id]
     key = f"{request.action_id}/{request.round}/void"
-    said, record = talk(state.fleet, event.robot, VOIDING, key, "void")
-    heard = (*said, message(event.robot, key, "void"))
-    agreed, other = talk(state.fleet, request.requester, RELAY, key, "again", heard)
-    calls = tuple(scheduled for robot in request.candidates for scheduled in call(state.fleet, request, robot, agreed))
-    return (*calls, record, other, *_closing(state.fleet, request, agreed))
+    heard = (*talk(state.fleet, VOIDING, key, "void"), message(event.robot, key, "void"))
+    agreed = (*heard, *talk(state.fleet, RELAY, key, "again"))
+    calls = tuple(call(state.fleet, request, robot, agreed) for robot in request.candidates)
+    return (*calls, *_closing(state.fleet, request, agreed))
 
 
 @HANDLERS.react(ExecutionFinished)
@@ -343,11 +341,11 @@ def _on_finish(state: State, event: ExecutionFinished, _now_us: int) -> tuple[Sc
     if request is None or request.step == 0:
         return (close,)
     agents = RESULT if request.is_delegated else OWN_RESULT
-    said = talk(state.fleet, event.robot, agents, event.subject.action_id, "result")
+    said = talk(state.fleet, agents, event.subject.action_id, "result")
     if not request.is_delegated:
-        return (close, *after_talk(CompleteStep(event.subject.action_id), said))
-    told = (message(event.robot, event.subject.action_id, 4),)
-    return (close, *after_talk(CloseRequest(event.subject.action_id), said, 0, told))
+        return (close, Scheduled(CompleteStep(event.subject.action_id), 0, said))
+    told = (*said, message(event.robot, event.subject.action_id, 4))
+    return (close, Scheduled(CloseRequest(event.subject.action_id), 0, told))
 
 
 @HANDLERS.react(RequestClosed)
