@@ -18,6 +18,7 @@ MECHANISMS_OF: dict[Architecture, dict[str, str]] = {
         "engine-closing": "the coordination engine closes requests (else the requester does)",
         "boundary-revocation": "revocation waits for the request boundary (else no claim)",
         "start-recheck": "policy is checked again when delegated work starts (else it starts as admitted)",
+        "fleet-recheck": "the fleet's rule is heeded when delegated work starts (else the robot's own policy alone)",
         "own-work-check": "policy is checked when own steps and motions start (else nothing checks them)",
     },
     "cfc": {

@@ -215,7 +215,7 @@ def _fit(findings: Findings, record: Calibration | None) -> dict[str, Any] | Non
 
 
 def _background(findings: Findings) -> list[dict[str, str]]:
-    """Return what share of each architecture's decisions and records is routine, and of its records under an absence, in percent.
+    """Return what share of decisions and records is routine, and of records under an absence, in percent.
 
     Architectures without decisions or records are left out.
     """

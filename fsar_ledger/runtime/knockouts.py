@@ -36,8 +36,9 @@ from fsar_ledger.runtime.architectures.dhma import recovery as dhma_recovery
 from fsar_ledger.runtime.architectures.dhma import request as dhma_request
 from fsar_ledger.runtime.architectures.fsar import authority as fsar_authority
 from fsar_ledger.runtime.architectures.fsar import request as fsar_request
-from fsar_ledger.runtime.architectures.fsar.execution import ready
+from fsar_ledger.runtime.architectures.fsar.execution import ready, start_under
 from fsar_ledger.runtime.architectures.handler_table import HandlerTable
+from fsar_ledger.runtime.handlers.admissibility import holding
 from fsar_ledger.runtime.handlers.attribution import parties, recorded_by
 from fsar_ledger.runtime.handlers.commands import (
     ActionCommand,
@@ -164,8 +165,19 @@ def _closed_by_requester(state: State, command: CloseRequest) -> tuple[Event, ..
     )
 
 
-def _starting_unchecked(*, is_delegated: bool) -> ChangeTable:
-    """Return the change that starts delegated work (or the robot's own) unchecked; the other kind is still checked."""
+Start = Callable[[State, Action, StartAction], tuple[Event, ...]]
+
+
+def _unchecked(state: State, action: Action, command: StartAction) -> tuple[Event, ...]:
+    return (started(state, action, command),)
+
+
+def _checked_by_itself(state: State, action: Action, command: StartAction) -> tuple[Event, ...]:
+    return start_under(state, action, command, holding(state, action)[0], "allow")
+
+
+def _starting(otherwise: Start, *, is_delegated: bool) -> ChangeTable:
+    """Return the change that starts delegated work (or the robot's own) in this way; the other kind as before."""
 
     def changed(table: HandlerTable) -> HandlerTable:
         checked = table.decides[StartAction]
@@ -175,7 +187,7 @@ def _starting_unchecked(*, is_delegated: bool) -> ChangeTable:
             action = ready(state.execution, command.action_id)
             if action is None or action.is_delegated != is_delegated:
                 return checked(state, command)
-            return (started(state, action, command),)
+            return otherwise(state, action, command)
 
         return HandlerTable({**table.decides, StartAction: start}, table.reacts, table.actors)
 
@@ -195,8 +207,9 @@ _OF_FSAR = (
     Knockout("shared-registry", "fsar"),
     Knockout("engine-closing", "fsar", {CloseRequest: _closed_by_requester}),
     Knockout("boundary-revocation", "fsar", {fsar_authority.Revoke: decide_nothing}),
-    Knockout("start-recheck", "fsar", change=_starting_unchecked(is_delegated=True)),
-    Knockout("own-work-check", "fsar", {DecideRoutine: _moved_unchecked}, _starting_unchecked(is_delegated=False)),
+    Knockout("start-recheck", "fsar", change=_starting(_unchecked, is_delegated=True)),
+    Knockout("fleet-recheck", "fsar", change=_starting(_checked_by_itself, is_delegated=True)),
+    Knockout("own-work-check", "fsar", {DecideRoutine: _moved_unchecked}, _starting(_unchecked, is_delegated=False)),
 )
 
 

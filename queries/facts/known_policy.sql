@@ -1,15 +1,15 @@
--- Title: Executions and motions that policy governs, with the composed outcome that was known at the decision
+-- Title: Executions and motions that policy governs, with the composed outcome that was known at the start
 -- Paper: eq:policy, app:foundations
 -- Grain: one row per ExecutionStarted event and per RoutinePerformed event whose operation is motion
 -- Key: run_id, seq
--- Units: time_us microseconds of run time; decision_seq, denied_seq positions in the run
+-- Units: time_us microseconds of run time; denied_seq position in the run
 -- NULL: action_id for a motion; denied_seq without a refusal that still stands; outcome but deny unless all is observed
 -- Example: fsar-ledger query facts/known_policy LEDGER
 -- Stored: I3 and A3 both read it
 WITH said AS (
     SELECT run_id, seq, action_id, type, outcome
     FROM request_events
-    WHERE type IN ('RequestAdmitted.v1', 'RequestAccepted.v1', 'RequestDenied.v1')
+    WHERE type IN ('RequestAdmitted.v1', 'RequestDenied.v1')
     UNION ALL
     SELECT run_id, seq, action_id, 'approved' AS type, NULL AS outcome
     FROM supervisor_responded
@@ -17,13 +17,8 @@ WITH said AS (
 ),
 
 starts AS (
-    -- The last admission (or acceptance) decides a delegated action, its start any other.
     SELECT
         done.run_id, done.seq, done.time_us, done.type, done.task_id, done.action_id, done.robot, done.capability,
-        coalesce(
-            max(said.seq) FILTER (said.type = 'RequestAdmitted.v1'),
-            max(said.seq) FILTER (said.type = 'RequestAccepted.v1'), done.seq
-        ) AS decision_seq,
         coalesce(max(said.seq) FILTER (said.type = 'approved'), -1) AS approved_seq,
         max(said.seq) FILTER (said.type = 'RequestAdmitted.v1' AND said.outcome <> 'deny') AS admitted_seq,
         max(said.seq) FILTER (said.type = 'RequestDenied.v1') AS denied_seq
@@ -34,7 +29,7 @@ starts AS (
 ),
 
 outcomes AS (
-    -- The executor knows its own policy until it starts; fleet rules, known to all at once, count at the decision.
+    -- The executor knows its own policy, and the fleet's rules, which all know at once, until it starts (R34).
     SELECT starts.run_id, starts.seq, windows.seq AS known_seq, windows.outcome
     FROM starts
     INNER JOIN policy_windows AS windows
@@ -44,7 +39,7 @@ outcomes AS (
                 WHEN windows.scope = 'local'
                     THEN starts.time_us BETWEEN windows.opened_us AND coalesce(windows.closed_us - 1, starts.time_us)
                 WHEN windows.window_name IS NULL
-                    THEN starts.decision_seq BETWEEN windows.seq + 1 AND coalesce(windows.closed_seq, starts.seq)
+                    THEN starts.seq BETWEEN windows.seq + 1 AND coalesce(windows.closed_seq, starts.seq)
             END
             AND (windows.capability IS NULL OR starts.capability = windows.capability)
             AND (windows.context IS NULL OR starts.task_id = windows.context)
@@ -52,7 +47,7 @@ outcomes AS (
     SELECT starts.run_id, starts.seq, rules.seq AS known_seq, rules.outcome -- as the executor had last been told
     FROM starts
     ASOF JOIN fleet_rule_learned AS rules
-        ON starts.run_id = rules.run_id AND starts.robot = rules.robot AND starts.decision_seq > rules.seq
+        ON starts.run_id = rules.run_id AND starts.robot = rules.robot AND starts.seq > rules.seq
     UNION ALL
     -- The requester's own, and that of a relay, as the request carried it.
     SELECT starts.run_id, starts.seq, requests.seq AS known_seq, requests.carried_policy AS outcome
@@ -63,7 +58,7 @@ outcomes AS (
 )
 
 SELECT
-    starts.run_id, starts.seq, starts.time_us, starts.type, starts.action_id, starts.robot, starts.decision_seq,
+    starts.run_id, starts.seq, starts.time_us, starts.type, starts.action_id, starts.robot,
     CASE
         WHEN bool_or(outcomes.outcome = 'deny') THEN 'deny'
         WHEN any_value(list_has_all(runs.observes, ['policy', 'request', 'knowledge']))

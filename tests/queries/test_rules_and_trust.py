@@ -164,11 +164,11 @@ BROKEN: dict[str, tuple[tuple[str, tuple[Row, ...], list[int]], ...]] = {
         ("a3", (rule(1, "review"), reviewed(2, True), admitted(3), started(4)), []),
         ("a3", (reviewed(1, True), admitted(2), rule(3, "review"), started(4)), [4]),
     ),
-    "a rule of the fleet counts as known at the decision": (
+    "a rule of the fleet counts as known at the start": (
         ("i3", (FLEETS, admitted(2), started(3)), [3]),
-        ("i3", (admitted(1), rule(2, scope="fleet"), started(3)), []),  # set after the executor had decided
+        ("i3", (admitted(1), rule(2, scope="fleet"), started(3)), [3]),  # set after the executor had admitted it
         ("i3", (FLEETS, rule(2, "allow", scope="fleet"), admitted(3), started(4)), []),
-        ("i3", (FLEETS, admitted(2), LIFTED, started(4)), [4]),
+        ("i3", (FLEETS, admitted(2), LIFTED, started(4)), []),
         ("i3", (rule(1, robot=None, scope="fleet"), started(2, on_behalf_of="robot/B1")), [2]),  # its own step
         ("i3", (rule(1, robot="robot/A1", scope="fleet"), started(2)), []),
     ),

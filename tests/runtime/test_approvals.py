@@ -18,7 +18,7 @@ from fsar_ledger.runtime.handlers.commands import StartAction, TakeTurn
 from fsar_ledger.runtime.handlers.request import ReportResult
 from tests import past
 from tests.runtime.histories import given, happen, types
-from tests.runtime.live import play
+from tests.runtime.live import decided, play
 from tests.runtime.test_authority import ASK, DOOR, H_B, A, B, scheduled
 from tests.sure import only
 
@@ -80,7 +80,8 @@ def test_what_a_rule_held_after_its_approval_starts_when_that_rule_is_lifted_alt
     broad = PolicyRuleSet(scope="local", robot=B, capability=None, context=None, outcome="deny", decided_by=H_B)
     apply(state, broad)
     assert types(play(state, START)) == ["ExecutionHeld"]
-    assert scheduled(state, msgspec.structs.replace(broad, outcome="review")) == []
+    only(StartAction, scheduled(state, msgspec.structs.replace(broad, outcome="review")))
+    assert types(decided(state, START)) == ["ExecutionHeld", "SupervisorCalled"], "nobody has reviewed that rule"
     only(StartAction, scheduled(state, msgspec.structs.replace(broad, outcome="allow")))
     assert types(play(state, START)) == ["ExecutionStarted"]
 
@@ -111,23 +112,24 @@ def test_a_rule_that_is_set_after_the_approval_holds_the_start_and_one_set_befor
     assert types(play(other, START)) == ["ExecutionStarted"], "about something else"
 
 
-def test_a_rule_of_the_role_that_is_set_after_the_approval_holds_the_start_unless_the_robot_is_an_exception() -> None:
+def test_a_rule_of_the_role_set_after_the_approval_is_reviewed_at_the_start_unless_the_robot_is_an_exception() -> None:
     own = PolicyRuleSet(scope="local", robot=B, capability=DOOR, context=None, outcome="review", decided_by=H_B)
     of_role = RolePolicyRuleSet(scope="local", role="B", outcome="review", domain="", capability=DOOR)
     assert types(play(approved(of_role), START)) == ["ExecutionStarted"], "known when it was given"
-    cases: list[tuple[Event, Event, str]] = [
-        (opened("w1", "review"), of_role, "ExecutionHeld"),
-        (of_role, own, "ExecutionHeld"),
-        (own, of_role, "ExecutionStarted"),
-        (own, msgspec.structs.replace(of_role, outcome="deny"), "ExecutionStarted"),
-        (own, msgspec.structs.replace(of_role, capability=None), "ExecutionHeld"),
-        (opened("w1", "review"), msgspec.structs.replace(of_role, role="A"), "ExecutionStarted"),
-        (opened("w1", "review"), msgspec.structs.replace(of_role, domain="yard"), "ExecutionStarted"),
+    starts, asks = ["ExecutionStarted"], ["ExecutionHeld", "SupervisorCalled"]
+    cases: list[tuple[Event, Event, list[str]]] = [
+        (opened("w1", "review"), of_role, asks),
+        (of_role, own, asks),
+        (own, of_role, starts),
+        (own, msgspec.structs.replace(of_role, outcome="deny"), starts),
+        (own, msgspec.structs.replace(of_role, capability=None), asks),
+        (opened("w1", "review"), msgspec.structs.replace(of_role, role="A"), starts),
+        (opened("w1", "review"), msgspec.structs.replace(of_role, domain="yard"), starts),
     ]
     for before, after, expected in cases:
         state = approved(before)
         apply(state, after)
-        assert types(play(state, START)) == [expected], (before, after)
+        assert types(play(state, START)) == expected, (before, after)
 
 
 def test_what_was_approved_is_forgotten_when_it_is_done() -> None:

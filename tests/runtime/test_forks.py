@@ -27,6 +27,7 @@ from tests.sure import known
 
 ROOT = "0a" * 32
 S = 1_000_000
+REVIEWED = 4  # a run of door-relay in which a supervisor is called
 
 
 def base(
@@ -180,7 +181,7 @@ def test_an_added_fact_happens_at_its_time() -> None:
 
 
 def test_a_supervisor_who_says_no_is_on_record_with_that() -> None:
-    of = base()
+    of = base(run=REVIEWED)
     (asked,) = of_type(of[1], SupervisorCalled)[:1]
     found = forked("answer call:1 deny", of=of)
     answers = [one for at, one in of_type(found.record, SupervisorResponded) if at > asked[0]]
@@ -190,7 +191,7 @@ def test_a_supervisor_who_says_no_is_on_record_with_that() -> None:
 
 
 def test_a_supervisor_who_never_answers_is_not_on_record() -> None:
-    of = base()
+    of = base(run=REVIEWED)
     assert of_type(of[1], SupervisorResponded)
     assert not of_type(forked("answer response:* never", of=of).record, SupervisorResponded)
 
@@ -357,7 +358,7 @@ def test_a_run_that_is_over_parts_at_the_event_that_it_lacks() -> None:
 
 
 def test_a_run_that_is_made_again_is_the_same_and_tells_what_it_asked() -> None:
-    recipe, record = base()
+    recipe, record = base(run=REVIEWED)
     again, asked = run_again(recipe)
     assert again.events == record.events
     kinds = {one.kind for one in asked}

@@ -1,5 +1,7 @@
 """FSAR's handlers: given events, when a command, then events."""
 
+import pytest
+
 from fsar_ledger.events.authority import AuthorityClaimed, AuthorityReleased
 from fsar_ledger.events.envelope import Robot, Subject, Supervisor
 from fsar_ledger.events.execution import ExecutionHeld, ExecutionStarted
@@ -26,6 +28,7 @@ from fsar_ledger.runtime.handlers.authority import close_execution
 from fsar_ledger.runtime.handlers.commands import CloseExecution, DecideRoutine, StartAction, TakeTurn
 from tests import past
 from tests.runtime.histories import ARRIVED, DELEGATED_STEP, OWN_STEP, given, happen, types, window
+from tests.runtime.live import play
 from tests.sure import only
 
 A, B, C, D = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/C1"), Robot("robot/D1")
@@ -76,6 +79,22 @@ def test_the_fleet_rule_counts_as_it_was_heard() -> None:
     assert isinstance(evaluate_request(open_rule, EvaluateRequest("A1-1/2.1"))[0], RequestAdmitted)
     heard = given("fsar", *REQUESTED, window(B, scope="fleet"), FleetRuleLearned(B, "deny", 1))
     assert isinstance(evaluate_request(heard, EvaluateRequest("A1-1/2.1"))[0], RequestDenied)
+
+
+@pytest.mark.parametrize(
+    ("configuration", "expected"),
+    [("full", ["ExecutionHeld"]), ("without-policy-composition", ["ExecutionStarted"])],
+)
+def test_policy_is_composed_again_when_delegated_work_starts(configuration: str, expected: list[str]) -> None:
+    """I3 speaks of execution: a fleet rule that was heard after the admission holds the start. Reading: R34."""
+    state = given("fsar", *REQUESTED, configuration=configuration)
+    happen(state, *evaluate_request(state, EvaluateRequest("A1-1/2.1")))
+    play(state, TakeTurn("A1-1/2.1"))
+    happen(state, FleetRuleLearned(B, "deny", 1))
+    assert types(play(state, StartAction("A1-1/2.1"))) == expected
+    happen(state, FleetRuleLearned(B, "allow", 2))
+    if configuration == "full":
+        assert types(play(state, StartAction("A1-1/2.1"))) == ["ExecutionStarted"]
 
 
 def test_without_policy_composition_only_the_executors_policy_counts() -> None:

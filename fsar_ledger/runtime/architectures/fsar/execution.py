@@ -117,19 +117,24 @@ def take_turn(state: State, _command: TakeTurn, action: Action) -> tuple[Event, 
 
 @HANDLERS.decide(StartAction, body)
 def start(state: State, command: StartAction) -> tuple[Event, ...]:
-    """Start the action, unless the robot's own policy holds it.
+    """Start the action, unless the robot's own policy or the fleet's rule, as last heard, holds it.
 
-    For an own step, the fleet's rule as last heard may hold it as well, and a declared rule of review asks a
-    supervisor. An approval lifts only the reviews known then. Where the fleet mandates what is held here, the conflict
-    is escalated.
+    A declared rule of review asks a supervisor. An approval lifts only the reviews known then. Where the fleet mandates
+    what is held here, the conflict is escalated.
 
-    Paper: sec:architecture:fleet (never a silent override).
+    Paper: sec:model:invariants (I3), sec:architecture:fleet (never a silent override). Reading: R34.
     """
     action = ready(state.execution, command.action_id)
     if action is None:
         return ()
-    local, rule = holding(state, action)
-    if not action.is_delegated and stricter(local, rule) == "review":
+    return start_under(state, action, command, *_holding(state, action))
+
+
+def start_under(
+    state: State, action: Action, command: StartAction, local: PolicyOutcome, rule: PolicyOutcome
+) -> tuple[Event, ...]:
+    """Start the action, or hold it where the robot's own policy or the fleet's rule says so."""
+    if stricter(local, rule) == "review":
         reviewer = _reviewer(state, action, local, rule)
         if reviewer is not None:
             return _asked(state, action, reviewer, "local-policy" if local == "review" else "fleet-rule")
@@ -138,28 +143,35 @@ def start(state: State, command: StartAction) -> tuple[Event, ...]:
         decided_by = None if action.is_delegated or action.was_denied else action.robot
         clash = conflict(state, action.task_id, action.action_id, action.on_behalf_of, action.robot, action.capability)
         return (*clash, _held(state, action, local, "local-policy", decided_by))
-    # See docs/decisions/starts-ignore-later-fleet-rules.md.
-    if rule != "allow" and not action.is_delegated:
+    if rule != "allow":
         return (_held(state, action, rule, "fleet-rule", None),)
     return (started(state, action, command),)
 
 
-def _reviewer(state: State, action: Action, local: PolicyOutcome, rule: PolicyOutcome) -> Supervisor | None:
-    """Return whom a declared rule of review puts the robot's own step before, or None if only a window asks for one.
+# See docs/decisions/policy-is-composed-again-at-the-start.md.
+def _holding(state: State, action: Action) -> tuple[PolicyOutcome, PolicyOutcome]:
+    """Return what holds the action now: the robot's own policy, and the fleet's rule where it is composed."""
+    local, rule = holding(state, action)
+    is_uncomposed = action.is_delegated and "policy-composition" in state.fleet.without
+    return local, "allow" if is_uncomposed else rule
 
-    H_i for a rule of the robot's own where there is one on shift, else H_F. A window closes by itself; a rule does not.
-    Paper: sec:model:supervision, app:foundations.
+
+def _reviewer(state: State, action: Action, local: PolicyOutcome, rule: PolicyOutcome) -> Supervisor | None:
+    """Return whom a declared rule of review puts the action before, or None if only a window asks for one.
+
+    H_i for the robot's own step and own rule where there is one on shift, else H_F. A window closes by itself; a rule
+    does not. Paper: sec:model:supervision, app:foundations.
     """
     about = (action.robot, action.capability, action.task_id)
     if local == "review" and standing(state.policy, "local", *about) == "review":
-        return supervisor_for(state, action.robot, is_cross_robot=False)
+        return supervisor_for(state, action.robot, is_cross_robot=action.is_delegated)
     if rule == "review" and standing(state.policy, "fleet", *about) == "review":
         return FLEET_SUPERVISOR
     return None
 
 
 def _asked(state: State, action: Action, reviewer: Supervisor, reason: str) -> tuple[Event, ...]:
-    """Hold the own step, and put it before the supervisor once."""
+    """Hold the action, and put it before the supervisor once."""
     if is_asked(state.supervision, action.action_id, "review"):
         return ()
     called = SupervisorCalled(subject=action.subject, supervisor=reviewer, purpose="review", robot=action.robot)
@@ -216,9 +228,9 @@ def _on_hold(state: State, event: ExecutionHeld, _now_us: int) -> tuple[Schedule
 
 @HANDLERS.react(SupervisorResponded)
 def _on_review(state: State, event: SupervisorResponded, _now_us: int) -> tuple[Scheduled, ...]:
-    """Start an own step that was put before a supervisor, or ask again after the back-off if it was not approved."""
+    """Start an action that was put before a supervisor, or ask again after the back-off if it was not approved."""
     action = state.execution.actions.get(event.subject.action_id)
-    if event.purpose != "review" or action is None or action.is_delegated:
+    if event.purpose != "review" or action is None:
         return ()
     after_us = 1 if event.approves else state.fleet.structure.back_off_us
     return (start_action(action.action_id, action.capability, after_us, (at_once(event.principals.decided_by),)),)
@@ -247,8 +259,8 @@ def _let_go(state: State, robot: Robot) -> tuple[Scheduled, ...]:
     action = in_hand(state.execution, robot)
     if action is None or action.stage != "held":
         return ()
-    local, rule = holding(state, action)
-    if local != "allow" and (action.is_delegated or _reviewer(state, action, local, rule) is None):
+    local, rule = _holding(state, action)
+    if local != "allow" and _reviewer(state, action, local, rule) is None:
         return ()
     return (start_action(action.action_id, action.capability),)
 
