@@ -96,6 +96,19 @@ class AwardMade(Event, frozen=True):
     robot: Robot
 
 
+class SegmentTransferred(Event, frozen=True):
+    """The next segment of the task, from this step on, has been given to the robot that acts in it.
+
+    A segment ends where another robot acts; its end is given back in the same way. Paper: sec:evaluation:scenarios
+    (Scenario 2: task segment transfer).
+    """
+
+    task_id: TaskId
+    principals: Principals
+    robot: Robot
+    step: int
+
+
 class InternalHandoff(Event, frozen=True):
     """One agent of a robot has passed work to another; nothing ties the message to a request.
 

@@ -40,6 +40,19 @@ class RoleTrustSet(Event, frozen=True, kw_only=True):
     reason: str = "founding"
 
 
+class InitialTrustSet(Event, frozen=True):
+    """A robot that joined the running fleet trusts every other robot with this scope, or is trusted by it.
+
+    `is_trusting` tells which. It holds where no entry for the pair or their roles does, also for robots that join
+    later. Paper: sec:discussion:heterogeneity.
+    """
+
+    robot: Robot
+    scope: TrustScope
+    is_trusting: bool
+    decided_by: Principal | None
+
+
 class TrustThresholdsSet(Event, frozen=True):
     """From now on trust follows the record: this many successes promote it, this many failures downgrade it.
 

@@ -11,13 +11,13 @@ from fsar_ledger.events.envelope import Robot, TrustScope, recorded_robot
 from fsar_ledger.events.execution import ExecutionFailed
 from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.events.request import RequestClosed, RequestDenied, RequestIssued
-from fsar_ledger.events.trust import RoleTrustSet, TrustSet, TrustThresholdsSet
+from fsar_ledger.events.trust import InitialTrustSet, RoleTrustSet, TrustSet, TrustThresholdsSet
 from fsar_ledger.events.world import OutsiderRequestInjected
 
 from .maps import put, without
 
 Result = RequestIssued | OutsiderRequestInjected | RequestDenied | RequestClosed | ExecutionFailed | AuthorityRevoked
-HANDLES = RobotJoined | TrustSet | RoleTrustSet | TrustThresholdsSet | Result
+HANDLES = RobotJoined | TrustSet | RoleTrustSet | InitialTrustSet | TrustThresholdsSet | Result
 
 SCOPES: tuple[TrustScope, ...] = ("none", "capability", "task", "session", "persistent")  # from narrow to broad
 VIOLATIONS = ("trust", "authority", "advertisement")  # refusals that are the requester's fault
@@ -39,7 +39,8 @@ class Trust(msgspec.Struct, frozen=True, gc=False):
     """Who trusts whom, and the results that each has had with the other.
 
     `entries`: (robot, peer) -> capability and context -> scope, for single pairs; `of_roles`: (role, role of the peer,
-    domain) -> the same, for all robots of the roles; `members`: robot -> its role and domain; `promote_after`,
+    domain) -> the same, for all robots of the roles; `initial`: robot that joined the running fleet, and whether it
+    trusts or is trusted -> scope without any entry; `members`: robot -> its role and domain; `promote_after`,
     `downgrade_after`: consecutive results, 0 is never; `contexts`: those that some entry is limited to. Only while a
     threshold is set, `asked`: action -> open direct request; `records`: results of the peer as the robot saw them, by
     what its trust is set for; `judged`: the records that the last result changed.
@@ -47,6 +48,7 @@ class Trust(msgspec.Struct, frozen=True, gc=False):
 
     entries: Mapping[tuple[Robot, Robot], Entries] = {}
     of_roles: dict[tuple[str, str, str], Entries] = {}
+    initial: dict[tuple[Robot, bool], TrustScope] = {}
     members: Mapping[Robot, Member] = {}
     promote_after: int = 0
     downgrade_after: int = 0
@@ -71,18 +73,22 @@ def _holding(
 ) -> tuple[About, TrustScope]:
     """Return the capability and context of the entry that holds between the two, and its scope.
 
-    Entries for the pair come first, then those for their roles in the smallest domain.
+    Entries for the pair come first, then those for their roles in the smallest domain, then the initial trust of a
+    robot that joined later, the last one set.
     """
     # See docs/decisions/trust-and-rules-are-by-role.md.
     entries = state.entries.get((robot, peer))
     if entries is not None and (found := _most_specific(entries, capability, context)) is not None:
         return found
-    if state.of_roles and robot in state.members and peer in state.members:
+    if (state.of_roles or state.initial) and robot in state.members and peer in state.members:
         (role, domain), (peer_role, peer_domain) = state.members[robot], state.members[peer]
         for of_both in (one for one in around(domain) if is_within(peer_domain, one)):
             entries = state.of_roles.get((role, peer_role, of_both))
             if entries is not None and (found := _most_specific(entries, capability, context)) is not None:
                 return found
+        for key in reversed(state.initial):
+            if key in ((robot, True), (peer, False)):
+                return (None, None), state.initial[key]
     return (None, None), "none"
 
 
@@ -134,9 +140,13 @@ def evolve(state: Trust, event: HANDLES) -> Trust:
                 roles: {**state.of_roles.get(roles, {}), (event.capability, event.context): event.scope},
             }
             return _set(replace(state, of_roles=of_roles), event)
+        case InitialTrustSet():
+            key = (event.robot, event.is_trusting)
+            others = {known: scope for known, scope in state.initial.items() if known != key}
+            return replace(state, initial={**others, key: event.scope})
         case TrustThresholdsSet():
             if not event.promote_after and not event.downgrade_after:
-                return Trust(state.entries, state.of_roles, state.members, contexts=state.contexts)
+                return Trust(state.entries, state.of_roles, state.initial, state.members, contexts=state.contexts)
             return replace(state, promote_after=event.promote_after, downgrade_after=event.downgrade_after, judged=())
         case _:
             return _noted(state, event) if follows_record(state) else state

@@ -14,6 +14,7 @@ WITH classes (type, decision_kind, record_kind, requires_origin, requires_execut
     ('CandidateMatched.v1', 'admission', 'matching', TRUE, TRUE, TRUE, 'executor'),
     ('RequestAdmitted.v1', 'admission', 'admissibility', TRUE, TRUE, TRUE, 'executor'),
     ('CommandIssued.v1', 'delegation', 'delegation', TRUE, TRUE, TRUE, 'executor'),
+    ('SegmentTransferred.v1', 'delegation', 'delegation', TRUE, TRUE, TRUE, 'requester'),
     ('RequestAccepted.v1', 'commit', 'acceptance', TRUE, TRUE, TRUE, 'executor'),
     ('ExecutionStarted.v1', NULL, 'execution', TRUE, TRUE, TRUE, 'executor'),
     ('ExecutionFinished.v1', NULL, 'result', TRUE, TRUE, TRUE, 'executor'),

@@ -1,7 +1,7 @@
 -- Title: The robots on either side of each entry of trust
 -- Paper: eq:trust
--- Grain: one row per TrustSet or RoleTrustSet event, side and robot; an entry about roles has one for each member, also
---   for those that joined later
+-- Grain: one row per TrustSet, RoleTrustSet or InitialTrustSet event, side and robot; an entry about roles or everybody
+--   has one for each member, also for those that joined later
 -- Key: run_id, seq, is_trusting, robot
 -- Units: joined_us microseconds of run time, from which on the robot is a member; 0 where nobody recorded that it
 --   joined
@@ -9,6 +9,7 @@
 -- Example: fsar-ledger query facts/trust_parties LEDGER
 -- An entry applies to a pair when one robot is on its trusting side and the other on its trusted side, so pairs need
 -- no rows of their own.
+-- Initial trust has the robot on its side, and all others on the other.
 SELECT
     pairs.run_id, pairs.seq, pairs.is_trusting, pairs.robot,
     coalesce(members.joined_us, 0) AS joined_us
@@ -29,3 +30,10 @@ INNER JOIN fleet_members AS members
         entries.run_id = members.run_id
         AND CASE WHEN sides.is_trusting THEN entries.role ELSE entries.peer_role END = members.role
 WHERE entries.domain IN ('', coalesce(members.domain, '')) OR starts_with(members.domain, entries.domain || '/')
+UNION ALL
+SELECT
+    joined.run_id, joined.seq,
+    (joined.robot = members.robot) = joined.is_trusting AS is_trusting,
+    members.robot, members.joined_us
+FROM initial_trust_set AS joined
+INNER JOIN fleet_members AS members ON joined.run_id = members.run_id

@@ -1,15 +1,17 @@
 -- Title: Entries of trust, and which of those that apply to a pair holds
 -- Paper: eq:trust
--- Grain: one row per TrustSet or RoleTrustSet event
+-- Grain: one row per TrustSet, RoleTrustSet or InitialTrustSet event
 -- Key: run_id, seq
 -- Units: time_us microseconds of run time; precedence orders the entries that apply to one robot about one peer
--- NULL: robot, peer of an entry about roles; role, peer_role, domain of one about a pair (an empty domain is the whole
---   fleet); capability, context when the entry is about all of them; set_by for what the fleet was founded with
+-- NULL: robot, peer of an entry about roles, and either where the initial trust of the other is about everybody; role,
+--   peer_role, domain of an entry about robots (an empty domain is the whole fleet); capability, context when the entry
+--   is about all of them; set_by for what the fleet was founded with
 -- Example: fsar-ledger query facts/trust_precedence LEDGER
 -- Of the entries that apply to a pair (see trust_parties), a capability and a context, the one of the greatest
 -- precedence holds. An entry about the pair itself precedes those about roles; among roles, the smallest domain comes
--- first. Then an entry that names both capability and context precedes one with the capability alone, that one with
--- the context alone, and that one with neither; among equals, the last holds.
+-- first; initial trust of a robot that joined the running fleet comes last. Then an entry that names both capability
+-- and context precedes one with the capability alone, that one with the context alone, and that one with neither;
+-- among equals, the last holds.
 WITH entries AS (
     SELECT
         run_id, seq, time_us, robot, peer, scope, capability, context, decided_by, reason,
@@ -25,6 +27,14 @@ WITH entries AS (
         NULL AS peer,
         CASE domain WHEN '' THEN 0 ELSE least(len(string_split(domain, '/')), 1023) END AS nearness
     FROM role_trust_set
+    UNION ALL BY NAME
+    SELECT
+        run_id, seq, time_us, scope, decided_by,
+        'initial' AS reason,
+        CASE WHEN is_trusting THEN robot END AS robot,
+        CASE WHEN NOT is_trusting THEN robot END AS peer,
+        -1 AS nearness
+    FROM initial_trust_set
 )
 
 SELECT

@@ -44,6 +44,7 @@ RECORDS_ONLY = {
     "RoutinePerformed",
     "RoutineReported",
     "RoutineWithheld",
+    "SegmentTransferred",
     "SnapshotPhaseSet",
     "TaskStateTransferred",
 }

@@ -8,7 +8,7 @@ import pytest
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import Robot, TrustScope, flat
-from fsar_ledger.events.trust import RoleTrustSet
+from fsar_ledger.events.trust import InitialTrustSet, RoleTrustSet
 from fsar_ledger.projections import trust
 from fsar_ledger.projections.fold import fold
 from fsar_ledger.runtime.world.founding import founding
@@ -49,6 +49,8 @@ def history(seed: int) -> list[Event]:
         if draw.random() < 0.3:
             robot, peer = draw.sample(ROBOTS, 2)
             events.append(past.trusted(robot, peer, scope, about[0], context=about[1]))
+        elif draw.random() < 0.2:
+            events.append(InitialTrustSet(draw.choice(ROBOTS), scope, draw.random() < 0.5, None))
         else:
             events.append(
                 RoleTrustSet(

@@ -22,6 +22,7 @@ A, B, C, D = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/C1"), Robot("rob
 DOOR, H_F, S = "door.open.secure", Supervisor("supervisor/fleet"), 1_000_000
 COMMANDS: list[tuple[int, Command]] = [
     (1 * S, JoinFleet(A, "A", 1)),  # a member already
+    (1 * S, JoinFleet(Robot("robot/E1"), "E", 1)),
     (2 * S, CacheRegistry(A)),
     (3 * S, ConsultRegistry(Query(A, "grasp.*"), A)),
     (4 * S, SetTrustThresholds(H_F, 3, 2)),

@@ -10,35 +10,57 @@ from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.events.recovery import RecoveryEscalated
 from fsar_ledger.events.registry import AvailabilityChanged, CapabilityRemoved
 from fsar_ledger.events.supervision import ActuatorServiced
+from fsar_ledger.events.trust import RoleTrustSet, TrustSet, TrustThresholdsSet
 from fsar_ledger.events.world import ActuatorDegraded
 from fsar_ledger.projections.fold import apply
 from fsar_ledger.projections.registry import advertisement, possesses, surface
+from fsar_ledger.projections.trust import covers, scope_of
 from fsar_ledger.runtime.architectures.fsar import FSAR
 from fsar_ledger.runtime.architectures.fsar.availability import HANDLERS as AVAILABILITY
 from fsar_ledger.runtime.architectures.fsar.availability import ReportActuator, report_actuator
 from fsar_ledger.runtime.handlers.attribution import nearest_first
 from fsar_ledger.runtime.handlers.commands import Command
 from fsar_ledger.runtime.handlers.fleet import HANDLERS, InstallCapability, JoinFleet, RemoveCapability, execution_state
+from fsar_ledger.runtime.handlers.trust import AssessTrust, SetTrust, trusts
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
 from tests import past
 from tests.runtime.histories import given, happen, types
-from tests.runtime.live import refusal
+from tests.runtime.live import play, refusal
 
-A, B = Robot("robot/A1"), Robot("robot/B1")
+A, B, C, D = (Robot(f"robot/{name}1") for name in "ABCD")
 
 
 def decided(command: Command, *events: Event) -> tuple[Event, ...]:
     return FSAR.decides[type(command)](given("fsar", *events), command)
 
 
-def test_a_robot_joins_and_neither_possesses_nor_trusts_anything_yet() -> None:
-    [joined] = decided(JoinFleet(Robot("robot/E1"), "E", 1, Supervisor("supervisor/E1"), "hall/cell"))
-    assert joined == RobotJoined(
-        robot=Robot("robot/E1"), role="E", team=1, supervisor=Supervisor("supervisor/E1"), domain="hall/cell"
-    )
-    state = given("fsar", joined)
-    assert state.fleet.robots[Robot("robot/E1")].domain == "hall/cell"
-    assert (list(surface(state.registry, Robot("robot/E1"))), execution_state(state, Robot("robot/E1"))) == ([], "idle")
+E, F = Robot("robot/E1"), Robot("robot/F1")
+
+
+def test_a_robot_that_joins_possesses_nothing_and_has_the_narrowest_trust_both_ways() -> None:
+    """Paper: sec:discussion:heterogeneity (initial trust scope capability)."""
+    joined, *trust = decided(JoinFleet(E, "E", 1, Supervisor("supervisor/E1"), "hall/cell"))
+    assert joined == RobotJoined(robot=E, role="E", team=1, supervisor=Supervisor("supervisor/E1"), domain="hall/cell")
+    state = given("fsar", joined, *trust)
+    assert state.fleet.robots[E].domain == "hall/cell"
+    assert (list(surface(state.registry, E)), execution_state(state, E)) == ([], "idle")
+    assert [scope_of(state.trust, *pair) for pair in ((E, A), (A, E), (C, D))] == ["capability", "capability", "none"]
+    assert trusts(state, B, E, "door.open.basic")
+    assert not covers(scope_of(state.trust, B, E), "task"), "what requires more is refused"
+
+
+def test_initial_trust_stands_below_every_entry_and_is_promoted_by_approval_or_record() -> None:
+    joined = [event for name in (E, F) for event in decided(JoinFleet(name, "E", 1))]
+    state = given("fsar", *joined)
+    assert scope_of(state.trust, E, F) == "capability", "those that join trust each other, too"
+    roles = RoleTrustSet(role="E", peer_role="A", scope="none")
+    assert scope_of(given("fsar", *joined, roles).trust, E, A) == "none"
+    [approved] = play(state, SetTrust(Supervisor("supervisor/B1"), B, E, "task"))
+    assert (type(approved), scope_of(state.trust, B, E)) == (TrustSet, "task")
+    asked = past.issued("t1/1", past.principals(A, A, E), "lift")
+    happen(state, TrustThresholdsSet(1, 0, None), asked, past.closed("t1/1", past.principals(None, A, E)))
+    [promoted] = play(state, AssessTrust(A, E, "lift"))
+    assert (type(promoted), scope_of(state.trust, A, E, "lift")) == (TrustSet, "task")
 
 
 def test_robots_of_other_teams_come_by_name_whenever_they_joined() -> None:
@@ -48,7 +70,7 @@ def test_robots_of_other_teams_come_by_name_whenever_they_joined() -> None:
 
 
 def test_a_robot_without_a_supervisor_of_its_own_may_join() -> None:
-    assert types(decided(JoinFleet(Robot("robot/E1"), "E", 1))) == ["RobotJoined"]
+    assert types(decided(JoinFleet(E, "E", 1))) == ["RobotJoined", "InitialTrustSet", "InitialTrustSet"]
 
 
 def test_an_installed_capability_is_possessed_and_advertised_to_nobody() -> None:

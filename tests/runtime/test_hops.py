@@ -40,6 +40,8 @@ UNRECORDED = {
     "own replan": agents.REPLANNING,
     "result": agents.RESULT,
     "own result": agents.OWN_RESULT,
+    "handed": agents.CALL,
+    "taken": agents.RELAY,
 }
 PHASES = HANDED_OVER | UNRECORDED  # by the names of the hops
 SPECS = [

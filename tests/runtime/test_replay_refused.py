@@ -142,7 +142,7 @@ def test_a_forged_decision_ends_the_command_with_3(call: Call, tmp_path: Path) -
     called = call("verify", path, "--replay")
     assert (called.code, called.out) == (3, "")
     for part in (
-        "segments/000000000000-000000000439.parquet",
+        f"segments/{0:012}-{len(forgery.run.events):012}.parquet",
         "commit 0",
         HONEST.run_id,
         f"seq {forgery.seq}",

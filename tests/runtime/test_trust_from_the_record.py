@@ -134,7 +134,7 @@ def test_task_trust_in_the_context_of_a_task_ends_with_the_task() -> None:
 
 
 def test_in_a_run_trust_follows_the_record_and_the_state_is_still_the_fold_of_the_events() -> None:
-    one = governed("collaborative-delivery", (2, TrustThresholdsSet(1, 1, H_F)), run=0)
+    one = governed("collaborative-delivery", (2, TrustThresholdsSet(1, 1, H_F)), run=3)
     moved = [event for event in one.events if isinstance(event, TrustSet) and event.decided_by == TRUST]
     assert {event.reason for event in moved} == {"record"}
     assert {scope for event in moved for scope in [event.scope]} >= {"capability", "task"}, "one up, one down"

@@ -11,6 +11,7 @@ from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import Robot, Supervisor, local_supervisor
 from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.events.registry import CapabilityInstalled, CapabilityRemoved
+from fsar_ledger.events.trust import InitialTrustSet
 from fsar_ledger.projections.execution import Execution
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import Contract, Registry, path_of, possesses, surface
@@ -86,7 +87,11 @@ def is_degraded(registry: Registry, world: World, robot: Robot) -> bool:
 
 @HANDLERS.decide(JoinFleet)
 def join_fleet(state: State, command: JoinFleet) -> tuple[Event, ...]:
-    """Make the robot a member; it neither possesses nor trusts anything yet."""
+    """Make the robot a member, with initial trust of the narrowest scope both ways; it possesses nothing yet.
+
+    What requires more is refused until an operator approves, or the record promotes it. Paper:
+    sec:discussion:heterogeneity (the text gives no direction).
+    """
     robot, wrong = command.robot, None
     if robot in state.fleet.robots:
         wrong = f"{robot} is a member already"
@@ -100,7 +105,8 @@ def join_fleet(state: State, command: JoinFleet) -> tuple[Event, ...]:
         wrong = f"domain {command.domain!r} is no path, expected one such as hall/cell, or nothing for the fleet's own"
     elif command.place == "":
         wrong = "an empty place, expected a name such as floor/2, or none for a fleet of one place"
-    return carried_out(command, robot, wrong, command.issued_by, made_from(RobotJoined, command))
+    trust = [InitialTrustSet(robot, "capability", is_trusting, command.issued_by) for is_trusting in (True, False)]
+    return carried_out(command, robot, wrong, command.issued_by, made_from(RobotJoined, command), *trust)
 
 
 def _is_robots_name(name: str) -> bool:

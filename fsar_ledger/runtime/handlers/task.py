@@ -6,10 +6,13 @@ as it would have: a robot does not stop in a doorway. The robot that asked for i
 the task; until the message is there, that robot does not know. What a robot has by its own word it withdraws at once.
 """
 
+from collections.abc import Callable
+
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityClaimed
-from fsar_ledger.events.envelope import Robot, Subject, robot_named
+from fsar_ledger.events.envelope import Principals, Robot, Subject, robot_named
 from fsar_ledger.events.execution import ExecutionWithdrawn
+from fsar_ledger.events.request import SegmentTransferred
 from fsar_ledger.events.supervision import SupervisorCalled
 from fsar_ledger.events.task import StepBegan, StepCompleted, TaskAbandoned, TaskCompleted
 from fsar_ledger.events.world import TaskArrived
@@ -19,7 +22,9 @@ from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import possesses
 from fsar_ledger.projections.request import Requests
 from fsar_ledger.projections.task import Tasks, given_up_us
+from fsar_ledger.runtime.ports import Ask
 
+from .attribution import recorded_by
 from .authority import released
 from .commands import (
     BeginStep,
@@ -29,7 +34,6 @@ from .commands import (
     Handlers,
     Scheduled,
     acting,
-    at_once,
     message,
     named,
     next_in_task,
@@ -129,6 +133,39 @@ def begin_step(state: State, command: BeginStep) -> tuple[Event, ...]:
     )
 
 
+class TransferSegment(Command):
+    """Give the rest of the task to the robot that acts in its next step."""
+
+    task_id: str
+
+
+def acted_last(state: State, command: TransferSegment) -> Robot | None:
+    """Return the robot that acted in the last step of the open task that is done."""
+    task = state.task.get(command.task_id)
+    return None if task is None else acting(task, task.step - 1)
+
+
+@HANDLERS.decide(TransferSegment, acted_last)
+def transfer_segment(state: State, command: TransferSegment) -> tuple[Event, ...]:
+    """Give the next segment to its robot, by word of the robot that acted until then."""
+
+    def by_it(before: Robot, then: Robot) -> Principals:
+        return recorded_by(state, before, requested_by=before, executed_by=then).decided(before)
+
+    return transferred(state, command, by_it)
+
+
+def transferred(
+    state: State, command: TransferSegment, named_by: Callable[[Robot, Robot], Principals]
+) -> tuple[Event, ...]:
+    """Return the transfer, unless the task is over; `named_by` gives the principals, from both robots."""
+    task = state.task.get(command.task_id)
+    if task is None:
+        return ()
+    before, then = acting(task, task.step - 1), acting(task, task.step)
+    return (SegmentTransferred(task.task_id, named_by(before, then), then, task.step + 1),)
+
+
 @HANDLERS.decide(ExpireTask, nobody)
 def expire_task(state: State, command: ExpireTask) -> tuple[Event, ...]:
     """Give up the task, if it is still open."""
@@ -164,12 +201,22 @@ def first_in_order(requests: Requests, tasks: Tasks, call: SupervisorCalled) -> 
 
 @HANDLERS.react(StepCompleted)
 def _begin(state: State, event: StepCompleted, _now_us: int) -> tuple[Scheduled, ...]:
-    """Schedule the next step; if another robot acts in it, the robot that acted in this one tells it."""
+    """Schedule the next step; where another robot acts in it, its segment is transferred first."""
     task = state.task[event.subject.task_id]
-    is_last = task.step == len(task.steps)
-    before = acting(task, task.step - 1)
-    told = () if is_last or acting(task, task.step) == before else (at_once(before),)
-    return (Scheduled(BeginStep(event.subject.task_id), 1, told),)
+    if task.step == len(task.steps) or acting(task, task.step) == acting(task, task.step - 1):
+        return (Scheduled(BeginStep(task.task_id), 1),)
+    return (Scheduled(TransferSegment(task.task_id), 1),)
+
+
+@HANDLERS.react(SegmentTransferred)
+def on_transfer(state: State, event: SegmentTransferred, _now_us: int) -> tuple[Scheduled, ...]:
+    """Let the robot begin once the message is there."""
+    return (Scheduled(BeginStep(event.task_id), 0, (segment_message(state, event),)),)
+
+
+def segment_message(state: State, event: SegmentTransferred) -> Ask:
+    """Ask for the latency of the message that transfers the segment."""
+    return message(acting(state.task[event.task_id], event.step - 2), f"{event.task_id}/{event.step}", "segment")
 
 
 @HANDLERS.react(TaskArrived)

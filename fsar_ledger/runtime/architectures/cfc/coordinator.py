@@ -40,6 +40,7 @@ from fsar_ledger.runtime.handlers.commands import (
     nobody,
 )
 from fsar_ledger.runtime.handlers.supervision import RespondToCall
+from fsar_ledger.runtime.handlers.task import TransferSegment, transferred
 from fsar_ledger.runtime.ports import Ask
 
 NO_TIME = "no time left"  # why a step is denied whose task would be given up before the coordinator comes to it
@@ -216,5 +217,14 @@ def _on_call(state: State, event: SupervisorCalled, _now_us: int) -> tuple[Sched
     return supervision.awaiting(state, event, COORDINATOR)
 
 
+def transfer_segment(state: State, command: TransferSegment) -> tuple[Event, ...]:
+    """Assign the next segment to its robot, without a record of who had it."""
+    return transferred(state, command, lambda _before, then: by_coordinator(then))
+
+
 INSTEAD: dict[React, React] = {supervision.on_call: _on_call}
-OWN: dict[type[Command], Decide] = {Respond: respond, RespondToCall: respond_to_call}
+OWN: dict[type[Command], Decide] = {
+    Respond: respond,
+    RespondToCall: respond_to_call,
+    TransferSegment: transfer_segment,
+}

@@ -4,4 +4,6 @@ from fsar_ledger.runtime.architectures.handler_table import COMMON, HandlerTable
 
 from . import agents, execution, recovery, request
 
-DHMA: HandlerTable = HandlerTable.of(*COMMON, agents, request, execution, recovery)
+DHMA: HandlerTable = HandlerTable.of(
+    *COMMON, agents, request, execution, recovery, own=request.OWN, instead=request.INSTEAD
+)

@@ -4,7 +4,7 @@ from typing import Any
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityClaimed
-from fsar_ledger.events.envelope import FLEET_SUPERVISOR, Parties, PolicyOutcome, Principal, Robot, agent
+from fsar_ledger.events.envelope import FLEET_SUPERVISOR, Parties, PolicyOutcome, Principal, Principals, Robot, agent
 from fsar_ledger.events.execution import ExecutionFinished
 from fsar_ledger.events.knowledge import BidReceived
 from fsar_ledger.events.registry import RegistryQueried
@@ -20,6 +20,7 @@ from fsar_ledger.events.request import (
     RequestDenied,
     RequestIssued,
     RequestUnanswered,
+    SegmentTransferred,
 )
 from fsar_ledger.events.supervision import SupervisorCalled, SupervisorResponded
 from fsar_ledger.projections.fleet import Fleet
@@ -27,13 +28,18 @@ from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.request import Request
 from fsar_ledger.projections.supervision import is_asked
 from fsar_ledger.projections.world import World, is_linked
+from fsar_ledger.runtime.handlers import task
 from fsar_ledger.runtime.handlers.attribution import capable, is_idle, pending_of_other_task, recorded_by
 from fsar_ledger.runtime.handlers.commands import (
     ActionCommand,
+    BeginStep,
     CloseExecution,
     CloseRequest,
+    Command,
     CompleteStep,
+    Decide,
     Handlers,
+    React,
     Scheduled,
     at_once,
     begin_again,
@@ -44,6 +50,7 @@ from fsar_ledger.runtime.handlers.commands import (
     target,
 )
 from fsar_ledger.runtime.handlers.execution import queued
+from fsar_ledger.runtime.handlers.task import TransferSegment, segment_message, transferred
 from fsar_ledger.runtime.ports import Ask
 
 from .agents import CALL, EVALUATION, OWN_RESULT, RELAY, RESULT, VOIDING, path, snapshot, talk
@@ -307,10 +314,10 @@ def _on_response(state: State, event: SupervisorResponded, _now_us: int) -> tupl
 
 @HANDLERS.react(AwardMade)
 def _on_award(state: State, event: AwardMade, _now_us: int) -> tuple[Scheduled, ...]:
-    task = state.task.get(event.task_id)
-    if task is None:  # given up meanwhile
+    awarded = state.task.get(event.task_id)
+    if awarded is None:  # given up meanwhile
         return ()
-    request = state.request.open[task.action_id]
+    request = state.request.open[awarded.action_id]
     award_message = message(request.requester, request.action_id, f"award/{request.round}")
     return (
         Scheduled(AcceptAward(request.action_id), 0, (award_message,)),
@@ -351,3 +358,23 @@ def _on_finish(state: State, event: ExecutionFinished, _now_us: int) -> tuple[Sc
 @HANDLERS.react(RequestClosed)
 def _on_close(_state: State, event: RequestClosed, _now_us: int) -> tuple[Scheduled, ...]:
     return (Scheduled(CompleteStep(event.subject.action_id)),)
+
+
+def transfer_segment(state: State, command: TransferSegment) -> tuple[Event, ...]:
+    """Give the next segment to its robot, by word of the planner."""
+
+    def by_planner(before: Robot, then: Robot) -> Principals:
+        return recorded_by(state, before, requested_by=before, executed_by=then).decided(*path(before, CALL))
+
+    return transferred(state, command, by_planner)
+
+
+def _on_transfer(state: State, event: SegmentTransferred, _now_us: int) -> tuple[Scheduled, ...]:
+    """Let the segment go from planner to planner."""
+    sent, key = segment_message(state, event), f"{event.task_id}/{event.step}"
+    heard = (*talk(state.fleet, CALL, key, "handed"), sent, *talk(state.fleet, RELAY, key, "taken"))
+    return (Scheduled(BeginStep(event.task_id), 0, heard),)
+
+
+OWN: dict[type[Command], Decide] = {TransferSegment: transfer_segment}
+INSTEAD: dict[React, React] = {task.on_transfer: _on_transfer}
