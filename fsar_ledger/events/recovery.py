@@ -58,6 +58,19 @@ class RecoveryAttemptFailed(Event, frozen=True, kw_only=True):
     achieved: tuple[str, ...] = ()
 
 
+class AttemptRolledBack(Event, frozen=True):
+    """What a partial attempt had achieved has been undone, so that the next attempt begins where the first did.
+
+    Paper: fig:recovery (level 1: retry, rollback, replan).
+    """
+
+    subject: Subject[TaskId, ActionId]
+    robot: Robot
+    failure: int
+    number: int
+    undone: tuple[str, ...]
+
+
 class RecoveryEscalated(Event, frozen=True, kw_only=True):
     """Recovery has moved to the next level for this reason; a level that has nothing to try is left at once.
 

@@ -47,6 +47,7 @@ WITH words (type, part, sender, receiver, words, detail) AS (
     ('SupervisorResponded.v1', 1, 'decider', 'asker', 'decides', 'decision'),
     ('RecoveryAttempted.v1', 1, 'decider', 'robot', 'recovery attempt', 'number'),
     ('RecoveryAttemptFailed.v1', 1, 'robot', 'robot', 'attempt ends', 'result'),
+    ('AttemptRolledBack.v1', 1, 'robot', 'robot', 'undoes what the attempt achieved', NULL),
     ('RecoveryEscalated.v1', 1, 'decider', 'decider', 'recovery goes on', 'levels'),
     ('AssistanceRequested.v1', 1, 'decider', 'helper', 'asks for help', NULL),
     ('AssistanceAdmitted.v1', 1, 'helper', 'robot', 'agrees to help', NULL),

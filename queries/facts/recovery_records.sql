@@ -12,8 +12,9 @@ SELECT
     failure, robot, helper,
     NULL AS supervisor,
     decided_by,
-    if(type = 'ReassignmentDecided.v1', 'fleet', level) AS level,
-    to_level, number, deadline_us, checkpoint, reason
+    CASE type WHEN 'ReassignmentDecided.v1' THEN 'fleet' WHEN 'AttemptRolledBack.v1' THEN 'local' ELSE level END
+        AS level,
+    to_level, number, deadline_us, checkpoint, reason, undone
 FROM recovery_events
 UNION ALL
 SELECT
@@ -28,6 +29,7 @@ SELECT
     NULL AS number,
     NULL AS deadline_us,
     NULL AS checkpoint,
-    NULL AS reason
+    NULL AS reason,
+    NULL AS undone
 FROM supervision_events
 WHERE type IN ('SupervisorCalled.v1', 'SupervisorResponded.v1') AND purpose = 'recovery'

@@ -1,6 +1,7 @@
 -- Title: What recovery did about each failure, step by step, and what came of it
 -- Paper: eq:recovery, fig:wf3
--- Grain: one row per failure and attempt, question (registry, peer, supervisor), reassignment, escalation or resolution
+-- Grain: one row per failure and attempt, rollback, question (registry, peer, supervisor), reassignment, escalation or
+--   resolution
 -- Key: run_id, action_id, failure, seq
 -- Units: detected_us, time_us, until_us microseconds of run time; until_us is when the next step was taken
 -- NULL: decided_by when the record names none; result when none came or is recorded; until_us of the last step
@@ -21,7 +22,7 @@ WITH answers AS (
 steps AS (
     SELECT
         run_id, seq, time_us, type, action_id, failure, helper, supervisor, decided_by, level, to_level, number,
-        deadline_us, checkpoint, reason
+        deadline_us, checkpoint, reason, undone
     FROM recovery_records
     UNION ALL BY NAME
     SELECT run_id, seq, time_us, 'RegistryQueried.v1' AS type, action_id, 'peer' AS level, capability, candidates
@@ -34,6 +35,7 @@ SELECT
     steps.decided_by, steps.level, steps.to_level, steps.deadline_us,
     CASE steps.type
         WHEN 'RecoveryAttempted.v1' THEN 'attempt ' || steps.number
+        WHEN 'AttemptRolledBack.v1' THEN 'has rolled back attempt ' || steps.number
         WHEN 'AssistanceRequested.v1' THEN 'asks ' || steps.helper || ' for help'
         WHEN 'RegistryQueried.v1' THEN 'asks the registry for ' || steps.capability
         WHEN 'ReassignmentDecided.v1' THEN 'evaluates reassignment'
@@ -55,6 +57,7 @@ SELECT
         WHEN steps.type = 'ReassignmentDecided.v1'
             THEN 'to ' || steps.helper || coalesce(' from ' || steps.checkpoint, '')
         WHEN steps.type = 'SupervisorCalled.v1' AND failures.resolved_level = 'human' THEN 'resolved'
+        WHEN steps.type = 'AttemptRolledBack.v1' THEN 'undone: ' || array_to_string(steps.undone, ', ')
         WHEN steps.type = 'RecoveryEscalated.v1' THEN steps.reason
     END AS result,
     answers.achieved
@@ -69,12 +72,13 @@ INNER JOIN steps
             ELSE
                 failures.failure = steps.failure
                 AND steps.type IN (
-                    'RecoveryAttempted.v1', 'RecoveryEscalated.v1', 'AssistanceRequested.v1', 'ReassignmentDecided.v1',
-                    'FailureResolved.v1'
+                    'RecoveryAttempted.v1', 'AttemptRolledBack.v1', 'RecoveryEscalated.v1', 'AssistanceRequested.v1',
+                    'ReassignmentDecided.v1', 'FailureResolved.v1'
                 )
         END
 LEFT JOIN answers
     ON
         steps.run_id = answers.run_id AND steps.action_id = answers.action_id AND steps.failure = answers.failure
         AND steps.number IS NOT DISTINCT FROM answers.number AND steps.helper IS NOT DISTINCT FROM answers.helper
+        AND steps.type <> 'AttemptRolledBack.v1'
 WINDOW in_order AS (PARTITION BY failures.run_id, failures.action_id, failures.failure ORDER BY steps.seq)

@@ -28,6 +28,7 @@ A = Robot("robot/A1")
 
 RECORDS_ONLY = {
     "ExperimentPlanned",  # of no run
+    "AttemptRolledBack",
     "CandidateMatched",
     "CommandRejected",
     "ContextChanged",

@@ -14,6 +14,7 @@ from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import Robot, Subject, Workflow
 from fsar_ledger.events.execution import ExecutionFailed, ExecutionFinished, ExecutionStarted
 from fsar_ledger.events.recovery import (
+    AttemptRolledBack,
     FailureResolved,
     ReassignmentDecided,
     RecoveryAttempted,
@@ -109,6 +110,14 @@ def test_recovery_of_the_slipping_grip_goes_through_all_four_levels(seed: int) -
     assert (budget.local_budget_us, budget.local_attempts) == (30_000_000, 2)
     found = [(event.result, event.achieved) for event in every(events, RecoveryAttemptFailed)]
     assert found == [("partial", ("load.gripped",)), ("failure", ())]
+    order = [one for one in events if isinstance(one, RecoveryAttempted | RecoveryAttemptFailed | AttemptRolledBack)]
+    assert [type(one).__name__ for one in order[:4]] == [
+        "RecoveryAttempted",
+        "RecoveryAttemptFailed",
+        "AttemptRolledBack",
+        "RecoveryAttempted",
+    ], "what the grip achieved is undone before it is tried again"
+    assert order[2].undone == ("load.gripped",)  # type: ignore[union-attr]
     assert [(event.level, event.to_level, event.reason) for event in every(events, RecoveryEscalated)] == [
         ("local", "peer", "budget exhausted"),
         ("peer", "fleet", "no capable peer"),

@@ -10,9 +10,11 @@ from fsar_ledger.events.recovery import (
     AssistanceAdmitted,
     AssistanceFailed,
     AssistanceRequested,
+    AttemptRolledBack,
     FailureResolved,
     ReassignmentDecided,
     RecoveryAttempted,
+    RecoveryAttemptFailed,
     RecoveryEscalated,
     TaskStateTransferred,
 )
@@ -36,17 +38,12 @@ from fsar_ledger.runtime.handlers.commands import (
     at_once,
     body,
     helping,
+    lasts,
     message,
     nobody,
     open_failure,
 )
-from fsar_ledger.runtime.handlers.recovery import (
-    attempt_failed,
-    attempt_succeeds,
-    attempted,
-    budget,
-    end_of_attempt,
-)
+from fsar_ledger.runtime.handlers.recovery import attempt_failed, attempt_succeeds, attempted, budget, end_of_attempt
 from fsar_ledger.runtime.handlers.supervision import supervisor_for
 from fsar_ledger.runtime.ports import Ask
 
@@ -60,6 +57,13 @@ HANDLERS = Handlers()
 
 class StartRecovery(ActionCommand):
     """Start recovery from a failure that was detected."""
+
+
+class RollBack(ActionCommand):
+    """Undo what this attempt has achieved."""
+
+    number: int
+    undone: tuple[str, ...]
 
 
 class AskPeers(ActionCommand):
@@ -134,18 +138,41 @@ def start_recovery(state: State, command: StartRecovery, failure: Failure) -> tu
 
 @HANDLERS.decide_on(open_failure, EndAttempt, body)
 def end_attempt(state: State, command: EndAttempt, failure: Failure) -> tuple[Event, ...]:
-    """Resolve the failure, start the next attempt, or turn to the peers once the budget is spent."""
+    """Resolve the failure, or go on; what a partial attempt has achieved is undone before the next one."""
     action, recovery = failure
     if recovery.level != "local" or recovery.number != command.number:
         return ()
     if attempt_succeeds(state.world, recovery, command):
         return (FailureResolved(action.subject, action.robot, recovery.failure, "local"),)
     failed = attempt_failed(state.registry, state.world, action, recovery)
-    by_robot = parties(state, action).decided(action.robot)
+    if failed.achieved and _may_retry(state, action, recovery, command.now_us):
+        return (failed,)
+    return (failed, _next_attempt(state, action, recovery, command.now_us))
+
+
+@HANDLERS.decide_on(open_failure, RollBack, body)
+def roll_back(state: State, command: RollBack, failure: Failure) -> tuple[Event, ...]:
+    """Record that the robot is where the failure began, and go on. Paper: fig:recovery."""
+    action, recovery = failure
+    if recovery.level != "local" or recovery.number != command.number:
+        return ()
+    undone = AttemptRolledBack(action.subject, action.robot, recovery.failure, command.number, command.undone)
+    return (undone, _next_attempt(state, action, recovery, command.now_us))
+
+
+def _may_retry(state: State, action: Action, recovery: Recovery, now_us: int) -> bool:
     allowed = budget(state.budget, state.fleet, action.robot, "local")
-    if recovery.number < allowed.n_max and command.now_us < recovery.deadline_us:
-        return (failed, attempted(action, recovery, by_robot, recovery.deadline_us))
-    return (failed, _escalated(action, recovery, by_robot, "peer", EXHAUSTED))
+    return recovery.number < allowed.n_max and now_us < recovery.deadline_us
+
+
+def _next_attempt(
+    state: State, action: Action, recovery: Recovery, now_us: int
+) -> RecoveryAttempted | RecoveryEscalated:
+    """Return the next attempt of the robot's own, or the turn to the peers once the budget is spent."""
+    by_robot = parties(state, action).decided(action.robot)
+    if _may_retry(state, action, recovery, now_us):
+        return attempted(action, recovery, by_robot, recovery.deadline_us)
+    return _escalated(action, recovery, by_robot, "peer", EXHAUSTED)
 
 
 def _is_exhausted(
@@ -305,6 +332,17 @@ def _on_failure(_state: State, event: ExecutionFailed, _now_us: int) -> tuple[Sc
 @HANDLERS.react(RecoveryAttempted)
 def _on_attempt(state: State, event: RecoveryAttempted, _now_us: int) -> tuple[Scheduled, ...]:
     return (end_of_attempt(state.fleet, event),)
+
+
+@HANDLERS.react(RecoveryAttemptFailed)
+def _on_attempt_failed(state: State, event: RecoveryAttemptFailed, _now_us: int) -> tuple[Scheduled, ...]:
+    """Schedule the end of the rollback, where a partial attempt is followed by another."""
+    match open_failure(state, event.subject.action_id):
+        case action, recovery if event.achieved and recovery.level == "local":
+            key = f"{action.action_id}/{event.failure}/{event.number}/back"
+            return (Scheduled(RollBack(action.action_id, event.number, event.achieved), 0, (lasts("retry", key),)),)
+        case _:
+            return ()
 
 
 @HANDLERS.react(RecoveryEscalated)
