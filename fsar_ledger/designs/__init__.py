@@ -57,6 +57,16 @@ class Trust(Design, frozen=True):
     is_mutual: bool = False
 
 
+class TrustByRecord(Design, frozen=True):
+    """How trust follows the record: so many successes in a row promote it, so many failures downgrade it.
+
+    0 is never.
+    """
+
+    promote_after: int = 0
+    downgrade_after: int = 0
+
+
 class Policy(Design, frozen=True):
     """A rule for every robot of a role, the robot's own (`local`) or the fleet's, for one capability or (None) all."""
 
@@ -89,6 +99,7 @@ class Fleet(Design, frozen=True):
     bodies: tuple[str, ...] = ()
     substitutes: tuple[Substitute, ...] = ()
     trust: tuple[Trust, ...] = ()
+    trust_by_record: TrustByRecord = TrustByRecord()
     policies: tuple[Policy, ...] = ()
     off_shift: tuple[OffShift, ...] = ()
 

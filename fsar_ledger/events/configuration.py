@@ -15,6 +15,7 @@ MECHANISMS_OF: dict[Architecture, dict[str, str]] = {
         "policy-composition": "requester's policy and fleet rule composed (else the executor's alone)",
         "layered-recovery": "layered recovery (else the supervisor at once)",
         "shared-registry": "a registry shows who can do what (else only peers that the robot has met)",
+        "trust-by-record": "trust follows the record of results (else it stays as founded)",
         "engine-closing": "the coordination engine closes requests (else the requester does)",
         "boundary-revocation": "revocation waits for the request boundary (else no claim)",
         "start-recheck": "policy is checked again when delegated work starts (else it starts as admitted)",

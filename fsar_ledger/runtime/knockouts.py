@@ -61,6 +61,7 @@ from fsar_ledger.runtime.handlers.recovery import (
     budget,
     end_of_attempt,
 )
+from fsar_ledger.runtime.handlers.trust import AssessTrust
 
 ChangeTable = Callable[[HandlerTable], HandlerTable]
 
@@ -205,6 +206,7 @@ _OF_FSAR = (
     Knockout("policy-composition", "fsar"),
     Knockout("layered-recovery", "fsar"),
     Knockout("shared-registry", "fsar"),
+    Knockout("trust-by-record", "fsar", {AssessTrust: decide_nothing}),
     Knockout("engine-closing", "fsar", {CloseRequest: _closed_by_requester}),
     Knockout("boundary-revocation", "fsar", {fsar_authority.Revoke: decide_nothing}),
     Knockout("start-recheck", "fsar", change=_starting(_unchecked, is_delegated=True)),

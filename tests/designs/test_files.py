@@ -98,7 +98,7 @@ def test_the_line_of_a_field_is_found_in_tables_inside_a_list_and_under_dotted_k
             'bodies = ["porter"]',
             'boddies = ["porter"]',
             "my.toml:2: boddies: found an unknown field, expected one of name, robots, capabilities, bodies, "
-            "substitutes, trust, policies, off_shift; did you mean bodies?",
+            "substitutes, trust, trust_by_record, policies, off_shift; did you mean bodies?",
         ),
         ('bodies = ["porter"]', 'bodies = "porter"', 'my.toml:2: bodies: found "porter", expected a list in [ ]'),
         ('"door.lock",\n]', "7,\n]", "my.toml:12: robots[1].capabilities[1]: found 7, expected text in quotes"),

@@ -62,7 +62,7 @@ def test_several_mechanisms_in_one_option_are_one_configuration_and_two_options_
 
 
 @pytest.mark.parametrize(
-    ("asked", "said"), [("trust-evaluation+luck", "'luck'"), ("trust", "did you mean trust-evaluation")]
+    ("asked", "said"), [("trust-evaluation+luck", "'luck'"), ("trust-eval", "did you mean trust-evaluation")]
 )
 def test_a_mechanism_that_does_not_exist_is_named(asked: str, said: str) -> None:
     with pytest.raises(InvalidExperiment, match=f"unknown mechanism .*{said}"):

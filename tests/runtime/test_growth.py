@@ -153,7 +153,7 @@ def test_an_impossible_load_or_floor_is_refused_with_what_was_found(
 def test_the_founding_of_a_thousand_robots_grows_with_the_robots_and_not_with_their_pairs() -> None:
     for fleet_size in (4, 16, 1024):
         events = founding(fleet_size)
-        assert len(events) == 7 * fleet_size + 6
+        assert len(events) == 7 * fleet_size + 6 + 1  # trust of three pairs of roles both ways, and its thresholds
         assert sum(isinstance(event, RoleTrustSet) for event in events) == 6
     state = fold(founding(1024))
     assert (len(state.fleet.robots), len(state.trust.entries), len(state.trust.of_roles)) == (1024, 0, 6)

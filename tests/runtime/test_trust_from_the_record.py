@@ -115,7 +115,8 @@ def test_trust_is_assessed_in_both_directions_after_a_success_and_only_while_thr
         return {(one.robot, one.peer) for one in commands if isinstance(one, AssessTrust)}
 
     assert assessments(TrustThresholdsSet(1, 0, H_F)) == {(A, B), (B, A)}
-    assert assessments() == set()
+    assert assessments(TrustThresholdsSet(2, 0, H_F)) == set(), "not yet"
+    assert assessments(TrustThresholdsSet(0, 0, H_F)) == set()
 
 
 def test_task_trust_in_the_context_of_a_task_ends_with_the_task() -> None:

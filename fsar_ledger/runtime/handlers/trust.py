@@ -9,7 +9,7 @@ from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
 from fsar_ledger.events.trust import RoleTrustSet, TrustSet, TrustThresholdsSet
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import advertisement
-from fsar_ledger.projections.trust import SCOPES, covers, follows_record, scope_of
+from fsar_ledger.projections.trust import SCOPES, Key, Trust, covers, follows_record, scope_of
 
 from .commands import Command, Handlers, RobotCommand, Scheduled, named, nobody
 from .public import (
@@ -71,7 +71,7 @@ class SetTrustThresholds(PublicCommand):
 
 
 class AssessTrust(RobotCommand):
-    """Assess trust after a change in the robot's record of the peer.
+    """Move trust by the robot's record of the peer.
 
     In the context, or (None) in those that no trust is set for.
     """
@@ -137,17 +137,20 @@ def assess_trust(state: State, command: AssessTrust) -> tuple[Event, ...]:
 
     Paper: sec:model:trust.
     """
-    trust, key = state.trust, (command.robot, command.peer, command.capability, command.context)
+    moved = _moved(state.trust, (command.robot, command.peer, command.capability, command.context))
+    return () if moved is None else (made_from(TrustSet, command, scope=moved, decided_by=TRUST, reason="record"),)
+
+
+def _moved(trust: Trust, key: Key) -> TrustScope | None:
+    """Return the scope to which the record moves this trust, or None."""
     record, scope = trust.records.get(key), scope_of(trust, *key)
     if record is None or scope == "none":
-        return ()
+        return None
     if 0 < trust.downgrade_after <= record.failures:
-        moved = SCOPES[SCOPES.index(scope) - 1]
-    elif 0 < trust.promote_after <= record.successes and not covers(scope, BROADEST_BY_RECORD):
-        moved = SCOPES[SCOPES.index(scope) + 1]
-    else:
-        return ()
-    return (made_from(TrustSet, command, scope=moved, decided_by=TRUST, reason="record"),)
+        return SCOPES[SCOPES.index(scope) - 1]
+    if 0 < trust.promote_after <= record.successes and not covers(scope, BROADEST_BY_RECORD):
+        return SCOPES[SCOPES.index(scope) + 1]
+    return None
 
 
 @HANDLERS.decide(ExpireTrust, nobody)
@@ -189,10 +192,13 @@ def expire_trust(state: State, command: ExpireTrust) -> tuple[Event, ...]:
 def _on_result(
     state: State, _event: RequestClosed | RequestDenied | ExecutionFailed | AuthorityRevoked, _now_us: int
 ) -> tuple[Scheduled, ...]:
-    """Assess trust after each coordination event that changed a record. Paper: sec:evaluation:simulator."""
+    """Move trust after each coordination event by which a record reaches a threshold.
+
+    Paper: sec:evaluation:simulator.
+    """
     if not follows_record(state.trust):
         return ()
-    return tuple(Scheduled(AssessTrust(*key)) for key in state.trust.judged)
+    return tuple(Scheduled(AssessTrust(*key)) for key in state.trust.judged if _moved(state.trust, key) is not None)
 
 
 @HANDLERS.react(TaskCompleted, TaskAbandoned)

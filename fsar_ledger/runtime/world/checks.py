@@ -88,6 +88,9 @@ def _problems_of_trust(fleet: Fleet) -> Iterator[Problem]:
             role, peer_role = min(pairs & given)
             yield Problem((*about, "role"), f"trust of {role} in {peer_role} a second time", "one entry for each pair")
         given |= pairs
+    for name in ("promote_after", "downgrade_after"):
+        if (number := getattr(fleet.trust_by_record, name)) < 0:
+            yield Problem(("trust_by_record", name), f"{number}", "so many results in a row, or 0: never")
 
 
 def _problems_of_shifts(fleet: Fleet) -> Iterator[Problem]:

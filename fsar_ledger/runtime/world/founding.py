@@ -3,14 +3,14 @@
 from typing import NamedTuple
 
 from fsar_ledger import designs
-from fsar_ledger.designs import Fleet, registered
+from fsar_ledger.designs import Fleet, TrustByRecord, registered
 from fsar_ledger.designs.constants import WorldConstants
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import Robot, Supervisor, local_supervisor, robot_named
 from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.events.policy import RolePolicyRuleSet
 from fsar_ledger.events.registry import CapabilityAdvertised, CapabilityInstalled
-from fsar_ledger.events.trust import RoleTrustSet
+from fsar_ledger.events.trust import RoleTrustSet, TrustThresholdsSet
 
 FLOOR_TEAMS = WorldConstants().floor_teams
 
@@ -90,6 +90,8 @@ def founding(fleet_size: int, floor_teams: int = FLOOR_TEAMS, fleet: Fleet | Non
         joined.append(RoleTrustSet(role=trust.role, peer_role=trust.peer_role, scope=trust.scope))
         if trust.is_mutual and trust.role != trust.peer_role:
             joined.append(RoleTrustSet(role=trust.peer_role, peer_role=trust.role, scope=trust.scope))
+    if (by_record := design.trust_by_record) != TrustByRecord():
+        joined.append(TrustThresholdsSet(by_record.promote_after, by_record.downgrade_after, None))
     joined += [
         RolePolicyRuleSet(scope=policy.scope, role=policy.role, outcome=policy.outcome, capability=policy.capability)
         for policy in design.policies
