@@ -54,13 +54,7 @@ from fsar_ledger.runtime.handlers.commands import (
     open_failure,
 )
 from fsar_ledger.runtime.handlers.execution import started
-from fsar_ledger.runtime.handlers.recovery import (
-    attempt_failed,
-    attempt_succeeds,
-    attempted,
-    budget,
-    end_of_attempt,
-)
+from fsar_ledger.runtime.handlers.recovery import attempt_failed, attempt_succeeds, attempted, budget, end_of_attempt
 from fsar_ledger.runtime.handlers.trust import AssessTrust
 
 ChangeTable = Callable[[HandlerTable], HandlerTable]

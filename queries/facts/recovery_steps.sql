@@ -1,7 +1,6 @@
 -- Title: What recovery did about each failure, step by step, and what came of it
 -- Paper: eq:recovery, fig:wf3
--- Grain: one row per failure and attempt, rollback, question (registry, peer, supervisor), reassignment, escalation or
---   resolution
+-- Grain: one row per failure and attempt, rollback, question, reassignment, escalation or resolution
 -- Key: run_id, action_id, failure, seq
 -- Units: detected_us, time_us, until_us microseconds of run time; until_us is when the next step was taken
 -- NULL: decided_by when the record names none; result when none came or is recorded; until_us of the last step
@@ -35,7 +34,7 @@ SELECT
     steps.decided_by, steps.level, steps.to_level, steps.deadline_us,
     CASE steps.type
         WHEN 'RecoveryAttempted.v1' THEN 'attempt ' || steps.number
-        WHEN 'AttemptRolledBack.v1' THEN 'has rolled back attempt ' || steps.number
+        WHEN 'AttemptRolledBack.v1' THEN 'has rolled back ' || array_to_string(steps.undone, ', ')
         WHEN 'AssistanceRequested.v1' THEN 'asks ' || steps.helper || ' for help'
         WHEN 'RegistryQueried.v1' THEN 'asks the registry for ' || steps.capability
         WHEN 'ReassignmentDecided.v1' THEN 'evaluates reassignment'
@@ -52,12 +51,9 @@ SELECT
             THEN if(lead(steps.type) OVER in_order = 'FailureResolved.v1', 'helped', 'no help')
         WHEN steps.type = 'RegistryQueried.v1'
             THEN if(len(steps.candidates) = 0, 'no peer', array_to_string(steps.candidates, ', '))
-        WHEN steps.type = 'ReassignmentDecided.v1' AND steps.helper IS NULL
-            THEN 'infeasible' || coalesce(': ' || steps.reason, '')
         WHEN steps.type = 'ReassignmentDecided.v1'
-            THEN 'to ' || steps.helper || coalesce(' from ' || steps.checkpoint, '')
+            THEN coalesce('to ' || steps.helper || coalesce(' from ' || checkpoint, ''), concat_ws(': ', 'infeasible', reason))
         WHEN steps.type = 'SupervisorCalled.v1' AND failures.resolved_level = 'human' THEN 'resolved'
-        WHEN steps.type = 'AttemptRolledBack.v1' THEN 'undone: ' || array_to_string(steps.undone, ', ')
         WHEN steps.type = 'RecoveryEscalated.v1' THEN steps.reason
     END AS result,
     answers.achieved

@@ -29,6 +29,7 @@ READ_ALL_EVENTS = {
     "metrics/coordination_cost": "counts messages of forty types in one pass",
     "facts/action_records": "sums up all that happened to an action, whatever the type",
     "audit/supervisor_decisions": "finds what a supervisor decided by the decider, whatever the type",
+    "facts/mechanism_decisions": "counts what events of eight concerns decided in one pass",
     "facts/supervision_ends": "finds whom the records of an action named last, whatever their type",
     "tables/mechanism_coverage": "counts events of five concerns in one pass",
 }

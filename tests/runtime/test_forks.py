@@ -141,7 +141,7 @@ def test_what_holds_from_a_time_on_changes_nothing_before(text: str, kind: type[
     of = base()
     found = forked(text, of=of)
     require_fork(of[1], found)
-    assert [time_us for time_us, _ in of_type(found.record, kind) if time_us][0] == 60 * S
+    assert next(time_us for time_us, _ in of_type(found.record, kind) if time_us) == 60 * S
     assert found.parts_at is not None
     assert found.record.times_us[found.parts_at] == 60 * S
 
