@@ -52,7 +52,7 @@ SELECT
         WHEN steps.type = 'RegistryQueried.v1'
             THEN if(len(steps.candidates) = 0, 'no peer', array_to_string(steps.candidates, ', '))
         WHEN steps.type = 'ReassignmentDecided.v1'
-            THEN coalesce('to ' || steps.helper || coalesce(' from ' || checkpoint, ''), concat_ws(': ', 'infeasible', reason))
+            THEN if(helper IS NULL, concat_ws(': ', 'infeasible', reason), concat('to ', helper, ' from ' || checkpoint))
         WHEN steps.type = 'SupervisorCalled.v1' AND failures.resolved_level = 'human' THEN 'resolved'
         WHEN steps.type = 'RecoveryEscalated.v1' THEN steps.reason
     END AS result,
