@@ -6,9 +6,11 @@ Both rules were registered before the fit, in `reports/registration.toml`.
   the 90 % interval of (ours - paper) lies within the metric's margin, `no` if it lies wholly outside, `undecided`
   otherwise, also where our mean has no SD.
 - *Could the paper's experiment, run on this model, have printed it?* `no` if fewer than one in twenty experiments of
-  the paper's size, drawn from our runs, print a number as far out, `yes` otherwise. `drawn_experiments` draws
-  these from the runs of a ledger. For a whole table, the smallest p of its cells is compared with the smallest p of
-  each drawn table (min-p, Westfall and Young 1993), so that correlated cells are not counted twice.
+  the paper's size print a number as far out, `yes` otherwise. `drawn_places` draws these with replacement from runs
+  that it draws from ours in the same way, so that the spread is of the paper's sampling error and of ours;
+  `drawn_experiments` has their means, `drawn_effects` their effect sizes. For a whole table, the smallest p of its
+  cells is compared with the smallest p of each drawn table (min-p, Westfall and Young 1993), so that correlated cells
+  are not counted twice.
 """
 
 import math
@@ -65,6 +67,11 @@ def odds(
     return Odds(found, float(np.mean(smallest <= min(found.values()))))
 
 
+def share_text(share: float) -> str:
+    """Return a share of the drawn experiments as text; a share of none says of how many."""
+    return f"0 of {DRAWS:,}" if share == 0 else f"{share:.4f}"
+
+
 def _numbers(values: Sequence[float | None] | Numbers) -> Numbers:
     return np.asarray(values, dtype=np.float64)
 
@@ -83,7 +90,7 @@ def _two_sided(steps: Numbers, asked: Numbers) -> Numbers:
 
 Answer = Literal["yes", "no", "undecided"]
 
-ALPHA = registration().verdicts.alpha
+ALPHA, DRAWS = registration().verdicts.alpha, registration().verdicts.draws
 MARGINS: dict[str, float] = {one.name: one.printed.margin for one in published_metrics()}
 """Half-width within which a difference does not matter, in the metric's unit."""
 
