@@ -37,7 +37,7 @@ STAGES = (
     Stage("comparison", "reports/comparison.json", ("predictions",)),
     Stage("ensemble", "reports/ensemble.json", ("fit",)),
     Stage("sensitivity", "reports/sensitivity.json", ("fit",)),
-    Stage("placebo", "reports/placebo.json", ("registration",)),
+    Stage("placebo", "reports/placebo.json", ("fit",)),
 )
 REGISTRATION = STAGES[0]
 LAST = "comparison"

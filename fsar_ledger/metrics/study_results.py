@@ -134,6 +134,7 @@ class Calibration(Result, frozen=True, kw_only=True):
     seeds: list[int] = []
     runs_per_scenario: int | None = None
     evaluations: int | None = None
+    cpu_minutes: float | None = None
     model_version: str | None = None
     rules: dict[str, str] | None = None
     command: str | None = None

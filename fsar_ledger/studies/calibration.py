@@ -99,7 +99,12 @@ def calibrate(
         accepted = Experiment(ARCHITECTURES, SCENARIOS, PLAN.judged_runs, PLAN.seed, constants=at(last.point))
         with simulated(accepted, workers) as database:
             means = means_of(metric_rows(database))
-        write(out, _result(objective(begun, best.start), best.start, (*rough, last), means, evaluations.count), GOES_ON)
+        result = _result(objective(begun, best.start), best.start, (*rough, last), means)
+        write(
+            out,
+            msgspec.structs.replace(result, evaluations=evaluations.count, cpu_minutes=evaluations.cpu_minutes),
+            GOES_ON,
+        )
 
 
 def search(judge: Judge, start: Vector, runs: int, most_steps: int) -> Search:
@@ -185,7 +190,7 @@ def slopes(each: Callable[[list[Vector]], list[Vector]], point: Vector) -> Matri
     return np.asarray(np.array(columns).T)
 
 
-def _result(begun: float, start: Vector, searches: Sequence[Search], means: Answer, evaluations: int) -> Calibration:
+def _result(begun: float, start: Vector, searches: Sequence[Search], means: Answer) -> Calibration:
     last = searches[-1]
     constants, found = at(last.point), distances(means)
     _, singular, directions = np.linalg.svd(weighted(last.slopes, found), full_matrices=False)
@@ -193,7 +198,6 @@ def _result(begun: float, start: Vector, searches: Sequence[Search], means: Answ
         objective=Objective(PLAN.rule, start=round(begun, 3), accepted=round(objective(found, last.point), 3)),
         seeds=[PLAN.seed],
         runs_per_scenario=PLAN.judged_runs,
-        evaluations=evaluations,
         model_version=MODEL_VERSION,
         rules=rules(METRICS),
         command=Calibration.MADE_BY,

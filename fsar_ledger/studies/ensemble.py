@@ -14,6 +14,7 @@ from fsar_ledger.api.names import Place
 from fsar_ledger.api.workload import workers_of
 from fsar_ledger.base.errors import UsageError
 from fsar_ledger.base.progress import Progress
+from fsar_ledger.designs.constants import write_constants
 from fsar_ledger.metrics.paper_numbers import printed_tests
 from fsar_ledger.metrics.registration import Sample, registration
 from fsar_ledger.metrics.robustness import Ensemble, Sign, Spread
@@ -24,7 +25,7 @@ from fsar_ledger.runtime.simulation import MODEL_VERSION
 from .calibration import weighted
 from .evaluations import CELLS, Answer, Evaluate, evaluate, evaluating, question_at
 from .factor_effects import Matrix, Vector
-from .points import FREE, point_of, sobol
+from .points import FREE, point_of, sobol, with_values
 from .ranking import ranks
 from .result import GOES_ON, grounds, write
 
@@ -54,14 +55,15 @@ def ensemble(
         WriteFailed, WorkerDied: As `evaluating`.
     """
     out, sample = Path(out), registration().ensemble
-    fit = packaged(Calibration) if calibration is None else read(Path(calibration), Calibration)
-    points, clipped = drawn(_require_slopes(fit, str(calibration or Calibration.FILE)), sample)
+    given = packaged(Calibration) if calibration is None else read(Path(calibration), Calibration)
+    fit = _require_slopes(given, str(calibration or Calibration.FILE))
+    points, clipped = drawn(fit, sample)
     with evaluating(out, workers_of(workers), progress, ask) as evaluations:
         evaluations.expected = sample.size
         found = evaluations.answers(
             [question_at(point, sample.seed + number, sample.runs) for number, point in enumerate(points)]
         )
-        result = _result(sample, found, clipped, evaluations.cpu_minutes)
+        result = _result(fit, sample, found, clipped, evaluations.cpu_minutes)
         write(out, result, GOES_ON)
     return result
 
@@ -101,11 +103,14 @@ def normal(precision: Matrix, sample: Sample) -> Matrix:
     return np.asarray(np.linalg.solve(np.linalg.cholesky(precision).T, standard.T).T)
 
 
-def _result(sample: Sample, answers: Sequence[Answer], clipped: float, cpu_minutes: float) -> Ensemble:
+def _result(
+    fit: Calibration, sample: Sample, answers: Sequence[Answer], clipped: float, cpu_minutes: float
+) -> Ensemble:
     plausible = [answer for answer in answers if not _missed(answer)]
     basis = plausible or answers
+    accepted = write_constants(with_values([one.accepted for one in fit.parameters]))
     return Ensemble(
-        **grounds(Ensemble),
+        **grounds(Ensemble) | {"parameters": accepted},
         sample=sample,
         cpu_minutes=cpu_minutes,
         clipped=clipped,

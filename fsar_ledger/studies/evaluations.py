@@ -116,13 +116,22 @@ class _Header(msgspec.Struct, frozen=True):
     program: str
 
 
+PROGRAM = (
+    ("fsar_ledger", "*.py"),
+    ("fsar_ledger", "*.toml"),
+    ("fsar_ledger.queries", "*.sql"),
+    ("fsar_ledger.reports", "metrics.toml"),
+)
+"""The files on which an answer depends, beside its question."""
+
+
 @cache
 def _program() -> str:
-    """Return a digest of all code and queries: an answer of another program does not count."""
+    """Return a digest of all code, designs and queries: an answer of another program does not count."""
     digest = sha256()
-    for package, kind in (("fsar_ledger", "py"), ("fsar_ledger.queries", "sql")):
+    for package, pattern in PROGRAM:
         root = Path(str(files(package)))
-        for path in sorted(root.rglob(f"*.{kind}")):
+        for path in sorted(root.rglob(pattern)):
             digest.update(f"{path.relative_to(root)}\0".encode() + path.read_bytes())
     return digest.hexdigest()[:32]
 

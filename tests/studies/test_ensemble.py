@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from fsar_ledger.base.errors import UsageError
+from fsar_ledger.designs.constants import write_constants
 from fsar_ledger.metrics.registration import Registration, Sample, registration
 from fsar_ledger.metrics.robustness import Ensemble, Spread
 from fsar_ledger.metrics.study_results import Calibration, Parameter, Residual, encoded, read
@@ -15,7 +16,7 @@ from fsar_ledger.runtime.simulation import MODEL_VERSION
 from fsar_ledger.studies import ensemble as study
 from fsar_ledger.studies.ensemble import drawn, ensemble, normal
 from fsar_ledger.studies.evaluations import CELLS, Answer, Question
-from fsar_ledger.studies.points import FREE, point_of, value_of
+from fsar_ledger.studies.points import FREE, at, point_of, value_of
 
 SAMPLE = Sample(seed=5, size=256, runs=1)
 
@@ -105,6 +106,7 @@ def test_a_point_is_plausible_if_every_cell_is_within_margin_and_discrepancy(tmp
     assert {one.same + one.other for one in found.signs} == {found.plausible}
     assert f"{found.plausible} of {SAMPLE.size} points are plausible" in found.summary()
     assert read(tmp_path / "ensemble.json", Ensemble) == found
+    assert found.parameters == write_constants(at(np.zeros(len(FREE)))), "around the fit that was given"
 
 
 @pytest.mark.usefixtures("registered")
