@@ -23,9 +23,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsar_ledger.metrics.definitions import published_metrics
-from fsar_ledger.metrics.paper_numbers import Printed, printed
+from fsar_ledger.metrics.paper_numbers import Printed, printed, printed_tests
 from fsar_ledger.metrics.registration import registration
-from fsar_ledger.metrics.results import MetricRow
+from fsar_ledger.metrics.results import MetricRow, StatisticRow
 
 if TYPE_CHECKING:
     from fsar_ledger.metrics.study_results import Predicted
@@ -171,8 +171,49 @@ def judge(row: "MetricRow | Predicted", paper: float, share: float | None = None
         gives=gives(low, high, margin),
         power=power,
         share=share,
-        could=None if share is None else "no" if share < ALPHA else "yes",
+        could=could_print(share),
     )
+
+
+def could_print(share: float | None) -> Answer | None:
+    """Answer the second question by the share of drawn experiments; None if none were drawn."""
+    return None if share is None else "no" if share < ALPHA else "yes"
+
+
+class ComparedEffect(msgspec.Struct, frozen=True, kw_only=True):
+    """One printed Cohen's d, with the sign of its t, beside ours over all pairs, and the answer to the second question.
+
+    `share` is the two-sided share of drawn experiments of the paper's size (`results.drawn_effects`); None as in
+    `Comparison`, and `ours` where neither side varies.
+    """
+
+    metric: str
+    comparison: str
+    ours: float | None
+    paper: float
+    share: float | None
+    could: Answer | None
+
+
+def compare_effects(
+    rows: Iterable[StatisticRow], drawn: Mapping[tuple[str, str], Sequence[float | None]]
+) -> list[ComparedEffect]:
+    """Judge every test that the significance table prints, in the given order; `drawn` may be empty."""
+    paper = {test: one.d for test, one in printed_tests().items()}
+    told = odds(drawn, paper)
+    shares = {} if told is None else told.cells
+    return [
+        ComparedEffect(
+            metric=row.metric,
+            comparison=row.comparison,
+            ours=row.cohens_d,
+            paper=paper[test].value,
+            share=shares.get(test),
+            could=could_print(shares.get(test)),
+        )
+        for row in rows
+        if (test := (row.metric, row.comparison)) in paper
+    ]
 
 
 def gives(low: float | None, high: float | None, margin: float) -> Answer:

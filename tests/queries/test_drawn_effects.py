@@ -13,7 +13,7 @@ from fsar_ledger.metrics.database import Database, from_table
 from fsar_ledger.metrics.paper_numbers import printed_tests
 from fsar_ledger.metrics.registration import registration
 from fsar_ledger.metrics.results import drawn_effects, setting_of, statistic_rows
-from fsar_ledger.metrics.verdicts import odds
+from fsar_ledger.metrics.verdicts import compare_effects
 from fsar_ledger.runtime.simulation import ARCHITECTURES, SCENARIOS, RunSpec, simulate_run
 from tests.sure import known
 
@@ -61,10 +61,14 @@ def test_each_printed_test_has_a_share_of_drawn_experiments(database: Database) 
     drawn = drawn_effects(database, setting)
     assert drawn.keys() == printed_tests().keys()
     assert {len(numbers) for numbers in drawn.values()} == {registration().verdicts.draws}
-    printed = {test: one.d for test, one in printed_tests().items()}
-    found = known(odds(drawn, printed))
-    assert found.cells.keys() == printed.keys()
-    assert all(0 <= share <= 1 for share in found.cells.values())
+    found = compare_effects(statistic_rows(database), drawn)
+    assert [(one.metric, one.comparison) for one in found] == list(printed_tests())
+    for one in found:
+        assert one.could == ("no" if known(one.share) < 0.05 else "yes")
+        numbers = [number for number in drawn[one.metric, one.comparison] if number is not None]
+        assert min(numbers) < known(one.ours) < max(numbers)
+        assert (one.share == 0) == (not min(numbers) < one.paper < max(numbers))
+    assert {one.could for one in compare_effects(statistic_rows(database), {})} == {None}
     assert drawn_effects(database, (*setting[:-1], "other constants")) == {}
 
 
