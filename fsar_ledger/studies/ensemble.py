@@ -56,7 +56,7 @@ def ensemble(
     """
     out, sample = Path(out), registration().ensemble
     given = packaged(Calibration) if calibration is None else read(Path(calibration), Calibration)
-    fit = _require_slopes(given, str(calibration or Calibration.FILE))
+    fit = _require_slopes(given, str(calibration or f"reports/{Calibration.FILE}"))
     points, clipped = drawn(fit, sample)
     with evaluating(out, workers_of(workers), progress, ask) as evaluations:
         evaluations.expected = sample.size

@@ -126,7 +126,7 @@ def ensemble(
     workers: WorkersOption = None,
     progress: Points = None,
 ) -> Shown:
-    """Evaluate points around the fit that explain the paper's results about as well; takes half an hour on two cores.
+    """Evaluate points around the fit that explain the paper's results about as well; takes an hour on two cores.
 
     They are drawn as the slopes of the fit leave them open. A point is plausible if each of the 24 cells lies within
     its margin, and the registered discrepancy, of the printed number. The result says how many are, and with how many
