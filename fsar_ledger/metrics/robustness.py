@@ -14,7 +14,7 @@ from .study_results import GroundedResult, Row, rows_of
 from .verdicts import Answer
 
 
-class Rank(msgspec.Struct, frozen=True, kw_only=True):
+class RankCounts(msgspec.Struct, frozen=True, kw_only=True):
     """How FSAR ranks over the points in one metric, or in several at once, which `metric` then says.
 
     `is_best_in_paper` tells whether the paper prints FSAR as the best. At a point FSAR is `best` (better than both
@@ -57,7 +57,7 @@ class Ranking(GroundedResult, frozen=True, kw_only=True):
     sample: Sample
     ranges: dict[str, tuple[float, float]]
     cpu_minutes: float
-    ranks: list[Rank]
+    ranks: list[RankCounts]
 
     def tables(self) -> Iterator[list[Row]]:
         """Yield the ranks."""
@@ -71,7 +71,7 @@ class Ranking(GroundedResult, frozen=True, kw_only=True):
         )
 
 
-class Spread(msgspec.Struct, frozen=True, kw_only=True):
+class CellSpread(msgspec.Struct, frozen=True, kw_only=True):
     """One cell over the points around the fit: how often it is near the printed number, and where it lies.
 
     `within_margin` and `within_tolerance` (margin plus discrepancy) count points, `only_miss` those where it is the one
@@ -94,7 +94,7 @@ class Spread(msgspec.Struct, frozen=True, kw_only=True):
     upper_quartile: float | None
 
 
-class Sign(msgspec.Struct, frozen=True, kw_only=True):
+class SignCount(msgspec.Struct, frozen=True, kw_only=True):
     """One comparison of two architectures: at how many points its sign is that of the t that the paper prints.
 
     `same`, `other` and `neither` (equal, or a mean is undefined) count the plausible points, or all where none is.
@@ -124,9 +124,9 @@ class Ensemble(GroundedResult, frozen=True, kw_only=True):
     cpu_minutes: float
     clipped: float
     plausible: int
-    cells: list[Spread]
-    signs: list[Sign]
-    ranks: list[Rank]
+    cells: list[CellSpread]
+    signs: list[SignCount]
+    ranks: list[RankCounts]
 
     def agreement(self, metric: str, architecture: str, gives: Answer) -> tuple[int, int] | None:
         """Return how many points agree with this answer for a cell of the results table, and of how many.

@@ -32,8 +32,8 @@ from fsar_ledger.runtime.simulation import ARCHITECTURES, MODEL_VERSION, SCENARI
 
 from .evaluations import CELLS, Answer, Evaluate, Evaluations, evaluate, evaluating, means_of, question_at, simulated
 from .factor_effects import Matrix, Vector
-from .points import FREE, at, spread, value_of
-from .result import GOES_ON, write
+from .points import FREE, at, points_over_ranges, value_of
+from .result import RESUME_ADVICE, write
 
 PLAN = registration().fit
 STEP = 0.1  # the step of the central differences of the Jacobian, in half ranges
@@ -103,7 +103,7 @@ def calibrate(
         write(
             out,
             msgspec.structs.replace(result, evaluations=evaluations.count, cpu_minutes=evaluations.cpu_minutes),
-            GOES_ON,
+            RESUME_ADVICE,
         )
 
 
@@ -142,7 +142,7 @@ def search(judge: Judge, start: Vector, runs: int, most_steps: int) -> Search:
 # See docs/decisions/fit-is-registered-first.md.
 def screened() -> list[Vector]:
     """Return the points that are judged first: the middle of all ranges, and a Sobol sequence over them."""
-    return [np.zeros(len(FREE)), *spread(PLAN.screened, PLAN.seed)]
+    return [np.zeros(len(FREE)), *points_over_ranges(PLAN.screened, PLAN.seed)]
 
 
 def objective(found: Vector, point: Vector) -> float:
@@ -166,7 +166,7 @@ def losses(squares: Vector) -> Matrix:
     )
 
 
-def weighted(steepness: Matrix, found: Vector) -> Matrix:
+def weighted_slopes(steepness: Matrix, found: Vector) -> Matrix:
     """Return the slopes of the cells at these distances, each weighed as the fit's loss weighs it.
 
     Their Gram matrix, plus one for each coordinate, is the Gauss-Newton matrix of half the objective.
@@ -193,7 +193,7 @@ def slopes(each: Callable[[list[Vector]], list[Vector]], point: Vector) -> Matri
 def _result(begun: float, start: Vector, searches: Sequence[Search], means: Answer) -> Calibration:
     last = searches[-1]
     constants, found = at(last.point), distances(means)
-    _, singular, directions = np.linalg.svd(weighted(last.slopes, found), full_matrices=False)
+    _, singular, directions = np.linalg.svd(weighted_slopes(last.slopes, found), full_matrices=False)
     return Calibration(
         objective=Objective(PLAN.rule, start=round(begun, 3), accepted=round(objective(found, last.point), 3)),
         seeds=[PLAN.seed],

@@ -17,17 +17,17 @@ from fsar_ledger.base.progress import Progress
 from fsar_ledger.designs.constants import write_constants
 from fsar_ledger.metrics.paper_numbers import printed_tests
 from fsar_ledger.metrics.registration import Sample, registration
-from fsar_ledger.metrics.robustness import Ensemble, Sign, Spread
+from fsar_ledger.metrics.robustness import CellSpread, Ensemble, SignCount
 from fsar_ledger.metrics.study_results import Calibration, packaged, read
 from fsar_ledger.metrics.verdicts import MARGINS, published
 from fsar_ledger.runtime.simulation import MODEL_VERSION
 
-from .calibration import weighted
+from .calibration import weighted_slopes
 from .evaluations import CELLS, Answer, Evaluate, evaluate, evaluating, question_at
 from .factor_effects import Matrix, Vector
 from .points import FREE, point_of, sobol, with_values
 from .ranking import ranks
-from .result import GOES_ON, grounds, write
+from .result import RESUME_ADVICE, grounds, write
 
 
 def ensemble(
@@ -57,14 +57,14 @@ def ensemble(
     out, sample = Path(out), registration().ensemble
     given = packaged(Calibration) if calibration is None else read(Path(calibration), Calibration)
     fit = _require_slopes(given, str(calibration or f"reports/{Calibration.FILE}"))
-    points, clipped = drawn(fit, sample)
+    points, clipped = points_around(fit, sample)
     with evaluating(out, workers_of(workers), progress, ask) as evaluations:
         evaluations.expected = sample.size
         found = evaluations.answers(
             [question_at(point, sample.seed + number, sample.runs) for number, point in enumerate(points)]
         )
         result = _result(fit, sample, found, clipped, evaluations.cpu_minutes)
-        write(out, result, GOES_ON)
+        write(out, result, RESUME_ADVICE)
     return result
 
 
@@ -84,17 +84,17 @@ def _require_slopes(fit: Calibration | None, name: str) -> Calibration:
     return fit
 
 
-def drawn(fit: Calibration, sample: Sample) -> tuple[list[Vector], float]:
+def points_around(fit: Calibration, sample: Sample) -> tuple[list[Vector], float]:
     """Return points around the accepted one, and the share of coordinates that were clipped."""
     centre = point_of([one.accepted for one in fit.parameters])
     distances = np.array([1.0 if one.distance_margins is None else one.distance_margins for one in fit.residuals])
-    steepness = weighted(np.array([one.slopes for one in fit.residuals]), distances)
-    free = centre + normal(steepness.T @ steepness + np.eye(len(FREE)), sample)
+    steepness = weighted_slopes(np.array([one.slopes for one in fit.residuals]), distances)
+    free = centre + normal_sample(steepness.T @ steepness + np.eye(len(FREE)), sample)
     points = np.clip(free, -1.0, 1.0)
     return list(points), round(float(np.mean(points != free)), 4)
 
 
-def normal(precision: Matrix, sample: Sample) -> Matrix:
+def normal_sample(precision: Matrix, sample: Sample) -> Matrix:
     """Return a sample of the normal distribution with this precision and mean 0."""
     from scipy.special import ndtri
 
@@ -130,7 +130,7 @@ def _missed(answer: Answer) -> list[int]:
     ]
 
 
-def _spread(cell: int, answers: Sequence[Answer], plausible: Sequence[Answer]) -> Spread:
+def _spread(cell: int, answers: Sequence[Answer], plausible: Sequence[Answer]) -> CellSpread:
     metric, architecture = CELLS[cell]
     paper, margin = published()[metric, architecture].value, MARGINS[metric]
     known = [mean for answer in answers if (mean := answer[cell]) is not None]
@@ -139,7 +139,7 @@ def _spread(cell: int, answers: Sequence[Answer], plausible: Sequence[Answer]) -
     def within(part: Sequence[Answer]) -> int:
         return sum(mean is not None and abs(mean - paper) <= margin for answer in part for mean in [answer[cell]])
 
-    return Spread(
+    return CellSpread(
         metric=metric,
         architecture=architecture,
         paper=paper,
@@ -156,7 +156,7 @@ def _spread(cell: int, answers: Sequence[Answer], plausible: Sequence[Answer]) -
     )
 
 
-def _signs(answers: Sequence[Answer]) -> Iterator[Sign]:
+def _signs(answers: Sequence[Answer]) -> Iterator[SignCount]:
     for (metric, comparison), test in printed_tests().items():
         first, second = (CELLS.index((metric, architecture)) for architecture in comparison.split("-"))
         differences = [
@@ -165,7 +165,7 @@ def _signs(answers: Sequence[Answer]) -> Iterator[Sign]:
             if (one := answer[first]) is not None and (other := answer[second]) is not None and one != other
         ]
         same = sum((difference > 0) == (test.t > 0) for difference in differences)
-        yield Sign(
+        yield SignCount(
             metric=metric,
             comparison=comparison,
             paper_t=test.t,

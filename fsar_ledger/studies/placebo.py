@@ -29,7 +29,7 @@ from fsar_ledger.runtime.simulation import ARCHITECTURES, SCENARIOS, RunSpec, ha
 
 from .evaluations import Answer, Evaluate, Question, evaluating
 from .factors import Setting
-from .result import GOES_ON, grounds, write
+from .result import RESUME_ADVICE, grounds, write
 
 FSAR, OTHER_NAME = ARCHITECTURES[:2]
 COMPARISON = f"{FSAR}-{OTHER_NAME}"
@@ -74,7 +74,7 @@ def placebo(
             largest_difference=largest,
             tests=list(rejections(found)),
         )
-        write(out, result, GOES_ON)
+        write(out, result, RESUME_ADVICE)
     return result
 
 

@@ -25,7 +25,7 @@ def sobol(size: int, seed: int) -> Matrix:
     return np.asarray(Sobol(len(FREE), rng=seed).random_base2((size - 1).bit_length())[:size])
 
 
-def spread(size: int, seed: int) -> list[Vector]:
+def points_over_ranges(size: int, seed: int) -> list[Vector]:
     """Return so many points that cover the ranges evenly."""
     return [np.asarray(2.0 * one - 1.0) for one in sobol(size, seed)]
 

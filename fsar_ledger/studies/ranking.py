@@ -14,13 +14,13 @@ from fsar_ledger.base.progress import Progress
 from fsar_ledger.base.wilson import wilson
 from fsar_ledger.metrics.definitions import Metric, published_metrics
 from fsar_ledger.metrics.registration import registration
-from fsar_ledger.metrics.robustness import Rank, Ranking
+from fsar_ledger.metrics.robustness import RankCounts, Ranking
 from fsar_ledger.metrics.verdicts import MARGINS, published
 from fsar_ledger.runtime.simulation import ARCHITECTURES
 
 from .evaluations import CELLS, Answer, Evaluate, evaluate, evaluating, question_at
-from .points import spread
-from .result import GOES_ON, grounds, ranges, write
+from .points import points_over_ranges
+from .result import RESUME_ADVICE, grounds, ranges, write
 
 ALL = "all eight"
 IN_PAPER = "those in which the paper prints it best"
@@ -37,7 +37,7 @@ def ranking(
     Raises: As `evaluating`; WriteFailed, WorkerDied.
     """
     out, sample = Path(out), registration().ranking
-    points = spread(sample.size, sample.seed)
+    points = points_over_ranges(sample.size, sample.seed)
     with evaluating(out, workers_of(workers), progress, ask) as evaluations:
         evaluations.expected = sample.size
         found = evaluations.answers(
@@ -50,7 +50,7 @@ def ranking(
             cpu_minutes=evaluations.cpu_minutes,
             ranks=list(ranks(found)),
         )
-        write(out, result, GOES_ON)
+        write(out, result, RESUME_ADVICE)
     return result
 
 
@@ -74,7 +74,7 @@ def _standing(metric: Metric, means: Mapping[str, float | None]) -> _Standing:
     return _Standing(lead, None if len(set(ours)) < len(ours) else ours == sorted(ours, reverse=True))
 
 
-def ranks(answers: Sequence[Answer]) -> Iterator[Rank]:
+def ranks(answers: Sequence[Answer]) -> Iterator[RankCounts]:
     """Yield the ranks in each metric over these points, in all, and in those in which the paper prints FSAR best."""
     every = published_metrics()
     for metric in every:
@@ -88,7 +88,7 @@ def is_best_in_paper(metric: Metric) -> bool:
     return (_standing(metric, {one: published()[metric.name, one].value for one in ARCHITECTURES}).lead or 0.0) > 0
 
 
-def _rank(name: str, of: Sequence[Metric], answers: Sequence[Answer]) -> Rank:
+def _rank(name: str, of: Sequence[Metric], answers: Sequence[Answer]) -> RankCounts:
     points = [_standings(of, answer) for answer in answers]
     leads = [[one.lead for one in point] for point in points]
     known = [[lead for lead in point if lead is not None] for point in leads]
@@ -101,7 +101,7 @@ def _rank(name: str, of: Sequence[Metric], answers: Sequence[Answer]) -> Rank:
     ordered = sum(all(point) for point in orders)
     disordered = sum(False in point for point in orders)
     of_best, of_ordered = wilson(best, best + beaten).rounded(), wilson(ordered, ordered + disordered).rounded()
-    return Rank(
+    return RankCounts(
         metric=name,
         is_best_in_paper=all(map(is_best_in_paper, of)),
         best=best,

@@ -37,7 +37,7 @@ KINDS: dict[str, type[Result]] = {
     "placebo": Placebo,
 }
 """The studies whose results are files, in the order in which they are made."""
-GOES_ON = "make room and call it again, which goes on from there"
+RESUME_ADVICE = "make room and call it again, which goes on from there"
 """What to do where a result cannot be written whose evaluations are kept."""
 
 

@@ -33,7 +33,7 @@ from .factor_effects import (
     trajectory,
 )
 from .factors import Factor, factors, setting
-from .result import GOES_ON, grounds, write
+from .result import RESUME_ADVICE, grounds, write
 
 SEED = 20_270_001  # of the first trajectory, counting up; never used for a published number or a fit
 BASE_SEED = SEED + 10_000  # of the repeats of the base, counting up
@@ -195,7 +195,7 @@ def sensitivity(
             evaluations=evaluations.count,
             cpu_minutes=evaluations.cpu_minutes,
         )
-        write(out, found, GOES_ON)
+        write(out, found, RESUME_ADVICE)
     return found
 
 

@@ -23,7 +23,7 @@ GOES_ON = "finished evaluations are kept beside --out, and the same command cont
 Points = Annotated[Progress | None, Shows("evaluated", "points")]
 
 
-class Shown(Answer):
+class ResultTables(Answer):
     """The result of a study as tables, with a sentence above them and lines below."""
 
     def __init__(self, found: "Result", *below: str) -> None:
@@ -70,11 +70,13 @@ def study_show(
     if found is None:
         raise UsageError(f"study show {name}: expected a file of `{kind.MADE_BY}`; the package has none")
     differs = stale(found)
-    return Shown(found, f"stale: found results {differs}" if differs else "nothing that it rests on has changed since")
+    return ResultTables(
+        found, f"stale: found results {differs}" if differs else "nothing that it rests on has changed since"
+    )
 
 
 @verb("study run ranking --out out/ranking.json", name="study run ranking", takes=("wide",), after_interruption=GOES_ON)
-def ranking(out: OutOption, workers: WorkersOption = None, progress: Points = None) -> Shown:
+def ranking(out: OutOption, workers: WorkersOption = None, progress: Points = None) -> ResultTables:
     """Rank the architectures all over the registered ranges, without any fit; takes some 15 minutes on two cores.
 
     At each of the registered points every free constant is anywhere in its range. The result says in what share of the
@@ -83,7 +85,7 @@ def ranking(out: OutOption, workers: WorkersOption = None, progress: Points = No
     """
     from .ranking import ranking as study
 
-    return Shown(study(out, workers=workers, progress=progress), f"{out}")
+    return ResultTables(study(out, workers=workers, progress=progress), f"{out}")
 
 
 @verb(
@@ -125,7 +127,7 @@ def ensemble(
     out: OutOption,
     workers: WorkersOption = None,
     progress: Points = None,
-) -> Shown:
+) -> ResultTables:
     """Evaluate points around the fit that explain the paper's results about as well; takes an hour on two cores.
 
     They are drawn as the slopes of the fit leave them open. A point is plausible if each of the 24 cells lies within
@@ -135,7 +137,7 @@ def ensemble(
     """
     from .ensemble import ensemble as study
 
-    return Shown(study(out, calibration, workers=workers, progress=progress), f"{out}")
+    return ResultTables(study(out, calibration, workers=workers, progress=progress), f"{out}")
 
 
 @verb("study run predictions --out out/predictions.json", name="study run predictions", takes=(), old="predict")
@@ -192,7 +194,7 @@ def sensitivity(
     svg: Place | None = declare("FILE", "Also draw them, as SVG; replaced if it exists."),
     workers: WorkersOption = None,
     progress: Points = None,
-) -> Shown:
+) -> ResultTables:
     """Measure how much each number depends on each constant; takes most of an hour on two cores.
 
     Morris screening varies every constant of the world and of the structure, the load and the fleet size. Sobol indices
@@ -210,7 +212,7 @@ def sensitivity(
     found = study(out, trajectories=trajectories, runs=runs, points=points, workers=workers, progress=progress)
     if svg is not None:
         publish(Path(svg), heat_map(found))
-    return Shown(found, *(f"{file}" for file in (out, svg) if file is not None))
+    return ResultTables(found, *(f"{file}" for file in (out, svg) if file is not None))
 
 
 @verb("study run placebo --out out/placebo.json", name="study run placebo", takes=("wide",), after_interruption=GOES_ON)
@@ -218,7 +220,7 @@ def placebo(
     out: OutOption,
     workers: WorkersOption = None,
     progress: Annotated[Progress | None, Shows("compared", "repetitions")] = None,
-) -> Shown:
+) -> ResultTables:
     """Compare FSAR with itself under the name of another architecture; takes some 10 minutes on two cores.
 
     It is the negative control of the whole way from simulation to test. On the same seeds nothing may differ; on other
@@ -226,4 +228,4 @@ def placebo(
     """
     from .placebo import placebo as study
 
-    return Shown(study(out, workers=workers, progress=progress), f"{out}")
+    return ResultTables(study(out, workers=workers, progress=progress), f"{out}")

@@ -26,7 +26,7 @@ from fsar_ledger.studies.calibration import (
     screened,
     search,
     slopes,
-    weighted,
+    weighted_slopes,
 )
 from fsar_ledger.studies.evaluations import CELLS, Answer, Question, evaluate, question_at
 from fsar_ledger.studies.factor_effects import Vector
@@ -155,7 +155,7 @@ def test_a_cell_that_cannot_be_met_hardly_moves_the_constants() -> None:
 
 def test_weighted_slopes_give_the_curvature_of_the_objective() -> None:
     found, step = np.random.default_rng(7).normal(size=24) * 2, 1e-4
-    matrix = weighted(STEEPNESS, found)
+    matrix = weighted_slopes(STEEPNESS, found)
     for along in np.eye(len(FREE)):
         low, mid, high = (objective(found + STEEPNESS @ along * one, np.zeros(1)) for one in (-step, 0.0, step))
         assert (high - 2 * mid + low) / step**2 / 2 == pytest.approx(along @ matrix.T @ matrix @ along, rel=1e-3)

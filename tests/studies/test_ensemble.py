@@ -9,12 +9,12 @@ import pytest
 from fsar_ledger.base.errors import UsageError
 from fsar_ledger.designs.constants import write_constants
 from fsar_ledger.metrics.registration import Registration, Sample, registration
-from fsar_ledger.metrics.robustness import Ensemble, Spread
+from fsar_ledger.metrics.robustness import CellSpread, Ensemble
 from fsar_ledger.metrics.study_results import Calibration, Parameter, Residual, encoded, read
 from fsar_ledger.metrics.verdicts import MARGINS, published
 from fsar_ledger.runtime.simulation import MODEL_VERSION
 from fsar_ledger.studies import ensemble as study
-from fsar_ledger.studies.ensemble import drawn, ensemble, normal
+from fsar_ledger.studies.ensemble import ensemble, normal_sample, points_around
 from fsar_ledger.studies.evaluations import CELLS, Answer, Question
 from fsar_ledger.studies.points import FREE, at, point_of, value_of
 
@@ -40,20 +40,20 @@ def test_a_sample_of_the_normal_distribution_has_its_precision() -> None:
     precision = np.array([[4.0, 1.0], [1.0, 2.0]])
     whole = np.eye(len(FREE))
     whole[:2, :2] = precision
-    points = normal(whole, Sample(seed=5, size=4096, runs=1))
+    points = normal_sample(whole, Sample(seed=5, size=4096, runs=1))
     assert np.cov(points.T)[:2, :2] == pytest.approx(np.linalg.inv(precision), abs=0.01)
     assert points.mean(axis=0) == pytest.approx(0, abs=0.01)
 
 
 def test_points_spread_as_the_slopes_leave_them_open_and_stay_within_the_ranges() -> None:
-    (narrow, clipped), (wide, clipped_wide) = drawn(fit(10.0), SAMPLE), drawn(fit(0.0), SAMPLE)
+    (narrow, clipped), (wide, clipped_wide) = points_around(fit(10.0), SAMPLE), points_around(fit(0.0), SAMPLE)
     assert np.array(narrow).std(axis=0) == pytest.approx((1 + 100.0) ** -0.5, rel=0.05)
     assert (clipped, round(clipped_wide, 1)) == (0.0, 0.3), "the prior reaches beyond the ranges as a normal law does"
     assert np.abs(wide).max() == 1.0
 
 
 def test_a_cell_that_the_fit_misses_says_less_about_the_constants() -> None:
-    at, off = (np.array(drawn(fit(40.0, distance), SAMPLE)[0]).std() for distance in (0.0, 5.0))
+    at, off = (np.array(points_around(fit(40.0, distance), SAMPLE)[0]).std() for distance in (0.0, 5.0))
     assert off == pytest.approx((1 + 1600.0 * 26**-1.5) ** -0.5, rel=0.1)
     assert off > 3 * at
 
@@ -87,7 +87,7 @@ def made(folder: Path, ask: object = moved) -> Ensemble:
     return ensemble(folder / "ensemble.json", folder / "fit.json", workers=1, ask=ask)  # type: ignore[arg-type]
 
 
-def cell(found: Ensemble, at: int) -> Spread:
+def cell(found: Ensemble, at: int) -> CellSpread:
     return found.cells[at]
 
 

@@ -8,12 +8,12 @@ import pytest
 
 from fsar_ledger.metrics.definitions import published_metrics
 from fsar_ledger.metrics.registration import Sample, registration
-from fsar_ledger.metrics.robustness import Rank, Ranking
+from fsar_ledger.metrics.robustness import RankCounts, Ranking
 from fsar_ledger.metrics.study_results import read
 from fsar_ledger.metrics.verdicts import MARGINS, published
 from fsar_ledger.studies import ranking as study
 from fsar_ledger.studies.evaluations import CELLS, Answer, Question
-from fsar_ledger.studies.points import FREE, point_of, spread, value_of
+from fsar_ledger.studies.points import FREE, point_of, points_over_ranges, value_of
 from fsar_ledger.studies.ranking import ALL, IN_PAPER, ranking, ranks
 from fsar_ledger.studies.result import grounds, stale
 
@@ -28,12 +28,12 @@ def answer(**fsar: float | None) -> Answer:
     )
 
 
-def of(metric: str, *answers: Answer) -> Rank:
+def of(metric: str, *answers: Answer) -> RankCounts:
     (found,) = (one for one in ranks(answers) if one.metric == metric)
     return found
 
 
-def counts(found: Rank) -> tuple[int, int, int, int]:
+def counts(found: RankCounts) -> tuple[int, int, int, int]:
     return found.best, found.beaten, found.tied, found.undefined
 
 
@@ -76,9 +76,9 @@ def test_several_metrics_are_beaten_by_one_and_open_where_one_is() -> None:
 
 
 def test_points_cover_every_range_and_are_the_same_again() -> None:
-    points = np.array(spread(64, 3))
-    assert (points == np.array(spread(64, 3))).all()
-    assert (points[:40] == np.array(spread(40, 3))).all()
+    points = np.array(points_over_ranges(64, 3))
+    assert (points == np.array(points_over_ranges(64, 3))).all()
+    assert (points[:40] == np.array(points_over_ranges(40, 3))).all()
     assert (points.min(axis=0) < -0.9).all()
     assert (points.max(axis=0) > 0.9).all()
 
