@@ -47,6 +47,12 @@ class Sample(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     runs: int
 
 
+class SampleAround(Sample, frozen=True, forbid_unknown_fields=True):
+    """A sample around the fit, `spread` times as wide as if a margin were one standard deviation of a cell."""
+
+    spread: float
+
+
 class Kind(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A kind of constant: the range within which the fit may choose values, and the reason for that range."""
 
@@ -120,7 +126,7 @@ class Registration(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     model_version: str
     fit: Fit
     ranking: Sample
-    ensemble: Sample
+    ensemble: SampleAround
     placebo: Sample
     kinds: dict[str, Kind]
     free: tuple[Free, ...]

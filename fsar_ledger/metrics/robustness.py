@@ -9,7 +9,7 @@ from typing import ClassVar
 
 import msgspec
 
-from .registration import Sample
+from .registration import Sample, SampleAround
 from .study_results import GroundedResult, Row, rows_of
 from .verdicts import Answer
 
@@ -120,7 +120,7 @@ class Ensemble(GroundedResult, frozen=True, kw_only=True):
     MADE_BY: ClassVar[str] = "fsar-ledger study run ensemble --out FILE"
 
     command: str = MADE_BY
-    sample: Sample
+    sample: SampleAround
     cpu_minutes: float
     clipped: float
     plausible: int

@@ -2,7 +2,8 @@
 
 The fit accepts one point, and many others explain the 24 cells nearly as well. They are drawn from the normal
 distribution around it whose precision is the Gauss-Newton matrix of the fit's objective (the Laplace approximation),
-and clipped to the ranges. A point is plausible if each cell is within margin plus discrepancy of the printed number.
+with the registered spread, and clipped to the ranges. A point is plausible if each cell is within margin plus
+discrepancy of the printed number.
 """
 
 from collections.abc import Iterator, Sequence
@@ -16,7 +17,7 @@ from fsar_ledger.base.errors import UsageError
 from fsar_ledger.base.progress import Progress
 from fsar_ledger.designs.constants import write_constants
 from fsar_ledger.metrics.paper_numbers import printed_tests
-from fsar_ledger.metrics.registration import Sample, registration
+from fsar_ledger.metrics.registration import Sample, SampleAround, registration
 from fsar_ledger.metrics.robustness import CellSpread, Ensemble, SignCount
 from fsar_ledger.metrics.study_results import Calibration, packaged, read
 from fsar_ledger.metrics.verdicts import MARGINS, published
@@ -84,12 +85,12 @@ def _require_slopes(fit: Calibration | None, name: str) -> Calibration:
     return fit
 
 
-def points_around(fit: Calibration, sample: Sample) -> tuple[list[Vector], float]:
+def points_around(fit: Calibration, sample: SampleAround) -> tuple[list[Vector], float]:
     """Return points around the accepted one, and the share of coordinates that were clipped."""
     centre = point_of([one.accepted for one in fit.parameters])
     distances = np.array([1.0 if one.distance_margins is None else one.distance_margins for one in fit.residuals])
     steepness = weighted_slopes(np.array([one.slopes for one in fit.residuals]), distances)
-    free = centre + normal_sample(steepness.T @ steepness + np.eye(len(FREE)), sample)
+    free = centre + sample.spread * normal_sample(steepness.T @ steepness + np.eye(len(FREE)), sample)
     points = np.clip(free, -1.0, 1.0)
     return list(points), round(float(np.mean(points != free)), 4)
 
@@ -104,7 +105,7 @@ def normal_sample(precision: Matrix, sample: Sample) -> Matrix:
 
 
 def _result(
-    fit: Calibration, sample: Sample, answers: Sequence[Answer], clipped: float, cpu_minutes: float
+    fit: Calibration, sample: SampleAround, answers: Sequence[Answer], clipped: float, cpu_minutes: float
 ) -> Ensemble:
     plausible = [answer for answer in answers if not _missed(answer)]
     basis = plausible or answers

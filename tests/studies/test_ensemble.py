@@ -8,7 +8,7 @@ import pytest
 
 from fsar_ledger.base.errors import UsageError
 from fsar_ledger.designs.constants import write_constants
-from fsar_ledger.metrics.registration import Registration, Sample, registration
+from fsar_ledger.metrics.registration import Registration, Sample, SampleAround, registration
 from fsar_ledger.metrics.robustness import CellSpread, Ensemble
 from fsar_ledger.metrics.study_results import Calibration, Parameter, Residual, encoded, read
 from fsar_ledger.metrics.verdicts import MARGINS, published
@@ -18,7 +18,7 @@ from fsar_ledger.studies.ensemble import ensemble, normal_sample, points_around
 from fsar_ledger.studies.evaluations import CELLS, Answer, Question
 from fsar_ledger.studies.points import FREE, at, point_of, value_of
 
-SAMPLE = Sample(seed=5, size=256, runs=1)
+SAMPLE = SampleAround(seed=5, size=256, runs=1, spread=1.0)
 
 
 def fit(steepness: float, distance: float = 0.0) -> Calibration:
@@ -50,6 +50,8 @@ def test_points_spread_as_the_slopes_leave_them_open_and_stay_within_the_ranges(
     assert np.array(narrow).std(axis=0) == pytest.approx((1 + 100.0) ** -0.5, rel=0.05)
     assert (clipped, round(clipped_wide, 1)) == (0.0, 0.3), "the prior reaches beyond the ranges as a normal law does"
     assert np.abs(wide).max() == 1.0
+    half, _ = points_around(fit(10.0), msgspec.structs.replace(SAMPLE, spread=0.5))
+    assert np.array(half) == pytest.approx(np.array(narrow) / 2)
 
 
 def test_a_cell_that_the_fit_misses_says_less_about_the_constants() -> None:
