@@ -159,7 +159,7 @@ soak-swaps: $(READY_TEST)
 # Vary every constant, the load and the fleet size: which cell does each move, and how far? Not a test; repeat it after
 # a fit.
 soak-sensitivity: $(READY)
-	$(BIN)/fsar-ledger study run sensitivity --out "$$OUT/sensitivity.parquet" --svg "$$OUT/sensitivity.svg"
+	$(BIN)/fsar-ledger study run sensitivity --out "$$OUT/sensitivity.json" --svg "$$OUT/sensitivity.svg"
 
 # Which size breaks which architecture, and what does a request cost there? Not a test; 62 million events, 10 GiB.
 fleets: reproduce

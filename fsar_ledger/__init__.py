@@ -27,7 +27,10 @@ if TYPE_CHECKING:
     from fsar_ledger.base.errors import FsarLedgerError
     from fsar_ledger.studies.calibration import calibrate
     from fsar_ledger.studies.comparison import judge
+    from fsar_ledger.studies.ensemble import ensemble
+    from fsar_ledger.studies.placebo import placebo
     from fsar_ledger.studies.predictions import predict
+    from fsar_ledger.studies.ranking import ranking
     from fsar_ledger.studies.sensitivity import sensitivity
 
 __version__ = "0.9.0"
@@ -44,12 +47,15 @@ __all__ = [
     "Table",
     "Verification",
     "calibrate",
+    "ensemble",
     "errors",
     "judge",
     "key_new",
     "key_public",
     "open_ledger",
+    "placebo",
     "predict",
+    "ranking",
     "reproduce",
     "sensitivity",
     "simulate",
@@ -72,7 +78,10 @@ _HOMES = {
     "base.errors": ("FsarLedgerError",),
     "studies.calibration": ("calibrate",),
     "studies.comparison": ("judge",),
+    "studies.ensemble": ("ensemble",),
+    "studies.placebo": ("placebo",),
     "studies.predictions": ("predict",),
+    "studies.ranking": ("ranking",),
     "studies.sensitivity": ("sensitivity",),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}

@@ -20,6 +20,7 @@ from fsar_ledger.cli.app import app, run
 from fsar_ledger.ledger.log.note import parse_note
 from fsar_ledger.ledger.store.keys import read_verifier
 from fsar_ledger.metrics.library import library
+from fsar_ledger.studies.result import KINDS
 from fsar_ledger.witness.cosignature import Cosigner
 from tests.cli.conftest import SMALL
 from tests.ledger.keep_release import LEDGERS
@@ -44,7 +45,7 @@ def listed(group: Any, *words: str) -> Iterator[tuple[str, Any]]:
 
 
 COMMANDS: dict[str, Any] = dict(listed(get_command(app)))
-STUDIES = {f"study run {name}" for name in ("calibration", "predictions", "comparison", "sensitivity")} | {"study show"}
+STUDIES = {f"study run {name}" for name in KINDS} | {"study show"}
 # The last two need each other (tests/witness/test_processes.py), and a comparison and what is shown need what another
 # study writes (tests/studies).
 LONG = {"reproduce", *STUDIES, "witness serve", "witness ask"}

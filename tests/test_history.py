@@ -1,4 +1,4 @@
-"""The order of registration, fit, predictions and comparison is read from a history, and each violation is found."""
+"""The order of the stages of the evaluation is read from a history, and each violation is found."""
 
 import json
 import subprocess
@@ -30,10 +30,14 @@ def root(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def staged(root: Path, *between: dict[str, str], order: tuple[int, ...] = (0, 1, 2, 3)) -> list[str]:
+PATHS = {stage.name: stage.path for stage in STAGES}
+ORDER = tuple(PATHS)
+
+
+def staged(root: Path, *between: dict[str, str], order: tuple[str, ...] = ORDER) -> list[str]:
     """Return what does not hold after these stages in this order, with other changes after the first of them."""
     for number, stage in enumerate(order):
-        commit(root, {STAGES[stage][1]: f"{stage}\n"})
+        commit(root, {PATHS[stage]: f"{stage}\n"})
         if number == 0:
             for files in between:
                 commit(root, files)
@@ -62,36 +66,56 @@ def test_a_change_of_the_model_after_the_registration_is_found(root: Path, chang
     assert any(said in one for one in staged(root, changed))
 
 
-@pytest.mark.parametrize("order", [(1, 0, 2, 3), (0, 2, 1, 3), (0, 1, 3, 2)])
-def test_stages_in_another_order_are_found(root: Path, order: tuple[int, ...]) -> None:
-    assert any("does not come after the" in one for one in staged(root, order=order))
+def moved(stage: str, before: str) -> tuple[str, ...]:
+    """Return the order with one stage moved before another."""
+    others = [name for name in ORDER if name != stage]
+    return (*others[: (at := others.index(before))], stage, *others[at:])
+
+
+@pytest.mark.parametrize(
+    ("late", "early"),
+    [(stage.name, earlier) for stage in STAGES for earlier in stage.after],
+)
+def test_stages_in_another_order_are_found(root: Path, late: str, early: str) -> None:
+    found = staged(root, order=moved(late, early))
+    assert any(one.startswith(late) and f"does not come after the {early}" in one for one in found)
+
+
+@pytest.mark.parametrize("order", [moved("ensemble", "predictions"), moved("sensitivity", "predictions")])
+def test_what_needs_the_fit_alone_may_come_at_any_time_after_it(root: Path, order: tuple[str, ...]) -> None:
+    assert staged(root, order=order) == []
+
+
+def test_the_fit_is_not_held_up_by_a_ranking_that_is_not_made(root: Path) -> None:
+    assert staged(root, order=tuple(name for name in ORDER if name != "ranking")) == []
 
 
 def test_digests_of_queries_can_be_renewed_in_any_order_and_results_cannot(root: Path) -> None:
     def record(number: int, rules: str) -> str:
-        return json.dumps({"numbers": [number], "rules": {"facts/conflicts": rules}})
+        return json.dumps({"numbers": [number], "rules": {"facts/conflicts": rules}, "cpu_minutes": len(rules)})
 
-    paths = [path for _, path in STAGES]
+    paths = list(PATHS.values())
     for number, path in enumerate(paths):
         commit(root, {path: record(number, "before")})
     commit(root, {HANDLER: "RULE = 2\n"})
     commit(root, {path: record(number, "after") for number, path in enumerate(paths) if number})
     assert list(findings(root)) == []
-    commit(root, {paths[1]: record(9, "after")})
+    commit(root, {PATHS["fit"]: record(9, "after")})
     assert any("predictions" in one and "does not come after the fit" in one for one in findings(root))
 
 
 def test_stages_in_one_commit_have_no_order(root: Path) -> None:
-    commit(root, {path: "all at once\n" for _, path in STAGES})
-    assert len([one for one in findings(root) if "does not come after" in one]) == 3
+    commit(root, dict.fromkeys(PATHS.values(), "all at once\n"))
+    pairs = sum(len(stage.after) for stage in STAGES)
+    assert len([one for one in findings(root) if "does not come after" in one]) == pairs
 
 
 def test_a_registration_that_is_changed_afterwards_is_found(root: Path) -> None:
     staged(root)
-    commit(root, {STAGES[0][1]: "other margins\n"})
+    commit(root, {PATHS["registration"]: "other margins\n"})
     assert any("fit" in one and "does not come after the registration" in one for one in findings(root))
 
 
 def test_nothing_counts_without_a_registration(root: Path) -> None:
-    commit(root, {STAGES[1][1]: "a fit\n"})
+    commit(root, {PATHS["fit"]: "a fit\n"})
     assert any("expected the registration before anything else" in one for one in findings(root))

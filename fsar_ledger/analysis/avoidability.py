@@ -12,6 +12,7 @@ from fsar_ledger.analysis.causes import Outcome
 from fsar_ledger.analysis.fork_base import Rerun
 from fsar_ledger.base.memory import without_collection
 from fsar_ledger.base.progress import Progress
+from fsar_ledger.base.wilson import wilson
 from fsar_ledger.designs.constants import END_US
 from fsar_ledger.events.world import OutsiderRequestInjected, TaskArrived
 from fsar_ledger.runtime.changeable import facts_by_name
@@ -25,8 +26,6 @@ STEPS = 8
 """About how many more it takes to find the event after which the outcome was not avoided any more."""
 FUTURES = 50
 MOST_AT_ONCE = 250
-Z = 1.959963984540054
-"""The 97.5 % quantile of the standard normal distribution."""
 
 
 class Chance(msgspec.Struct, frozen=True):
@@ -171,14 +170,6 @@ def _facts(own: Sequence[Fact], other: Sequence[Fact], at_us: int) -> tuple[Fact
     return tuple(apart)
 
 
-# See docs/decisions/intervals-keep-their-coverage.md.
 def _chance(at_us: int, avoided: Sequence[bool | None]) -> Chance:
-    """Return the share with its interval. Wilson, Probable Inference (1927)."""
-    n, found, undefined = (avoided.count(False) + avoided.count(True), avoided.count(True), avoided.count(None))
-    if not n:
-        return Chance(at_us / 1_000_000, 0, 0, undefined, None, None, None)
-    share = found / n
-    centre = (share + Z * Z / (2 * n)) / (1 + Z * Z / n)
-    half = Z * ((share * (1 - share) / n + Z * Z / (4 * n * n)) ** 0.5) / (1 + Z * Z / n)
-    low, high = 0.0 if not found else centre - half, 1.0 if found == n else centre + half
-    return Chance(at_us / 1_000_000, n, found, undefined, share, low, high)
+    found, n = avoided.count(True), avoided.count(False) + avoided.count(True)
+    return Chance(at_us / 1_000_000, n, found, avoided.count(None), *wilson(found, n))

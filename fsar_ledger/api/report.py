@@ -33,7 +33,7 @@ def report(
         value=(),
     ),
     workflows: Place | None = declare("LEDGER", "A ledger of the paper's three workflows.", "say that there is none"),
-    sensitivity: Place | None = declare("FILE", "A file of `study run sensitivity`.", "say how to make one"),
+    sensitivity: Place | None = declare("FILE", "A file of `study run sensitivity`.", "the one in this package"),
     numbers: Place | None = declare(
         "FILE", "Write all numbers of the report, as JSON; replaced if it exists.", "not written"
     ),

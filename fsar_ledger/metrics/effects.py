@@ -1,65 +1,83 @@
-"""The result file of the sensitivity study: what each constant does to each cell, as Parquet."""
+"""The result of the sensitivity study: what each constant does to each cell."""
 
-from pathlib import Path
-from typing import Any
+from collections.abc import Iterator
+from typing import ClassVar
 
 import msgspec
-import pyarrow as pa
-import pyarrow.parquet as pq
-
-from fsar_ledger.base.errors import UsageError
-from fsar_ledger.base.parameters import BadParameters, read_parameters
 
 from .definitions import published_metrics
+from .study_results import GroundedResult, Row
 
-METADATA = b"fsar-ledger-sensitivity"
-MADE_BY = "fsar-ledger study run sensitivity --out FILE.parquet"
 ARCHITECTURES = ("fsar", "cfc", "dhma")
+MADE_BY = "fsar-ledger study run sensitivity --out FILE"
+NUMBERS = ("effects", "mu", "mu_star", "sigma", "mu_star_conf")
 
 
-class Effect(msgspec.Struct, frozen=True, kw_only=True):
-    """What one factor does to one cell over its whole range, `low` to `high`; for a switch, between its settings.
+class VariedCell(msgspec.Struct, frozen=True, kw_only=True):
+    """One cell: its mean at the base, in the metric's unit, and what chance alone could do to it.
 
-    `mu`, `mu_star`, `sigma` and `mu_star_conf` (half of the 95 % interval of `mu_star`) are in the metric's unit, over
-    `effects` moves; `by_chance` is the most that `mu_star` could be if only chance moved the cell. The columns
-    `_margins` are the same divided by the metric's margin. `sobol_first` and `sobol_total` are parts of the cell's
-    variance while the factors that matter most vary together; `emulator_r2` says how well the polynomial behind them
-    predicts points it has not seen. None: the cell was undefined, or the factor is not among those.
+    `by_chance` is the most that `mu_star` of a factor could be if only chance moved the cell, `by_chance_of_switch`
+    that of a switch. `emulator_r2` says how well the polynomial behind the Sobol indices predicts points that it has
+    not seen. None: the cell was undefined, or there is no such polynomial.
     """
 
     metric: str
     architecture: str
-    factor: str
+    margin: float
+    base_mean: float | None
+    by_chance: float | None
+    by_chance_of_switch: float | None
+    emulator_r2: float | None
+
+
+class VariedFactor(msgspec.Struct, frozen=True, kw_only=True):
+    """One factor, where its value is from, and what it does to each cell over its whole range, `low` to `high`.
+
+    For a switch it is what changes between its two settings. The tuples have a number for each cell, in their order:
+    `mu`, `mu_star`, `sigma` and `mu_star_conf` (half of the 95 % interval of `mu_star`) are in the metric's unit, over
+    `effects` moves. `sobol_first` and `sobol_total` are parts of the cell's variance while the factors that matter most
+    vary together. None: the cell was undefined, or the factor is not among those.
+    """
+
+    name: str
     origin: str
     low: str
     base: str
     high: str
-    base_mean: float | None
-    margin: float
+    is_switch: bool
+    effects: tuple[int, ...]
+    mu: tuple[float | None, ...]
+    mu_star: tuple[float | None, ...]
+    sigma: tuple[float | None, ...]
+    mu_star_conf: tuple[float | None, ...]
+    sobol_first: tuple[float | None, ...] | None = None
+    sobol_total: tuple[float | None, ...] | None = None
+
+
+class Effect(msgspec.Struct, frozen=True, kw_only=True):
+    """What one factor does to one cell, as in `VariedFactor`, in margins of the metric."""
+
+    metric: str
+    architecture: str
+    factor: str
     effects: int
-    mu: float | None
-    mu_star: float | None
-    sigma: float | None
-    mu_star_conf: float | None
-    by_chance: float | None
     mu_margins: float | None
     mu_star_margins: float | None
     sigma_margins: float | None
     mu_star_conf_margins: float | None
     by_chance_margins: float | None
-    sobol_first: float | None
-    sobol_total: float | None
-    emulator_r2: float | None
 
 
-class About(msgspec.Struct, frozen=True, kw_only=True):
-    """The model, the base constants, the queries, and how many evaluations and runs the effects come from.
+class Sensitivity(GroundedResult, frozen=True, kw_only=True):
+    """The effects around the constants `parameters`, and how many evaluations and runs they come from.
 
-    `rules` None: the file is of a version before 0.9.0, which did not name the queries.
+    `dozen` names the factors that matter most (`that_matter`), the one that moves a cell furthest first.
     """
 
-    model_version: str
-    parameters: str
+    FILE: ClassVar[str] = "sensitivity.json"
+    MADE_BY: ClassVar[str] = MADE_BY
+
+    command: str = MADE_BY
     fleet_size: int
     seed: int
     trajectories: int
@@ -67,68 +85,59 @@ class About(msgspec.Struct, frozen=True, kw_only=True):
     points: int
     repeats: int
     evaluations: int
-    factors: tuple[str, ...]
+    cpu_minutes: float
     dozen: tuple[str, ...]
-    """The factors that matter most (`that_matter`), the one that moves a cell furthest first."""
-    rules: dict[str, str] | None = None
+    cells: tuple[VariedCell, ...]
+    factors: tuple[VariedFactor, ...]
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        expected = [(metric.name, architecture) for metric in published_metrics() for architecture in ARCHITECTURES]
+        if [(one.metric, one.architecture) for one in self.cells] != expected:
+            raise ValueError("the cells are not those of the results table")
+        names = [one.name for one in self.factors]
+        if len(set(names)) != len(names) or not set(self.dozen) <= set(names):
+            raise ValueError("a factor stands twice, or is not there")
+        for one in self.factors:
+            parts = [getattr(one, name) for name in NUMBERS] + [
+                one.sobol_first or expected,
+                one.sobol_total or expected,
+            ]
+            if any(len(part) != len(expected) for part in parts):
+                raise ValueError(f"factor {one.name}: not a number for each cell")
 
-class Sensitivity(msgspec.Struct, frozen=True):
-    """The content of a file."""
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """The effect of each factor on each cell, cell by cell."""
+        return tuple(self._effects())
 
-    about: About
-    effects: tuple[Effect, ...]
+    def _effects(self) -> Iterator[Effect]:
+        for at, cell in enumerate(self.cells):
+            for factor in self.factors:
+                chance = cell.by_chance_of_switch if factor.is_switch else cell.by_chance
+                lengths = {name: getattr(factor, name)[at] for name in NUMBERS[1:]} | {"by_chance": chance}
+                yield Effect(
+                    metric=cell.metric,
+                    architecture=cell.architecture,
+                    factor=factor.name,
+                    effects=factor.effects[at],
+                    **{
+                        f"{name}_margins": None if length is None else length / cell.margin
+                        for name, length in lengths.items()
+                    },
+                )
 
+    def tables(self) -> Iterator[list[Row]]:
+        """Yield the dozen."""
+        yield dozen(self)
 
-_TYPES: dict[Any, pa.DataType] = {str: pa.string(), int: pa.int64(), float: pa.float64(), float | None: pa.float64()}
-SCHEMA = pa.schema(
-    [pa.field(field.name, _TYPES[field.type], field.type == float | None) for field in msgspec.structs.fields(Effect)]
-)
-
-
-def parquet(found: Sensitivity) -> bytes:
-    """Return the content of the file: the rows, with `about` in the metadata."""
-    schema = SCHEMA.with_metadata({METADATA: msgspec.json.encode(found.about)})
-    table = pa.Table.from_pylist([msgspec.structs.asdict(effect) for effect in found.effects], schema=schema)
-    written = pa.BufferOutputStream()
-    pq.write_table(table, written, compression="zstd")
-    return bytes(written.getvalue())
-
-
-def open_effects(path: Path) -> Sensitivity:
-    """Return the effects in the file. Raises: UsageError if it cannot be read or is another kind of file."""
-    if not path.is_file():
-        raise UsageError(f"{path}: found no such file, expected one of `{MADE_BY}`")
-    try:
-        with path.open("rb") as file:  # pyarrow would expand a leading `~`
-            table = pq.ParquetFile(file).read()
-        about = msgspec.json.decode((table.schema.metadata or {}).get(METADATA, b""), type=About)
-        effects = msgspec.convert(table.select(SCHEMA.names).to_pylist(), tuple[Effect, ...])
-        read_parameters(about.parameters)
-    except (pa.ArrowException, KeyError, msgspec.MsgspecError, BadParameters) as error:
-        raise UsageError(
-            f"{path}: found no file of effects ({str(error).splitlines()[0]:.200}), expected one of `{MADE_BY}`"
-        ) from error
-    except OSError as error:
-        raise UsageError(
-            f"{path}: cannot be read ({error.strerror or str(error):.200}), expected a file of `{MADE_BY}`"
-        ) from error
-    grid = {
-        (spec.name, architecture, factor)
-        for spec in published_metrics()
-        for architecture in ARCHITECTURES
-        for factor in about.factors
-    }
-    if (
-        {(one.metric, one.architecture, one.factor) for one in effects} != grid
-        or len(effects) != len(grid)
-        or not set(about.dozen) <= set(about.factors)
-    ):
-        raise UsageError(
-            f"{path}: found no file of effects (a row for each cell and factor is not there), expected one of "
-            f"`{MADE_BY}`"
+    def summary(self) -> str:
+        """Say how much was varied."""
+        still = sum(furthest == 0 for furthest in reach(self).values())
+        return (
+            f"{len(self.factors)} factors, {self.evaluations:,} evaluations in {self.cpu_minutes} minutes of one core; "
+            f"{still} factors move nothing; in margins of the cell moved furthest:"
         )
-    return Sensitivity(about, effects)
 
 
 def reach(found: Sensitivity) -> dict[str, float]:
@@ -136,7 +145,7 @@ def reach(found: Sensitivity) -> dict[str, float]:
 
     Equal ones keep the order of the file.
     """
-    furthest = dict.fromkeys(found.about.factors, 0.0)
+    furthest = dict.fromkeys((one.name for one in found.factors), 0.0)
     for effect in found.effects:
         furthest[effect.factor] = max(furthest[effect.factor], effect.mu_star_margins or 0.0)
     return dict(sorted(furthest.items(), key=lambda item: -item[1]))
@@ -157,17 +166,22 @@ def that_matter(found: Sensitivity, most: int) -> tuple[str, ...]:
     return tuple(sorted(list(chosen)[:most], key=by_reach.index))
 
 
-def dozen(found: Sensitivity) -> list[dict[str, Any]]:
+def dozen(found: Sensitivity) -> list[Row]:
     """Return a row for each factor that matters most: the cell it moves furthest, how far, its part of the variance."""
-    rows: list[dict[str, Any]] = []
-    for name in found.about.dozen:
-        of_factor = [effect for effect in found.effects if effect.factor == name]
-        most = max(of_factor, key=lambda effect: effect.mu_star_margins or 0.0)
+    rows: list[Row] = []
+    effects = found.effects
+    by_name = {one.name: one for one in found.factors}
+    for name in found.dozen:
+        factor, of_factor = by_name[name], [effect for effect in effects if effect.factor == name]
+        at = max(range(len(of_factor)), key=lambda cell: of_factor[cell].mu_star_margins or 0.0)
+        most = of_factor[at]
         rows.append(
             {
                 "factor": name,
-                "from": most.origin,
-                "range": f"{most.low} to {most.high}" if " to " not in most.low else f"({most.low}) to ({most.high})",
+                "from": factor.origin,
+                "range": f"{factor.low} to {factor.high}"
+                if " to " not in factor.low
+                else f"({factor.low}) to ({factor.high})",
                 "cells": sum((effect.mu_star_margins or 0.0) >= 1 for effect in of_factor),
                 "metric": most.metric,
                 "architecture": most.architecture,
@@ -175,9 +189,9 @@ def dozen(found: Sensitivity) -> list[dict[str, Any]]:
                 "mu_star_margins": most.mu_star_margins,
                 "conf": most.mu_star_conf_margins,
                 "by_chance": most.by_chance_margins,
-                "sobol_first": most.sobol_first,
-                "sobol_total": most.sobol_total,
-                "r2": most.emulator_r2,
+                "sobol_first": None if factor.sobol_first is None else factor.sobol_first[at],
+                "sobol_total": None if factor.sobol_total is None else factor.sobol_total[at],
+                "r2": found.cells[at].emulator_r2,
             }
         )
     return rows

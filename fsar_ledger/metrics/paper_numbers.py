@@ -36,17 +36,38 @@ class Place(NamedTuple):
     scenario: str | None = None
 
 
+class PrintedTest(NamedTuple):
+    """A printed comparison of two architectures: its t, and its Cohen's d with the sign of t, which the paper omits."""
+
+    t: float
+    d: Printed
+
+
+@cache
+def printed_tests() -> dict[tuple[str, str], PrintedTest]:
+    """Return the printed tests by metric and comparison (`first-second`), in their order. Paper: tab:significance."""
+    names = {metric.printed.significance: metric.name for metric in published_metrics()}
+    found = {}
+    for row in _lines("significance"):
+        t, d = float(row["t"]), _number(row["cohens_d"])
+        comparison = row["comparison"].lower().replace(" vs ", "-")
+        found[names[row["metric"]], comparison] = PrintedTest(t, d._replace(value=d.value if t > 0 else -d.value))
+    return found
+
+
 @cache
 def printed(table: Table) -> dict[Place, Printed]:
     """Return the numbers of one table of the paper, in its order, by their place.
 
     Paper: tab:results, tab:ablation, sec:evaluation:ablation, tab:scaling.
     """
-    rows = list(
-        csv.DictReader(files("fsar_ledger.reports").joinpath("paper", f"{table}.csv").read_text("utf-8").splitlines())
-    )
     read = {"results": _results, "ablation": _ablation, "ablation_text": _ablation_text, "scaling": _scaling}[table]
-    return dict(read(rows))
+    return dict(read(_lines(table)))
+
+
+def _lines(table: str) -> list[dict[str, str]]:
+    text = files("fsar_ledger.reports").joinpath("paper", f"{table}.csv").read_text("utf-8")
+    return list(csv.DictReader(text.splitlines()))
 
 
 def _results(rows: list[dict[str, str]]) -> Iterator[tuple[Place, Printed]]:

@@ -36,6 +36,23 @@ class Fit(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     judged_runs: int
 
 
+class Sample(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A sample that a study takes: its seed, its size, and the runs of each scenario and architecture in each draw.
+
+    The worlds of a draw are those of a seed of its own, counting up from `seed`.
+    """
+
+    seed: int
+    size: int
+    runs: int
+
+
+class SampleAround(Sample, frozen=True, forbid_unknown_fields=True):
+    """A sample around the fit, `spread` times as wide as if a margin were one standard deviation of a cell."""
+
+    spread: float
+
+
 class Kind(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A kind of constant: the range within which the fit may choose values, and the reason for that range."""
 
@@ -101,11 +118,16 @@ class Prediction(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class Registration(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The whole registration; `margins` by metric, in the metric's unit.
 
-    `classes` says what each class of cells means, `cells` the class of a whole table, `cell` that of single cells.
+    `ranking`, `ensemble` and `placebo` are the samples of these studies. `discrepancy` is how far the model may be from
+    the truth beyond the margin, by metric and architecture, in the metric's unit. `classes` says what each class of
+    cells means, `cells` the class of a whole table, `cell` that of single cells.
     """
 
     model_version: str
     fit: Fit
+    ranking: Sample
+    ensemble: SampleAround
+    placebo: Sample
     kinds: dict[str, Kind]
     free: tuple[Free, ...]
     verdicts: Verdicts
@@ -114,6 +136,11 @@ class Registration(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     cells: dict[str, str]
     cell: tuple[Declaration, ...]
     prediction: tuple[Prediction, ...]
+    discrepancy: dict[str, dict[str, float]] = {}
+
+    def tolerance(self, metric: str, architecture: str) -> float:
+        """Return how far a plausible model may be from the printed cell: margin plus discrepancy, in its unit."""
+        return self.margins[metric] + self.discrepancy.get(metric, {}).get(architecture, 0.0)
 
     def declaration_for(self, table: str, place: Mapping[str, object]) -> Declaration:
         """Return what the registration says of the cell at this place of a table (names as in `where`).

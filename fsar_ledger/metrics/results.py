@@ -1,6 +1,6 @@
 """Return the answers of the metric and statistics queries as typed rows, and the models under which runs were made."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from hashlib import sha256
 from itertools import count, product
 from operator import attrgetter
@@ -216,6 +216,30 @@ def statistic_rows(database: Database, *, pools_seeds: bool = False) -> list[Sta
             position, metric, list_position(['fsar-cfc', 'fsar-dhma', 'cfc-dhma'], comparison), comparison
     """)
     return typed(rows, StatisticRow)
+
+
+PAPER_PAIRS = 100
+"""Pairs of runs in each of the paper's tests."""
+
+
+def drawn_effects(database: Database, setting: Sequence[Any]) -> dict[tuple[str, str], list[float | None]]:
+    """Return Cohen's d in each drawn experiment of the paper's size, by metric and comparison, in one setting.
+
+    The setting is as `setting_of` returns it. `verdicts.odds` compares them with `paper_numbers.printed_tests`.
+
+    Raises: as `Database.rows`.
+    """
+    same = " AND ".join(f"{name} IS NOT DISTINCT FROM ${name}" for name in CONDITIONS)
+    rows = database.rows(
+        f"""
+        SELECT metric, comparison, list(cohens_d ORDER BY draw) AS numbers
+        FROM drawn_effects
+        WHERE n = {PAPER_PAIRS} AND {same}
+        GROUP BY metric, comparison
+        """,
+        dict(zip(CONDITIONS, setting, strict=True)),
+    )
+    return {(row["metric"], row["comparison"]): row["numbers"] for row in rows}
 
 
 def typed(rows: list[dict[str, Any]], kind: type[_Row]) -> list[_Row]:

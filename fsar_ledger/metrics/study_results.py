@@ -5,12 +5,12 @@ and has a digest of the SQL of every query that judged its runs, so that a numbe
 taken for a result. Units are those of the queries (shares in [0, 1], seconds).
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from hashlib import sha256
 from importlib.resources import files
 from importlib.resources.abc import Traversable
 from pathlib import Path
-from typing import ClassVar, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import msgspec
 
@@ -23,6 +23,45 @@ from .verdicts import Answer
 
 METRICS, CLAIMS = "metric_summary", "case_claims"
 """The relations that the results, and the claims of the cases, are read from."""
+
+
+Row = dict[str, Any]
+"""A row of a table that people are shown."""
+
+
+def rows_of(parts: Iterable[msgspec.Struct], *left_out: str) -> list[Row]:
+    """Return the parts of a result as rows of a table, without the fields that are left out."""
+    return [
+        {name: value for name, value in msgspec.structs.asdict(one).items() if name not in left_out} for one in parts
+    ]
+
+
+class Result(msgspec.Struct, frozen=True):
+    """The result of a study: a file of this package, or one that the command `MADE_BY` wrote."""
+
+    FILE: ClassVar[str]
+    MADE_BY: ClassVar[str]
+    RELATIONS: ClassVar[tuple[str, ...]] = (METRICS,)
+    """What its numbers are read from."""
+
+    def tables(self) -> Iterator[list[Row]]:
+        """Yield the tables in which people are shown it."""
+        yield from ()
+
+    def summary(self) -> str:
+        """Return a sentence about it as a whole, or an empty one."""
+        return ""
+
+
+class GroundedResult(Result, frozen=True, kw_only=True):
+    """A result that names the model, the constants and the queries that it rests on."""
+
+    model_version: str
+    parameters: str
+    rules: dict[str, str]
+
+    def __post_init__(self) -> None:
+        read_parameters(self.parameters)
 
 
 class Objective(msgspec.Struct, frozen=True):
@@ -47,17 +86,25 @@ class Parameter(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Residual(msgspec.Struct, frozen=True):
-    """One cell after the fit: paper and fitted mean (stored units), and their distance in margins of the metric."""
+    """One cell after the fit: paper and fitted mean (stored units), and their distance in margins of the metric.
+
+    `slopes` is how its distance changes with each free constant, in margins per half range, in the order of the
+    parameters; empty in a record of a version before 0.10.0.
+    """
 
     metric: str
     architecture: str
     paper: float
     ours: float | None
     distance_margins: float | None = None
+    slopes: tuple[float, ...] = ()
 
 
 class Direction(msgspec.Struct, frozen=True):
-    """One direction of the parameter space: its singular value in the scaled Jacobian, and the largest weights."""
+    """One direction of the parameter space: its singular value in the Jacobian of the fit, and the largest weights.
+
+    A row of that Jacobian counts as much as its cell does in the fit's loss.
+    """
 
     singular_value: float
     identified: bool
@@ -73,7 +120,7 @@ class Search(msgspec.Struct, frozen=True):
     ended_at: dict[str, float]
 
 
-class Calibration(msgspec.Struct, frozen=True, kw_only=True):
+class Calibration(Result, frozen=True, kw_only=True):
     """The result of the fit.
 
     Every part is optional and unknown keys are skipped, so that a report can be made before, during and after a fit;
@@ -87,6 +134,7 @@ class Calibration(msgspec.Struct, frozen=True, kw_only=True):
     seeds: list[int] = []
     runs_per_scenario: int | None = None
     evaluations: int | None = None
+    cpu_minutes: float | None = None
     model_version: str | None = None
     rules: dict[str, str] | None = None
     command: str | None = None
@@ -94,6 +142,11 @@ class Calibration(msgspec.Struct, frozen=True, kw_only=True):
     residuals: list[Residual] = []
     directions: list[Direction] = []
     searches: list[Search] = []
+
+    def tables(self) -> Iterator[list[Row]]:
+        """Yield the constants, and the cells."""
+        yield rows_of(self.parameters)
+        yield rows_of(self.residuals, "slopes")
 
 
 class Predicted(msgspec.Struct, frozen=True, kw_only=True):
@@ -134,18 +187,21 @@ class Claim(msgspec.Struct, frozen=True, kw_only=True):
     value: float | None
 
 
-class Predictions(msgspec.Struct, frozen=True, kw_only=True):
+class Predictions(GroundedResult, frozen=True, kw_only=True):
     """All predictions, with the model, the constants and the queries that they rest on."""
 
     FILE: ClassVar[str] = "predictions.json"
     MADE_BY: ClassVar[str] = "fsar-ledger study run predictions --out FILE"
+    RELATIONS: ClassVar[tuple[str, ...]] = (METRICS, CLAIMS)
 
-    model_version: str
-    parameters: str
-    rules: dict[str, str]
     command: str = MADE_BY
     numbers: list[Predicted]
     cases: list[Claim]
+
+    def tables(self) -> Iterator[list[Row]]:
+        """Yield the numbers over all scenarios together, and the claims."""
+        yield rows_of([one for one in self.numbers if one.scenario is None])
+        yield rows_of(self.cases)
 
 
 class Cell(msgspec.Struct, frozen=True, kw_only=True, rename={"kind": "class"}):
@@ -201,7 +257,7 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True):
     checks: list[Check]
 
 
-class Comparison(msgspec.Struct, frozen=True, kw_only=True):
+class Comparison(GroundedResult, frozen=True, kw_only=True):
     """The printed cells of the results, ablation and scaling tables, and all predictions.
 
     Model, constants and queries are those of the predictions. The tests of the significance table and the numbers of
@@ -210,28 +266,28 @@ class Comparison(msgspec.Struct, frozen=True, kw_only=True):
 
     FILE: ClassVar[str] = "comparison.json"
     MADE_BY: ClassVar[str] = "fsar-ledger study run comparison PREDICTIONS --out FILE"
+    RELATIONS: ClassVar[tuple[str, ...]] = (METRICS, CLAIMS)
 
-    model_version: str
-    parameters: str
-    rules: dict[str, str]
     command: str = MADE_BY
     cells: list[Cell]
     predictions: list[Outcome]
 
-    def __post_init__(self) -> None:
-        read_parameters(self.parameters)
+    def tables(self) -> Iterator[list[Row]]:
+        """Yield the cells, and the predictions without their single checks."""
+        yield rows_of(self.cells)
+        yield rows_of(self.predictions, "checks")
 
 
-Result = TypeVar("Result", bound=Calibration | Predictions | Comparison)
+_Result = TypeVar("_Result", bound=Result)
 
 
-def packaged(kind: type[Result], folder: Traversable | None = None) -> Result | None:
+def packaged(kind: type[_Result], folder: Traversable | None = None) -> _Result | None:
     """Return the packaged result of this kind, or the one in this folder; None if there is none. Raises: As `read`."""
     place = (folder or files("fsar_ledger.reports")).joinpath(kind.FILE)
     return read(place, kind, f"reports/{kind.FILE}") if place.is_file() else None
 
 
-def read(path: Path | Traversable, kind: type[Result], name: str | None = None) -> Result:
+def read(path: Path | Traversable, kind: type[_Result], name: str | None = None) -> _Result:
     """Return the result in the file; messages call it `name`.
 
     Raises:
@@ -251,9 +307,22 @@ def read(path: Path | Traversable, kind: type[Result], name: str | None = None) 
         ) from error
 
 
-def encoded(result: Calibration | Predictions | Comparison) -> bytes:
-    """Return the content of the file."""
-    return msgspec.json.format(msgspec.json.encode(result), indent=2) + b"\n"
+def encoded(result: Result) -> bytes:
+    """Return the content of the file, with a line for each part of a list."""
+    fields = [f"{_line(name)}: {_lines(part)}" for name, part in msgspec.to_builtins(result).items()]
+    return ("{\n  " + ",\n  ".join(fields) + "\n}\n").encode()
+
+
+def _lines(part: object) -> str:
+    if isinstance(part, list | tuple) and part:
+        return "[\n    " + ",\n    ".join(map(_line, part)) + "\n  ]"
+    if isinstance(part, dict) and part:
+        return "{\n    " + ",\n    ".join(f"{_line(name)}: {_line(one)}" for name, one in part.items()) + "\n  }"
+    return _line(part)
+
+
+def _line(part: object) -> str:
+    return msgspec.json.format(msgspec.json.encode(part), indent=0).decode()
 
 
 # See docs/decisions/results-name-their-queries.md.

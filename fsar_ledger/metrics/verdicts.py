@@ -6,9 +6,11 @@ Both rules were registered before the fit, in `reports/registration.toml`.
   the 90 % interval of (ours - paper) lies within the metric's margin, `no` if it lies wholly outside, `undecided`
   otherwise, also where our mean has no SD.
 - *Could the paper's experiment, run on this model, have printed it?* `no` if fewer than one in twenty experiments of
-  the paper's size, drawn from our runs, print a number as far out, `yes` otherwise. `drawn_experiments` draws
-  these from the runs of a ledger. For a whole table, the smallest p of its cells is compared with the smallest p of
-  each drawn table (min-p, Westfall and Young 1993), so that correlated cells are not counted twice.
+  the paper's size print a number as far out, `yes` otherwise. `drawn_places` draws these with replacement from runs
+  that it draws from ours in the same way, so that the spread is of the paper's sampling error and of ours;
+  `drawn_experiments` has their means, `drawn_effects` their effect sizes. For a whole table, the smallest p of its
+  cells is compared with the smallest p of each drawn table (min-p, Westfall and Young 1993), so that correlated cells
+  are not counted twice.
 """
 
 import math
@@ -21,9 +23,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsar_ledger.metrics.definitions import published_metrics
-from fsar_ledger.metrics.paper_numbers import Printed, printed
+from fsar_ledger.metrics.paper_numbers import Printed, printed, printed_tests
 from fsar_ledger.metrics.registration import registration
-from fsar_ledger.metrics.results import MetricRow
+from fsar_ledger.metrics.results import MetricRow, StatisticRow
 
 if TYPE_CHECKING:
     from fsar_ledger.metrics.study_results import Predicted
@@ -65,6 +67,11 @@ def odds(
     return Odds(found, float(np.mean(smallest <= min(found.values()))))
 
 
+def share_text(share: float) -> str:
+    """Return a share of the drawn experiments as text; a share of none says of how many."""
+    return f"0 of {DRAWS:,}" if share == 0 else f"{share:.4f}"
+
+
 def _numbers(values: Sequence[float | None] | Numbers) -> Numbers:
     return np.asarray(values, dtype=np.float64)
 
@@ -83,7 +90,7 @@ def _two_sided(steps: Numbers, asked: Numbers) -> Numbers:
 
 Answer = Literal["yes", "no", "undecided"]
 
-ALPHA = registration().verdicts.alpha
+ALPHA, DRAWS = registration().verdicts.alpha, registration().verdicts.draws
 MARGINS: dict[str, float] = {one.name: one.printed.margin for one in published_metrics()}
 """Half-width within which a difference does not matter, in the metric's unit."""
 
@@ -164,8 +171,49 @@ def judge(row: "MetricRow | Predicted", paper: float, share: float | None = None
         gives=gives(low, high, margin),
         power=power,
         share=share,
-        could=None if share is None else "no" if share < ALPHA else "yes",
+        could=could_print(share),
     )
+
+
+def could_print(share: float | None) -> Answer | None:
+    """Answer the second question by the share of drawn experiments; None if none were drawn."""
+    return None if share is None else "no" if share < ALPHA else "yes"
+
+
+class ComparedEffect(msgspec.Struct, frozen=True, kw_only=True):
+    """One printed Cohen's d, with the sign of its t, beside ours over all pairs, and the answer to the second question.
+
+    `share` is the two-sided share of drawn experiments of the paper's size (`results.drawn_effects`); None as in
+    `Comparison`, and `ours` where neither side varies.
+    """
+
+    metric: str
+    comparison: str
+    ours: float | None
+    paper: float
+    share: float | None
+    could: Answer | None
+
+
+def compare_effects(
+    rows: Iterable[StatisticRow], drawn: Mapping[tuple[str, str], Sequence[float | None]]
+) -> list[ComparedEffect]:
+    """Judge every test that the significance table prints, in the given order; `drawn` may be empty."""
+    paper = {test: one.d for test, one in printed_tests().items()}
+    told = odds(drawn, paper)
+    shares = {} if told is None else told.cells
+    return [
+        ComparedEffect(
+            metric=row.metric,
+            comparison=row.comparison,
+            ours=row.cohens_d,
+            paper=paper[test].value,
+            share=shares.get(test),
+            could=could_print(shares.get(test)),
+        )
+        for row in rows
+        if (test := (row.metric, row.comparison)) in paper
+    ]
 
 
 def gives(low: float | None, high: float | None, margin: float) -> Answer:

@@ -12,8 +12,8 @@ from fsar_ledger.base.errors import WriteFailed
 from fsar_ledger.base.progress import Showing, unseen
 from fsar_ledger.base.publishing import publish, require_another, require_place
 from fsar_ledger.ledger.store.paths import require_outside
-from fsar_ledger.metrics.effects import open_effects
-from fsar_ledger.metrics.study_results import Calibration, packaged
+from fsar_ledger.metrics.effects import Sensitivity
+from fsar_ledger.metrics.study_results import Calibration, packaged, read
 from fsar_ledger.metrics.verified import ensure_verified
 from fsar_ledger.report import document, figures, specs
 from fsar_ledger.report.gather import gather
@@ -48,14 +48,15 @@ def write_report(
         workers: Processes that compare rows.
         showing: Called with a verb and a unit for each step; returns a context that yields a progress function.
         pools_seeds: Whether the tables take the runs of all seeds together.
-        sensitivity: The file of `fsar-ledger study run sensitivity`. If it is of other runs, or None, the report says
-            how to make it.
+        sensitivity: The file of `fsar-ledger study run sensitivity`; None: the one in this package. If it is of other
+            runs, or there is none, the report says how to make it.
         numbers_out: Where the same numbers are written for programs (`reproduction`); None: nowhere.
         demanded: The newest record of the ledger, if `ensure_verified` has just checked it; None checks it now.
 
     Raises:
         UsageError: The ledger of workflows holds no workflow, one beside it has nothing for the report, `out` lies
-            inside a ledger or equals `numbers_out`, or `sensitivity` is another kind of file.
+            inside a ledger or equals `numbers_out`, or `sensitivity` cannot be read.
+        FsarLedgerError: `sensitivity` is another kind of file.
         NotALedger, FormatVersionMismatch, LedgerCorrupted: A ledger cannot be read, or its rows are not those under its
             root.
         SequenceConflict: Somebody appended in the meantime.
@@ -67,7 +68,7 @@ def write_report(
         require_another(numbers_out, f"--numbers {numbers_out}", out, f"--out {out}")
     for place in filter(None, (out, numbers_out)):
         require_place(place)
-    given = None if sensitivity is None else open_effects(sensitivity)
+    given = packaged(Sensitivity) if sensitivity is None else read(sensitivity, Sensitivity)
     demanded = demanded or _compared(ledger, workers, showing)
     theirs = {one: _compared(one, workers, showing) for one in (*filter(None, [workflows]), *beside)}
     findings = gather(

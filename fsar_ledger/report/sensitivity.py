@@ -9,7 +9,7 @@ import msgspec
 from fsar_ledger.base import printable
 from fsar_ledger.base.parameters import read_parameters
 from fsar_ledger.metrics.definitions import published_metrics
-from fsar_ledger.metrics.effects import ARCHITECTURES, MADE_BY, About, Effect, Sensitivity, dozen, reach
+from fsar_ledger.metrics.effects import ARCHITECTURES, MADE_BY, Effect, Sensitivity, dozen, reach
 from fsar_ledger.metrics.study_results import changed
 from fsar_ledger.report import figures, printing, specs
 
@@ -37,10 +37,10 @@ def section(found: Sensitivity | None, model_version: str | None, parameters: Ma
             f"How much each number depends on each constant was not looked at for this report; {MADE_BY} does it in "
             "most of an hour."
         )
-    about, still = found.about, sum(furthest == 0 for furthest in reach(found).values())
-    if about.model_version != model_version:
-        return Section(f"The effects that were given are not of these runs: {_of_another_model(about, model_version)}.")
-    theirs = dict(printing.flat("", read_parameters(about.parameters)))
+    still = sum(furthest == 0 for furthest in reach(found).values())
+    if found.model_version != model_version:
+        return Section(f"The effects that were given are not of these runs: {_of_another_model(found, model_version)}.")
+    theirs = dict(printing.flat("", read_parameters(found.parameters)))
     differing = [name for name in {**theirs, **parameters} if theirs.get(name) != parameters.get(name)]
     if differing:
         more = f" and {len(differing) - MAX_NAMED} more" if len(differing) > MAX_NAMED else ""
@@ -50,18 +50,18 @@ def section(found: Sensitivity | None, model_version: str | None, parameters: Ma
             f"them again: {MADE_BY}."
         )
     sentence = (
-        f"{len(about.factors)} factors, all constants of world and structure, the load and the size of the fleet, were "
-        f"each varied {about.trajectories} times, "
-        f"over {about.evaluations} evaluations of {about.runs} runs per scenario and architecture; {still} of them "
+        f"{len(found.factors)} factors, all constants of world and structure, the load and the size of the fleet, were "
+        f"each varied {found.trajectories} times, "
+        f"over {found.evaluations} evaluations of {found.runs} runs per scenario and architecture; {still} of them "
         "move nothing."
     )
-    if later := changed(about.rules or {}):
+    if later := changed(found.rules):
         sentence += f" They were judged before {printable.some(map(printing.words, later))} changed."
     return Section(sentence, heat_map(found), printing.table("sensitivity", dozen(found)))
 
 
-def _of_another_model(about: About, expected: str | None) -> str:
-    found, wanted = (printable.value(one or "unknown") for one in (about.model_version, expected))
+def _of_another_model(effects: Sensitivity, expected: str | None) -> str:
+    found, wanted = (printable.value(one or "unknown") for one in (effects.model_version, expected))
     return f"found effects of model {found}, expected those of model {wanted}; make them again: {MADE_BY}"
 
 
@@ -70,9 +70,9 @@ def heat_map(found: Sensitivity) -> bytes:
 
     A dot marks an effect within chance, a cross a cell that was undefined.
     """
-    shown = [name for name, furthest in reach(found).items() if furthest >= SHOWN_FROM][:MAX_SHOWN] or list(
-        found.about.factors[:1]
-    )
+    shown = [name for name, furthest in reach(found).items() if furthest >= SHOWN_FROM][:MAX_SHOWN] or [
+        found.factors[0].name
+    ]
     columns = [(spec.name, architecture) for spec in published_metrics() for architecture in ARCHITECTURES]
     at = {(effect.factor, effect.metric, effect.architecture): effect for effect in found.effects}
     spec = msgspec.structs.replace(specs.figure("sensitivity"), height_in=1.7 + 0.135 * len(shown))

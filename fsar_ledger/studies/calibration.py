@@ -1,7 +1,8 @@
 """Fits world laws and structural durations to the paper's results table, as registered in `reports/registration.toml`.
 
 The fit is by nonlinear least squares on the 24 cells of `results.csv`, each difference in margins of its metric, with
-common random numbers: every trial meets the same worlds. Points of a Sobol sequence over the ranges are screened first.
+common random numbers: every trial meets the same worlds. The loss is robust, so that a cell which the model cannot give
+does not move the constants on which the others depend. Points of a Sobol sequence over the ranges are screened first.
 From each of the best of them a bounded trust region search (`scipy.optimize.least_squares`) takes some steps on few
 runs, and from the end of the best search another continues with more runs. A weak pull to the middle of each range
 settles what the cells leave open.
@@ -12,9 +13,7 @@ of each whether it was chosen after fits.
 """
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import Executor
 from pathlib import Path
-from typing import Any
 
 import msgspec
 import numpy as np
@@ -22,86 +21,45 @@ import numpy as np
 from fsar_ledger.api.names import Place
 from fsar_ledger.api.workload import workers_of
 from fsar_ledger.base.progress import Progress
-from fsar_ledger.base.workers import WorkerPool
 from fsar_ledger.designs.constants import Constants
 from fsar_ledger.metrics import study_results
 from fsar_ledger.metrics.registration import Free, registration
-from fsar_ledger.metrics.results import MetricRow, metric_rows
+from fsar_ledger.metrics.results import metric_rows
 from fsar_ledger.metrics.study_results import METRICS, Calibration, Direction, Objective, Parameter, Residual, rules
-from fsar_ledger.metrics.verdicts import published
+from fsar_ledger.metrics.verdicts import MARGINS, published
 from fsar_ledger.runtime.experiment import Experiment
 from fsar_ledger.runtime.simulation import ARCHITECTURES, MODEL_VERSION, SCENARIOS
 
-from .evaluations import measured, simulated
+from .evaluations import CELLS, Answer, Evaluate, Evaluations, evaluate, evaluating, means_of, question_at, simulated
 from .factor_effects import Matrix, Vector
-from .result import require_out, write
+from .points import FREE, at, points_over_ranges, value_of
+from .result import RESUME_ADVICE, write
 
-REGISTERED = registration()
-FREE, PLAN = REGISTERED.free, REGISTERED.fit
+PLAN = registration().fit
 STEP = 0.1  # the step of the central differences of the Jacobian, in half ranges
 
 
-def with_values(values: Sequence[float]) -> Constants:
-    """Return the constants with these values for the free ones, in the order of the registration."""
-    changes: dict[str, dict[str, Any]] = {"world": {}, "structure": {}}
-    for one, value in zip(FREE, values, strict=True):
-        part, _, name = one.name.partition(".")
-        changes[part][name] = rounded(value) if part == "world" else int(rounded(value))
-    base = Constants()
-    replace = msgspec.structs.replace
-    return Constants(replace(base.world, **changes["world"]), replace(base.structure, **changes["structure"]))
-
-
-def at(point: Vector) -> Constants:
-    """Return the constants at a point: 0 is the middle of each range, -1 and 1 are its ends, on a logarithmic scale."""
-    return with_values(
+def distances(means: Answer) -> Vector:
+    """Return (ours - paper) of the 24 cells in margins; an undefined cell is one margin away."""
+    return np.array(
         [
-            one.range.middle * (one.range.high / one.range.middle) ** float(place)
-            for one, place in zip(FREE, point, strict=True)
+            1.0 if mean is None else (mean - published()[cell].value) / MARGINS[cell[0]]
+            for cell, mean in zip(CELLS, means, strict=True)
         ]
     )
 
 
-def rounded(value: float) -> float:
-    """Return the value with three significant digits; the data do not determine more."""
-    return float(f"{value:.3g}")
-
-
-def distances(rows: list[MetricRow]) -> Vector:
-    """Return (ours - paper) of the 24 cells in margins, row by row; an undefined cell is one margin away."""
-    printed, margins = published(), REGISTERED.margins
-    cells = [
-        (row.mean, printed[row.metric, row.architecture].value, margins[row.metric])
-        for row in rows
-        if row.architecture is not None
-    ]
-    return np.array([1.0 if mean is None else (mean - paper) / margin for mean, paper, margin in cells])
-
-
-def distances_at(task: tuple[Vector, int]) -> Vector:
-    """Return the distances at a point on this many runs; called in a worker."""
-    point, runs = task
-    return distances(measured(at(point), PLAN.seed, runs))
-
-
 class Judge:
-    """Judges points on several processes and counts them; `most` is the most that the registered plan asks for."""
+    """Judges points; `most` is the most that the registered plan asks for."""
 
-    def __init__(self, pool: Executor, progress: Progress | None) -> None:
-        self.most = 1 + PLAN.screened + (PLAN.starts * PLAN.rough_steps + PLAN.most_steps) * (2 * len(FREE) + 1)
-        self.evaluations = 0
-        self._pool = pool
-        self._progress = progress
+    def __init__(self, evaluations: Evaluations) -> None:
+        self._evaluations = evaluations
+        most = PLAN.starts * PLAN.rough_steps + PLAN.most_steps
+        evaluations.expected = 1 + PLAN.screened + most * (2 * len(FREE) + 1)
 
-    def each(self, points: list[Vector], runs: int) -> list[Vector]:
+    def each(self, points: Sequence[Vector], runs: int) -> list[Vector]:
         """Return the distances at each point, on this many runs a scenario and architecture."""
-        found = []
-        for distance in self._pool.map(distances_at, [(point, runs) for point in points]):
-            found.append(distance)
-            self.evaluations += 1
-            if self._progress is not None:
-                self._progress(self.evaluations, self.most)
-        return found
+        return [*map(distances, self._evaluations.answers([question_at(one, PLAN.seed, runs) for one in points]))]
 
 
 class Search(msgspec.Struct, frozen=True):
@@ -115,17 +73,18 @@ class Search(msgspec.Struct, frozen=True):
     slopes: Matrix
 
 
-def calibrate(out: Place, *, workers: int | None = None, progress: Progress | None = None) -> None:
+def calibrate(
+    out: Place, *, workers: int | None = None, progress: Progress | None = None, ask: Evaluate = evaluate
+) -> None:
     """Fit the constants again as registered, and write the record; takes the better part of an hour.
 
-    Raises:
-        UsageError: the file lies inside a ledger.
-        WriteFailed: the file cannot be written.
+    An interrupted fit continues from what is kept beside it.
+
+    Raises: As `evaluating`; WriteFailed, WorkerDied.
     """
     out, workers = Path(out), workers_of(workers)
-    require_out(out)
-    with WorkerPool(workers) as pool:
-        judge = Judge(pool, progress)
+    with evaluating(out, workers, progress, ask) as evaluations:
+        judge = Judge(evaluations)
         points = screened()
         scores = [
             objective(found, point) for found, point in zip(judge.each(points, PLAN.screened_runs), points, strict=True)
@@ -136,10 +95,16 @@ def calibrate(out: Place, *, workers: int | None = None, progress: Progress | No
         ]
         best = min(rough, key=lambda one: one.reached)
         last = search(judge, best.point, PLAN.runs, PLAN.most_steps)
-    accepted = Experiment(ARCHITECTURES, SCENARIOS, PLAN.judged_runs, PLAN.seed, constants=at(last.point))
-    with simulated(accepted, workers) as database:
-        rows = metric_rows(database)
-    write(out, _result(best.start, (*rough, last), rows, judge.evaluations))
+        (begun,) = judge.each([best.start], PLAN.runs)
+        accepted = Experiment(ARCHITECTURES, SCENARIOS, PLAN.judged_runs, PLAN.seed, constants=at(last.point))
+        with simulated(accepted, workers) as database:
+            means = means_of(metric_rows(database))
+        result = _result(objective(begun, best.start), best.start, (*rough, last), means)
+        write(
+            out,
+            msgspec.structs.replace(result, evaluations=evaluations.count, cpu_minutes=evaluations.cpu_minutes),
+            RESUME_ADVICE,
+        )
 
 
 def search(judge: Judge, start: Vector, runs: int, most_steps: int) -> Search:
@@ -147,36 +112,67 @@ def search(judge: Judge, start: Vector, runs: int, most_steps: int) -> Search:
     from scipy.optimize import least_squares
 
     tried: list[float] = []
+    steepness: list[Matrix] = []
 
     def residuals(point: Vector) -> Vector:
-        """Return what the search squares and sums: distances in margins, and the point in half ranges."""
+        """Return what the search sums the losses of: distances in margins, and the point in half ranges."""
         (found,) = judge.each([point], runs)
         tried.append(objective(found, point))
         return np.concatenate([found, point])
 
     def jacobian(point: Vector) -> Matrix:
-        return np.vstack([slopes(lambda points: judge.each(points, runs), point), np.eye(len(point))])
+        steepness.append(slopes(lambda points: judge.each(points, runs), point))
+        return np.vstack([steepness[-1], np.eye(len(point))])
 
     found = least_squares(
-        residuals, start, jac=jacobian, bounds=(-1.0, 1.0), ftol=PLAN.enough, xtol=None, gtol=None, max_nfev=most_steps
+        residuals,
+        start,
+        jac=jacobian,
+        bounds=(-1.0, 1.0),
+        loss=losses,  # type: ignore[arg-type]  # the stubs ask for more than scipy does
+        ftol=PLAN.enough,
+        xtol=None,
+        gtol=None,
+        max_nfev=most_steps,
     )
-    return Search(
-        start, np.asarray(found.x), runs, tried[0], 2.0 * float(found.cost), np.asarray(found.jac)[: -len(FREE)]
-    )
+    # The last Jacobian is that of the point where it ended; scipy weighs its own copy by the loss.
+    return Search(start, np.asarray(found.x), runs, tried[0], 2.0 * float(found.cost), steepness[-1])
 
 
 # See docs/decisions/fit-is-registered-first.md.
 def screened() -> list[Vector]:
     """Return the points that are judged first: the middle of all ranges, and a Sobol sequence over them."""
-    from scipy.stats.qmc import Sobol
-
-    unit = Sobol(len(FREE), rng=PLAN.seed).random(PLAN.screened)
-    return [np.zeros(len(FREE)), *(np.asarray(2.0 * one - 1.0) for one in unit)]
+    return [np.zeros(len(FREE)), *points_over_ranges(PLAN.screened, PLAN.seed)]
 
 
 def objective(found: Vector, point: Vector) -> float:
     """Return what the fit minimises. Registered in `[fit]`."""
-    return float(found @ found + point @ point)
+    return float(losses(np.concatenate([found, point]) ** 2)[0].sum())
+
+
+def losses(squares: Vector) -> Matrix:
+    """Return the loss of each squared residual and its first two derivatives by the square, as scipy asks for them.
+
+    The residuals are the distances of the 24 cells, whose loss is soft L1, and then the coordinates of the point, whose
+    loss is the square itself.
+    """
+    cells = 1.0 + squares[: len(CELLS)]
+    prior = squares[len(CELLS) :]
+    return np.hstack(
+        [
+            np.array([2.0 * (np.sqrt(cells) - 1.0), cells**-0.5, -0.5 * cells**-1.5]),
+            np.array([prior, np.ones_like(prior), np.zeros_like(prior)]),
+        ]
+    )
+
+
+def weighted_slopes(steepness: Matrix, found: Vector) -> Matrix:
+    """Return the slopes of the cells at these distances, each weighed as the fit's loss weighs it.
+
+    Their Gram matrix, plus one for each coordinate, is the Gauss-Newton matrix of half the objective.
+    """
+    _, first, second = losses(found**2)
+    return np.asarray(np.sqrt(first + 2.0 * second * found**2)[:, None] * steepness)
 
 
 def slopes(each: Callable[[list[Vector]], list[Vector]], point: Vector) -> Matrix:
@@ -194,33 +190,30 @@ def slopes(each: Callable[[list[Vector]], list[Vector]], point: Vector) -> Matri
     return np.asarray(np.array(columns).T)
 
 
-def _result(start: Vector, searches: Sequence[Search], rows: list[MetricRow], evaluations: int) -> Calibration:
+def _result(begun: float, start: Vector, searches: Sequence[Search], means: Answer) -> Calibration:
     last = searches[-1]
-    constants, begun = at(last.point), at(start)
-    _, singular, directions = np.linalg.svd(last.slopes, full_matrices=False)
-    printed = published()
+    constants, found = at(last.point), distances(means)
+    _, singular, directions = np.linalg.svd(weighted_slopes(last.slopes, found), full_matrices=False)
     return Calibration(
-        objective=Objective(
-            PLAN.rule,
-            start=round(objective(distances(measured(begun, PLAN.seed, PLAN.runs)), start), 3),
-            accepted=round(objective(distances(rows), last.point), 3),
-        ),
+        objective=Objective(PLAN.rule, start=round(begun, 3), accepted=round(objective(found, last.point), 3)),
         seeds=[PLAN.seed],
         runs_per_scenario=PLAN.judged_runs,
-        evaluations=evaluations,
         model_version=MODEL_VERSION,
         rules=rules(METRICS),
         command=Calibration.MADE_BY,
-        parameters=[_parameter(one, begun, constants, directions, singular, index) for index, one in enumerate(FREE)],
+        parameters=[
+            _parameter(one, at(start), constants, directions, singular, index) for index, one in enumerate(FREE)
+        ],
         residuals=[
             Residual(
-                metric=row.metric,
-                architecture=row.architecture or "",
-                paper=printed[row.metric, row.architecture or ""].value,
-                ours=row.mean,
+                metric=metric,
+                architecture=architecture,
+                paper=published()[metric, architecture].value,
+                ours=mean,
                 distance_margins=round(float(distance), 3),
+                slopes=tuple(round(float(slope), 3) for slope in row),
             )
-            for row, distance in zip(rows, distances(rows), strict=True)
+            for (metric, architecture), mean, distance, row in zip(CELLS, means, found, last.slopes, strict=True)
         ],
         directions=[
             Direction(
@@ -235,7 +228,7 @@ def _result(start: Vector, searches: Sequence[Search], rows: list[MetricRow], ev
                 runs_per_scenario=one.runs,
                 start=round(one.begun, 3),
                 reached=round(one.reached, 3),
-                ended_at={free.name: _value(at(one.point), free) for free in FREE},
+                ended_at={free.name: value_of(at(one.point), free) for free in FREE},
             )
             for one in searches
         ],
@@ -252,13 +245,8 @@ def _parameter(
         unit=free.range.unit,
         low=free.range.low,
         high=free.range.high,
-        start=_value(begun, free),
-        accepted=_value(constants, free),
+        start=value_of(begun, free),
+        accepted=value_of(constants, free),
         meaning=free.meaning,
         identified=information > 1,
     )
-
-
-def _value(constants: Constants, free: Free) -> float:
-    part, _, name = free.name.partition(".")
-    return getattr(getattr(constants, part), name)  # type: ignore[no-any-return]

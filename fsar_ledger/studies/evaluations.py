@@ -1,13 +1,15 @@
-"""Evaluate the simulator at a setting, and keep the answers in a file until the study is finished.
+"""Evaluate the simulator at many settings, and keep the answers in a file until the study is finished.
 
 FILE.partial has a line for each finished evaluation, in any order. An interrupted study loses only what was running;
-and since answers are looked up by their question, a finished study has the same bytes however often it was interrupted.
+and since answers are looked up by their question, a finished study has the same result however often it was
+interrupted.
 """
 
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import as_completed
-from contextlib import contextmanager
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor, as_completed
+from contextlib import contextmanager, nullcontext
 from functools import cache
 from hashlib import sha256
 from importlib.resources import files
@@ -18,6 +20,7 @@ import msgspec
 
 import fsar_ledger
 from fsar_ledger.base.errors import UsageError, WriteFailed
+from fsar_ledger.base.progress import Progress
 from fsar_ledger.base.workers import WorkerPool
 from fsar_ledger.designs.constants import Constants, write_constants
 from fsar_ledger.events.configuration import FULL
@@ -29,7 +32,10 @@ from fsar_ledger.metrics.verdicts import MARGINS
 from fsar_ledger.runtime.experiment import Experiment, run_experiment
 from fsar_ledger.runtime.simulation import ARCHITECTURES, MODEL_VERSION, SCENARIOS, RunSpec, simulate_run
 
+from .factor_effects import Vector
 from .factors import Setting
+from .points import at
+from .result import require_out
 
 CELLS: tuple[tuple[str, str], ...] = tuple(
     (metric, architecture) for metric in MARGINS for architecture in ARCHITECTURES
@@ -37,10 +43,11 @@ CELLS: tuple[tuple[str, str], ...] = tuple(
 """The 24 cells of the results table, in the order in which an evaluation answers them."""
 
 Answer = tuple[float | None, ...]
+"""What an evaluation finds, None where it is undefined: a number for each cell, unless a study asks for others."""
 
 
 class Question(msgspec.Struct, frozen=True):
-    """An evaluation: so many runs of each scenario and architecture at a setting, in the worlds of a seed."""
+    """What to evaluate: so many runs of each scenario and architecture at a setting, in the worlds of a seed."""
 
     setting: Setting
     seed: int
@@ -53,15 +60,18 @@ class Question(msgspec.Struct, frozen=True):
         return sha256(msgspec.json.encode(parts)).hexdigest()[:32]
 
 
+def question_at(point: Vector, seed: int, runs: int) -> Question:
+    """Return the question after a point in the registered ranges, for a fleet of four."""
+    return Question(Setting(at(point), 4), seed, runs)
+
+
 Evaluate = Callable[[Question], Answer]
 
 
 def evaluate(question: Question) -> Answer:
     """Return the mean of each cell, measured by SQL; None where it is undefined."""
     setting = question.setting
-    rows = measured(setting.constants, question.seed, question.runs, setting.fleet_size)
-    means = {(row.metric, row.architecture): row.mean for row in rows}
-    return tuple(means.get(cell) for cell in CELLS)
+    return means_of(measured(setting.constants, question.seed, question.runs, setting.fleet_size))
 
 
 def measured(
@@ -82,6 +92,12 @@ def measured(
         return metric_rows(database)
 
 
+def means_of(rows: Sequence[MetricRow]) -> Answer:
+    """Return the mean of each cell among these rows of one setting."""
+    means = {(row.metric, row.architecture): row.mean for row in rows}
+    return tuple(means.get(cell) for cell in CELLS)
+
+
 @contextmanager
 def simulated(experiment: Experiment, workers: int) -> Iterator[Database]:
     """Simulate an experiment into a temporary ledger, for more runs than memory holds, and yield its database."""
@@ -100,36 +116,58 @@ class _Header(msgspec.Struct, frozen=True):
     program: str
 
 
+PROGRAM = (
+    ("fsar_ledger", "*.py"),
+    ("fsar_ledger", "*.toml"),
+    ("fsar_ledger.queries", "*.sql"),
+    ("fsar_ledger.reports", "metrics.toml"),
+)
+"""The files on which an answer depends, beside its question."""
+
+
 @cache
 def _program() -> str:
-    """Return a digest of all code and queries: an answer of another program does not count."""
+    """Return a digest of all code, designs and queries: an answer of another program does not count."""
     digest = sha256()
-    for package, kind in (("fsar_ledger", "py"), ("fsar_ledger.queries", "sql")):
+    for package, pattern in PROGRAM:
         root = Path(str(files(package)))
-        for path in sorted(root.rglob(f"*.{kind}")):
+        for path in sorted(root.rglob(pattern)):
             digest.update(f"{path.relative_to(root)}\0".encode() + path.read_bytes())
     return digest.hexdigest()[:32]
 
 
 class _Line(msgspec.Struct, frozen=True):
-    """One answer."""
+    """One answer, and the seconds of one core that it took."""
 
     key: str
     values: Answer
+    cpu_s: float
 
 
-class Answers:
-    """All answers so far, and the file that keeps them."""
+class Evaluations:
+    """The evaluations of one study; what is answered is kept beside its result. `evaluating` opens and closes them.
 
-    def __init__(self, path: Path) -> None:
+    Args:
+        path: The file that keeps the answers.
+        ask: Answers a question, in another process if there is a pool.
+        pool: The processes that evaluate; None: this one.
+        progress: Called with the number of evaluations made, and the number to make.
+        width: How many numbers an answer has.
+    """
+
+    def __init__(self, path: Path, ask: Evaluate, pool: Executor | None, progress: Progress | None, width: int) -> None:
         """Load the answers in the file, without a last line that an interruption cut.
 
         Raises:
             UsageError: Another version wrote the file, or it is something else.
             WriteFailed: It cannot be read or written.
         """
-        self._path = path
-        self.found: dict[str, Answer] = {}
+        self._path, self._ask, self._pool, self._progress, self._width = path, ask, pool, progress, width
+        self._kept: dict[str, _Line] = {}
+        self._used: set[str] = set()
+        self._made = 0
+        self.expected = 0
+        """How many evaluations the study is expected to need."""
         header = _Header(fsar_ledger.__version__, MODEL_VERSION, _program())
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -144,6 +182,7 @@ class Answers:
             raise WriteFailed(
                 f"{path}: cannot be written ({error.strerror or error}); free space or give another --out"
             ) from error
+        self._at_start = len(self._kept)
 
     def _read(self, lines: list[bytes], header: _Header) -> None:
         try:
@@ -154,9 +193,9 @@ class Answers:
                 )
             for line in lines[1:]:
                 one = msgspec.json.decode(line, type=_Line)
-                if len(one.values) != len(CELLS):
+                if len(one.values) != self._width:
                     raise msgspec.ValidationError(f"{len(one.values)} values")
-                self.found[one.key] = one.values
+                self._kept[one.key] = one
         except msgspec.MsgspecError as error:
             raise UsageError(
                 f"{self._path}: found a line that is no evaluation ({error}); remove the file, or give another --out"
@@ -166,16 +205,51 @@ class Answers:
         self._file.write(msgspec.json.encode(line) + b"\n")
         self._file.flush()
 
-    def add(self, key: str, values: Answer) -> None:
-        """Add an answer and write it. Raises: WriteFailed."""
+    def _add(self, key: str, found: tuple[Answer, float]) -> None:
+        line = _Line(key, *found)
         try:
-            self._write(_Line(key, values))
+            self._write(line)
         except OSError as error:
             raise WriteFailed(
                 f"{self._path}: cannot be written ({error.strerror}); make room and call it again, which goes on from "
                 "there"
             ) from error
-        self.found[key] = values
+        self._kept[key] = line
+        self._made += 1
+        if self._progress is not None:
+            left = self.expected - self._at_start
+            self._progress(self._made, max(left, self._made))
+
+    def answers(self, questions: Sequence[Question]) -> list[Answer]:
+        """Return the answer to each question; equal ones, and those of an interrupted study, are evaluated once.
+
+        Raises: WriteFailed, WorkerDied.
+        """
+        keys = [question.key for question in questions]
+        waiting = {key: one for key, one in zip(keys, questions, strict=True) if key not in self._kept}
+        if self._pool is None:
+            for key, question in waiting.items():
+                self._add(key, _timed(self._ask, question))
+        else:
+            futures = {self._pool.submit(_timed, self._ask, one): key for key, one in waiting.items()}
+            for future in as_completed(futures):
+                self._add(futures[future], future.result())
+        self._used.update(keys)
+        return [self._kept[key].values for key in keys]
+
+    @property
+    def count(self) -> int:
+        """How many evaluations the study has used."""
+        return len(self._used)
+
+    @property
+    def cpu_minutes(self) -> float:
+        """The minutes of one core that they took, however often the study was interrupted."""
+        return round(sum(self._kept[key].cpu_s for key in self._used) / 60, 1)
+
+    def close(self) -> None:
+        """Close the file; nothing more is written."""
+        self._file.close()
 
     def finish(self) -> None:
         """Delete the file: its answers are in the result. Raises: WriteFailed."""
@@ -187,26 +261,36 @@ class Answers:
                 f"{self._path}: cannot be removed ({error.strerror}); the result is complete, remove the file by hand"
             ) from error
 
-    def close(self) -> None:
-        """Close the file; nothing more is written."""
-        self._file.close()
+
+def _timed(ask: Evaluate, question: Question) -> tuple[Answer, float]:
+    """Return the answer, and the seconds of one core that it took."""
+    began_s = time.process_time()
+    values = ask(question)
+    return values, round(time.process_time() - began_s, 3)
 
 
-def answer_all(
-    questions: Mapping[str, Question], answers: Answers, ask: Evaluate, workers: int, told: Callable[[], None]
-) -> None:
-    """Answer each question that has no answer yet; `told` is called for each new one.
+@contextmanager
+def evaluating(
+    out: Path,
+    workers: int,
+    progress: Progress | None,
+    ask: Evaluate = evaluate,
+    width: int = len(CELLS),
+) -> Iterator[Evaluations]:
+    """Check that the result can be written, and yield the evaluations of its study.
 
-    Raises: WriteFailed, WorkerDied.
+    They are kept beside it, in FILE.partial, until the caller leaves without an error: it has written the result then.
+
+    Raises:
+        UsageError: The result lies inside a ledger, or FILE.partial is of another version or something else.
+        WriteFailed: One of the files cannot be written.
     """
-    waiting = {key: question for key, question in questions.items() if key not in answers.found}
-    if workers == 1 or len(waiting) < 2:
-        for key, question in waiting.items():
-            answers.add(key, ask(question))
-            told()
-        return
-    with WorkerPool(workers) as pool:
-        futures = {pool.submit(ask, question): key for key, question in waiting.items()}
-        for future in as_completed(futures):
-            answers.add(futures[future], future.result())
-            told()
+    require_out(out)
+    with nullcontext(None) if workers == 1 else WorkerPool(workers) as pool:
+        found = Evaluations(out.with_name(out.name + ".partial"), ask, pool, progress, width)
+        try:
+            yield found
+        except BaseException:
+            found.close()
+            raise
+    found.finish()

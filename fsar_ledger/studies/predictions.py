@@ -15,16 +15,16 @@ import msgspec
 from fsar_ledger.api.names import Place
 from fsar_ledger.api.workload import workers_of
 from fsar_ledger.base.progress import Progress, each
-from fsar_ledger.designs.constants import Constants, Load, write_constants
+from fsar_ledger.designs.constants import Constants, Load
 from fsar_ledger.events.configuration import CONFIGURATIONS, MECHANISMS, Configuration, without
 from fsar_ledger.events.envelope import Architecture
 from fsar_ledger.metrics.results import MetricRow, metric_rows, typed
-from fsar_ledger.metrics.study_results import CLAIMS, METRICS, Claim, Predicted, Predictions, rules
+from fsar_ledger.metrics.study_results import Claim, Predicted, Predictions
 from fsar_ledger.runtime.experiment import Experiment
-from fsar_ledger.runtime.simulation import ARCHITECTURES, MODEL_VERSION, SCENARIOS
+from fsar_ledger.runtime.simulation import ARCHITECTURES, SCENARIOS
 
 from .evaluations import simulated
-from .result import require_out, write
+from .result import grounds, require_out, write
 
 SEED = 42
 SEEDS = (57721, 61803)  # registered, and never used before
@@ -110,9 +110,7 @@ def predict(out: Place, *, workers: int | None = None, progress: Progress | None
     write(
         out,
         Predictions(
-            model_version=MODEL_VERSION,
-            parameters=write_constants(Constants()),
-            rules=rules(METRICS, CLAIMS),
+            **grounds(Predictions),
             numbers=numbers,
             cases=claims,
         ),

@@ -2,14 +2,43 @@
 
 from hashlib import sha256
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from fsar_ledger.base import printable
-from fsar_ledger.base.publishing import publish, require_place
+from fsar_ledger.base.publishing import ADVICE, publish, require_place
 from fsar_ledger.designs.constants import Constants, write_constants
 from fsar_ledger.ledger.store.paths import require_outside
-from fsar_ledger.metrics.effects import About
-from fsar_ledger.metrics.study_results import Calibration, Comparison, Predictions, changed, encoded
+from fsar_ledger.metrics.effects import Sensitivity
+from fsar_ledger.metrics.registration import Sample, registration
+from fsar_ledger.metrics.robustness import Ensemble, Placebo, Ranking
+from fsar_ledger.metrics.study_results import (
+    Calibration,
+    Comparison,
+    GroundedResult,
+    Predictions,
+    Result,
+    changed,
+    encoded,
+    rules,
+)
 from fsar_ledger.runtime.simulation import MODEL_VERSION
+
+from .points import FREE, at
+
+KINDS: dict[str, type[Result]] = {
+    "ranking": Ranking,
+    "calibration": Calibration,
+    "ensemble": Ensemble,
+    "predictions": Predictions,
+    "comparison": Comparison,
+    "sensitivity": Sensitivity,
+    "placebo": Placebo,
+}
+"""The studies whose results are files, in the order in which they are made."""
+RESUME_ADVICE = "make room and call it again, which goes on from there"
+"""What to do where a result cannot be written whose evaluations are kept."""
 
 
 def require_out(out: Path) -> None:
@@ -23,22 +52,44 @@ def require_out(out: Path) -> None:
     require_place(out)
 
 
-def write(out: Path, result: Calibration | Predictions | Comparison) -> None:
-    """Write the result, replacing the file. Raises: WriteFailed."""
-    publish(out, encoded(result))
+def write(out: Path, result: Result, advice: str = ADVICE) -> None:
+    """Write the result, replacing the file. Raises: WriteFailed, with the advice."""
+    publish(out, encoded(result), advice)
 
 
-def stale(result: Calibration | Predictions | Comparison | About) -> str | None:
+def grounds(kind: type[GroundedResult]) -> dict[str, Any]:
+    """Return the fields that say what a result of this kind rests on, as it is now."""
+    constants = at(np.zeros(len(FREE))) if kind is Ranking else Constants()
+    return {
+        "model_version": MODEL_VERSION,
+        "parameters": write_constants(constants),
+        "rules": rules(*kind.RELATIONS),
+    }
+
+
+def ranges() -> dict[str, tuple[float, float]]:
+    """Return the ends of the registered range of each free constant."""
+    return {one.name: (one.range.low, one.range.high) for one in FREE}
+
+
+def stale(result: Result) -> str | None:
     """Return which part of what a result rests on is another one in this version; None if none is.
 
-    That is the model, the constants (but for the calibration, which found them) and the queries.
+    That is the model, the constants (but for the calibration, which found them, and the ranking, which has none but
+    those that are not free), the sample and the ranges as registered, and the queries.
     """
+    assert isinstance(result, GroundedResult | Calibration)
     if result.model_version != MODEL_VERSION:
         return f"of model {result.model_version!r:.80}, expected model {MODEL_VERSION!r}"
-    today = write_constants(Constants())
-    parameters = today if isinstance(result, Calibration) else result.parameters
-    if parameters != today:
-        return f"with the constants {_digest(parameters)} (SHA-256), expected those of this version, {_digest(today)}"
+    if isinstance(result, GroundedResult):
+        today = grounds(type(result))["parameters"]
+        if result.parameters != today:
+            return (
+                f"with the constants {_digest(result.parameters)} (SHA-256), expected those of this version, "
+                f"{_digest(today)}"
+            )
+    if otherwise := _registered_otherwise(result):
+        return otherwise
     if result.rules is None:
         return "that name no queries, expected a digest of each query that judged their runs"
     if judged_otherwise := changed(result.rules):
@@ -46,6 +97,17 @@ def stale(result: Calibration | Predictions | Comparison | About) -> str | None:
             "that other queries made, expected those of this version; changed since: "
             f"{printable.some(map(printable.value, judged_otherwise))}"
         )
+    return None
+
+
+def _registered_otherwise(result: Result) -> str | None:
+    """Say what of the registration a result was made with is another one now."""
+    if isinstance(result, Ranking | Ensemble | Placebo):
+        expected: Sample = getattr(registration(), type(result).FILE.removesuffix(".json"))
+        if result.sample != expected:
+            return f"over {result.sample}, expected the registered {expected}"
+    if isinstance(result, Ranking) and result.ranges != ranges():
+        return "over other ranges, expected the registered ones"
     return None
 
 

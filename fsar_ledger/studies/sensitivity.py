@@ -5,8 +5,9 @@ shows in the spread between trajectories. The polynomial uses one seed; all othe
 """
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -15,14 +16,10 @@ from fsar_ledger.api.names import Place
 from fsar_ledger.api.workload import workers_of
 from fsar_ledger.base.errors import UsageError
 from fsar_ledger.base.progress import Progress
-from fsar_ledger.base.publishing import publish
-from fsar_ledger.designs.constants import Constants, write_constants
-from fsar_ledger.metrics.effects import About, Effect, Sensitivity, parquet, that_matter
-from fsar_ledger.metrics.study_results import METRICS, rules
+from fsar_ledger.metrics.effects import Sensitivity, VariedCell, VariedFactor, that_matter
 from fsar_ledger.metrics.verdicts import MARGINS
-from fsar_ledger.runtime.simulation import MODEL_VERSION
 
-from .evaluations import CELLS, Answers, Evaluate, Question, answer_all, evaluate
+from .evaluations import CELLS, Answer, Evaluate, Evaluations, Question, evaluate, evaluating
 from .factor_effects import (
     Indices,
     Matrix,
@@ -36,14 +33,14 @@ from .factor_effects import (
     trajectory,
 )
 from .factors import Factor, factors, setting
-from .result import require_out
+from .result import RESUME_ADVICE, grounds, write
 
 SEED = 20_270_001  # of the first trajectory, counting up; never used for a published number or a fit
 BASE_SEED = SEED + 10_000  # of the repeats of the base, counting up
 EMULATOR_SEED = SEED + 20_000
 REPEATS = 10  # of the base in other worlds: they show what chance alone does
 DOZEN = 12
-DIGITS = 6  # written: the last bits of a sum differ between machines
+DIGITS = 4  # written: more says nothing, and the last bits of a sum differ between machines
 
 
 class Size(msgspec.Struct, frozen=True):
@@ -63,7 +60,7 @@ class Size(msgspec.Struct, frozen=True):
 
 
 class _Study:
-    """The questions of a study, and the answers so far."""
+    """The questions of a study, and what the answers say."""
 
     def __init__(self, size: Size, subject: tuple[Factor, ...]) -> None:
         self.size, self.factors = size, subject
@@ -79,59 +76,75 @@ class _Study:
         at = dict(zip(names, map(float, positions), strict=True))
         return Question(setting(self.factors, at), seed, self.size.runs)
 
-    def screening(self) -> dict[str, Question]:
-        """Return all questions before the dozen are known; equal settings are asked once."""
-        return {question.key: question for question in (*self.bases, *(one for path in self.points for one in path))}
+    def screening(self) -> list[Question]:
+        """Return all questions before the dozen are known."""
+        return [*self.bases, *(one for path in self.points for one in path)]
 
     def of_dozen(self, dozen: Sequence[str]) -> tuple[Matrix, list[Question]]:
         """Return the design of the polynomial, and its questions."""
         positions = design(self.size.points, dozen)
         return positions, [self._question(dozen, point, EMULATOR_SEED) for point in positions]
 
-    def effects(self, found: Mapping[str, tuple[float | None, ...]]) -> list[Effect]:
-        """Return the effect of each factor on each cell, in the order of the cells, without Sobol indices."""
-        outputs = [_matrix(found, path) for path in self.points]
-        bases = _matrix(found, self.bases)
-        return [
-            effect
-            for cell in range(len(CELLS))
-            for effect in self._of_cell(cell, [one[:, cell] for one in outputs], bases[:, cell])
-        ]
-
-    def _of_cell(self, cell: int, outputs: list[Vector], bases: Vector) -> Iterable[Effect]:
-        metric, architecture = CELLS[cell]
+    def result(self, screened: Sequence[Answer], evaluations: Evaluations) -> Sensitivity:
+        """Return the effect of each factor on each cell, without Sobol indices."""
+        bases = _matrix(screened[:REPEATS])
+        outputs = _matrix(screened[REPEATS:]).reshape(self.size.trajectories, -1, len(CELLS))
         switches = [factor.is_switch for factor in self.factors]
         moves = np.array(
-            [elementary_effects(path, values, switches) for path, values in zip(self.paths, outputs, strict=True)]
+            [
+                [elementary_effects(path, values, switches) for values in of_path.T]
+                for path, of_path in zip(self.paths, outputs, strict=True)
+            ]
         )
-        known = bases[~np.isnan(bases)]
-        deviation = float(np.std(known, ddof=1)) if len(known) > 1 else None
-        for number, factor in enumerate(self.factors):
-            one = summary(moves[:, number])
-            chance = None if deviation is None else by_chance(deviation, is_switch=factor.is_switch)
-            lengths = {**msgspec.structs.asdict(one), "by_chance": chance}
-            count = lengths.pop("count")
-            margin = MARGINS[metric]
-            yield Effect(
-                metric=metric,
-                architecture=architecture,
-                factor=factor.name,
-                origin=factor.origin,
-                low=factor.shown(0.0),
-                base=factor.shown(),
-                high=factor.shown(1.0),
-                base_mean=_rounded(float(np.mean(known)) if len(known) else None),
-                margin=margin,
-                effects=count,
-                **{name: _rounded(length) for name, length in lengths.items()},
-                **{
-                    f"{name}_margins": _rounded(None if length is None else length / margin)
-                    for name, length in lengths.items()
-                },
-                sobol_first=None,
-                sobol_total=None,
-                emulator_r2=None,
-            )
+        return Sensitivity(
+            **grounds(Sensitivity),
+            fleet_size=4,
+            seed=SEED,
+            trajectories=self.size.trajectories,
+            runs=self.size.runs,
+            points=self.size.points,
+            repeats=REPEATS,
+            evaluations=evaluations.count,
+            cpu_minutes=evaluations.cpu_minutes,
+            dozen=(),
+            cells=tuple(_cell(cell, bases[:, cell]) for cell in range(len(CELLS))),
+            factors=tuple(_factor(one, moves[:, :, number]) for number, one in enumerate(self.factors)),
+        )
+
+
+def _cell(cell: int, bases: Vector) -> VariedCell:
+    metric, architecture = CELLS[cell]
+    known = bases[~np.isnan(bases)]
+    deviation = float(np.std(known, ddof=1)) if len(known) > 1 else None
+    chances = [None if deviation is None else by_chance(deviation, is_switch=one) for one in (False, True)]
+    return VariedCell(
+        metric=metric,
+        architecture=architecture,
+        margin=MARGINS[metric],
+        base_mean=_rounded(float(np.mean(known)) if len(known) else None),
+        by_chance=_rounded(chances[0]),
+        by_chance_of_switch=_rounded(chances[1]),
+        emulator_r2=None,
+    )
+
+
+def _factor(factor: Factor, moves: Matrix) -> VariedFactor:
+    """Return what a factor does, from its effect on each trajectory (row) and cell (column)."""
+    of_cells = [summary(of_cell) for of_cell in moves.T]
+    numbers: dict[str, Any] = {
+        name: tuple(_rounded(getattr(one, name)) for one in of_cells)
+        for name in ("mu", "mu_star", "sigma", "mu_star_conf")
+    }
+    return VariedFactor(
+        name=factor.name,
+        origin=factor.origin,
+        low=factor.shown(0.0),
+        base=factor.shown(),
+        high=factor.shown(1.0),
+        is_switch=factor.is_switch,
+        effects=tuple(one.count for one in of_cells),
+        **numbers,
+    )
 
 
 def sensitivity(
@@ -142,128 +155,67 @@ def sensitivity(
     points: int = 512,
     workers: int | None = None,
     progress: Progress | None = None,
+    ask: Evaluate = evaluate,
+    subject: tuple[Factor, ...] | None = None,
 ) -> Sensitivity:
-    """Measure how much each number depends on each constant, and write the effects as Parquet.
+    """Measure how much each number depends on each constant, write the result and return it.
 
-    Takes most of an hour.
+    Takes most of an hour. An interrupted study continues from what is kept beside it.
 
     Args:
-        out: The file. An interrupted study continues from what is kept beside it.
+        out: The file.
         trajectories: How often each factor is moved.
         runs: Runs of each scenario and architecture in each evaluation.
         points: Evaluations for the Sobol indices; 0: only the screening.
         workers: Processes at once.
         progress: Called with the evaluations done and their total.
-
-    Raises: As `study`.
-    """
-    return study(Path(out), Size(trajectories, runs, points), workers_of(workers), progress)
-
-
-def study(
-    out: Path,
-    size: Size,
-    workers: int = 1,
-    progress: Progress | None = None,
-    *,
-    ask: Evaluate = evaluate,
-    subject: tuple[Factor, ...] | None = None,
-) -> Sensitivity:
-    """Write the effects to the file, replacing it, and return them.
-
-    This takes long; finished evaluations are kept in FILE.partial meanwhile.
-
-    Args:
-        out: The Parquet file.
-        size: The size of the study.
-        workers: Processes that evaluate.
-        progress: Called with the number of evaluations made, and the number that there were to make.
         ask: Answers a question, in another process unless `workers` is 1.
         subject: The factors to vary; None: all.
 
     Raises:
-        UsageError: The file does not end in .parquet, lies inside a ledger, or FILE.partial is of another version.
-        WriteFailed: One of the files cannot be written.
-        WorkerDied: A process was killed.
+        UsageError: A size is out of its range; or as `evaluating`.
+        WriteFailed, WorkerDied: As `evaluating`.
     """
-    if out.suffix != ".parquet":
-        raise UsageError(f"--out {out}: found a file name that ends in {out.suffix or 'nothing'!r}, expected .parquet")
-    require_out(out)
-    answers = Answers(out.with_name(out.name + ".partial"))
-    try:
-        found = _studied(_Study(size, subject or factors()), answers, ask, workers, progress)
-    finally:
-        answers.close()
-    publish(out, parquet(found), advice="make room and call it again, which goes on from there")
-    answers.finish()
+    out, study = Path(out), _Study(Size(trajectories, runs, points), subject or factors())
+    with evaluating(out, workers_of(workers), progress, ask) as evaluations:
+        screening = study.screening()
+        evaluations.expected = len({question.key for question in screening}) + points
+        first = study.result(evaluations.answers(screening), evaluations)
+        dozen = that_matter(first, DOZEN)
+        positions, questions = study.of_dozen(dozen)
+        outputs = _matrix(evaluations.answers(questions))
+        chosen = [factor for name in dozen for factor in study.factors if factor.name == name]
+        parts = [Indices(None, None, None)] * len(CELLS)
+        if chosen and questions:
+            polynomial = terms(chosen, positions)
+            parts = [indices(polynomial, outputs[:, cell], len(dozen)) for cell in range(len(CELLS))]
+        found = msgspec.structs.replace(
+            _with_indices(first, parts, dozen),
+            dozen=dozen,
+            evaluations=evaluations.count,
+            cpu_minutes=evaluations.cpu_minutes,
+        )
+        write(out, found, RESUME_ADVICE)
     return found
 
 
-def _studied(study: _Study, answers: Answers, ask: Evaluate, workers: int, progress: Progress | None) -> Sensitivity:
-    screening = study.screening()
-    open_ones = [key for key in screening if key not in answers.found]
-    # What is kept beyond the screening are points of the polynomial, if an earlier study got that far.
-    kept = len(answers.found) - (len(screening) - len(open_ones))
-    total, made = len(open_ones) + max(0, study.size.points - kept), 0
-
-    def told() -> None:
-        nonlocal made
-        made += 1
-        if progress is not None:
-            progress(made, max(total, made))
-
-    answer_all(screening, answers, ask, workers, told)
-    about = _about(study, len(screening))
-    first = Sensitivity(about, tuple(study.effects(answers.found)))
-    dozen = that_matter(first, DOZEN)
-    positions, questions = study.of_dozen(dozen)
-    answer_all({question.key: question for question in questions}, answers, ask, workers, told)
-    chosen = [factor for name in dozen for factor in study.factors if factor.name == name]
-    polynomial, outputs = (
-        terms(chosen, positions) if chosen and len(questions) else None,
-        _matrix(answers.found, questions),
-    )
-    parts = [
-        Indices(None, None, None) if polynomial is None else indices(polynomial, outputs[:, cell], len(dozen))
-        for cell in range(len(CELLS))
-    ]
-    effects = tuple(
-        _with_indices(effect, parts[CELLS.index((effect.metric, effect.architecture))], dozen)
-        for effect in first.effects
-    )
-    evaluations = len(screening.keys() | {question.key for question in questions})
-    return Sensitivity(msgspec.structs.replace(about, dozen=dozen, evaluations=evaluations), effects)
+def _with_indices(found: Sensitivity, parts: Sequence[Indices], dozen: tuple[str, ...]) -> Sensitivity:
+    replace = msgspec.structs.replace
+    varied = {one.name: one for one in found.factors}
+    for at, name in enumerate(dozen):
+        varied[name] = replace(
+            varied[name],
+            sobol_first=tuple(None if one.first is None else _rounded(one.first[at]) for one in parts),
+            sobol_total=tuple(None if one.total is None else _rounded(one.total[at]) for one in parts),
+        )
+    cells = [replace(cell, emulator_r2=_rounded(part.r2)) for cell, part in zip(found.cells, parts, strict=True)]
+    return replace(found, cells=tuple(cells), factors=tuple(varied.values()))
 
 
-def _about(study: _Study, evaluations: int) -> About:
-    return About(
-        model_version=MODEL_VERSION,
-        parameters=write_constants(Constants()),
-        fleet_size=4,
-        seed=SEED,
-        trajectories=study.size.trajectories,
-        runs=study.size.runs,
-        points=study.size.points,
-        repeats=REPEATS,
-        evaluations=evaluations,
-        factors=tuple(study.names),
-        dozen=(),
-        rules=rules(METRICS),
-    )
-
-
-def _with_indices(effect: Effect, parts: Indices, dozen: tuple[str, ...]) -> Effect:
-    if effect.factor not in dozen:
-        return effect
-    at = dozen.index(effect.factor)
-    first, total = (None if one is None else _rounded(one[at]) for one in (parts.first, parts.total))
-    return msgspec.structs.replace(effect, sobol_first=first, sobol_total=total, emulator_r2=_rounded(parts.r2))
-
-
-def _matrix(found: Mapping[str, tuple[float | None, ...]], questions: Sequence[Question]) -> Matrix:
-    """Return a row for each question, a column for each cell, NaN where it is undefined."""
-    rows = [[math.nan if value is None else value for value in found[question.key]] for question in questions]
-    return np.array(rows, dtype=np.float64).reshape(len(questions), len(CELLS))
+def _matrix(answers: Sequence[Answer]) -> Matrix:
+    """Return a row for each answer, a column for each cell, NaN where it is undefined."""
+    rows = [[math.nan if value is None else value for value in answer] for answer in answers]
+    return np.array(rows, dtype=np.float64).reshape(len(answers), len(CELLS))
 
 
 def _rounded(value: float | None) -> float | None:

@@ -1,10 +1,10 @@
 """The verbs `study run NAME` and `study show`. `study run multiverse` is a verb of a ledger (`api/multiverse.py`)."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from fsar_ledger.api.answers import Answer, Lines, Row, Screen
+from fsar_ledger.api.answers import Answer, Lines, Screen
 from fsar_ledger.api.names import Place
 from fsar_ledger.api.verbs import Option, Shows, WorkersOption, argument, declare, verb
 from fsar_ledger.base import printable
@@ -13,13 +13,30 @@ from fsar_ledger.base.printable import SafeText
 from fsar_ledger.base.progress import Progress
 
 if TYPE_CHECKING:
-    from fsar_ledger.metrics.effects import About, Sensitivity
-    from fsar_ledger.metrics.study_results import Calibration, Comparison, Predictions
+    from fsar_ledger.metrics.study_results import Result
 
-STUDIES = ("calibration", "predictions", "comparison", "sensitivity")
+STUDIES = ("ranking", "calibration", "ensemble", "predictions", "comparison", "sensitivity", "placebo")
 """Those whose results are files."""
 
 OutOption = Annotated[Place, Option("--out", "FILE", "The result, as JSON; replaced if it exists.")]
+GOES_ON = "finished evaluations are kept beside --out, and the same command continues there"
+Points = Annotated[Progress | None, Shows("evaluated", "points")]
+
+
+class ResultTables(Answer):
+    """The result of a study as tables, with a sentence above them and lines below."""
+
+    def __init__(self, found: "Result", *below: str) -> None:
+        self._found, self._below = found, below
+
+    def text(self, screen: Screen) -> Iterator[SafeText]:
+        """Yield the sentence, if there is one, and the tables that have rows."""
+        if summary := self._found.summary():
+            yield printable.line(summary)
+        for rows in filter(None, self._found.tables()):
+            yield screen.table(rows)
+            yield printable.line("")
+        yield printable.lines(*self._below)
 
 
 @verb(
@@ -29,13 +46,13 @@ OutOption = Annotated[Place, Option("--out", "FILE", "The result, as JSON; repla
     takes=("wide",),
 )
 def study_show(
-    name: Annotated[str, argument("NAME", "calibration, predictions, comparison or sensitivity.", complete="studies")],
+    name: Annotated[str, argument("NAME", f"{', '.join(STUDIES[:-1])} or {STUDIES[-1]}.", complete="studies")],
     file: Place | None = argument("FILE", "What `study run NAME` wrote.", "the result in this package"),
 ) -> Answer:
     """Show the result of a study as tables, and whether what it rests on has changed since.
 
-    It rests on the version of the model, the constants and the queries that judged its runs. The package has results of
-    the calibration, the predictions and the comparison; that of `study run multiverse` is in no file.
+    It rests on the version of the model, the constants, the registration and the queries that judged its runs. The
+    package has a result of each study that was made for this version; that of `study run multiverse` is in no file.
 
     Raises:
         InvalidExperiment: There is no such study.
@@ -43,27 +60,41 @@ def study_show(
         FsarLedgerError: It holds something else.
     """
     from fsar_ledger.designs.names import known
-    from fsar_ledger.metrics.effects import MADE_BY, open_effects
-    from fsar_ledger.metrics.study_results import Calibration, Comparison, Predictions, packaged, read
+    from fsar_ledger.metrics.study_results import packaged, read
+
+    from .result import KINDS, stale
 
     known("study", [name], STUDIES)
-    if name == "sensitivity":
-        if file is None:
-            raise UsageError(f"study show sensitivity: expected a file of `{MADE_BY}`; the package has none")
-        effects = open_effects(Path(file))
-        return Effects(effects, _standing(effects.about))
-    kinds: dict[str, type[Calibration | Predictions | Comparison]] = {
-        "calibration": Calibration,
-        "predictions": Predictions,
-        "comparison": Comparison,
-    }
-    found = packaged(kinds[name]) if file is None else read(Path(file), kinds[name])
+    kind = KINDS[name]
+    found = packaged(kind) if file is None else read(Path(file), kind)
     if found is None:
-        raise UsageError(f"study show {name}: expected a file of `{kinds[name].MADE_BY}`; the package has none")
-    return Result(found, _standing(found))
+        raise UsageError(f"study show {name}: expected a file of `{kind.MADE_BY}`; the package has none")
+    differs = stale(found)
+    return ResultTables(
+        found, f"stale: found results {differs}" if differs else "nothing that it rests on has changed since"
+    )
 
 
-@verb("study run calibration --out out/calibration.json", name="study run calibration", takes=(), old="calibrate")
+@verb("study run ranking --out out/ranking.json", name="study run ranking", takes=("wide",), after_interruption=GOES_ON)
+def ranking(out: OutOption, workers: WorkersOption = None, progress: Points = None) -> ResultTables:
+    """Rank the architectures all over the registered ranges, without any fit; takes some 15 minutes on two cores.
+
+    At each of the registered points every free constant is anywhere in its range. The result says in what share of the
+    points FSAR is the best of the three in each metric, in what share the paper's order is right, and how often each
+    cannot be told. An interrupted study continues where it stopped.
+    """
+    from .ranking import ranking as study
+
+    return ResultTables(study(out, workers=workers, progress=progress), f"{out}")
+
+
+@verb(
+    "study run calibration --out out/calibration.json",
+    name="study run calibration",
+    takes=(),
+    after_interruption=GOES_ON,
+    old="calibrate",
+)
 def calibration(
     out: OutOption,
     workers: WorkersOption = None,
@@ -72,12 +103,41 @@ def calibration(
     """Fit the constants again as registered; takes the better part of an hour.
 
     The fit is to the paper's results table alone. `reports/registration.toml` names the constants and their ranges. The
-    result says where the fit began, what the data identify and what was accepted.
+    result says where the fit began, what the data identify and what was accepted. An interrupted fit continues where it
+    stopped.
     """
     from .calibration import calibrate
 
     calibrate(out, workers=workers, progress=progress)
     return Lines(f"{out}")
+
+
+@verb(
+    "study run ensemble --out out/ensemble.json",
+    "study run ensemble out/calibration.json --out out/ensemble.json",
+    name="study run ensemble",
+    takes=("wide",),
+    after_interruption=GOES_ON,
+)
+def ensemble(
+    calibration: Place | None = argument(
+        "CALIBRATION", "What `study run calibration` wrote.", "the fit in this package"
+    ),
+    *,
+    out: OutOption,
+    workers: WorkersOption = None,
+    progress: Points = None,
+) -> ResultTables:
+    """Evaluate points around the fit that explain the paper's results about as well; takes an hour on two cores.
+
+    They are drawn as the slopes of the fit leave them open. A point is plausible if each of the 24 cells lies within
+    its margin, and the registered discrepancy, of the printed number. The result says how many are, and with how many
+    each verdict on a cell, each sign of a comparison and each rank agrees. An interrupted study continues where it
+    stopped.
+    """
+    from .ensemble import ensemble as study
+
+    return ResultTables(study(out, calibration, workers=workers, progress=progress), f"{out}")
 
 
 @verb("study run predictions --out out/predictions.json", name="study run predictions", takes=(), old="predict")
@@ -118,43 +178,23 @@ def comparison(
     return Lines(f"{out}")
 
 
-class Effects(Answer):
-    """The effects of a sensitivity study, and lines below them."""
-
-    def __init__(self, found: "Sensitivity", *below: str) -> None:
-        self._found, self._below = found, below
-
-    def text(self, screen: Screen) -> Iterator[SafeText]:
-        """Yield how much was varied, and the table of the factors that matter most."""
-        from fsar_ledger.metrics.effects import dozen, reach
-
-        about, rows = self._found.about, dozen(self._found)
-        still = sum(furthest == 0 for furthest in reach(self._found).values())
-        yield printable.line(
-            f"{len(about.factors)} factors, {about.evaluations:,} evaluations; {still} factors move nothing; in "
-            "margins of the cell moved furthest:"
-        )
-        yield screen.table(rows) if rows else printable.line("none moves anything")
-        yield printable.lines(*self._below)
-
-
 @verb(
-    "study run sensitivity --out out/sensitivity.parquet --svg out/sensitivity.svg",
-    "study run sensitivity --out out/short.parquet --trajectories 2 --runs 1 --points 0",
+    "study run sensitivity --out out/sensitivity.json --svg out/sensitivity.svg",
+    "study run sensitivity --out out/short.json --trajectories 2 --runs 1 --points 0",
     name="study run sensitivity",
     takes=("wide",),
-    after_interruption="finished evaluations are kept beside --out, and the same command continues there",
+    after_interruption=GOES_ON,
     old="sensitivity",
 )
 def sensitivity(
-    out: Annotated[Place, Option("--out", "FILE", "The effects, as Parquet; replaced if it exists.")],
+    out: OutOption,
     trajectories: int = declare("N", "How often each factor is moved.", value=20),
     runs: int = declare("N", "Runs per scenario and architecture of each evaluation.", value=10),
     points: int = declare("N", "Evaluations for the Sobol indices; 0: none, only the screening.", value=512),
     svg: Place | None = declare("FILE", "Also draw them, as SVG; replaced if it exists."),
     workers: WorkersOption = None,
-    progress: Annotated[Progress | None, Shows("evaluated", "points")] = None,
-) -> Effects:
+    progress: Points = None,
+) -> ResultTables:
     """Measure how much each number depends on each constant; takes most of an hour on two cores.
 
     Morris screening varies every constant of the world and of the structure, the load and the fleet size. Sobol indices
@@ -172,42 +212,20 @@ def sensitivity(
     found = study(out, trajectories=trajectories, runs=runs, points=points, workers=workers, progress=progress)
     if svg is not None:
         publish(Path(svg), heat_map(found))
-    return Effects(found, *(f"{file}" for file in (out, svg) if file is not None))
+    return ResultTables(found, *(f"{file}" for file in (out, svg) if file is not None))
 
 
-class Result(Answer):
-    """The stored result of a study, and whether it is stale."""
+@verb("study run placebo --out out/placebo.json", name="study run placebo", takes=("wide",), after_interruption=GOES_ON)
+def placebo(
+    out: OutOption,
+    workers: WorkersOption = None,
+    progress: Annotated[Progress | None, Shows("compared", "repetitions")] = None,
+) -> ResultTables:
+    """Compare FSAR with itself under the name of another architecture; takes some 10 minutes on two cores.
 
-    def __init__(self, found: "Calibration | Predictions | Comparison", standing: str) -> None:
-        self._found, self._standing = found, standing
+    It is the negative control of the whole way from simulation to test. On the same seeds nothing may differ; on other
+    seeds each test may reject only as often as its level says. An interrupted study continues where it stopped.
+    """
+    from .placebo import placebo as study
 
-    def text(self, screen: Screen) -> Iterator[SafeText]:
-        """Yield the tables that have rows, and whether the result is stale."""
-        for rows in filter(None, _tables(self._found)):
-            yield screen.table(rows)
-            yield printable.line("")
-        yield printable.line(self._standing)
-
-
-def _standing(result: "Calibration | Predictions | Comparison | About") -> str:
-    from .result import stale
-
-    differs = stale(result)
-    return f"stale: found results {differs}" if differs else "nothing that it rests on has changed since"
-
-
-def _tables(result: "Calibration | Predictions | Comparison") -> "Iterator[Sequence[Row]]":
-    """Yield the tables of a result: the numbers of all scenarios together, and no single checks."""
-    from fsar_ledger.api.table import plain
-    from fsar_ledger.metrics.study_results import Calibration, Predictions
-
-    if isinstance(result, Calibration):
-        yield plain(result.parameters)
-        yield plain(result.residuals)
-    elif isinstance(result, Predictions):
-        yield plain([one for one in result.numbers if one.scenario is None])
-        yield plain(result.cases)
-    else:
-        yield plain(result.cells)
-        names = ("name", "implies", "held", "of", "holds")
-        yield [{name: getattr(one, name) for name in names} for one in result.predictions]
+    return ResultTables(study(out, workers=workers, progress=progress), f"{out}")

@@ -33,7 +33,7 @@ def test_a_packaged_result_is_shown_and_rests_on_what_there_is(call: Call, name:
 
 def test_effects_are_shown_as_when_they_were_found(call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("fsar_ledger.studies.sensitivity.sensitivity", lambda out, **_: study(Path(out)))
-    file = tmp_path / "effects.parquet"
+    file = tmp_path / "effects.json"
     ran = call("study", "run", "sensitivity", "--out", file)
     assert (ran.code, ran.err) == (0, "")
     assert call("study", "show", "sensitivity", file).out == ran.out.replace(

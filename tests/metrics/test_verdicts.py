@@ -8,7 +8,7 @@ from scipy import stats
 
 from fsar_ledger.metrics.paper_numbers import Printed
 from fsar_ledger.metrics.results import MetricRow
-from fsar_ledger.metrics.verdicts import MARGINS, Comparison, Odds, compare, gives, odds, published
+from fsar_ledger.metrics.verdicts import MARGINS, Comparison, Odds, compare, gives, odds, published, share_text
 from tests.sure import known
 
 
@@ -155,6 +155,10 @@ def test_a_table_with_one_number_that_the_model_never_gives_is_refused_as_a_whol
     found = known(odds(drawn, {CELL: Printed(0.0, 0.01), OTHER: Printed(9.0, 0.01)}))
     assert found.cells[CELL] > 0.5
     assert found.cells[OTHER] == found.table == 0.0
+
+
+def test_a_share_of_none_says_of_how_many() -> None:
+    assert [share_text(share) for share in (0.0, 0.0005, 1.0)] == ["0 of 4,000", "0.0005", "1.0000"]
 
 
 def test_what_an_experiment_leaves_undefined_counts_neither_way_and_a_cell_without_numbers_has_no_share() -> None:

@@ -7,11 +7,11 @@ from typing import Any
 import pytest
 
 from fsar_ledger.designs.constants import Constants
-from fsar_ledger.metrics.effects import Sensitivity, open_effects
-from fsar_ledger.studies import sensitivity
+from fsar_ledger.metrics.effects import Sensitivity
+from fsar_ledger.metrics.study_results import read
 from fsar_ledger.studies.evaluations import CELLS, Answer, Question
 from fsar_ledger.studies.factors import factors
-from fsar_ledger.studies.sensitivity import Size
+from fsar_ledger.studies.sensitivity import sensitivity
 
 NAMES = (
     "world.message",
@@ -21,7 +21,7 @@ NAMES = (
     "load.task_sets",
 )
 SOME = tuple(factor for name in NAMES for factor in factors() if factor.name == name)
-SMALL = Size(trajectories=4, runs=1, points=64)
+SMALL = {"trajectories": 4, "runs": 1, "points": 64, "workers": 1}
 
 
 def doublings(value: float, base: float) -> float:
@@ -43,17 +43,17 @@ def linear(question: Question) -> Answer:
     return (None, *[value] * (len(CELLS) - 1))
 
 
-def study(out: Path, size: Size = SMALL, **changes: Any) -> Sensitivity:
-    return sensitivity.study(out, size, **{"ask": linear, "subject": SOME, **changes})
+def study(out: Path, **changes: Any) -> Sensitivity:
+    return sensitivity(out, **{**SMALL, "ask": linear, "subject": SOME, **changes})
 
 
 @pytest.fixture(scope="session")
 def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("sensitivity") / "effects.parquet"
+    path = tmp_path_factory.mktemp("sensitivity") / "effects.json"
     study(path)
     return path
 
 
 @pytest.fixture(scope="session")
 def found(file: Path) -> Sensitivity:
-    return open_effects(file)
+    return read(file, Sensitivity)

@@ -2,29 +2,29 @@
 
 import re
 from pathlib import Path
+from typing import Any
 
 import msgspec
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 
-from fsar_ledger.base.errors import UsageError
+from fsar_ledger.base.errors import FsarLedgerError
 from fsar_ledger.cli.app import run
 from fsar_ledger.designs.constants import Constants, write_constants
-from fsar_ledger.metrics.effects import METADATA, Sensitivity, dozen, open_effects, parquet, reach
-from fsar_ledger.metrics.study_results import METRICS, rules
+from fsar_ledger.metrics.effects import Sensitivity, dozen, reach
+from fsar_ledger.metrics.study_results import METRICS, encoded, read, rules
 from fsar_ledger.report.printing import flat
 from fsar_ledger.report.sensitivity import heat_map, section
 from fsar_ledger.runtime.simulation import ARCHITECTURES, MODEL_VERSION
-from fsar_ledger.studies.evaluations import CELLS
+from fsar_ledger.studies.evaluations import CELLS, evaluate
 from fsar_ledger.studies.factors import factors, setting
-from fsar_ledger.studies.sensitivity import Size, study
-from tests.studies.conftest import NAMES
+from tests.studies.conftest import NAMES, study
 
 
-def test_a_file_is_read_as_it_was_written(file: Path, found: Sensitivity) -> None:
-    assert parquet(found) == file.read_bytes()
+def test_a_file_is_read_as_it_was_written_and_stays_small(file: Path, found: Sensitivity) -> None:
+    assert encoded(found) == file.read_bytes()
     assert len(found.effects) == len(CELLS) * len(NAMES)
+    of_factors = file.read_text().partition('"factors"')[2]
+    assert len(of_factors) / len(NAMES) * len(factors()) < 150_000, "with all factors"
 
 
 def constants(given: Constants) -> dict[str, str]:
@@ -35,27 +35,34 @@ def constants(given: Constants) -> dict[str, str]:
 OWN = constants(Constants())
 
 
-def test_a_file_of_another_kind_is_refused(file: Path, tmp_path: Path) -> None:
-    foreign, text = tmp_path / "foreign.parquet", tmp_path / "text.parquet"
-    pq.write_table(pa.table({"a": [1]}), foreign)
-    text.write_text("no parquet")
-    renamed = pq.read_table(file).drop_columns(["mu"])
-    pq.write_table(renamed, tmp_path / "column.parquet")
-    assert METADATA in renamed.schema.metadata
-    pq.write_table(pq.read_table(file).slice(1), tmp_path / "row.parquet")
-    for path in (foreign, text, tmp_path / "column.parquet", tmp_path / "row.parquet"):
-        with pytest.raises(UsageError, match="found no file of effects"):
-            open_effects(path)
-    for path in (tmp_path / "nowhere.parquet", tmp_path):
-        with pytest.raises(UsageError, match="found no such file, expected one of `fsar-ledger study run sensitivity"):
-            open_effects(path)
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"cells": []}, "the cells are not those of the results table"),
+        ({"dozen": ["world.message", "world.massage"]}, "is not there"),
+        ({"parameters": "1"}, "expected"),
+        ({"factors": [{}]}, "missing required field"),
+        ({"runs": None}, "Expected `int`"),
+    ],
+)
+def test_a_file_of_another_kind_is_refused(file: Path, tmp_path: Path, changed: dict[str, Any], said: str) -> None:
+    other = tmp_path / "other.json"
+    other.write_bytes(msgspec.json.encode(msgspec.json.decode(file.read_bytes()) | changed))
+    with pytest.raises(FsarLedgerError, match=f"{said}.*study run sensitivity"):
+        read(other, Sensitivity)
+
+
+def test_a_factor_without_a_number_for_each_cell_is_refused(found: Sensitivity) -> None:
+    short = msgspec.structs.replace(found.factors[0], mu=found.factors[0].mu[1:])
+    with pytest.raises(ValueError, match=r"factor world\.message: not a number for each cell"):
+        msgspec.structs.replace(found, factors=(short,), dozen=())
 
 
 def test_a_report_has_the_effects_of_its_runs_or_says_how_to_make_them(found: Sensitivity) -> None:
     there = section(found, MODEL_VERSION, OWN)
     assert there.figure == heat_map(found)
     assert there.table is not None
-    assert [row[0].printed for row in there.table.rows] == list(found.about.dozen)
+    assert [row[0].printed for row in there.table.rows] == list(found.dozen)
     assert there.sentence.endswith("1 of them move nothing.")
     absent = constants(setting(factors(), {"world.absence_s": 0.0}).constants)
     another_model = (
@@ -71,14 +78,13 @@ def test_a_report_has_the_effects_of_its_runs_or_says_how_to_make_them(found: Se
         missing = section(given, model, parameters)
         assert (missing.figure, missing.table) == (None, None)
         assert re.search(why, missing.sentence)
-        assert "fsar-ledger study run sensitivity --out FILE.parquet" in missing.sentence
+        assert "fsar-ledger study run sensitivity --out FILE" in missing.sentence
 
 
 def test_effects_name_the_queries_that_judged_them_and_the_report_those_that_changed(found: Sensitivity) -> None:
-    assert found.about.rules == rules(METRICS)
-    for given, said in (({"facts/conflicts": "0"}, True), (None, False)):  # None: of a version that kept no digests
-        about = msgspec.structs.replace(found.about, rules=given)
-        sentence = section(Sensitivity(about, found.effects), MODEL_VERSION, OWN).sentence
+    assert found.rules == rules(METRICS)
+    for given, said in (({"facts/conflicts": "0"}, True), (found.rules, False)):
+        sentence = section(msgspec.structs.replace(found, rules=given), MODEL_VERSION, OWN).sentence
         assert sentence.endswith(" They were judged before facts/conflicts changed.") == said
 
 
@@ -86,12 +92,12 @@ def test_the_table_names_the_cell_that_each_of_the_dozen_moves_furthest(found: S
     rows = dozen(found)
     assert (
         [row["factor"] for row in rows]
-        == list(found.about.dozen)
+        == list(found.dozen)
         == [name for name, furthest in reach(found).items() if furthest]
     )
     assert rows[0]["range"] == "(0.025 to 0.25) to (0.1 to 1)"
     assert rows[0]["metric"] in ("governance_locality", "audit_attributability")  # the smallest margins
-    assert rows[0]["mu_star_margins"] == pytest.approx(6 / 0.02, rel=1e-5)
+    assert rows[0]["mu_star_margins"] == pytest.approx(6 / 0.02, rel=1e-3)
 
 
 @pytest.mark.slow
@@ -99,11 +105,8 @@ def test_the_heat_map_is_the_same_again_and_another_where_an_effect_is_another(f
     drawn = heat_map(found)
     assert drawn == heat_map(found)
     for other in (0.3, None):
-        effects = [
-            msgspec.structs.replace(one, mu_star_margins=other) if one.factor == "world.message" else one
-            for one in found.effects
-        ]
-        assert heat_map(Sensitivity(found.about, tuple(effects))) != drawn
+        first = msgspec.structs.replace(found.factors[0], mu_star=(other,) * len(CELLS))
+        assert heat_map(msgspec.structs.replace(found, factors=(first, *found.factors[1:]))) != drawn
 
 
 @pytest.mark.slow
@@ -113,10 +116,11 @@ def test_a_small_study_of_the_simulator_is_the_same_with_any_number_of_workers(t
         for factor in factors()
         if factor.name in ("structure.sync_period_us", "world.floor_teams", "world.window_mean_s")
     )
-    made = [study(tmp_path / f"{workers}.parquet", Size(2, 1, 0), workers, subject=subject) for workers in (1, 2)]
-    assert made[0] == made[1]
-    assert (tmp_path / "1.parquet").read_bytes() == (tmp_path / "2.parquet").read_bytes()
-    moved = {(effect.factor, effect.architecture) for effect in made[0].effects if effect.mu_star}
+    few: dict[str, Any] = {"trajectories": 2, "points": 0, "subject": subject, "ask": evaluate}
+    made = [study(tmp_path / f"{workers}.json", workers=workers, **few) for workers in (1, 2)]
+    one, two = (msgspec.structs.replace(result, cpu_minutes=0.0) for result in made)
+    assert one == two
+    moved = {(effect.factor, effect.architecture) for effect in one.effects if effect.mu_star_margins}
     assert moved == {
         ("structure.sync_period_us", "cfc"),
         *(("world.window_mean_s", architecture) for architecture in ARCHITECTURES),
@@ -126,10 +130,9 @@ def test_a_small_study_of_the_simulator_is_the_same_with_any_number_of_workers(t
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (("--out", "effects.csv"), "--out effects.csv: found a file name that ends in '.csv', expected .parquet"),
-        (("--out", "effects.parquet", "--runs", "0"), "--runs 0: expected 1 to 9999"),
-        (("--out", "effects.parquet", "--trajectories", "1"), "--trajectories 1: expected 2 to 9999"),
-        (("--out", "effects.parquet", "--points", "-1"), "--points -1: expected 0 to 65536"),
+        (("--out", "effects.json", "--runs", "0"), "--runs 0: expected 1 to 9999"),
+        (("--out", "effects.json", "--trajectories", "1"), "--trajectories 1: expected 2 to 9999"),
+        (("--out", "effects.json", "--points", "-1"), "--points -1: expected 0 to 65536"),
     ],
 )
 def test_a_call_that_cannot_be_carried_out_is_one_message(

@@ -1,0 +1,201 @@
+"""The results of the studies that ask how far the evaluation depends on what was chosen: ranking, ensemble, placebo.
+
+Each is taken over a registered sample (`registration.Sample`): points in the ranges of the free constants, or
+repetitions. Counts are of these. What is undefined or equal at a point counts apart, never as a yes or a no.
+"""
+
+from collections.abc import Iterator
+from typing import ClassVar
+
+import msgspec
+
+from .registration import Sample, SampleAround
+from .study_results import GroundedResult, Row, rows_of
+from .verdicts import Answer
+
+
+class RankCounts(msgspec.Struct, frozen=True, kw_only=True):
+    """How FSAR ranks over the points in one metric, or in several at once, which `metric` then says.
+
+    `is_best_in_paper` tells whether the paper prints FSAR as the best. At a point FSAR is `best` (better than both
+    others; `clearly_best` by a margin at least), `beaten`, `tied` with the better of them, or `undefined`: a cell is.
+    `close` are the points where it differs from the better of the others by less than a margin. `ordered` are those
+    with all three in the paper's order, `disordered` those without; `tied` or undefined points are neither. The shares
+    are of those that are one or the other, with 95 % intervals. In several metrics at once: best in all, beaten in any,
+    else undefined in any, else tied; ordered in all, disordered in any; close in any.
+    """
+
+    metric: str
+    is_best_in_paper: bool
+    best: int
+    clearly_best: int
+    beaten: int
+    tied: int
+    undefined: int
+    close: int
+    best_share: float | None
+    best_low: float | None
+    best_high: float | None
+    ordered: int
+    disordered: int
+    ordered_share: float | None
+    ordered_low: float | None
+    ordered_high: float | None
+
+
+class Ranking(GroundedResult, frozen=True, kw_only=True):
+    """How FSAR ranks over the registered ranges, without any fit.
+
+    `parameters` are the constants in the middle of all ranges; `ranges` are their ends. A Sobol sequence covers the
+    ranges more evenly than independent points do, for which the intervals are.
+    """
+
+    FILE: ClassVar[str] = "ranking.json"
+    MADE_BY: ClassVar[str] = "fsar-ledger study run ranking --out FILE"
+
+    command: str = MADE_BY
+    sample: Sample
+    ranges: dict[str, tuple[float, float]]
+    cpu_minutes: float
+    ranks: list[RankCounts]
+
+    def tables(self) -> Iterator[list[Row]]:
+        """Yield the ranks."""
+        yield rows_of(self.ranks)
+
+    def summary(self) -> str:
+        """Say what was sampled, and what it took."""
+        return (
+            f"{self.sample.size} points of the registered ranges, {self.sample.runs} runs of each scenario and "
+            f"architecture at each, in {self.cpu_minutes} minutes of one core"
+        )
+
+
+class CellSpread(msgspec.Struct, frozen=True, kw_only=True):
+    """One cell over the points around the fit: how often it is near the printed number, and where it lies.
+
+    `within_margin` and `within_tolerance` (margin plus discrepancy) count points, `only_miss` those where it is the one
+    cell beyond its tolerance, `plausible_within_margin` plausible points. The quartiles are of the points where it is
+    defined.
+    """
+
+    metric: str
+    architecture: str
+    paper: float
+    margin: float
+    discrepancy: float
+    undefined: int
+    within_margin: int
+    within_tolerance: int
+    only_miss: int
+    plausible_within_margin: int
+    lower_quartile: float | None
+    median: float | None
+    upper_quartile: float | None
+
+
+class SignCount(msgspec.Struct, frozen=True, kw_only=True):
+    """One comparison of two architectures: at how many points its sign is that of the t that the paper prints.
+
+    `same`, `other` and `neither` (equal, or a mean is undefined) count the plausible points, or all where none is.
+    """
+
+    metric: str
+    comparison: str
+    paper_t: float
+    same: int
+    other: int
+    neither: int
+
+
+class Ensemble(GroundedResult, frozen=True, kw_only=True):
+    """What the points around the accepted one give, drawn as the fit's slopes leave them open.
+
+    `plausible` counts those at which each of the 24 cells is within margin plus discrepancy. `ranks` and `signs` are of
+    these alone, and of all points where none is plausible. `clipped` is the share of coordinates moved to the end of
+    their range.
+    """
+
+    FILE: ClassVar[str] = "ensemble.json"
+    MADE_BY: ClassVar[str] = "fsar-ledger study run ensemble --out FILE"
+
+    command: str = MADE_BY
+    sample: SampleAround
+    cpu_minutes: float
+    clipped: float
+    plausible: int
+    cells: list[CellSpread]
+    signs: list[SignCount]
+    ranks: list[RankCounts]
+
+    def agreement(self, metric: str, architecture: str, gives: Answer) -> tuple[int, int] | None:
+        """Return how many points agree with this answer for a cell of the results table, and of how many.
+
+        They are the plausible points, or all where none is. A point agrees with `yes` if its mean is within the margin
+        of the printed number, with `no` if it is not; nothing agrees with `undecided`, for which this returns None.
+        """
+        cell = next(one for one in self.cells if (one.metric, one.architecture) == (metric, architecture))
+        if gives == "undecided":
+            return None
+        of = self.plausible or self.sample.size - cell.undefined
+        within = cell.plausible_within_margin if self.plausible else cell.within_margin
+        return (within if gives == "yes" else of - within), of
+
+    def tables(self) -> Iterator[list[Row]]:
+        """Yield the cells, the signs of the comparisons and the ranks."""
+        for part in (self.cells, self.signs, self.ranks):
+            yield rows_of(part)
+
+    def summary(self) -> str:
+        """Say how many points are plausible."""
+        count = f"{self.plausible} of {self.sample.size} points are plausible" if self.plausible else "no point of "
+        count += "" if self.plausible else f"{self.sample.size} is plausible: signs and ranks are of all points"
+        return f"{count}; {self.sample.runs} runs at each, in {self.cpu_minutes} minutes of one core"
+
+
+class Rejections(msgspec.Struct, frozen=True, kw_only=True):
+    """How often a test of one metric rejects at `alpha` between runs that differ in nothing but their worlds.
+
+    `test` is a p of `statistics/pairwise_tests`; with metric `any of the eight`, of the smallest of all metrics.
+    `undefined` repetitions have no p, and `share` is of the others, with its 95 % interval.
+    """
+
+    metric: str
+    test: str
+    rejected: int
+    kept: int
+    undefined: int
+    share: float | None
+    low: float | None
+    high: float | None
+
+
+class Placebo(GroundedResult, frozen=True, kw_only=True):
+    """FSAR compared with FSAR under the name of another architecture.
+
+    On the same seeds, `pairs` pairs of runs met the same world, and `largest_difference` is the largest of all means of
+    differences, of the eight metrics; it is 0 if nothing looks at the name. On other seeds, `tests` count rejections.
+    """
+
+    FILE: ClassVar[str] = "placebo.json"
+    MADE_BY: ClassVar[str] = "fsar-ledger study run placebo --out FILE"
+    RELATIONS: ClassVar[tuple[str, ...]] = ("pairwise_tests",)
+
+    command: str = MADE_BY
+    sample: Sample
+    cpu_minutes: float
+    alpha: float
+    pairs: int
+    largest_difference: float | None
+    tests: list[Rejections]
+
+    def tables(self) -> Iterator[list[Row]]:
+        """Yield the tests."""
+        yield rows_of(self.tests)
+
+    def summary(self) -> str:
+        """Say what differs on the same seeds."""
+        return (
+            f"on the same seeds {self.pairs} pairs differ by {self.largest_difference} at most; on others, "
+            f"{self.sample.size} repetitions at {self.alpha}, in {self.cpu_minutes} minutes of one core"
+        )

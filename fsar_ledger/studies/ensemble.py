@@ -1,0 +1,176 @@
+"""Asks what the constants that the fit leaves open would change: points around the accepted one, drawn by its slopes.
+
+The fit accepts one point, and many others explain the 24 cells nearly as well. They are drawn from the normal
+distribution around it whose precision is the Gauss-Newton matrix of the fit's objective (the Laplace approximation),
+with the registered spread, and clipped to the ranges. A point is plausible if each cell is within margin plus
+discrepancy of the printed number.
+"""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from fsar_ledger.api.names import Place
+from fsar_ledger.api.workload import workers_of
+from fsar_ledger.base.errors import UsageError
+from fsar_ledger.base.progress import Progress
+from fsar_ledger.designs.constants import write_constants
+from fsar_ledger.metrics.paper_numbers import printed_tests
+from fsar_ledger.metrics.registration import Sample, SampleAround, registration
+from fsar_ledger.metrics.robustness import CellSpread, Ensemble, SignCount
+from fsar_ledger.metrics.study_results import Calibration, packaged, read
+from fsar_ledger.metrics.verdicts import MARGINS, published
+from fsar_ledger.runtime.simulation import MODEL_VERSION
+
+from .calibration import weighted_slopes
+from .evaluations import CELLS, Answer, Evaluate, evaluate, evaluating, question_at
+from .factor_effects import Matrix, Vector
+from .points import FREE, point_of, sobol, with_values
+from .ranking import ranks
+from .result import RESUME_ADVICE, grounds, write
+
+
+def ensemble(
+    out: Place,
+    calibration: Place | None = None,
+    *,
+    workers: int | None = None,
+    progress: Progress | None = None,
+    ask: Evaluate = evaluate,
+) -> Ensemble:
+    """Evaluate the registered number of points around the accepted one, write the result and return it.
+
+    An interrupted study continues from what is kept beside it.
+
+    Args:
+        out: The result.
+        calibration: A record of the fit; None: the one in this package.
+        workers: Processes at once.
+        progress: Called with the evaluations done and their total.
+        ask: Answers a question, in another process unless `workers` is 1.
+
+    Raises:
+        UsageError: There is no fit of this model that keeps its slopes; or as `evaluating`.
+        FsarLedgerError: The record is something else.
+        WriteFailed, WorkerDied: As `evaluating`.
+    """
+    out, sample = Path(out), registration().ensemble
+    given = packaged(Calibration) if calibration is None else read(Path(calibration), Calibration)
+    fit = _require_slopes(given, str(calibration or f"reports/{Calibration.FILE}"))
+    points, clipped = points_around(fit, sample)
+    with evaluating(out, workers_of(workers), progress, ask) as evaluations:
+        evaluations.expected = sample.size
+        found = evaluations.answers(
+            [question_at(point, sample.seed + number, sample.runs) for number, point in enumerate(points)]
+        )
+        result = _result(fit, sample, found, clipped, evaluations.cpu_minutes)
+        write(out, result, RESUME_ADVICE)
+    return result
+
+
+def _require_slopes(fit: Calibration | None, name: str) -> Calibration:
+    """Return the fit if points can be drawn from it. Raises: UsageError."""
+    if (
+        fit is None
+        or fit.model_version != MODEL_VERSION
+        or [one.name for one in fit.parameters] != [one.name for one in FREE]
+        or [(one.metric, one.architecture) for one in fit.residuals] != list(CELLS)
+        or any(len(one.slopes) != len(FREE) for one in fit.residuals)
+    ):
+        raise UsageError(
+            f"{name}: found no fit of model {MODEL_VERSION} that keeps the slopes of the {len(CELLS)} cells, expected "
+            f"what `{Calibration.MADE_BY}` writes"
+        )
+    return fit
+
+
+def points_around(fit: Calibration, sample: SampleAround) -> tuple[list[Vector], float]:
+    """Return points around the accepted one, and the share of coordinates that were clipped."""
+    centre = point_of([one.accepted for one in fit.parameters])
+    distances = np.array([1.0 if one.distance_margins is None else one.distance_margins for one in fit.residuals])
+    steepness = weighted_slopes(np.array([one.slopes for one in fit.residuals]), distances)
+    free = centre + sample.spread * normal_sample(steepness.T @ steepness + np.eye(len(FREE)), sample)
+    points = np.clip(free, -1.0, 1.0)
+    return list(points), round(float(np.mean(points != free)), 4)
+
+
+def normal_sample(precision: Matrix, sample: Sample) -> Matrix:
+    """Return a sample of the normal distribution with this precision and mean 0."""
+    from scipy.special import ndtri
+
+    tiny = 2.0**-32
+    standard = ndtri(np.clip(sobol(sample.size, sample.seed), tiny, 1.0 - tiny))
+    return np.asarray(np.linalg.solve(np.linalg.cholesky(precision).T, standard.T).T)
+
+
+def _result(
+    fit: Calibration, sample: SampleAround, answers: Sequence[Answer], clipped: float, cpu_minutes: float
+) -> Ensemble:
+    plausible = [answer for answer in answers if not _missed(answer)]
+    basis = plausible or answers
+    accepted = write_constants(with_values([one.accepted for one in fit.parameters]))
+    return Ensemble(
+        **grounds(Ensemble) | {"parameters": accepted},
+        sample=sample,
+        cpu_minutes=cpu_minutes,
+        clipped=clipped,
+        plausible=len(plausible),
+        cells=[_spread(cell, answers, plausible) for cell in range(len(CELLS))],
+        signs=list(_signs(basis)),
+        ranks=list(ranks(basis)),
+    )
+
+
+def _missed(answer: Answer) -> list[int]:
+    """Return the cells that are undefined, or beyond their tolerance."""
+    return [
+        cell
+        for cell, mean in enumerate(answer)
+        if mean is None or abs(mean - published()[CELLS[cell]].value) > registration().tolerance(*CELLS[cell])
+    ]
+
+
+def _spread(cell: int, answers: Sequence[Answer], plausible: Sequence[Answer]) -> CellSpread:
+    metric, architecture = CELLS[cell]
+    paper, margin = published()[metric, architecture].value, MARGINS[metric]
+    known = [mean for answer in answers if (mean := answer[cell]) is not None]
+    lower, median, upper = np.quantile(known, [0.25, 0.5, 0.75]).round(4).tolist() if known else [None] * 3
+
+    def within(part: Sequence[Answer]) -> int:
+        return sum(mean is not None and abs(mean - paper) <= margin for answer in part for mean in [answer[cell]])
+
+    return CellSpread(
+        metric=metric,
+        architecture=architecture,
+        paper=paper,
+        margin=margin,
+        discrepancy=round(registration().tolerance(metric, architecture) - margin, 9),
+        undefined=len(answers) - len(known),
+        within_margin=within(answers),
+        within_tolerance=sum(cell not in _missed(answer) for answer in answers),
+        only_miss=sum(_missed(answer) == [cell] for answer in answers),
+        plausible_within_margin=within(plausible),
+        lower_quartile=lower,
+        median=median,
+        upper_quartile=upper,
+    )
+
+
+def _signs(answers: Sequence[Answer]) -> Iterator[SignCount]:
+    for (metric, comparison), test in printed_tests().items():
+        first, second = (CELLS.index((metric, architecture)) for architecture in comparison.split("-"))
+        differences = [
+            one - other
+            for answer in answers
+            if (one := answer[first]) is not None and (other := answer[second]) is not None and one != other
+        ]
+        same = sum((difference > 0) == (test.t > 0) for difference in differences)
+        yield SignCount(
+            metric=metric,
+            comparison=comparison,
+            paper_t=test.t,
+            same=same,
+            other=len(differences) - same,
+            neither=len(answers) - len(differences),
+        )

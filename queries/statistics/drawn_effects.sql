@@ -1,0 +1,61 @@
+-- Title: The effect sizes that 4,000 experiments of the paper's size, drawn from these runs, would have printed
+-- Paper: tab:significance
+-- Grain: one row per drawn experiment (drawn_places), comparison of two architectures in full, setting (kind, source,
+--   model version, constants, fleet size), seed and metric
+-- Key: draw, comparison, fleet_size, kind, source?, model_version?, constants?, seed, metric
+-- Units: cohens_d in pooled standard deviations, with sign, as in paired_t_tests, over the n drawn pairs (20 of each
+--   scenario, those of a world drawn together for all comparisons), a metric that is undefined for a run counted as
+--   the paper does. Sums are of integers, billionths of the metric's unit
+-- NULL: cohens_d where neither side varies. Scenarios in which fewer pairs than runs met the same world are not drawn
+-- Example: fsar-ledger query statistics/drawn_effects LEDGER
+WITH numbered AS (
+    SELECT
+        test, comparison, configuration, fleet_size, kind, source, model_version, constants, seed, position, metric,
+        scenario,
+        dense_rank() OVER (PARTITION BY test, scenario ORDER BY run) - 1 AS place,
+        round(first_value * 1e9)::HUGEINT AS first_ppb,
+        round(second_value * 1e9)::HUGEINT AS second_ppb
+    FROM paired_differences
+    WHERE basis = 'published' AND NOT pools_seeds AND family = 'architectures'
+),
+
+counted AS (
+    SELECT
+        test, scenario,
+        max(place) + 1 AS runs
+    FROM numbered
+    GROUP BY test, scenario
+),
+
+picked AS (
+    SELECT
+        counted.test, counted.scenario, places.draw, places.place,
+        places.times::HUGEINT AS times
+    FROM drawn_places AS places
+    INNER JOIN counted ON places.scenario = counted.scenario AND places.runs = counted.runs
+),
+
+summed AS (
+    SELECT
+        picked.draw, numbered.comparison, numbered.configuration, numbered.fleet_size, numbered.kind, numbered.source,
+        numbered.model_version, numbered.constants, numbered.seed, numbered.position, numbered.metric,
+        sum(picked.times) AS n,
+        sum(picked.times * numbered.first_ppb) AS first_sum,
+        sum(picked.times * numbered.second_ppb) AS second_sum,
+        sum(picked.times * numbered.first_ppb * numbered.first_ppb) AS first_squares,
+        sum(picked.times * numbered.second_ppb * numbered.second_ppb) AS second_squares
+    FROM picked
+    INNER JOIN numbered
+        ON
+            picked.test = numbered.test AND picked.scenario = numbered.scenario AND picked.place = numbered.place
+    GROUP BY ALL
+)
+
+SELECT
+    draw, comparison, configuration, fleet_size, kind, source, model_version, constants, seed, position, metric,
+    n::BIGINT AS n,
+    (first_sum - second_sum)::DOUBLE / n::DOUBLE / sqrt(
+        nullif(n * (first_squares + second_squares) - first_sum * first_sum - second_sum * second_sum, 0)::DOUBLE
+        / (2 * n * (n - 1))::DOUBLE
+    ) AS cohens_d
+FROM summed
