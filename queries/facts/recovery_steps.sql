@@ -49,10 +49,10 @@ SELECT
             THEN if(lead(steps.type) OVER in_order = 'FailureResolved.v1', 'success', 'failure')
         WHEN steps.type = 'AssistanceRequested.v1' AND lead(steps.type) OVER in_order IS NOT NULL
             THEN if(lead(steps.type) OVER in_order = 'FailureResolved.v1', 'helped', 'no help')
-        WHEN steps.type = 'RegistryQueried.v1'
-            THEN if(len(steps.candidates) = 0, 'no peer', array_to_string(steps.candidates, ', '))
-        WHEN steps.type = 'ReassignmentDecided.v1'
-            THEN if(helper IS NULL, concat_ws(': ', 'infeasible', reason), concat('to ', helper, ' from ' || checkpoint))
+        WHEN steps.type = 'RegistryQueried.v1' AND len(steps.candidates) = 0 THEN 'no peer'
+        WHEN steps.type = 'RegistryQueried.v1' THEN array_to_string(steps.candidates, ', ')
+        WHEN steps.type = 'ReassignmentDecided.v1' AND steps.helper IS NULL THEN concat_ws(': ', 'infeasible', reason)
+        WHEN steps.type = 'ReassignmentDecided.v1' THEN 'to ' || concat_ws(' from ', steps.helper, checkpoint)
         WHEN steps.type = 'SupervisorCalled.v1' AND failures.resolved_level = 'human' THEN 'resolved'
         WHEN steps.type = 'RecoveryEscalated.v1' THEN steps.reason
     END AS result,
