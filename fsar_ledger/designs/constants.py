@@ -63,7 +63,7 @@ class WorldConstants(msgspec.Struct, frozen=True):
     routine_rate_per_s: Fitted[float] = 0.196  # routine operations, Poisson
     routine_until_s: AfterFits[float] = 100.0  # routine operations fall due until then
     motion_share: Fitted[float] = 0.189  # share of routine operations that move the robot; the rest is sensing
-    absence_s: Fitted[float] = 2.54  # length of the local supervisor's one absence
+    absence_s: AfterFits[float] = 30.0  # length of the local supervisor's one absence: half a minute
     absence_from_s: AfterFits[float] = -50.0  # its start, uniform
     absence_to_s: AfterFits[float] = 150.0
     degradation_probability: Paper[float] = 0.3  # per run, in scenarios with failure injection
@@ -121,8 +121,8 @@ class Structure(msgspec.Struct, frozen=True):
     hop_ppm: Fitted[int] = 596_000  # an internal hop takes this share of a message latency
     snapshot_period_us: Fitted[int] = 30_900_000  # planners refresh their snapshot of policy this often
     engagement_us: Fitted[int] = 7_510_000  # the planner is occupied this long by a motion or a context change
-    dispute_timeout_us: Fitted[int] = 10_300_000  # a disputed recovery that failed gives up after this
-    renegotiation_us: Fitted[int] = 28_800_000  # replanning a delegated action takes this much longer
+    dispute_timeout_us: Fitted[int] = 3_160_000  # a disputed recovery that failed gives up after this
+    renegotiation_us: Fitted[int] = 100_000  # of a replanned delegated action: the other robot evaluates it again
 
 
 class Outages(msgspec.Struct, frozen=True):

@@ -81,13 +81,14 @@ class Free(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Verdicts(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The rules of the verdicts in words, their level, how many experiments are drawn, and which n decides."""
+    """The rules of the verdicts in words, their level, the draws, which n decides, and the seeds of the runs."""
 
     alpha: float
     model: str
     experiment: str
     draws: int
     decided: int
+    seeds: tuple[int, ...]
 
 
 class Declaration(msgspec.Struct, frozen=True, forbid_unknown_fields=True, rename={"kind": "class"}):

@@ -22,7 +22,7 @@ from .world.draws import Draws, SimulatedEnvironment, run_key
 from .world.founding import founding
 from .world.schedule import schedule
 
-MODEL_VERSION = "2"
+MODEL_VERSION = "3"
 
 ARCHITECTURES = ("fsar", "cfc", "dhma")
 """The three architectures that the paper compares, however many others are registered."""

@@ -170,18 +170,18 @@ def _twelve(numbers: Numbers) -> Iterator[Check]:
                 )
 
 
-def _twenty_four(numbers: Numbers) -> Iterator[Check]:
+def _twenty_eight(numbers: Numbers) -> Iterator[Check]:
     for teams in (None, 1):
-        at_16, at_24 = (numbers.mean("scaling", LOCALITY, size=size, teams=teams) for size in (16, 24))
-        yield _between(f"{LOCALITY}, fsar, 24 robots, {_said(teams)}", at_24, (at_16,), MARGINS[LOCALITY])
+        at_16, at_28 = (numbers.mean("scaling", LOCALITY, size=size, teams=teams) for size in (16, 28))
+        yield _between(f"{LOCALITY}, fsar, 28 robots, {_said(teams)}", at_28, (at_16,), MARGINS[LOCALITY])
         falls: dict[str, float | None] = {}
         for architecture in ARCHITECTURES:
             before, after = (
-                numbers.mean("scaling", SUCCESS, architecture, size=size, teams=teams) for size in (16, 24)
+                numbers.mean("scaling", SUCCESS, architecture, size=size, teams=teams) for size in (16, 28)
             )
             falls[architecture] = None if before is None or after is None else before - after
         for architecture in ("cfc", "dhma"):
-            what = f"fall of {SUCCESS} from 16 to 24 robots, fsar and {architecture}, {_said(teams)}"
+            what = f"fall of {SUCCESS} from 16 to 28 robots, fsar and {architecture}, {_said(teams)}"
             yield _less(what, falls["fsar"], falls[architecture])
 
 
@@ -211,37 +211,37 @@ def _encounters(numbers: Numbers) -> Iterator[Check]:
     def at(metric: str, mean_s: float) -> float | None:
         return numbers.mean("encounters", metric, encounter_s=mean_s, configuration=without(["shared-registry"]))
 
-    for low_s, mean_s, high_s in ((30.0, 45.0, 90.0), (90.0, 120.0, 300.0)):
+    for low_s, mean_s, high_s in ((30.0, 50.0, 90.0), (90.0, 200.0, 300.0)):
         yield _between(
             f"{SUCCESS} at {mean_s:g} s", at(SUCCESS, mean_s), (at(SUCCESS, low_s), at(SUCCESS, high_s)), 0.0
         )
     for metric in _ablated():
         if metric != SUCCESS:
-            yield _between(f"{metric} at 120 s, as at 45 s", at(metric, 120.0), (at(metric, 45.0),), MARGINS[metric])
+            yield _between(f"{metric} at 200 s, as at 50 s", at(metric, 200.0), (at(metric, 50.0),), MARGINS[metric])
 
 
-def _pairs(numbers: Numbers) -> Iterator[Check]:
-    """Yield the checks of pairs of mechanisms; where the sum leaves the metric's range, nothing is implied."""
-    for pair in combinations(MECHANISMS, 2):
+def _triples(numbers: Numbers) -> Iterator[Check]:
+    """Yield the checks of triples of mechanisms; where the sum leaves the metric's range, nothing is implied."""
+    for triple in combinations(MECHANISMS, 3):
         for metric in _ablated():
             full = numbers.mean("ablation", metric)
-            alone = [numbers.mean("ablation", metric, configuration=without([one])) for one in pair]
-            together = numbers.mean("pairs", metric, configuration=without(pair))
+            alone = [numbers.mean("ablation", metric, configuration=without([one])) for one in triple]
+            together = numbers.mean("triples", metric, configuration=without(triple))
             known = [one for one in alone if one is not None]
             expected = (
-                None if full is None or len(known) < len(pair) else round(full + sum(one - full for one in known), 9)
+                None if full is None or len(known) < len(triple) else round(full + sum(one - full for one in known), 9)
             )
             if expected is None or (expected >= 0.0 and (metric in COUNTS or expected <= 1.0)):
-                yield _between(f"{metric} {without(pair)}", together, (expected,), MARGINS[metric])
+                yield _between(f"{metric} {without(triple)}", together, (expected,), MARGINS[metric])
 
 
 CHECKS: dict[str, Callable[[Numbers], Iterator[Check]]] = {
     "seeds": _seeds,
     "twelve": _twelve,
-    "twenty-four": _twenty_four,
+    "twenty-eight": _twenty_eight,
     "loads": _loads,
     "encounters": _encounters,
-    "pairs": _pairs,
+    "triples": _triples,
 }
 """The checks that each registered prediction implies, by its name."""
 

@@ -1,8 +1,8 @@
 """Simulates the registered predictions, and writes down the numbers before anyone compares them.
 
 They are registered in `reports/registration.toml`: the tables of the paper that the fit does not aim at (ablation,
-scaling), and what nobody has seen: other seeds, fleet sizes between and beyond the paper's, loads, encounter rates,
-pairs of ablations. Nothing here reads a number of the paper.
+scaling), and what the paper does not print: other seeds, fleet sizes between and beyond its own, loads, encounter
+rates, triples of ablations. Nothing here reads a number of the paper.
 """
 
 from collections.abc import Iterator
@@ -27,11 +27,11 @@ from .evaluations import simulated
 from .result import grounds, require_out, write
 
 SEED = 42
-SEEDS = (57721, 61803)  # registered, and never used before
+SEEDS = (31622776, 36055512)  # registered, and never used before
 SEED_RUNS = 200  # runs a scenario for the results table
 ABLATION_RUNS = 40
 SCALING_RUNS = 20  # the paper's
-ENCOUNTERS_S = (30.0, 45.0, 90.0, 120.0, 300.0)
+ENCOUNTERS_S = (30.0, 50.0, 90.0, 200.0, 300.0)
 
 CASES = "cases"
 CLAIMS_SQL = """
@@ -69,10 +69,10 @@ def planned_experiments() -> Iterator[PlannedExperiment]:
     yield one(CASES, SEED_RUNS)
     yield one("ablation", ABLATION_RUNS, architectures=("fsar",), configurations=CONFIGURATIONS)
     yield one(
-        "pairs",
+        "triples",
         ABLATION_RUNS,
         architectures=("fsar",),
-        configurations=tuple(without(pair) for pair in combinations(MECHANISMS, 2)),
+        configurations=tuple(without(triple) for triple in combinations(MECHANISMS, 3)),
     )
     for mean in ENCOUNTERS_S:
         world = msgspec.structs.replace(Constants().world, encounter_mean_s=mean)
@@ -80,7 +80,7 @@ def planned_experiments() -> Iterator[PlannedExperiment]:
         yield one(
             "encounters", ABLATION_RUNS, architectures=("fsar",), configurations=alone, constants=Constants(world)
         )
-    for size in (4, 8, 12, 16, 24):
+    for size in (4, 8, 12, 16, 28):
         yield one("scaling", SCALING_RUNS, size=size)
         if size > 4:
             yield one("scaling", SCALING_RUNS, size=size, teams=1)

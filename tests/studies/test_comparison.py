@@ -23,7 +23,7 @@ def mean_of(metric: str, architecture: str, size: int) -> float:
     """Return the mean of a cell in a world in which every registered prediction holds."""
     if metric == "authority_conflicts":
         return 1.0 if architecture == "fsar" else 2.0
-    return 0.4 if metric == "coordination_success" and size == 24 and architecture != "fsar" else 0.5
+    return 0.4 if metric == "coordination_success" and size == 28 and architecture != "fsar" else 0.5
 
 
 def every_number() -> list[Predicted]:
@@ -86,15 +86,15 @@ def test_a_prediction_has_as_many_checks_as_it_names_numbers() -> None:
     assert found == {
         "seeds": (2, 2),
         "twelve": (30, 30),
-        "twenty-four": (6, 6),
+        "twenty-eight": (6, 6),
         "loads": (26, 26),
         "encounters": (7, 7),
-        "pairs": (36, 36),
+        "triples": (24, 24),
     }
 
 
-def is_success_of_a_pair(one: Predicted) -> bool:
-    return one.of == "pairs" and one.metric == "coordination_success" and one.scenario is None
+def is_success_of_a_triple(one: Predicted) -> bool:
+    return one.of == "triples" and one.metric == "coordination_success" and one.scenario is None
 
 
 @pytest.mark.parametrize(
@@ -102,13 +102,13 @@ def is_success_of_a_pair(one: Predicted) -> bool:
     [
         ("seeds", lambda one: one.of == "seeds", 0.93),
         ("twelve", lambda one: one.fleet_size == 12 and one.metric == "governance_locality", 0.53),
-        ("twenty-four", lambda one: one.fleet_size == 24 and one.metric == "governance_locality", 0.47),
-        ("twenty-four", lambda one: one.fleet_size == 24 and one.metric == "coordination_success", 0.4),
+        ("twenty-eight", lambda one: one.fleet_size == 28 and one.metric == "governance_locality", 0.47),
+        ("twenty-eight", lambda one: one.fleet_size == 28 and one.metric == "coordination_success", 0.4),
         ("loads", lambda one: one.of == "loads" and one.metric == "coordination_success", 0.6),
         ("loads", lambda one: one.of == "loads" and one.metric == "authority_conflicts", 0.7),
-        ("encounters", lambda one: one.encounter_mean_s == 45 and one.metric == "coordination_success", 0.51),
-        ("encounters", lambda one: one.encounter_mean_s == 120 and one.metric == "audit_attributability", 0.53),
-        ("pairs", is_success_of_a_pair, 0.56),
+        ("encounters", lambda one: one.encounter_mean_s == 50 and one.metric == "coordination_success", 0.51),
+        ("encounters", lambda one: one.encounter_mean_s == 200 and one.metric == "audit_attributability", 0.53),
+        ("triples", is_success_of_a_triple, 0.56),
     ],
 )
 def test_a_number_beyond_what_is_implied_breaks_its_prediction_alone(
@@ -119,10 +119,10 @@ def test_a_number_beyond_what_is_implied_breaks_its_prediction_alone(
 
 
 def test_nothing_is_said_of_a_prediction_whose_number_is_undefined() -> None:
-    assert holding(record(lambda one: None if is_success_of_a_pair(one) else one.mean))["pairs"] is None
+    assert holding(record(lambda one: None if is_success_of_a_triple(one) else one.mean))["triples"] is None
 
 
-def test_a_sum_of_two_ablations_beyond_the_range_of_a_share_implies_nothing() -> None:
+def test_a_sum_of_three_ablations_beyond_the_range_of_a_share_implies_nothing() -> None:
     def alone(one: Predicted) -> float | None:
         return (
             0.1
@@ -130,8 +130,8 @@ def test_a_sum_of_two_ablations_beyond_the_range_of_a_share_implies_nothing() ->
             else one.mean
         )
 
-    (pairs,) = (outcome for outcome in compared(record(alone)).predictions if outcome.name == "pairs")
-    assert (pairs.holds, pairs.of) == (True, 30)
+    (triples,) = (outcome for outcome in compared(record(alone)).predictions if outcome.name == "triples")
+    assert (triples.holds, triples.of) == (True, 20)
 
 
 def test_every_printed_cell_is_answered_unless_its_dial_is_open() -> None:

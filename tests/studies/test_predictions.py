@@ -24,7 +24,7 @@ def test_all_that_is_registered_is_played_and_nothing_twice() -> None:
     assert {plan.of for plan in planned_experiments()} == {
         "cases",
         "ablation",
-        "pairs",
+        "triples",
         "encounters",
         "scaling",
         "loads",
@@ -32,10 +32,10 @@ def test_all_that_is_registered_is_played_and_nothing_twice() -> None:
     }
 
 
-def test_ablations_are_those_of_the_paper_and_pairs_lack_two_mechanisms() -> None:
+def test_ablations_are_those_of_the_paper_and_triples_lack_three_mechanisms() -> None:
     assert [plan.experiment.configurations for plan in registered("ablation")] == [CONFIGURATIONS]
-    (pairs,) = registered("pairs")
-    assert [len(removed_mechanisms(one)) for one in pairs.experiment.configurations] == [2] * 6
+    (triples,) = registered("triples")
+    assert [len(removed_mechanisms(one)) for one in triples.experiment.configurations] == [3] * 4
 
 
 def test_fleets_are_the_papers_those_between_and_one_beyond_at_both_ends_of_the_load() -> None:
@@ -43,12 +43,12 @@ def test_fleets_are_the_papers_those_between_and_one_beyond_at_both_ends_of_the_
         (plan.experiment.fleet_size, plan.experiment.constants.load and plan.experiment.constants.load.teams_working)
         for plan in registered("scaling")
     }
-    assert found == {(4, None), *((size, teams) for size in (8, 12, 16, 24) for teams in (None, 1))}
+    assert found == {(4, None), *((size, teams) for size in (8, 12, 16, 28) for teams in (None, 1))}
 
 
 def test_encounters_change_nothing_else() -> None:
     worlds = [plan.experiment.constants.world for plan in registered("encounters")]
-    assert [world.encounter_mean_s for world in worlds] == [30, 45, 90, 120, 300]
+    assert [world.encounter_mean_s for world in worlds] == [30, 50, 90, 200, 300]
     assert len({msgspec.json.encode(msgspec.structs.replace(world, encounter_mean_s=90.0)) for world in worlds}) == 1
 
 
