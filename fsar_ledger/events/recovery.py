@@ -58,7 +58,7 @@ class RecoveryAttemptFailed(Event, frozen=True, kw_only=True):
     achieved: tuple[str, ...] = ()
 
 
-class AttemptRolledBack(Event, frozen=True):
+class AttemptRolledBack(Event, frozen=True, kw_only=True):
     """What a partial attempt had achieved has been undone, so that the next attempt begins where the first did.
 
     Paper: fig:recovery (level 1: retry, rollback, replan).

@@ -40,7 +40,7 @@ class RoleTrustSet(Event, frozen=True, kw_only=True):
     reason: str = "founding"
 
 
-class InitialTrustSet(Event, frozen=True):
+class InitialTrustSet(Event, frozen=True, kw_only=True):
     """A robot that joined the running fleet trusts every other robot with this scope, or is trusted by it.
 
     `is_trusting` tells which. It holds where no entry for the pair or their roles does, also for robots that join

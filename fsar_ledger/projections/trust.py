@@ -86,7 +86,7 @@ def _holding(
             entries = state.of_roles.get((role, peer_role, of_both))
             if entries is not None and (found := _most_specific(entries, capability, context)) is not None:
                 return found
-        for key in reversed(state.initial):
+        for key in tuple(state.initial)[::-1]:
             if key in ((robot, True), (peer, False)):
                 return (None, None), state.initial[key]
     return (None, None), "none"

@@ -43,7 +43,7 @@ FACTS_PER_ROBOT = 1_000
 The model's rates make 37 to 373. Recorded rates may come from an adversary: a world of a billion facts cannot be that
 of a record of a few events, and is not made to find that out.
 """
-_MAKERS = {"1": "fsar-ledger 0.2.0"}
+_MAKERS = {"1": "fsar-ledger 0.2.0", "2": "fsar-ledger 0.9.0"}
 """By an earlier model version, the last release that makes its runs."""
 _ROOT = re.compile(r"[0-9a-f]{64}")
 

@@ -197,8 +197,8 @@ def test_a_record_that_replay_contradicts_is_refused_by_the_first_event(denied: 
     ("changes", "expected"),
     [
         ({"kind": "live"}, "found a live run, whose commands are not stored, expected a simulated run"),
-        ({"model_version": "1"}, "model_version: found '1', expected '2'; replay it with fsar-ledger 0.2.0"),
-        ({"model_version": "9"}, "model_version: found '9', expected '2'; replay it with the version that wrote it"),
+        ({"model_version": "1"}, "model_version: found '1', expected '3'; replay it with fsar-ledger 0.2.0"),
+        ({"model_version": "9"}, "model_version: found '9', expected '3'; replay it with the version that wrote it"),
     ],
 )
 def test_a_run_that_cannot_be_made_again_is_refused(denied: LedgerRun, changes: dict[str, str], expected: str) -> None:

@@ -33,7 +33,7 @@ def contents_of(folder: Path) -> dict[str, bytes]:
     [
         (("--architecture", "fsra"), ("architecture 'fsra'", "did you mean fsar", "cfc")),
         (("--scenario", "door_relay"), ("scenario 'door_relay'", "did you mean door-relay")),
-        (("--without", "trust"), ("mechanism 'trust'", "did you mean trust-evaluation")),
+        (("--without", "trust-eval"), ("mechanism 'trust-eval'", "did you mean trust-evaluation")),
         (("--architecture", "zzzz"), ("architecture 'zzzz'; expected one of fsar, cfc, dhma",)),
         (("--runs", "0"), ("runs", "0")),
         (("--runs", "-3"), ("runs", "-3")),

@@ -107,7 +107,7 @@ def test_what_a_change_can_name_is_listed(call: Call, ledger: Path) -> None:
     [
         ("0.1.0", "1", "kind: found a live run, whose commands are not stored, expected a simulated run"),
         ("0.6.0", "1", "kind: found a foreign run, whose commands are not stored, expected a simulated run"),
-        ("0.1.0", "2", "model_version: found '1', expected '2'; replay it with fsar-ledger 0.2.0"),
+        ("0.1.0", "2", "model_version: found '1', expected '3'; replay it with fsar-ledger 0.2.0"),
     ],
 )
 def test_a_run_that_cannot_be_made_again_is_not_forked_and_nothing_is_written(

@@ -50,7 +50,11 @@ def history(seed: int) -> list[Event]:
             robot, peer = draw.sample(ROBOTS, 2)
             events.append(past.trusted(robot, peer, scope, about[0], context=about[1]))
         elif draw.random() < 0.2:
-            events.append(InitialTrustSet(draw.choice(ROBOTS), scope, draw.random() < 0.5, None))
+            events.append(
+                InitialTrustSet(
+                    robot=draw.choice(ROBOTS), scope=scope, is_trusting=draw.random() < 0.5, decided_by=None
+                )
+            )
         else:
             events.append(
                 RoleTrustSet(

@@ -40,7 +40,9 @@ def test_a_slipping_grip_achieves_part_of_its_contract_which_is_rolled_back_and_
     assert back.command == RollBack(ACTION, 1, ("load.gripped",))
     assert [wait.what for wait in back.waits] == ["retry"], "it takes time"
     undone, again = taken(state, decided(state, msgspec.structs.replace(back.command, now_us=5_500_000)))
-    assert undone == AttemptRolledBack(Subject("A1-1", ACTION), D, 1, 1, ("load.gripped",))
+    assert undone == AttemptRolledBack(
+        subject=Subject("A1-1", ACTION), robot=D, failure=1, number=1, undone=("load.gripped",)
+    )
     assert isinstance(again, RecoveryAttempted)
     second, _ = taken(state, decided(state, EndAttempt(ACTION, 2, now_us=6_000_000, answer=1)))
     assert second == RecoveryAttemptFailed(

@@ -9,7 +9,7 @@ from fsar_ledger.designs.constants import Constants, WorldConstants
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityClaimed
 from fsar_ledger.events.envelope import Agent, agent, flat, robot_of
-from fsar_ledger.events.request import InternalHandoff
+from fsar_ledger.events.request import InternalHandoff, RequestAccepted
 from fsar_ledger.events.task import StepBegan
 from fsar_ledger.runtime.architectures.dhma import agents
 from fsar_ledger.runtime.kernel import Kernel
@@ -136,6 +136,13 @@ def test_who_is_on_a_path_took_part_in_a_talk_that_was_held() -> None:
         assert decided.keys() <= {*PHASES.values()}
         for talk, times in decided.items():
             assert times <= first_hops[talk[0], talk[1]]
+
+
+def test_whoever_accepts_an_award_is_the_only_agent_that_has_heard_of_it() -> None:
+    accepted = [event for spec in SPECS for event in played(spec)[0].events if isinstance(event, RequestAccepted)]
+    assert accepted
+    for event in accepted:
+        assert event.principals.path == (agent(known(event.principals.executed_by), "communication"),)
 
 
 def test_a_handoff_names_no_origin_and_stays_in_one_robot() -> None:

@@ -105,7 +105,10 @@ def join_fleet(state: State, command: JoinFleet) -> tuple[Event, ...]:
         wrong = f"domain {command.domain!r} is no path, expected one such as hall/cell, or nothing for the fleet's own"
     elif command.place == "":
         wrong = "an empty place, expected a name such as floor/2, or none for a fleet of one place"
-    trust = [InitialTrustSet(robot, "capability", is_trusting, command.issued_by) for is_trusting in (True, False)]
+    trust = [
+        InitialTrustSet(robot=robot, scope="capability", is_trusting=is_trusting, decided_by=command.issued_by)
+        for is_trusting in (True, False)
+    ]
     return carried_out(command, robot, wrong, command.issued_by, made_from(RobotJoined, command), *trust)
 
 

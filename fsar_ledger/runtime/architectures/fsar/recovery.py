@@ -156,8 +156,11 @@ def roll_back(state: State, command: RollBack, failure: Failure) -> tuple[Event,
     action, recovery = failure
     if recovery.level != "local" or recovery.number != command.number:
         return ()
-    undone = AttemptRolledBack(action.subject, action.robot, recovery.failure, command.number, command.undone)
-    return (undone, _next_attempt(state, action, recovery, command.now_us))
+    number, failed = command.number, recovery.failure
+    back = AttemptRolledBack(
+        subject=action.subject, robot=action.robot, failure=failed, number=number, undone=command.undone
+    )
+    return (back, _next_attempt(state, action, recovery, command.now_us))
 
 
 def _may_retry(state: State, action: Action, recovery: Recovery, now_us: int) -> bool:
