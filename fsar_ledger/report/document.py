@@ -32,6 +32,8 @@ PAPER_TABLES = (
 )
 MAX_NOTE = 2_000  # characters of a note
 _SOURCE = re.compile(r"(?<!DISTINCT )\b(?:FROM|JOIN)\s+([a-z_][a-z0-9_]*)\b(?!\()", re.IGNORECASE)
+_NAME = re.compile(r"(?<!\\)@(?:tab|fig)-[a-z-]+[a-z]")
+_NAMES = re.compile(r" \(((?:@[a-z-]+)(?:, @[a-z-]+)*)\)")
 _STEP = re.compile(r"(?:\bWITH|,)\s+([a-z_][a-z0-9_]*)(?:\([^)]*\))?\s+AS\s+\(", re.IGNORECASE)
 
 
@@ -56,7 +58,8 @@ class Document:
             )
             self.tests = self.rows("SELECT * FROM tests ORDER BY position")
             self.claims = self.rows("SELECT * FROM claims ORDER BY position")
-            self.sections = [one for name, spec in specs.sections().items() if (one := self._section(name, spec))]
+            found = [one for name, spec in specs.sections().items() if (one := self._section(name, spec))]
+            self.sections = _naming_what_is_shown(found)
 
     def _hold(self, relations: Mapping[str, pa.Table]) -> None:
         for name, table in relations.items():
@@ -148,6 +151,29 @@ class Document:
             "queries": {one.name: one.sha256 for one in found.sources},
         }
         return msgspec.json.format(msgspec.json.encode(said, order="deterministic"), indent=1) + b"\n"
+
+
+def _naming_what_is_shown(sections: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return the sections without references to tables and figures that are not there.
+
+    Those in brackets of their own are dropped, and a text that names another one is left out.
+    """
+    kinds = {"table": "tab", "figure": "fig"}
+    every = [part for section in sections for part in section["parts"]]
+    shown = {f"@{kinds[part['shape']]}-{part['name']}" for part in every if part["shape"] in kinds}
+
+    def kept(match: re.Match[str]) -> str:
+        names = [name for name in match[1].split(", ") if name in shown]
+        return f" ({', '.join(names)})" if names else ""
+
+    for section in sections:
+        for part in section["parts"]:
+            if part["shape"] == "text":
+                part["text"] = _NAMES.sub(kept, part["text"])
+        section["parts"] = [
+            part for part in section["parts"] if part["shape"] != "text" or set(_NAME.findall(part["text"])) <= shown
+        ]
+    return sections
 
 
 def _head(found: Findings, name: str) -> dict[str, str | int]:

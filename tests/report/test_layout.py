@@ -2,7 +2,7 @@
 
 import io
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ from fsar_ledger.report.document import Document
 from fsar_ledger.report.findings import Findings, arrow
 from fsar_ledger.report.judge import ARCHITECTURES
 from fsar_ledger.report.read import gather, relations_of
-from tests.report.made import DIFFERENCE, HEAD, of_table, replaced
+from tests.report.made import DIFFERENCE, HEAD, names, of_table, replaced, said
 from tests.report.test_readings import multiverse
 
 MOST_PAGES = 18
@@ -138,9 +138,8 @@ def test_tables_and_figures_are_numbered_as_they_stand_near_the_text_that_names_
     where = {one["name"]: one["page"] for one in places["parts"]}
     far = [(one, where[one["name"]]) for one in places["named"] if abs(where[one["name"]] - one["page"]) > 1]
     assert far == []
-    assert {"tab-evaluation-results", "tab-ablation", "fig-scaling", "tab-carried"} <= {
-        one["name"] for one in places["named"]
-    }
+    on_page_1 = {"tab-claims", "fig-overview"}
+    assert where.keys() - on_page_1 == {one["name"] for one in places["named"]}
 
 
 @pytest.mark.slow
@@ -182,3 +181,12 @@ def test_every_part_of_every_section_is_shown_by_a_report_with_everything(whole:
     only_where_needed = {"other-runs", "models", "predictions", "sensitivity", "calibrated-parameters"}
     assert asked - printed <= only_where_needed
     assert "calibrated-parameters" in printed
+
+
+def test_a_text_names_only_what_is_shown(make_ledger: Callable[..., Path]) -> None:
+    """Larger fleets alone have no figure of costs by size; the sentence on costs stands without it."""
+    document = Document(gather(make_ledger(fleet_size=8)))
+    assert "coordination-cost" not in names(document, "figure")
+    assert "What each request takes is counted here (@tab-coordination-cost)." in said(document)
+    assert "@fig-coordination-cost" not in said(document)
+    assert "@tab-evaluation-results" not in said(document), "the whole sentence is left out"
