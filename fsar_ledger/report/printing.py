@@ -186,12 +186,16 @@ def table(spec: specs.Table, rows: Sequence[Row]) -> Table:
 class _Sentences(string.Formatter):
     """Fills markup with values: texts escaped, lists as "a, b and c", numbers as in the tables.
 
-    A format is one of `FORMATS`, or one of Python's for numbers; `markup` is for texts of `reports/`, which are ours.
+    A format is one of `FORMATS`, or one of Python's for numbers; `many|one` adds the word that fits the number;
+    `markup` is for texts of `reports/`, which are ours.
     """
 
     def format_field(self, value: Any, spec: str) -> str:
         if isinstance(value, list | tuple):
             return printable.every([self.format_field(one, spec) for one in value], "none")
+        if "|" in spec:
+            many, one = spec.split("|")
+            return f"{_plain(value)} {one if value == 1 else many}"
         if spec == "markup":
             return str(value)
         if spec == "raw":  # between backticks, where nothing is escaped

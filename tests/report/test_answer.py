@@ -106,7 +106,7 @@ def test_what_turns_without_a_mechanism_is_named() -> None:
     row = {**mechanism, **lost, "position": 3, "n": 9, "differing_pairs": 9}
     turned = page(differences=[row])
     assert column(turned, "claims", "mechanisms") == [None, None, ["layered recovery"], *[None] * 5]
-    assert "1 of them turn when a single mechanism is taken out of one of the three" in said(turned, "answer")
+    assert "1 of them turns when a single mechanism is taken out of one of the three" in said(turned, "answer")
     for kept in ({"without_mean": 0.85}, {"p_holm": 0.2}):
         assert "mechanisms" not in part(page(differences=[{**row, **kept}]), "claims")["keys"]
 
@@ -146,7 +146,7 @@ def test_every_number_is_counted_once_by_table_and_class() -> None:
         *(("Ablation", "unspecified", 1), ("Scaling", "informed", 1), ("All", "", 6)),
     ]
     assert [rows[-1][name] for name in (STANDS, FAILS, UNDECIDED, OPEN)] == [2, 2, 1, 1]
-    assert "Of the 6 numbers and tests that the paper prints in its tables, 2 come out, 2 do not" in said(
+    assert "Of the 6 numbers and tests of the paper that are compared here, 2 come out, 2 do not" in said(
         Document(made(numbers)), "answer"
     )
     assert Document(made()).tally == []

@@ -83,13 +83,18 @@ def test_a_table_keeps_values_beside_prints_begins_groups_and_leaves_out_what_is
 def test_a_sentence_is_filled_with_values_as_they_are_printed_and_lists_are_listed() -> None:
     row = {
         "n": 12_345,
+        "one": 1,
         "share": 0.00001,
         "mean": -1.25,
         "names": ["a", "b_c", "d"],
         "metrics": ["audit_attributability"],
     }
-    said = printing.sentence("{n}; {share:probability}; {mean:.1f}; {names}; {metrics:lower}; {names:raw}", row)
-    assert said == "12\u2009345; \\<\\.0001; \u22121.2; a, b\\_c and d; audit attributability; a, b_c and d"
+    template = "{n}; {share:probability}; {mean:.1f}; {names}; {metrics:lower}; {names:raw}; {n:are|is}; {one:are|is}"
+    said = printing.sentence(template, row)
+    assert said.split("; ") == [
+        *("12\u2009345", "\\<\\.0001", "\u22121.2", "a, b\\_c and d"),
+        *("audit attributability", "a, b_c and d", "12\u2009345 are", "1 is"),
+    ]
     with pytest.raises(KeyError):
         printing.sentence("{unknown}", row)
 
