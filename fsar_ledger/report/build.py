@@ -90,7 +90,7 @@ def _compared(ledger: Path, workers: int, showing: Showing) -> str:
 def result_figure_svg(ledger: Path, out: Path) -> None:
     """Write the figure "Evaluation results" of the ledger as SVG. Raises: as `write_report`."""
     require_outside(out, str(out))
-    publish(out, Document(gather(ledger)).drawings["evaluation-results.svg"])
+    publish(out, Document(gather(ledger)).drawing("evaluation-results"))
 
 
 def pdf(data: bytes, figures: dict[str, bytes]) -> bytes:

@@ -8,6 +8,7 @@ The result is JSON for the template `reports/templates/report.typ`, and the figu
 import platform
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from functools import cached_property
 from importlib.metadata import version
 from typing import Any
 
@@ -38,7 +39,7 @@ _STEP = re.compile(r"(?:\bWITH|,)\s+([a-z_][a-z0-9_]*)(?:\([^)]*\))?\s+AS\s+\(",
 
 
 class Document:
-    """The sections of one report, laid out: `sections` for the template, `drawings` as SVG by file name."""
+    """The sections of one report, laid out for the template, and its figures, drawn when they are asked for."""
 
     def __init__(
         self,
@@ -48,7 +49,7 @@ class Document:
         ranking: tuple[records.RankingHeld, ...] = (),
     ) -> None:
         self.findings = findings
-        self.drawings: dict[str, bytes] = {}
+        self._figures: dict[str, tuple[specs.Figure, Sequence[Row]]] = {}
         self._held: set[str] = set()
         with Database(None, (), threads=1, queries=Library(())) as self._database:
             self._hold(_relations(findings, record, effects, ranking))
@@ -100,10 +101,19 @@ class Document:
             case specs.Table():
                 yield {"shape": "table", **msgspec.structs.asdict(printing.table(part, rows))}
             case specs.Figure():
-                self.drawings[f"{part.name}.svg"] = _drawn(part, rows)
+                self._figures[part.name] = (part, rows)
                 said = {name: getattr(part, name) for name in ("name", "title", "caption", "alt", "width_in")}
                 source = f"queries/{part.query}.sql" if part.query else ""
                 yield {"shape": "figure", "file": f"{part.name}.svg", "source": source, **said}
+
+    def drawing(self, name: str) -> bytes:
+        """Return the figure of this name as SVG. Raises: KeyError if it is not shown."""
+        return _drawn(*self._figures[name])
+
+    @cached_property
+    def drawings(self) -> dict[str, bytes]:
+        """Return all figures as SVG, by file name."""
+        return {f"{name}.svg": self.drawing(name) for name in self._figures}
 
     def encoded(self) -> bytes:
         """Return what the template prints, as JSON with sorted names."""

@@ -8,6 +8,7 @@ of studies.
 
 import csv
 import tomllib
+from functools import cache
 from importlib.resources import files
 from typing import Any, Literal
 
@@ -120,6 +121,7 @@ def text(*path: str) -> str:
     return files("fsar_ledger.reports").joinpath(*path).read_text(encoding="utf-8")
 
 
+@cache
 def sections() -> dict[str, Section]:
     """Return the sections by the name of their file, in order; a number in front of the name gives the order."""
     names = sorted(one.name for one in files("fsar_ledger.reports").joinpath("sections").iterdir())

@@ -1,6 +1,7 @@
 """The first page: its plain sentences follow from the numbers, and every printed number is counted once."""
 
 import re
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -10,7 +11,7 @@ from fsar_ledger.report import specs
 from fsar_ledger.report.document import Document
 from fsar_ledger.report.findings import Findings
 from fsar_ledger.report.judge import OPEN, STANDS, UNDECIDED, outcome_of
-from fsar_ledger.report.records import RankingHeld
+from fsar_ledger.report.records import RankingHeld, ranking
 from tests.report.made import HEAD, column, made, names, number, of_table, paired, pairs_of, part, results, said
 
 FAILS = "does not"
@@ -112,15 +113,23 @@ def test_what_turns_without_a_mechanism_is_named() -> None:
 
 
 def test_the_study_of_rankings_fills_two_columns_and_two_sentences() -> None:
-    assert {"prior_held", "plausible_held"}.isdisjoint(part(page(), "claims")["keys"])
+    assert {"prior", "plausible"}.isdisjoint(part(page(), "claims")["keys"])
     found = tuple(
         RankingHeld(name, 990 if name != "policy_violations" else 400, 1000, 99, 100)
         for name in column(page(), "claims", "metric")
     )
     document = page(ranking=found)
-    assert column(document, "claims", "prior_held") == [one.prior_held for one in found]
-    assert "Those by policy violations hang on constants" in said(document, "answer")
-    assert "audit attributability follow from how the three are built" in said(document, "answer")
+    assert column(document, "claims", "prior") == [f"{one.prior_held} of 1000" for one in found]
+    assert column(document, "claims", "plausible") == ["99 of 100"] * 8
+    assert "By policy violations it hangs on constants" in said(document, "answer")
+    assert "audit attributability the ranking follows from how the three are built" in said(document, "answer")
+
+
+def test_the_result_of_that_study_is_read_where_there_is_one(tmp_path: Path) -> None:
+    assert ranking(tmp_path) == ()
+    row = '{"metric": "policy_violations", "prior_held": 4, "prior_of": 10}'
+    (tmp_path / "ranking.json").write_text(f"[{row}]")
+    assert ranking(tmp_path) == (RankingHeld("policy_violations", 4, 10),)
 
 
 def test_what_must_be_known_before_stands_first(findings: Findings, document: Document) -> None:
