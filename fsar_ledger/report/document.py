@@ -67,17 +67,17 @@ class Document:
             self._database.hold(name, table)
             self._held.add(name)
         for name, sql in specs.relations().items():
-            if self._can(sql):
+            if not self.missing(sql):
                 self._database.define(name, sql, is_stored=True)
                 self._held.add(name)
 
-    def _can(self, sql: str) -> bool:
-        """Tell whether all relations that the SELECT reads are there; its own steps are."""
-        return set(_SOURCE.findall(sql)) - set(_STEP.findall(sql)) <= self._held
+    def missing(self, sql: str) -> set[str]:
+        """Return the names that the SELECT reads and that are neither a relation here nor a step of its own."""
+        return set(_SOURCE.findall(sql)) - set(_STEP.findall(sql)) - self._held
 
     def rows(self, sql: str) -> list[dict[str, Any]]:
         """Return the rows of a SELECT over the relations; none if one is missing. Raises: as `Database.rows`."""
-        return self._database.rows(sql) if self._can(sql) else []
+        return [] if self.missing(sql) else self._database.rows(sql)
 
     def _section(self, name: str, spec: specs.Section) -> dict[str, Any] | None:
         """Return the section; None if no part of it that selects rows has any."""

@@ -179,6 +179,9 @@ def test_every_part_of_every_section_is_shown_by_a_report_with_everything(whole:
     only_where_needed = {"other-runs", "models", "predictions", "sensitivity", "calibrated-parameters"}
     assert asked - printed <= only_where_needed
     assert "calibrated-parameters" in printed
+    of_studies = {"study", "effects", "effects_changed", "predictions", "changed_since"}
+    for sql in (*specs.relations().values(), *(part.rows for _, part in parts() if part.rows)):
+        assert document.missing(sql) <= of_studies, sql
 
 
 def test_a_text_names_only_what_is_shown(make_ledger: Callable[..., Path]) -> None:
