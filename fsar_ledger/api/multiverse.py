@@ -49,9 +49,9 @@ class MultiverseResult(Answer, Multiverse, frozen=True, kw_only=True):
         Raises: WriteFailed if the file cannot be written.
         """
         from fsar_ledger.base.publishing import publish
-        from fsar_ledger.report import all_readings
+        from fsar_ledger.report import readings_chart
 
-        publish(Path(file), all_readings.curves(self))
+        publish(Path(file), readings_chart.curves(self))
 
     def text(self, screen: Screen) -> Iterator[SafeText]:
         """Yield the ranges, the rankings and the readings as tables."""

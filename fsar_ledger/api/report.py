@@ -28,11 +28,13 @@ def report(
     beside: Sequence[Place] = declare(
         "LEDGER",
         "Another ledger to show, of ablations, larger fleets or workflows; may be repeated.",
-        "say what is missing",
+        "none; their sections are omitted",
         flag="--with",
         value=(),
     ),
-    workflows: Place | None = declare("LEDGER", "A ledger of the paper's three workflows.", "say that there is none"),
+    workflows: Place | None = declare(
+        "LEDGER", "A ledger of the paper's three workflows.", "none; the section is omitted"
+    ),
     sensitivity: Place | None = declare("FILE", "A file of `study run sensitivity`.", "the one in this package"),
     numbers: Place | None = declare(
         "FILE", "Write all numbers of the report, as JSON; replaced if it exists.", "not written"

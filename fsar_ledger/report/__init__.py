@@ -1,5 +1,6 @@
-"""Typeset the evaluation as a PDF, with its tables and figures beside the paper's.
+"""Typeset the evaluation as a PDF, with its numbers beside the paper's.
 
-`gather` runs the queries, `findings` defines what they yield, `printing` and `figures` render it by the specs of
-`reports/`, `document` lays it out, and `build` makes the PDF.
+`read` and `experiments` ask the queries, `judge` lays our numbers beside the paper's, and `records` adds what studies
+left. `document` fills the sections of `reports/`, `printing`, `charts` and `sequence` give them their shapes, and
+`build` makes the PDF.
 """

@@ -15,10 +15,10 @@ from fsar_ledger.ledger.store.paths import require_outside
 from fsar_ledger.metrics.effects import Sensitivity
 from fsar_ledger.metrics.study_results import Calibration, packaged, read
 from fsar_ledger.metrics.verified import ensure_verified
-from fsar_ledger.report import document, figures, specs
-from fsar_ledger.report.gather import gather
-from fsar_ledger.report.numbers import reproduction
-from fsar_ledger.report.sensitivity import section
+from fsar_ledger.report import specs
+from fsar_ledger.report.document import Document
+from fsar_ledger.report.read import gather
+from fsar_ledger.report.records import ranking
 
 
 def write_report(
@@ -49,8 +49,8 @@ def write_report(
         showing: Called with a verb and a unit for each step; returns a context that yields a progress function.
         pools_seeds: Whether the tables take the runs of all seeds together.
         sensitivity: The file of `fsar-ledger study run sensitivity`; None: the one in this package. If it is of other
-            runs, or there is none, the report says how to make it.
-        numbers_out: Where the same numbers are written for programs (`reproduction`); None: nowhere.
+            runs, a note on the first page says so.
+        numbers_out: Where the same numbers are written for programs (`Document.reproduction`); None: nowhere.
         demanded: The newest record of the ledger, if `ensure_verified` has just checked it; None checks it now.
 
     Raises:
@@ -72,14 +72,12 @@ def write_report(
     demanded = demanded or _compared(ledger, workers, showing)
     theirs = {one: _compared(one, workers, showing) for one in (*filter(None, [workflows]), *beside)}
     findings = gather(
-        ledger, workflows, demanded, theirs, pools_seeds=pools_seeds, reads_every_way=True, showing=showing
+        ledger, demanded, theirs, workflows=workflows, pools_seeds=pools_seeds, reads_every_way=True, showing=showing
     )
-    effects = section(given, findings.model_version, findings.parameters)
-    record = packaged(Calibration)
-    laid_out = document.encoded(document.data(findings, record, effects))
-    made = {out: pdf(laid_out, document.drawings(findings, effects))}
+    document = Document(findings, packaged(Calibration), given, ranking(findings))
+    made = {out: pdf(document.encoded(), document.drawings)}
     if numbers_out is not None:
-        made[numbers_out] = reproduction(findings, document.counted(findings, record))
+        made[numbers_out] = document.reproduction()
     for place, content in made.items():  # replace nothing before everything is made
         publish(place, content)
 
@@ -93,7 +91,7 @@ def _compared(ledger: Path, workers: int, showing: Showing) -> str:
 def result_figure_svg(ledger: Path, out: Path) -> None:
     """Write the figure "Evaluation results" of the ledger as SVG. Raises: as `write_report`."""
     require_outside(out, str(out))
-    publish(out, figures.evaluation_results(gather(ledger).cells))
+    publish(out, Document(gather(ledger)).drawing("evaluation-results"))
 
 
 def pdf(data: bytes, figures: dict[str, bytes]) -> bytes:

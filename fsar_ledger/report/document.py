@@ -1,358 +1,277 @@
-"""Lay out the findings as a document for the template: tables, figures, passages and numbers, as JSON."""
+"""Lay out the sections: select the rows of each part and put them into its shape.
 
-from collections.abc import Mapping, Sequence
-from functools import partial
-from itertools import zip_longest
+Everything that was read becomes a relation of one small database in memory: what the ledgers gave, the paper's own
+tables, the records of the studies. A section selects from these (`reports/sections/*.toml`, `reports/relations.toml`).
+The result is JSON for the template `reports/templates/report.typ`, and the figures as SVG.
+"""
+
+import platform
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cached_property
+from importlib.metadata import version
 from typing import Any
 
 import msgspec
+import pyarrow as pa
 
 import fsar_ledger
-from fsar_ledger.base import printable
-from fsar_ledger.designs import constants
-from fsar_ledger.designs.constants import Constants, write_constants
-from fsar_ledger.metrics.definitions import metric_named, published_metrics
-from fsar_ledger.metrics.registration import registration
-from fsar_ledger.metrics.study_results import Calibration, changed
-from fsar_ledger.report import (
-    all_readings,
-    contradictions,
-    figures,
-    mechanisms,
-    numbers,
-    printing,
-    sections,
-    sequence,
-    specs,
+from fsar_ledger.metrics.database import Database
+from fsar_ledger.metrics.definitions import published_metrics
+from fsar_ledger.metrics.effects import Sensitivity
+from fsar_ledger.metrics.library import Library
+from fsar_ledger.metrics.study_results import Calibration
+from fsar_ledger.report import charts, printing, records, sequence, specs
+from fsar_ledger.report.findings import Findings, arrow
+from fsar_ledger.report.judge import AIMED_AT, INFORMED, Number
+
+Row = Mapping[str, Any]
+PACKAGES = ("duckdb", "pyarrow", "numpy", "scipy", "msgspec", "matplotlib", "typst")
+PAPER_TABLES = (
+    *("results", "significance", "ablation", "ablation_text", "scaling", "cases"),
+    *("architecture_features", "mechanism_coverage"),
 )
-from fsar_ledger.report.findings import Findings, Row, answer
-from fsar_ledger.report.numbers import versions
-from fsar_ledger.report.printing import Table, flat
-from fsar_ledger.report.sensitivity import Section
-
-POOLED = tuple(one.name for one in published_metrics() if one.is_pooled)  # a run without failures does not define them
-MAX_DIFFERING = 2_000  # characters of the sentence on a pair's worlds
-SHOWN_WEIGHTS = 3  # constants named for each direction of the fit
+MAX_NOTE = 2_000  # characters of a note
+_SOURCE = re.compile(r"(?<!DISTINCT )\b(?:FROM|JOIN)\s+([a-z_][a-z0-9_]*)\b(?!\()", re.IGNORECASE)
+_NAME = re.compile(r"(?<!\\)@(?:tab|fig)-[a-z-]+[a-z]")
+_NAMES = re.compile(r" \(((?:@[a-z-]+)(?:, @[a-z-]+)*)\)")
+_STEP = re.compile(r"(?:\bWITH|,)\s+([a-z_][a-z0-9_]*)(?:\([^)]*\))?\s+AS\s+\(", re.IGNORECASE)
 
 
-def _source(findings: Findings, query: str | None) -> str:
-    """Return the file of the query behind a table's numbers; "" if it has none.
+class Document:
+    """The sections of one report, laid out for the template, and its figures, drawn when they are asked for."""
 
-    The appendix lists the SHA-256 of that file.
-    """
-    return f"queries/{query}.sql" if any(one.name == query for one in findings.sources) else ""
+    def __init__(
+        self,
+        findings: Findings,
+        record: Calibration | None = None,
+        effects: Sensitivity | None = None,
+        ranking: tuple[records.RankingHeld, ...] = (),
+    ) -> None:
+        self.findings = findings
+        self._figures: dict[str, tuple[specs.Figure, Sequence[Row]]] = {}
+        self._held: set[str] = set()
+        with Database(None, (), threads=1, queries=Library(())) as self._database:
+            self._hold(_relations(findings, record, effects, ranking))
+            self.numbers = self.rows("SELECT * EXCLUDE (position) FROM numbers ORDER BY position")
+            self.tally = self.rows(
+                "SELECT * EXCLUDE (position) REPLACE (coalesce(class, '') AS class) FROM tally ORDER BY position"
+            )
+            self.tests = self.rows("SELECT * FROM tests ORDER BY position")
+            self.claims = self.rows("SELECT * FROM claims ORDER BY position")
+            found = [one for name, spec in specs.sections().items() if (one := self._section(name, spec))]
+            self.sections = _naming_what_is_shown(found)
 
+    def _hold(self, relations: Mapping[str, pa.Table]) -> None:
+        for name, table in relations.items():
+            self._database.hold(name, table)
+            self._held.add(name)
+        for name, sql in specs.relations().items():
+            if not self.missing(sql):
+                self._database.define(name, sql, is_stored=True)
+                self._held.add(name)
 
-def _table(findings: Findings, name: str, rows: Sequence[Row]) -> Table:
-    return printing.table(name, rows, _source(findings, specs.table(name).query))
+    def missing(self, sql: str) -> set[str]:
+        """Return the names that the SELECT reads and that are neither a relation here nor a step of its own."""
+        return set(_SOURCE.findall(sql)) - set(_STEP.findall(sql)) - self._held
 
+    def rows(self, sql: str) -> list[dict[str, Any]]:
+        """Return the rows of a SELECT over the relations; none if one is missing. Raises: as `Database.rows`."""
+        return [] if self.missing(sql) else self._database.rows(sql)
 
-def _constants(items: Mapping[str, str]) -> list[Row]:
-    """Return the constants in two columns, each with where its value is from."""
-    words, ours = constants.origins(), dict(flat("", msgspec.json.decode(write_constants(Constants()))))
-    said = [
-        (name, value, words.get(name, constants.GIVEN) if ours.get(name) == value else constants.GIVEN)
-        for name, value in items.items()
-    ]
-    half = (len(said) + 1) // 2
-    pairs = zip_longest(said[:half], said[half:], fillvalue=("", "", ""))
-    return [
-        dict(zip(("name", "value", "from", "name2", "value2", "from2"), (*one, *other), strict=True))
-        for one, other in pairs
-    ]
+    def _section(self, name: str, spec: specs.Section) -> dict[str, Any] | None:
+        """Return the section; None if no part of it that selects rows has any."""
+        parts: list[dict[str, Any]] = []
+        has_rows = False
+        for part in spec.part:
+            rows = [{}] if part.rows is None else self.rows(part.rows)
+            has_rows |= part.rows is not None and bool(rows)
+            if rows:
+                parts += self._part(part, rows)
+        return (
+            {"name": name, "title": spec.title, "is_appendix": spec.is_appendix, "parts": parts} if has_rows else None
+        )
 
+    def _part(self, part: specs.AnyPart, rows: Sequence[Row]) -> Iterator[dict[str, Any]]:
+        match part:
+            case specs.Text():
+                for row in rows:
+                    filled = printing.sentence(part.text, row)
+                    yield {"shape": "text", "text": filled, "follows": part.follows, "id": part.id}
+            case specs.Table():
+                yield {"shape": "table", **msgspec.structs.asdict(printing.table(part, rows))}
+            case specs.Figure():
+                self._figures[part.name] = (part, rows)
+                said = {name: getattr(part, name) for name in ("name", "title", "caption", "alt", "width_in")}
+                source = f"queries/{part.query}.sql" if part.query else ""
+                yield {"shape": "figure", "file": f"{part.name}.svg", "source": source, **said}
 
-def _versions() -> list[Row]:
-    return [{"name": name, "version": one} for name, one in versions().items()]
+    def drawing(self, name: str) -> bytes:
+        """Return the figure of this name as SVG. Raises: KeyError if it is not shown."""
+        return _drawn(*self._figures[name])
 
+    @cached_property
+    def drawings(self) -> dict[str, bytes]:
+        """Return all figures as SVG, by file name."""
+        return {f"{name}.svg": self.drawing(name) for name in self._figures}
 
-def _ledger_tables(findings: Findings) -> dict[str, Table]:
-    rows: dict[str, Sequence[Row]] = {
-        "evaluation-results": findings.cells,
-        "background": findings.background,
-        "published-convention": [row for row in findings.cells if row["metric"] in POOLED],
-        "verdict-rule": findings.rule,
-        "statistical-significance": findings.tests,
-        "pooled-tests": [row for row in findings.tests if row["metric"] in POOLED],
-        "scenario-means": findings.scenarios,
-        "cases": findings.cases,
-        "other-runs": findings.others,
-        "architectural-comparison": findings.features if findings.evidence else (),
-        "feature-evidence": findings.evidence,
-        "runs": findings.runs,
-        "models": findings.models,
-        "constants": _constants(findings.parameters),
-        "queries": [msgspec.structs.asdict(one) for one in findings.sources],
-        "versions": _versions(),
-    }
-    return {name: _table(findings, name, filled) for name, filled in rows.items() if filled}
-
-
-def _workflow_tables(findings: Findings) -> dict[str, Table]:
-    found, name = findings.workflows, "mechanism-coverage"
-    return (
-        {}
-        if found is None
-        else {name: printing.table(name, found.coverage, _source(findings, specs.table(name).query))}
-    )
-
-
-def _workflows(findings: Findings) -> dict[str, Any] | None:
-    """Return the head of the ledger of workflows, and why cells differ; None without such a ledger."""
-    found = findings.workflows
-    if found is None:
-        return None
-    reasons = [reason for row in found.coverage for reason in row["reasons"]]
-    head = {
-        "size": printing.integer(found.size),
-        "root": found.root,
-        "runs": printing.integer(found.run_count),
-        "commits": found.commits,
-    }
-    return head | {"reasons": reasons, "others": found.others and printable.counted(found.others, "run")}
-
-
-def _fit_tables(findings: Findings, record: Calibration | None) -> dict[str, Table]:
-    if record is None:
-        return {}
-    directions = [
-        {
-            "position": position,
-            "singular_value": one.singular_value,
-            "identified": one.identified,
-            "weights": _weights(one.weights),
+    def encoded(self) -> bytes:
+        """Return what the template prints, as JSON with sorted names."""
+        head = self.findings.heads["results"]
+        said = {
+            "events": printing.integer(head.events),
+            "runs": printing.integer(head.runs),
+            "root": head.root,
+            "version": fsar_ledger.__version__,
+            "incomplete": head.completeness if head.completeness.startswith("not complete") else None,
+            "sections": self.sections,
         }
-        for position, one in enumerate(record.directions, 1)
-    ]
-    rows: dict[str, Sequence[Row]] = {
-        "calibrated-parameters": [msgspec.structs.asdict(one) for one in record.parameters],
-        "residuals": [msgspec.structs.asdict(one) for one in record.residuals],
-        "directions": directions,
-    }
-    return {name: _table(findings, name, filled) for name, filled in rows.items() if filled}
+        return msgspec.json.encode(said, order="deterministic")
 
+    def reproduction(self) -> bytes:
+        """Return the numbers for programs, as JSON.
 
-def _weights(weights: Mapping[str, float]) -> str:
-    largest = sorted(weights.items(), key=lambda item: (-abs(item[1]), item[0]))[:SHOWN_WEIGHTS]
-    return ", ".join(f"{name} {printing.number(weight, 2)}" for name, weight in largest)
-
-
-def _figure(findings: Findings, name: str) -> dict[str, Any]:
-    spec = specs.figure(name)
-    return {
-        "file": f"{name}.svg",
-        "title": spec.title,
-        "caption": spec.caption,
-        "alt": spec.alt,
-        "width_in": spec.width_in,
-        "source": _source(findings, spec.query),
-    }
-
-
-def _contradictions() -> list[dict[str, Any]]:
-    computed = contradictions.facts()
-    return [
-        {
-            "title": one.title,
-            "claim": one.claim.format(**computed[one.id]),
-            "arithmetic": one.arithmetic.format(**computed[one.id]),
-            "paper": one.paper,
-            "table": one.table,
+        It holds heads, model, all printed numbers beside ours (`numbers`), the tests, the multiverse and the digests of
+        the queries. Values are in the units of the queries, shares in [0, 1]; null is what is undefined, not judged or
+        not drawn.
+        """
+        found, read = self.findings, self.findings.multiverse
+        differences = found.relations["differences"] if "mechanisms" in found.heads else None
+        said: dict[str, Any] = {
+            "versions": versions(),
+            "ledgers": {name: _head(found, name) for name in found.heads},
+            "model_version": found.model_version,
+            "constants": found.parameters,
+            "parameters_sha256": found.parameters_sha256,
+            "claims": self.claims,
+            "tally": self.tally,
+            "numbers": self.numbers,
+            "table_share": found.table_share,
+            "tests": self.tests,
+            "measured": found.relations["measured"].to_pylist() if "measured" in found.relations else [],
+            "mechanisms": None if differences is None else differences.to_pylist(),
+            "multiverse": None
+            if read is None
+            else {
+                "readings": read.readings,
+                "cells": read.cells,
+                "rankings": read.rankings,
+                "universes": read.universes,
+            },
+            "queries": {one.name: one.sha256 for one in found.sources},
         }
-        for one in specs.contradictions()
-    ]
+        return msgspec.json.format(msgspec.json.encode(said, order="deterministic"), indent=1) + b"\n"
 
 
-def _changed(findings: Findings, record: Calibration | None) -> str | None:
-    """Say that the record of the fit is of another model than these runs, or of other queries than judge them.
+def _naming_what_is_shown(sections: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return the sections without references to tables and figures that are not there.
 
-    None if it is of theirs, or if either is missing.
+    Those in brackets of their own are dropped, and a text that names another one is left out.
     """
-    versions = (
-        [findings.model_version]
-        if findings.model_version
-        else sorted({row["model_version"] for row in findings.models} - {None})
-    )
-    if record is None or not versions:
-        return None
-    if versions == [record.model_version]:
-        return _judged_otherwise(record)
-    ran = f"of version{'' if len(versions) == 1 else 's'} {printable.some(map(printing.words, versions))}"
-    fitted = (
-        "a model whose version is not on record"
-        if record.model_version is None
-        else f"model version {printing.words(record.model_version)}"
-    )
-    return f"The model has changed since the fit: the constants were fitted to {fitted}, and these runs are {ran}."
+    kinds = {"table": "tab", "figure": "fig"}
+    every = [part for section in sections for part in section["parts"]]
+    shown = {f"@{kinds[part['shape']]}-{part['name']}" for part in every if part["shape"] in kinds}
+
+    def kept(match: re.Match[str]) -> str:
+        names = [name for name in match[1].split(", ") if name in shown]
+        return f" ({', '.join(names)})" if names else ""
+
+    for section in sections:
+        for part in section["parts"]:
+            if part["shape"] == "text":
+                part["text"] = _NAMES.sub(kept, part["text"])
+        section["parts"] = [
+            part for part in section["parts"] if part["shape"] != "text" or set(_NAME.findall(part["text"])) <= shown
+        ]
+    return sections
 
 
-def _judged_otherwise(record: Calibration) -> str | None:
-    if record.rules is None:
-        return "The record of the fit does not say which queries judged its runs."
-    if not (found := changed(record.rules)):
-        return None
-    return f"What judges the runs has changed since the fit: {printable.some(map(printing.words, found))}."
+def _head(found: Findings, name: str) -> dict[str, str | int]:
+    """Return the head of the ledger that these numbers are from."""
+    one = found.heads[name]
+    return {"commits": one.commits, "events": one.events, "root": one.root, "runs": one.runs}
 
 
-def _fit(findings: Findings, record: Calibration | None) -> dict[str, Any] | None:
-    if record is None:
-        return None
-    objective = None if record.objective is None else msgspec.structs.asdict(record.objective)
+def versions() -> dict[str, str]:
+    """Return the versions of the software that made the report, by name."""
+    ours = {"fsar-ledger": fsar_ledger.__version__, "Python": platform.python_version()}
+    return ours | {name: version(name) for name in PACKAGES}
+
+
+def _drawn(part: specs.Figure, rows: Sequence[Row]) -> bytes:
+    """Return the figure as SVG."""
+    match part:
+        case specs.Bars():
+            return charts.distances(part, rows) if part.lying else charts.bars(part, rows)
+        case specs.Curve():
+            return charts.curve(part, rows)
+        case specs.Sequence():
+            return sequence.ladder(rows) if part.ladder else sequence.sequence(rows)
+    raise TypeError(f"{type(part).__name__}: found a figure that nothing draws")
+
+
+def _relations(
+    findings: Findings,
+    record: Calibration | None,
+    effects: Sensitivity | None,
+    ranking: tuple[records.RankingHeld, ...],
+) -> dict[str, pa.Table]:
+    """Return what the sections select from, beside the relations that rest on these, by name."""
+    is_fitted = record is None or records.fit_changed(findings, record) is None
+    judged = [
+        msgspec.structs.replace(one, kind=INFORMED) if one.kind in AIMED_AT and not is_fitted else one
+        for one in findings.numbers
+    ]
+    measured, said = records.effects_of(findings, effects)
+    notes = [{"text": printing.words(row["text"], MAX_NOTE)} for row in records.notes(findings, record, said)]
+    heads = [{"part": name, **msgspec.structs.asdict(head)} for name, head in findings.heads.items()]
     return {
-        "objective": objective,
-        "seeds": record.seeds,
-        "runs_per_scenario": record.runs_per_scenario,
-        "evaluations": record.evaluations,
-        "model_version": record.model_version,
-        "command": record.command,
-        "constants": len(record.parameters),
-        "identified": sum(one.identified for one in record.directions),
-        "directions": len(record.directions),
-        "changed": _changed(findings, record),
-        # A fit under this registration came after the trial that the registration describes.
-        "trial": record.model_version == registration().model_version,
+        **findings.relations,
+        **records.fit_relations(findings, record),
+        **records.predictions(records.judged(findings)),
+        **measured,
+        **{f"paper_{name}": _listed(specs.paper_table(name)) for name in PAPER_TABLES},
+        **{name: _listed(specs.rows(name)) for name in ("reasons", "mechanisms")},
+        "case_cells": _listed(specs.rows("cases")),
+        "quotes": _listed(specs.quotes()),
+        "labels": _listed(specs.labels()),
+        "metrics": _metrics(),
+        "judged": _numbered(arrow(judged, Number)),
+        "heads": _listed(heads),
+        "notes": pa.table({"text": pa.array([row["text"] for row in notes], pa.string())}),
+        "ranking": arrow(ranking, records.RankingHeld),
+        "own_constants": records.own_constants(findings.parameters),
+        "whole": pa.table(
+            {
+                "table_share": pa.array([findings.table_share], pa.float64()),
+                "parameters_sha256": pa.array([findings.parameters_sha256], pa.string()),
+            }
+        ),
+        "versions": _listed([{"name": name, "version": one} for name, one in versions().items()]),
     }
 
 
-def _background(findings: Findings) -> list[dict[str, str]]:
-    """Return what share of decisions and records is routine, and of records under an absence, in percent.
-
-    Architectures without decisions or records are left out.
-    """
-    shares = {
-        "decisions": "routine_share_of_decisions",
-        "local": "routine_share_of_local_decisions",
-        "records": "routine_share_of_coordination_events",
-        "absent": "off_shift_share_of_coordination_events",
-    }
-    return [
-        {"architecture": row["architecture"].upper()}
-        | {name: "" if row[key] is None else printing.significant(100 * row[key], 3) for name, key in shares.items()}
-        for row in findings.background
-        if row["routine_share_of_decisions"] is not None and row["routine_share_of_coordination_events"] is not None
-    ]
+def _listed(rows: Sequence[Mapping[str, Any]]) -> pa.Table:
+    """Return the rows as a table; a column is there if any row has it."""
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    return _numbered(pa.Table.from_pylist([{name: row.get(name) for name in names} for row in rows]))
 
 
-def _misses(findings: Findings, record: Calibration | None) -> list[dict[str, Any]]:
-    """Return the cells whose printed number this model does not give, the farthest first.
+def _numbered(table: pa.Table) -> pa.Table:
+    """Return the table with the position of each row."""
+    return table.append_column("position", pa.array(range(table.num_rows), pa.int64()))
 
-    Each has the reason on record, if the record is of this model.
-    """
-    reasons = {} if _changed(findings, record) else {passage.id: passage.text for passage in specs.passages("reasons")}
-    missing = sorted((row for row in findings.cells if row["gives"] == "no"), key=lambda row: -abs(row["distance"]))
-    return [
+
+def _metrics() -> pa.Table:
+    rows = [
         {
-            "title": f"{metric_named(row['metric']).title}, {row['architecture'].upper()}",
-            "distance": printing.number(row["distance"], 1),
-            "reason": reasons.get(f"{row['metric']}/{row['architecture']}"),
+            **{name: getattr(one, name) for name in ("title", "short", "factor", "decimals", "better", "is_pooled")},
+            "metric": one.name,
+            "in_results": one.printed.results,
+            "in_significance": one.printed.significance,
+            "elsewhere": one.printed.elsewhere,
+            "margin": one.printed.margin,
         }
-        for row in missing
+        for one in published_metrics()
     ]
-
-
-def counted(findings: Findings, record: Calibration | None) -> tuple[Row, ...]:
-    """Return every printed number with its class and outcome.
-
-    None counts as fitted if the fit was of another model.
-    """
-    return numbers.numbers(findings, is_fitted=not _changed(findings, record))
-
-
-def _heads(findings: Findings) -> list[dict[str, str]]:
-    """Return the heads of the other ledgers, for the appendix."""
-    parts = {"Ablation": findings.ablation, "Scaling": findings.scaling, "Mechanisms": findings.mechanisms}
-    held = {name: part and part.head for name, part in parts.items()} | {"Workflows": findings.workflows}
-    return [
-        {"name": name, "size": printing.integer(one.size), "runs": printing.integer(one.run_count), "root": one.root}
-        for name, one in held.items()
-        if one
-    ]
-
-
-def data(findings: Findings, record: Calibration | None, effects: Section | None = None) -> dict[str, Any]:
-    """Return everything that the template prints; tables keep each value beside its printed form."""
-
-    def sourced(query: str | None) -> str:
-        return _source(findings, query)
-
-    tables = _ledger_tables(findings) | _fit_tables(findings, record) | _workflow_tables(findings)
-    tables |= (
-        sections.tables(findings, sourced)
-        | mechanisms.tables(findings, sourced)
-        | all_readings.tables(findings.multiverse)
-    )
-    tables |= {name: _table(findings, name, rows()) for name, rows in contradictions.TABLES.items()}
-    rows, judged = counted(findings, record), numbers.judged(findings)
-    foretold = numbers.outcomes(judged)
-    tables |= {"predictions": _table(findings, "predictions", foretold)} if foretold else {}
-    tables |= {"tally": _table(findings, "tally", numbers.tally(rows))} if rows else {}
-    tables |= {"sensitivity": effects.table} if effects and effects.table else {}
-    return {
-        "head": {
-            "commits": findings.commits,
-            "size": printing.integer(findings.size),
-            "root": findings.root,
-            "runs": printing.integer(findings.run_count),
-            "completeness": findings.completeness,
-        },
-        "heads": _heads(findings),
-        "shown": findings.shown and printing.words(findings.shown),
-        "unjudged": findings.unjudged and printing.words(findings.unjudged, MAX_DIFFERING),
-        "differing": [printing.words(one, MAX_DIFFERING) for one in findings.differing],
-        "answer": _sayable(answer(findings)),
-        "said": numbers.said(rows),
-        "every_way": all_readings.said(findings.multiverse),
-        "tables": tables,
-        "figures": {name: _figure(findings, name) for name in _drawers(findings)}
-        | ({"sensitivity": _figure(findings, "sensitivity") | {"source": ""}} if effects and effects.figure else {}),
-        "ablation": sections.ablation(findings),
-        "scaling": sections.scaling(findings),
-        "sensitivity": effects and effects.sentence,
-        "workflows": _workflows(findings),
-        "mechanisms": specs.passages("mechanisms"),
-        "carried": mechanisms.sentences(findings),
-        "readings": specs.passages("readings"),
-        "contradictions": _contradictions(),
-        "background": _background(findings),
-        "misses": _misses(findings, record),
-        "predictions": numbers.predictions_said(judged),
-        "fit": _fit(findings, record),
-        "version": fsar_ledger.__version__,
-    }
-
-
-def _sayable(numbers: Row) -> Row:
-    """Return the answer with undefined cells named as in the tables."""
-    undefined = [f"{metric_named(name).title} of {architecture.upper()}" for name, architecture in numbers["undefined"]]
-    share = numbers["table_share"]
-    return numbers | {"undefined": undefined, "table_share": None if share is None else printing.probability(share)}
-
-
-def _drawers(findings: Findings) -> dict[str, sections.Drawer]:
-    """Return how to draw each figure that these findings have, by name."""
-    found: dict[str, sections.Drawer] = {
-        "overview": lambda: figures.overview_figure(numbers.numbers(findings)),
-        "evaluation-results": partial(figures.evaluation_results, findings.cells),
-        "effects": partial(figures.effects, findings.tests),
-    }
-    flows = findings.workflows
-    if flows is not None and flows.timeline:
-        found["workflow-door-relay"] = partial(sequence.sequence, flows.timeline)
-    if flows is not None and flows.recovery:
-        found["workflow-layered-recovery"] = partial(sequence.ladder, flows.recovery)
-    if findings.multiverse is not None:
-        found["specification-curves"] = partial(all_readings.curves, findings.multiverse)
-    return found | sections.drawers(findings)
-
-
-def drawings(findings: Findings, effects: Section | None = None) -> dict[str, bytes]:
-    """Return the figures as SVG, by file name."""
-    drawn = {name: draw() for name, draw in _drawers(findings).items()} | (
-        {"sensitivity": effects.figure} if effects and effects.figure else {}
-    )
-    return {f"{name}.svg": svg for name, svg in drawn.items()}
-
-
-def encoded(document: Mapping[str, Any]) -> bytes:
-    """Return the document as JSON; the same findings give the same bytes."""
-    return msgspec.json.encode(document, order="deterministic")
+    return _listed(rows)

@@ -4,6 +4,7 @@ A cell keeps the value beside its printed form, so that tests and readers of the
 """
 
 import math
+import string
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
@@ -17,6 +18,7 @@ NOTHING = "–"
 MINUS = "\u2212"
 THIN_SPACE = "\u2009"
 GRADES = {"full": "\u25cf", "partial": "\u25cb", "none": "\u2014"}  # as in the paper: present, partial, absent
+OUTCOMES = {"stands": "comes out", "does not": "does not", "undecided": "undecided", "open": "open"}
 MAX_ROWS, MAX_WORDS = 200, 400  # rows of a table, characters of a cell; what exceeds them is counted
 SMALLEST_P = 0.0001  # smaller p are printed as "<.0001", as the paper does
 
@@ -32,7 +34,7 @@ class Cell(msgspec.Struct, frozen=True):
 
 
 class Table(msgspec.Struct, frozen=True):
-    """One table ready to be typeset: spec, headings, alignment, rows of cells, and the rows that begin a group."""
+    """One table ready to be typeset: headings and keys of columns, rows of cells, and the rows that begin a group."""
 
     name: str
     title: str
@@ -40,6 +42,7 @@ class Table(msgspec.Struct, frozen=True):
     source: str
     size: float
     heads: tuple[str, ...]
+    keys: tuple[str, ...]
     aligns: tuple[str, ...]
     rows: tuple[tuple[Cell, ...], ...]
     begins: tuple[int, ...]
@@ -78,16 +81,6 @@ def in_metric(name: str, value: float) -> str:
     return number(value * spec.factor, spec.decimals)
 
 
-def _interval(value: Sequence[float], name: str) -> str:
-    low, high = (in_metric(name, end) for end in value)
-    return f"{low} to {high}"
-
-
-def _counted(value: float, name: str) -> str:
-    counted = metric_named(name).counted
-    return f"{integer(value)} {counted.removesuffix('s') if value == 1 else counted}"
-
-
 def words(value: object, most: int = MAX_WORDS) -> str:
     """Return the text as a page shows it.
 
@@ -106,43 +99,47 @@ def configuration(name: str) -> str:
 Formatter = Callable[[Any, specs.Column, Row], str]
 
 FORMATS: Mapping[str, Formatter] = {
-    "text": lambda value, _column, _row: words(value),
+    "text": lambda value, _column, _row: words(", ".join(value) if isinstance(value, list) else value),
     "code": lambda value, _column, _row: words(value),
     "architecture": lambda value, _column, _row: words(value).upper(),
     "pair": lambda value, _column, _row: " vs ".join(words(value).upper().split("-")),
     "title": lambda value, _column, _row: metric_named(str(value)).title,
     "short": lambda value, _column, _row: metric_named(str(value)).short,
     "configuration": lambda value, _column, _row: configuration(words(value)),
-    "scenario": lambda value, _column, _row: words(value).replace("-", " ").capitalize(),
+    "spaced": lambda value, _column, _row: words(value).replace("-", " ").replace("_", " "),
     "number": lambda value, column, _row: number(value, column.digits),
     "significant": lambda value, column, _row: significant(value, column.digits + 1),
     "integer": lambda value, _column, _row: integer(value),
     "probability": lambda value, _column, _row: probability(value),
-    "exact": lambda value, _column, _row: printable.number(value).replace("-", MINUS),
     "own-metric": lambda value, column, _row: in_metric(column.key, value),
     "metric": lambda value, _column, row: in_metric(row["metric"], value),
-    "interval": lambda value, _column, row: _interval(value, row["metric"]),
-    "span": lambda value, column, _row: f"{number(value[0], column.digits)} to {number(value[1], column.digits)}",
+    "signed": lambda value, column, row: signed(row.get("metric", column.key), value),
+    "interval": lambda value, _column, row: " to ".join(in_metric(row["metric"], end) for end in value),
+    "span": lambda value, column, _row: " to ".join(number(end, column.digits) for end in value),
     "counted": lambda value, _column, row: _counted(value, row["metric"]),
     "grade": lambda value, _column, _row: GRADES[value],
-    "feature": lambda value, _column, _row: specs.labels("feature")[value],
-    "mechanism": lambda value, _column, _row: specs.labels("mechanism")[value],
-    "agreement": lambda value, _column, _row: "yes" if value else "no",
-    "filled later": lambda _value, _column, _row: "",
-    "verdict": lambda value, _column, _row: words(value),
+    "yes": lambda value, _column, _row: "yes" if value else "no",
+    "outcome": lambda value, _column, _row: OUTCOMES[value],
 }
+
+
+def _counted(value: float, name: str) -> str:
+    counted = metric_named(name).counted
+    return f"{integer(value)} {counted.removesuffix('s') if value == 1 else counted}"
+
+
+def signed(metric: str, value: float) -> str:
+    """Format a difference in the metric's printed unit, with its sign."""
+    printed = in_metric(metric, value)
+    return printed if value <= 0 or not any(digit in "123456789" for digit in printed) else f"+{printed}"
 
 
 def _tone(column: specs.Column, value: Any) -> str:
     if column.format == "code":
         return "code"
-    if (
-        value in ("differs", "no")
-        or str(value).startswith("differs: ")
-        or (column.format == "agreement" and value is False)
-    ):
+    if value is False or value in ("no", "does not") or str(value).startswith("differs"):
         return "strong"
-    return "quiet" if value in ("undecided", None) else "plain"
+    return "quiet" if value in ("undecided", "open", None) else "plain"
 
 
 def cell(column: specs.Column, row: Row) -> Cell:
@@ -156,14 +153,14 @@ def cell(column: specs.Column, row: Row) -> Cell:
     return Cell(value=value, printed=FORMATS[column.format](value, column, row), tone=_tone(column, value))
 
 
-def table(name: str, rows: Sequence[Row], source: str = "") -> Table:
+def table(spec: specs.Table, rows: Sequence[Row]) -> Table:
     """Return the table of this spec filled with these rows. Raises: KeyError as `cell` does."""
-    spec = specs.table(name)
+    columns = [one for one in spec.columns if not one.optional or any(row[one.key] is not None for row in rows)]
     filled, begins = [], []
     before: Row = {}
     for position, row in enumerate(rows[:MAX_ROWS]):
         cells = []
-        for column in spec.column:
+        for column in columns:
             one = cell(column, row)
             repeats = column.group and before.get(column.key) == row[column.key]
             if column.group and not repeats and position and position not in begins:
@@ -171,18 +168,56 @@ def table(name: str, rows: Sequence[Row], source: str = "") -> Table:
             cells.append(msgspec.structs.replace(one, printed="") if repeats else one)
         filled.append(tuple(cells))
         before = row
+    more = f"{len(rows) - MAX_ROWS:,} more rows are not shown" if len(rows) > MAX_ROWS else ""
     return Table(
-        name=name,
+        name=spec.name,
         title=spec.title,
         caption=spec.caption,
-        source=source
-        if len(rows) <= MAX_ROWS
-        else f"{source}{'; ' if source else ''}{len(rows) - MAX_ROWS:,} more rows are not shown",
+        source="; ".join(filter(None, (f"queries/{spec.query}.sql" if spec.query else "", more))),
         size=spec.size,
-        heads=tuple(column.head for column in spec.column),
-        aligns=tuple(column.align for column in spec.column),
+        heads=tuple(column.head for column in columns),
+        keys=tuple(column.key for column in columns),
+        aligns=tuple(column.align for column in columns),
         rows=tuple(filled),
         begins=tuple(begins),
+    )
+
+
+class _Sentences(string.Formatter):
+    """Fills markup with values: texts escaped, lists as "a, b and c", numbers as in the tables.
+
+    A format is one of `FORMATS`, or one of Python's for numbers; `many|one` adds the word that fits the number;
+    `markup` is for texts of `reports/`, which are ours.
+    """
+
+    def format_field(self, value: Any, spec: str) -> str:
+        if isinstance(value, list | tuple):
+            return printable.every([self.format_field(one, spec) for one in value], "none")
+        if "|" in spec:
+            many, one = spec.split("|")
+            return f"{_plain(value)} {one if value == 1 else many}"
+        if spec == "markup":
+            return str(value)
+        if spec == "raw":  # between backticks, where nothing is escaped
+            return words(value).replace("`", "'")
+        if spec == "lower":
+            return markup(metric_named(value).title.partition(" (")[0].lower())
+        if spec in FORMATS:
+            return markup(FORMATS[spec](value, specs.Column("", ""), {}))
+        if isinstance(value, int | float) and not isinstance(value, bool):
+            return number(value, int(spec[1:-1])) if spec else _plain(value)
+        return markup(words(value))
+
+
+def sentence(template: str, row: Row) -> str:
+    """Return the markup with the values of the row in their places. Raises: KeyError for a name that is no column."""
+    return _Sentences().format(template, **row)
+
+
+def markup(text: str) -> str:
+    """Return the text as Typst markup that says just this text: each sign of ASCII that is no letter is escaped."""
+    return "".join(
+        f"\\{one}" if one.isascii() and one.isprintable() and not one.isalnum() and one != " " else one for one in text
     )
 
 

@@ -1,68 +1,16 @@
-"""Show the effects that the sensitivity study found."""
+"""Draw the effects that the sensitivity study found: `study run sensitivity --svg`."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
-import msgspec
-
-from fsar_ledger.base import printable
-from fsar_ledger.base.parameters import read_parameters
 from fsar_ledger.metrics.definitions import published_metrics
-from fsar_ledger.metrics.effects import ARCHITECTURES, MADE_BY, Effect, Sensitivity, dozen, reach
-from fsar_ledger.metrics.study_results import changed
-from fsar_ledger.report import figures, printing, specs
+from fsar_ledger.metrics.effects import ARCHITECTURES, Effect, Sensitivity, reach
+from fsar_ledger.report import figures
 
 BOUNDS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)  # of a cell of the heat map, in margins
 SHOWN_FROM = 0.5  # margins: a factor that moves no cell this far is only counted
 MAX_SHOWN = 46  # factors that fit on a page
-MAX_NAMED = 5  # differing constants that a message names
-
-
-class Section(msgspec.Struct, frozen=True):
-    """What the report shows: a sentence, the heat map of the effects (SVG) and the table of the dozen."""
-
-    sentence: str
-    figure: bytes | None = None
-    table: printing.Table | None = None
-
-
-def section(found: Sensitivity | None, model_version: str | None, parameters: Mapping[str, str]) -> Section:
-    """Return what a report about runs of this model says about the effects.
-
-    `parameters` are the constants of these runs by dotted name, as `Findings` has them.
-    """
-    if found is None:
-        return Section(
-            f"How much each number depends on each constant was not looked at for this report; {MADE_BY} does it in "
-            "most of an hour."
-        )
-    still = sum(furthest == 0 for furthest in reach(found).values())
-    if found.model_version != model_version:
-        return Section(f"The effects that were given are not of these runs: {_of_another_model(found, model_version)}.")
-    theirs = dict(printing.flat("", read_parameters(found.parameters)))
-    differing = [name for name in {**theirs, **parameters} if theirs.get(name) != parameters.get(name)]
-    if differing:
-        more = f" and {len(differing) - MAX_NAMED} more" if len(differing) > MAX_NAMED else ""
-        named = ", ".join(map(printable.value, differing[:MAX_NAMED])) + more
-        return Section(
-            f"The effects that were given are not of these runs: found effects around other constants ({named}); make "
-            f"them again: {MADE_BY}."
-        )
-    sentence = (
-        f"{len(found.factors)} factors, all constants of world and structure, the load and the size of the fleet, were "
-        f"each varied {found.trajectories} times, "
-        f"over {found.evaluations} evaluations of {found.runs} runs per scenario and architecture; {still} of them "
-        "move nothing."
-    )
-    if later := changed(found.rules):
-        sentence += f" They were judged before {printable.some(map(printing.words, later))} changed."
-    return Section(sentence, heat_map(found), printing.table("sensitivity", dozen(found)))
-
-
-def _of_another_model(effects: Sensitivity, expected: str | None) -> str:
-    found, wanted = (printable.value(one or "unknown") for one in (effects.model_version, expected))
-    return f"found effects of model {found}, expected those of model {wanted}; make them again: {MADE_BY}"
 
 
 def heat_map(found: Sensitivity) -> bytes:
@@ -75,8 +23,7 @@ def heat_map(found: Sensitivity) -> bytes:
     ]
     columns = [(spec.name, architecture) for spec in published_metrics() for architecture in ARCHITECTURES]
     at = {(effect.factor, effect.metric, effect.architecture): effect for effect in found.effects}
-    spec = msgspec.structs.replace(specs.figure("sensitivity"), height_in=1.7 + 0.135 * len(shown))
-    with figures.canvas(spec, 1, 1) as (figure, axes):
+    with figures.canvas(7.4, 1.7 + 0.135 * len(shown), 1, 1) as (figure, axes):
         panel = axes[0, 0]
         _cells(figure, panel, [[at.get((name, *column)) for column in columns] for name in shown])
         panel.set_yticks(range(len(shown)), [figures.label(name, 60) for name in shown], fontsize=6)

@@ -1,99 +1,119 @@
-"""Read the packaged files of `reports/`: what the report says, and the numbers that the paper prints.
+"""Define what a section of the report is made of, and read the packaged files of `reports/`.
 
-Words and layout are data, so that a table can be reworded without touching code. The only numbers under `reports/` are
-the paper's own (`paper/*.csv`, `quotes.toml`) and the record of the fit.
+A section is data (`reports/sections/*.toml`): a title and its parts in order. A part says which rows it shows, as a
+SELECT over the relations that `relations.toml` and `Findings` define, and in which of five shapes: text, table, bars,
+curve or sequence. The only numbers under `reports/` are the paper's own (`paper/*.csv`, `quotes.toml`) and the records
+of studies.
 """
 
 import csv
 import tomllib
 from functools import cache
 from importlib.resources import files
-from typing import Literal, TypeVar
+from typing import Any, Literal
 
 import msgspec
 
-T = TypeVar("T")
-
 
 class Column(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """One column of a table: which value it shows, under which heading, in which format.
+    """One column of a table: which value it shows, under which heading, in which format (`printing.FORMATS`).
 
-    `digits` counts decimals; with `group` a value is printed only where it differs from the row above.
+    `digits` counts decimals; with `group` a value is printed only where it differs from the row above; an `optional`
+    column is left out where no row has a value.
     """
 
     key: str
     head: str
     format: str = "text"
     digits: int = 2
-    align: str = "right"
+    align: Literal["left", "right", "center"] = "right"
     group: bool = False
+    optional: bool = False
 
 
-class TableSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """One table: caption, columns, and the packaged query behind its numbers (None: the paper alone, or a record)."""
+class Part(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag_field="shape", tag=str.lower):
+    """What all parts have: the SELECT. A part without rows, or whose relations no ledger gives, is left out."""
 
-    title: str
-    caption: str
-    column: tuple[Column, ...]
-    query: str | None = None
-    paper: str | None = None
-    size: float = 8.5
+    rows: str | None = None
 
 
-class FigureSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """One figure: caption, alternative text, size in inches, and the packaged query behind its numbers."""
+class Text(Part, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Typst markup with `{name}` for each value, printed once for each row; without `rows`, once.
 
-    title: str
-    caption: str
-    alt: str
-    query: str
-    width_in: float
-    height_in: float
-    paper: str | None = None
-
-
-class Passage(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """One titled paragraph in Typst markup; `id` names it, `paper` is the label of the place it refers to."""
-
-    id: str
-    title: str
-    text: str
-    paper: str = ""
-
-
-class Contradiction(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """One contradiction: what the paper says, and the arithmetic, with `{name}` for each computed number."""
-
-    id: str
-    title: str
-    claim: str
-    arithmetic: str
-    paper: str = ""
-    table: str | None = None
-
-
-class Quote(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """One number of the paper's running text: where it stands, and in which words."""
-
-    value: float
-    where: str
-    words: str
-
-
-class CaseCell(msgspec.Struct, frozen=True, forbid_unknown_fields=True, rename={"kind": "class"}):
-    """One number of the paper's four cases: which claim of `queries/cases` it is, in which words, counted over what.
-
-    `other` is the claim in its other reading, `of` the words for its denominator, `kind` the class of the cell.
+    `follows` puts it into the paragraph of the text before; `id` names it for tests. Without `rows` it does not make a
+    section worth printing.
     """
 
-    case: int
-    architecture: str
-    claim: str
-    said: str
-    unit: str
-    kind: Literal["by construction", "informed"]
-    other: str | None = None
-    of: str | None = None
+    text: str
+    follows: bool = False
+    id: str = ""
+
+
+class Table(Part, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A table with its caption; `query` is the packaged query behind its numbers."""
+
+    name: str
+    title: str
+    columns: tuple[Column, ...]
+    caption: str = ""
+    query: str | None = None
+    size: float = 8.0
+
+
+class Figure(Part, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """What all figures have: caption, alternative text, size in inches, and the packaged query behind its numbers."""
+
+    name: str
+    title: str
+    alt: str
+    caption: str = ""
+    query: str | None = None
+    width_in: float = 7.2
+    height_in: float = 3.9
+
+
+class Bars(Figure, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Bars with intervals in panels, a diamond at the paper's value (`charts.bars`).
+
+    `lying` draws points with intervals on lines instead, at their distance from the paper's value (`charts.distances`).
+    """
+
+    panels: tuple[int, int] = (1, 1)
+    lying: bool = False
+    legend: bool = True
+
+
+class Curve(Figure, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Lines with intervals in panels (`charts.curve`); `styles` says what the style of a line means, for the legend.
+
+    A scale of 2 or 10 is logarithmic, with this base.
+    """
+
+    panels: tuple[int, int] = (1, 1)
+    x_label: str = ""
+    y_label: str = ""
+    x_scale: Literal[0, 2, 10] = 0
+    y_scale: Literal[0, 2, 10] = 0
+    shaded_from: float | None = None
+    styles: dict[str, str] = {}
+    hollow: str | None = None
+
+
+class Sequence(Figure, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Who told whom what (`sequence.sequence`), or with `ladder` what recovery tried (`sequence.ladder`)."""
+
+    ladder: bool = False
+
+
+AnyPart = Text | Table | Bars | Curve | Sequence
+
+
+class Section(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """One section: its title ("" on the first page), its parts, and whether it belongs to the appendix."""
+
+    title: str
+    part: tuple[AnyPart, ...]
+    is_appendix: bool = False
 
 
 def text(*path: str) -> str:
@@ -101,44 +121,40 @@ def text(*path: str) -> str:
     return files("fsar_ledger.reports").joinpath(*path).read_text(encoding="utf-8")
 
 
-def _toml(cls: type[T], *path: str) -> T:
-    return msgspec.convert(tomllib.loads(text(*path)), cls)
-
-
-def table(name: str) -> TableSpec:
-    """Return the spec of one table."""
-    return _toml(TableSpec, "tables", f"{name}.toml")
-
-
-def figure(name: str) -> FigureSpec:
-    """Return the spec of one figure."""
-    return _toml(FigureSpec, "figures", f"{name}.toml")
-
-
-def passages(name: str) -> tuple[Passage, ...]:
-    """Return the paragraphs of one packaged file, in its order."""
-    return tuple(_toml(dict[str, list[Passage]], f"{name}.toml")["passage"])
-
-
 @cache
-def labels(kind: str) -> dict[str, str]:
-    """Return the labels of one kind (feature, mechanism, workflow, difference) by the names of the queries."""
-    return _toml(dict[str, dict[str, str]], "labels.toml")[kind]
+def sections() -> dict[str, Section]:
+    """Return the sections by the name of their file, in order; a number in front of the name gives the order."""
+    names = sorted(one.name for one in files("fsar_ledger.reports").joinpath("sections").iterdir())
+    return {
+        name.removesuffix(".toml"): msgspec.toml.decode(text("sections", name), type=Section)
+        for name in names
+        if name.endswith(".toml")
+    }
 
 
-def contradictions() -> tuple[Contradiction, ...]:
-    """Return the contradictions in the paper, in the order in which the report prints them."""
-    return tuple(_toml(dict[str, list[Contradiction]], "contradictions.toml")["contradiction"])
+def relations() -> dict[str, str]:
+    """Return the relations that several sections share, in the order in which they rest on each other."""
+    return dict(tomllib.loads(text("relations.toml")))
 
 
-def quotes() -> dict[str, dict[str, Quote]]:
-    """Return the numbers of the paper's running text, by topic and name."""
-    return _toml(dict[str, dict[str, Quote]], "quotes.toml")
+def rows(name: str) -> list[dict[str, Any]]:
+    """Return the entries of a packaged list, a TOML file with one array of tables."""
+    [found] = tomllib.loads(text(f"{name}.toml")).values()
+    return list(found)
 
 
-def cases() -> tuple[CaseCell, ...]:
-    """Return the numbers of the paper's four cases, in its order."""
-    return tuple(_toml(dict[str, list[CaseCell]], "cases.toml")["cell"])
+def quotes() -> list[dict[str, Any]]:
+    """Return the numbers of the paper's running text, with their topic and name."""
+    topics = tomllib.loads(text("quotes.toml"))
+    return [{"topic": topic, "name": name, **quote} for topic, names in topics.items() for name, quote in names.items()]
+
+
+def labels() -> list[dict[str, str]]:
+    """Return what the report calls the names of the queries, with their kind."""
+    kinds = tomllib.loads(text("labels.toml"))
+    return [
+        {"kind": kind, "name": name, "label": label} for kind, names in kinds.items() for name, label in names.items()
+    ]
 
 
 def paper_table(name: str) -> tuple[dict[str, str], ...]:

@@ -29,8 +29,10 @@ from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.report.build import write_report
-from fsar_ledger.report.findings import SCENARIOS, Findings
-from fsar_ledger.report.gather import gather
+from fsar_ledger.report.document import Document
+from fsar_ledger.report.findings import Findings
+from fsar_ledger.report.judge import SCENARIOS
+from fsar_ledger.report.read import gather
 from fsar_ledger.runtime.experiment import run_experiment, workflow_experiment
 from tests import past
 
@@ -162,12 +164,12 @@ def whole_report(ledger: Path, workflows: Path, tmp_path_factory: pytest.TempPat
 
 
 @pytest.fixture(scope="session")
-def alone(ledger: Path) -> Findings:
-    """What that ledger says, with no ledger of workflows beside it."""
+def findings(ledger: Path) -> Findings:
+    """What that ledger says, with no ledger beside it."""
     return gather(ledger)
 
 
 @pytest.fixture(scope="session")
-def findings(alone: Findings) -> Findings:
-    """What a report is made of."""
-    return alone
+def document(findings: Findings) -> Document:
+    """The same, laid out."""
+    return Document(findings)

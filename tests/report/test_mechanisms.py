@@ -1,7 +1,5 @@
-"""Which mechanism carries which number: pairs with and without one, what the query answers, and what the report says of
-it."""
+"""Which mechanism carries which number: pairs with and without one, and what the query answers."""
 
-import json
 from collections.abc import Iterator
 from contextlib import AbstractContextManager
 from typing import Any
@@ -20,17 +18,15 @@ from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.events.request import ContractQuestioned, InternalHandoff
 from fsar_ledger.ledger.rows.codec import encode
 from fsar_ledger.metrics.database import Database
-from fsar_ledger.metrics.definitions import metrics, published_metrics
-from fsar_ledger.report import build, document, mechanisms, specs
-from fsar_ledger.report.findings import SCENARIOS, Findings, Mechanisms
-from fsar_ledger.report.mechanisms import carried, mechanisms_of
+from fsar_ledger.metrics.definitions import metrics
+from fsar_ledger.report.experiments import experiments_of
+from fsar_ledger.report.judge import SCENARIOS
 from fsar_ledger.runtime.experiment import Experiment
 from fsar_ledger.runtime.experiment_arguments import experiment_of
 from fsar_ledger.runtime.knockouts import KNOCKOUTS, Knockout
 from fsar_ledger.runtime.paper import paper_ledger
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
 from tests.recycled import from_table
-from tests.sure import known
 
 COPIES, CLAIMS, UNNAMED = "synced-copies", "safe-stop-claims", "unnamed-requests"
 CALM = msgspec.structs.replace(Constants().world, context_rate_per_s=0.0)
@@ -51,11 +47,6 @@ def database() -> Iterator[Database]:
     )  # is in no family of those that lack one
     with played(of_cfc(CLAIMS, COPIES, UNNAMED, runs=3), both) as opened:
         yield opened
-
-
-@pytest.fixture(scope="module")
-def found(database: Database) -> Mechanisms:
-    return known(mechanisms_of(database))
 
 
 def test_every_mechanism_that_has_a_name_can_be_taken_out_and_names_are_of_one_architecture() -> None:
@@ -190,97 +181,11 @@ def _is(row: dict[str, Any], mechanism: str, metric: str) -> bool:
     return (row["configuration"], row["metric"]) == (without([mechanism]), metric)
 
 
-def test_holm_adjusts_the_tests_of_all_mechanisms_together(found: Mechanisms) -> None:
-    tested = sorted((row for row in found.rows if row["p"] is not None), key=lambda row: row["p"])
-    assert {row["family_tests"] for row in found.rows} == {len(tested)}
+def test_holm_adjusts_the_tests_of_all_mechanisms_together(database: Database) -> None:
+    rows = experiments_of(database)["mechanisms"].relations["differences"].to_pylist()
+    tested = sorted((row for row in rows if row["p"] is not None), key=lambda row: row["p"])
+    assert {row["family_tests"] for row in rows} == {len(tested)}
     expected = 0.0
     for at, row in enumerate(tested):
         expected = max(expected, min(1.0, (len(tested) - at) * row["p"]))
         assert row["p_holm"] == pytest.approx(expected)
-
-
-def test_a_cell_is_carried_by_the_mechanism_that_moves_it_furthest_of_those_that_stand(found: Mechanisms) -> None:
-    cells = {(cell["metric"], cell["architecture"]): cell for cell in carried(found)}
-    assert len(cells) == 24
-    assert cells["audit_attributability", "cfc"]["mechanism"] == UNNAMED
-    assert cells["governance_locality", "cfc"]["words"] == "none of these"
-    assert cells["governance_locality", "fsar"]["words"] is None, "nothing of FSAR was taken out"
-    louder = msgspec.structs.replace(
-        found,
-        rows=tuple(
-            row | {"mean_difference": -1.0, "stands": True} if _is(row, COPIES, "audit_attributability") else row
-            for row in found.rows
-        ),
-    )
-    [cell] = [
-        cell for cell in carried(louder) if (cell["metric"], cell["architecture"]) == ("audit_attributability", "cfc")
-    ]
-    assert (cell["mechanism"], cell["others"][:16]) == (COPIES, "unnamed requests")
-    assert cell["n"] == 15
-    assert "pairs" not in cell["others"]
-
-
-def test_a_mechanism_that_was_taken_out_of_other_runs_says_of_how_many_pairs_it_is(found: Mechanisms) -> None:
-    metric = "audit_attributability"
-    rows = (
-        row | {"n": 1200, "full_mean": 0.25, "mean_difference": -1.0, "stands": True}
-        if _is(row, COPIES, metric)
-        else row | {"full_mean": 0.5}
-        for row in found.rows
-    )
-    more = msgspec.structs.replace(found, rows=tuple(rows))
-    [first] = [cell for cell in carried(more) if (cell["metric"], cell["architecture"]) == (metric, "cfc")]
-    assert (first["mechanism"], first["n"], first["mean"]) == (COPIES, 1200, 0.25)
-    assert first["others"].startswith("unnamed requests")
-    assert first["others"].endswith("(of 15 pairs)")
-    none = msgspec.structs.replace(more, rows=tuple(row | {"stands": False} for row in more.rows))
-    [without_any] = [cell for cell in carried(none) if (cell["metric"], cell["architecture"]) == (metric, "cfc")]
-    assert (without_any["words"], without_any["n"], without_any["mean"]) == ("none of these", 1200, 0.25)
-
-
-def test_a_ledger_without_such_runs_has_no_section_and_the_report_says_how_to_make_one(findings: Findings) -> None:
-    with played(Experiment(("cfc",), ("door-relay",), 1)) as whole:
-        assert mechanisms_of(whole) is None
-    data = document.data(findings, None)
-    assert data["carried"] is None
-    assert "carried" not in data["tables"]
-    assert "reproduce --only results --only ablation" in specs.text("templates", "report.typ")
-
-
-@pytest.mark.slow
-def test_the_section_has_both_tables_with_what_is_marked_in_bold(findings: Findings, found: Mechanisms) -> None:
-    given = msgspec.structs.replace(findings, mechanisms=found)
-    data: dict[str, Any] = json.loads(document.encoded(document.data(given, None)))
-    rows = {row[1]["printed"]: row for row in data["tables"]["mechanism-differences"]["rows"]}
-    assert list(rows) == ["safe stop claims", "synced copies", "unnamed requests"]
-    at = 3 + [spec.name for spec in published_metrics()].index("audit_attributability")
-    assert rows["unnamed requests"][at]["tone"] == "strong"
-    assert rows["safe stop claims"][at]["printed"] == "0"
-    said = data["carried"]
-    assert said["other_constants"] is not None, "the page has that sentence, too"
-    assert (said["mechanisms"], said["missing"], said["differences"]) == (3, len(KNOCKOUTS) - 3, 24)
-    assert said["unmoved"] == sum(not row["differing_pairs"] for row in found.rows) > 0
-    assert build.pdf(document.encoded(document.data(given, None)), document.drawings(given)).startswith(b"%PDF")
-
-
-def test_mechanisms_of_other_constants_than_the_results_say_so(findings: Findings) -> None:
-    with played(of_cfc(CLAIMS, runs=1, constants=Constants(CALM))) as calm:
-        other = mechanisms_of(calm)
-    assert other is not None
-    [digest] = other.parameters_sha256
-    said = known(mechanisms.sentences(msgspec.structs.replace(findings, mechanisms=other)))
-    assert said["other_constants"] == digest[:12]
-    assert "#carried.other_constants" in specs.text("templates", "report.typ")
-    same = known(mechanisms.sentences(msgspec.structs.replace(findings, mechanisms=other, parameters_sha256=digest)))
-    assert same["other_constants"] is None
-    unknown = known(
-        mechanisms.sentences(
-            msgspec.structs.replace(findings, mechanisms=msgspec.structs.replace(other, parameters_sha256=()))
-        )
-    )
-    assert unknown["other_constants"] == "not on record"
-
-
-def test_a_difference_is_printed_with_its_sign_unless_it_is_printed_as_0() -> None:
-    told = [mechanisms.signed("authority_conflicts", value) for value in (0.5, -0.5, 0.001, -0.001)]
-    assert told == ["+0.50", "\u22120.50", "0.00", "0.00"]

@@ -6,6 +6,7 @@ import io
 import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import msgspec
@@ -16,9 +17,11 @@ import pytest
 from fsar_ledger.api.files import _write_tables
 from fsar_ledger.api.tables import table_text
 from fsar_ledger.cli.render import answer_json
-from fsar_ledger.report import build, document, printing, sequence
+from fsar_ledger.report import build, printing, sequence
+from fsar_ledger.report.document import Document
 from fsar_ledger.report.findings import Findings
 from tests.one_by_one import csv_text
+from tests.report.made import replaced
 from tests.report.test_sequence import TIMELINE, told
 from tests.terminal import PAINT, painted
 
@@ -153,28 +156,56 @@ def test_an_exported_file_holds_no_formula_unless_asked(tmp_path: Path) -> None:
             assert painted(out.read_text("utf-8")[:200_000].rpartition("\n")[0]) == []
 
 
-@pytest.mark.slow
 def test_the_report_reads_no_payload_as_markup(findings: Findings) -> None:
     """A payload that were evaluated would stop the typesetter: it panics, or leaves something open."""
-    hostile = {f"{payload[:200]} {number}": payload for number, payload in enumerate(PAYLOADS)}
-    others = tuple(
-        {**row, "configuration": payload, "architecture": payload} for row in findings.runs[:1] for payload in PAYLOADS
+    hostile = {f"{payload[:200]} {number}": payload for number, payload in enumerate(PAYLOADS[:40])}
+    run, model = (findings.relations[name].to_pylist()[0] for name in ("runs", "models"))
+    others = [{**run, "configuration": payload, "architecture": payload} for payload in PAYLOADS]
+    models = [{**model, "kind": payload, "model_version": payload} for payload in PAYLOADS * 5]
+    notes = {"unjudged": "".join(MARKUP[:-1]), "shown": "".join(PAINT.values()), "differing": PAYLOADS}
+    head = msgspec.structs.replace(findings.heads["results"], completeness=f"not complete: {''.join(MARKUP[:-1])}")
+    evil = msgspec.structs.replace(
+        replaced(findings, runs=others, models=models),
+        parameters=hostile,
+        heads={"results": head, "ablation": head},
+        **notes,
     )
-    models = tuple({**findings.models[0], "kind": payload, "model_version": payload} for payload in PAYLOADS * 5)
-    evil = msgspec.structs.replace(findings, parameters=hostile, runs=others, models=models)
-    data = document.data(evil, None)
-    pdf = build.pdf(document.encoded(data), document.drawings(evil))
+    laid_out = Document(evil)
+    pdf = build.pdf(laid_out.encoded(), laid_out.drawings)
     assert pdf.startswith(b"%PDF")
     assert len(pdf) < 3_000_000
-    assert f"{len(models) - printing.MAX_ROWS} more rows are not shown" in data["tables"]["models"].source
-    for table in data["tables"].values():
-        assert (
-            painted("".join(f"{cell.printed}\n".replace(printing.THIN_SPACE, "") for row in table.rows for cell in row))
-            == []
-        )
+    parts = [part for section in laid_out.sections for part in section["parts"]]
+    [shown] = [part for part in parts if part.get("name") == "models"]
+    assert f"{len(models) - printing.MAX_ROWS} more rows are not shown" in shown["source"]
+    for part in parts:
+        cells = "".join(f"{cell.printed}\n" for row in part.get("rows", ()) for cell in row)
+        assert painted((cells + part.get("text", "")).replace(printing.THIN_SPACE, "")) == []
 
 
-def test_nothing_of_ours_is_escaped_or_cut(findings: Findings) -> None:
-    tables = document.data(findings, None)["tables"]
-    printed = [cell.printed for table in tables.values() for row in table.rows for cell in row]
+@pytest.mark.parametrize(
+    "payload", [*MARKUP[:-1], "// x", "- x", "+ x", "1. x", "/ a: b", "~~", "---", "...", "'q\"", "#u{41}"]
+)
+def test_a_text_as_markup_says_just_this_text(payload: str) -> None:
+    import typst
+
+    source = f"#metadata([{printing.markup(payload)}])<said>".encode()
+    [found] = msgspec.json.decode(typst.query(source, "<said>", field="value"))
+    assert _plain(found) == payload
+
+
+def _plain(content: Any) -> str:
+    """The words of Typst's content."""
+    if "children" in content:
+        return "".join(map(_plain, content["children"]))
+    return " " if content["func"] == "space" else str(content["text"])
+
+
+def test_nothing_of_ours_is_escaped_or_cut(document: Document) -> None:
+    printed = [
+        cell.printed
+        for section in document.sections
+        for part in section["parts"]
+        for row in part.get("rows", ())
+        for cell in row
+    ]
     assert [text for text in printed if re.search(r"\\[xuU]|more\)", text)] == []

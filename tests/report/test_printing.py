@@ -54,17 +54,68 @@ def test_missing_value_is_a_dash_not_a_zero() -> None:
     assert (cell.value, cell.printed) == (None, printing.NOTHING)
 
 
-def test_table_keeps_values_beside_prints_and_begins_groups() -> None:
+TABLE = specs.Table(
+    name="t",
+    title="T",
+    columns=(
+        Column("metric", "Metric", "title", align="left", group=True),
+        Column("architecture", "Arch.", "architecture"),
+        Column("ours", "Ours", "metric"),
+        Column("nothing", "Nothing", optional=True),
+    ),
+)
+
+
+def test_a_table_keeps_values_beside_prints_begins_groups_and_leaves_out_what_is_optional() -> None:
     rows = [
-        {"metric": name, "architecture": "fsar", "paper": 0.5, "ours": 0.51234, "distance_margins": -1.26}
+        {"metric": name, "architecture": "fsar", "ours": 0.51234, "nothing": None}
         for name in ("governance_locality", "governance_locality", "recovery_containment")
     ]
-    table = printing.table("residuals", rows)
-    assert [cell.printed for cell in table.rows[0]] == ["Governance locality", "FSAR", "0.500", "0.512", "\u22121.3"]
+    table = printing.table(TABLE, rows)
+    assert [cell.printed for cell in table.rows[0]] == ["Governance locality", "FSAR", "0.512"]
     assert [row[0].printed for row in table.rows] == ["Governance locality", "", "Recovery containment"]
     assert table.rows[1][0].value == "governance_locality"
-    assert table.rows[0][3].value == 0.51234
-    assert table.begins == (2,)
+    assert (table.rows[0][2].value, table.begins, table.keys) == (0.51234, (2,), ("metric", "architecture", "ours"))
+    some = printing.table(TABLE, [rows[0] | {"nothing": "x"}, *rows[1:]])
+    assert [row[-1].printed for row in some.rows] == ["x", "–", "–"]
+
+
+def test_a_sentence_is_filled_with_values_as_they_are_printed_and_lists_are_listed() -> None:
+    row = {
+        "n": 12_345,
+        "one": 1,
+        "share": 0.00001,
+        "mean": -1.25,
+        "names": ["a", "b_c", "d"],
+        "metrics": ["audit_attributability"],
+    }
+    template = "{n}; {share:probability}; {mean:.1f}; {names}; {metrics:lower}; {names:raw}; {n:are|is}; {one:are|is}"
+    said = printing.sentence(template, row)
+    assert said.split("; ") == [
+        *("12\u2009345", "\\<\\.0001", "\u22121.2", "a, b\\_c and d"),
+        *("audit attributability", "a, b_c and d", "12\u2009345 are", "1 is"),
+    ]
+    with pytest.raises(KeyError):
+        printing.sentence("{unknown}", row)
+
+
+def test_a_difference_is_printed_with_its_sign_unless_it_is_printed_as_0() -> None:
+    told = [printing.signed("authority_conflicts", value) for value in (0.5, -0.5, 0.001, -0.001)]
+    assert told == ["+0.50", "\u22120.50", "0.00", "0.00"]
+
+
+def test_nested_constants_become_dotted_names() -> None:
+    nested = {
+        "b": [["nav", {"low_s": 2.0, "high_s": 6.5}], ["carry", -50.0]],
+        "a": {"flag": True, "list": [1, 20_000], "none": []},
+    }
+    assert list(printing.flat("", nested)) == [
+        ("a.flag", "True"),
+        ("a.list", "1, 20\u2009000"),
+        ("a.none", ""),
+        ("b.carry", "\u221250"),
+        ("b.nav", "2 to 6.5 s"),
+    ]
 
 
 def test_eight_metrics_are_those_of_the_papers_tables() -> None:

@@ -10,7 +10,6 @@ import pytest
 from fsar_ledger.designs import constants
 from fsar_ledger.designs.constants import (
     DESIGNS,
-    GIVEN,
     WORDS,
     Chosen,
     Constants,
@@ -21,12 +20,14 @@ from fsar_ledger.designs.constants import (
 )
 from fsar_ledger.events.envelope import Architecture
 from fsar_ledger.metrics.results import MetricRow
-from fsar_ledger.report import document
+from fsar_ledger.report.document import Document
 from fsar_ledger.report.printing import flat
+from fsar_ledger.report.records import own_constants
 from fsar_ledger.runtime.simulation import ARCHITECTURES
 from fsar_ledger.studies.calibration import PLAN
 from fsar_ledger.studies.evaluations import measured
 from tests.quick import few
+from tests.report.made import made, said
 
 RECORD = json.loads(files("fsar_ledger.reports").joinpath("calibration.json").read_text())
 INFORMED = {  # chosen after the held-out tables had been seen, or part of the study that came before the first fit
@@ -131,13 +132,15 @@ def test_no_cell_hangs_on_what_was_chosen(architecture: Architecture) -> None:
     assert cells(other, architecture) == cells(Constants(), architecture)
 
 
-def test_the_report_says_where_each_value_is_from_and_which_are_not_ours() -> None:
-    rows = document._constants(
-        {
-            "structure.poll_us": "2\u2009000\u2009000",
-            "world.motion_share": str(Constants().world.motion_share),
-            "of.another.model": "1",
-        }
+def test_the_report_names_the_constants_that_are_not_this_versions() -> None:
+    given = {
+        "structure.poll_us": "2\u2009000\u2009000",
+        "world.motion_share": str(Constants().world.motion_share),
+        "of.another.model": "1",
+    }
+    rows = {row["name"]: (row["value"], row["ours"]) for row in own_constants(given).to_pylist()}
+    assert rows.keys() == {"structure.poll_us", "of.another.model"}
+    assert rows["of.another.model"] == ("1", None)
+    assert "of.another.model = 1 and structure.poll_us = 2" in said(
+        Document(msgspec.structs.replace(made(), parameters=given))
     )
-    said = {row[name]: row[word] for row in rows for name, word in (("name", "from"), ("name2", "from2"))}
-    assert said == {"structure.poll_us": GIVEN, "world.motion_share": "fitted", "of.another.model": GIVEN, "": ""}

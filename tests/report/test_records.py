@@ -7,7 +7,6 @@ from typing import Any
 
 import msgspec
 import pytest
-import typst
 
 from fsar_ledger.base.errors import FsarLedgerError, UsageError
 from fsar_ledger.metrics import study_results as bound
@@ -23,13 +22,16 @@ from fsar_ledger.metrics.study_results import (
     packaged,
     rules,
 )
-from fsar_ledger.report import document, numbers, specs
+from fsar_ledger.report import build, specs
+from fsar_ledger.report import records as laid_out
+from fsar_ledger.report.document import Document
 from fsar_ledger.report.findings import Findings
 from fsar_ledger.report.printing import flat
 from fsar_ledger.studies.comparison import judge
 from tests import records
 from tests.records import KEPT, reasons, renew, stale
 from tests.report.conftest import PARAMETERS
+from tests.report.made import column, made, names, replaced, said
 from tests.sure import known
 
 CONFLICTS = "facts/conflicts"
@@ -64,10 +66,9 @@ def test_a_changed_rule_is_named_by_every_record(
     for name in KEPT:
         assert stale(name) == [CONFLICTS]
         assert changed(kept(name)["rules"]) == [CONFLICTS]
-    fit = document.data(of_the_record(findings), packaged(Calibration))["fit"]
-    assert CONFLICTS in fit["changed"]
-    told = known(numbers.predictions_said(numbers.judged(of_the_record(findings))))
-    assert f"they were judged before {CONFLICTS} changed" in told["sentence"]
+    document = Document(of_the_record(findings), packaged(Calibration))
+    assert f"What judges the runs has changed since the fit: {CONFLICTS}." in said(document, "note")
+    assert f"They were judged before {CONFLICTS} changed, and not again." in said(document, "changed")
     place = tmp_path / "predictions.json"
     place.write_bytes(files("fsar_ledger.reports").joinpath("predictions.json").read_bytes())
     with pytest.raises(UsageError, match=f"{CONFLICTS}; judge them"):
@@ -143,50 +144,104 @@ def write(folder: Path, *holds: bool | None) -> None:
     (folder / "comparison.json").write_bytes(encoded(result))
 
 
-@pytest.mark.slow
-def test_the_first_page_says_which_registered_predictions_fail_and_a_table_says_all(
-    findings: Findings, tmp_path: Path
-) -> None:
+def test_the_report_says_which_registered_predictions_hold_and_which_fail(findings: Findings) -> None:
     registered = json.loads(specs.text("comparison.json"))["predictions"]
-    found = of_the_record(findings)
-    data = document.data(found, None)
-    rows = data["tables"]["predictions"].rows
-    assert [(row[0].value, row[3].value) for row in rows] == [(one["name"], one["holds"]) for one in registered]
-    assert [row[2].printed for row in rows] == [f"{one['held']} of {one['of']}" for one in registered]
-    (tmp_path / "report.typ").write_text(specs.text("templates", "report.typ"))
-    (tmp_path / "data.json").write_bytes(document.encoded(data))
-    for name, svg in document.drawings(found).items():
-        (tmp_path / name).write_bytes(svg)
-    [passage] = json.loads(typst.query(tmp_path / "report.typ", "<predicted>"))
+    document = Document(of_the_record(findings))
+    assert column(document, "predictions", "name") == [one["name"] for one in registered]
+    assert column(document, "predictions", "holds") == [one["holds"] for one in registered]
+    assert column(document, "predictions", "checks") == [f"{one['held']} of {one['of']}" for one in registered]
     failed = [one["name"] for one in registered if not one["holds"]]
-    assert f"{len(failed)} do not ({', '.join(failed)})." in json.dumps(passage, ensure_ascii=False)
+    assert f"{len(failed)} do not ({', '.join(failed)})" in said(document, "predicted")
 
 
 def test_predictions_are_those_of_the_runs_model_and_constants_or_none(findings: Findings, tmp_path: Path) -> None:
-    assert numbers.judged(findings, tmp_path) is None, "no record"
+    assert laid_out.judged(findings, tmp_path) is None, "no record"
     write(tmp_path, True, False)
-    assert len(numbers.outcomes(numbers.judged(findings, tmp_path))) == 2
-    assert numbers.judged(msgspec.structs.replace(findings, model_version="2"), tmp_path) is None
-    assert numbers.judged(msgspec.structs.replace(findings, parameters={}), tmp_path) is None
+    assert len(known(laid_out.judged(findings, tmp_path)).predictions) == 2
+    assert laid_out.judged(msgspec.structs.replace(findings, model_version="2"), tmp_path) is None
+    assert laid_out.judged(msgspec.structs.replace(findings, parameters={}), tmp_path) is None
     (tmp_path / "comparison.json").write_text("{}")
     with pytest.raises(FsarLedgerError, match=r"comparison\.json: .*; write it again"):
-        numbers.judged(findings, tmp_path)
+        laid_out.judged(findings, tmp_path)
+    assert "predictions" not in names(Document(findings), "table")
 
 
 @pytest.mark.parametrize(
     ("holds", "words"),
     [
-        ((True, False, False), "1 holds (p0) and 2 do not (p1, p2)."),
-        ((True, False), "1 holds (p0) and 1 does not (p1)."),
-        ((False, False), "0 hold and 2 do not (p0, p1)."),
-        ((True, None), "1 holds (p0) and 0 do not; 1 cannot be decided (p1)."),
+        ((True, False, False), "1 holds (p0) and 2 do not (p1, p2)"),
+        ((False, False), "0 hold and 2 do not (p0, p1)"),
+        ((True, None), "1 holds (p0) and 0 do not"),
     ],
 )
 def test_the_sentence_counts_and_names_what_holds_and_what_does_not(
-    findings: Findings, tmp_path: Path, holds: tuple[bool | None, ...], words: str
+    tmp_path: Path, findings: Findings, holds: tuple[bool | None, ...], words: str
 ) -> None:
     write(tmp_path, *holds)
-    assert numbers.predictions_said(numbers.judged(findings, tmp_path)) == {
-        "sentence": f"Of {len(holds)} predictions registered before they were run, {words}"
-    }
-    assert numbers.predictions_said(None) is None
+    document = Document(replaced(made(), **laid_out.predictions(laid_out.judged(findings, tmp_path))))
+    assert f"Of {len(holds)} predictions registered before they were run, {words}" in said(document)
+    assert ("1 cannot be decided: p1" in said(document)) == (None in holds)
+
+
+WHOLE: dict[str, Any] = {
+    "objective": {"description": "sum of squared distances", "start": 40.5, "accepted": 12.25},
+    "seeds": [1, 2],
+    "runs_per_scenario": 40,
+    "evaluations": 7,
+    "model_version": "1",
+    "rules": rules(METRICS),
+    "command": "fsar-ledger study run calibration --out FILE",
+    "parameters": [
+        {
+            "name": "world.motion_share",
+            "unit": "share",
+            "start": 0.2,
+            "accepted": 0.24,
+            "meaning": "motion",
+            "identified": False,
+        }
+    ],
+    "directions": [{"singular_value": 3.0, "identified": True, "weights": {"a": 0.1}}],
+    "a key of the future": [1],
+}
+
+
+@pytest.mark.parametrize("missing", [None, *(pytest.param(part, marks=pytest.mark.slow) for part in WHOLE)])
+def test_a_record_of_the_fit_is_read_and_typeset_whatever_part_is_missing(
+    tmp_path: Path, findings: Findings, missing: str | None
+) -> None:
+    (tmp_path / "calibration.json").write_text(json.dumps({key: one for key, one in WHOLE.items() if key != missing}))
+    document = Document(findings, packaged(Calibration, tmp_path))
+    assert build.pdf(document.encoded(), document.drawings).startswith(b"%PDF")
+    if missing is None:
+        assert "1 constants were moved so that the means come near" in said(document)
+        assert "It went from 40.50 to 12.25." in said(document)
+        assert "The cells identify 1 of 1 directions." in said(document)
+        columns = [
+            column(document, "calibrated-parameters", key, "printed")[0] for key in ("name", "start", "accepted")
+        ]
+        assert columns == ["world.motion_share", "0.200", "0.240"]
+
+
+@pytest.mark.parametrize(
+    ("fitted", "ran", "words"),
+    [
+        (None, ["2"], "a model whose version is not on record, and these runs are of version 2."),
+        ("1", ["1", "2"], "model version 1, and these runs are of versions 1, 2."),
+        ("1", list("2345678"), "model version 1, and these runs are of versions 2, 3, 4, 5, 6 and 2 more."),
+        ("1", ["\x1b[31m"], r"model version 1, and these runs are of version \x1b[31m."),
+        ("1", [], None),
+        ("1", ["1"], "The record of the fit does not say which queries judged its runs."),
+    ],
+)
+def test_a_fit_of_another_model_is_named(fitted: str | None, ran: list[str], words: str | None) -> None:
+    findings = msgspec.structs.replace(made(), model_versions=tuple(ran))
+    found = laid_out.fit_changed(findings, Calibration(model_version=fitted))
+    assert found is None if words is None else known(found).endswith(words)
+
+
+@pytest.mark.parametrize("text", ["{", "[]", '{"seeds": "x"}', '{"parameters": [{"name": 1}]}'])
+def test_a_broken_record_is_refused(tmp_path: Path, text: str) -> None:
+    (tmp_path / "calibration.json").write_text(text)
+    with pytest.raises(FsarLedgerError, match="write it again"):
+        packaged(Calibration, tmp_path)

@@ -9,60 +9,64 @@ import pytest
 
 from fsar_ledger.base.errors import UsageError
 from fsar_ledger.metrics.study_results import Calibration, packaged
-from fsar_ledger.report import document
 from fsar_ledger.report.build import write_report
+from fsar_ledger.report.document import Document
 from fsar_ledger.report.findings import Findings
-from fsar_ledger.report.numbers import reproduction, tally
-from tests.report.test_all_readings import found
+from tests.report.test_readings import found
 
 
 @pytest.fixture(scope="module")
-def written(alone: Findings) -> dict[str, Any]:
-    decoded: dict[str, Any] = json.loads(reproduction(alone, document.counted(alone, None)))
+def written(document: Document) -> dict[str, Any]:
+    decoded: dict[str, Any] = json.loads(document.reproduction())
     return decoded
 
 
 def test_it_holds_every_printed_number_with_ours_and_what_became_of_it(
-    alone: Findings, written: dict[str, Any]
+    findings: Findings, document: Document, written: dict[str, Any]
 ) -> None:
-    results = {(row["metric"], row["architecture"]): row for row in written["numbers"] if row["table"] == "results"}
-    assert len(results) == 24
-    for cell in alone.cells:
-        row = results[cell["metric"], cell["architecture"]]
-        assert (row["paper"], row["printed"], row["ours"]) == (cell["paper"], cell["paper_printed"], cell["mean"])
-        assert row["n"] == cell["n"]
-        assert (row["gives"], row["share"], row["could"], row["distance"]) == tuple(
-            cell[name] for name in ("gives", "share", "could", "distance")
-        )
-        assert row["interval"] == (None if cell["interval"] is None else list(cell["interval"]))
-    assert written["tally"] == tally(document.counted(alone, None))
-    assert [row["t"] for row in written["tests"]] == [row["t"] for row in alone.tests]
+    results = [row for row in written["numbers"] if row["table"] == "results"]
+    numbers = [one for one in findings.numbers if one.table == "results"]
+    assert len(results) == len(numbers) == 24
+    for row, one in zip(results, numbers, strict=True):
+        assert row["class"] == one.kind
+        for name in ("metric", "architecture", "paper", "printed", "ours", "n", "gives", "share", "could", "distance"):
+            assert row[name] == getattr(one, name)
+        assert row["interval"] == (None if one.interval is None else list(one.interval))
+    assert sum(row["table"] == "significance" for row in written["numbers"]) == 24
+    assert written["tally"] == document.tally
+    assert written["tally"][-1]["printed"] == len(written["numbers"])
+    assert [row["t"] for row in written["tests"]] == [row["t"] for row in findings.relations["paired"].to_pylist()]
+    assert len(written["claims"]) == 8
+    assert {row["scenario"] for row in written["measured"]} >= {None, "door-relay"}
 
 
-def test_it_names_the_heads_the_model_the_constants_and_the_queries(alone: Findings, written: dict[str, Any]) -> None:
+def test_it_names_the_heads_the_model_the_constants_and_the_queries(
+    findings: Findings, written: dict[str, Any]
+) -> None:
+    head = findings.heads["results"]
     assert written["ledgers"] == {
-        "results": {"commits": alone.commits, "events": alone.size, "root": alone.root, "runs": alone.run_count}
+        "results": {"commits": head.commits, "events": head.events, "root": head.root, "runs": head.runs}
     }
-    assert written["queries"] == {one.name: one.sha256 for one in alone.sources}
-    assert (written["model_version"], written["constants"]) == (alone.model_version, alone.parameters)
-    assert written["parameters_sha256"] in {row["parameters_sha256"] for row in alone.models}
+    assert written["queries"] == {one.name: one.sha256 for one in findings.sources}
+    assert (written["model_version"], written["constants"]) == (findings.model_version, findings.parameters)
+    assert written["parameters_sha256"] in {row["sha256"] for row in findings.relations["models"].to_pylist()}
     assert {"fsar-ledger", "duckdb"} <= written["versions"].keys()
-    assert written["multiverse"] is None
+    assert (written["multiverse"], written["mechanisms"]) == (None, None)
 
 
-def test_it_holds_the_means_under_every_reading_where_they_were_asked_for(alone: Findings) -> None:
+def test_it_holds_the_means_under_every_reading_where_they_were_asked_for(findings: Findings) -> None:
     read = found()
-    rows = json.loads(reproduction(msgspec.structs.replace(alone, multiverse=read), ()))["multiverse"]
+    rows = json.loads(Document(msgspec.structs.replace(findings, multiverse=read)).reproduction())["multiverse"]
     assert len(rows["universes"]) == len(read.universes)
     assert [row["lowest"] for row in rows["cells"]] == [cell.lowest for cell in read.cells]
 
 
 @pytest.mark.slow
-def test_it_is_written_beside_the_report_and_holds_the_same_numbers(whole_report: Path, alone: Findings) -> None:
+def test_it_is_written_beside_the_report_and_holds_the_same_numbers(whole_report: Path, findings: Findings) -> None:
     assert whole_report.read_bytes().startswith(b"%PDF")
     written = json.loads(whole_report.with_name("report.pdf.json").read_bytes())
-    expected = json.loads(reproduction(alone, document.counted(alone, packaged(Calibration))))
-    for part in ("numbers", "tally", "tests", "scenarios", "constants", "table_share"):
+    expected = json.loads(Document(findings, packaged(Calibration)).reproduction())
+    for part in ("numbers", "tally", "tests", "claims", "measured", "constants", "table_share"):
         assert written[part] == expected[part]
     assert written["ledgers"]["results"] == expected["ledgers"]["results"]
 

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from fsar_ledger.report import sequence
-from tests.report.test_figures import words
+from tests.report.test_charts import words
 
 A, B, REGISTRY = "robot/A1", "robot/B1", "service/registry"
 

@@ -1,9 +1,9 @@
-"""The paper's tables of grades and its four cases beside ours, from a ledger of results and one of workflows."""
+"""What the tables print against what the queries answer, for runs of one setting and of the shape of the paper's."""
 
 import shutil
 from collections.abc import Callable
+from hashlib import sha256
 from pathlib import Path
-from typing import Any
 
 import msgspec
 import pytest
@@ -13,40 +13,223 @@ from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.staging import stage
+from fsar_ledger.metrics import verdicts
 from fsar_ledger.metrics.database import connect, plain_rows
-from fsar_ledger.report import document, grades, result_rows, specs
-from fsar_ledger.report.document import data
+from fsar_ledger.metrics.definitions import published_metrics
+from fsar_ledger.metrics.results import metric_rows, statistic_rows
+from fsar_ledger.report import judge, printing, specs
+from fsar_ledger.report.document import Document
+from fsar_ledger.report.experiments import WORKFLOWS
 from fsar_ledger.report.findings import Findings
-from fsar_ledger.report.gather import gather
+from fsar_ledger.report.judge import SCENARIOS
+from fsar_ledger.report.read import gather
 from fsar_ledger.runtime.experiment import run_experiment, workflow_experiment
 from tests.queries.histories import answer
+from tests.quick import few
+from tests.report.conftest import PARAMETERS
+from tests.report.made import column, made, names, part, said
+from tests.sure import known
 
 Make = Callable[..., Path]
 
 
 @pytest.fixture(scope="module")
-def findings(ledger: Path, workflows: Path) -> Findings:
-    return gather(ledger, workflows)
+def flows(ledger: Path, workflows: Path) -> Document:
+    """The report of the ledger with the one of workflows beside it."""
+    return Document(gather(ledger, beside={workflows: None}))
 
 
-def printed(findings: Findings) -> dict[str, Any]:
-    decoded: dict[str, Any] = msgspec.json.decode(document.encoded(document.data(findings, None)))
-    return decoded
+def keys(document: Document, table: str, by: str = "architecture") -> list[tuple[str, str]]:
+    return list(zip(column(document, table, "metric"), column(document, table, by), strict=True))
 
 
-def column(table: dict[str, Any], name: str, key: str, what: str = "value") -> list[Any]:
-    position = [one.key for one in specs.table(name).column].index(key)
-    return [row[position][what] for row in table["rows"]]
+def test_the_results_are_the_rows_of_the_query_beside_the_papers_own_digits(ledger: Path, document: Document) -> None:
+    with connect(ledger) as database:
+        rows = {(row.metric, row.architecture): row for row in metric_rows(database)}
+        judged = {(one.metric, one.architecture): one for one in verdicts.compare(rows.values())}
+    found = keys(document, "evaluation-results")
+    assert len(found) == len(set(found)) == 24
+    for name, field in (("ours", "mean"), ("denominator", "denominator"), ("without_routine", "mean_without_routine")):
+        assert column(document, "evaluation-results", name) == [getattr(rows[key], field) for key in found]
+    intervals = [None if rows[key].ci_low is None else [rows[key].ci_low, rows[key].ci_high] for key in found]
+    assert column(document, "evaluation-results", "interval") == intervals
+    assert column(document, "evaluation-results", "printed") == [row["mean"] for row in specs.paper_table("results")]
+    assert len({mean for mean in column(document, "evaluation-results", "ours") if mean is not None}) > 8
+    words = {"yes": "stands", "no": "does not", "undecided": "undecided"}
+    expected = ["undecided" if judged[key].ours is None else words[judged[key].gives] for key in found]
+    assert column(document, "evaluation-results", "outcome") == expected
+    assert {"does not", "undecided"} <= set(expected)
 
 
-def test_the_papers_marks_are_printed_as_they_are() -> None:
-    rows = {row["feature"]: row for row in grades.features([])}
-    assert [row["feature"] for row in rows.values()] == [
-        row["feature"] for row in specs.paper_table("architecture_features")
+def test_the_tests_and_the_means_by_scenario_are_the_rows_of_their_queries(ledger: Path, document: Document) -> None:
+    with connect(ledger) as database:
+        tests = {(row.metric, row.comparison): row for row in statistic_rows(database)}
+        means = {
+            (row.metric, row.architecture, row.scenario): row.mean for row in metric_rows(database, by_scenario=True)
+        }
+    found = keys(document, "statistical-significance", "comparison")
+    assert len(set(found)) == 24
+    for name in ("t", "p", "p_holm", "wilcoxon_p", "n"):
+        assert column(document, "statistical-significance", name) == [getattr(tests[key], name) for key in found]
+    printed = [float(row["t"]) for row in specs.paper_table("significance")]
+    assert column(document, "statistical-significance", "paper_t") == printed
+    for scenario in SCENARIOS:
+        expected = [means[metric, name, scenario] for metric, name in keys(document, "scenario-means")]
+        assert column(document, "scenario-means", scenario) == expected
+
+
+def test_an_undefined_number_is_a_dash(document: Document) -> None:
+    relay = dict(
+        zip(keys(document, "scenario-means"), column(document, "scenario-means", "door-relay", "printed"), strict=True)
+    )
+    assert relay["recovery_containment", "fsar"] == "–"
+
+
+def test_what_stands_behind_the_numbers_is_said_where_they_stand(ledger: Path, document: Document) -> None:
+    with connect(ledger) as database:
+        rows = database.rows("SELECT * FROM background WHERE configuration = 'full' AND fleet_size = 4")
+    assert len(rows) == 3
+    for row in rows:
+        share = f"{100 * row['routine_share_of_decisions']:.1f} % of {row['architecture'].upper()}'s decisions"
+        assert share in said(document)
+
+
+def test_a_number_that_does_not_come_out_has_its_reason_or_says_that_none_is_on_record(document: Document) -> None:
+    missed = [row for row in document.numbers if row["table"] == "results" and row["outcome"] == "does not"]
+    found = said(document)
+    distances = [f"({printing.number(row['distance'], 1)} margins)" for row in missed]
+    assert len(missed) > 0
+    assert all(one in found for one in distances)
+    assert "no reason is on record" in found
+    cells = {f"{spec.name}/{name}" for spec in published_metrics() for name in judge.ARCHITECTURES}
+    assert {row["id"] for row in specs.rows("reasons")} <= cells
+
+
+SHAPES = {
+    "workflows only": (
+        ("workflow-door-relay", "workflow-layered-recovery"),
+        (),
+        "2 runs of workflow-door-relay, 2 runs of workflow-layered-recovery",
+    ),
+    "some scenarios": (SCENARIOS[:2], (), "2 runs of collaborative-delivery, 2 runs of door-relay"),
+    "uneven runs": (SCENARIOS, SCENARIOS[:1], "3 runs of door-relay, 2 runs of failure-recovery-chain"),
+}
+
+
+@pytest.mark.parametrize("shape", few(["workflows only", "uneven runs", "some scenarios"], ["workflows only"]))
+def test_runs_of_another_shape_than_the_papers_have_numbers_and_no_verdict_and_that_is_said(
+    make_ledger: Make, tmp_path: Path, shape: str
+) -> None:
+    scenarios, more, held = SHAPES[shape]
+    path = shutil.copytree(make_ledger(scenarios=scenarios), tmp_path / "ledger")
+    for scenario in more:
+        kept = [run for run in open_ledger(path).runs() if run.run_id.startswith(f"{scenario}-1-")]
+        with Writer(path, "test") as writer:
+            writer.append(stage(path, [_with(run, "2", run=2) for run in kept]))
+    found = gather(path)
+    assert "5 scenarios with equally many runs of each, but of FSAR, CFC, DHMA this ledger has " in known(
+        found.unjudged
+    )
+    assert held in known(found.unjudged)
+    numbers = [one for one in found.numbers if one.table == "results"]
+    assert sum(one.ours is not None for one in numbers) > 18
+    assert {(one.gives, one.could, one.distance, one.outcome) for one in numbers} == {(None, None, None, "undecided")}
+    document = Document(found)
+    assert known(found.unjudged) in said(document, "note")
+    assert {row["sign_agrees"] for row in document.tests} == {row["level_agrees"] for row in document.tests} == {None}
+    assert set(column(document, "architectural-comparison", "verdict")) == {None}
+    assert set(column(document, "claims", "holds")) == {None}
+
+
+def _with(run: LedgerRun, prefix: str, /, **fields: object) -> LedgerRun:
+    first = msgspec.structs.replace(run.events[0], **fields)
+    return LedgerRun(f"{prefix}-{run.run_id}", run.times_us, run.caused_by, [first, *run.events[1:]])
+
+
+@pytest.mark.slow
+def test_only_the_architecture_of_another_shape_is_not_judged(
+    make_ledger: Make, findings: Findings, tmp_path: Path
+) -> None:
+    path = shutil.copytree(make_ledger(architectures=("fsar", "dhma")), tmp_path / "ledger")
+    part_of_cfc = list(open_ledger(make_ledger(architectures=("cfc",), scenarios=SCENARIOS[1:])).runs())
+    with Writer(path, "test") as writer:
+        writer.append(stage(path, part_of_cfc))
+    found = gather(path)
+    assert "but of CFC this ledger has 2 runs of collaborative-delivery, " in known(found.unjudged)
+    others = [one for one in findings.numbers if one.architecture != "cfc"]
+    assert [one for one in found.numbers if one.architecture != "cfc"] == others
+    assert {one.gives for one in found.numbers if one.architecture == "cfc"} == {None}
+    tests = Document(found).tests
+    assert {row["comparison"] for row in tests if row["sign_agrees"] is not None} == {"fsar-dhma"}
+
+
+def test_pairs_of_another_shape_than_the_papers_are_not_judged() -> None:
+    runs: judge.RunCounts = dict.fromkeys(SCENARIOS, 2)
+    even: judge.RunCounts = dict.fromkeys(SCENARIOS, 1)
+    held, pairs = {"fsar": runs, "cfc": runs}, {"fsar-cfc": {**even, "door-relay": 2}}
+    assert judge.unjudged(held, pairs) == {"fsar-cfc"}
+    why = known(judge.why_unjudged(held, pairs))
+    assert "but of FSAR vs CFC this ledger has 1 pair of collaborative-delivery, 2 pairs of door-relay, " in why
+    assert judge.why_unjudged(held, {"fsar-cfc": even}) is None
+
+
+@pytest.mark.slow
+def test_a_single_run_has_values_and_no_verdict(make_ledger: Make) -> None:
+    found = [
+        one for one in gather(make_ledger(scenarios=("fleet-contention",), runs=1)).numbers if one.table == "results"
     ]
-    assert (rows["policy_composition"]["fsar_paper"], rows["policy_composition"]["cfc_paper"]) == ("full", "partial")
-    assert rows["policy_composition"]["jade"] == "partial"
-    assert {row["verdict"] for row in rows.values()} == {None}
+    assert sum(one.ours is not None for one in found) > 20
+    assert {one.outcome for one in found} == {"undecided"}
+
+
+def test_runs_of_other_settings_stand_in_their_own_table(make_ledger: Make) -> None:
+    made_otherwise = make_ledger(architectures=("fsar",), configuration="without-shared-registry", fleet_size=8)
+    document = Document(gather(made_otherwise))
+    found = zip(*(column(document, "other-runs", name) for name in ("configuration", "fleet_size", "n")), strict=True)
+    assert list(found) == [("without-shared-registry", 8, 10)]
+    assert "evaluation-results" not in names(document, "table")
+
+
+@pytest.mark.slow
+def test_tables_are_of_one_seed_and_the_others_stand_apart(ledger: Path, tmp_path: Path, findings: Findings) -> None:
+    several = shutil.copytree(ledger, tmp_path / "several")
+    kept = [run for run in open_ledger(ledger).runs() if run.run_id.startswith("failure-recovery-chain-0-")]
+    with Writer(several, "test") as writer:
+        writer.append(stage(several, [_with(run, "other", seed=43) for run in kept]))
+    found = gather(several)
+    assert found.numbers == findings.numbers
+    assert found.relations["features"].equals(findings.relations["features"])
+    document = Document(found)
+    assert set(zip(column(document, "other-runs", "seed"), column(document, "other-runs", "n"), strict=True)) == {
+        (43, 1)
+    }
+    assert "The tables are of seed 42, simulated runs, model 1; runs made otherwise are never" in said(document, "note")
+    pooled = Document(gather(several, pools_seeds=True))
+    assert "other-runs" not in names(pooled, "table")
+    assert max(row["n"] for row in pooled.numbers if row["table"] == "results") == 11
+    assert column(pooled, "architectural-comparison", "feature") == column(
+        document, "architectural-comparison", "feature"
+    )
+
+
+@pytest.mark.slow
+def test_constants_are_those_of_the_runs_in_the_tables_and_not_of_others_that_come_first(
+    ledger: Path, tmp_path: Path, findings: Findings
+) -> None:
+    assert findings.parameters["world.motion_share"] == "0.24"
+    several = shutil.copytree(ledger, tmp_path / "several")
+    kept = [run for run in open_ledger(ledger).runs() if run.run_id.startswith("fleet-contention-0-")]
+    with Writer(several, "test") as writer:
+        writer.append(stage(several, [_with(run, "0", parameters='{"world":{"motion_share":0.5}}') for run in kept]))
+    found = gather(several)
+    assert (found.parameters, found.parameters_sha256) == (findings.parameters, sha256(PARAMETERS.encode()).hexdigest())
+    assert len(column(Document(found), "models", "runs")) == 2
+
+
+def test_pairs_that_met_different_worlds_are_named_before_the_answer(findings: Findings) -> None:
+    unlike = Document(msgspec.structs.replace(findings, differing=("fsar-cfc: 1 pair \x1b[31m",)))
+    assert "Not every pair of runs met the same world" in said(unlike, "note")
+    assert "fsar-cfc: 1 pair x1b[31m" in said(unlike, "note")
 
 
 @pytest.mark.parametrize(
@@ -56,183 +239,113 @@ def test_the_papers_marks_are_printed_as_they_are() -> None:
         (("full", "none", "none"), "differs: CFC"),
         (("none", None, "full"), "differs: FSAR, DHMA"),
         ((None, "full", None), "agrees"),
+        ((None, None, None), None),
     ],
 )
-def test_a_feature_agrees_or_differs_where_the_ledger_shows_it(ours: tuple[str | None, ...], verdict: str) -> None:
-    graded = [
+def test_a_feature_agrees_or_differs_where_the_ledger_shows_it(
+    ours: tuple[str | None, ...], verdict: str | None
+) -> None:
+    rows = [
         {"feature": "single_agent_robot", "architecture": name, "grade": grade}
-        for name, grade in zip(("fsar", "cfc", "dhma"), ours, strict=True)
+        for name, grade in zip(judge.ARCHITECTURES, ours, strict=True)
     ]
-    assert grades.features(graded)[0]["verdict"] == verdict
+    rows.append({"feature": "layered_recovery", "architecture": "fsar", "grade": "full"})
+    document = Document(made(features=rows))
+    assert column(document, "architectural-comparison", "verdict")[0] == verdict
+    assert "".join(column(document, "architectural-comparison", "fsar_paper", "printed")) == "●——●●●●●"
+    assert {"RoboOS*", "JADE*", "ALLIANCE*"} <= set(part(document, "architectural-comparison")["heads"])
 
 
-def test_workflows_of_another_seed_have_no_part_in_the_table(make_ledger: Make, tmp_path: Path) -> None:
+@pytest.mark.slow
+def test_grades_and_cells_are_those_of_the_queries(ledger: Path, flows: Document) -> None:
+    with connect(ledger) as database:
+        rows = {
+            (row["feature"], row["architecture"]): row["grade"]
+            for row in plain_rows(database.query("tables/architecture_features"))
+        }
+    order = [row["feature"] for row in specs.paper_table("architecture_features")]
+    for architecture in judge.ARCHITECTURES:
+        ours = column(flows, "architectural-comparison", f"{architecture}_ours")
+        assert ours == [rows[feature, architecture] for feature in order]
+    paper = [row["workflow_2_layered_recovery"] or None for row in specs.paper_table("mechanism_coverage")]
+    assert column(flows, "mechanism-coverage", "wf2_paper") == column(flows, "mechanism-coverage", "wf2_ours") == paper
+    verdicts_of = dict(
+        zip(
+            column(flows, "mechanism-coverage", "mechanism"),
+            column(flows, "mechanism-coverage", "verdict"),
+            strict=True,
+        )
+    )
+    assert {name for name, one in verdicts_of.items() if one != "agrees"} == {"Trust evaluation", "Delegation chain"}
+    assert "capability-scoped" in said(flows)
+    assert b"query: door.open.secure" in flows.drawings["workflow-door-relay.svg"]
+    assert b"budget exhausted" in flows.drawings["workflow-layered-recovery.svg"]
+
+
+def test_every_name_of_the_paper_has_its_words() -> None:
+    held = {
+        kind: [one["name"] for one in specs.labels() if one["kind"] == kind]
+        for kind in ("feature", "mechanism", "workflow", "difference")
+    }
+    assert held["feature"] == [row["feature"] for row in specs.paper_table("architecture_features")]
+    assert held["mechanism"] == [row["mechanism"] for row in specs.paper_table("mechanism_coverage")]
+    assert held["workflow"] == list(WORKFLOWS)
+    for name in held["difference"]:
+        workflow, mechanism, cell = name.split("/")
+        assert workflow in WORKFLOWS
+        assert mechanism in held["mechanism"]
+        assert cell
+
+
+def test_workflows_of_another_seed_have_no_part_in_the_table(make_ledger: Make, ledger: Path, tmp_path: Path) -> None:
     ours = make_ledger(architectures=("fsar",), scenarios=("workflow-door-relay",))
     several = shutil.copytree(ours, tmp_path / "several")
     kept = next(open_ledger(ours).runs())
     other = LedgerRun("another", (0,), (None,), [msgspec.structs.replace(kept.events[0], seed=43)])
     with Writer(several, "test") as writer:
         writer.append(stage(several, [other]))
-    alone, found = grades.workflows(ours), grades.workflows(several)
-    assert (alone.others, found.others, found.run_count) == (0, 1, 3)
-    assert found.coverage == alone.coverage
-    assert any(row["workflow-door-relay_ours"] for row in found.coverage)
+    alone, found = (Document(gather(ledger, beside={path: None})) for path in (ours, several))
+    assert "have no part in the table" not in said(alone)
+    assert "Of these 1 made with another seed" in said(found)
+    assert part(alone, "mechanism-coverage")["rows"] == part(found, "mechanism-coverage")["rows"]
 
 
 @pytest.mark.slow
-def test_the_tables_hold_the_answers_of_their_queries(ledger: Path, findings: Findings) -> None:
-    tables = printed(findings)["tables"]
-    with connect(ledger) as database:
-        rows = {
-            (row["feature"], row["architecture"]): row
-            for row in plain_rows(database.query("tables/architecture_features"))
-        }
-    evidence = tables["feature-evidence"]
-    parts = (column(evidence, "feature-evidence", name) for name in ("feature", "architecture"))
-    keys = list(zip(*parts, strict=True))
-    assert len(keys) == len(set(keys)) == 24
-    assert column(evidence, "feature-evidence", "grade") == [rows[key]["grade"] for key in keys]
-    assert column(evidence, "feature-evidence", "evidence") == [rows[key]["evidence"] for key in keys]
-    for architecture in ("fsar", "cfc", "dhma"):
-        ours = column(tables["architectural-comparison"], "architectural-comparison", f"{architecture}_ours")
-        assert ours == [rows[feature, architecture]["grade"] for feature in specs.labels("feature")]
-
-
-def test_marks_are_the_papers_signs_and_a_mark_that_is_not_shown_is_a_dash(findings: Findings) -> None:
-    table = printed(findings)["tables"]["architectural-comparison"]
-    assert "".join(column(table, "architectural-comparison", "fsar_paper", "printed")) == "●——●●●●●"
-    trust = list(specs.labels("feature")).index("trust_scoped_delegation")
-    assert column(table, "architectural-comparison", "fsar_ours", "printed")[trust] == "–"
-    assert {"RoboOS*", "JADE*", "ALLIANCE*"} <= set(table["heads"])
-
-
-def test_every_feature_mechanism_and_difference_of_the_paper_has_its_words() -> None:
-    assert list(specs.labels("feature")) == [row["feature"] for row in specs.paper_table("architecture_features")]
-    assert list(specs.labels("mechanism")) == [row["mechanism"] for row in specs.paper_table("mechanism_coverage")]
-    assert set(specs.labels("workflow")) == set(grades.WORKFLOWS)
-    for name in specs.labels("difference"):
-        workflow, mechanism, cell = name.split("/")
-        assert workflow in grades.WORKFLOWS
-        assert mechanism in specs.labels("mechanism")
-        assert cell
-
-
-def test_every_cell_of_the_coverage_stands_beside_the_papers_and_agrees_or_has_its_reason(findings: Findings) -> None:
-    assert findings.workflows is not None
-    for row in findings.workflows.coverage:
-        differing = [name for name in grades.WORKFLOWS if row[f"{name}_paper"] != row[f"{name}_ours"]]
-        assert row["verdict"] == (
-            f"differs: {', '.join(specs.labels('workflow')[name] for name in differing)}" if differing else "agrees"
-        )
-    cells = {row["mechanism"]: row["workflow-layered-recovery_ours"] for row in findings.workflows.coverage}
-    assert {name: cell for name, cell in cells.items() if cell is not None} == {
-        row["mechanism"]: row["workflow_2_layered_recovery"]
-        for row in specs.paper_table("mechanism_coverage")
-        if row["workflow_2_layered_recovery"]
-    }
-
-
-@pytest.mark.slow
-def test_both_figures_are_drawn_from_the_ledger_of_workflows(findings: Findings, alone: Findings) -> None:
-    drawn = document.drawings(findings)
-    assert set(drawn) == {f"{name}.svg" for name in printed(findings)["figures"]}
-    assert b"query: door.open.secure" in drawn["workflow-door-relay.svg"]
-    assert b"budget exhausted" in drawn["workflow-layered-recovery.svg"]
-    assert set(document.drawings(alone)) == {"overview.svg", "evaluation-results.svg", "effects.svg"}
-
-
-def test_the_tables_name_their_queries_and_the_appendix_the_heads_that_were_asked(findings: Findings) -> None:
-    assert findings.workflows is not None
-    data = printed(findings)
-    assert data["tables"]["mechanism-coverage"]["source"] == "queries/tables/mechanism_coverage.sql"
-    assert data["figures"]["workflow-door-relay"]["source"] == "queries/audit/request_timeline.sql"
-    assert [(one["name"], one["root"]) for one in data["heads"]] == [("Workflows", findings.workflows.root)]
-    assert data["head"]["root"] == findings.root != findings.workflows.root
-    assert {"tables/mechanism_coverage", "audit/request_timeline", "facts/messages"} <= {
-        source.name for source in findings.sources
-    }
-
-
-def test_without_workflows_the_report_says_so_and_a_ledger_without_them_is_refused(
-    alone: Findings, ledger: Path, make_ledger: Make
+def test_a_ledger_with_one_workflow_shows_what_it_has_and_one_with_none_is_refused(
+    ledger: Path, make_ledger: Make, tmp_path: Path
 ) -> None:
-    said = printed(alone)
-    assert said["workflows"] is None
-    assert "mechanism-coverage" not in said["tables"]
-    with pytest.raises(UsageError, match="found no run of workflow-door-relay"):
-        gather(ledger, make_ledger(runs=1, architectures=("cfc",)))
-
-
-@pytest.mark.slow
-def test_a_ledger_with_one_workflow_shows_what_it_has(ledger: Path, tmp_path: Path) -> None:
     run_experiment(tmp_path / "one", workflow_experiment(7, 1, ("workflow-layered-recovery",)), 1)
-    found = gather(ledger, tmp_path / "one")
-    assert found.workflows is not None
-    assert (found.workflows.timeline, bool(found.workflows.recovery)) == ((), True)
-    assert {row["verdict"] for row in found.workflows.coverage} == {"agrees"}
-    assert set(printed(found)["figures"]) == {"overview", "evaluation-results", "effects", "workflow-layered-recovery"}
+    found = Document(gather(ledger, beside={tmp_path / "one": None}))
+    assert "workflow-layered-recovery" in names(found, "figure")
+    assert "workflow-door-relay" not in names(found, "figure")
+    assert set(column(found, "mechanism-coverage", "verdict")) == {"agrees"}
+    without = make_ledger(runs=1, architectures=("cfc",))
+    with pytest.raises(UsageError, match="found no run of workflow-door-relay"):
+        gather(ledger, beside={without: None}, workflows=without)
+    with pytest.raises(UsageError, match=r"--with .* found no run of a workflow"):
+        gather(ledger, beside={without: None})
 
 
-def claim(name: str, architecture: str, numerator: int, denominator: int, runs: int = 20) -> dict[str, Any]:
-    return {
-        "claim": name,
-        "architecture": architecture,
-        "numerator": numerator,
-        "denominator": denominator,
-        "runs": runs,
-    }
-
-
-def test_every_number_of_the_paper_has_one_cell_with_claims_that_the_queries_know() -> None:
+def test_every_number_of_a_case_has_one_cell_with_claims_that_the_queries_know() -> None:
     printed = [(int(row["case"]), row["architecture"].lower()) for row in specs.paper_table("cases")]
-    assert [(cell.case, cell.architecture) for cell in specs.cases()] == printed
+    cells = specs.rows("cases")
+    assert [(cell["case"], cell["architecture"]) for cell in cells] == printed
     taken = {row[0]: row[1:] for row in answer("cases/case_definitions", columns=("claim", "case_number", "is_taken"))}
-    for cell in specs.cases():
-        assert taken[cell.claim] == (cell.case, True)
-        assert cell.of is None or taken[cell.of] == (cell.case, True)
-        assert cell.other is None or taken[cell.other] == (cell.case, False)
+    for cell in cells:
+        assert taken[cell["claim"]] == (cell["case"], True)
+        assert cell.get("of") is None or taken[cell["of"]] == (cell["case"], True)
+        assert cell.get("other") is None or taken[cell["other"]] == (cell["case"], False)
 
 
-def test_ours_stands_beside_the_papers_in_both_readings_with_what_was_counted() -> None:
-    rows = result_rows.beside(
-        [
-            claim("contained locally", "fsar", 8, 11),
-            claim("contained locally (degradation)", "fsar", 2, 3),
-            claim("unattributed events", "cfc", 180, 60),
-            claim("events", "cfc", 420, 60),
-        ]
-    )
-    found = {(row["case"], row["architecture"]): row for row in rows}
-    contained, handed = found[2, "fsar"], found[4, "cfc"]
-    assert (contained["paper"], contained["value"]) == ("0.67", 8 / 11)
-    assert (contained["counted"], contained["other"]) == ("8 in 11 runs with a failure", "0.67 (2 in 3)")
-    assert (handed["paper"], handed["value"], handed["counted"]) == ("3", 3.0, "180 of 420 in 60 handoffs")
-    assert handed["other"] is None
-    assert [row["class"] for row in rows].count("by construction") == 6
-
-
-def test_seeds_that_are_asked_for_together_are_added_and_what_has_no_case_or_no_run_has_no_number() -> None:
-    rows = result_rows.beside(
-        [claim("recovery loop", "dhma", 1, 4), claim("recovery loop", "dhma", 2, 8), claim("conflicts", "fsar", 0, 0)]
-    )
-    found = {(row["case"], row["architecture"]): row for row in rows}
-    assert found[2, "dhma"]["value"] == 0.25
-    assert [
-        found[case, name][column]
-        for case, name in ((3, "fsar"), (1, "fsar"))
-        for column in ("value", "counted", "other")
-    ] == [None] * 6
-    nothing = claim("conflicts", "fsar", 0, 0, runs=0) | {"numerator": None, "denominator": None}
-    assert result_rows.beside([nothing]) == ()
-
-
-@pytest.mark.slow
-def test_the_report_has_the_cases_of_the_runs_that_it_is_of_and_no_table_of_none(
-    ledger: Path, make_ledger: Callable[..., Path]
+def test_heads_and_query_hashes_are_those_of_the_ledger_and_the_files(
+    ledger: Path, findings: Findings, document: Document
 ) -> None:
-    table = data(gather(ledger), None)["tables"]["cases"]
-    cells = {(row[0].value, row[1].value): row for row in table.rows}
-    assert cells[2, "fsar"][4].value is not None
-    assert cells[4, "cfc"][4].printed == "–"
-    assert "cases" not in data(gather(make_ledger(scenarios=("door-relay",))), None)["tables"]
-    assert "cases" not in data(gather(make_ledger(fleet_size=8)), None)["tables"]
+    with connect(ledger) as database:
+        assert database.head is not None
+        assert findings.heads["results"].root == database.head.root
+        hashes = {name: query.sha256 for name, query in database.library.queries.items()}
+    held = {one.name: one.sha256 for one in findings.sources}
+    assert {"metrics/metric_summary", "statistics/pairwise_tests", "facts/decisions"} <= held.keys()
+    assert held == {name: hashes[name] for name in held}
+    assert database.head.root in said(document)
+    assert part(document, "evaluation-results")["source"] == "queries/metrics/metric_summary.sql"

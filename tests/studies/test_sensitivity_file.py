@@ -12,11 +12,13 @@ from fsar_ledger.cli.app import run
 from fsar_ledger.designs.constants import Constants, write_constants
 from fsar_ledger.metrics.effects import Sensitivity, dozen, reach
 from fsar_ledger.metrics.study_results import METRICS, encoded, read, rules
+from fsar_ledger.report.document import Document
 from fsar_ledger.report.printing import flat
-from fsar_ledger.report.sensitivity import heat_map, section
+from fsar_ledger.report.sensitivity import heat_map
 from fsar_ledger.runtime.simulation import ARCHITECTURES, MODEL_VERSION
 from fsar_ledger.studies.evaluations import CELLS, evaluate
 from fsar_ledger.studies.factors import factors, setting
+from tests.report.made import column, made, names, said
 from tests.studies.conftest import NAMES, study
 
 
@@ -58,34 +60,34 @@ def test_a_factor_without_a_number_for_each_cell_is_refused(found: Sensitivity) 
         msgspec.structs.replace(found, factors=(short,), dozen=())
 
 
+def report(model: str | None, parameters: dict[str, str], given: Sensitivity) -> Document:
+    """A report of runs of this model and these constants, with these effects."""
+    return Document(msgspec.structs.replace(made(), model_version=model, parameters=parameters), effects=given)
+
+
 def test_a_report_has_the_effects_of_its_runs_or_says_how_to_make_them(found: Sensitivity) -> None:
-    there = section(found, MODEL_VERSION, OWN)
-    assert there.figure == heat_map(found)
-    assert there.table is not None
-    assert [row[0].printed for row in there.table.rows] == list(found.dozen)
-    assert there.sentence.endswith("1 of them move nothing.")
+    there = report(MODEL_VERSION, OWN, found)
+    assert column(there, "sensitivity", "factor") == list(found.dozen)
+    assert "1 of them move nothing" in said(there)
     absent = constants(setting(factors(), {"world.absence_s": 0.0}).constants)
-    another_model = (
-        r"found effects of model .*, expected those of model {}; make them again: fsar-ledger study run sensitivity"
-    )
-    for given, model, parameters, why in (
-        (None, MODEL_VERSION, OWN, "was not looked at"),
-        (found, "0", OWN, another_model.format(0)),
-        (found, None, OWN, another_model.format("unknown")),
-        (found, MODEL_VERSION, absent, r"around other constants \(world.absence_s\)"),
-        (found, MODEL_VERSION, {}, "around other constants"),
+    another_model = r"found effects of model .*, expected those of model {}; make them again"
+    for model, parameters, why in (
+        ("0", OWN, another_model.format(0)),
+        (None, OWN, another_model.format("unknown")),
+        (MODEL_VERSION, absent, r"around other constants \(world.absence_s\)"),
+        (MODEL_VERSION, {}, "around other constants"),
     ):
-        missing = section(given, model, parameters)
-        assert (missing.figure, missing.table) == (None, None)
-        assert re.search(why, missing.sentence)
-        assert "fsar-ledger study run sensitivity --out FILE" in missing.sentence
+        missing = report(model, parameters, found)
+        assert "sensitivity" not in names(missing, "table")
+        assert re.search(why, said(missing, "note"))
+        assert "fsar-ledger study run sensitivity --out FILE" in said(missing, "note")
 
 
 def test_effects_name_the_queries_that_judged_them_and_the_report_those_that_changed(found: Sensitivity) -> None:
     assert found.rules == rules(METRICS)
-    for given, said in (({"facts/conflicts": "0"}, True), (found.rules, False)):
-        sentence = section(msgspec.structs.replace(found, rules=given), MODEL_VERSION, OWN).sentence
-        assert sentence.endswith(" They were judged before facts/conflicts changed.") == said
+    for given, is_said in (({"facts/conflicts": "0"}, True), (found.rules, False)):
+        told = said(report(MODEL_VERSION, OWN, msgspec.structs.replace(found, rules=given)))
+        assert ("They were judged before facts/conflicts changed." in told) == is_said
 
 
 def test_the_table_names_the_cell_that_each_of_the_dozen_moves_furthest(found: Sensitivity) -> None:

@@ -1,0 +1,287 @@
+"""Read the results from one head of a ledger. Beside `experiments`, no module of the report asks queries about runs.
+
+All numbers come from packaged queries (`queries/`). What they answer becomes a relation of `Findings`, by name, which
+the sections of `reports/sections/` select from.
+"""
+
+from collections import Counter
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+
+from fsar_ledger.base.progress import Progress, Showing, unseen
+from fsar_ledger.events.configuration import FULL
+from fsar_ledger.metrics.comparability import differing_worlds
+from fsar_ledger.metrics.database import Database, connect
+from fsar_ledger.metrics.definitions import published_metrics
+from fsar_ledger.metrics.library import READINGS, generated, library
+from fsar_ledger.metrics.multiverse import Cell, Multiverse, Ranking, Reading, cells, rankings, readings, universes
+from fsar_ledger.metrics.results import (
+    CONDITIONS,
+    MetricRow,
+    StatisticRow,
+    metric_rows,
+    models,
+    setting_of,
+    statistic_rows,
+)
+from fsar_ledger.report import judge
+from fsar_ledger.report.experiments import Part, Relations, experiments_of, ledger_head, read_ledger
+from fsar_ledger.report.findings import Findings, Source, arrow
+from fsar_ledger.report.judge import ARCHITECTURES, FOUR_ROBOTS, RunCounts
+from fsar_ledger.report.printing import flat
+
+QUERIES = {
+    "results": (
+        *("metrics/metric_summary", "metrics/background", "statistics/pairwise_tests", "statistics/pooled_tests"),
+        *("statistics/differing_worlds", "statistics/drawn_experiments", "staging/runs", "audit/experiments"),
+        *("audit/unplanned_runs", "tables/architecture_features", "cases/case_claims"),
+    ),
+    "ablation": ("metrics/metrics_by_dial", "statistics/drawn_experiments", "statistics/drawn_scenarios"),
+    "scaling": ("metrics/metrics_by_dial", "metrics/coordination_cost", "statistics/drawn_experiments"),
+    "mechanisms": ("statistics/mechanism_differences",),
+    "workflows": ("tables/mechanism_coverage", "audit/requests", "audit/request_timeline", "audit/failure_timeline"),
+}
+"""The queries that each part of the report reads directly; these read others."""
+
+OF_MAIN = """
+    runs.configuration = $configuration AND runs.fleet_size = $fleet_size AND ($seed IS NULL OR runs.seed = $seed)
+    AND runs.kind = $kind AND runs.source IS NOT DISTINCT FROM $source
+    AND runs.model_version IS NOT DISTINCT FROM $model_version AND runs.constants IS NOT DISTINCT FROM $constants
+"""
+CHOSEN_SQL = f"""
+    SELECT run_id
+    FROM (
+        SELECT runs.* EXCLUDE (kind), settings.kind, settings.constants
+        FROM runs
+        INNER JOIN run_settings AS settings ON runs.run_id = settings.run_id
+    ) AS runs
+    WHERE {OF_MAIN}
+"""
+HELD_SQL = {
+    "architecture": f"""
+        SELECT runs.architecture AS of, runs.scenario, count(*) AS runs
+        FROM runs INNER JOIN ({CHOSEN_SQL}) AS chosen ON runs.run_id = chosen.run_id
+        WHERE list_contains(['fsar', 'cfc', 'dhma'], runs.architecture)
+        GROUP BY ALL ORDER BY ALL
+    """,
+    "comparison": f"""
+        SELECT run_pairs.comparison AS of, run_pairs.scenario, count(*) AS runs
+        FROM run_pairs INNER JOIN ({CHOSEN_SQL}) AS chosen ON run_pairs.first_run_id = chosen.run_id
+        WHERE
+            run_pairs.differs IS NULL
+            AND list_contains(['fsar-cfc', 'fsar-dhma', 'cfc-dhma'], run_pairs.comparison)
+        GROUP BY ALL ORDER BY ALL
+    """,
+}
+MAIN_SQL = {
+    "background": f"SELECT * FROM background AS runs WHERE {OF_MAIN} ORDER BY ALL",
+    "features": f"SELECT feature, architecture, grade FROM architecture_features AS runs WHERE {OF_MAIN} ORDER BY ALL",
+    "claims_of_cases": f"SELECT * FROM case_claims AS runs WHERE {OF_MAIN} ORDER BY ALL",
+}
+RUNS_SQL = """
+    SELECT
+        configuration, fleet_size, architecture, count(DISTINCT scenario) AS scenarios, count(*) AS runs,
+        min(seed) AS first_seed, max(seed) AS last_seed, count(DISTINCT seed) AS seeds, min(run) AS first_run,
+        max(run) AS last_run
+    FROM runs
+    GROUP BY configuration, fleet_size, architecture
+    ORDER BY configuration <> 'full', configuration, fleet_size, list_position(['fsar', 'cfc', 'dhma'], architecture)
+"""
+
+
+def gather(
+    ledger: Path,
+    demanded: str | None = None,
+    beside: Mapping[Path, str | None] | None = None,
+    *,
+    workflows: Path | None = None,
+    pools_seeds: bool = False,
+    reads_every_way: bool = False,
+    showing: Showing = unseen,
+) -> Findings:
+    """Return the findings of the ledger's present head and of the ledgers beside it.
+
+    Args:
+        ledger: The folder of the ledger.
+        demanded: The newest record that its head must have; None: any.
+        beside: Other ledgers, each with the same; where two have runs for the same part, the first one's are shown.
+        workflows: The one of them that must hold workflows, if any.
+        pools_seeds: Whether the runs of all seeds are taken together.
+        reads_every_way: Whether to add the multiverse of readings, which costs as much as all other results.
+        showing: Called with a verb and a unit for long steps.
+
+    Raises:
+        UsageError: A ledger beside it holds nothing that the report shows.
+        NotALedger, FormatVersionMismatch, LedgerCorrupted, SequenceConflict: As `connect`.
+    """
+    parts: dict[str, Part] = {}
+    for other, record in (beside or {}).items():  # first: a mistaken path fails at once
+        parts = read_ledger(other, record, is_workflows=other == workflows, pools_seeds=pools_seeds) | parts
+    with connect(ledger, demanded=demanded) as database:
+        rows = [row for one in (False, True) for row in metric_rows(database, one, pools_seeds=pools_seeds)]
+        main = _main(rows)
+        found = _results(database, rows, main, ledger, demanded, pools_seeds=pools_seeds)
+        parts = {"results": found[0]} | experiments_of(database, pools_seeds=pools_seeds) | parts
+        parts = {name: parts[name] for name in QUERIES if name in parts}
+        sets, parameters, digest = _models(database, main)
+        read = None
+        if reads_every_way and main is not None and not found[1]:
+            with showing("read", "combinations of readings") as progress:
+                read = multiverse_of(database, main, pools_seeds=pools_seeds, progress=progress)
+        relations = {name: table for part in parts.values() for name, table in part.relations.items()}
+        relations.setdefault("differences", database.table("SELECT * FROM mechanism_differences LIMIT 0"))
+        relations |= {"runs": database.table(RUNS_SQL), **relations_of(read)}
+        relations |= {"models": pa.Table.from_pylist(sets)} if sets else {}
+        asked = [query for name in parts for query in QUERIES[name]]
+        asked += [name for name in library().queries if name.startswith(READINGS)] if reads_every_way else []
+        return Findings(
+            heads={name: part.head for name, part in parts.items()},
+            numbers=tuple(number for part in parts.values() for number in part.numbers),
+            relations=relations,
+            sources=_sources(database, asked),
+            parameters=parameters,
+            parameters_sha256=digest,
+            model_version=main[CONDITIONS.index("model_version")] if main else None,
+            model_versions=tuple(sorted({one["model_version"] for one in sets} - {None})),
+            table_share=found[2],
+            unjudged=found[1],
+            shown=_shown(main, rows),
+            differing=tuple(map(str, differing_worlds(database))),
+            multiverse=read,
+        )
+
+
+Main = tuple[Any, ...]
+"""The `CONDITIONS` that the runs of the tables share; seed None: all seeds."""
+
+
+def _main(rows: Sequence[MetricRow]) -> Main | None:
+    """Return the setting of the tables: four robots in full. Among several the one with most runs, then the first."""
+    counts: Counter[Main] = Counter()
+    for row in rows:
+        if row.scenario is None and (row.configuration, row.fleet_size) == (FULL, FOUR_ROBOTS):
+            counts[setting_of(row)] += row.n
+    return max(counts, key=counts.__getitem__, default=None)
+
+
+def _results(
+    database: Database,
+    rows: Sequence[MetricRow],
+    main: Main | None,
+    ledger: Path,
+    demanded: str | None,
+    *,
+    pools_seeds: bool,
+) -> tuple[Part, str | None, float | None]:
+    """Return the results, why some are not judged, and the share of drawn experiments as far out as the whole table."""
+    mine = [row for row in rows if setting_of(row) == main]
+    held = {} if main is None else {of: _held(database, main, of) for of in HELD_SQL}
+    pair = held.get("architecture", {}), held.get("comparison", {})
+    not_judged = judge.unjudged(*pair)
+    drawn = judge.drawn_odds(database, "results", mine)
+    numbers = judge.beside("results", mine, drawn, not_judged=not_judged)
+    tests = [row for row in statistic_rows(database, pools_seeds=pools_seeds) if setting_of(row) == main]
+    relations = {
+        "measured": arrow(mine, MetricRow),
+        "other_runs": arrow([row for row in rows if row.scenario is None and setting_of(row) != main], MetricRow),
+        "paired": arrow(tests, StatisticRow),
+        "not_judged": pa.table({"name": pa.array(sorted(not_judged), pa.string())}),
+    }
+    given = dict(zip(CONDITIONS, main or (None,) * len(CONDITIONS), strict=True))
+    with _of_one_seed(ledger, demanded, database, main) as narrowed:
+        relations |= {name: narrowed.table(sql, given) for name, sql in MAIN_SQL.items()}
+    share = None if drawn is None or not_judged else drawn.table
+    head = ledger_head(database, main[CONDITIONS.index("model_version")] if main else None)
+    return Part(head, tuple(numbers), relations), judge.why_unjudged(*pair), share
+
+
+def _held(database: Database, main: Main, of: str) -> dict[str, RunCounts]:
+    """Count the main runs by architecture and scenario, or their pairs by comparison and scenario."""
+    found: dict[str, dict[str | None, int]] = {}
+    for row in database.rows(HELD_SQL[of], dict(zip(CONDITIONS, main, strict=True))):
+        found.setdefault(row["of"], {})[row["scenario"]] = row["runs"]
+    return dict(found)
+
+
+@contextmanager
+def _of_one_seed(ledger: Path, demanded: str | None, database: Database, main: Main | None) -> Iterator[Database]:
+    """Yield a database in which the main runs have one seed: this one, or another if all seeds are pooled."""
+    if main is None or main[CONDITIONS.index("seed")] is not None:
+        yield database
+        return
+    chosen = database.table(CHOSEN_SQL, dict(zip(CONDITIONS, main, strict=True)))
+    with connect(ledger, demanded=demanded) as narrowed:
+        narrowed.hold("chosen_runs", chosen)
+        narrowed.prepare("SELECT * FROM run_started")
+        runs = narrowed.library.find("staging/runs").sql
+        narrowed.define(
+            "runs",
+            f"SELECT * REPLACE (NULL::BIGINT AS seed) FROM ({runs}) WHERE run_id IN (SELECT run_id FROM chosen_runs)",
+        )
+        yield narrowed
+
+
+def _shown(main: Main | None, rows: Sequence[MetricRow]) -> str | None:
+    """Say which runs the tables are of, if the ledger holds others of the same configuration and fleet size."""
+    if main is None or {setting_of(row) for row in rows if setting_of(row)[:2] == main[:2]} == {main}:
+        return None
+    of = dict(zip(CONDITIONS, main, strict=True))
+    seed = "all seeds" if of["seed"] is None else f"seed {of['seed']}"
+    named = (seed, f"{of['kind']} runs", of["source"], f"model {of['model_version']}", of["constants"])
+    return (
+        f"The tables are of {', '.join(filter(None, named))}; runs made otherwise are never taken together with these."
+    )
+
+
+def _models(database: Database, main: Main | None) -> tuple[list[dict[str, Any]], dict[str, str], str | None]:
+    """Return the sets of constants in the ledger, that of the main runs by dotted name, and its SHA-256.
+
+    Without main runs, the constants are those of the first run that records some.
+    """
+    found = models(database)
+    ours = [one for one in found if main is not None and (one.source, one.model_version, one.constants) == main[4:]]
+    rows = [
+        {name: getattr(one, name) for name in ("model_version", "kind", "runs", "constants", "sha256")} for one in found
+    ]
+    said = next((one for one in ours or found if one.parameters), None)
+    return rows, dict(flat("", said.parameters if said else {})), said.sha256 if said else None
+
+
+def _sources(database: Database, names: Collection[str]) -> tuple[Source, ...]:
+    """Return the packaged queries of these names with everything that they read; views of event types are left out."""
+    made = {one.name for one in generated()}
+    needed = database.library.needs(database.library.find(name).relation for name in names)
+    return tuple(
+        Source(one.name, one.sha256) for one in sorted(needed, key=lambda one: one.name) if one.name not in made
+    )
+
+
+def multiverse_of(
+    database: Database, main: Main, *, pools_seeds: bool = False, progress: Progress | None = None
+) -> Multiverse | None:
+    """Return the multiverse of all published metrics for the three architectures, over the main runs.
+
+    None if there are none. Raises: as `Database.rows`.
+    """
+    better = {spec.name: spec.better for spec in published_metrics()}
+    found = [
+        one
+        for one in universes(database, list(better), pools_seeds=pools_seeds, progress=progress)
+        if one.architecture in ARCHITECTURES and setting_of(one) == main
+    ]
+    return Multiverse(readings(), tuple(cells(found)), tuple(rankings(found, better)), tuple(found)) if found else None
+
+
+def relations_of(found: Multiverse | None) -> Relations:
+    """Return the cells, the rankings and the readings as relations; none without a multiverse."""
+    if found is None:
+        return {}
+    return {
+        "reading_cells": arrow(found.cells, Cell),
+        "reading_rankings": arrow(found.rankings, Ranking),
+        "readings": arrow(found.readings, Reading),
+    }

@@ -1,0 +1,166 @@
+"""Draw every cell under every combination of readings: the specification curves of `study run multiverse --svg`."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from fsar_ledger.metrics.definitions import Metric, published_metrics
+from fsar_ledger.metrics.multiverse import Cell, Multiverse, Reading, ReadingNames, Universe
+from fsar_ledger.metrics.results import CONDITIONS
+from fsar_ledger.report import figures
+
+COLUMNS = 2
+CURVE, MARK, GAP = 10.0, 1.0, 2.5
+"""Heights in parts of a panel: of a curve, of one line of marks, and of the space below."""
+PLACE = {"left": 0.213, "right": 0.99, "bottom": 0.025, "top": 0.98, "wspace": 0.79, "hspace": 0.04}
+"""Where the panels stand. A computed layout would differ in its last digits from process to process."""
+SMALL = 6.5  # points
+OURS: dict[str, Any] = {"color": "#999999", "linewidth": 0.8, "linestyle": (0, (3, 2)), "zorder": 1}
+PAPER: dict[str, Any] = figures.DIAMOND | {"markersize": 3.5, "markeredgewidth": 0.8, "zorder": 4}
+
+Column = tuple[ReadingNames, dict[str, float]]
+"""A combination of readings, and the mean of each architecture under it."""
+
+
+def curves(found: Multiverse, kind: str = "svg") -> bytes:
+    """Draw for each metric the means of the architectures under each combination of readings.
+
+    Marks below each combination show its readings. The runs are those of the first setting, which is that of the
+    paper's table where the ledger has it. Combinations are ordered by FSAR's lead.
+    """
+    chosen = [spec for spec in published_metrics() if any(one.metric == spec.name for one in found.universes)]
+    pairs = [chosen[at : at + COLUMNS] for at in range(0, len(chosen), COLUMNS)] or [[]]
+    moving = {spec.name: [one for one in found.readings if spec.name in one.moves] for spec in chosen}
+    ratios = [
+        ratio
+        for pair in pairs
+        for ratio in (CURVE, MARK * max((len(moving[spec.name]) for spec in pair), default=1), GAP)
+    ]
+    with figures.canvas(7.2, 9.6, len(ratios), COLUMNS, height_ratios=ratios) as (
+        figure,
+        axes,
+    ):
+        figure.set_layout_engine(None)
+        figure.subplots_adjust(**PLACE)
+        for panel in axes.flat:
+            panel.set_visible(False)
+        for row, pair in enumerate(pairs):
+            for column, spec in enumerate(pair):
+                columns = ordered(found.universes, spec)
+                _curve(axes[3 * row, column], spec, columns, printed(found.cells, spec))
+                _marks(
+                    axes[3 * row + 1, column], moving[spec.name], columns, max(len(moving[one.name]) for one in pair)
+                )
+        figure.legend(*_legend(), loc="lower center", ncols=len(figures.COLOURS) + 2, frameon=False)
+        return figures.rendered(figure, kind)
+
+
+def ordered(universes: Sequence[Universe], spec: Metric) -> list[Column]:
+    """Return the combinations of the metric's first setting with the means under each, by FSAR's lead.
+
+    The smallest lead comes first; ties are ordered by their readings.
+    """
+    mine = [one for one in universes if one.metric == spec.name]
+    place = [getattr(mine[0], name) for name in CONDITIONS] if mine else []
+    means: dict[ReadingNames, dict[str, float]] = {}
+    for one in mine:
+        if [getattr(one, name) for name in CONDITIONS] == place:
+            found = means.setdefault(one.readings, {})
+            if one.mean is not None and one.architecture in figures.COLOURS:
+                found[one.architecture] = one.mean * spec.factor
+    return sorted(means.items(), key=lambda each: (lead(each[1], spec.better), len(each[0]), each[0]))
+
+
+def lead(means: dict[str, float], better: str) -> float:
+    """Return by how much FSAR is better than the better of the others; 0 where there is nothing to compare."""
+    others = [mean for architecture, mean in means.items() if architecture != "fsar"]
+    if "fsar" not in means or not others:
+        return 0.0
+    return means["fsar"] - max(others) if better == "higher" else min(others) - means["fsar"]
+
+
+def printed(cells: Sequence[Cell], spec: Metric) -> dict[str, float]:
+    """Return what the paper prints for each architecture; empty if it prints nothing for the first setting."""
+    mine = [one for one in cells if one.metric == spec.name]
+    place = [getattr(mine[0], name) for name in CONDITIONS] if mine else []
+    return {
+        one.architecture: one.paper * spec.factor
+        for one in mine
+        if one.architecture is not None
+        and one.paper is not None
+        and [getattr(one, name) for name in CONDITIONS] == place
+    }
+
+
+def _curve(panel: Any, spec: Metric, columns: Sequence[Column], paper: Mapping[str, float]) -> None:
+    """Draw the means of each architecture, and the paper's on the line of our reading.
+
+    Combinations under which FSAR is the best have a shaded ground.
+    """
+    panel.set_visible(True)
+    for (architecture, colour), marker in zip(figures.COLOURS.items(), figures.MARKERS.values(), strict=True):
+        points = [(at, means[architecture]) for at, (_, means) in enumerate(columns) if architecture in means]
+        panel.plot(
+            *zip(*points, strict=True) if points else ([], []),
+            marker=marker,
+            markersize=2.4,
+            linewidth=0.4,
+            color=colour,
+            zorder=3,
+        )
+    best = [at for at, (_, means) in enumerate(columns) if lead(means, spec.better) > 0]
+    if best:
+        panel.axvspan(best[0] - 0.5, best[-1] + 0.5, color=figures.COLOURS["fsar"], alpha=0.08, linewidth=0, zorder=0)
+    at = _frame(panel, columns)
+    for architecture, mean in paper.items():
+        panel.plot(at, mean, **PAPER | {"markeredgecolor": figures.COLOURS[architecture]})
+    highest = max([*paper.values(), *(mean for _, means in columns for mean in means.values())], default=1.0)
+    panel.set_ylim(0, figures.HEADROOM * highest or 1.0)
+    panel.tick_params(axis="y", labelsize=6)
+    panel.set_title(f"{spec.title}: FSAR best under {len(best)} of {len(columns)}", fontsize=7.5, loc="right")
+
+
+def _marks(panel: Any, readings: Sequence[Reading], columns: Sequence[Column], lines: int) -> None:
+    """Draw one of `lines` lines for each reading, with a mark below each combination that contains it."""
+    panel.set_visible(True)
+    for height, reading in enumerate(readings):
+        places = [at for at, (names, _) in enumerate(columns) if reading.name in names]
+        panel.plot(
+            places,
+            [height] * len(places),
+            marker="|",
+            markersize=4,
+            markeredgewidth=1.1,
+            linestyle="none",
+            color="#444444",
+        )
+    _frame(panel, columns)
+    panel.set_ylim(lines - 0.4, -0.6)
+    panel.set_yticks(
+        range(len(readings)), [f"{one.name.replace('_', ' ')} ({one.reading})" for one in readings], fontsize=SMALL
+    )
+    panel.tick_params(axis="y", length=0)
+    panel.spines["bottom"].set_visible(False)
+    panel.spines["left"].set_visible(False)
+
+
+def _frame(panel: Any, columns: Sequence[Column]) -> int:
+    """Make room for every combination, draw the line of our reading, and return its position."""
+    ours = next((at for at, (names, _) in enumerate(columns) if not names), 0)
+    panel.axvline(ours, **OURS)
+    panel.set_xlim(-0.7, max(len(columns), 1) - 0.3)
+    panel.set_xticks([])
+    return ours
+
+
+def _legend() -> tuple[list[Any], list[str]]:
+    from matplotlib.lines import Line2D
+
+    drawn = zip(figures.COLOURS.values(), figures.MARKERS.values(), strict=True)
+    lines: list[Any] = [
+        Line2D([], [], color=colour, marker=marker, markersize=3.5, linewidth=0.6) for colour, marker in drawn
+    ]
+    return [*lines, Line2D([], [], **OURS), Line2D([], [], **PAPER)], [
+        *(name.upper() for name in figures.COLOURS),
+        "our reading",
+        "printed in the paper",
+    ]

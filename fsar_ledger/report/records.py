@@ -1,0 +1,191 @@
+"""Lay out what the studies left on record, where it is of the model and the constants of the runs that are shown."""
+
+from collections.abc import Mapping
+from importlib.resources.abc import Traversable
+from typing import Any
+
+import msgspec
+import pyarrow as pa
+
+from fsar_ledger.base import printable
+from fsar_ledger.base.parameters import read_parameters
+from fsar_ledger.designs.constants import Constants, write_constants
+from fsar_ledger.metrics.definitions import published_metrics
+from fsar_ledger.metrics.effects import MADE_BY, Sensitivity, dozen, reach
+from fsar_ledger.metrics.robustness import Ensemble, Ranking
+from fsar_ledger.metrics.study_results import Calibration, Comparison, changed, packaged
+from fsar_ledger.report.findings import Findings
+from fsar_ledger.report.printing import flat, words
+
+MAX_NAMED = 5  # differing constants that a message names
+
+
+class RankingHeld(msgspec.Struct, frozen=True):
+    """In how many of the sets of constants that the study `ranking` drew the paper's claim about a metric holds.
+
+    `prior` counts points of the registered ranges, `plausible` those around the fit at which each cell is plausible.
+    """
+
+    metric: str
+    prior_held: int | None = None
+    prior_of: int | None = None
+    plausible_held: int | None = None
+    plausible_of: int | None = None
+
+
+def ranking(findings: Findings, folder: Traversable | None = None) -> tuple[RankingHeld, ...]:
+    """Return for each metric where its ranking holds, by the results in this folder (default: the packaged ones).
+
+    Nothing without a result of `study run ranking` of the model of these runs. A point where means are equal or
+    undefined counts neither way; `plausible` is None without an ensemble of them, or where none of its points is
+    plausible.
+    """
+    prior, around = packaged(Ranking, folder), packaged(Ensemble, folder)
+    if prior is None or prior.model_version != findings.model_version:
+        return ()
+    is_plausible = (
+        around is not None and around.plausible and _is_of_these_runs(around.model_version, around.parameters, findings)
+    )
+    near = {one.metric: one for one in around.ranks} if around is not None and is_plausible else {}
+    return tuple(
+        RankingHeld(
+            one.metric,
+            one.ordered,
+            one.ordered + one.disordered,
+            near[one.metric].ordered if near else None,
+            near[one.metric].ordered + near[one.metric].disordered if near else None,
+        )
+        for one in prior.ranks
+        if one.metric in {spec.name for spec in published_metrics()}
+    )
+
+
+# See docs/decisions/fit-is-registered-first.md.
+def judged(findings: Findings, folder: Traversable | None = None) -> Comparison | None:
+    """Return the result in this folder (default: the packaged one), None if absent, or of another model or constants.
+
+    Raises: FsarLedgerError if the file is not such a result.
+    """
+    if (found := packaged(Comparison, folder)) is None:
+        return None
+    return found if _is_of_these_runs(found.model_version, found.parameters, findings) else None
+
+
+def _is_of_these_runs(model_version: str | None, parameters: str, findings: Findings) -> bool:
+    constants_of = dict(flat("", read_parameters(parameters)))
+    return (model_version, constants_of) == (findings.model_version, findings.parameters)
+
+
+def fit_changed(findings: Findings, record: Calibration | None) -> str | None:
+    """Say that the record of the fit is of another model than these runs, or of other queries than judge them.
+
+    None if it is of theirs, or if either is missing.
+    """
+    versions = [findings.model_version] if findings.model_version else list(findings.model_versions)
+    if record is None or not versions:
+        return None
+    if versions != [record.model_version]:
+        ran = f"of version{'' if len(versions) == 1 else 's'} {printable.some(map(words, versions))}"
+        unknown = "a model whose version is not on record"
+        fitted = unknown if record.model_version is None else f"model version {words(record.model_version)}"
+        return f"The model has changed since the fit: the constants were fitted to {fitted}, and these runs are {ran}."
+    if record.rules is None:
+        return "The record of the fit does not say which queries judged its runs."
+    later = printable.some(map(words, changed(record.rules)))
+    return f"What judges the runs has changed since the fit: {later}." if later else None
+
+
+def fit_relations(findings: Findings, record: Calibration | None) -> dict[str, pa.Table]:
+    """Return the record of the fit as two relations: its one row (none without a record), and its constants."""
+    given, record = record, record or Calibration()
+    objective = record.objective
+    row = {
+        "constants": len(record.parameters),
+        "objective": objective and objective.description,
+        "start": objective and objective.start,
+        "accepted": objective and objective.accepted,
+        "seeds": record.seeds or None,
+        "runs_per_scenario": record.runs_per_scenario,
+        "evaluations": record.evaluations,
+        "model_version": record.model_version,
+        "identified": sum(one.identified for one in record.directions),
+        "directions": len(record.directions),
+        "command": record.command,
+        "is_of_these_runs": fit_changed(findings, record) is None,
+    }
+    fitted = [msgspec.structs.asdict(one) for one in record.parameters]
+    held = pa.Table.from_pylist([row]).slice(0, 0 if given is None else 1)
+    return {"fit": held} | ({"fitted": pa.Table.from_pylist(fitted)} if fitted else {})
+
+
+def predictions(found: Comparison | None) -> dict[str, pa.Table]:
+    """Return what became of the registered predictions, and which queries judge otherwise since, as relations."""
+    if found is None or not found.predictions:
+        return {}
+    rows = [
+        {"name": one.name, "implies": one.implies, "checks": f"{one.held} of {one.of}", "holds": one.holds}
+        for one in found.predictions
+    ]
+    later = pa.table({"name": pa.array(changed(found.rules), pa.string())})
+    return {"predictions": pa.Table.from_pylist(rows), "changed_since": later}
+
+
+def effects_of(findings: Findings, given: Sensitivity | None) -> tuple[dict[str, pa.Table], str | None]:
+    """Return the effects of the constants that matter most as relations, and why given ones are not of these runs."""
+    if given is None:
+        return {}, None
+    expected = findings.model_version
+    if given.model_version != expected:
+        found, wanted = (printable.value(one or "unknown") for one in (given.model_version, expected))
+        return {}, _not_these(f"found effects of model {found}, expected those of model {wanted}")
+    theirs = dict(flat("", read_parameters(given.parameters)))
+    differing = [
+        name for name in {**theirs, **findings.parameters} if theirs.get(name) != findings.parameters.get(name)
+    ]
+    if differing:
+        more = f" and {len(differing) - MAX_NAMED} more" if len(differing) > MAX_NAMED else ""
+        named = ", ".join(map(printable.value, differing[:MAX_NAMED])) + more
+        return {}, _not_these(f"found effects around other constants ({named})")
+    study = {
+        "factors": len(given.factors),
+        "trajectories": given.trajectories,
+        "evaluations": given.evaluations,
+        "runs": given.runs,
+        "still": sum(furthest == 0 for furthest in reach(given).values()),
+    }
+    later = pa.table({"name": pa.array(changed(given.rules), pa.string())})
+    found_rows = [{**row, "position": at} for at, row in enumerate(dozen(given))]
+    held = {"effects": pa.Table.from_pylist(found_rows)} if found_rows else {}
+    return held | {"study": pa.Table.from_pylist([study]), "effects_changed": later}, None
+
+
+def _not_these(why: str) -> str:
+    return f"The effects that were given are not of these runs: {why}; make them again: {MADE_BY}."
+
+
+def own_constants(parameters: Mapping[str, str]) -> pa.Table:
+    """Return the constants of the runs whose value is not this version's, with the latter; NULL: it has none."""
+    ours = dict(flat("", msgspec.json.decode(write_constants(Constants()))))
+    rows = [(name, value, ours.get(name)) for name, value in parameters.items() if ours.get(name) != value]
+    names, values, defaults = zip(*rows, strict=True) if rows else ((), (), ())
+    return pa.table(
+        {
+            "name": pa.array(names, pa.string()),
+            "value": pa.array(values, pa.string()),
+            "ours": pa.array(defaults, pa.string()),
+        }
+    )
+
+
+def notes(findings: Findings, record: Calibration | None, effects_said: str | None) -> list[dict[str, Any]]:
+    """Return what a reader must know before the numbers, the most important first."""
+    said = [
+        findings.unjudged,
+        fit_changed(findings, record) and f"{fit_changed(findings, record)} So no number counts as fitted.",
+        findings.shown,
+        effects_said,
+    ]
+    if findings.differing:
+        pairs = "Not every pair of runs met the same world. Such pairs have no part in any paired number"
+        said.insert(0, f"{pairs}: {'; '.join(findings.differing)}.")
+    return [{"text": one} for one in said if one]

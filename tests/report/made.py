@@ -1,0 +1,134 @@
+"""Documents made by hand for the tests of the report, and what they print."""
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import msgspec
+import pyarrow as pa
+
+from fsar_ledger.metrics.paper_numbers import Table, printed
+from fsar_ledger.metrics.results import StatisticRow
+from fsar_ledger.metrics.verdicts import MARGINS
+from fsar_ledger.report.document import Document
+from fsar_ledger.report.findings import Findings, Head, arrow
+from fsar_ledger.report.judge import Number
+
+CLAIMS = pa.Table.from_pylist([{"claim": "", "architecture": "", "numerator": 1, "denominator": 1, "runs": 1}])
+DIFFERENCE: dict[str, Any] = dict.fromkeys(
+    ("full_mean", "without_mean", "mean_difference", "ci_low", "ci_high", "p_holm"), 0.5
+) | {"architecture": "fsar", "configuration": "", "metric": "", "position": 1, "n": 9, "differing_pairs": 9}
+"""A row of what a mechanism adds."""
+HEAD = Head(1, 1, "root", 1, "complete", "2")
+
+
+def number(table: str = "results", **other: Any) -> Number:
+    """A number of a table, of FSAR's locality unless told, that comes out."""
+    found: dict[str, Any] = {"metric": "governance_locality", "architecture": "fsar", "configuration": "full"}
+    found |= {"fleet_size": 4, "scenario": None, "kind": "informed", "because": None, "printed": "0.94", "paper": 0.94}
+    found |= {"ours": 0.94, "n": 5, "interval": (0.93, 0.95), "difference": (-0.01, 0.01), "distance": 0.1}
+    found |= {"reach": (-0.5, 0.5), "gives": "yes", "share": 0.2, "could": "yes", "outcome": "stands"}
+    found |= {"denominator": 9, "without_routine": 0.8, "published_convention": None}
+    found |= {"table": table} | other
+    return Number(margin=MARGINS[found["metric"]], **found)
+
+
+def results(**ours: float | None) -> list[Number]:
+    """The 24 numbers of the results table as the paper prints them, but for those named METRIC__ARCHITECTURE."""
+    numbers = []
+    for place, paper in printed("results").items():
+        mean = ours.get(f"{place.metric}__{place.architecture}", paper.value)
+        distance = None if mean is None else (mean - paper.value) / MARGINS[place.metric]
+        outcome = "undecided" if distance is None else "does not" if abs(distance) > 1 else "stands"
+        found: dict[str, Any] = {"paper": paper.value, "printed": str(paper.value), "ours": mean, "distance": distance}
+        found |= {"metric": place.metric, "architecture": place.architecture, "outcome": outcome, "kind": "fitted"}
+        numbers.append(number(**found, reach=None, difference=None, interval=None))
+    return numbers
+
+
+def of_table(table: Table, **other: Any) -> list[Number]:
+    """Every number of one table of the paper, exactly ours."""
+    return [
+        number(
+            **{**place._asdict(), "paper": paper.value, "ours": paper.value, "printed": str(paper.value)},
+            **{"interval": (paper.value - 0.01, paper.value + 0.01), **other},
+        )
+        for place, paper in printed(table).items()
+    ]
+
+
+def paired(metric: str, comparison: str, difference: float, p: float = 0.001) -> StatisticRow:
+    """A pairwise test with this difference."""
+    blank: dict[str, Any] = dict.fromkeys(StatisticRow.__struct_fields__)
+    named = {"family": "architectures", "kind": "simulated", "metric": metric, "comparison": comparison, "n": 100}
+    ours = {"mean_difference": difference, "t": 9.0 if difference > 0 else -9.0, "p": p, "p_holm": p, "wilcoxon_n": 100}
+    return StatisticRow(**(blank | named | ours))
+
+
+def pairs_of(numbers: Iterable[Number]) -> list[StatisticRow]:
+    """A pairwise test for each pair of these numbers of the results table, significant where they differ."""
+    means = {(one.metric, one.architecture): one.ours for one in numbers if one.ours is not None}
+    pairs = (("fsar", "cfc"), ("fsar", "dhma"), ("cfc", "dhma"))
+    return [
+        paired(metric, f"{first}-{second}", means[metric, first] - means[metric, second])
+        for metric in dict.fromkeys(metric for metric, _ in means)
+        for first, second in pairs
+        if (metric, first) in means and (metric, second) in means
+    ]
+
+
+def made(
+    numbers: Iterable[Number] = (),
+    tests: Iterable[StatisticRow] = (),
+    *,
+    heads: Mapping[str, Head] | None = None,
+    **relations: Any,
+) -> Findings:
+    """Findings with these numbers and tests; relations given as rows become tables."""
+    held = {
+        name: rows if isinstance(rows, pa.Table) else pa.Table.from_pylist(rows) for name, rows in relations.items()
+    }
+    none = pa.table({"name": pa.array([], pa.string())})
+    held = {"claims_of_cases": CLAIMS.slice(0, 0), "differences": pa.Table.from_pylist([DIFFERENCE]).slice(0, 0)} | held
+    return Findings(
+        heads={"results": HEAD, **(heads or {})},
+        numbers=tuple(numbers),
+        relations={"paired": arrow(tests, StatisticRow), "not_judged": none} | held,
+    )
+
+
+def part(document: Document, name: str, shape: str = "table") -> dict[str, Any]:
+    """The table, or the figure, of this name."""
+    parts = [one for section in document.sections for one in section["parts"]]
+    [found] = [one for one in parts if (one["shape"], one.get("name")) == (shape, name)]
+    return dict(found)
+
+
+def names(document: Document, shape: str) -> list[str]:
+    """The names of all tables, or figures, in order."""
+    return [one["name"] for section in document.sections for one in section["parts"] if one["shape"] == shape]
+
+
+def column(document: Document, table: str, key: str, what: str = "value") -> list[Any]:
+    """One column of a table: its values, or what is printed."""
+    found = part(document, table)
+    at = found["keys"].index(key)
+    return [getattr(row[at], what) for row in found["rows"]]
+
+
+def said(document: Document, id: str | None = None) -> str:
+    """The texts of the document, or those of this id, as a reader sees their words."""
+    texts = [
+        one["text"]
+        for section in document.sections
+        for one in section["parts"]
+        if one["shape"] == "text" and id in (None, one["id"])
+    ]
+    return "\n".join(texts).replace("\\", "")
+
+
+def replaced(findings: Findings, **relations: Any) -> Findings:
+    """The same with other relations."""
+    held = {
+        name: rows if isinstance(rows, pa.Table) else pa.Table.from_pylist(rows) for name, rows in relations.items()
+    }
+    return msgspec.structs.replace(findings, relations={**findings.relations, **held})

@@ -1,0 +1,303 @@
+"""The first page: its plain sentences follow from the numbers, and every printed number is counted once."""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+
+from fsar_ledger.metrics.registration import Sample, SampleAround
+from fsar_ledger.metrics.robustness import Ensemble, RankCounts, Ranking
+from fsar_ledger.metrics.study_results import METRICS, Calibration, encoded, rules
+from fsar_ledger.report import specs
+from fsar_ledger.report.document import Document
+from fsar_ledger.report.findings import Findings
+from fsar_ledger.report.judge import OPEN, STANDS, UNDECIDED, outcome_of
+from fsar_ledger.report.records import RankingHeld, ranking
+from tests.report.made import HEAD, column, made, names, number, of_table, paired, pairs_of, part, results, said
+
+FAILS = "does not"
+CLASSES = ("fitted", "informed", "by construction", "cannot follow", "unspecified")
+
+
+def page(
+    *, ranking: tuple[RankingHeld, ...] = (), differences: list[dict[str, Any]] | None = None, **ours: float
+) -> Document:
+    """A report in which the results are as the paper prints them, but for these."""
+    numbers = results(**ours)
+    more: dict[str, Any] = {} if differences is None else {"differences": differences}
+    return Document(made(numbers, pairs_of(numbers), **more), ranking=ranking)
+
+
+def test_a_cell_that_moves_changes_the_words() -> None:
+    as_printed = page()
+    assert "by 8 measures, and in our rebuilding of its simulation every one of these rankings comes out" in said(
+        as_printed, "answer"
+    )
+    assert "In the main table nothing that can be decided fails to come out." in said(as_printed, "answer")
+    assert column(as_printed, "claims", "holds") == [True] * 8
+    moved = page(governance_locality__fsar=0.6)
+    assert "7 of these rankings come out, and that by governance locality does not come out" in said(moved, "answer")
+    assert "Of its main table governance locality of FSAR does not come out" in said(moved, "answer")
+    assert column(moved, "claims", "holds") == [True, False, *[True] * 6]
+    assert column(moved, "claims", "fsar_ours")[1] == 0.6
+
+
+def test_the_farthest_comes_first() -> None:
+    found = said(page(governance_locality__dhma=0.6, audit_attributability__cfc=0.6), "answer")
+    assert "table audit attributability of CFC and governance locality of DHMA do not" in found
+
+
+def test_the_sentences_are_plain() -> None:
+    mechanism = {"architecture": "fsar", "configuration": "without-layered-recovery", "metric": "recovery_containment"}
+    lost = {
+        "full_mean": 0.89,
+        "without_mean": 0.1,
+        "mean_difference": 0.79,
+        "p_holm": 0.001,
+        "ci_low": 0.7,
+        "ci_high": 0.9,
+    }
+    document = page(differences=[{**mechanism, **lost, "position": 3, "n": 9, "differing_pairs": 9}])
+    found = said(document, "answer")
+    assert not [word for word in CLASSES if word in found]
+    assert not re.search(r"\(\d", found)
+    assert 4 <= found.count(".") - found.count("..") <= 6
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "claim"),
+    [
+        (
+            "coordination_success",
+            "human_intervention",
+            ("CFC and FSAR alike, then DHMA", "FSAR and DHMA alike, then CFC"),
+        ),
+        (
+            "reassignment_latency_s",
+            "policy_violations",
+            ("CFC best, then FSAR, then DHMA", "FSAR best, then CFC, then DHMA"),
+        ),
+    ],
+)
+def test_the_papers_ranking_is_that_of_its_own_means_and_tests(first: str, second: str, claim: tuple[str, str]) -> None:
+    document = page()
+    told = dict(zip(column(document, "claims", "metric"), column(document, "claims", "claim"), strict=True))
+    assert (told[first], told[second]) == claim
+
+
+def test_a_ranking_without_tests_is_undecided_and_those_that_are_alike_hold_within_the_margin() -> None:
+    numbers = results()
+    none = Document(made(numbers, ()))
+    assert column(none, "claims", "holds") == [None] * 8
+    assert "0 of these rankings come out" in said(none, "answer")
+    assert "cannot be decided with these runs" in said(none, "answer")
+    apart = page(coordination_success__fsar=0.80)
+    assert column(apart, "claims", "holds")[0] is False, "FSAR and CFC are no longer alike"
+
+
+def test_what_turns_without_a_mechanism_is_named() -> None:
+    mechanism = {"architecture": "fsar", "configuration": "without-layered-recovery", "metric": "recovery_containment"}
+    lost = {
+        "full_mean": 0.89,
+        "without_mean": 0.1,
+        "mean_difference": 0.79,
+        "p_holm": 0.001,
+        "ci_low": 0.7,
+        "ci_high": 0.9,
+    }
+    row = {**mechanism, **lost, "position": 3, "n": 9, "differing_pairs": 9}
+    turned = page(differences=[row])
+    assert column(turned, "claims", "mechanisms") == [None, None, ["layered recovery"], *[None] * 5]
+    assert "1 of them turns when a single mechanism is taken out of one of the three" in said(turned, "answer")
+    for kept in ({"without_mean": 0.85}, {"p_holm": 0.2}):
+        assert "mechanisms" not in part(page(differences=[{**row, **kept}]), "claims")["keys"]
+
+
+def test_the_study_of_rankings_fills_two_columns_and_two_sentences() -> None:
+    assert {"prior", "plausible"}.isdisjoint(part(page(), "claims")["keys"])
+    found = tuple(
+        RankingHeld(name, 990 if name != "policy_violations" else 400, 1000, 99, 100)
+        for name in column(page(), "claims", "metric")
+    )
+    document = page(ranking=found)
+    assert column(document, "claims", "prior") == [f"{one.prior_held} of 1000" for one in found]
+    assert column(document, "claims", "plausible") == ["99 of 100"] * 8
+    assert "By policy violations it hangs on constants" in said(document, "answer")
+    assert "audit attributability the ranking follows from how the three are built" in said(document, "answer")
+
+
+def ranked(ordered: int, disordered: int) -> RankCounts:
+    counts: dict[str, Any] = dict.fromkeys(("best", "clearly_best", "beaten", "tied", "undefined", "close"), 0)
+    shares: tuple[str, ...] = ("best_share", "best_low", "best_high", "ordered_share", "ordered_low", "ordered_high")
+    absent: dict[str, Any] = dict.fromkeys(shares, None)
+    about: dict[str, Any] = {"metric": "policy_violations", "is_best_in_paper": True}
+    return RankCounts(**about, ordered=ordered, disordered=disordered, **counts, **absent)
+
+
+def test_the_results_of_the_studies_are_read_where_they_are_of_the_runs(tmp_path: Path) -> None:
+    findings = msgspec.structs.replace(made(), model_version="1")
+    assert ranking(findings, tmp_path) == ()
+    grounds: dict[str, Any] = {
+        "model_version": findings.model_version,
+        "parameters": msgspec.json.encode(dict(findings.parameters)).decode(),
+        "rules": {},
+        "cpu_minutes": 1.0,
+    }
+    sample = Sample(seed=1, size=10, runs=1)
+    prior = Ranking(**grounds, sample=sample, ranges={}, ranks=[ranked(4, 6)])
+    (tmp_path / Ranking.FILE).write_bytes(encoded(prior))
+    assert ranking(findings, tmp_path) == (RankingHeld("policy_violations", 4, 10),)
+    assert ranking(msgspec.structs.replace(findings, model_version="0"), tmp_path) == ()
+    around = SampleAround(seed=1, size=10, runs=1, spread=0.5)
+    for plausible, found in ((3, (2, 3)), (0, (None, None))):
+        ensemble = Ensemble(
+            **grounds, sample=around, clipped=0.0, plausible=plausible, cells=[], signs=[], ranks=[ranked(2, 1)]
+        )
+        (tmp_path / Ensemble.FILE).write_bytes(encoded(ensemble))
+        assert ranking(findings, tmp_path) == (RankingHeld("policy_violations", 4, 10, *found),)
+
+
+def test_what_must_be_known_before_stands_first(findings: Findings, document: Document) -> None:
+    assert "Not covered, for want of runs: Ablation, Ablation (text), Scaling and Workflows" in said(document, "note")
+    gone = {f"{one.metric}__{name}": None for one in results() for name in ("cfc", "dhma")}
+    nothing = results(**gone)
+    assert "There are no runs of CFC and DHMA in full with four robots" in said(Document(made(nothing)), "note")
+    assert "The ledger holds no run in full with four robots" in said(Document(made()), "note")
+    assert document.sections[0]["title"] == "", "the first page has no heading"
+    assert names(document, "table")[0] == "claims"
+    assert names(document, "figure")[0] == "overview"
+
+
+def test_every_number_is_counted_once_by_table_and_class() -> None:
+    numbers = [
+        *(number(outcome=STANDS, kind="fitted"), number(outcome=FAILS, kind="fitted")),
+        *(number("ablation"), number("ablation", outcome=FAILS, kind="cannot follow")),
+        *(number("ablation", outcome=OPEN, kind="unspecified"), number("scaling", outcome=UNDECIDED)),
+    ]
+    rows = Document(made(numbers)).tally
+    assert [(row["table"], row["class"], row["printed"]) for row in rows] == [
+        *(("Evaluation results", "fitted", 2), ("Ablation", "informed", 1), ("Ablation", "cannot follow", 1)),
+        *(("Ablation", "unspecified", 1), ("Scaling", "informed", 1), ("All", "", 6)),
+    ]
+    assert [rows[-1][name] for name in (STANDS, FAILS, UNDECIDED, OPEN)] == [2, 2, 1, 1]
+    assert "Of the 6 numbers and tests of the paper that are compared here, 2 come out, 2 do not" in said(
+        Document(made(numbers)), "answer"
+    )
+    assert Document(made()).tally == []
+    assert Document(made([number(ours=None)])).numbers == [], "a table without runs is not there"
+
+
+@pytest.mark.parametrize(
+    ("kind", "gives", "outcome"),
+    [
+        *(("fitted", "yes", STANDS), ("informed", "no", FAILS), ("fitted", "undecided", UNDECIDED)),
+        *(("fitted", None, UNDECIDED), ("unspecified", None, OPEN)),
+    ],
+)
+def test_the_outcome_follows_the_registered_answer(kind: str, gives: str | None, outcome: str) -> None:
+    assert outcome_of(kind, gives) == outcome
+
+
+@pytest.mark.parametrize("gives", ["yes", "no", "undecided", None])
+def test_what_the_papers_own_text_excludes_does_not_come_out_whatever_the_runs_say(gives: str | None) -> None:
+    assert outcome_of("cannot follow", gives) == FAILS
+
+
+def test_no_number_counts_as_fitted_where_the_fit_was_of_another_model_or_judged_by_unknown_queries(
+    findings: Findings,
+) -> None:
+    def classes(record: Calibration) -> set[str]:
+        return {row["class"] for row in Document(findings, record).numbers if row["table"] == "results"}
+
+    model, judges = findings.model_version, rules(METRICS)
+    assert classes(Calibration(model_version=model, rules=judges)) == {"fitted", "count", "dial", "by construction"}
+    for record in (Calibration(model_version="another", rules=judges), Calibration(model_version=model)):
+        assert classes(record) == {"informed", "by construction"}
+
+
+def test_a_pairwise_test_comes_out_where_its_sign_and_its_level_do() -> None:
+    rows = [
+        paired("governance_locality", "fsar-cfc", 0.25, 0.0001),
+        paired("governance_locality", "fsar-dhma", -0.25, 0.0001),
+    ]
+    rows += [paired("governance_locality", "cfc-dhma", 0.1, 0.2)]
+    found = {
+        row["comparison"]: row["outcome"]
+        for row in Document(made([], rows)).numbers
+        if row["metric"] == "governance_locality"
+    }
+    assert found == {"fsar-cfc": STANDS, "fsar-dhma": FAILS, "cfc-dhma": FAILS}
+
+
+@pytest.mark.parametrize(
+    ("p", "level"), [(0.0009, "p<.001"), (0.001, "p<.01"), (0.01, "p<.05"), (0.05, "n.s."), (1.0, "n.s.")]
+)
+def test_the_level_of_significance_is_the_papers(p: float, level: str) -> None:
+    [row] = [row for row in Document(made([], [paired("governance_locality", "fsar-cfc", 0.25, p)])).tests if row["t"]]
+    assert row["level"] == level
+
+
+def claim(
+    name: str, architecture: str, numerator: int | None, denominator: int | None, runs: int = 20
+) -> dict[str, Any]:
+    return {
+        "claim": name,
+        "architecture": architecture,
+        "numerator": numerator,
+        "denominator": denominator,
+        "runs": runs,
+    }
+
+
+def test_a_number_of_a_case_is_decided_exactly_where_a_mechanism_restates_it_and_else_not() -> None:
+    found = Document(
+        made(
+            claims_of_cases=[
+                *(claim("executed", "dhma", 4, 4), claim("discovered", "fsar", 1, 100)),
+                *(claim("unattributed events", "cfc", 180, 60), claim("events", "cfc", 420, 60)),
+                *(claim("conflict for H_F", "cfc", 85, 100), claim("contained locally", "fsar", 8, 11)),
+                claim("contained locally (degradation)", "fsar", 2, 3),
+            ]
+        )
+    )
+    cells = {(row["case"], row["architecture"]): row for row in found.numbers}
+    assert [cells[key]["outcome"] for key in ((1, "dhma"), (1, "fsar"), (4, "cfc"), (3, "cfc"), (4, "dhma"))] == [
+        *(STANDS, FAILS, STANDS, UNDECIDED, UNDECIDED)
+    ]
+    assert (cells[1, "dhma"]["paper"], cells[4, "cfc"]["ours"]) == (1.0, 3.0)
+    counted = dict(
+        zip(
+            zip(column(found, "cases", "case"), column(found, "cases", "architecture"), strict=True),
+            column(found, "cases", "counted"),
+            strict=True,
+        )
+    )
+    assert counted[4, "cfc"] == "180 of 420 in 60 handoffs"
+    assert counted[2, "fsar"] == "8 in 11 runs with a failure"
+    assert column(found, "cases", "other")[2] == "0.67 (2 in 3)"
+    assert counted[4, "dhma"] is None
+
+
+def test_seeds_that_are_asked_for_together_are_added_and_what_has_no_run_has_no_table() -> None:
+    rows = [claim("recovery loop", "dhma", 1, 4), claim("recovery loop", "dhma", 2, 8)]
+    both = Document(made(claims_of_cases=rows))
+    assert [row["ours"] for row in both.numbers if row["ours"] is not None] == [0.25]
+    nothing = made(claims_of_cases=[claim("conflicts", "fsar", None, None, runs=0)])
+    assert "cases" not in names(Document(nothing), "table")
+
+
+def test_runs_of_another_model_say_so() -> None:
+    other = {"ablation": HEAD.__class__(1, 1, "root", 1, "not complete: 3 runs are missing", "1")}
+    found = said(Document(made(of_table("ablation"), heads=other)))
+    assert "These runs are of model version 1, and those of the results are not." in found
+    assert "The ledger is not complete: 3 runs are missing." in found
+
+
+def test_the_sections_name_only_what_is_there() -> None:
+    """No section says that something was not looked at: a report of no run has the first page and the paper's own."""
+    titles = [section["title"] for section in Document(made()).sections]
+    assert titles == ["", "Contradictions in the paper", "Provenance"]
+    assert "sensitivity" not in said(Document(made()))
+    assert set(specs.sections()) >= {"00-answer", "11-contradictions"}
