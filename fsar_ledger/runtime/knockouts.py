@@ -167,11 +167,11 @@ def _unchecked(state: State, action: Action, command: StartAction) -> tuple[Even
     return (started(state, action, command),)
 
 
-def _checked_by_itself(state: State, action: Action, command: StartAction) -> tuple[Event, ...]:
+def _checked_by_own_policy(state: State, action: Action, command: StartAction) -> tuple[Event, ...]:
     return start_under(state, action, command, holding(state, action)[0], "allow")
 
 
-def _starting(otherwise: Start, *, is_delegated: bool) -> ChangeTable:
+def _with_start(otherwise: Start, *, is_delegated: bool) -> ChangeTable:
     """Return the change that starts delegated work (or the robot's own) in this way; the other kind as before."""
 
     def changed(table: HandlerTable) -> HandlerTable:
@@ -179,7 +179,7 @@ def _starting(otherwise: Start, *, is_delegated: bool) -> ChangeTable:
 
         @wraps(checked)
         def start(state: State, command: Any) -> tuple[Event, ...]:
-            action = ready(state.execution, command.action_id)
+            action = ready(state.execution, command)
             if action is None or action.is_delegated != is_delegated:
                 return checked(state, command)
             return otherwise(state, action, command)
@@ -203,9 +203,9 @@ _OF_FSAR = (
     Knockout("trust-by-record", "fsar", {AssessTrust: decide_nothing}),
     Knockout("engine-closing", "fsar", {CloseRequest: _closed_by_requester}),
     Knockout("boundary-revocation", "fsar", {fsar_authority.Revoke: decide_nothing}),
-    Knockout("start-recheck", "fsar", change=_starting(_unchecked, is_delegated=True)),
-    Knockout("fleet-recheck", "fsar", change=_starting(_checked_by_itself, is_delegated=True)),
-    Knockout("own-work-check", "fsar", {DecideRoutine: _moved_unchecked}, _starting(_unchecked, is_delegated=False)),
+    Knockout("start-recheck", "fsar", change=_with_start(_unchecked, is_delegated=True)),
+    Knockout("fleet-recheck", "fsar", change=_with_start(_checked_by_own_policy, is_delegated=True)),
+    Knockout("own-work-check", "fsar", {DecideRoutine: _moved_unchecked}, _with_start(_unchecked, is_delegated=False)),
 )
 
 

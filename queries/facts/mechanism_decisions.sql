@@ -10,7 +10,8 @@ WITH said AS (
         run_id,
         if(type = 'ExecutionHeld.v1', action_id, seq::VARCHAR) AS about,
         CASE type
-            WHEN 'RequestDenied.v1' THEN 'denied: ' || reason
+            WHEN 'RequestDenied.v1'
+                THEN 'denied: ' || if(reason IN ('bid', 'own step'), 'policy', if(reason = 'no trust', 'trust', reason))
             WHEN 'RequestDeferred.v1' THEN 'deferred'
             WHEN 'RequestCountered.v1' THEN 'counter-offer'
             WHEN 'RequestRelayed.v1' THEN 'passed on by a relay'

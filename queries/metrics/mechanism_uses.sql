@@ -20,7 +20,8 @@ WITH listed (part, concern, names) AS (
     (
         'evaluation', 'request',
         'denied: possession; denied: advertisement; denied: trust; denied: policy; denied: local-execution; '
-        || 'denied: authority; denied: review; deferred; counter-offer; passed on by a relay; override level in effect'
+        || 'denied: authority; denied: negotiation; denied: review; denied: no time left; deferred; counter-offer; '
+        || 'passed on by a relay; override level in effect'
     ),
     ('policy', 'execution', 'start held: local-policy; start held: fleet-rule; motion withheld'),
     ('policy', 'policy', 'conflict escalated'),

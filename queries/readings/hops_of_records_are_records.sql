@@ -25,7 +25,7 @@ UNION ALL BY NAME
 SELECT
     records.run_id, records.seq, records.time_us, records.type, records.record_kind,
     'robot/' || split_part(hops.decided_by, '/', 2) AS executed_by,
-    executed_by AS part_of,
+    'robot/' || split_part(hops.decided_by, '/', 2) AS part_of,
     FALSE AS has_origin,
     TRUE AS has_executor,
     FALSE AS has_supervisor,

@@ -22,11 +22,12 @@ def executing(
     behalf: Robot | None = None,
     checkpoints: tuple[str, ...] | None = None,
     configuration: str = "full",
+    architecture: str = "fsar",
 ) -> State:
     """The state in which the robot executes the second step of a task, from 1 s to 3 s."""
     behalf = behalf or robot
     return given(
-        "fsar",
+        architecture,
         *before,
         past.arrived("A1-1", owner, STEPS, checkpoints=checkpoints),
         past.began(Subject("A1-1", ACTION), behalf, 2, capability),

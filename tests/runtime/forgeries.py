@@ -30,6 +30,9 @@ def _has_all_that_is_forged(record: LedgerRun) -> bool:
     resolved = [event.level for event in record.events if isinstance(event, FailureResolved)]
     has = {type(event) for event in record.events}
     ends_with_the_world = isinstance(record.events[-1], ContextChanged)
+    started = next((event for event in record.events if isinstance(event, ExecutionStarted)), None)
+    if started is None or started.principals.supervised_by is None:
+        return False
     return resolved[:1] == ["local"] and ends_with_the_world and has >= {RequestDenied, RoutineWithheld}
 
 

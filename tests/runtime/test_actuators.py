@@ -37,7 +37,7 @@ def test_a_slipping_grip_achieves_part_of_its_contract_which_is_rolled_back_and_
     )
     assert state.world.degraded == {D: "lost"}
     [back] = [one for react in FSAR.reacts[RecoveryAttemptFailed] for one in react(state, first, 4_000_000)]
-    assert back.command == RollBack(ACTION, 1, ("load.gripped",))
+    assert back.command == RollBack(ACTION, 1, 1, ("load.gripped",))
     assert [wait.what for wait in back.waits] == ["retry"], "it takes time"
     undone, again = taken(state, decided(state, msgspec.structs.replace(back.command, now_us=5_500_000)))
     assert undone == AttemptRolledBack(

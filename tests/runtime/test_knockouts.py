@@ -88,9 +88,12 @@ def test_a_robot_that_recovers_alone_records_each_failed_attempt_and_keeps_to_it
 
 def test_without_the_queue_nothing_waits_for_the_coordinator_not_even_what_no_helper_answered() -> None:
     outages = msgspec.structs.replace(Constants(), outages=Outages(off_rate_per_s=0.01, link_rate_per_s=0.02))
-    made = played("cfc", "without-coordinator-queue", "fleet-contention", 0, outages)
     queued = [
-        (time, event) for time, event in zip(made.times_us, made.events, strict=True) if isinstance(event, WorkQueued)
+        (time, event)
+        for run in range(12)
+        for made in [played("cfc", "without-coordinator-queue", "failure-recovery-chain", run, outages)]
+        for time, event in zip(made.times_us, made.events, strict=True)
+        if isinstance(event, WorkQueued)
     ]
     assert "no answer" in {event.item for _, event in queued}
     assert [event for time, event in queued if event.ready_us > time] == []

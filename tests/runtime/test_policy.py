@@ -269,8 +269,8 @@ def test_a_start_that_a_rule_held_goes_on_when_the_rule_is_replaced() -> None:
 
     assert woken(RolePolicyRuleSet(scope="local", role="A", outcome="allow")) == [], "the robot's own stands"
     assert woken(rule("allow", robot=B)) == []
-    assert woken(rule("review", robot=A)) == [StartAction("A1-1/1.1")], "a supervisor can let it go"
-    assert woken(rule("allow", robot=A)) == [StartAction("A1-1/1.1")]
+    assert woken(rule("review", robot=A)) == [StartAction("A1-1/1.1", was_held=True)], "a supervisor can let it go"
+    assert woken(rule("allow", robot=A)) == [StartAction("A1-1/1.1", was_held=True)]
     assert types(start(state, StartAction("A1-1/1.1", now_us=9, answer=7))) == ["ExecutionStarted"]
 
 
@@ -286,7 +286,7 @@ def test_what_a_rule_of_the_role_held_goes_on_when_that_or_the_robots_exception_
         apply(state, held)
         apply(state, lifted)
         assert [one.command for react in FSAR.reacts[type(lifted)] for one in react(state, lifted, 6)] == [
-            StartAction("A1-1/1.1")
+            StartAction("A1-1/1.1", was_held=True)
         ]
         assert types(start(state, StartAction("A1-1/1.1", now_us=9, answer=7))) == ["ExecutionStarted"]
 

@@ -188,7 +188,12 @@ class TakeTurn(ActionCommand):
 
 
 class StartAction(ActionCommand):
-    """Start the action at a robot that is where it must be; asks for the duration."""
+    """Start the action at a robot that is where it must be; asks for the duration.
+
+    `was_held`: it was held or has to ask again; nothing if the robot has been sent to it anew since.
+    """
+
+    was_held: bool = False
 
 
 class HaltAction(ActionCommand):

@@ -47,9 +47,11 @@ NAVIGATION = "navigate.indoor"
 HANDLERS = Handlers()
 
 
-def start_action(action_id: str, capability: str, after_us: int = 1, waits: tuple[Ask, ...] = ()) -> Scheduled:
+def start_action(
+    action_id: str, capability: str, after_us: int = 1, waits: tuple[Ask, ...] = (), *, was_held: bool = False
+) -> Scheduled:
     """Start the action when the robot is ready; its duration is the world's."""
-    return Scheduled(StartAction(action_id), after_us, waits, lasts(capability, action_id))
+    return Scheduled(StartAction(action_id, was_held), after_us, waits, lasts(capability, action_id))
 
 
 @HANDLERS.react(ApproachStarted)

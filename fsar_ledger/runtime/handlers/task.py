@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityClaimed
-from fsar_ledger.events.envelope import Principals, Robot, Subject, robot_named
+from fsar_ledger.events.envelope import COORDINATOR, Principals, Robot, Subject, robot_named
 from fsar_ledger.events.execution import ExecutionWithdrawn
 from fsar_ledger.events.request import SegmentTransferred
 from fsar_ledger.events.supervision import SupervisorCalled
@@ -200,7 +200,7 @@ def first_in_order(requests: Requests, tasks: Tasks, call: SupervisorCalled) -> 
 
 
 @HANDLERS.react(StepCompleted)
-def _begin(state: State, event: StepCompleted, _now_us: int) -> tuple[Scheduled, ...]:
+def on_completed(state: State, event: StepCompleted, _now_us: int) -> tuple[Scheduled, ...]:
     """Schedule the next step; where another robot acts in it, its segment is transferred first."""
     task = state.task[event.subject.task_id]
     if task.step == len(task.steps) or acting(task, task.step) == acting(task, task.step - 1):
@@ -215,8 +215,10 @@ def on_transfer(state: State, event: SegmentTransferred, _now_us: int) -> tuple[
 
 
 def segment_message(state: State, event: SegmentTransferred) -> Ask:
-    """Ask for the latency of the message that transfers the segment."""
-    return message(acting(state.task[event.task_id], event.step - 2), f"{event.task_id}/{event.step}", "segment")
+    """Ask for the latency of the message that transfers the segment, from whoever decided it."""
+    decided_by, before = event.principals.decided_by, acting(state.task[event.task_id], event.step - 2)
+    sender = COORDINATOR if decided_by == COORDINATOR else before
+    return message(sender, f"{event.task_id}/{event.step}", "segment")
 
 
 @HANDLERS.react(TaskArrived)

@@ -17,7 +17,7 @@ from fsar_ledger.events.envelope import (
 from fsar_ledger.events.knowledge import CopySynced, WorkQueued
 from fsar_ledger.events.request import GapDetected, RequestDenied
 from fsar_ledger.events.supervision import SupervisorCalled
-from fsar_ledger.events.task import TaskAbandoned
+from fsar_ledger.events.task import StepCompleted, TaskAbandoned
 from fsar_ledger.events.world import SyncPhaseSet
 from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
@@ -40,7 +40,7 @@ from fsar_ledger.runtime.handlers.commands import (
     nobody,
 )
 from fsar_ledger.runtime.handlers.supervision import RespondToCall
-from fsar_ledger.runtime.handlers.task import TransferSegment, transferred
+from fsar_ledger.runtime.handlers.task import TransferSegment, on_completed, transferred
 from fsar_ledger.runtime.ports import Ask
 
 NO_TIME = "no time left"  # why a step is denied whose task would be given up before the coordinator comes to it
@@ -217,14 +217,23 @@ def _on_call(state: State, event: SupervisorCalled, _now_us: int) -> tuple[Sched
     return supervision.awaiting(state, event, COORDINATOR)
 
 
-def transfer_segment(state: State, command: TransferSegment) -> tuple[Event, ...]:
+class AssignSegment(TransferSegment):
+    """Assign the next segment to its robot."""
+
+
+@HANDLERS.decide(AssignSegment, nobody)
+def assign_segment(state: State, command: AssignSegment) -> tuple[Event, ...]:
     """Assign the next segment to its robot, without a record of who had it."""
     return transferred(state, command, lambda _before, then: by_coordinator(then))
 
 
-INSTEAD: dict[React, React] = {supervision.on_call: _on_call}
-OWN: dict[type[Command], Decide] = {
-    Respond: respond,
-    RespondToCall: respond_to_call,
-    TransferSegment: transfer_segment,
-}
+def _on_completed(state: State, event: StepCompleted, now_us: int) -> tuple[Scheduled, ...]:
+    """Let the coordinator assign the segment, where another robot acts in the next step."""
+    scheduled = on_completed(state, event, now_us)
+    if isinstance(scheduled[0].command, TransferSegment):
+        return (Scheduled(AssignSegment(event.subject.task_id), 1),)
+    return scheduled
+
+
+INSTEAD: dict[React, React] = {supervision.on_call: _on_call, on_completed: _on_completed}
+OWN: dict[type[Command], Decide] = {Respond: respond, RespondToCall: respond_to_call}

@@ -19,8 +19,10 @@ from fsar_ledger.events.recovery import (
 from fsar_ledger.events.supervision import SupervisorCalled
 from fsar_ledger.projections.execution import Action
 from fsar_ledger.projections.fold import State
+from fsar_ledger.projections.policy import standing
 from fsar_ledger.projections.recovery import Recovery
 from fsar_ledger.projections.registry import NO_ANSWER
+from fsar_ledger.projections.world import stricter
 from fsar_ledger.runtime.handlers import assistance
 from fsar_ledger.runtime.handlers.attribution import helpers, is_idle
 from fsar_ledger.runtime.handlers.commands import (
@@ -69,7 +71,8 @@ def process(state: State, command: ProcessWork) -> tuple[Event, ...]:
         return ()
     copy, robot = state.knowledge.copy, action.robot
     is_first = command.item == "failure" and state.fleet.structure.local_attempts > 0
-    if is_first and robot not in copy.degraded and copied_policy(copy, robot) == "allow":
+    rules = standing(state.policy, "local", robot, action.capability, action.task_id)
+    if is_first and robot not in copy.degraded and stricter(copied_policy(copy, robot), rules) == "allow":
         return (
             RecoveryAttempted(
                 subject=Subject(action.task_id, None),

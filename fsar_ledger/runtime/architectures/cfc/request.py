@@ -6,6 +6,7 @@ from fsar_ledger.events.envelope import (
     COORDINATOR,
     FLEET_SUPERVISOR,
     Parties,
+    PolicyOutcome,
     Principals,
     RequestSubject,
     Robot,
@@ -114,8 +115,7 @@ def _match(state: State, command: ProcessWork) -> tuple[Event, ...]:
     if request.is_delegated and command.item == "step":
         records.append(RequestIssued(subject=unnamed, principals=by_coordinator(robot), capability=request.capability))
         records += [CandidateMatched(request.task_id, by_coordinator(None), request.capability) for _ in asked]
-    window = stricter(copied_policy(state.knowledge.copy, robot), in_force(state.world.fleet, robot))
-    outcome = stricter(window, declared(state.policy, robot, request.capability, request.task_id))
+    outcome = _known_policy(state, request, robot)
     if outcome == "deny":
         return (*records, RequestDenied(unnamed, by_coordinator(robot), "policy"))
     if outcome == "review" and command.action_id not in state.supervision.approved:
@@ -124,12 +124,20 @@ def _match(state: State, command: ProcessWork) -> tuple[Event, ...]:
     return (*records, *_commanded(request, robot, not idle))
 
 
+def _known_policy(state: State, request: Request, robot: Robot) -> PolicyOutcome:
+    """Return what the coordinator knows: the executor's policy as copied, the fleet's rule, and declared rules."""
+    window = stricter(copied_policy(state.knowledge.copy, robot), in_force(state.world.fleet, robot))
+    return stricter(window, declared(state.policy, robot, request.capability, request.task_id))
+
+
 @HANDLERS.decide_on(open_request, CommandReviewed, nobody)
 def command_reviewed(state: State, command: CommandReviewed, request: Request) -> tuple[Event, ...]:
-    """Command the approved step, or deny one that was not approved."""
+    """Command the approved step, or deny one that was not approved, or that the policy known by now denies."""
     robot = request.target or request.requester
-    if command.action_id not in state.supervision.approved:
-        return (RequestDenied(RequestSubject(request.task_id, None, None), by_coordinator(robot), "review"),)
+    is_approved = command.action_id in state.supervision.approved
+    if not is_approved or _known_policy(state, request, robot) == "deny":
+        reason = "policy" if is_approved else "review"
+        return (RequestDenied(RequestSubject(request.task_id, None, None), by_coordinator(robot), reason),)
     return _commanded(request, robot, robot in state.knowledge.copy.busy)
 
 

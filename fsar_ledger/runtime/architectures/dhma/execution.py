@@ -22,6 +22,7 @@ from fsar_ledger.events.task import StepBegan
 from fsar_ledger.events.world import OutsiderRequestInjected
 from fsar_ledger.projections.execution import Action, Execution
 from fsar_ledger.projections.fold import State
+from fsar_ledger.projections.policy import standing
 from fsar_ledger.projections.request import Request, Requests
 from fsar_ledger.runtime.handlers.attribution import recorded_by
 from fsar_ledger.runtime.handlers.authority import release
@@ -43,6 +44,7 @@ from fsar_ledger.runtime.handlers.commands import (
     target,
 )
 from fsar_ledger.runtime.handlers.execution import approach, queued, started, waiting
+from fsar_ledger.runtime.handlers.supervision import supervisor_for
 
 from .agents import (
     CALL,
@@ -198,16 +200,20 @@ class QueueOwnStep(ActionCommand):
 
 @HANDLERS.decide_on(open_request, PlanOwnStep, requester)
 def plan_own_step(state: State, command: PlanOwnStep, request: Request) -> tuple[Event, ...]:
-    """Decide to do the step, unless the planner's snapshot forbids it for now."""
+    """Decide to do the step, unless the planner's snapshot forbids it for now.
+
+    A review that a rule asks for goes to H_i where it is on shift, else to H_F; an approval lifts no denial.
+    """
     robot = request.requester
     outcome = snapshot(state, robot, request.capability, request.task_id)
     parties = recorded_by(state, robot, requested_by=robot, executed_by=robot)
     principals = parties.decided(*path(robot, ("planning",)))
-    if command.action_id not in state.supervision.approved:
-        if outcome == "deny":
-            return (RequestDenied(RequestSubject(request.task_id, request.action_id, None), principals, "own step"),)
-        if outcome == "review":
-            return (SupervisorCalled(subject=request.subject, supervisor=FLEET_SUPERVISOR, purpose="review"),)
+    if outcome == "deny":
+        return (RequestDenied(RequestSubject(request.task_id, request.action_id, None), principals, "own step"),)
+    if outcome == "review" and command.action_id not in state.supervision.approved:
+        is_rule = standing(state.policy, "local", robot, request.capability, request.task_id) == "review"
+        reviewer = supervisor_for(state, robot, is_cross_robot=False) if is_rule else FLEET_SUPERVISOR
+        return (SupervisorCalled(subject=request.subject, supervisor=reviewer, purpose="review"),)
     return (OwnStepDecided(request.subject, principals, request.capability),)
 
 
@@ -271,7 +277,8 @@ def _on_response(state: State, event: SupervisorResponded, _now_us: int) -> tupl
     request = state.request.open.get(event.subject.action_id)
     if event.purpose != "review" or request is None or request.is_delegated:
         return ()
-    return (Scheduled(PlanOwnStep(event.subject.action_id), 1, (at_once(event.principals.decided_by),)),)
+    after_us = 1 if event.approves else state.fleet.structure.back_off_us
+    return (Scheduled(PlanOwnStep(event.subject.action_id), after_us, (at_once(event.principals.decided_by),)),)
 
 
 @HANDLERS.react(OwnStepDecided)

@@ -309,7 +309,8 @@ def _on_response(state: State, event: SupervisorResponded, _now_us: int) -> tupl
     request = state.request.open.get(event.subject.action_id)
     if event.purpose != "review" or request is None or not request.is_delegated:
         return ()
-    return (Scheduled(Award(event.subject.action_id), 1, (at_once(event.principals.decided_by),)),)
+    after_us = 1 if event.approves else state.fleet.structure.back_off_us
+    return (Scheduled(Award(event.subject.action_id), after_us, (at_once(event.principals.decided_by),)),)
 
 
 @HANDLERS.react(AwardMade)

@@ -16,13 +16,14 @@ from fsar_ledger.events.execution import (
     ApproachStarted,
     ExecutionHeld,
     ExecutionPaused,
+    ExecutionWithdrawn,
     OwnStepDecided,
     RoutinePerformed,
     RoutineWithheld,
 )
 from fsar_ledger.events.knowledge import FleetRuleLearned
 from fsar_ledger.events.policy import PolicyRuleSet, RolePolicyRuleSet
-from fsar_ledger.events.request import RequestAccepted
+from fsar_ledger.events.request import RequestAccepted, RequestDenied
 from fsar_ledger.events.supervision import SupervisorCalled, SupervisorResponded
 from fsar_ledger.events.task import StepBegan
 from fsar_ledger.events.world import ContextChanged, PolicyWindowClosed, PolicyWindowOpened
@@ -34,6 +35,7 @@ from fsar_ledger.projections.supervision import is_asked
 from fsar_ledger.projections.world import in_force, stricter
 from fsar_ledger.runtime.handlers.admissibility import holding
 from fsar_ledger.runtime.handlers.attribution import recorded_by, supervisor_of
+from fsar_ledger.runtime.handlers.authority import release
 from fsar_ledger.runtime.handlers.commands import (
     ActionCommand,
     DecideRoutine,
@@ -62,6 +64,10 @@ class DecideOwnStep(ActionCommand):
     """Decide about a step of the robot's own."""
 
 
+class RefuseHeld(ActionCommand):
+    """Refuse a request that was admitted and held, since its review was not approved."""
+
+
 class LearnFleetRule(RobotCommand):
     """Deliver word of the fleet's rule to the robot."""
 
@@ -78,12 +84,13 @@ def decide_own_step(state: State, _command: DecideOwnStep, request: Request) -> 
     return (decided, queued(request, parties, robot))
 
 
-def ready(execution: Execution, action_id: str) -> Action | None:
+def ready(execution: Execution, command: StartAction) -> Action | None:
     """Return the action if it holds its robot and can be started, else None."""
-    action = execution.actions.get(action_id)
+    action = execution.actions.get(command.action_id)
+    stages = ("held", "polling") if command.was_held else ("queued", "approaching", "held", "polling", "preempted")
     if (
         action is None
-        or action.stage not in ("queued", "approaching", "held", "polling", "preempted")
+        or action.stage not in stages
         or not holds_robot(execution, action)
         or (action.stage == "preempted" and action.has_approach)  # it has to come back first
     ):
@@ -124,7 +131,7 @@ def start(state: State, command: StartAction) -> tuple[Event, ...]:
 
     Paper: sec:model:invariants (I3), sec:architecture:fleet (never a silent override). Reading: R34.
     """
-    action = ready(state.execution, command.action_id)
+    action = ready(state.execution, command)
     if action is None:
         return ()
     return start_under(state, action, command, *_holding(state, action))
@@ -137,7 +144,9 @@ def start_under(
     if stricter(local, rule) == "review":
         reviewer = _reviewer(state, action, local, rule)
         if reviewer is not None:
-            return _asked(state, action, reviewer, "local-policy" if local == "review" else "fleet-rule")
+            return _put_before(state, action, reviewer, "local-policy" if local == "review" else "fleet-rule")
+    if rule == "deny" and local == "review" and _reviewer(state, action, local, "allow") is not None:
+        return (_held(state, action, rule, "fleet-rule", None),)  # it asks once the fleet's denial is over
     if local != "allow":
         # See docs/decisions/denials-are-decided-once.md.
         decided_by = None if action.is_delegated or action.was_denied else action.robot
@@ -156,6 +165,20 @@ def _holding(state: State, action: Action) -> tuple[PolicyOutcome, PolicyOutcome
     return local, "allow" if is_uncomposed else rule
 
 
+@HANDLERS.decide_on(known_action, RefuseHeld, body)
+def refuse_held(state: State, _command: RefuseHeld, action: Action) -> tuple[Event, ...]:
+    """End the claims, withdraw the action and deny the request, as at its admission. Reading: R34."""
+    if action.stage not in ("held", "polling"):
+        return ()
+    robot, subject = action.robot, RequestSubject(action.task_id, action.action_id, action.action_id)
+    parties = recorded_by(state, robot, requested_by=action.requested_by, executed_by=robot)
+    return (
+        *release(state.authority, action.action_id),
+        ExecutionWithdrawn(action.subject, robot),
+        RequestDenied(subject, parties.decided(robot), "review"),
+    )
+
+
 def _reviewer(state: State, action: Action, local: PolicyOutcome, rule: PolicyOutcome) -> Supervisor | None:
     """Return whom a declared rule of review puts the action before, or None if only a window asks for one.
 
@@ -170,7 +193,7 @@ def _reviewer(state: State, action: Action, local: PolicyOutcome, rule: PolicyOu
     return None
 
 
-def _asked(state: State, action: Action, reviewer: Supervisor, reason: str) -> tuple[Event, ...]:
+def _put_before(state: State, action: Action, reviewer: Supervisor, reason: str) -> tuple[Event, ...]:
     """Hold the action, and put it before the supervisor once."""
     if is_asked(state.supervision, action.action_id, "review"):
         return ()
@@ -223,17 +246,24 @@ def _on_hold(state: State, event: ExecutionHeld, _now_us: int) -> tuple[Schedule
     if event.reason != "fleet-rule":
         return ()
     capability = state.execution.actions[event.subject.action_id].capability
-    return (start_action(event.subject.action_id, capability, state.fleet.structure.poll_us),)
+    return (start_action(event.subject.action_id, capability, state.fleet.structure.poll_us, was_held=True),)
 
 
 @HANDLERS.react(SupervisorResponded)
 def _on_review(state: State, event: SupervisorResponded, _now_us: int) -> tuple[Scheduled, ...]:
-    """Start an action that was put before a supervisor, or ask again after the back-off if it was not approved."""
+    """Start an action that was put before a supervisor at its start.
+
+    If it was not approved, the robot refuses what another asked of it, and asks about its own step again after the
+    back-off.
+    """
     action = state.execution.actions.get(event.subject.action_id)
-    if event.purpose != "review" or action is None:
+    if event.purpose != "review" or action is None or action.stage not in ("held", "polling"):
         return ()
+    told = (at_once(event.principals.decided_by),)
+    if action.is_delegated and not event.approves:
+        return (Scheduled(RefuseHeld(action.action_id), 1, told),)
     after_us = 1 if event.approves else state.fleet.structure.back_off_us
-    return (start_action(action.action_id, action.capability, after_us, (at_once(event.principals.decided_by),)),)
+    return (start_action(action.action_id, action.capability, after_us, told, was_held=True),)
 
 
 @HANDLERS.react(PolicyWindowClosed)
@@ -262,7 +292,7 @@ def _let_go(state: State, robot: Robot) -> tuple[Scheduled, ...]:
     local, rule = _holding(state, action)
     if local != "allow" and _reviewer(state, action, local, rule) is None:
         return ()
-    return (start_action(action.action_id, action.capability),)
+    return (start_action(action.action_id, action.capability, was_held=True),)
 
 
 @HANDLERS.react(PolicyWindowOpened)

@@ -62,6 +62,7 @@ class StartRecovery(ActionCommand):
 class RollBack(ActionCommand):
     """Undo what this attempt has achieved."""
 
+    failure: int
     number: int
     undone: tuple[str, ...]
 
@@ -154,9 +155,9 @@ def end_attempt(state: State, command: EndAttempt, failure: Failure) -> tuple[Ev
 def roll_back(state: State, command: RollBack, failure: Failure) -> tuple[Event, ...]:
     """Record that the robot is where the failure began, and go on. Paper: fig:recovery."""
     action, recovery = failure
-    if recovery.level != "local" or recovery.number != command.number:
+    failed, number = command.failure, command.number
+    if (recovery.level, recovery.failure, recovery.number) != ("local", failed, number):
         return ()
-    number, failed = command.number, recovery.failure
     back = AttemptRolledBack(
         subject=action.subject, robot=action.robot, failure=failed, number=number, undone=command.undone
     )
@@ -338,12 +339,12 @@ def _on_attempt(state: State, event: RecoveryAttempted, _now_us: int) -> tuple[S
 
 
 @HANDLERS.react(RecoveryAttemptFailed)
-def _on_attempt_failed(state: State, event: RecoveryAttemptFailed, _now_us: int) -> tuple[Scheduled, ...]:
+def _on_attempt_failed(state: State, event: RecoveryAttemptFailed, now_us: int) -> tuple[Scheduled, ...]:
     """Schedule the end of the rollback, where a partial attempt is followed by another."""
     match open_failure(state, event.subject.action_id):
-        case action, recovery if event.achieved and recovery.level == "local":
-            key = f"{action.action_id}/{event.failure}/{event.number}/back"
-            return (Scheduled(RollBack(action.action_id, event.number, event.achieved), 0, (lasts("retry", key),)),)
+        case action, recovery if event.achieved and _may_retry(state, action, recovery, now_us):
+            back = RollBack(action.action_id, event.failure, event.number, event.achieved)
+            return (Scheduled(back, 0, (lasts("retry", f"{action.action_id}/{event.failure}/{event.number}/back"),)),)
         case _:
             return ()
 
@@ -393,7 +394,7 @@ def _on_no_help(state: State, event: AssistanceFailed, _now_us: int) -> tuple[Sc
 def _on_call(state: State, event: SupervisorCalled, _now_us: int) -> tuple[Scheduled, ...]:
     match open_failure(state, event.subject.action_id):
         case action, recovery if event.purpose == "recovery":
-            late = CallNext(event.subject.action_id, recovery.failure, recovery.calls)
-            return (Scheduled(late, budget(state.budget, state.fleet, action.robot, "human").t_max_us),)
+            after_us = budget(state.budget, state.fleet, action.robot, "human").t_max_us
+            return (Scheduled(CallNext(event.subject.action_id, recovery.failure, recovery.calls), after_us),)
         case _:
             return ()
