@@ -6,7 +6,8 @@
 -- Key: run_id, robot?, peer?, role?, peer_role?, domain?, capability?, context?, since_us
 -- Units: since_us, until_us microseconds of run time, half-open
 -- NULL: robot, peer of an entry about roles, one of them of initial trust; role, peer_role, domain of one about robots;
---   capability, context when the entry is about all of them; until_us for the last row of an entry; set_by for what the fleet was founded with
+--   capability, context when the entry is about all of them; until_us for the last row of an entry; set_by for what the
+--   fleet was founded with
 -- Example: fsar-ledger query facts/trust_in_force LEDGER
 WITH moments AS (
     -- Of several about the same at one moment the last holds; among those about different things, precedence decides.

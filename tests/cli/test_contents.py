@@ -193,8 +193,8 @@ def test_two_parameter_sets_are_told_apart_and_the_constants_named(call: Call, t
         "1 of 2 runs of door-relay x 2 runs x fsar, seed 42, 4 robots; go on with the version and the "
         "constants that began it" in text
     )
-    assert f"constants A: simulated, model version 2, 3 runs: {OURS}\n" in text
-    assert "constants B: simulated, model version 2, 1 run: world.window_mean_s=12\n" in text
+    assert f"constants A: simulated, model version 3, 3 runs: {OURS}\n" in text
+    assert "constants B: simulated, model version 3, 1 run: world.window_mean_s=12\n" in text
 
 
 def test_a_constant_of_a_group_that_is_absent_is_named_with_its_default(call: Call, tmp_path: Path) -> None:
@@ -205,8 +205,8 @@ def test_a_constant_of_a_group_that_is_absent_is_named_with_its_default(call: Ca
         1,
     )
     text = said(call, tmp_path / "ledger")
-    assert "constants A: simulated, model version 2, 2 runs: load.task_sets=1, load.teams_working=default\n" in text
-    assert "constants B: simulated, model version 2, 1 run: load.task_sets=2, load.teams_working=1\n" in text
+    assert "constants A: simulated, model version 3, 2 runs: load.task_sets=1, load.teams_working=default\n" in text
+    assert "constants B: simulated, model version 3, 1 run: load.task_sets=2, load.teams_working=1\n" in text
 
 
 def test_runs_of_two_models_are_told_by_their_versions(call: Call, tmp_path: Path) -> None:
@@ -214,8 +214,8 @@ def test_runs_of_two_models_are_told_by_their_versions(call: Call, tmp_path: Pat
     foreign = RunStarted(kind="foreign", observes=(), source="example.org")
     appended(tmp_path / "ledger", LedgerRun("night", (0,), (None,), (foreign,)), live("shift"))
     text = said(call, tmp_path / "ledger")
-    assert "constants A: simulated, model version 2, 2 runs\n" in text
-    assert "constants B: live, model version 2, 1 run\n" in text
+    assert "constants A: simulated, model version 3, 2 runs\n" in text
+    assert "constants B: live, model version 3, 1 run\n" in text
     assert "no constants on record: foreign, example.org, no model, 1 run\n" in text
 
 

@@ -14,8 +14,8 @@ def test_compare_says_what_is_paired_before_the_numbers(call: Call, ledger: Path
     lines = table.out.splitlines()
     assert table.code == 0
     assert lines[:2] == [
-        "first: fsar:full@A/4 (4 runs), simulated, model 2",
-        "second: cfc:full@A/4 (4 runs), simulated, model 2",
+        "first: fsar:full@A/4 (4 runs), simulated, model 3",
+        "second: cfc:full@A/4 (4 runs), simulated, model 3",
     ]
     assert lines[2:4] == [
         "4 pairs by seed, scenario and number: 4 met the same facts of the world",
