@@ -105,8 +105,8 @@ PAPER_SQL = """
     SELECT
         count(*) FILTER (list_contains($scenarios, runs.scenario)) > 0
         AND bool_and(
-            runs.kind = 'simulated' AND list_contains($names, runs.scenario)
-            AND list_contains($architectures, runs.architecture)
+            runs.kind = 'simulated' AND coalesce(list_contains($names, runs.scenario), FALSE)
+            AND coalesce(list_contains($architectures, runs.architecture), FALSE)
             AND settings.parameter_set IS DISTINCT FROM own.parameter_set
         ) AS is_paper
     FROM runs
