@@ -12,7 +12,6 @@ from typing import Any
 import msgspec
 import pyarrow as pa
 
-import fsar_ledger
 from fsar_ledger.designs.registered import PAPER_SCENARIOS, PAPER_WORKFLOWS
 from fsar_ledger.ledger.log.note import signers_of
 from fsar_ledger.ledger.opening import open_for_answers
@@ -21,11 +20,10 @@ from fsar_ledger.metrics.database import connect_view
 from fsar_ledger.metrics.invariants import AuditRow, audit_rows, invariants
 from fsar_ledger.metrics.observing import Unobserved, never_observed
 from fsar_ledger.report import printing, specs
-from fsar_ledger.report.document import versions
 from fsar_ledger.report.experiments import ledger_head
 from fsar_ledger.report.findings import Head, Source, arrow, sources_of
 from fsar_ledger.report.judge import ARCHITECTURES
-from fsar_ledger.report.layout import Layout
+from fsar_ledger.report.layout import Layout, for_programs, head_for_programs, versions
 
 MAX_NAME = 60  # characters of the name of a ledger
 MAX_OFFENCES = 5
@@ -206,25 +204,15 @@ class AuditDocument(Layout):
 
     def encoded(self) -> bytes:
         """Return what the template prints, as JSON with sorted names."""
-        titles, head = specs.titles()["audit"], self.findings.head
-        said = {
-            **msgspec.structs.asdict(titles),
-            **{name: getattr(titles, name).format(ledger=self.findings.name) for name in ("title", "heading")},
-            "events": printing.integer(head.events),
-            "runs": printing.integer(head.runs),
-            "root": head.root,
-            "version": fsar_ledger.__version__,
-            "incomplete": head.completeness if head.completeness.startswith("not complete") else None,
-            "sections": self.sections,
-        }
-        return msgspec.json.encode(said, order="deterministic")
+        titles = specs.titles()["audit"]
+        named = {name: getattr(titles, name).format(ledger=self.findings.name) for name in ("title", "heading")}
+        return self.template_data(msgspec.structs.replace(titles, **named), self.findings.head)
 
     def reproduction(self) -> bytes:
         """Return the same for programs, as JSON: the head, every table with its values, and the digests of the queries.
 
         Values are in the units of the queries; null is what is not on record or not observed.
         """
-        head = self.findings.head
         tables = {
             part["name"]: [dict(zip(part["keys"], (cell.value for cell in row), strict=True)) for row in part["rows"]]
             for section in self.sections
@@ -232,10 +220,8 @@ class AuditDocument(Layout):
             if part["shape"] == "table"
         }
         said = {
-            "versions": versions(),
-            "ledger": {"commits": head.commits, "events": head.events, "root": head.root, "runs": head.runs},
+            "ledger": head_for_programs(self.findings.head),
             "invariants": self.findings.relations["invariants"].to_pylist(),
             "tables": tables,
-            "queries": {one.name: one.sha256 for one in self.findings.sources},
         }
-        return msgspec.json.format(msgspec.json.encode(said, order="deterministic"), indent=1) + b"\n"
+        return for_programs(said, self.findings.sources)

@@ -4,24 +4,20 @@ That is what the ledgers gave, the paper's own tables and the records of the stu
 `reports/sections/`, the relations that they share in `reports/relations.toml`.
 """
 
-import platform
 from collections.abc import Mapping, Sequence
-from importlib.metadata import version
 from typing import Any
 
 import msgspec
 import pyarrow as pa
 
-import fsar_ledger
 from fsar_ledger.metrics.definitions import published_metrics
 from fsar_ledger.metrics.effects import Sensitivity
 from fsar_ledger.metrics.study_results import Calibration
 from fsar_ledger.report import printing, records, specs
 from fsar_ledger.report.findings import Findings, arrow
 from fsar_ledger.report.judge import FITTED, INFORMED, Number
-from fsar_ledger.report.layout import Layout
+from fsar_ledger.report.layout import Layout, for_programs, head_for_programs, versions
 
-PACKAGES = ("duckdb", "pyarrow", "numpy", "scipy", "msgspec", "matplotlib", "typst")
 PAPER_TABLES = (
     *("results", "significance", "ablation", "ablation_text", "scaling", "cases"),
     *("architecture_features", "mechanism_coverage"),
@@ -51,17 +47,7 @@ class Document(Layout):
 
     def encoded(self) -> bytes:
         """Return what the template prints, as JSON with sorted names."""
-        head = self.findings.heads["results"]
-        said = {
-            **msgspec.structs.asdict(specs.titles()["paper"]),
-            "events": printing.integer(head.events),
-            "runs": printing.integer(head.runs),
-            "root": head.root,
-            "version": fsar_ledger.__version__,
-            "incomplete": head.completeness if head.completeness.startswith("not complete") else None,
-            "sections": self.sections,
-        }
-        return msgspec.json.encode(said, order="deterministic")
+        return self.template_data(specs.titles()["paper"], self.findings.heads["results"])
 
     def reproduction(self) -> bytes:
         """Return the numbers for programs, as JSON.
@@ -73,8 +59,7 @@ class Document(Layout):
         found, read = self.findings, self.findings.multiverse
         differences = found.relations["differences"] if "mechanisms" in found.heads else None
         said: dict[str, Any] = {
-            "versions": versions(),
-            "ledgers": {name: _head(found, name) for name in found.heads},
+            "ledgers": {name: head_for_programs(head) for name, head in found.heads.items()},
             "model_version": found.model_version,
             "constants": found.parameters,
             "parameters_sha256": found.parameters_sha256,
@@ -93,21 +78,8 @@ class Document(Layout):
                 "rankings": read.rankings,
                 "universes": read.universes,
             },
-            "queries": {one.name: one.sha256 for one in found.sources},
         }
-        return msgspec.json.format(msgspec.json.encode(said, order="deterministic"), indent=1) + b"\n"
-
-
-def _head(found: Findings, name: str) -> dict[str, str | int]:
-    """Return the head of the ledger that these numbers are from."""
-    one = found.heads[name]
-    return {"commits": one.commits, "events": one.events, "root": one.root, "runs": one.runs}
-
-
-def versions() -> dict[str, str]:
-    """Return the versions of the software that made the report, by name."""
-    ours = {"fsar-ledger": fsar_ledger.__version__, "Python": platform.python_version()}
-    return ours | {name: version(name) for name in PACKAGES}
+        return for_programs(said, found.sources)
 
 
 def _relations(
@@ -123,7 +95,7 @@ def _relations(
         for one in findings.numbers
     ]
     measured, said = records.effects_of(findings, effects)
-    notes = [{"text": printing.words(row["text"], MAX_NOTE)} for row in records.notes(findings, record, said)]
+    notes = [printing.words(one, MAX_NOTE) for one in records.notes(findings, record, said)]
     heads = [{"part": name, **msgspec.structs.asdict(head)} for name, head in findings.heads.items()]
     return {
         **findings.relations,
@@ -138,7 +110,7 @@ def _relations(
         "metrics": _metrics(),
         "judged": _numbered(arrow(judged, Number)),
         "heads": _listed(heads),
-        "notes": pa.table({"text": pa.array([row["text"] for row in notes], pa.string())}),
+        "notes": pa.table({"text": pa.array(notes, pa.string())}),
         "ranking": arrow(ranking, records.RankingHeld),
         "own_constants": records.own_constants(findings.parameters),
         "whole": pa.table(

@@ -1,22 +1,27 @@
 """Lay out sections: select the rows of each part from relations, and put them into its shape.
 
-The relations are held by one small database in memory. What the template prints is `sections`, and the figures as SVG.
+The relations are held by one small database in memory. What the template prints is `sections` under the titles of the
+kind of report, and the figures as SVG.
 """
 
+import platform
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
+from importlib.metadata import version
 from typing import Any
 
 import msgspec
 import pyarrow as pa
 
+import fsar_ledger
 from fsar_ledger.metrics.database import Database
-from fsar_ledger.metrics.library import Library
+from fsar_ledger.metrics.library import Library, sources
 from fsar_ledger.report import charts, printing, sequence, specs
+from fsar_ledger.report.findings import Head, Source
 
 Row = Mapping[str, Any]
-_SOURCE = re.compile(r"(?<!DISTINCT )\b(?:FROM|JOIN)\s+([a-z_][a-z0-9_]*)\b(?!\()", re.IGNORECASE)
+PACKAGES = ("duckdb", "pyarrow", "numpy", "scipy", "msgspec", "matplotlib", "typst")
 _NAME = re.compile(r"(?<!\\)@(?:tab|fig)-[a-z-]+[a-z]")
 _NAMES = re.compile(r" \(((?:@[a-z-]+)(?:, @[a-z-]+)*)\)")
 _STEP = re.compile(r"(?:\bWITH|,)\s+([a-z_][a-z0-9_]*)(?:\([^)]*\))?\s+AS\s+\(", re.IGNORECASE)
@@ -55,7 +60,7 @@ class Layout:
 
     def missing(self, sql: str) -> set[str]:
         """Return the names that the SELECT reads and that are neither a relation here nor a step of its own."""
-        return set(_SOURCE.findall(sql)) - set(_STEP.findall(sql)) - self._held
+        return sources(sql) - set(_STEP.findall(sql)) - self._held
 
     def rows(self, sql: str) -> list[dict[str, Any]]:
         """Return the rows of a SELECT over the relations; none if one is missing. Raises: as `Database.rows`."""
@@ -88,6 +93,19 @@ class Layout:
                 source = f"queries/{part.query}.sql" if part.query else ""
                 yield {"shape": "figure", "file": f"{part.name}.svg", "source": source, **said}
 
+    def template_data(self, titles: specs.Titles, head: Head) -> bytes:
+        """Return what the template prints, as JSON with sorted names; `head` is the one that the first page names."""
+        said = {
+            **msgspec.structs.asdict(titles),
+            "events": printing.integer(head.events),
+            "runs": printing.integer(head.runs),
+            "root": head.root,
+            "version": fsar_ledger.__version__,
+            "incomplete": head.completeness if head.completeness.startswith("not complete") else None,
+            "sections": self.sections,
+        }
+        return msgspec.json.encode(said, order="deterministic")
+
     def drawing(self, name: str) -> bytes:
         """Return the figure of this name as SVG. Raises: KeyError if it is not shown."""
         return _drawn(*self._figures[name])
@@ -96,6 +114,23 @@ class Layout:
     def drawings(self) -> dict[str, bytes]:
         """Return all figures as SVG, by file name."""
         return {f"{name}.svg": self.drawing(name) for name in self._figures}
+
+
+def for_programs(said: Mapping[str, Any], queries: Sequence[Source]) -> bytes:
+    """Return these numbers as JSON with sorted names, with the versions and the digests of queries behind them."""
+    every = {"versions": versions(), **said, "queries": {one.name: one.sha256 for one in queries}}
+    return msgspec.json.format(msgspec.json.encode(every, order="deterministic"), indent=1) + b"\n"
+
+
+def head_for_programs(head: Head) -> dict[str, str | int]:
+    """Return the head of the ledger that numbers are from."""
+    return {"commits": head.commits, "events": head.events, "root": head.root, "runs": head.runs}
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of the software that made the report, by name."""
+    ours = {"fsar-ledger": fsar_ledger.__version__, "Python": platform.python_version()}
+    return ours | {name: version(name) for name in PACKAGES}
 
 
 def _naming_what_is_shown(sections: list[dict[str, Any]]) -> list[dict[str, Any]]:

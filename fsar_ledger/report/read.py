@@ -15,7 +15,7 @@ import pyarrow as pa
 from fsar_ledger.base.progress import Progress, Showing, unseen
 from fsar_ledger.events.configuration import FULL
 from fsar_ledger.metrics.comparability import differing_worlds
-from fsar_ledger.metrics.database import Database, connect
+from fsar_ledger.metrics.database import Database, connect, from_rows
 from fsar_ledger.metrics.definitions import published_metrics
 from fsar_ledger.metrics.library import READINGS, library
 from fsar_ledger.metrics.multiverse import Cell, Multiverse, Ranking, Reading, cells, rankings, readings, universes
@@ -133,7 +133,9 @@ def gather(
             with showing("read", "combinations of readings") as progress:
                 read = multiverse_of(database, main, pools_seeds=pools_seeds, progress=progress)
         relations = {name: table for part in parts.values() for name, table in part.relations.items()}
-        relations.setdefault("differences", database.table("SELECT * FROM mechanism_differences LIMIT 0"))
+        if "differences" not in relations:  # its columns, without measuring anything of this ledger
+            with from_rows((), threads=1) as empty:
+                relations["differences"] = empty.table("SELECT * FROM mechanism_differences")
         relations |= {"runs": database.table(RUNS_SQL), **relations_of(read)}
         relations |= {"models": pa.Table.from_pylist(sets)} if sets else {}
         asked = [query for name in parts for query in QUERIES[name]]
