@@ -13,6 +13,7 @@ from fsar_ledger.base.errors import UsageError, option
 Place = str | PathLike[str]
 Pool = Literal["seeds"] | None
 By = Literal["scenario"] | None
+KindOfReport = Literal["paper", "audit"] | None
 Names = str | Sequence[str] | None
 """One name, several, or None for all."""
 Run = str | int

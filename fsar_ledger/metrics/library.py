@@ -40,7 +40,7 @@ _HEADER_LINE = re.compile(r"^-- (?:(\w+): )?\s*(.*)$")
 _TEXT_OR_COMMENT = re.compile(r"'(?:[^']|'')*'|--[^\n]*|/\*.*?\*/", re.DOTALL)
 _TEXT = re.compile(r"('(?:[^']|'')*')")
 _SPACE = re.compile(r"\s+")
-_SOURCE = re.compile(r"\b(?:FROM|JOIN)\s+([a-z_][a-z0-9_]*)", re.IGNORECASE)
+_SOURCE = re.compile(r"(?<!DISTINCT )\b(?:FROM|JOIN)\s+([a-z_][a-z0-9_]*)\b(?!\()", re.IGNORECASE)
 _TEXT_OR_SOURCE = re.compile(rf"{_TEXT_OR_COMMENT.pattern}|(\b(?:FROM|JOIN)\s+)([a-z_]\w*)\b(\s+AS\b)?", re.DOTALL)
 _WORD = re.compile(r"[a-z_][a-z0-9_]*", re.IGNORECASE)
 _VERSIONED = re.compile(r"(?<=[a-z0-9])(?=[A-Z])")
@@ -90,7 +90,7 @@ class Query(msgspec.Struct, frozen=True):
 
     def sources(self) -> set[str]:
         """Return the names behind FROM and JOIN: relations and its own steps."""
-        return set(_SOURCE.findall(_TEXT_OR_COMMENT.sub(" ", self.sql)))
+        return sources(self.sql)
 
     def reading_from(self, others: Mapping[str, str]) -> str:
         """Return its SQL with other relations under the names that it knows: `FROM others[name] AS name`."""
@@ -102,6 +102,11 @@ class Query(msgspec.Struct, frozen=True):
             return f"{before}{others[name]}{alias or f' AS {name}'}"
 
         return _TEXT_OR_SOURCE.sub(renamed, self.sql)
+
+
+def sources(sql: str) -> set[str]:
+    """Return the names behind FROM and JOIN: relations and the SELECT's own steps, but no functions."""
+    return set(_SOURCE.findall(_TEXT_OR_COMMENT.sub(" ", sql)))
 
 
 def plain_sql(sql: str) -> str:

@@ -16,6 +16,7 @@ from fsar_ledger.metrics.effects import Sensitivity
 from fsar_ledger.metrics.study_results import Calibration, packaged, read
 from fsar_ledger.metrics.verified import ensure_verified
 from fsar_ledger.report import specs
+from fsar_ledger.report.audit import AuditDocument, gather_audit, kind_of
 from fsar_ledger.report.document import Document
 from fsar_ledger.report.read import gather
 from fsar_ledger.report.records import ranking
@@ -33,6 +34,7 @@ def write_report(
     pools_seeds: bool = False,
     sensitivity: Path | None = None,
     numbers_out: Path | None = None,
+    kind: specs.Kind | None = "paper",
 ) -> None:
     """Write the PDF and its numbers about the present heads of the ledger and of the ledgers beside it.
 
@@ -51,6 +53,7 @@ def write_report(
         sensitivity: The file of `fsar-ledger study run sensitivity`; None: the one in this package. If it is of other
             runs, a note on the first page says so.
         numbers_out: Where the same numbers are written for programs (`Document.reproduction`); None: nowhere.
+        kind: The report of the paper's evaluation, or the audit report of this ledger alone; None: `kind_of` tells.
         demanded: The newest record of the ledger, if `ensure_verified` has just checked it; None checks it now.
 
     Raises:
@@ -70,15 +73,23 @@ def write_report(
         require_place(place)
     given = packaged(Sensitivity) if sensitivity is None else read(sensitivity, Sensitivity)
     demanded = demanded or _compared(ledger, workers, showing)
+    if (kind or kind_of(ledger, demanded)) == "audit":
+        _publish(AuditDocument(gather_audit(ledger, demanded)), out, numbers_out)
+        return
     theirs = {one: _compared(one, workers, showing) for one in (*filter(None, [workflows]), *beside)}
     findings = gather(
         ledger, demanded, theirs, workflows=workflows, pools_seeds=pools_seeds, reads_every_way=True, showing=showing
     )
     document = Document(findings, packaged(Calibration), given, ranking(findings))
+    _publish(document, out, numbers_out)
+
+
+def _publish(document: Document | AuditDocument, out: Path, numbers_out: Path | None) -> None:
+    """Write the PDF and its numbers; replace nothing before both are made."""
     made = {out: pdf(document.encoded(), document.drawings)}
     if numbers_out is not None:
         made[numbers_out] = document.reproduction()
-    for place, content in made.items():  # replace nothing before everything is made
+    for place, content in made.items():
         publish(place, content)
 
 

@@ -20,7 +20,8 @@ from fsar_ledger.report.figures import (
     say_no_value,
     whisker,
 )
-from fsar_ledger.report.judge import OPEN, STANDS, UNDECIDED
+from fsar_ledger.report.judge import FAILS, OPEN, STANDS, UNDECIDED
+from fsar_ledger.report.printing import OUTCOMES
 
 Row = Mapping[str, Any]
 
@@ -255,6 +256,8 @@ def _distance_legend() -> list[Any]:
         Line2D([], [], color=colour, marker=MARKERS[name], markersize=4.4, linestyle="none", label=name.upper())
         for name, colour in COLOURS.items()
     ]
-    for outcome, label in ((STANDS, "comes out"), ("does not", "does not"), (UNDECIDED, "undecided")):
-        names.append(Line2D([], [], label=label, marker="o", **_look(outcome, "#444444")))
-    return [*names, Line2D([], [], color="#444444", label="open: over its dial", **DIAL)]
+    outcomes = [
+        Line2D([], [], label=OUTCOMES[outcome], marker="o", **_look(outcome, "#444444"))
+        for outcome in (STANDS, FAILS, UNDECIDED)
+    ]
+    return [*names, *outcomes, Line2D([], [], color="#444444", label="open: over its dial", **DIAL)]

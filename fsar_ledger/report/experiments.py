@@ -12,6 +12,7 @@ from typing import NamedTuple
 import pyarrow as pa
 
 from fsar_ledger.base.errors import UsageError
+from fsar_ledger.designs.registered import PAPER_WORKFLOWS
 from fsar_ledger.events.configuration import CONFIGURATIONS, EVERY_MECHANISM, FULL, without
 from fsar_ledger.metrics.database import Database, Value, connect
 from fsar_ledger.metrics.paper_numbers import Table
@@ -23,7 +24,6 @@ from fsar_ledger.report.judge import ARCHITECTURES, FOUR_ROBOTS, Number
 
 Relations = dict[str, pa.Table]
 
-WORKFLOWS = ("workflow-door-relay", "workflow-layered-recovery", "workflow-human-supervision")
 DIALLED = "without-shared-registry"
 """The configuration whose success is a curve over how often robots meet."""
 WITHOUT_ONE = [without([name]) for name in EVERY_MECHANISM]
@@ -101,7 +101,8 @@ def read_ledger(
         found = _workflows(database)
         if is_workflows and not found:
             raise UsageError(
-                f"--workflows {ledger}: found no run of {', '.join(WORKFLOWS)}; make one with `fsar-ledger simulate`"
+                f"--workflows {ledger}: found no run of {', '.join(PAPER_WORKFLOWS)}; make one with "
+                "`fsar-ledger simulate`"
             )
         if not is_workflows:
             found |= experiments_of(database, pools_seeds=pools_seeds)
@@ -218,7 +219,7 @@ def _mechanisms(database: Database, *, pools_seeds: bool = False) -> Part | None
 
 def _workflows(database: Database) -> dict[str, Part]:
     """Return what the runs of the paper's workflows show, of the setting that most of them share."""
-    groups = database.rows(GROUPS_SQL, {"names": list(WORKFLOWS)})
+    groups = database.rows(GROUPS_SQL, {"names": list(PAPER_WORKFLOWS)})
     if not groups:
         return {}
     main, others = groups[0]["made_alike"], sum(row["runs"] for row in groups[1:])
@@ -228,8 +229,8 @@ def _workflows(database: Database) -> dict[str, Part]:
         "other_workflows": pa.table({"runs": [others]}),
     }
     for name, scenario, kind in (
-        ("request_timeline", WORKFLOWS[0], "RequestIssued.v1"),
-        ("failure_timeline", WORKFLOWS[1], "ExecutionFailed.v1"),
+        ("request_timeline", PAPER_WORKFLOWS[0], "RequestIssued.v1"),
+        ("failure_timeline", PAPER_WORKFLOWS[1], "ExecutionFailed.v1"),
     ):
         [first] = database.rows(FIRST_SQL, {"made_alike": main, "scenario": scenario, "kind": kind})
         if first["action"] is not None:

@@ -2,12 +2,14 @@
 
 import types
 import typing
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from typing import Any
 
 import msgspec
 import pyarrow as pa
 
+from fsar_ledger.metrics.database import Database
+from fsar_ledger.metrics.library import generated
 from fsar_ledger.metrics.multiverse import Multiverse
 from fsar_ledger.report.judge import Number
 
@@ -59,6 +61,15 @@ class Findings(msgspec.Struct, frozen=True, kw_only=True):
     shown: str | None = None
     differing: tuple[str, ...] = ()
     multiverse: Multiverse | None = None
+
+
+def sources_of(database: Database, names: Collection[str]) -> tuple[Source, ...]:
+    """Return the packaged queries of these names with everything that they read; views of event types are left out."""
+    made = {one.name for one in generated()}
+    needed = database.library.needs(database.library.find(name).relation for name in names)
+    return tuple(
+        Source(one.name, one.sha256) for one in sorted(needed, key=lambda one: one.name) if one.name not in made
+    )
 
 
 _TYPES: Mapping[Any, pa.DataType] = {

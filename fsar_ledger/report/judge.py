@@ -11,7 +11,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 import msgspec
 
 from fsar_ledger.base.printable import counted, some
-from fsar_ledger.events.envelope import Scenario
+from fsar_ledger.designs.registered import PAPER_SCENARIOS
 from fsar_ledger.metrics import verdicts
 from fsar_ledger.metrics.database import Database, Value
 from fsar_ledger.metrics.definitions import metric_named
@@ -22,13 +22,6 @@ from fsar_ledger.metrics.verdicts import Odds, odds
 
 ARCHITECTURES = ("fsar", "cfc", "dhma")
 COMPARISONS = ("fsar-cfc", "fsar-dhma", "cfc-dhma")
-SCENARIOS: tuple[Scenario, ...] = (
-    "door-relay",
-    "collaborative-delivery",
-    "failure-recovery-chain",
-    "mixed-trust-inspection",
-    "fleet-contention",
-)
 FOUR_ROBOTS = 4
 """Robots of the paper's fleet in all tables but that of larger fleets."""
 PAPER_RUNS = 20
@@ -123,7 +116,7 @@ def run_counts(rows: Iterable[MetricRow]) -> dict[Shape, dict[str | None, int]]:
 
 def is_complete(runs: RunCounts) -> bool:
     """Tell whether the runs cover every scenario of the tables equally often, and no other scenario."""
-    return runs.keys() == set(SCENARIOS) and len(set(runs.values())) == 1
+    return runs.keys() == set(PAPER_SCENARIOS) and len(set(runs.values())) == 1
 
 
 def unjudged(runs: Mapping[str, RunCounts], pairs: Mapping[str, RunCounts]) -> frozenset[str]:
@@ -148,8 +141,8 @@ def why_unjudged(runs: Mapping[str, RunCounts], pairs: Mapping[str, RunCounts]) 
         return None
     of_each = "; ".join(f"of {some(names)} this ledger has {listed}" for listed, names in told.items())
     return (
-        f"The printed tables are over {len(SCENARIOS)} scenarios with equally many runs of each, but {of_each}. They "
-        "are therefore shown without a verdict."
+        f"The printed tables are over {len(PAPER_SCENARIOS)} scenarios with equally many runs of each, but {of_each}. "
+        "They are therefore shown without a verdict."
     )
 
 

@@ -13,12 +13,13 @@ import msgspec
 from fsar_ledger.base import printable
 from fsar_ledger.metrics.definitions import metric_named
 from fsar_ledger.report import specs
+from fsar_ledger.report.judge import FAILS, OPEN, STANDS, UNDECIDED
 
 NOTHING = "–"
 MINUS = "\u2212"
 THIN_SPACE = "\u2009"
 GRADES = {"full": "\u25cf", "partial": "\u25cb", "none": "\u2014"}  # as in the paper: present, partial, absent
-OUTCOMES = {"stands": "comes out", "does not": "does not", "undecided": "undecided", "open": "open"}
+OUTCOMES = {STANDS: "comes out", FAILS: "does not", UNDECIDED: "undecided", OPEN: "open"}
 MAX_ROWS, MAX_WORDS = 200, 400  # rows of a table, characters of a cell; what exceeds them is counted
 SMALLEST_P = 0.0001  # smaller p are printed as "<.0001", as the paper does
 

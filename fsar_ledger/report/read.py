@@ -5,7 +5,7 @@ the sections of `reports/sections/` select from.
 """
 
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -15,9 +15,9 @@ import pyarrow as pa
 from fsar_ledger.base.progress import Progress, Showing, unseen
 from fsar_ledger.events.configuration import FULL
 from fsar_ledger.metrics.comparability import differing_worlds
-from fsar_ledger.metrics.database import Database, connect
+from fsar_ledger.metrics.database import Database, connect, from_rows
 from fsar_ledger.metrics.definitions import published_metrics
-from fsar_ledger.metrics.library import READINGS, generated, library
+from fsar_ledger.metrics.library import READINGS, library
 from fsar_ledger.metrics.multiverse import Cell, Multiverse, Ranking, Reading, cells, rankings, readings, universes
 from fsar_ledger.metrics.results import (
     CONDITIONS,
@@ -30,7 +30,7 @@ from fsar_ledger.metrics.results import (
 )
 from fsar_ledger.report import judge
 from fsar_ledger.report.experiments import Part, Relations, experiments_of, ledger_head, read_ledger
-from fsar_ledger.report.findings import Findings, Source, arrow
+from fsar_ledger.report.findings import Findings, arrow, sources_of
 from fsar_ledger.report.judge import ARCHITECTURES, FOUR_ROBOTS, RunCounts
 from fsar_ledger.report.printing import flat
 
@@ -133,7 +133,9 @@ def gather(
             with showing("read", "combinations of readings") as progress:
                 read = multiverse_of(database, main, pools_seeds=pools_seeds, progress=progress)
         relations = {name: table for part in parts.values() for name, table in part.relations.items()}
-        relations.setdefault("differences", database.table("SELECT * FROM mechanism_differences LIMIT 0"))
+        if "differences" not in relations:  # its columns, without measuring anything of this ledger
+            with from_rows((), threads=1) as empty:
+                relations["differences"] = empty.table("SELECT * FROM mechanism_differences")
         relations |= {"runs": database.table(RUNS_SQL), **relations_of(read)}
         relations |= {"models": pa.Table.from_pylist(sets)} if sets else {}
         asked = [query for name in parts for query in QUERIES[name]]
@@ -142,7 +144,7 @@ def gather(
             heads={name: part.head for name, part in parts.items()},
             numbers=tuple(number for part in parts.values() for number in part.numbers),
             relations=relations,
-            sources=_sources(database, asked),
+            sources=sources_of(database, asked),
             parameters=parameters,
             parameters_sha256=digest,
             model_version=main[CONDITIONS.index("model_version")] if main else None,
@@ -249,15 +251,6 @@ def _models(database: Database, main: Main | None) -> tuple[list[dict[str, Any]]
     ]
     said = next((one for one in ours or found if one.parameters), None)
     return rows, dict(flat("", said.parameters if said else {})), said.sha256 if said else None
-
-
-def _sources(database: Database, names: Collection[str]) -> tuple[Source, ...]:
-    """Return the packaged queries of these names with everything that they read; views of event types are left out."""
-    made = {one.name for one in generated()}
-    needed = database.library.needs(database.library.find(name).relation for name in names)
-    return tuple(
-        Source(one.name, one.sha256) for one in sorted(needed, key=lambda one: one.name) if one.name not in made
-    )
 
 
 def multiverse_of(

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from importlib.resources.abc import Traversable
-from typing import Any
 
 import msgspec
 import pyarrow as pa
@@ -177,7 +176,7 @@ def own_constants(parameters: Mapping[str, str]) -> pa.Table:
     )
 
 
-def notes(findings: Findings, record: Calibration | None, effects_said: str | None) -> list[dict[str, Any]]:
+def notes(findings: Findings, record: Calibration | None, effects_said: str | None) -> list[str]:
     """Return what a reader must know before the numbers, the most important first."""
     said = [
         findings.unjudged,
@@ -188,4 +187,4 @@ def notes(findings: Findings, record: Calibration | None, effects_said: str | No
     if findings.differing:
         pairs = "Not every pair of runs met the same world. Such pairs have no part in any paired number"
         said.insert(0, f"{pairs}: {'; '.join(findings.differing)}.")
-    return [{"text": one} for one in said if one]
+    return [one for one in said if one]

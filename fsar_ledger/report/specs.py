@@ -14,6 +14,9 @@ from typing import Any, Literal
 
 import msgspec
 
+Kind = Literal["paper", "audit"]
+"""The kinds of reports: of the paper's evaluation, and of what a ledger records."""
+
 
 class Column(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """One column of a table: which value it shows, under which heading, in which format (`printing.FORMATS`).
@@ -121,20 +124,40 @@ def text(*path: str) -> str:
     return files("fsar_ledger.reports").joinpath(*path).read_text(encoding="utf-8")
 
 
+class Titles(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What a document is called: in the PDF and above each page, on the first page, and the line below.
+
+    `breaks`: its first page has nothing but the section without a title.
+    """
+
+    title: str
+    heading: str
+    subtitle: str
+    breaks: bool = False
+
+
+def titles() -> dict[Kind, Titles]:
+    """Return the titles of each kind of report."""
+    return msgspec.toml.decode(text("titles.toml"), type=dict[Kind, Titles])
+
+
 @cache
-def sections() -> dict[str, Section]:
-    """Return the sections by the name of their file, in order; a number in front of the name gives the order."""
-    names = sorted(one.name for one in files("fsar_ledger.reports").joinpath("sections").iterdir())
+def sections(folder: str = "sections") -> dict[str, Section]:
+    """Return the sections by the name of their file, in order; a number in front of the name gives the order.
+
+    The folder is `sections` for the paper's report, `audit` for the audit report.
+    """
+    names = sorted(one.name for one in files("fsar_ledger.reports").joinpath(folder).iterdir())
     return {
-        name.removesuffix(".toml"): msgspec.toml.decode(text("sections", name), type=Section)
+        name.removesuffix(".toml"): msgspec.toml.decode(text(folder, name), type=Section)
         for name in names
         if name.endswith(".toml")
     }
 
 
-def relations() -> dict[str, str]:
+def relations(file: str = "relations.toml") -> dict[str, str]:
     """Return the relations that several sections share, in the order in which they rest on each other."""
-    return dict(tomllib.loads(text("relations.toml")))
+    return dict(tomllib.loads(text(file)))
 
 
 def rows(name: str) -> list[dict[str, Any]]:

@@ -166,7 +166,10 @@ def test_a_request_of_which_nothing_tells_the_end_has_no_result(ledgers: dict[st
 def test_the_report_has_no_number_of_what_is_not_observed(
     ledgers: dict[str, Path], tmp_path: Path, concern: str
 ) -> None:
-    told = ask("report", ledgers[concern], "--out", tmp_path / "report.pdf", "--numbers", tmp_path / "numbers.json")
+    told = ask(
+        *("report", ledgers[concern], "--kind", "paper"),
+        *("--out", tmp_path / "report.pdf", "--numbers", tmp_path / "numbers.json"),
+    )
     assert told.code == 0
     with from_table(pa.table({})) as database:
         rows = database.rows("SELECT judge, concern FROM metric_concerns")

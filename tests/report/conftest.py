@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from fsar_ledger.designs.registered import PAPER_SCENARIOS
 from fsar_ledger.events import CONCERNS, Event
 from fsar_ledger.events.authority import AuthorityClaimed
 from fsar_ledger.events.configuration import Configuration
@@ -31,7 +32,6 @@ from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.report.build import write_report
 from fsar_ledger.report.document import Document
 from fsar_ledger.report.findings import Findings
-from fsar_ledger.report.judge import SCENARIOS
 from fsar_ledger.report.read import gather
 from fsar_ledger.runtime.experiment import run_experiment, workflow_experiment
 from tests import past
@@ -124,7 +124,7 @@ def make_ledger(tmp_path_factory: pytest.TempPathFactory) -> Make:
         configuration: Configuration = "full",
         fleet_size: int = 4,
         runs: int = 2,
-        scenarios: Sequence[Scenario] = SCENARIOS,
+        scenarios: Sequence[Scenario] = PAPER_SCENARIOS,
     ) -> Path:
         path = tmp_path_factory.mktemp("ledger") / "ledger"
         records = [

@@ -9,9 +9,9 @@ import pyarrow as pa
 from fsar_ledger.metrics.paper_numbers import Table, printed
 from fsar_ledger.metrics.results import StatisticRow
 from fsar_ledger.metrics.verdicts import MARGINS
-from fsar_ledger.report.document import Document
 from fsar_ledger.report.findings import Findings, Head, arrow
 from fsar_ledger.report.judge import Number
+from fsar_ledger.report.layout import Layout
 
 CLAIMS = pa.Table.from_pylist([{"claim": "", "architecture": "", "numerator": 1, "denominator": 1, "runs": 1}])
 DIFFERENCE: dict[str, Any] = dict.fromkeys(
@@ -96,26 +96,26 @@ def made(
     )
 
 
-def part(document: Document, name: str, shape: str = "table") -> dict[str, Any]:
+def part(document: Layout, name: str, shape: str = "table") -> dict[str, Any]:
     """The table, or the figure, of this name."""
     parts = [one for section in document.sections for one in section["parts"]]
     [found] = [one for one in parts if (one["shape"], one.get("name")) == (shape, name)]
     return dict(found)
 
 
-def names(document: Document, shape: str) -> list[str]:
+def names(document: Layout, shape: str) -> list[str]:
     """The names of all tables, or figures, in order."""
     return [one["name"] for section in document.sections for one in section["parts"] if one["shape"] == shape]
 
 
-def column(document: Document, table: str, key: str, what: str = "value") -> list[Any]:
+def column(document: Layout, table: str, key: str, what: str = "value") -> list[Any]:
     """One column of a table: its values, or what is printed."""
     found = part(document, table)
     at = found["keys"].index(key)
     return [getattr(row[at], what) for row in found["rows"]]
 
 
-def said(document: Document, id: str | None = None) -> str:
+def said(document: Layout, id: str | None = None) -> str:
     """The texts of the document, or those of this id, as a reader sees their words."""
     texts = [
         one["text"]

@@ -19,6 +19,20 @@ from tests.report.made import HEAD, column, made, names, number, of_table, paire
 
 FAILS = "does not"
 CLASSES = ("fitted", "informed", "by construction", "cannot follow", "unspecified")
+CONTAINMENT_LOST: dict[str, Any] = {
+    "architecture": "fsar",
+    "configuration": "without-layered-recovery",
+    "metric": "recovery_containment",
+    "full_mean": 0.89,
+    "without_mean": 0.1,
+    "mean_difference": 0.79,
+    "p_holm": 0.001,
+    "ci_low": 0.7,
+    "ci_high": 0.9,
+    "position": 3,
+    "n": 9,
+    "differing_pairs": 9,
+}
 
 
 def page(
@@ -50,16 +64,7 @@ def test_the_farthest_comes_first() -> None:
 
 
 def test_the_sentences_are_plain() -> None:
-    mechanism = {"architecture": "fsar", "configuration": "without-layered-recovery", "metric": "recovery_containment"}
-    lost = {
-        "full_mean": 0.89,
-        "without_mean": 0.1,
-        "mean_difference": 0.79,
-        "p_holm": 0.001,
-        "ci_low": 0.7,
-        "ci_high": 0.9,
-    }
-    document = page(differences=[{**mechanism, **lost, "position": 3, "n": 9, "differing_pairs": 9}])
+    document = page(differences=[CONTAINMENT_LOST])
     found = said(document, "answer")
     assert not [word for word in CLASSES if word in found]
     assert not re.search(r"\(\d", found)
@@ -98,21 +103,11 @@ def test_a_ranking_without_tests_is_undecided_and_those_that_are_alike_hold_with
 
 
 def test_what_turns_without_a_mechanism_is_named() -> None:
-    mechanism = {"architecture": "fsar", "configuration": "without-layered-recovery", "metric": "recovery_containment"}
-    lost = {
-        "full_mean": 0.89,
-        "without_mean": 0.1,
-        "mean_difference": 0.79,
-        "p_holm": 0.001,
-        "ci_low": 0.7,
-        "ci_high": 0.9,
-    }
-    row = {**mechanism, **lost, "position": 3, "n": 9, "differing_pairs": 9}
-    turned = page(differences=[row])
+    turned = page(differences=[CONTAINMENT_LOST])
     assert column(turned, "claims", "mechanisms") == [None, None, ["layered recovery"], *[None] * 5]
     assert "1 of them turns when a single mechanism is taken out of one of the three" in said(turned, "answer")
     for kept in ({"without_mean": 0.85}, {"p_holm": 0.2}):
-        assert "mechanisms" not in part(page(differences=[{**row, **kept}]), "claims")["keys"]
+        assert "mechanisms" not in part(page(differences=[CONTAINMENT_LOST | kept]), "claims")["keys"]
 
 
 def test_the_study_of_rankings_fills_two_columns_and_two_sentences() -> None:

@@ -7,6 +7,7 @@ import msgspec
 import pytest
 
 from fsar_ledger.designs.constants import Constants, Load
+from fsar_ledger.designs.registered import PAPER_SCENARIOS
 from fsar_ledger.events.configuration import FULL, without
 from fsar_ledger.events.envelope import Architecture
 from fsar_ledger.ledger.rows.codec import encode
@@ -15,7 +16,7 @@ from fsar_ledger.metrics.results import dialled_rows
 from fsar_ledger.metrics.verdicts import MARGINS
 from fsar_ledger.report.document import Document
 from fsar_ledger.report.experiments import Part, experiments_of
-from fsar_ledger.report.judge import OPEN, SCENARIOS, Number
+from fsar_ledger.report.judge import OPEN, Number
 from fsar_ledger.runtime.experiment import Experiment
 from fsar_ledger.runtime.simulation import ARCHITECTURES, simulate_run
 from tests.recycled import from_table
@@ -33,12 +34,12 @@ def played(*experiments: Experiment) -> Iterator[Any]:
 
 def meeting(mean: float, *configurations: str) -> Experiment:
     world = msgspec.structs.replace(Constants().world, encounter_mean_s=mean)
-    return Experiment(("fsar",), SCENARIOS, 2, 42, 4, configurations, Constants(world))
+    return Experiment(("fsar",), PAPER_SCENARIOS, 2, 42, 4, configurations, Constants(world))
 
 
 def loaded(size: int, teams: int | None, architectures: tuple[Architecture, ...] = ARCHITECTURES) -> Experiment:
     load = None if teams is None else Load(teams_working=teams)
-    return Experiment(architectures, SCENARIOS, 1, 42, size, constants=Constants(load=load))
+    return Experiment(architectures, PAPER_SCENARIOS, 1, 42, size, constants=Constants(load=load))
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +65,7 @@ def fleets() -> Part:
 @pytest.fixture(scope="module")
 def taken_out() -> Part:
     configurations = (FULL, *(without([name]) for name in (CLAIMS, COPIES, UNNAMED)))
-    with from_table(encode(list(played(Experiment(("cfc",), SCENARIOS, 3, 42, 4, configurations))))) as database:
+    with from_table(encode(list(played(Experiment(("cfc",), PAPER_SCENARIOS, 3, 42, 4, configurations))))) as database:
         return experiments_of(database)["mechanisms"]
 
 

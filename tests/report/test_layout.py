@@ -15,6 +15,7 @@ from fsar_ledger.metrics.library import library
 from fsar_ledger.metrics.results import CostRow, DialledRow
 from fsar_ledger.metrics.study_results import Calibration, packaged
 from fsar_ledger.report import build, specs
+from fsar_ledger.report.audit import AuditDocument
 from fsar_ledger.report.document import Document
 from fsar_ledger.report.findings import Findings, arrow
 from fsar_ledger.report.judge import ARCHITECTURES
@@ -77,7 +78,7 @@ def _cost(architecture: str, size: int) -> CostRow:
     return CostRow(**row | {"architecture": architecture, "fleet_size": size})
 
 
-def typeset(document: Document, folder: Path, kind: str) -> Any:
+def typeset(document: Document | AuditDocument, folder: Path, kind: str) -> Any:
     import typst
 
     folder.mkdir()

@@ -10,6 +10,7 @@ from scipy import stats
 
 from fsar_ledger.base.errors import InvalidExperiment
 from fsar_ledger.designs.constants import Constants
+from fsar_ledger.designs.registered import PAPER_SCENARIOS
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityClaimed
 from fsar_ledger.events.configuration import MECHANISMS, MECHANISMS_OF, ON_RECORD_ALONE, without
@@ -20,7 +21,6 @@ from fsar_ledger.ledger.rows.codec import encode
 from fsar_ledger.metrics.database import Database
 from fsar_ledger.metrics.definitions import metrics
 from fsar_ledger.report.experiments import experiments_of
-from fsar_ledger.report.judge import SCENARIOS
 from fsar_ledger.runtime.experiment import Experiment
 from fsar_ledger.runtime.experiment_arguments import experiment_of
 from fsar_ledger.runtime.knockouts import KNOCKOUTS, Knockout
@@ -37,13 +37,13 @@ def played(*experiments: Experiment) -> AbstractContextManager[Database]:
 
 
 def of_cfc(*names: str, runs: int = 2, constants: Constants = Constants()) -> Experiment:  # noqa: B008
-    return Experiment(("cfc",), SCENARIOS, runs, 42, 4, ("full", *(without([name]) for name in names)), constants)
+    return Experiment(("cfc",), PAPER_SCENARIOS, runs, 42, 4, ("full", *(without([name]) for name in names)), constants)
 
 
 @pytest.fixture(scope="module")
 def database() -> Iterator[Database]:
     both = Experiment(
-        ("cfc",), SCENARIOS, 3, 42, 4, (without([CLAIMS, COPIES]),)
+        ("cfc",), PAPER_SCENARIOS, 3, 42, 4, (without([CLAIMS, COPIES]),)
     )  # is in no family of those that lack one
     with played(of_cfc(CLAIMS, COPIES, UNNAMED, runs=3), both) as opened:
         yield opened

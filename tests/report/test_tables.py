@@ -9,6 +9,7 @@ import msgspec
 import pytest
 
 from fsar_ledger.base.errors import UsageError
+from fsar_ledger.designs.registered import PAPER_SCENARIOS, PAPER_WORKFLOWS
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.store.append import Writer
@@ -19,9 +20,7 @@ from fsar_ledger.metrics.definitions import published_metrics
 from fsar_ledger.metrics.results import metric_rows, statistic_rows
 from fsar_ledger.report import judge, printing, specs
 from fsar_ledger.report.document import Document
-from fsar_ledger.report.experiments import WORKFLOWS
 from fsar_ledger.report.findings import Findings
-from fsar_ledger.report.judge import SCENARIOS
 from fsar_ledger.report.read import gather
 from fsar_ledger.runtime.experiment import run_experiment, workflow_experiment
 from tests.queries.histories import answer
@@ -73,7 +72,7 @@ def test_the_tests_and_the_means_by_scenario_are_the_rows_of_their_queries(ledge
         assert column(document, "statistical-significance", name) == [getattr(tests[key], name) for key in found]
     printed = [float(row["t"]) for row in specs.paper_table("significance")]
     assert column(document, "statistical-significance", "paper_t") == printed
-    for scenario in SCENARIOS:
+    for scenario in PAPER_SCENARIOS:
         expected = [means[metric, name, scenario] for metric, name in keys(document, "scenario-means")]
         assert column(document, "scenario-means", scenario) == expected
 
@@ -111,8 +110,8 @@ SHAPES = {
         (),
         "2 runs of workflow-door-relay, 2 runs of workflow-layered-recovery",
     ),
-    "some scenarios": (SCENARIOS[:2], (), "2 runs of collaborative-delivery, 2 runs of door-relay"),
-    "uneven runs": (SCENARIOS, SCENARIOS[:1], "3 runs of door-relay, 2 runs of failure-recovery-chain"),
+    "some scenarios": (PAPER_SCENARIOS[:2], (), "2 runs of collaborative-delivery, 2 runs of door-relay"),
+    "uneven runs": (PAPER_SCENARIOS, PAPER_SCENARIOS[:1], "3 runs of door-relay, 2 runs of failure-recovery-chain"),
 }
 
 
@@ -151,7 +150,7 @@ def test_only_the_architecture_of_another_shape_is_not_judged(
     make_ledger: Make, findings: Findings, tmp_path: Path
 ) -> None:
     path = shutil.copytree(make_ledger(architectures=("fsar", "dhma")), tmp_path / "ledger")
-    part_of_cfc = list(open_ledger(make_ledger(architectures=("cfc",), scenarios=SCENARIOS[1:])).runs())
+    part_of_cfc = list(open_ledger(make_ledger(architectures=("cfc",), scenarios=PAPER_SCENARIOS[1:])).runs())
     with Writer(path, "test") as writer:
         writer.append(stage(path, part_of_cfc))
     found = gather(path)
@@ -164,8 +163,8 @@ def test_only_the_architecture_of_another_shape_is_not_judged(
 
 
 def test_pairs_of_another_shape_than_the_papers_are_not_judged() -> None:
-    runs: judge.RunCounts = dict.fromkeys(SCENARIOS, 2)
-    even: judge.RunCounts = dict.fromkeys(SCENARIOS, 1)
+    runs: judge.RunCounts = dict.fromkeys(PAPER_SCENARIOS, 2)
+    even: judge.RunCounts = dict.fromkeys(PAPER_SCENARIOS, 1)
     held, pairs = {"fsar": runs, "cfc": runs}, {"fsar-cfc": {**even, "door-relay": 2}}
     assert judge.unjudged(held, pairs) == {"fsar-cfc"}
     why = known(judge.why_unjudged(held, pairs))
@@ -289,10 +288,10 @@ def test_every_name_of_the_paper_has_its_words() -> None:
     }
     assert held["feature"] == [row["feature"] for row in specs.paper_table("architecture_features")]
     assert held["mechanism"] == [row["mechanism"] for row in specs.paper_table("mechanism_coverage")]
-    assert held["workflow"] == list(WORKFLOWS)
+    assert held["workflow"] == list(PAPER_WORKFLOWS)
     for name in held["difference"]:
         workflow, mechanism, cell = name.split("/")
-        assert workflow in WORKFLOWS
+        assert workflow in PAPER_WORKFLOWS
         assert mechanism in held["mechanism"]
         assert cell
 

@@ -1,0 +1,227 @@
+"""The audit report: what one ledger records, whatever system made it, and what its own rules say of that.
+
+The packaged queries answer; their answers become relations, which the sections of `reports/audit/` select from. A
+number of runs that do not observe what it rests on is missing, never 0.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import msgspec
+import pyarrow as pa
+
+from fsar_ledger.designs.registered import PAPER_SCENARIOS, PAPER_WORKFLOWS
+from fsar_ledger.ledger.log.note import signers_of
+from fsar_ledger.ledger.opening import open_for_answers
+from fsar_ledger.ledger.store.read import View
+from fsar_ledger.metrics.database import connect_view
+from fsar_ledger.metrics.invariants import AuditRow, audit_rows, invariants
+from fsar_ledger.metrics.observing import Unobserved, never_observed
+from fsar_ledger.report import printing, specs
+from fsar_ledger.report.experiments import ledger_head
+from fsar_ledger.report.findings import Head, Source, arrow, sources_of
+from fsar_ledger.report.judge import ARCHITECTURES
+from fsar_ledger.report.layout import Layout, for_programs, head_for_programs, versions
+
+MAX_NAME = 60  # characters of the name of a ledger
+MAX_OFFENCES = 5
+"""Events of the annex for each broken invariant, architecture and configuration."""
+MAX_GROUPS = 8
+"""Architectures and configurations of which the annex has events for an invariant."""
+
+# Grain: one row per run. Units: last_us microseconds of run time. NULL: fleet where nothing on record names it.
+RUNS = """
+    WITH named AS (
+        SELECT parameter_set, any_value(trim(value, '"')) AS fleet
+        FROM constants
+        WHERE name = 'fleet.name'
+        GROUP BY parameter_set
+    ), sizes AS (
+        SELECT run_id, count(*) AS events, max(time_us) AS last_us FROM events GROUP BY run_id
+    )
+    SELECT
+        runs.number, runs.run_id, runs.kind, runs.source, runs.architecture, runs.configuration, runs.scenario,
+        runs.fleet_size, settings.kind AS made_as, sizes.events, sizes.last_us,
+        list_contains(coalesce(runs.observes, []), 'request') AS observes_requests,
+        list_contains(coalesce(runs.observes, []), 'supervision') AS observes_supervision,
+        if(runs.kind = 'simulated', coalesce(named.fleet, 'paper'), NULL) AS fleet
+    FROM runs
+    INNER JOIN run_settings AS settings ON runs.run_id = settings.run_id
+    INNER JOIN sizes ON runs.run_id = sizes.run_id
+    LEFT JOIN named ON settings.parameter_set = named.parameter_set
+    ORDER BY runs.number, runs.run_id
+"""
+ASKED: Mapping[str, str] = {
+    "requests": "audit/requests",
+    "denials": "audit/denials",
+    "grounds": "audit/grounds_of_denials",
+    "interventions": "audit/interventions",
+    "supervisor_decisions": "audit/supervisor_decisions",
+}
+"""The queries whose whole answers the sections select from, by the name of the relation."""
+SELECTED: Mapping[str, tuple[str, str]] = {
+    "runs": ("staging/runs", RUNS),
+    "members": ("facts/fleet_members", "SELECT * FROM fleet_members"),
+    "verdicts": (
+        "facts/verdict_events",
+        "SELECT * FROM verdict_events WHERE list_contains(['violation', 'conflict'], verdict)",
+    ),
+    "violations": ("metrics/policy_violations", "SELECT run_id, numerator, not_observed FROM policy_violations"),
+    "conflicts": ("metrics/authority_conflicts", "SELECT run_id, numerator, not_observed FROM authority_conflicts"),
+}
+"""What they select from of other queries, with the SELECT that reads each."""
+# The first offending events of an invariant, as `audit` counts them. Grain: one row per event.
+OFFENCES = """
+    WITH found AS (
+        SELECT
+            offences.run_id, offences.seq, min(offences.type) AS type, min(offences.action_id) AS action_id,
+            string_agg(DISTINCT offences.found, '; ' ORDER BY offences.found) AS found
+        FROM {relation} AS offences
+        LEFT JOIN unobservable AS hidden ON offences.run_id = hidden.run_id AND hidden.judge = '{relation}'
+        WHERE NOT coalesce(hidden.hides_offences, FALSE)
+        GROUP BY offences.run_id, offences.seq
+    )
+    SELECT '{relation}' AS invariant, runs.architecture, runs.configuration, runs.number, found.*
+    FROM found INNER JOIN runs ON found.run_id = runs.run_id
+    QUALIFY
+        row_number() OVER (PARTITION BY runs.architecture, runs.configuration ORDER BY runs.number, found.seq) <= {most}
+        AND dense_rank() OVER (ORDER BY runs.architecture, runs.configuration) <= {groups}
+    ORDER BY runs.number, found.seq
+"""
+OFFENCES_SCHEMA = pa.schema(
+    [
+        *((name, pa.string()) for name in ("invariant", "architecture", "configuration")),
+        ("number", pa.int64()),
+        ("run_id", pa.string()),
+        ("seq", pa.int64()),
+        *((name, pa.string()) for name in ("type", "action_id", "found")),
+    ]
+)
+PAPER_SQL = """
+    SELECT
+        count(*) FILTER (list_contains($scenarios, runs.scenario)) > 0
+        AND bool_and(
+            runs.kind = 'simulated' AND coalesce(list_contains($names, runs.scenario), FALSE)
+            AND coalesce(list_contains($architectures, runs.architecture), FALSE)
+            AND settings.parameter_set IS DISTINCT FROM own.parameter_set
+        ) AS is_paper
+    FROM runs
+    INNER JOIN run_settings AS settings ON runs.run_id = settings.run_id
+    LEFT JOIN (
+        SELECT DISTINCT parameter_set FROM constants WHERE list_contains(['fleet.name', 'scenario.name'], name)
+    ) AS own ON settings.parameter_set = own.parameter_set
+"""
+
+
+class AuditFindings(msgspec.Struct, frozen=True):
+    """What the audit report shows: name and head of the ledger, the answers by name, and the queries behind them."""
+
+    name: str
+    head: Head
+    relations: Mapping[str, pa.Table]
+    sources: tuple[Source, ...]
+
+
+def kind_of(ledger: Path, demanded: str | None = None) -> specs.Kind:
+    """Return which report suits the ledger: the paper's if all its runs are of the paper's experiment, and some are.
+
+    Runs of the paper's workflows may stand beside them. Raises: as `connect_view`.
+    """
+    with connect_view(open_for_answers(ledger), demanded=demanded) as database:
+        scenarios = list(PAPER_SCENARIOS)
+        [row] = database.rows(
+            PAPER_SQL,
+            {
+                "scenarios": scenarios,
+                "names": [*scenarios, *PAPER_WORKFLOWS],
+                "architectures": list(ARCHITECTURES),
+            },
+        )
+    return "paper" if row["is_paper"] else "audit"
+
+
+def gather_audit(ledger: Path, demanded: str | None = None) -> AuditFindings:
+    """Return what the queries answer about all runs of the ledger's present head. Raises: as `connect_view`."""
+    view = open_for_answers(ledger)
+    # Several thousand runs have more answers than fit into memory beside them.
+    with (
+        TemporaryDirectory(prefix="fsar-ledger-") as spilled,
+        connect_view(view, demanded=demanded) as database,
+    ):
+        database.spill(Path(spilled))
+        relations = {name: database.table(sql) for name, (_, sql) in SELECTED.items()}
+        relations |= {name: database.query(query) for name, query in ASKED.items()}
+        every = invariants()
+        judged = audit_rows([database], every) if relations["runs"].num_rows else []
+        broken = [one for one in every if any(row.invariant == one.relation and row.holds is False for row in judged)]
+        offences = [
+            database.table(OFFENCES.format(relation=one.relation, most=MAX_OFFENCES, groups=MAX_GROUPS))
+            for one in broken
+        ]
+        relations |= {
+            "invariants": arrow(judged, AuditRow),
+            "not_observed": arrow(never_observed(database), Unobserved),
+            "offences": pa.concat_tables([OFFENCES_SCHEMA.empty_table(), *offences]),
+            "whole": _whole(view),
+            "versions": pa.Table.from_pylist([{"name": name, "version": one} for name, one in versions().items()]),
+        }
+        asked = [*ASKED.values(), *(query for query, _ in SELECTED.values()), *(one.name for one in every)]
+        head = ledger_head(database, None)
+        return AuditFindings(_name_of(ledger), head, relations, sources_of(database, asked))
+
+
+def _name_of(ledger: Path) -> str:
+    return printing.words(ledger.absolute().name, MAX_NAME)
+
+
+def _whole(view: View) -> pa.Table:
+    """Return the head in one row: origin, size, root, whom the newest note names as its signers, and signed commits.
+
+    No key is given, so no signature is checked. NULL: signers of a ledger that is not signed.
+    """
+    origin = view.manifest.origin
+    notes = [one.note(origin) for one in view.commits]
+    row: dict[str, Any] = {
+        "origin": origin,
+        "commits": len(notes),
+        "events": view.head.size,
+        "root": view.head.root,
+        "signers": signers_of(notes[-1]) if notes else None,
+        "signed": sum(bool(note.signatures) for note in notes),
+    }
+    schema = pa.schema([(name, pa.int64() if isinstance(one, int) else pa.string()) for name, one in row.items()])
+    return pa.Table.from_pylist([row], schema)
+
+
+class AuditDocument(Layout):
+    """The audit report, laid out for the template."""
+
+    def __init__(self, findings: AuditFindings) -> None:
+        self.findings = findings
+        super().__init__(findings.relations, specs.relations("audit_relations.toml"), specs.sections("audit"), {})
+
+    def encoded(self) -> bytes:
+        """Return what the template prints, as JSON with sorted names."""
+        titles = specs.titles()["audit"]
+        named = {name: getattr(titles, name).format(ledger=self.findings.name) for name in ("title", "heading")}
+        return self.template_data(msgspec.structs.replace(titles, **named), self.findings.head)
+
+    def reproduction(self) -> bytes:
+        """Return the same for programs, as JSON: the head, every table with its values, and the digests of the queries.
+
+        Values are in the units of the queries; null is what is not on record or not observed.
+        """
+        tables = {
+            part["name"]: [dict(zip(part["keys"], (cell.value for cell in row), strict=True)) for row in part["rows"]]
+            for section in self.sections
+            for part in section["parts"]
+            if part["shape"] == "table"
+        }
+        said = {
+            "ledger": head_for_programs(self.findings.head),
+            "invariants": self.findings.relations["invariants"].to_pylist(),
+            "tables": tables,
+        }
+        return for_programs(said, self.findings.sources)
