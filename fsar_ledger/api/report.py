@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from .answers import Lines
-from .names import KindOfReport, Place, pools_seeds
-from .verbs import Gives, Option, PoolOption, WorkersOption, declare, verb
+from .names import KindOfReport, Place
+from .verbs import Gives, Option, WorkersOption, declare, verb
 from .workload import readers_of
 
 if TYPE_CHECKING:
@@ -45,17 +45,16 @@ def report(
         "`paper`: the evaluation beside the paper's. `audit`: what this ledger records, and what is broken or open.",
         "paper if all runs are of its experiment, or another option asks for a part of that report; else audit",
     ),
-    pool: PoolOption = None,
     workers: WorkersOption = None,
     showing: Annotated["Showing | None", Gives("showing")] = None,
 ) -> Lines:
     """Typeset the evaluation, or an audit of the ledger, as a PDF.
 
-    In the paper's report each number of the paper stands beside the ledger's, with its interval and a verdict.
-    Ablations, larger fleets and workflows have sections of their own where this ledger, or one given by --with, holds
-    them. The audit report is about any ledger: who asked whom, what was denied under which rule, what supervisors
-    decided, violations, conflicts and invariants with the events behind them, and what was not observed. All rows are
-    compared with their root first, as `verify` does.
+    In the paper's report each number of the paper stands beside the ledger's, with its interval and a verdict; the runs
+    of all seeds are taken together. Ablations, larger fleets and workflows have sections of their own where this
+    ledger, or one given by --with, holds them. The audit report is about any ledger: who asked whom, what was denied
+    under which rule, what supervisors decided, violations, conflicts and invariants with the events behind them, and
+    what was not observed. All rows are compared with their root first, as `verify` does.
 
     Raises:
         UsageError: The kind is unknown, or options of the paper's report are given for an audit report.
@@ -70,7 +69,7 @@ def report(
     def path(place: Place | None) -> Path | None:
         return None if place is None else Path(place)
 
-    given: dict[str, object] = {"with": beside, "workflows": workflows, "sensitivity": sensitivity, "pool": pool}
+    given: dict[str, object] = {"with": beside, "workflows": workflows, "sensitivity": sensitivity}
     of_the_paper = [name for name, one in given.items() if one]
     if kind not in (None, "paper", "audit"):
         raise UsageError(f"{option('kind', value(kind))}: expected paper or audit")
@@ -85,7 +84,6 @@ def report(
         readers_of(workers, ledger.path),
         showing or unseen,
         beside=list(map(Path, beside or ())),
-        pools_seeds=pools_seeds(pool),
         sensitivity=path(sensitivity),
         numbers_out=path(numbers),
         kind="paper" if kind is None and of_the_paper else kind,

@@ -67,7 +67,9 @@ def reproduce(
     only: Names = declare(
         "EXPERIMENT", "results (always made), ablation, scaling or workflows; may be repeated.", "all"
     ),
-    runs: int | None = declare("N", "Runs of each scenario.", "results 200, ablation 40, scaling 20"),
+    runs: int | None = declare(
+        "N", "Runs of each scenario, spread over the registered seeds.", "results 200, ablation 40, scaling 20"
+    ),
     key: KeyOption = None,
     adopt: AdoptOption = False,
     workers: WorkersOption = None,
@@ -90,7 +92,7 @@ def reproduce(
     from fsar_ledger.metrics.results import MetricRow, StatisticRow, metric_rows, statistic_rows
     from fsar_ledger.metrics.verified import ensure_verified
     from fsar_ledger.report.build import write_report
-    from fsar_ledger.runtime.paper import NAMES, SEED, paper_ledger
+    from fsar_ledger.runtime.paper import NAMES, paper_ledger
 
     from .files import write_csv
     from .key import signer_of
@@ -100,9 +102,7 @@ def reproduce(
     folder, processes, signer, show = Path(out), workers_of(workers), signer_of(key, adopts=adopt), showing or unseen
     require_outside(folder, option("out", folder))
     wanted = known("experiment", names_of(only), NAMES)
-    experiments = [
-        paper_ledger(name, SEED, runs) for name in NAMES if name == "results" or not wanted or name in wanted
-    ]
+    experiments = [paper_ledger(name, runs) for name in NAMES if name == "results" or not wanted or name in wanted]
     made = {
         one.name: _carried_out(folder / one.name, one, processes, one.signer(signer), show, adopts=adopt)
         for one in experiments
@@ -111,7 +111,7 @@ def reproduce(
     with show("verified", "segments") as progress:
         demanded = ensure_verified(ledger, processes, progress)
     with connect(ledger, demanded=demanded) as database:
-        metrics, statistics = metric_rows(database), statistic_rows(database)
+        metrics, statistics = metric_rows(database, pools_seeds=True), statistic_rows(database, pools_seeds=True)
         table = Table(of_structs(metrics, MetricRow), of_judgement(database))
     write_csv(folder / "metrics.csv", table)
     write_csv(folder / "statistics.csv", Table(of_structs(statistics, StatisticRow)))
@@ -130,7 +130,7 @@ def reproduce(
 def _carried_out(
     out: Path, experiment: "PaperLedger", workers: int, signer: "Signer | None", showing: "Showing", *, adopts: bool
 ) -> "SimulationResult":
-    """Append all parts of an experiment to its ledger, one after the other; return what the last added.
+    """Append all parts of an experiment to its ledger, one after the other; return its head and counts then.
 
     A signer signs the ledger of the results under its own name, and the others under names of their own.
     """
@@ -140,7 +140,7 @@ def _carried_out(
     for part in experiment.parts:
         with showing(f"{experiment.name}: simulated", "batches") as progress:
             made = run_experiment(out, part, workers, progress, signer, origin, adopts=adopts)
-    return made
+    return msgspec.structs.replace(made, asked=experiment.size)
 
 
 def beyond(made: "SimulationResult") -> list[str]:

@@ -21,6 +21,12 @@ CONDITIONS = ("configuration", "fleet_size", "seed", "kind", "source", "model_ve
 setting_of = attrgetter(*CONDITIONS)
 """Returns these of a row."""
 
+
+def of_all_seeds(setting: Sequence[Any]) -> dict[str, Any]:
+    """Return a setting by name, as parameters of a query that takes the runs of all seeds together."""
+    return {name: value for name, value in zip(CONDITIONS, setting, strict=True) if name != "seed"}
+
+
 SETTINGS = (
     "configuration <> 'full', configuration, fleet_size, kind <> 'simulated', kind, source, model_version, constants, "
     "seed"
@@ -225,11 +231,13 @@ PAPER_PAIRS = 100
 def drawn_effects(database: Database, setting: Sequence[Any]) -> dict[tuple[str, str], list[float | None]]:
     """Return Cohen's d in each drawn experiment of the paper's size, by metric and comparison, in one setting.
 
-    The setting is as `setting_of` returns it. `verdicts.odds` compares them with `paper_numbers.printed_tests`.
+    The setting is as `setting_of` returns it; the runs of all seeds are drawn from together. `verdicts.odds` compares
+    them with `paper_numbers.printed_tests`.
 
     Raises: as `Database.rows`.
     """
-    same = " AND ".join(f"{name} IS NOT DISTINCT FROM ${name}" for name in CONDITIONS)
+    given = of_all_seeds(setting)
+    same = " AND ".join(f"{name} IS NOT DISTINCT FROM ${name}" for name in given)
     rows = database.rows(
         f"""
         SELECT metric, comparison, list(cohens_d ORDER BY draw) AS numbers
@@ -237,7 +245,7 @@ def drawn_effects(database: Database, setting: Sequence[Any]) -> dict[tuple[str,
         WHERE n = {PAPER_PAIRS} AND {same}
         GROUP BY metric, comparison
         """,
-        dict(zip(CONDITIONS, setting, strict=True)),
+        given,
     )
     return {(row["metric"], row["comparison"]): row["numbers"] for row in rows}
 

@@ -152,11 +152,11 @@ class Calibration(Result, frozen=True, kw_only=True):
 class Predicted(msgspec.Struct, frozen=True, kw_only=True):
     """One predicted number: its experiment, and the metric's mean, SD per run, runs and 95 % interval, in its unit.
 
-    `teams_working` None: all teams. `scenario` None: all scenarios.
+    `seed` None: the runs of all registered seeds. `teams_working` None: all teams. `scenario` None: all scenarios.
     """
 
     of: str
-    seed: int
+    seed: int | None
     fleet_size: int
     teams_working: int | None
     encounter_mean_s: float

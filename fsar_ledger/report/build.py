@@ -31,7 +31,6 @@ def write_report(
     demanded: str | None = None,
     *,
     beside: Sequence[Path] = (),
-    pools_seeds: bool = False,
     sensitivity: Path | None = None,
     numbers_out: Path | None = None,
     kind: specs.Kind | None = "paper",
@@ -49,7 +48,6 @@ def write_report(
             it has runs for.
         workers: Processes that compare rows.
         showing: Called with a verb and a unit for each step; returns a context that yields a progress function.
-        pools_seeds: Whether the tables take the runs of all seeds together.
         sensitivity: The file of `fsar-ledger study run sensitivity`; None: the one in this package. If it is of other
             runs, a note on the first page says so.
         numbers_out: Where the same numbers are written for programs (`Document.reproduction`); None: nowhere.
@@ -77,9 +75,7 @@ def write_report(
         _publish(AuditDocument(gather_audit(ledger, demanded)), out, numbers_out)
         return
     theirs = {one: _compared(one, workers, showing) for one in (*filter(None, [workflows]), *beside)}
-    findings = gather(
-        ledger, demanded, theirs, workflows=workflows, pools_seeds=pools_seeds, reads_every_way=True, showing=showing
-    )
+    findings = gather(ledger, demanded, theirs, workflows=workflows, reads_every_way=True, showing=showing)
     document = Document(findings, packaged(Calibration), given, ranking(findings))
     _publish(document, out, numbers_out)
 

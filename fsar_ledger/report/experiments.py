@@ -39,13 +39,13 @@ DIFFERENCES_SQL = """
     WITH held AS MATERIALIZED (
         SELECT * FROM mechanism_differences
         WHERE
-            pools_seeds = $pooled AND fleet_size = 4 AND list_contains($configurations, configuration)
+            pools_seeds AND fleet_size = 4 AND list_contains($configurations, configuration)
             AND metric IN (SELECT metric FROM metric_definitions WHERE is_published)
     ), fullest AS (
-        SELECT setting, seed FROM held GROUP BY ALL ORDER BY count(*) DESC, sum(n) DESC, setting, seed LIMIT 1
+        SELECT setting FROM held GROUP BY setting ORDER BY count(*) DESC, sum(n) DESC, setting LIMIT 1
     )
     SELECT held.*
-    FROM held INNER JOIN fullest ON held.setting = fullest.setting AND held.seed IS NOT DISTINCT FROM fullest.seed
+    FROM held INNER JOIN fullest ON held.setting = fullest.setting
 """
 DIGESTS_SQL = """
     SELECT list(DISTINCT runs.parameters_sha256 ORDER BY runs.parameters_sha256) AS digests
@@ -86,9 +86,7 @@ def ledger_head(database: Database, model_version: str | None) -> Head:
 
 
 # See docs/decisions/experiments-are-separate-ledgers.md.
-def read_ledger(
-    ledger: Path, demanded: str | None, *, is_workflows: bool = False, pools_seeds: bool = False
-) -> dict[str, Part]:
+def read_ledger(ledger: Path, demanded: str | None, *, is_workflows: bool = False) -> dict[str, Part]:
     """Return the parts that this ledger gives, by name.
 
     Raises:
@@ -105,7 +103,7 @@ def read_ledger(
                 "`fsar-ledger simulate`"
             )
         if not is_workflows:
-            found |= experiments_of(database, pools_seeds=pools_seeds)
+            found |= experiments_of(database)
     if not found:
         raise UsageError(
             f"--with {ledger}: found no run of a workflow, without a mechanism, or of another fleet than of four "
@@ -114,17 +112,17 @@ def read_ledger(
     return found
 
 
-def experiments_of(database: Database, *, pools_seeds: bool = False) -> dict[str, Part]:
+def experiments_of(database: Database) -> dict[str, Part]:
     """Return the ablation, the scaling and the mechanisms that this ledger holds. Raises: as `Database.rows`."""
     found = {}
     has_ablations = _has(database, "architecture = 'fsar' AND fleet_size = 4", list(CONFIGURATIONS[1:]))
     has_fleets = _has(database, "fleet_size <> 4", [FULL])
-    rows = dialled_rows(database, pools_seeds=pools_seeds) if has_ablations or has_fleets else []
+    rows = dialled_rows(database, pools_seeds=True) if has_ablations or has_fleets else []
     if has_ablations and (ablation := _ablation(database, rows)):
         found["ablation"] = ablation
     if has_fleets and (scaling := _scaling(database, rows)):
         found["scaling"] = scaling
-    if _has(database, "fleet_size = 4", WITHOUT_ONE) and (part := _mechanisms(database, pools_seeds=pools_seeds)):
+    if _has(database, "fleet_size = 4", WITHOUT_ONE) and (part := _mechanisms(database)):
         found["mechanisms"] = part
     return found
 
@@ -133,14 +131,6 @@ def _has(database: Database, condition: str, configurations: list[str]) -> bool:
     """Tell whether the ledger holds such runs, before anything is measured: most ledgers hold none."""
     sql = HAS_SQL.format(condition=f"{condition} AND list_contains($names, configuration)")
     return int(database.rows(sql, {"names": configurations})[0]["runs"]) > 0
-
-
-Alike = tuple[str, int | None]
-"""What the runs of one table have in common, and their seed; fleet size and dials may differ."""
-
-
-def _alike(row: DialledRow) -> Alike:
-    return row.made_alike_but, row.seed
 
 
 def _judged(
@@ -156,16 +146,16 @@ def _judged(
 def _ablation(database: Database, every: Sequence[DialledRow]) -> Part | None:
     """Return FSAR without some of its mechanisms, at the rate of encounters with most of them. Paper: tab:ablation."""
     rows = [row for row in every if (row.architecture, row.fleet_size) == ("fsar", FOUR_ROBOTS)]
-    tables: dict[tuple[Alike, float | None], list[DialledRow]] = {}
+    tables: dict[tuple[str, float | None], list[DialledRow]] = {}
     for row in rows:
-        tables.setdefault((_alike(row), row.encounter_mean_s), []).append(row)
+        tables.setdefault((row.made_alike_but, row.encounter_mean_s), []).append(row)
     names = {key: {row.configuration for row in found} for key, found in tables.items()}
     ablated = [key for key in tables if names[key] & set(CONFIGURATIONS[1:])]
     if not ablated:
         return None
     chosen = max(ablated, key=lambda key: (len(names[key]), sum(row.n for row in tables[key])))
     table = tables[chosen]
-    dial = [row for row in rows if _alike(row) == chosen[0] and row.configuration == DIALLED]
+    dial = [row for row in rows if row.made_alike_but == chosen[0] and row.configuration == DIALLED]
     numbers = _judged(database, "ablation", table, dial) + _judged(database, "ablation_text", table, dial)
     head = ledger_head(database, table[0].model_version)
     return Part(head, tuple(numbers), {"encounters": arrow(dial, DialledRow)})
@@ -174,18 +164,18 @@ def _ablation(database: Database, every: Sequence[DialledRow]) -> Part | None:
 def _scaling(database: Database, every: Sequence[DialledRow]) -> Part | None:
     """Return fleets of other sizes than four robots, with comparable fleets of four. Paper: tab:scaling."""
     rows = [row for row in every if row.configuration == FULL and row.architecture in ARCHITECTURES]
-    sizes: dict[Alike, set[int]] = {}
-    counts: Counter[Alike] = Counter()
+    sizes: dict[str, set[int]] = {}
+    counts: Counter[str] = Counter()
     for row in rows:
         if row.fleet_size is not None and row.teams_working is not None:
-            sizes.setdefault(_alike(row), set()).add(row.fleet_size)
-            counts[_alike(row)] += row.n
+            sizes.setdefault(row.made_alike_but, set()).add(row.fleet_size)
+            counts[row.made_alike_but] += row.n
     larger = [alike for alike, found in sizes.items() if found - {FOUR_ROBOTS}]
     if not larger:
         return None
     chosen = max(larger, key=lambda one: (len(sizes[one]), counts[one]))
-    means = {row.encounter_mean_s for row in rows if _alike(row) == chosen and row.fleet_size != FOUR_ROBOTS}
-    table = [row for row in rows if _alike(row) == chosen and row.encounter_mean_s in means]
+    means = {row.encounter_mean_s for row in rows if row.made_alike_but == chosen and row.fleet_size != FOUR_ROBOTS}
+    table = [row for row in rows if row.made_alike_but == chosen and row.encounter_mean_s in means]
     whole = _over_all(table)
     of_all = [row for row in table if row.fleet_size is not None and row.teams_working == row.fleet_size // FOUR_ROBOTS]
     ones = [row for row in whole if row.teams_working == 1]
@@ -206,10 +196,9 @@ def _over_all(rows: Sequence[DialledRow]) -> list[DialledRow]:
     ]
 
 
-def _mechanisms(database: Database, *, pools_seeds: bool = False) -> Part | None:
+def _mechanisms(database: Database) -> Part | None:
     """Return what each mechanism adds to each metric, in the setting that has the most of them."""
-    chosen: dict[str, Value] = {"pooled": pools_seeds, "configurations": WITHOUT_ONE}
-    differences = database.table(DIFFERENCES_SQL, chosen)
+    differences = database.table(DIFFERENCES_SQL, {"configurations": WITHOUT_ONE})
     if not differences.num_rows:
         return None
     head = ledger_head(database, differences["model_version"][0].as_py())

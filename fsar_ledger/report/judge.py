@@ -13,11 +13,11 @@ import msgspec
 from fsar_ledger.base.printable import counted, some
 from fsar_ledger.designs.registered import PAPER_SCENARIOS
 from fsar_ledger.metrics import verdicts
-from fsar_ledger.metrics.database import Database, Value
+from fsar_ledger.metrics.database import Database
 from fsar_ledger.metrics.definitions import metric_named
 from fsar_ledger.metrics.paper_numbers import Place, Printed, Table, printed
 from fsar_ledger.metrics.registration import Declaration, registration
-from fsar_ledger.metrics.results import CONDITIONS, MetricRow, setting_of
+from fsar_ledger.metrics.results import MetricRow, of_all_seeds, setting_of
 from fsar_ledger.metrics.verdicts import Odds, odds
 
 ARCHITECTURES = ("fsar", "cfc", "dhma")
@@ -43,7 +43,7 @@ DRAWN_SQL = """
     SELECT architecture, metric, list(value ORDER BY draw) AS numbers
     FROM {relation}
     WHERE
-        configuration = $configuration AND fleet_size = $fleet_size AND ($seed IS NULL OR seed = $seed) AND kind = $kind
+        configuration = $configuration AND fleet_size = $fleet_size AND kind = $kind
         AND source IS NOT DISTINCT FROM $source AND model_version IS NOT DISTINCT FROM $model_version
         AND constants IS NOT DISTINCT FROM $constants
     GROUP BY architecture, metric
@@ -167,8 +167,7 @@ def drawn_odds(database: Database, table: Table, rows: Sequence[MetricRow]) -> O
     for setting, scenario in dict.fromkeys((setting_of(row), row.scenario) for row in of_places):
         scenarios = f"(SELECT * FROM drawn_scenarios WHERE scenario = '{scenario}')"
         sql = DRAWN_SQL.format(relation="drawn_experiments" if scenario is None else scenarios)
-        chosen: dict[str, Value] = dict(zip(CONDITIONS, setting, strict=True))
-        for found in database.rows(sql, chosen):
+        for found in database.rows(sql, of_all_seeds(setting)):
             shape = found["metric"], found["architecture"], setting[0] or "", setting[1] or 0
             if (place := Place(table, *shape, scenario)) in enough:
                 drawn[place] = found["numbers"]

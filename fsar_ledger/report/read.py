@@ -25,6 +25,7 @@ from fsar_ledger.metrics.results import (
     StatisticRow,
     metric_rows,
     models,
+    of_all_seeds,
     setting_of,
     statistic_rows,
 )
@@ -48,7 +49,7 @@ QUERIES = {
 """The queries that each part of the report reads directly; these read others."""
 
 OF_MAIN = """
-    runs.configuration = $configuration AND runs.fleet_size = $fleet_size AND ($seed IS NULL OR runs.seed = $seed)
+    runs.configuration = $configuration AND runs.fleet_size = $fleet_size
     AND runs.kind = $kind AND runs.source IS NOT DISTINCT FROM $source
     AND runs.model_version IS NOT DISTINCT FROM $model_version AND runs.constants IS NOT DISTINCT FROM $constants
 """
@@ -99,7 +100,6 @@ def gather(
     beside: Mapping[Path, str | None] | None = None,
     *,
     workflows: Path | None = None,
-    pools_seeds: bool = False,
     reads_every_way: bool = False,
     showing: Showing = unseen,
 ) -> Findings:
@@ -110,7 +110,6 @@ def gather(
         demanded: The newest record that its head must have; None: any.
         beside: Other ledgers, each with the same; where two have runs for the same part, the first one's are shown.
         workflows: The one of them that must hold workflows, if any.
-        pools_seeds: Whether the runs of all seeds are taken together.
         reads_every_way: Whether to add the multiverse of readings, which costs as much as all other results.
         showing: Called with a verb and a unit for long steps.
 
@@ -120,18 +119,18 @@ def gather(
     """
     parts: dict[str, Part] = {}
     for other, record in (beside or {}).items():  # first: a mistaken path fails at once
-        parts = read_ledger(other, record, is_workflows=other == workflows, pools_seeds=pools_seeds) | parts
+        parts = read_ledger(other, record, is_workflows=other == workflows) | parts
     with connect(ledger, demanded=demanded) as database:
-        rows = [row for one in (False, True) for row in metric_rows(database, one, pools_seeds=pools_seeds)]
+        rows = [row for one in (False, True) for row in metric_rows(database, one, pools_seeds=True)]
         main = _main(rows)
-        found = _results(database, rows, main, ledger, demanded, pools_seeds=pools_seeds)
-        parts = {"results": found[0]} | experiments_of(database, pools_seeds=pools_seeds) | parts
+        found = _results(database, rows, main, ledger, demanded)
+        parts = {"results": found[0]} | experiments_of(database) | parts
         parts = {name: parts[name] for name in QUERIES if name in parts}
         sets, parameters, digest = _models(database, main)
         read = None
         if reads_every_way and main is not None and not found[1]:
             with showing("read", "combinations of readings") as progress:
-                read = multiverse_of(database, main, pools_seeds=pools_seeds, progress=progress)
+                read = multiverse_of(database, main, progress=progress)
         relations = {name: table for part in parts.values() for name, table in part.relations.items()}
         if "differences" not in relations:  # its columns, without measuring anything of this ledger
             with from_rows((), threads=1) as empty:
@@ -158,7 +157,7 @@ def gather(
 
 
 Main = tuple[Any, ...]
-"""The `CONDITIONS` that the runs of the tables share; seed None: all seeds."""
+"""The `CONDITIONS` that the runs of the tables share; the seed is None, because all seeds are taken together."""
 
 
 def _main(rows: Sequence[MetricRow]) -> Main | None:
@@ -171,13 +170,7 @@ def _main(rows: Sequence[MetricRow]) -> Main | None:
 
 
 def _results(
-    database: Database,
-    rows: Sequence[MetricRow],
-    main: Main | None,
-    ledger: Path,
-    demanded: str | None,
-    *,
-    pools_seeds: bool,
+    database: Database, rows: Sequence[MetricRow], main: Main | None, ledger: Path, demanded: str | None
 ) -> tuple[Part, str | None, float | None]:
     """Return the results, why some are not judged, and the share of drawn experiments as far out as the whole table."""
     mine = [row for row in rows if setting_of(row) == main]
@@ -186,14 +179,14 @@ def _results(
     not_judged = judge.unjudged(*pair)
     drawn = judge.drawn_odds(database, "results", mine)
     numbers = judge.beside("results", mine, drawn, not_judged=not_judged)
-    tests = [row for row in statistic_rows(database, pools_seeds=pools_seeds) if setting_of(row) == main]
+    tests = [row for row in statistic_rows(database, pools_seeds=True) if setting_of(row) == main]
     relations = {
         "measured": arrow(mine, MetricRow),
         "other_runs": arrow([row for row in rows if row.scenario is None and setting_of(row) != main], MetricRow),
         "paired": arrow(tests, StatisticRow),
         "not_judged": pa.table({"name": pa.array(sorted(not_judged), pa.string())}),
     }
-    given = dict(zip(CONDITIONS, main or (None,) * len(CONDITIONS), strict=True))
+    given = of_all_seeds(main or (None,) * len(CONDITIONS))
     with _of_one_seed(ledger, demanded, database, main) as narrowed:
         relations |= {name: narrowed.table(sql, given) for name, sql in MAIN_SQL.items()}
     share = None if drawn is None or not_judged else drawn.table
@@ -204,18 +197,18 @@ def _results(
 def _held(database: Database, main: Main, of: str) -> dict[str, RunCounts]:
     """Count the main runs by architecture and scenario, or their pairs by comparison and scenario."""
     found: dict[str, dict[str | None, int]] = {}
-    for row in database.rows(HELD_SQL[of], dict(zip(CONDITIONS, main, strict=True))):
+    for row in database.rows(HELD_SQL[of], of_all_seeds(main)):
         found.setdefault(row["of"], {})[row["scenario"]] = row["runs"]
     return dict(found)
 
 
 @contextmanager
 def _of_one_seed(ledger: Path, demanded: str | None, database: Database, main: Main | None) -> Iterator[Database]:
-    """Yield a database in which the main runs have one seed: this one, or another if all seeds are pooled."""
-    if main is None or main[CONDITIONS.index("seed")] is not None:
+    """Yield a database in which the main runs have no seed: its queries keep those of different seeds apart."""
+    if main is None:
         yield database
         return
-    chosen = database.table(CHOSEN_SQL, dict(zip(CONDITIONS, main, strict=True)))
+    chosen = database.table(CHOSEN_SQL, of_all_seeds(main))
     with connect(ledger, demanded=demanded) as narrowed:
         narrowed.hold("chosen_runs", chosen)
         narrowed.prepare("SELECT * FROM run_started")
@@ -231,9 +224,8 @@ def _shown(main: Main | None, rows: Sequence[MetricRow]) -> str | None:
     """Say which runs the tables are of, if the ledger holds others of the same configuration and fleet size."""
     if main is None or {setting_of(row) for row in rows if setting_of(row)[:2] == main[:2]} == {main}:
         return None
-    of = dict(zip(CONDITIONS, main, strict=True))
-    seed = "all seeds" if of["seed"] is None else f"seed {of['seed']}"
-    named = (seed, f"{of['kind']} runs", of["source"], f"model {of['model_version']}", of["constants"])
+    of = of_all_seeds(main)
+    named = (f"{of['kind']} runs", of["source"], f"model {of['model_version']}", of["constants"])
     return (
         f"The tables are of {', '.join(filter(None, named))}; runs made otherwise are never taken together with these."
     )
@@ -253,9 +245,7 @@ def _models(database: Database, main: Main | None) -> tuple[list[dict[str, Any]]
     return rows, dict(flat("", said.parameters if said else {})), said.sha256 if said else None
 
 
-def multiverse_of(
-    database: Database, main: Main, *, pools_seeds: bool = False, progress: Progress | None = None
-) -> Multiverse | None:
+def multiverse_of(database: Database, main: Main, *, progress: Progress | None = None) -> Multiverse | None:
     """Return the multiverse of all published metrics for the three architectures, over the main runs.
 
     None if there are none. Raises: as `Database.rows`.
@@ -263,7 +253,7 @@ def multiverse_of(
     better = {spec.name: spec.better for spec in published_metrics()}
     found = [
         one
-        for one in universes(database, list(better), pools_seeds=pools_seeds, progress=progress)
+        for one in universes(database, list(better), pools_seeds=True, progress=progress)
         if one.architecture in ARCHITECTURES and setting_of(one) == main
     ]
     return Multiverse(readings(), tuple(cells(found)), tuple(rankings(found, better)), tuple(found)) if found else None

@@ -3,8 +3,8 @@
 `results` is the results table. `ablation` is FSAR in full and without one mechanism each, and without the registry at
 several encounter rates; then every architecture without each of its further mechanisms, to show which number each of
 them carries. `scaling` is the table of fleet sizes at both ends of the load that the text leaves open, with loads in
-between and larger fleets. `workflows` are the three workflows. Each ledger has an origin of its own, so a key signs
-each under a different name.
+between and larger fleets. `workflows` are the three workflows. The runs of each are spread over the registered seeds,
+since one seed can be lucky. Each ledger has an origin of its own, so a key signs each under a different name.
 """
 
 from collections.abc import Iterator
@@ -15,6 +15,7 @@ import msgspec
 from fsar_ledger.designs.constants import Constants, Load
 from fsar_ledger.events.configuration import CONFIGURATIONS, FULL, MECHANISMS, MECHANISMS_OF, Configuration, without
 from fsar_ledger.ledger.log.note import Signer
+from fsar_ledger.metrics.registration import registration
 from fsar_ledger.runtime.experiment import ORIGIN, WORKFLOWS_ORIGIN, Experiment, workflow_experiment
 from fsar_ledger.runtime.simulation import ARCHITECTURES, SCENARIOS
 
@@ -22,6 +23,7 @@ Name = Literal["results", "ablation", "scaling", "workflows"]
 NAMES: tuple[Name, ...] = get_args(Name)
 
 SEED = 42
+"""Of the workflows, which are scripts."""
 
 RUNS: dict[Name, int] = {"results": 200, "ablation": 40, "scaling": 20, "workflows": 1}
 """Runs of each scenario, architecture and configuration: the registered number, twice the paper's, and the paper's."""
@@ -68,44 +70,56 @@ class PaperLedger(msgspec.Struct, frozen=True):
         )
 
 
-def paper_ledger(name: Name, seed: int, runs: int | None = None) -> PaperLedger:
+def paper_ledger(name: Name, runs: int | None = None) -> PaperLedger:
     """Return the experiment of this name with this many runs of each scenario, by default as in `RUNS`.
 
     The workflows are scripts and always have one run.
     """
-    many = RUNS[name] if runs is None or name == "workflows" else runs
-    parts = {"results": _results, "ablation": _ablation, "scaling": _scaling, "workflows": _workflows}[name]
-    return PaperLedger(name, _ORIGINS[name], tuple(parts(seed, many)))
+    many = RUNS[name] if runs is None else runs
+    if name == "workflows":
+        return PaperLedger(name, _ORIGINS[name], (workflow_experiment(SEED, 1),))
+    parts = {"results": _results, "ablation": _ablation, "scaling": _scaling}[name]
+    return PaperLedger(name, _ORIGINS[name], tuple(one for part in parts(many) for one in over_seeds(part)))
 
 
-def _results(seed: int, runs: int) -> Iterator[Experiment]:
-    yield Experiment(ARCHITECTURES, SCENARIOS, runs, seed)
+def over_seeds(experiment: Experiment) -> Iterator[Experiment]:
+    """Spread the runs of an experiment over the registered seeds, as evenly as can be, the first seeds first."""
+    seeds = registration().verdicts.seeds
+    for at, seed in enumerate(seeds):
+        if (runs := (experiment.runs + len(seeds) - 1 - at) // len(seeds)) > 0:
+            yield msgspec.structs.replace(experiment, seed=seed, runs=runs)
 
 
-def _ablation(seed: int, runs: int) -> Iterator[Experiment]:
-    yield Experiment(("fsar",), SCENARIOS, runs, seed, configurations=CONFIGURATIONS)
+def whole_of(runs: int) -> range:
+    """Return the numbers of runs of which `over_seeds` can give this many to one seed."""
+    seeds = len(registration().verdicts.seeds)
+    return range(seeds * (runs - 1) + 1, seeds * (runs + 1))
+
+
+def _results(runs: int) -> Iterator[Experiment]:
+    yield Experiment(ARCHITECTURES, SCENARIOS, runs)
+
+
+def _ablation(runs: int) -> Iterator[Experiment]:
+    yield Experiment(("fsar",), SCENARIOS, runs, configurations=CONFIGURATIONS)
     alone: tuple[Configuration, ...] = (without(["shared-registry"]),)
     for mean in ENCOUNTERS_S:
         world = msgspec.structs.replace(Constants().world, encounter_mean_s=mean)
-        yield Experiment(("fsar",), SCENARIOS, runs, seed, configurations=alone, constants=Constants(world))
+        yield Experiment(("fsar",), SCENARIOS, runs, configurations=alone, constants=Constants(world))
     for architecture, names in MECHANISMS_OF.items():
         further = tuple(without([name]) for name in names if name not in MECHANISMS)
-        yield Experiment((architecture,), SCENARIOS, -(-runs // FURTHER), seed, configurations=(FULL, *further))
+        yield Experiment((architecture,), SCENARIOS, -(-runs // FURTHER), configurations=(FULL, *further))
 
 
-def _scaling(seed: int, runs: int) -> Iterator[Experiment]:
+def _scaling(runs: int) -> Iterator[Experiment]:
     """Yield the experiments over fleet sizes, at full load (all teams work) and with fewer teams at work."""
     for size in TABLED_SIZES:
-        yield Experiment(ARCHITECTURES, SCENARIOS, runs, seed, size)
+        yield Experiment(ARCHITECTURES, SCENARIOS, runs, fleet_size=size)
     for size in (*TABLED_SIZES[1:], *BEYOND):
         fewer = -(-runs // BEYOND.get(size, 1))
         if size in BEYOND:
-            yield Experiment(ARCHITECTURES, SCENARIOS, fewer, seed, size)
+            yield Experiment(ARCHITECTURES, SCENARIOS, fewer, fleet_size=size)
         for teams in range(1, size // 4) if size == LOADED_SIZE else (1,):
             yield Experiment(
-                ARCHITECTURES, SCENARIOS, fewer, seed, size, constants=Constants(load=Load(teams_working=teams))
+                ARCHITECTURES, SCENARIOS, fewer, fleet_size=size, constants=Constants(load=Load(teams_working=teams))
             )
-
-
-def _workflows(seed: int, runs: int) -> Iterator[Experiment]:
-    yield workflow_experiment(seed, runs)

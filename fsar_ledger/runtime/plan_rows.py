@@ -1,6 +1,6 @@
 """Describe the plans of a ledger: what each names, and the command that continues it."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,12 +14,12 @@ from fsar_ledger.metrics.database import Database
 from fsar_ledger.metrics.plans import EXPERIMENTS
 from fsar_ledger.runtime.experiment import ORIGIN
 from fsar_ledger.runtime.experiment_arguments import RUNS, experiment_of
-from fsar_ledger.runtime.paper import NAMES, SEED, paper_ledger
+from fsar_ledger.runtime.paper import NAMES, paper_ledger, whole_of
 from fsar_ledger.runtime.simulation import ARCHITECTURES, plan_id
 
 MAX_RUNS = 9999  # of an experiment
 MAX_COUNTS = 32
-"""How many values of `reproduce --runs` are tried, the largest first: each costs two milliseconds.
+"""How many values of `reproduce --runs` are tried, the largest ones: each costs some milliseconds.
 
 `info` also reads ledgers that others wrote.
 """
@@ -44,7 +44,7 @@ def plans(database: Database, ledger: PlanRow) -> list[dict[str, Any]]:
         if any(row["missing_count"] for row in rows)
         else {}
     )
-    reproduced = reproducing([row["run_count"] for row in rows], ledger) if constants else {}
+    reproduced = reproducing({row["plan"]: row["run_count"] for row in rows}, ledger) if constants else {}
 
     def call(row: Mapping[str, Any]) -> str | None:
         return reproduced.get(row["plan"]) or continues_with(row, constants[row["plan"]], ledger)
@@ -52,24 +52,25 @@ def plans(database: Database, ledger: PlanRow) -> list[dict[str, Any]]:
     return [{**row, "continues_with": call(row) if row["missing_count"] else None} for row in rows]
 
 
-def reproducing(counts: Iterable[int], ledger: PlanRow) -> dict[str, str]:
+def reproducing(planned: Mapping[str, int], ledger: PlanRow) -> dict[str, str]:
     """Return, by plan, the call of `reproduce` that continues a ledger that it made besides the results.
 
-    `simulate` cannot continue such a ledger, because no key signs under its name. `counts` are the numbers of runs in
-    the ledger's plans: `reproduce --runs` was one of these, or not given.
+    `simulate` cannot continue such a ledger, because no key signs under its name. `planned` are the ledger's plans and
+    their numbers of runs. Several values of `reproduce --runs` can give this many to a seed; that with most of the
+    ledger's plans is meant, and the smallest of these.
     """
     path = ledger.path if ledger.path.name else ledger.path.resolve()
     name = next((one for one in NAMES if one == path.name), NAMES[0])
     if name == NAMES[0] or not ledger.view.manifest.origin.endswith(f"/{name}"):
         return {}
-    found: dict[str, str] = {}
-    possible = sorted({count for count in counts if 1 <= count <= MAX_RUNS}, reverse=True)
-    for many in (None, *possible[:MAX_COUNTS]):
+    found: dict[str, tuple[int, str]] = {}
+    possible = sorted({one for count in planned.values() for one in whole_of(count) if 1 <= one <= MAX_RUNS})
+    for many in (None, *possible[-MAX_COUNTS:]):
         asked = ["--out", printable.word(path.parent), "--only", name, *([] if many is None else ["--runs", str(many)])]
         call = " ".join(("fsar-ledger reproduce", *asked, *(["--key KEY"] if _is_signed(ledger.view) else [])))
-        for part in paper_ledger(name, SEED, many).parts:
-            found.setdefault(plan_id(part.plan()), call)
-    return found
+        theirs = planned.keys() & {plan_id(part.plan()) for part in paper_ledger(name, many).parts}
+        found |= {plan: (len(theirs), call) for plan in theirs if len(theirs) > found.get(plan, (0, ""))[0]}
+    return {plan: call for plan, (_, call) in found.items()}
 
 
 def _is_signed(view: View) -> bool:

@@ -97,7 +97,7 @@ def calibrate(
         last = search(judge, best.point, PLAN.runs, PLAN.most_steps)
         (begun,) = judge.each([best.start], PLAN.runs)
         accepted = Experiment(ARCHITECTURES, SCENARIOS, PLAN.judged_runs, PLAN.seed, constants=at(last.point))
-        with simulated(accepted, workers) as database:
+        with simulated([accepted], workers) as database:
             means = means_of(metric_rows(database))
         result = _result(objective(begun, best.start), best.start, (*rough, last), means)
         write(

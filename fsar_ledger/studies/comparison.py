@@ -25,7 +25,7 @@ from fsar_ledger.metrics.study_results import Cell, Check, Comparison, Outcome, 
 from fsar_ledger.metrics.verdicts import MARGINS, Answer
 from fsar_ledger.runtime.simulation import ARCHITECTURES
 
-from .predictions import CASES, SEED, SEEDS
+from .predictions import CASES, SEEDS
 from .result import require_out, stale, write
 
 SAME = 22  # cells of 24 that must be answered alike whatever the seed; registered as `seeds`
@@ -53,7 +53,7 @@ class Numbers:
         metric: str,
         architecture: Architecture | str = "fsar",
         *,
-        seed: int = SEED,
+        seed: int | None = None,
         size: int = 4,
         teams: int | None = None,
         encounter_s: float = 90.0,
@@ -148,14 +148,14 @@ def _outcome(name: str, implies: str, checks: list[Check]) -> Outcome:
 def _seeds(numbers: Numbers) -> Iterator[Check]:
     cells = list(printed("results").items())
 
-    def answers(of: str, seed: int) -> list[Answer]:
+    def answers(of: str, seed: int | None) -> list[Answer]:
         found = (numbers.find(of, place.metric, place.architecture, seed=seed) for place, _ in cells)
         return [verdicts.judge(number, paper.value).gives for number, (_, paper) in zip(found, cells, strict=True)]
 
-    first = answers(CASES, SEED)
+    first = answers(CASES, None)
     for seed in SEEDS:
         same = sum(one == other for one, other in zip(first, answers("seeds", seed), strict=True))
-        yield _check(f"cells answered alike with seed {seed} and {SEED}", same, low=SAME)
+        yield _check(f"cells answered as with the seeds of the verdicts, with seed {seed}", same, low=SAME)
 
 
 def _twelve(numbers: Numbers) -> Iterator[Check]:

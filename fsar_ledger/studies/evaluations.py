@@ -7,7 +7,7 @@ interrupted.
 
 import os
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor, as_completed
 from contextlib import contextmanager, nullcontext
 from functools import cache
@@ -99,11 +99,12 @@ def means_of(rows: Sequence[MetricRow]) -> Answer:
 
 
 @contextmanager
-def simulated(experiment: Experiment, workers: int) -> Iterator[Database]:
-    """Simulate an experiment into a temporary ledger, for more runs than memory holds, and yield its database."""
+def simulated(experiments: Iterable[Experiment], workers: int) -> Iterator[Database]:
+    """Simulate experiments into a temporary ledger, for more runs than memory holds, and yield its database."""
     with TemporaryDirectory() as folder:
         ledger = Path(folder) / "ledger"
-        run_experiment(ledger, experiment, workers)
+        for experiment in experiments:
+            run_experiment(ledger, experiment, workers)
         with connect(ledger) as database:
             yield database
 

@@ -21,12 +21,12 @@ from fsar_ledger.events.envelope import Architecture
 from fsar_ledger.metrics.results import MetricRow, metric_rows, typed
 from fsar_ledger.metrics.study_results import Claim, Predicted, Predictions
 from fsar_ledger.runtime.experiment import Experiment
+from fsar_ledger.runtime.paper import over_seeds
 from fsar_ledger.runtime.simulation import ARCHITECTURES, SCENARIOS
 
 from .evaluations import simulated
 from .result import grounds, require_out, write
 
-SEED = 42
 SEEDS = (31622776, 36055512)  # registered, and never used before
 SEED_RUNS = 200  # runs a scenario for the results table
 ABLATION_RUNS = 40
@@ -35,17 +35,28 @@ ENCOUNTERS_S = (30.0, 50.0, 90.0, 200.0, 300.0)
 
 CASES = "cases"
 CLAIMS_SQL = """
-    SELECT case_number, claim, is_taken, architecture, runs, numerator, denominator, value
+    SELECT
+        case_number, claim, is_taken, architecture, sum(runs)::BIGINT AS runs, sum(numerator)::BIGINT AS numerator,
+        sum(denominator)::BIGINT AS denominator, sum(numerator) / sum(denominator) AS value
     FROM case_claims
+    GROUP BY case_number, position, claim, is_taken, architecture
     ORDER BY case_number, position, claim, is_taken DESC, architecture
 """
 
 
 class PlannedExperiment(msgspec.Struct, frozen=True):
-    """One experiment whose numbers are predicted, and what it is for."""
+    """One experiment whose numbers are predicted, and what it is for; seed None: spread over those of the verdicts."""
 
     of: str
     experiment: Experiment
+    seed: int | None = None
+
+    def parts(self) -> Iterator[Experiment]:
+        """Yield the experiments of its seeds."""
+        if self.seed is None:
+            yield from over_seeds(self.experiment)
+        else:
+            yield msgspec.structs.replace(self.experiment, seed=self.seed)
 
 
 def planned_experiments() -> Iterator[PlannedExperiment]:
@@ -55,7 +66,7 @@ def planned_experiments() -> Iterator[PlannedExperiment]:
         of: str,
         runs: int,
         *,
-        seed: int = SEED,
+        seed: int | None = None,
         size: int = 4,
         teams: int | None = None,
         architectures: tuple[Architecture, ...] = ARCHITECTURES,
@@ -64,7 +75,10 @@ def planned_experiments() -> Iterator[PlannedExperiment]:
     ) -> PlannedExperiment:
         base = constants or Constants()
         loaded = base if teams is None else msgspec.structs.replace(base, load=Load(teams_working=teams))
-        return PlannedExperiment(of, Experiment(architectures, SCENARIOS, runs, seed, size, configurations, loaded))
+        asked = Experiment(
+            architectures, SCENARIOS, runs, fleet_size=size, configurations=configurations, constants=loaded
+        )
+        return PlannedExperiment(of, asked, seed)
 
     yield one(CASES, SEED_RUNS)
     yield one("ablation", ABLATION_RUNS, architectures=("fsar",), configurations=CONFIGURATIONS)
@@ -102,9 +116,10 @@ def predict(out: Place, *, workers: int | None = None, progress: Progress | None
     numbers: list[Predicted] = []
     claims: list[Claim] = []
     for planned in each(list(planned_experiments()), progress):
-        with simulated(planned.experiment, workers) as database:
-            rows = [*metric_rows(database), *metric_rows(database, by_scenario=True)]
-            numbers += [_predicted(planned, row) for row in rows]
+        with simulated(planned.parts(), workers) as database:
+            for by_scenario in (False, True):
+                rows = metric_rows(database, by_scenario, pools_seeds=True)
+                numbers += [_predicted(planned, row) for row in rows]
             if planned.of == CASES:
                 claims += typed(database.rows(CLAIMS_SQL), Claim)
     write(
@@ -126,7 +141,7 @@ def _predicted(planned: PlannedExperiment, row: MetricRow) -> Predicted:
     }
     return Predicted(
         of=planned.of,
-        seed=asked.seed,
+        seed=planned.seed,
         fleet_size=asked.fleet_size,
         teams_working=None if load is None else load.teams_working,
         encounter_mean_s=asked.constants.world.encounter_mean_s,

@@ -1,8 +1,8 @@
 -- Title: The effect sizes that 4,000 experiments of the paper's size, drawn from these runs, would have printed
 -- Paper: tab:significance
 -- Grain: one row per drawn experiment (drawn_places), comparison of two architectures in full, setting (kind, source,
---   model version, constants, fleet size), seed and metric
--- Key: draw, comparison, fleet_size, kind, source?, model_version?, constants?, seed, metric
+--   model version, constants, fleet size) and metric; the pairs of all seeds are drawn from together
+-- Key: draw, comparison, fleet_size, kind, source?, model_version?, constants?, metric
 -- Units: cohens_d in pooled standard deviations, with sign, as in paired_t_tests, over the n drawn pairs (20 of each
 --   scenario, those of a world drawn together for all comparisons), a metric that is undefined for a run counted as
 --   the paper does. Sums are of integers, billionths of the metric's unit
@@ -10,13 +10,14 @@
 -- Example: fsar-ledger query statistics/drawn_effects LEDGER
 WITH numbered AS (
     SELECT
-        test, comparison, configuration, fleet_size, kind, source, model_version, constants, seed, position, metric,
-        scenario,
-        dense_rank() OVER (PARTITION BY test, scenario ORDER BY run) - 1 AS place,
-        round(first_value * 1e9)::HUGEINT AS first_ppb,
-        round(second_value * 1e9)::HUGEINT AS second_ppb
-    FROM paired_differences
-    WHERE basis = 'published' AND NOT pools_seeds AND family = 'architectures'
+        pairs.test, pairs.comparison, pairs.configuration, pairs.fleet_size, pairs.kind, pairs.source,
+        pairs.model_version, pairs.constants, pairs.position, pairs.metric, pairs.scenario,
+        dense_rank() OVER (PARTITION BY pairs.test, pairs.scenario ORDER BY runs.seed, runs.run) - 1 AS place,
+        round(pairs.first_value * 1e9)::HUGEINT AS first_ppb,
+        round(pairs.second_value * 1e9)::HUGEINT AS second_ppb
+    FROM paired_differences AS pairs
+    INNER JOIN runs ON pairs.first_run_id = runs.run_id
+    WHERE pairs.basis = 'published' AND pairs.pools_seeds AND pairs.family = 'architectures'
 ),
 
 counted AS (
@@ -38,7 +39,7 @@ picked AS (
 summed AS (
     SELECT
         picked.draw, numbered.comparison, numbered.configuration, numbered.fleet_size, numbered.kind, numbered.source,
-        numbered.model_version, numbered.constants, numbered.seed, numbered.position, numbered.metric,
+        numbered.model_version, numbered.constants, numbered.position, numbered.metric,
         sum(picked.times) AS n,
         sum(picked.times * numbered.first_ppb) AS first_sum,
         sum(picked.times * numbered.second_ppb) AS second_sum,
@@ -52,7 +53,7 @@ summed AS (
 )
 
 SELECT
-    draw, comparison, configuration, fleet_size, kind, source, model_version, constants, seed, position, metric,
+    draw, comparison, configuration, fleet_size, kind, source, model_version, constants, position, metric,
     n::BIGINT AS n,
     (first_sum - second_sum)::DOUBLE / n::DOUBLE / sqrt(
         nullif(n * (first_squares + second_squares) - first_sum * first_sum - second_sum * second_sum, 0)::DOUBLE

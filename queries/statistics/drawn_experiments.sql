@@ -1,14 +1,14 @@
 -- Title: What 4,000 experiments of the paper's size, drawn from these runs, would have printed
 -- Paper: tab:results
 -- Grain: one row per drawn experiment (drawn_sums), architecture, configuration, setting (kind, source, model version,
---   constants, fleet size), seed and metric
--- Key: draw, architecture, configuration, setting, seed, metric
+--   constants, fleet size) and metric
+-- Key: draw, architecture, configuration, setting, metric
 -- Units: setting as in run_settings; value in the metric's unit
 -- NULL: value where nothing that the metric counts was drawn
 -- Example: fsar-ledger query statistics/drawn_experiments LEDGER
 WITH summed AS (
     SELECT
-        draw, architecture, configuration, fleet_size, setting, seed, kind, source, model_version, constants, position,
+        draw, architecture, configuration, fleet_size, setting, kind, source, model_version, constants, position,
         metric,
         sum(value_ppb) AS value_ppb,
         sum(defined) AS defined,
@@ -19,7 +19,7 @@ WITH summed AS (
 )
 
 SELECT
-    summed.draw, summed.architecture, summed.configuration, summed.fleet_size, summed.setting, summed.seed, summed.kind,
+    summed.draw, summed.architecture, summed.configuration, summed.fleet_size, summed.setting, summed.kind,
     summed.source, summed.model_version, summed.constants, summed.position, summed.metric,
     CASE
         WHEN definitions.is_pooled

@@ -10,8 +10,8 @@
 -- Stored: every architecture, configuration and setting with as many runs of the scenario is drawn alike
 WITH counted AS (
     SELECT
-        architecture, configuration, setting, seed, scenario,
-        count(DISTINCT run) AS runs
+        architecture, configuration, setting, scenario,
+        count(DISTINCT to_json([seed, run])) AS runs
     FROM run_metrics
     WHERE not_observed IS NULL AND architecture IS NOT NULL AND scenario IS NOT NULL AND run IS NOT NULL
     GROUP BY ALL

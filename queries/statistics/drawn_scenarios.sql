@@ -1,13 +1,13 @@
 -- Title: What 4,000 experiments of the paper's size, drawn from these runs, would have printed for each scenario
 -- Paper: sec:evaluation:ablation
 -- Grain: one row per drawn experiment (drawn_sums), architecture, configuration, setting (kind, source, model version,
---   constants, fleet size), seed, scenario and metric
--- Key: draw, architecture, configuration, setting, seed, scenario, metric
+--   constants, fleet size), scenario and metric
+-- Key: draw, architecture, configuration, setting, scenario, metric
 -- Units: setting as in run_settings; value in the metric's unit
 -- NULL: value where nothing that the metric counts was drawn
 -- Example: fsar-ledger query statistics/drawn_scenarios LEDGER
 SELECT
-    sums.draw, sums.architecture, sums.configuration, sums.fleet_size, sums.setting, sums.seed, sums.kind, sums.source,
+    sums.draw, sums.architecture, sums.configuration, sums.fleet_size, sums.setting, sums.kind, sums.source,
     sums.model_version, sums.constants, sums.scenario, sums.position, sums.metric,
     CASE
         WHEN definitions.is_pooled

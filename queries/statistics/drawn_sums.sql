@@ -1,8 +1,8 @@
 -- Title: The sums over each scenario in 4,000 experiments of the paper's size, drawn from these runs
 -- Paper: sec:evaluation:setup
 -- Grain: one row per drawn experiment, architecture, configuration, setting (kind, source, model version, constants,
---   fleet size), seed, scenario and metric
--- Key: draw, architecture, configuration, setting, seed, scenario, metric
+--   fleet size), scenario and metric; the runs of all seeds are drawn from together
+-- Key: draw, architecture, configuration, setting, scenario, metric
 -- Units: setting as in run_settings; value_ppb billionths of the metric's unit, summed over defined runs; numerator,
 --   denominator as in run_metrics, summed. 20 runs of the scenario are drawn with replacement; the runs of a world are
 --   drawn together for all architectures. Nothing is random: which runs a draw takes follows from an MD5 of its number
@@ -11,16 +11,16 @@
 -- Example: fsar-ledger query statistics/drawn_sums LEDGER
 WITH numbered AS (
     SELECT
-        kind, seed, architecture, configuration, scenario, fleet_size, model_version, source, setting, constants,
+        kind, architecture, configuration, scenario, fleet_size, model_version, source, setting, constants,
         position, metric, value, numerator, denominator,
-        dense_rank() OVER (PARTITION BY architecture, configuration, setting, seed, scenario ORDER BY run) - 1 AS place
+        dense_rank() OVER (PARTITION BY architecture, configuration, setting, scenario ORDER BY seed, run) - 1 AS place
     FROM run_metrics
     WHERE not_observed IS NULL AND architecture IS NOT NULL AND scenario IS NOT NULL AND run IS NOT NULL
 ),
 
 counted AS (
     SELECT
-        architecture, configuration, setting, seed, scenario,
+        architecture, configuration, setting, scenario,
         max(place) + 1 AS runs
     FROM numbered
     GROUP BY ALL
@@ -28,16 +28,15 @@ counted AS (
 
 picked AS (
     SELECT
-        counted.architecture, counted.configuration, counted.setting, counted.seed, counted.scenario, places.draw,
-        places.place, places.times
+        counted.architecture, counted.configuration, counted.setting, counted.scenario, places.draw, places.place,
+        places.times
     FROM drawn_places AS places
     INNER JOIN counted ON places.scenario = counted.scenario AND places.runs = counted.runs
 )
 
 SELECT
-    picked.draw, numbered.architecture, numbered.configuration, numbered.fleet_size, numbered.setting, numbered.seed,
-    numbered.kind, numbered.source, numbered.model_version, numbered.constants, numbered.scenario, numbered.position,
-    numbered.metric,
+    picked.draw, numbered.architecture, numbered.configuration, numbered.fleet_size, numbered.setting, numbered.kind,
+    numbered.source, numbered.model_version, numbered.constants, numbered.scenario, numbered.position, numbered.metric,
     sum(picked.times * round(numbered.value * 1e9)::BIGINT) AS value_ppb,
     sum(picked.times) FILTER (WHERE numbered.value IS NOT NULL) AS defined,
     sum(picked.times * numbered.numerator) AS numerator,
@@ -46,6 +45,5 @@ FROM picked
 INNER JOIN numbered
     ON
         picked.architecture = numbered.architecture AND picked.configuration = numbered.configuration
-        AND picked.setting = numbered.setting AND picked.seed IS NOT DISTINCT FROM numbered.seed
-        AND picked.scenario = numbered.scenario AND picked.place = numbered.place
+        AND picked.setting = numbered.setting AND picked.scenario = numbered.scenario AND picked.place = numbered.place
 GROUP BY ALL

@@ -20,10 +20,11 @@ from fsar_ledger.ledger.store.keys import read_signer
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.ledger.store.view import EMPTY_HEAD
 from fsar_ledger.runtime import experiment as module
+from fsar_ledger.runtime import plan_rows
 from fsar_ledger.runtime.experiment import ORIGIN, Experiment, SimulationResult, run_experiment
-from fsar_ledger.runtime.paper import paper_ledger
+from fsar_ledger.runtime.paper import Name, PaperLedger, paper_ledger
 from fsar_ledger.runtime.plan_rows import MAX_COUNTS, MAX_RUNS, PlanRow, reproducing
-from fsar_ledger.runtime.simulation import RunSpec, plan_record, run_started, simulate_run
+from fsar_ledger.runtime.simulation import RunSpec, plan_id, plan_record, run_started, simulate_run
 from tests.ledger.hostile import stage_anything
 from tests.quick import few
 from tests.runtime.test_plans import Stopped, stop_after
@@ -133,7 +134,7 @@ def test_a_ledger_that_reproduce_signed_under_a_name_of_its_own_goes_on_with_rep
     call: Call, tmp_path: Path, folder: str, is_reproduced: bool
 ) -> None:
     call("key", "new", tmp_path / "key", "--name", "example.org/fleet")
-    experiment, path = paper_ledger("ablation", 42, 1), tmp_path / "paper" / folder
+    experiment, path = paper_ledger("ablation", 1), tmp_path / "paper" / folder
     with pytest.raises(Stopped):
         run_experiment(path, experiment.parts[1], 1, stop_after(0), experiment.signer(read_signer(tmp_path / "key")))
     [plan] = info(call, path)["plans"]
@@ -146,14 +147,32 @@ def test_a_ledger_that_reproduce_signed_under_a_name_of_its_own_goes_on_with_rep
 
 
 def test_however_many_counts_of_runs_the_plans_of_a_ledger_name_only_the_largest_are_tried_and_each_once(
-    tmp_path: Path,
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     ablation = tmp_path / "ablation"
-    planned_only(ablation, paper_ledger("ablation", 42, 1).parts[1], paper_ledger("ablation", 42, 1).origin)
-    calls = reproducing([*range(10_001), 5, 5], PlanRow(ablation, open_ledger(ablation)))
-    tried = sorted({int(call.rpartition(" ")[2]) for call in calls.values() if "--runs" in call}, reverse=True)
-    assert tried == list(range(MAX_RUNS, MAX_RUNS - MAX_COUNTS, -1))
-    assert any("--runs" not in call for call in calls.values())
+    planned_only(ablation, paper_ledger("ablation", 1).parts[1], paper_ledger("ablation", 1).origin)
+    tried: list[int | None] = []
+
+    def made(name: Name, runs: int | None) -> PaperLedger:
+        tried.append(runs)
+        return paper_ledger(name, 1)
+
+    monkeypatch.setattr(plan_rows, "paper_ledger", made)
+    reproducing({str(count): count for count in range(10_001)}, PlanRow(ablation, open_ledger(ablation)))
+    assert tried == [None, *range(MAX_RUNS - MAX_COUNTS + 1, MAX_RUNS + 1)]
+
+
+@pytest.mark.parametrize(("runs", "said"), [(6, "--runs 6"), (40, "ablation")])
+def test_a_ledger_is_continued_with_as_many_runs_as_all_of_its_plans_add_up_to(
+    tmp_path: Path, runs: int, said: str
+) -> None:
+    ablation, whole = tmp_path / "ablation", paper_ledger("ablation", runs)
+    planned_only(ablation, whole.parts[0], whole.origin)
+    calls = reproducing(
+        {plan_id(part.plan()): part.runs for part in whole.parts}, PlanRow(ablation, open_ledger(ablation))
+    )
+    assert len(calls) == len(whole.parts)
+    assert {call.endswith(said) for call in calls.values()} == {True}
 
 
 def test_two_shapes_in_one_ledger_are_two_plans_and_both_are_complete(call: Call, tmp_path: Path) -> None:

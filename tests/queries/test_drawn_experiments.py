@@ -148,16 +148,18 @@ def test_an_experiment_without_failures_has_no_containment_and_what_is_not_obser
     assert set(drawn(blind)["value"]) == {0.0}
 
 
-def test_runs_made_otherwise_are_never_in_one_experiment() -> None:
+def test_runs_of_other_constants_are_never_in_one_experiment_and_those_of_all_seeds_are() -> None:
     rows = [
-        run("fsar", "door-relay", number, seed=seed, setting=str(apart), value=float(number + apart))
+        run("fsar", "door-relay", number, seed=seed, setting=str(apart), value=float(number + 10 * seed + apart))
         for seed in (1, 2)
         for apart in (0, 100)
         for number in range(2)
     ]
     found = drawn(rows)
-    assert len(found) == 4 * registration().verdicts.draws
-    assert set(found["value"].floor()) <= {0.0, 1.0, 100.0, 101.0}
+    assert len(found) == 2 * registration().verdicts.draws
+    assert not set(found["value"].floor()) & {22.0, 109.0}
+    means = found.group_by("setting").agg(pl.col("value").mean()).sort("setting")["value"].to_list()
+    assert means == [pytest.approx(15.5, abs=0.2), pytest.approx(115.5, abs=0.2)]
 
 
 def test_an_experiment_is_made_of_the_runs_that_were_drawn_of_each_scenario() -> None:

@@ -82,7 +82,7 @@ def test_of_two_mechanisms_that_are_taken_out_neither_puts_the_other_back() -> N
 def test_the_ledger_of_ablations_holds_every_architecture_without_each_mechanism() -> None:
     held = {
         (one, name)
-        for part in paper_ledger("ablation", 42, 3).parts
+        for part in paper_ledger("ablation", 3).parts
         for one in part.architectures
         for name in part.configurations
     }

@@ -270,7 +270,7 @@ def test_a_scenario_is_one_file_and_an_architecture_a_folder_and_a_line(tmp_path
         "import fsar_ledger; assert fsar_ledger.__file__.startswith(str(Path.cwd())), fsar_ledger.__file__\n"
         "run_experiment(Path('ledger'), Experiment(('mine', 'fsar'), ('sixth', 'door-relay'), 1), 1)\n"
         "report = replay(Path('ledger')); assert report.ok and report.runs == 4, report\n"
-        "parts = [part for one in NAMES for part in paper_ledger(one, 42).parts]\n"
+        "parts = [part for one in NAMES for part in paper_ledger(one).parts]\n"
         "print({name for one in parts for name in one.scenarios + one.architectures} & {'sixth', 'mine'})\n"
         "print(Experiment(('mine', 'fsar'), ('sixth', 'fleet-contention'), 1).scenarios)\n"
     )

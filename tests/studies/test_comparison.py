@@ -30,7 +30,7 @@ def every_number() -> list[Predicted]:
     return [
         Predicted(
             of=plan.of,
-            seed=plan.experiment.seed,
+            seed=plan.seed,
             fleet_size=plan.experiment.fleet_size,
             teams_working=None
             if plan.experiment.constants.load is None

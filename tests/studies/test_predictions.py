@@ -9,6 +9,7 @@ import pytest
 from fsar_ledger.base.errors import WriteFailed
 from fsar_ledger.events.configuration import CONFIGURATIONS, removed_mechanisms
 from fsar_ledger.metrics.definitions import metrics
+from fsar_ledger.metrics.registration import registration
 from fsar_ledger.runtime.simulation import MODEL_VERSION
 from fsar_ledger.studies import predictions
 from fsar_ledger.studies.predictions import PlannedExperiment, planned_experiments, predict
@@ -52,6 +53,15 @@ def test_encounters_change_nothing_else() -> None:
     assert len({msgspec.json.encode(msgspec.structs.replace(world, encounter_mean_s=90.0)) for world in worlds}) == 1
 
 
+def test_runs_are_spread_over_the_seeds_of_the_verdicts_but_where_a_seed_of_its_own_is_registered() -> None:
+    seeds = registration().verdicts.seeds
+    for plan in planned_experiments():
+        parts = list(plan.parts())
+        assert sum(part.runs for part in parts) == plan.experiment.runs
+        assert [part.seed for part in parts] == ([plan.seed] if plan.of == "seeds" else list(seeds))
+    assert [plan.seed for plan in registered("seeds")] == [31622776, 36055512]
+
+
 @pytest.mark.slow
 def test_numbers_name_what_was_played(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     small = [
@@ -64,7 +74,7 @@ def test_numbers_name_what_was_played(tmp_path: Path, monkeypatch: pytest.Monkey
     record = json.loads((tmp_path / "new" / "predictions.json").read_text())
     assert (record["model_version"], told) == (MODEL_VERSION, [(1, 2), (2, 2)])
     played = {(row["of"], row["fleet_size"], row["teams_working"], row["seed"]) for row in record["numbers"]}
-    assert played == {("loads", 16, 2, 42), ("cases", 4, None, 42)}
+    assert played == {("loads", 16, 2, None), ("cases", 4, None, None)}
     assert len(record["numbers"]) == 2 * 3 * len(metrics()) * 6, "over all scenarios, and of each"
     assert {claim["case_number"] for claim in record["cases"]} == {1, 2, 3, 4}
 
