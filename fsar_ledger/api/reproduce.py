@@ -18,6 +18,7 @@ from .workload import workers_of
 
 if TYPE_CHECKING:
     from fsar_ledger.base.progress import Showing
+    from fsar_ledger.base.workers import WorkerPool
     from fsar_ledger.ledger.log.note import Signer
     from fsar_ledger.runtime.experiment import SimulationResult
     from fsar_ledger.runtime.paper import Name, PaperLedger
@@ -86,6 +87,7 @@ def reproduce(
         InvalidExperiment: An experiment is unknown, or the number of runs impossible.
     """
     from fsar_ledger.base.progress import unseen
+    from fsar_ledger.base.workers import WorkerPool
     from fsar_ledger.designs.names import known
     from fsar_ledger.ledger.store.paths import require_outside
     from fsar_ledger.metrics.database import connect
@@ -103,10 +105,11 @@ def reproduce(
     require_outside(folder, option("out", folder))
     wanted = known("experiment", names_of(only), NAMES)
     experiments = [paper_ledger(name, runs) for name in NAMES if name == "results" or not wanted or name in wanted]
-    made = {
-        one.name: _carried_out(folder / one.name, one, processes, one.signer(signer), show, adopts=adopt)
-        for one in experiments
-    }
+    with WorkerPool(processes) as pool:
+        made = {
+            one.name: _carried_out(folder / one.name, one, pool, one.signer(signer), show, adopts=adopt)
+            for one in experiments
+        }
     ledger = folder / "results"
     with show("verified", "segments") as progress:
         demanded = ensure_verified(ledger, processes, progress)
@@ -128,7 +131,13 @@ def reproduce(
 
 
 def _carried_out(
-    out: Path, experiment: "PaperLedger", workers: int, signer: "Signer | None", showing: "Showing", *, adopts: bool
+    out: Path,
+    experiment: "PaperLedger",
+    workers: "WorkerPool",
+    signer: "Signer | None",
+    showing: "Showing",
+    *,
+    adopts: bool,
 ) -> "SimulationResult":
     """Append all parts of an experiment to its ledger, one after the other; return its head and counts then.
 

@@ -72,7 +72,7 @@ class WorkerPool(Executor):
 
     def __init__(self, workers: int) -> None:
         resource_tracker.ensure_running()  # otherwise the first process would start it, which unblocks signals
-        self._most = workers
+        self.workers = workers
         self._workers: list[_Worker] = []
         self._waiting: deque[tuple[Future[Any], bytes]] = deque()
         self._lock = threading.Lock()  # guards the fields above and below
@@ -87,7 +87,7 @@ class WorkerPool(Executor):
         future: Future[_T] = Future()
         before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
-            if self._death is None and len(self._workers) < self._most:
+            if self._death is None and len(self._workers) < self.workers:
                 self._start()
             with self._lock:
                 if self._death is not None:

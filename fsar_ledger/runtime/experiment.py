@@ -9,6 +9,7 @@ import msgspec
 from fsar_ledger.base import printable
 from fsar_ledger.base.errors import InvalidExperiment
 from fsar_ledger.base.progress import Progress
+from fsar_ledger.base.workers import WorkerPool
 from fsar_ledger.designs import Fleet, Scenario, Workflow, registered
 from fsar_ledger.designs.constants import Constants, negatives, write_constants
 from fsar_ledger.events.configuration import (
@@ -276,7 +277,7 @@ class SimulationResult(msgspec.Struct, frozen=True):
 def run_experiment(
     out: Path,
     experiment: Experiment,
-    workers: int,
+    workers: int | WorkerPool,
     progress: Progress | None = None,
     signer: Signer | None = None,
     origin: str | None = None,
@@ -287,10 +288,10 @@ def run_experiment(
 
     If all runs are there, nothing is done. Otherwise the plan is committed first, unless it is on record; a larger plan
     than before enlarges the ledger, run by run as if it had been asked for at once. The missing runs follow in
-    canonical order, in `batches`. Each commit follows from those before it, so neither `workers` nor an interruption
-    changes a byte. `progress` is called with (batches done, batches in all). New commits are signed by `signer`, whose
-    key stays in this process; with `adopts` even where another key or none signed the existing ones. A new ledger gets
-    `origin`, else the name of the signer, else `ORIGIN`.
+    canonical order, in `batches`. Each commit follows from those before it, so neither `workers` (a number of
+    processes, or those of a pool) nor an interruption changes a byte. `progress` is called with (batches done, batches
+    in all). New commits are signed by `signer`, whose key stays in this process; with `adopts` even where another key
+    or none signed the existing ones. A new ledger gets `origin`, else the name of the signer, else `ORIGIN`.
 
     Raises:
         InvalidExperiment: the fleet is too large to be held in memory.
@@ -317,7 +318,7 @@ def run_experiment(
         if progress is not None:
             progress(done, len(batches))
         staging = Staging(out, constants, going_on)
-        for batch in staging.of_all(missing, min(workers, len(missing))):
+        for batch in staging.of_all(missing, workers):
             for staged in batch:
                 writer.append(staged)
             done += 1

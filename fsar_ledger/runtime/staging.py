@@ -38,22 +38,27 @@ class Staging(msgspec.Struct, frozen=True):
     constants: Constants
     held: Mapping[str, int]
 
-    def of_all(self, batches: Sequence[Batch], workers: int) -> Iterator[Iterable[Staged]]:
-        """Yield what is staged of each batch, in order, made by this process or by `workers` worker processes.
+    def of_all(self, batches: Sequence[Batch], workers: int | WorkerPool) -> Iterator[Iterable[Staged]]:
+        """Yield what is staged of each batch, in order, made by this process, so many worker processes, or this pool.
 
         In this process a batch is made while what is yielded is consumed.
         """
-        if workers <= 1:
+        if isinstance(workers, WorkerPool):
+            yield from self._of_pool(batches, workers)
+        elif (most := min(workers, len(batches))) > 1:
+            with WorkerPool(most) as pool:
+                yield from self._of_pool(batches, pool)
+        else:
             yield from map(self._stream, batches)
-            return
-        with WorkerPool(workers) as pool:
-            queue: deque[Future[Sequence[Staged]]] = deque()
-            for batch in batches:
-                queue.append(pool.submit(self.of, batch))
-                if len(queue) >= IN_FLIGHT * workers:
-                    yield queue.popleft().result()
-            while queue:
+
+    def _of_pool(self, batches: Sequence[Batch], pool: WorkerPool) -> Iterator[Iterable[Staged]]:
+        queue: deque[Future[Sequence[Staged]]] = deque()
+        for batch in batches:
+            queue.append(pool.submit(self.of, batch))
+            if len(queue) >= IN_FLIGHT * pool.workers:
                 yield queue.popleft().result()
+        while queue:
+            yield queue.popleft().result()
 
     def of(self, batch: Batch) -> Sequence[Staged]:
         """Simulate and stage the batch."""

@@ -103,8 +103,9 @@ def simulated(experiments: Iterable[Experiment], workers: int) -> Iterator[Datab
     """Simulate experiments into a temporary ledger, for more runs than memory holds, and yield its database."""
     with TemporaryDirectory() as folder:
         ledger = Path(folder) / "ledger"
-        for experiment in experiments:
-            run_experiment(ledger, experiment, workers)
+        with WorkerPool(workers) as pool:
+            for experiment in experiments:
+                run_experiment(ledger, experiment, pool)
         with connect(ledger) as database:
             yield database
 
