@@ -11,7 +11,6 @@ import msgspec
 
 from .registration import Sample, SampleAround
 from .study_results import GroundedResult, Row, rows_of
-from .verdicts import Answer
 
 
 class RankCounts(msgspec.Struct, frozen=True, kw_only=True):
@@ -127,19 +126,6 @@ class Ensemble(GroundedResult, frozen=True, kw_only=True):
     cells: list[CellSpread]
     signs: list[SignCount]
     ranks: list[RankCounts]
-
-    def agreement(self, metric: str, architecture: str, gives: Answer) -> tuple[int, int] | None:
-        """Return how many points agree with this answer for a cell of the results table, and of how many.
-
-        They are the plausible points, or all where none is. A point agrees with `yes` if its mean is within the margin
-        of the printed number, with `no` if it is not; nothing agrees with `undecided`, for which this returns None.
-        """
-        cell = next(one for one in self.cells if (one.metric, one.architecture) == (metric, architecture))
-        if gives == "undecided":
-            return None
-        of = self.plausible or self.sample.size - cell.undefined
-        within = cell.plausible_within_margin if self.plausible else cell.within_margin
-        return (within if gives == "yes" else of - within), of
 
     def tables(self) -> Iterator[list[Row]]:
         """Yield the cells, the signs of the comparisons and the ranks."""

@@ -19,7 +19,7 @@ from fsar_ledger.report import specs
 from fsar_ledger.report.audit import AuditDocument, gather_audit, kind_of
 from fsar_ledger.report.document import Document
 from fsar_ledger.report.read import gather
-from fsar_ledger.report.records import ranking
+from fsar_ledger.report.records import robustness
 
 
 def write_report(
@@ -76,7 +76,7 @@ def write_report(
         return
     theirs = {one: _compared(one, workers, showing) for one in (*filter(None, [workflows]), *beside)}
     findings = gather(ledger, demanded, theirs, workflows=workflows, reads_every_way=True, showing=showing)
-    document = Document(findings, packaged(Calibration), given, ranking(findings))
+    document = Document(findings, packaged(Calibration), given, robustness(findings))
     _publish(document, out, numbers_out)
 
 

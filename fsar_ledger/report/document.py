@@ -39,10 +39,10 @@ class Document(Layout):
         findings: Findings,
         record: Calibration | None = None,
         effects: Sensitivity | None = None,
-        ranking: tuple[records.RankingHeld, ...] = (),
+        robustness: Mapping[str, pa.Table] | None = None,
     ) -> None:
         self.findings = findings
-        super().__init__(_relations(findings, record, effects, ranking), specs.relations(), specs.sections(), ASKED)
+        super().__init__(_relations(findings, record, effects, robustness), specs.relations(), specs.sections(), ASKED)
         self.numbers, self.tally, self.tests, self.claims = (self.answers[name] for name in ASKED)
 
     def encoded(self) -> bytes:
@@ -86,7 +86,7 @@ def _relations(
     findings: Findings,
     record: Calibration | None,
     effects: Sensitivity | None,
-    ranking: tuple[records.RankingHeld, ...],
+    robustness: Mapping[str, pa.Table] | None,
 ) -> dict[str, pa.Table]:
     """Return what the sections select from, beside the relations that rest on these, by name."""
     is_fitted = record is None or records.fit_changed(findings, record) is None
@@ -111,7 +111,7 @@ def _relations(
         "judged": _numbered(arrow(judged, Number)),
         "heads": _listed(heads),
         "notes": pa.table({"text": pa.array(notes, pa.string())}),
-        "ranking": arrow(ranking, records.RankingHeld),
+        **(records.robustness_relations() if robustness is None else robustness),
         "own_constants": records.own_constants(findings.parameters),
         "whole": pa.table(
             {

@@ -12,6 +12,7 @@ import msgspec
 
 from fsar_ledger.base import printable
 from fsar_ledger.metrics.definitions import metric_named
+from fsar_ledger.metrics.verdicts import share_text
 from fsar_ledger.report import specs
 from fsar_ledger.report.judge import FAILS, OPEN, STANDS, UNDECIDED
 
@@ -111,6 +112,7 @@ FORMATS: Mapping[str, Formatter] = {
     "number": lambda value, column, _row: number(value, column.digits),
     "significant": lambda value, column, _row: significant(value, column.digits + 1),
     "integer": lambda value, _column, _row: integer(value),
+    "chance": lambda value, _column, _row: share_text(value),
     "probability": lambda value, _column, _row: probability(value),
     "own-metric": lambda value, column, _row: in_metric(column.key, value),
     "metric": lambda value, _column, row: in_metric(row["metric"], value),

@@ -23,12 +23,14 @@ from fsar_ledger.metrics.results import (
     CONDITIONS,
     MetricRow,
     StatisticRow,
+    drawn_effects,
     metric_rows,
     models,
     of_all_seeds,
     setting_of,
     statistic_rows,
 )
+from fsar_ledger.metrics.verdicts import ComparedEffect, compare_effects
 from fsar_ledger.report import judge
 from fsar_ledger.report.experiments import Part, Relations, experiments_of, ledger_head, read_ledger
 from fsar_ledger.report.findings import Findings, arrow, sources_of
@@ -39,7 +41,8 @@ QUERIES = {
     "results": (
         *("metrics/metric_summary", "metrics/background", "statistics/pairwise_tests", "statistics/pooled_tests"),
         *("statistics/differing_worlds", "statistics/drawn_experiments", "staging/runs", "audit/experiments"),
-        *("audit/unplanned_runs", "tables/architecture_features", "cases/case_claims"),
+        *("audit/unplanned_runs", "tables/architecture_features", "cases/case_claims", "metrics/mechanism_uses"),
+        "statistics/drawn_effects",
     ),
     "ablation": ("metrics/metrics_by_dial", "statistics/drawn_experiments", "statistics/drawn_scenarios"),
     "scaling": ("metrics/metrics_by_dial", "metrics/coordination_cost", "statistics/drawn_experiments"),
@@ -81,6 +84,9 @@ HELD_SQL = {
 MAIN_SQL = {
     "background": f"SELECT * FROM background AS runs WHERE {OF_MAIN} ORDER BY ALL",
     "features": f"SELECT feature, architecture, grade FROM architecture_features AS runs WHERE {OF_MAIN} ORDER BY ALL",
+    "uses": f"""
+        SELECT architecture, scenario, part, mechanism, times FROM mechanism_uses AS runs WHERE {OF_MAIN} ORDER BY ALL
+    """,
     "claims_of_cases": f"SELECT * FROM case_claims AS runs WHERE {OF_MAIN} ORDER BY ALL",
 }
 RUNS_SQL = """
@@ -184,6 +190,7 @@ def _results(
         "measured": arrow(mine, MetricRow),
         "other_runs": arrow([row for row in rows if row.scenario is None and setting_of(row) != main], MetricRow),
         "paired": arrow(tests, StatisticRow),
+        "predictive": arrow(_predictive(database, main, tests), ComparedEffect),
         "not_judged": pa.table({"name": pa.array(sorted(not_judged), pa.string())}),
     }
     given = of_all_seeds(main or (None,) * len(CONDITIONS))
@@ -192,6 +199,11 @@ def _results(
     share = None if drawn is None or not_judged else drawn.table
     head = ledger_head(database, main[CONDITIONS.index("model_version")] if main else None)
     return Part(head, tuple(numbers), relations), judge.why_unjudged(*pair), share
+
+
+def _predictive(database: Database, main: Main | None, tests: Sequence[StatisticRow]) -> list[ComparedEffect]:
+    """Ask of each printed effect size whether as many pairs as the paper's could have printed it."""
+    return [] if main is None else compare_effects(tests, drawn_effects(database, main))
 
 
 def _held(database: Database, main: Main, of: str) -> dict[str, RunCounts]:

@@ -9,54 +9,66 @@ import pyarrow as pa
 from fsar_ledger.base import printable
 from fsar_ledger.base.parameters import read_parameters
 from fsar_ledger.designs.constants import Constants, write_constants
-from fsar_ledger.metrics.definitions import published_metrics
 from fsar_ledger.metrics.effects import MADE_BY, Sensitivity, dozen, reach
-from fsar_ledger.metrics.robustness import Ensemble, Ranking
+from fsar_ledger.metrics.robustness import CellSpread, Ensemble, Placebo, RankCounts, Ranking, Rejections, SignCount
 from fsar_ledger.metrics.study_results import Calibration, Comparison, changed, packaged
-from fsar_ledger.report.findings import Findings
+from fsar_ledger.report.findings import Findings, arrow
 from fsar_ledger.report.printing import flat, words
 
 MAX_NAMED = 5  # differing constants that a message names
 
 
-class RankingHeld(msgspec.Struct, frozen=True):
-    """In how many of the sets of constants that the study `ranking` drew the paper's claim about a metric holds.
+class Drawn(msgspec.Struct, frozen=True):
+    """What a study drew: so many points or repetitions, of so many runs, and what it found of them as a whole.
 
-    `prior` counts points of the registered ranges, `plausible` those around the fit at which each cell is plausible.
+    `plausible` is of the ensemble, the rest of the placebo (as in `robustness.Placebo`).
     """
 
-    metric: str
-    prior_held: int | None = None
-    prior_of: int | None = None
-    plausible_held: int | None = None
-    plausible_of: int | None = None
+    size: int
+    runs: int
+    plausible: int | None = None
+    pairs: int | None = None
+    alpha: float | None = None
+    largest_difference: float | None = None
 
 
-def ranking(findings: Findings, folder: Traversable | None = None) -> tuple[RankingHeld, ...]:
-    """Return for each metric where its ranking holds, by the results in this folder (default: the packaged ones).
+def robustness(findings: Findings, folder: Traversable | None = None) -> dict[str, pa.Table]:
+    """Return what `study run ranking`, `ensemble` and `placebo` left in this folder (default: packaged), as relations.
 
-    Nothing without a result of `study run ranking` of the model of these runs. A point where means are equal or
-    undefined counts neither way; `plausible` is None without an ensemble of them, or where none of its points is
-    plausible.
+    Results of another model than these runs' are left out, and but for the ranking those of other constants.
     """
-    prior, around = packaged(Ranking, folder), packaged(Ensemble, folder)
-    if prior is None or prior.model_version != findings.model_version:
-        return ()
-    is_plausible = (
-        around is not None and around.plausible and _is_of_these_runs(around.model_version, around.parameters, findings)
+    prior, around, control = packaged(Ranking, folder), packaged(Ensemble, folder), packaged(Placebo, folder)
+    return robustness_relations(
+        prior if prior is not None and prior.model_version == findings.model_version else None,
+        around if around is not None and _is_of_these_runs(around, findings) else None,
+        control if control is not None and _is_of_these_runs(control, findings) else None,
     )
-    near = {one.metric: one for one in around.ranks} if around is not None and is_plausible else {}
-    return tuple(
-        RankingHeld(
-            one.metric,
-            one.ordered,
-            one.ordered + one.disordered,
-            near[one.metric].ordered if near else None,
-            near[one.metric].ordered + near[one.metric].disordered if near else None,
-        )
-        for one in prior.ranks
-        if one.metric in {spec.name for spec in published_metrics()}
-    )
+
+
+def robustness_relations(
+    prior: Ranking | None = None, around: Ensemble | None = None, control: Placebo | None = None
+) -> dict[str, pa.Table]:
+    """Return these results as relations: `prior`, `around` and `placebo` with one row each, and those of their tables.
+
+    Without a result its relations have no rows.
+    """
+    return {
+        "prior": arrow([Drawn(one.sample.size, one.sample.runs) for one in [prior] if one], Drawn),
+        "prior_ranks": arrow(prior.ranks if prior else (), RankCounts),
+        "around": arrow([Drawn(one.sample.size, one.sample.runs, one.plausible) for one in [around] if one], Drawn),
+        "around_ranks": arrow(around.ranks if around else (), RankCounts),
+        "around_cells": arrow(around.cells if around else (), CellSpread),
+        "around_signs": arrow(around.signs if around else (), SignCount),
+        "placebo": arrow(
+            [
+                Drawn(one.sample.size, one.sample.runs, None, one.pairs, one.alpha, one.largest_difference)
+                for one in [control]
+                if one
+            ],
+            Drawn,
+        ),
+        "rejections": arrow(control.tests if control else (), Rejections),
+    }
 
 
 # See docs/decisions/fit-is-registered-first.md.
@@ -67,12 +79,12 @@ def judged(findings: Findings, folder: Traversable | None = None) -> Comparison 
     """
     if (found := packaged(Comparison, folder)) is None:
         return None
-    return found if _is_of_these_runs(found.model_version, found.parameters, findings) else None
+    return found if _is_of_these_runs(found, findings) else None
 
 
-def _is_of_these_runs(model_version: str | None, parameters: str, findings: Findings) -> bool:
-    constants_of = dict(flat("", read_parameters(parameters)))
-    return (model_version, constants_of) == (findings.model_version, findings.parameters)
+def _is_of_these_runs(record: Comparison | Ensemble | Placebo, findings: Findings) -> bool:
+    constants_of = dict(flat("", read_parameters(record.parameters)))
+    return (record.model_version, constants_of) == (findings.model_version, findings.parameters)
 
 
 def fit_changed(findings: Findings, record: Calibration | None) -> str | None:

@@ -7,8 +7,10 @@ import msgspec
 import pyarrow as pa
 
 from fsar_ledger.metrics.paper_numbers import Table, printed
+from fsar_ledger.metrics.registration import Sample, SampleAround
 from fsar_ledger.metrics.results import StatisticRow
-from fsar_ledger.metrics.verdicts import MARGINS
+from fsar_ledger.metrics.robustness import CellSpread, Ensemble, Placebo, RankCounts, Ranking, Rejections
+from fsar_ledger.metrics.verdicts import MARGINS, ComparedEffect
 from fsar_ledger.report.findings import Findings, Head, arrow
 from fsar_ledger.report.judge import Number
 from fsar_ledger.report.layout import Layout
@@ -88,7 +90,12 @@ def made(
         name: rows if isinstance(rows, pa.Table) else pa.Table.from_pylist(rows) for name, rows in relations.items()
     }
     none = pa.table({"name": pa.array([], pa.string())})
-    held = {"claims_of_cases": CLAIMS.slice(0, 0), "differences": pa.Table.from_pylist([DIFFERENCE]).slice(0, 0)} | held
+    nothing = {
+        "claims_of_cases": CLAIMS.slice(0, 0),
+        "differences": pa.Table.from_pylist([DIFFERENCE]).slice(0, 0),
+        "predictive": arrow((), ComparedEffect),
+    }
+    held = nothing | held
     return Findings(
         heads={"results": HEAD, **(heads or {})},
         numbers=tuple(numbers),
@@ -132,3 +139,51 @@ def replaced(findings: Findings, **relations: Any) -> Findings:
         name: rows if isinstance(rows, pa.Table) else pa.Table.from_pylist(rows) for name, rows in relations.items()
     }
     return msgspec.structs.replace(findings, relations={**findings.relations, **held})
+
+
+METRICS_OF_PAPER = tuple(dict.fromkeys(one.metric for one in results()))
+SAMPLE = Sample(seed=1, size=100, runs=1)
+GROUNDS: dict[str, Any] = {"model_version": "1", "parameters": "{}", "rules": {}, "cpu_minutes": 1.0}
+
+
+def ranks(metric: str, best: int = 100, ordered: int = 100) -> RankCounts:
+    """FSAR is best at so many of 100 points, all three in the paper's order at so many."""
+    none: dict[str, Any] = dict.fromkeys(("clearly_best", "tied", "undefined", "close"), 0)
+    none |= dict.fromkeys(("best_share", "best_low", "best_high", "ordered_share", "ordered_low", "ordered_high"))
+    return RankCounts(
+        **none,
+        metric=metric,
+        is_best_in_paper=metric != "coordination_success",
+        best=best,
+        beaten=100 - best,
+        ordered=ordered,
+        disordered=100 - ordered,
+    )
+
+
+def prior(**best: int) -> Ranking:
+    """A study of rankings; FSAR is best at so many of 100 points, at all where nothing is told."""
+    return Ranking(
+        **GROUNDS, sample=SAMPLE, ranges={}, ranks=[ranks(name, best.get(name, 100), 60) for name in METRICS_OF_PAPER]
+    )
+
+
+def ensemble(plausible: int, *cells: CellSpread) -> Ensemble:
+    """Points around a fit, of which so many are plausible."""
+    near = [ranks(name, ordered=99) for name in METRICS_OF_PAPER]
+    return Ensemble(
+        **GROUNDS,
+        sample=SampleAround(seed=1, size=100, runs=1, spread=0.5),
+        clipped=0.0,
+        plausible=plausible,
+        cells=list(cells),
+        signs=[],
+        ranks=near,
+    )
+
+
+def placebo(*tests: tuple[str, str]) -> Placebo:
+    """Each of these tests of these metrics rejects 5 times in 100."""
+    share: dict[str, Any] = {"rejected": 5, "kept": 95, "undefined": 0, "share": 0.05, "low": 0.02, "high": 0.11}
+    made = [Rejections(metric=metric, test=test, **share) for metric, test in tests]
+    return Placebo(**GROUNDS, sample=SAMPLE, alpha=0.05, pairs=9, largest_difference=0.0, tests=made)

@@ -1,21 +1,38 @@
 """The first page: its plain sentences follow from the numbers, and every printed number is counted once."""
 
 import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import msgspec
+import pyarrow as pa
 import pytest
 
-from fsar_ledger.metrics.registration import Sample, SampleAround
-from fsar_ledger.metrics.robustness import Ensemble, RankCounts, Ranking
+from fsar_ledger.metrics.robustness import CellSpread
 from fsar_ledger.metrics.study_results import METRICS, Calibration, encoded, rules
+from fsar_ledger.metrics.verdicts import Answer, ComparedEffect
 from fsar_ledger.report import specs
 from fsar_ledger.report.document import Document
-from fsar_ledger.report.findings import Findings
-from fsar_ledger.report.judge import OPEN, STANDS, UNDECIDED, outcome_of
-from fsar_ledger.report.records import RankingHeld, ranking
-from tests.report.made import HEAD, column, made, names, number, of_table, paired, pairs_of, part, results, said
+from fsar_ledger.report.findings import Findings, arrow
+from fsar_ledger.report.judge import OPEN, STANDS, UNDECIDED, Number, outcome_of
+from fsar_ledger.report.records import robustness, robustness_relations
+from tests.report.made import (
+    HEAD,
+    column,
+    ensemble,
+    made,
+    names,
+    number,
+    of_table,
+    paired,
+    pairs_of,
+    part,
+    placebo,
+    prior,
+    results,
+    said,
+)
 
 FAILS = "does not"
 CLASSES = ("fitted", "informed", "by construction", "cannot follow", "unspecified")
@@ -36,12 +53,12 @@ CONTAINMENT_LOST: dict[str, Any] = {
 
 
 def page(
-    *, ranking: tuple[RankingHeld, ...] = (), differences: list[dict[str, Any]] | None = None, **ours: float
+    *, robustness: Mapping[str, pa.Table] | None = None, differences: list[dict[str, Any]] | None = None, **ours: float
 ) -> Document:
     """A report in which the results are as the paper prints them, but for these."""
     numbers = results(**ours)
     more: dict[str, Any] = {} if differences is None else {"differences": differences}
-    return Document(made(numbers, pairs_of(numbers), **more), ranking=ranking)
+    return Document(made(numbers, pairs_of(numbers), **more), robustness=robustness)
 
 
 def test_a_cell_that_moves_changes_the_words() -> None:
@@ -110,48 +127,85 @@ def test_what_turns_without_a_mechanism_is_named() -> None:
         assert "mechanisms" not in part(page(differences=[CONTAINMENT_LOST | kept]), "claims")["keys"]
 
 
-def test_the_study_of_rankings_fills_two_columns_and_two_sentences() -> None:
-    assert {"prior", "plausible"}.isdisjoint(part(page(), "claims")["keys"])
-    found = tuple(
-        RankingHeld(name, 990 if name != "policy_violations" else 400, 1000, 99, 100)
-        for name in column(page(), "claims", "metric")
-    )
-    document = page(ranking=found)
-    assert column(document, "claims", "prior") == [f"{one.prior_held} of 1000" for one in found]
+def test_the_study_of_rankings_says_what_is_structure_and_what_hangs_on_constants() -> None:
+    assert {"best", "prior", "plausible"}.isdisjoint(part(page(), "claims")["keys"])
+    studies = robustness_relations(prior(policy_violations=94, coordination_success=100), ensemble(10))
+    document = page(robustness=studies)
+    assert column(document, "claims", "best") == [
+        f"{94 if name == 'policy_violations' else 100} of 100" for name in column(document, "claims", "metric")
+    ]
+    assert column(document, "claims", "prior") == ["60 of 100"] * 8
     assert column(document, "claims", "plausible") == ["99 of 100"] * 8
-    assert "By policy violations it hangs on constants" in said(document, "answer")
-    assert "audit attributability the ranking follows from how the three are built" in said(document, "answer")
+    found = said(document, "answer")
+    assert "human interventions and audit attributability follows from how the three are built" in found
+    assert "What the paper says by coordination success and policy violations hangs on constants" in found
+    nobody = page(robustness=robustness_relations(prior(), ensemble(0)))
+    assert "plausible" not in part(nobody, "claims")["keys"]
 
 
-def ranked(ordered: int, disordered: int) -> RankCounts:
-    counts: dict[str, Any] = dict.fromkeys(("best", "clearly_best", "beaten", "tied", "undefined", "close"), 0)
-    shares: tuple[str, ...] = ("best_share", "best_low", "best_high", "ordered_share", "ordered_low", "ordered_high")
-    absent: dict[str, Any] = dict.fromkeys(shares, None)
-    about: dict[str, Any] = {"metric": "policy_violations", "is_best_in_paper": True}
-    return RankCounts(**about, ordered=ordered, disordered=disordered, **counts, **absent)
+def near(of: Number, within: int, plausible: int) -> CellSpread:
+    blank: dict[str, Any] = dict.fromkeys(CellSpread.__struct_fields__, 0)
+    return CellSpread(
+        **blank
+        | {
+            "metric": of.metric,
+            "architecture": of.architecture,
+            "within_margin": within,
+            "undefined": 20,
+            "within_tolerance": 70,
+        }
+        | {"plausible_within_margin": plausible}
+    )
+
+
+def test_a_verdict_says_how_many_of_the_plausible_points_agree_and_of_all_where_none_is_plausible(
+    findings: Findings,
+) -> None:
+    numbers = [
+        msgspec.structs.replace(one, gives=answer)
+        for one, answer in zip(findings.numbers, ("yes", "no", "undecided"), strict=False)
+    ]
+    cells = [near(one, 60, 8) for one in numbers]
+    told = {}
+    for plausible in (10, 0):
+        document = Document(
+            msgspec.structs.replace(findings, numbers=tuple(numbers)),
+            robustness=robustness_relations(around=ensemble(plausible, *cells)),
+        )
+        told[plausible] = said(document)
+        found = column(document, "evaluation-results", "agreeing")
+        assert found == (["8 of 10", "2 of 10", None] if plausible else ["60 of 80", "20 of 80", None])
+    assert "10 are plausible: each of the 24 cells" in told[10]
+    assert "Since none is, _Agree_ says with how many of all" in told[0]
+    assert "What most of the others miss: " in told[0]
 
 
 def test_the_results_of_the_studies_are_read_where_they_are_of_the_runs(tmp_path: Path) -> None:
-    findings = msgspec.structs.replace(made(), model_version="1")
-    assert ranking(findings, tmp_path) == ()
-    grounds: dict[str, Any] = {
-        "model_version": findings.model_version,
-        "parameters": msgspec.json.encode(dict(findings.parameters)).decode(),
-        "rules": {},
-        "cpu_minutes": 1.0,
-    }
-    sample = Sample(seed=1, size=10, runs=1)
-    prior = Ranking(**grounds, sample=sample, ranges={}, ranks=[ranked(4, 6)])
-    (tmp_path / Ranking.FILE).write_bytes(encoded(prior))
-    assert ranking(findings, tmp_path) == (RankingHeld("policy_violations", 4, 10),)
-    assert ranking(msgspec.structs.replace(findings, model_version="0"), tmp_path) == ()
-    around = SampleAround(seed=1, size=10, runs=1, spread=0.5)
-    for plausible, found in ((3, (2, 3)), (0, (None, None))):
-        ensemble = Ensemble(
-            **grounds, sample=around, clipped=0.0, plausible=plausible, cells=[], signs=[], ranks=[ranked(2, 1)]
-        )
-        (tmp_path / Ensemble.FILE).write_bytes(encoded(ensemble))
-        assert ranking(findings, tmp_path) == (RankingHeld("policy_violations", 4, 10, *found),)
+    findings = msgspec.structs.replace(made(), model_version="1", parameters={"a": "1"})
+    assert {table.num_rows for table in robustness(findings, tmp_path).values()} == {0}
+    for result in (
+        prior(),
+        msgspec.structs.replace(ensemble(1), parameters='{"a":1}'),
+        msgspec.structs.replace(placebo(), parameters='{"a":1}'),
+    ):
+        (tmp_path / result.FILE).write_bytes(encoded(result))
+
+    def read(**other: Any) -> tuple[int, ...]:
+        found = robustness(msgspec.structs.replace(findings, **other), tmp_path)
+        return tuple(found[name].num_rows for name in ("prior", "around", "placebo"))
+
+    assert read() == (1, 1, 1)
+    assert read(parameters={"a": "2"}) == (1, 0, 0)
+    assert read(model_version="0") == (0, 0, 0)
+
+
+def test_the_negative_control_stands_beside_the_tests(findings: Findings) -> None:
+    assert "negative-control" not in names(Document(findings), "table")
+    tests = (("governance_locality", "p"), ("governance_locality", "wilcoxon_p"), ("any", "p_holm"))
+    document = Document(findings, robustness=robustness_relations(control=placebo(*tests)))
+    assert "9 pairs of runs met the same world, and the largest mean difference of any metric is 0" in said(document)
+    shown = [column(document, "negative-control", key) for key in ("t", "wilcoxon", "mcnemar", "holm")]
+    assert shown == [["0.050 (0.020 to 0.110)", None]] * 2 + [[None, None], [None, "0.050 (0.020 to 0.110)"]]
 
 
 def test_what_must_be_known_before_stands_first(findings: Findings, document: Document) -> None:
@@ -212,26 +266,28 @@ def test_no_number_counts_as_fitted_where_the_fit_was_of_another_model_or_judged
         assert classes(record) == {"informed", "by construction"}
 
 
-def test_a_pairwise_test_comes_out_where_its_sign_and_its_level_do() -> None:
-    rows = [
-        paired("governance_locality", "fsar-cfc", 0.25, 0.0001),
-        paired("governance_locality", "fsar-dhma", -0.25, 0.0001),
+def test_a_pairwise_test_comes_out_where_pairs_like_the_papers_could_have_printed_its_effect_size() -> None:
+    comparisons = ("fsar-cfc", "fsar-dhma", "cfc-dhma")
+    asked: tuple[tuple[str, float | None, Answer | None], ...] = (
+        ("fsar-cfc", 0.3, "yes"),
+        ("fsar-dhma", 0.0, "no"),
+        ("cfc-dhma", None, None),
+    )
+    effects = [
+        ComparedEffect(metric="governance_locality", comparison=name, ours=0.2, paper=0.1, share=share, could=could)
+        for name, share, could in asked
     ]
-    rows += [paired("governance_locality", "cfc-dhma", 0.1, 0.2)]
-    found = {
-        row["comparison"]: row["outcome"]
-        for row in Document(made([], rows)).numbers
-        if row["metric"] == "governance_locality"
-    }
-    assert found == {"fsar-cfc": STANDS, "fsar-dhma": FAILS, "cfc-dhma": FAILS}
-
-
-@pytest.mark.parametrize(
-    ("p", "level"), [(0.0009, "p<.001"), (0.001, "p<.01"), (0.01, "p<.05"), (0.05, "n.s."), (1.0, "n.s.")]
-)
-def test_the_level_of_significance_is_the_papers(p: float, level: str) -> None:
-    [row] = [row for row in Document(made([], [paired("governance_locality", "fsar-cfc", 0.25, p)])).tests if row["t"]]
-    assert row["level"] == level
+    rows = [paired("governance_locality", name, 0.25, 0.0001) for name in comparisons]
+    document = Document(made([], rows, predictive=arrow(effects, ComparedEffect)))
+    told = {row["comparison"]: row["outcome"] for row in document.numbers if row["metric"] == "governance_locality"}
+    assert told == dict(zip(comparisons, (STANDS, FAILS, UNDECIDED), strict=True))
+    shown = zip(
+        column(document, "statistical-significance", "metric"),
+        column(document, "statistical-significance", "chance", "printed"),
+        strict=True,
+    )
+    assert [chance for metric, chance in shown if metric == "governance_locality"] == ["0.3000", "0 of 4,000", "–"]
+    assert "Of 2 printed effect sizes 100 pairs of ours could have printed 1" in said(document)
 
 
 def claim(

@@ -20,7 +20,8 @@ from fsar_ledger.report.document import Document
 from fsar_ledger.report.findings import Findings, arrow
 from fsar_ledger.report.judge import ARCHITECTURES
 from fsar_ledger.report.read import gather, relations_of
-from tests.report.made import DIFFERENCE, HEAD, names, of_table, replaced, said
+from fsar_ledger.report.records import robustness_relations
+from tests.report.made import DIFFERENCE, HEAD, ensemble, names, of_table, placebo, prior, replaced, said
 from tests.report.test_readings import multiverse
 
 MOST_PAGES = 18
@@ -174,7 +175,8 @@ def test_every_table_and_figure_has_a_name_of_its_own_a_caption_and_a_query_that
 
 def test_every_part_of_every_section_is_shown_by_a_report_with_everything(whole: Findings) -> None:
     """A SELECT over a relation that nothing gives, or a column that is not there, would be left out in silence."""
-    document = Document(whole, packaged(Calibration))
+    studies = robustness_relations(prior(), ensemble(10), placebo(("governance_locality", "p")))
+    document = Document(whole, packaged(Calibration), robustness=studies)
     printed = {part["name"] for section in document.sections for part in section["parts"] if "name" in part}
     asked = {part.name for _, part in parts() if isinstance(part, specs.Table | specs.Figure)}
     only_where_needed = {"other-runs", "models", "predictions", "sensitivity", "calibrated-parameters"}

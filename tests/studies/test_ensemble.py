@@ -119,19 +119,6 @@ def test_where_no_point_is_plausible_it_is_said_and_all_points_count(tmp_path: P
     assert cell(found, -1).undefined == SAMPLE.size
     assert (cell(found, -1).median, cell(found, -1).within_margin) == (None, 0)
     assert {one.same + one.other + one.neither for one in found.signs} == {SAMPLE.size}
-    metric, architecture = CELLS[-1]
-    assert found.agreement(metric, architecture, "no") == (0, 0)
-
-
-@pytest.mark.usefixtures("registered")
-def test_a_verdict_agrees_with_points_on_its_side_of_the_margin_and_an_undecided_one_with_none(tmp_path: Path) -> None:
-    found, first = made(tmp_path), CELLS[0]
-    yes, no = (found.agreement(*first, answer) for answer in ("yes", "no"))
-    assert yes == (cell(found, 0).within_margin, found.plausible)
-    assert no == (found.plausible - cell(found, 0).within_margin, found.plausible)
-    assert found.agreement(*first, "undecided") is None
-    without = made(tmp_path, never)
-    assert without.agreement(*CELLS[-2], "no") == (SAMPLE.size, SAMPLE.size)
 
 
 def test_a_fit_without_slopes_or_of_another_model_is_refused(tmp_path: Path) -> None:
