@@ -10,8 +10,8 @@
 -- NULL: a principal that the record does not name; capability when the record of the action names none; denied_s,
 --   denied_seq without a denial; denied_under when no window or rule on record explains one; ended_s when the record
 --   shows no end; seq while nothing has decided the result. What nothing on record tells is NULL where the run does not
---   observe it: denials without request and knowledge, failures without recovery, result without request, execution
---   and registry
+--   observe it: denials without request, knowledge and supervision, failures without recovery, result without
+--   request, execution and registry
 -- Example: fsar-ledger query audit/requests LEDGER --param run=RUN
 --   answers A1-1/2.1 door.open.basic: asked by robot/A1, allowed by robot/B1, executed by robot/B1, supervised by
 --   supervisor/B1: success
@@ -42,7 +42,11 @@ SELECT
     denials.denied_us / 1000000 AS denied_s,
     nullif(array_to_string(denials.denied_under, ' and '), '') AS denied_under,
     denials.denied_seq,
-    if(list_has_all(runs.observes, ['request', 'knowledge']), coalesce(denials.denials, 0), denials.denials) AS denials,
+    if(
+        list_has_all(runs.observes, ['request', 'knowledge', 'supervision']),
+        coalesce(denials.denials, 0),
+        denials.denials
+    ) AS denials,
     actions.executed_by,
     nullif(array_to_string(list_sort(list_distinct(actions.supervisors)), ' and '), '') AS supervised_by,
     actions.failures,

@@ -8,7 +8,8 @@
 --   call for a denial after a review, of the bid for a call about a bid, else of the event; local_us, fleet_us when the
 --   decider last saw the executor's own policy and the fleet's policy for it, fleet_us -1 when it never had learned a
 --   rule of the fleet
--- NULL: a principal, task or action that the record does not name; capability when no record before names one
+-- NULL: a principal, task or action that the record does not name; capability when no record before names one;
+--   local_us, fleet_us of a decider that is no robot when the run does not observe knowledge
 -- Example: fsar-ledger query facts/policies_seen LEDGER
 -- Stored: grounds read it for each scope
 WITH denied AS (
@@ -48,6 +49,19 @@ judged AS (
     FROM review_calls
 ),
 
+present AS (
+    -- Where the run does not observe knowledge, nobody can tell what a decider with copies had seen.
+    SELECT
+        judged.*,
+        if(
+            list_contains(runs.observes, 'knowledge') OR starts_with(judged.decided_by, 'robot/'),
+            judged.decided_us,
+            NULL
+        ) AS present_us
+    FROM judged
+    INNER JOIN runs ON judged.run_id = runs.run_id
+),
+
 copied AS (
     SELECT
         run_id, seq, time_us,
@@ -60,11 +74,11 @@ SELECT
     judged.decided_seq, judged.decided_us, judged.outcome,
     coalesce(issued.capability, steps.capability) AS capability,
     -- Planners and the coordinator decide by their last snapshot or copy of a robot's own policy.
-    coalesce(snapshots.time_us, copied.time_us, judged.decided_us) AS local_us,
+    coalesce(snapshots.time_us, copied.time_us, judged.present_us) AS local_us,
     coalesce(
-        learned.as_of_us, if(judged.run_id IN (SELECT run_id FROM fleet_rule_learned), -1, judged.decided_us)
+        learned.as_of_us, if(judged.run_id IN (SELECT run_id FROM fleet_rule_learned), -1, judged.present_us)
     ) AS fleet_us
-FROM judged
+FROM present AS judged
 ASOF LEFT JOIN issued
     ON judged.run_id = issued.run_id AND judged.action_id = issued.action_id AND judged.decided_seq > issued.seq
 ASOF LEFT JOIN step_began AS steps
