@@ -53,16 +53,16 @@ PRINTED_DURATIONS = ("carry.package", "door.open.basic", "door.open.secure")
 class WorldConstants(msgspec.Struct, frozen=True):
     """Laws of the world. Rates are per robot and second of run time."""
 
-    context_rate_per_s: Fitted[float] = 0.0222  # context changes, Poisson
-    context_window_share: Fitted[float] = 0.317  # share of them that closes the robot's own policy for a while
-    window_mean_s: Fitted[float] = 7.54  # length of policy windows, exponential
-    review_share: Fitted[float] = 0.119  # share of windows that ask for review instead of denying
-    fleet_rule_rate_per_s: Fitted[float] = 0.0133  # fleet rules on the robot's zone, Poisson
-    obstruction_rate_per_s: Fitted[float] = 0.0112  # obstructions in the robot's way, Poisson
-    obstruction_mean_s: Fitted[float] = 2.71  # length of obstructions, exponential
-    routine_rate_per_s: Fitted[float] = 0.196  # routine operations, Poisson
+    context_rate_per_s: Fitted[float] = 0.024  # context changes, Poisson
+    context_window_share: Fitted[float] = 0.428  # share of them that closes the robot's own policy for a while
+    window_mean_s: Fitted[float] = 2.63  # length of policy windows, exponential
+    review_share: Fitted[float] = 0.0951  # share of windows that ask for review instead of denying
+    fleet_rule_rate_per_s: Fitted[float] = 0.0326  # fleet rules on the robot's zone, Poisson
+    obstruction_rate_per_s: Fitted[float] = 0.012  # obstructions in the robot's way, Poisson
+    obstruction_mean_s: Fitted[float] = 2.35  # length of obstructions, exponential
+    routine_rate_per_s: Fitted[float] = 0.222  # routine operations, Poisson
     routine_until_s: AfterFits[float] = 100.0  # routine operations fall due until then
-    motion_share: Fitted[float] = 0.189  # share of routine operations that move the robot; the rest is sensing
+    motion_share: Fitted[float] = 0.276  # share of routine operations that move the robot; the rest is sensing
     absence_s: AfterFits[float] = 30.0  # length of the local supervisor's one absence: half a minute
     absence_from_s: AfterFits[float] = -50.0  # its start, uniform
     absence_to_s: AfterFits[float] = 150.0
@@ -83,7 +83,7 @@ class WorldConstants(msgspec.Struct, frozen=True):
     start: AfterFits[Range] = Range(0.0, 20.0)  # start of the scenario within the run
     jitter: AfterFits[Range] = Range(0.0, 3.0)  # arrival of a task around its offset
     injection: AfterFits[Range] = Range(5.0, 45.0)  # time of an injected out-of-trust request
-    budget_base_s: Fitted[float] = 37.1  # task budget: base, per delegated step, per own step
+    budget_base_s: Fitted[float] = 22.2  # task budget: base, per delegated step, per own step
     budget_delegated_s: AfterFits[float] = 14.0
     budget_own_s: AfterFits[float] = 6.0
     horizon_s: AfterFits[float] = 240.0  # the schedule ends here
@@ -113,16 +113,16 @@ class Structure(msgspec.Struct, frozen=True):
     human_calls: Chosen[int] = 2  # and calls: an H_i who does not answer, then H_F (CFC and DHMA: H_F, once)
     encounter_memory_us: AfterFits[int] = 60_000_000  # without a registry, a met peer is known this long
     # CFC
-    sync_period_us: Fitted[int] = 6_440_000  # the coordinator's copies are refreshed this often
-    service_us: Fitted[int] = 270_000  # the coordinator's time per item of work, for four robots
+    sync_period_us: Fitted[int] = 2_240_000  # the coordinator's copies are refreshed this often
+    service_us: Fitted[int] = 242_000  # the coordinator's time per item of work, for four robots
     candidate_cost_ppm: AfterFits[int] = 170_000  # plus this share of it for each candidate
     ordering_response_ppm: AfterFits[int] = 400_000  # ordering two commands takes H_F this share of a response
     # DHMA
-    hop_ppm: Fitted[int] = 596_000  # an internal hop takes this share of a message latency
-    snapshot_period_us: Fitted[int] = 30_900_000  # planners refresh their snapshot of policy this often
-    engagement_us: Fitted[int] = 7_510_000  # the planner is occupied this long by a motion or a context change
-    dispute_timeout_us: Fitted[int] = 3_160_000  # a disputed recovery that failed gives up after this
-    renegotiation_us: Fitted[int] = 100_000  # of a replanned delegated action: the other robot evaluates it again
+    hop_ppm: Fitted[int] = 302_000  # an internal hop takes this share of a message latency
+    snapshot_period_us: Fitted[int] = 7_140_000  # planners refresh their snapshot of policy this often
+    engagement_us: Fitted[int] = 4_790_000  # the planner is occupied this long by a motion or a context change
+    dispute_timeout_us: Fitted[int] = 9_610_000  # a disputed recovery that failed gives up after this
+    renegotiation_us: Fitted[int] = 355_000  # of a replanned delegated action: the other robot evaluates it again
 
 
 class Outages(msgspec.Struct, frozen=True):
