@@ -45,8 +45,12 @@ def require_smallest(base: Rerun, outcome: Outcome, found: Cause, *, lengths: bo
     assert {one.name for one in found.elements if one.is_necessary} == necessary
 
 
+VIOLATES = 24
+"""A run of FSAR with one violation, which comes from a task and a window of policy."""
+
+
 def test_a_violated_policy_comes_from_a_task_and_a_window() -> None:
-    base = again(simulated("fsar"))
+    base = again(simulated("fsar", VIOLATES))
     found = cause(base, VIOLATED)
     require_smallest(base, VIOLATED, found)
     assert sorted(one.name.partition(":")[0] for one in found.elements) == ["task", "window"]
@@ -55,7 +59,7 @@ def test_a_violated_policy_comes_from_a_task_and_a_window() -> None:
 
 @pytest.mark.slow
 def test_without_a_necessary_cause_the_forked_run_does_not_have_the_outcome() -> None:
-    base = again(simulated("fsar"))
+    base = again(simulated("fsar", VIOLATES))
     found = cause(base, VIOLATED)
     assert any(one.is_necessary for one in found.elements)
     for one in found.elements:
@@ -65,7 +69,7 @@ def test_without_a_necessary_cause_the_forked_run_does_not_have_the_outcome() ->
 
 @pytest.mark.slow
 def test_with_a_cause_alone_the_forked_run_has_the_outcome() -> None:
-    base = again(simulated("fsar"))
+    base = again(simulated("fsar", VIOLATES))
     kept = {one.name for one in cause(base, VIOLATED).elements}
     others = tuple(Drop(name) for name in base.base.facts_by_name if name not in kept)
     assert metric(base.fork(others).record, "policy_violations") == 1
@@ -75,9 +79,9 @@ def test_with_a_cause_alone_the_forked_run_has_the_outcome() -> None:
 @pytest.mark.parametrize(
     ("architecture", "number", "text", "kinds"),
     [
-        ("fsar", 4, "coordination_success < 1", ["window"]),
-        ("cfc", 1, "recovery_containment < 1", []),
-        ("dhma", 3, "reassignment_latency_s > 0", []),
+        ("fsar", 32, "coordination_success < 1", ["window"]),
+        ("cfc", 22, "recovery_containment < 1", []),
+        ("dhma", 8, "reassignment_latency_s > 0", []),
     ],
 )
 def test_what_only_makes_the_outcome_defined_is_no_cause_of_it(
@@ -91,7 +95,7 @@ def test_what_only_makes_the_outcome_defined_is_no_cause_of_it(
 
 
 def test_a_future_without_a_value_has_not_avoided_the_outcome() -> None:
-    base = again(simulated("dhma", 3))
+    base = again(simulated("dhma", 8))
     for one in curve(base, outcome_of("reassignment_latency_s > 0"), futures=6, moments=4).chances:
         assert (one.avoided, one.futures + one.undefined) == (0, 6)
         assert (one.share is None) == (one.futures == 0)
@@ -136,7 +140,7 @@ def test_causes_of_random_outcomes_suffice_and_are_smallest(outcomes: int) -> No
 
 @pytest.mark.slow
 def test_lengths_can_be_causes_too() -> None:
-    base = again(simulated("fsar"))
+    base = again(simulated("fsar", VIOLATES))
     found = cause(base, VIOLATED, lengths=True)
     require_smallest(base, VIOLATED, found, lengths=True)
     assert found.candidates > len(Search(base, VIOLATED).candidates)
@@ -195,7 +199,7 @@ def test_a_select_that_gives_no_runs_is_an_error(select: str) -> None:
 
 @pytest.mark.slow
 def test_before_its_window_opens_a_violation_can_be_avoided_and_after_it_cannot() -> None:
-    base = again(simulated("fsar"))
+    base = again(simulated("fsar", VIOLATES))
     found = curve(base, VIOLATED, futures=12, moments=8)
     (name,) = [one.name for one in cause(base, VIOLATED).elements if one.name.startswith("window:")]
     assert found.closing_seq is not None

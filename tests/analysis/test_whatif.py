@@ -18,13 +18,21 @@ from fsar_ledger.runtime.replay import replay
 from tests.analysis.conftest import simulated
 
 ROOT = "0b" * 32
-RUNS = 12
+FIRST, RUNS = 8, 12
+"""Runs of FSAR of which the first has one violation under its window fleet/B1/5, and one other does."""
+ASKS = 31
+"""A run in which a supervisor is called."""
 Values = np.ndarray[tuple[int], np.dtype[np.float64]]
 
 
 @pytest.fixture(scope="module")
 def bases() -> list[Base]:
-    return [base_of_record(simulated("fsar", run), ROOT) for run in range(RUNS)]
+    return [base_of_record(simulated("fsar", run), ROOT) for run in range(FIRST, FIRST + RUNS)]
+
+
+@pytest.fixture(scope="module")
+def asking() -> Base:
+    return base_of_record(simulated("fsar", ASKS), ROOT)
 
 
 @pytest.fixture(scope="module")
@@ -96,7 +104,7 @@ def test_a_fork_without_a_change_has_no_effect(bases: list[Base]) -> None:
 
 
 def test_one_pair_has_values_and_no_intervals(bases: list[Base]) -> None:
-    _, (found,) = effects(list(forks_of(bases[:1], parsed(["drop window:fleet/B1/1"]))))
+    _, (found,) = effects(list(forks_of(bases[:1], parsed(["drop window:fleet/B1/5"]))))
     (row,) = [row for row in found.rows if row.metric == "policy_violations"]
     assert (row.base_mean, row.fork_mean, row.difference, row.n) == (1.0, 0.0, -1.0, 1)
     assert (row.low, row.high, row.p, row.gain) == (None, None, None, None)
@@ -145,7 +153,7 @@ def test_forks_are_no_planned_runs_and_have_a_setting_of_their_own(pairs: list[P
 
 
 BAD = [
-    ("drop window:fleet/B1/9", "did you mean window:fleet/B1/"),
+    ("drop window:fleet/B1/9", "did you mean window:fleet/D1/9"),
     ("drop windw:fleet/B1/1", "did you mean window:fleet/B1/1"),
     ("answer call:7 deny", "the run has no question call:7; did you mean call:1"),
     ("answer cll:1 deny", "did you mean call:"),
@@ -167,9 +175,9 @@ BAD = [
 
 
 @pytest.mark.parametrize(("text", "message"), BAD)
-def test_a_change_that_does_nothing_in_the_run_is_an_error(bases: list[Base], text: str, message: str) -> None:
+def test_a_change_that_does_nothing_in_the_run_is_an_error(asking: Base, text: str, message: str) -> None:
     with pytest.raises(UsageError, match=message):
-        rerun(bases[0]).fork_with_effect(parsed([text]))
+        rerun(asking).fork_with_effect(parsed([text]))
 
 
 def test_a_run_that_is_not_as_it_is_made_is_not_forked_and_its_event_is_named(bases: list[Base]) -> None:

@@ -37,7 +37,7 @@ def read(made: DecisionTrace, place: str, name: str) -> Read:
 @pytest.fixture(scope="module")
 def denied() -> LedgerRun:
     """A run in which the executor denies a request under a window of its own."""
-    return simulated("fsar", 2)
+    return simulated("fsar", 6)
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +51,7 @@ def distrusted(denied: LedgerRun) -> LedgerRun:
     return rerun(base_of_record(denied, "0" * 64)).fork(parsed([change])).record
 
 
-OWN_WINDOW = 138
+OWN_WINDOW = 351
 
 
 def test_a_denial_names_the_window_that_was_open_and_the_event_that_opened_it(denied: LedgerRun) -> None:
