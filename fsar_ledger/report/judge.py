@@ -159,7 +159,7 @@ def drawn_odds(database: Database, table: Table, rows: Sequence[MetricRow]) -> O
     Left out are places with fewer runs than that, and those on an open dial. Raises: as `Database.rows`.
     """
     runs, declared = run_counts(rows), registration().declaration_for
-    places = {place: paper for place, paper in printed(table).items() if not declared(table, place._asdict()).dial}
+    places = {place: paper for place, paper in printed(table).items() if not is_open(declared(table, place._asdict()))}
     enough = {place for place in places if _fewest(runs.get(shape_of(place), {}), place) >= PAPER_RUNS}
     of_places = [row for row in rows if place_of(table, row) in enough]
     drawn: dict[Place, list[float | None]] = {}
@@ -220,6 +220,12 @@ def beside(
     return numbers
 
 
+# See docs/decisions/open-cells-have-no-verdict.md.
+def is_open(said: Declaration) -> bool:
+    """Tell whether a number depends on a dial that the text leaves open, and so gets a range and no verdict."""
+    return said.kind.replace("_", " ") == UNSPECIFIED
+
+
 def _by_place(table: Table, rows: Iterable[MetricRow]) -> dict[Place, list[float]]:
     found: dict[Place, list[float]] = {}
     for row in rows:
@@ -234,7 +240,7 @@ def _number(
     """Return one number of the paper beside ours, judged if its runs are and if it is not on an open dial."""
     kind, margin = said.kind.replace("_", " "), verdicts.MARGINS[place.metric]
     one = None if row is None or row.mean is None or not is_judged else verdicts.judge(row, paper.value, share)
-    if one is not None and said.dial is not None:  # see docs/decisions/open-cells-have-no-verdict.md
+    if is_open(said):
         one = None
     is_excluded = kind == EXCLUDED and one is not None  # then the paper's own text answers
     difference = None if one is None else ends(one.low, one.high)

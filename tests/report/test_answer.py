@@ -94,12 +94,12 @@ def test_the_sentences_are_plain() -> None:
         (
             "coordination_success",
             "human_intervention",
-            ("CFC and FSAR alike, then DHMA", "FSAR and DHMA alike, then CFC"),
+            ("CFC ≈ FSAR > DHMA", "FSAR ≈ DHMA > CFC"),
         ),
         (
             "reassignment_latency_s",
             "policy_violations",
-            ("CFC best, then FSAR, then DHMA", "FSAR best, then CFC, then DHMA"),
+            ("CFC > FSAR > DHMA", "FSAR > CFC > DHMA"),
         ),
     ],
 )

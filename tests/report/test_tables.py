@@ -181,6 +181,10 @@ def test_a_single_run_has_values_and_no_verdict(make_ledger: Make) -> None:
     assert {one.outcome for one in found} == {"undecided"}
 
 
+def test_a_cell_that_a_single_constant_carries_is_judged_as_any_other(findings: Findings) -> None:
+    assert {one.gives is not None for one in findings.numbers if one.kind == "dial"} == {True}
+
+
 def test_runs_of_other_settings_stand_in_their_own_table(make_ledger: Make) -> None:
     made_otherwise = make_ledger(architectures=("fsar",), configuration="without-shared-registry", fleet_size=8)
     document = Document(gather(made_otherwise))
