@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from fsar_ledger.studies.ranking import ranking
     from fsar_ledger.studies.sensitivity import sensitivity
 
-__version__ = "0.9.0"
+__version__ = "0.10.0"
 
 __all__ = [
     "Account",
