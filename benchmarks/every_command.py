@@ -30,7 +30,7 @@ ANSWERS = (0, 1)
 
 LEFT_OUT = {
     "simulate": "it makes the ledger",
-    "upgrade": "it takes a ledger of format 1",
+    "maintain upgrade": "it takes a ledger of format 1",
     "verify-proof": "it reads a proof, not a ledger",
     "reproduce": "it takes no ledger",
     "key": "it takes no ledger",
@@ -42,7 +42,7 @@ COMMANDS: dict[str, str] = {
     "info": "{ledger}",
     "verify": "{ledger}",
     "verify --quick": "{ledger}",
-    "recover": "{copy}",
+    "maintain recover": "{copy}",
     "metrics": "{ledger}",
     "audit": "{ledger}",
     "statistics": "{ledger}",
@@ -69,7 +69,7 @@ COMMANDS: dict[str, str] = {
     "export --tiles": "{ledger} --out {out}",
     "open": "{ledger} --memory 10240 --out {out}.duckdb",
     "report": "{ledger} --memory 10240 --out {out}.pdf",
-    "compact": "{copy}",
+    "maintain compact": "{copy}",
 }
 """The commands by name with first option, and what follows; a space within an argument is written as |."""
 

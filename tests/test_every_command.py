@@ -10,7 +10,8 @@ from fsar_ledger.cli.app import app
 
 def test_every_command_is_measured_or_left_out_for_a_reason() -> None:
     group: Any = get_command(app)
-    measured = {name.split()[0] for name in COMMANDS}
+    maintain = {f"maintain {name}" for name in group.commands["maintain"].commands}
+    measured = {name if name in maintain else name.split()[0] for name in COMMANDS}
     assert not measured & LEFT_OUT.keys()
     commands = {name for name, one in group.commands.items() if not one.hidden} - {"maintain"}
-    assert measured | LEFT_OUT.keys() == commands | {*group.commands["maintain"].commands}
+    assert measured | LEFT_OUT.keys() == commands | maintain

@@ -150,7 +150,6 @@ def _recovered(
     takes=("json",),
     call=_recovered,
     after_interruption="what was mended stays; run it again",
-    old="recover",
 )
 def recover(
     ledger: "Ledger",
@@ -191,7 +190,6 @@ def _upgraded(ledger: "Ledger", into: Path, *, progress: Progress | None) -> Lin
     takes=("json",),
     call=_upgraded,
     after_interruption="the commits written so far stay; run it again to go on",
-    old="upgrade",
 )
 def upgrade(
     ledger: "Ledger",
@@ -237,7 +235,6 @@ def _compacted(ledger: "Ledger") -> Lines:
     takes=("json",),
     call=_compacted,
     after_interruption="nothing is lost; run it again to go on",
-    old="compact",
 )
 def compact(ledger: "Ledger") -> "Compacted":
     """Put small segments together, and what is in the journal into one.

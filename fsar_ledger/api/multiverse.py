@@ -77,7 +77,6 @@ class MultiverseResult(Answer, Multiverse, frozen=True, kw_only=True):
     "study run multiverse out/ledger --metric human_intervention --svg out/multiverse.svg",
     name="study run multiverse",
     takes=("svg", "verified", "json", "csv", "raw", "wide"),
-    old="multiverse",
 )
 def multiverse(
     ledger: "Ledger",

@@ -83,7 +83,6 @@ class Verb(NamedTuple):
     examples: tuple[str, ...]
     beside: Mapping[str, Option]
     after_interruption: str
-    old: str | None
     is_apart: Callable[[Mapping[str, Any]], bool]
     arrange: Callable[[dict[str, Any]], None]
 
@@ -131,7 +130,6 @@ def verb(
     call: Callable[..., Any] | None = None,
     beside: Mapping[str, Option] = {},
     after_interruption: str = NOTHING_CHANGED,
-    old: str | None = None,
     is_apart: Callable[[Mapping[str, Any]], bool] = lambda _: False,
     arrange: Callable[[dict[str, Any]], None] = lambda _: None,
 ) -> Callable[[_Function], _Function]:
@@ -144,7 +142,6 @@ def verb(
         call: Answers the command instead, with the same parameters and those that it declares.
         beside: Switches that the text of the answer looks at (`Screen.has`).
         after_interruption: What an interrupted call leaves.
-        old: The name before 0.9.0. Until 0.10.0 it works as before, and no help lists it.
         is_apart: Whether a call with these values works in a process that has a memory limit of its own.
         arrange: Changes the values of a call before its ledgers are opened.
     """
@@ -156,7 +153,7 @@ def verb(
         called = name or function.__name__.replace("_", "-")
         calls = tuple(f"fsar-ledger {one}" if one.startswith(called) else one for one in examples)
         VERBS[called] = Verb(
-            called, function, call or function, takes, calls, beside, after_interruption, old, is_apart, arrange
+            called, function, call or function, takes, calls, beside, after_interruption, is_apart, arrange
         )
         function.__doc__ = _documented(function)
         return function

@@ -51,10 +51,7 @@ HOMES = {"study": ("fsar_ledger.studies.verbs", "fsar_ledger.api.multiverse")}
 
 
 class Commands(Mapping[str, Any]):
-    """The commands by name; each is made when it is first asked for, since a call needs only one.
-
-    The names that verbs had before are not listed, but found.
-    """
+    """The commands by name; each is made when it is first asked for, since a call needs only one."""
 
     def __init__(self) -> None:
         self._made: dict[str, Any] = {}
@@ -67,12 +64,10 @@ class Commands(Mapping[str, Any]):
         return len(self._names)
 
     def __getitem__(self, name: str) -> Any:
+        if name not in self._names:
+            raise KeyError(name)
         if name not in self._made:
-            if name in self._names:
-                self._made[name] = _made(name, _verbs(name))
-            else:
-                old = {one.old: one for family in ("maintain", "study") for one in _verbs(family)}
-                self._made[name] = command(old[name], name)
+            self._made[name] = _made(name, _verbs(name))
         return self._made[name]
 
 
@@ -144,7 +139,7 @@ def _made(words: str, verbs: Sequence[Verb]) -> Any:
 def _left_by(arguments: Sequence[str]) -> str:
     called = f"{' '.join(arguments)} "
     return next(
-        (one.after_interruption for one in VERBS.values() if called.startswith((f"{one.name} ", f"{one.old} "))),
+        (one.after_interruption for one in VERBS.values() if called.startswith(f"{one.name} ")),
         NOTHING_CHANGED,
     )
 

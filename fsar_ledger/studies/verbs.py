@@ -93,7 +93,6 @@ def ranking(out: OutOption, workers: WorkersOption = None, progress: Points = No
     name="study run calibration",
     takes=(),
     after_interruption=GOES_ON,
-    old="calibrate",
 )
 def calibration(
     out: OutOption,
@@ -140,7 +139,7 @@ def ensemble(
     return ResultTables(study(out, calibration, workers=workers, progress=progress), f"{out}")
 
 
-@verb("study run predictions --out out/predictions.json", name="study run predictions", takes=(), old="predict")
+@verb("study run predictions --out out/predictions.json", name="study run predictions", takes=())
 def predictions(
     out: OutOption,
     workers: WorkersOption = None,
@@ -162,7 +161,6 @@ def predictions(
     "study run comparison out/predictions.json --out out/comparison.json",
     name="study run comparison",
     takes=(),
-    old="judge",
 )
 def comparison(
     predictions: Annotated[Place, argument("PREDICTIONS", "What `study run predictions` wrote.")], out: OutOption
@@ -184,7 +182,6 @@ def comparison(
     name="study run sensitivity",
     takes=("wide",),
     after_interruption=GOES_ON,
-    old="sensitivity",
 )
 def sensitivity(
     out: OutOption,

@@ -11,7 +11,6 @@ from pathlib import Path
 import pytest
 
 import fsar_ledger
-from fsar_ledger.api.verbs import VERBS
 from tests.quick import few
 from tests.running import ran
 from tests.test_documentation import COMMANDS
@@ -22,6 +21,8 @@ NOTEBOOKS = {"tour.ipynb": ["out/tour.svg"], "auditors-hour.ipynb": ["out/denial
 """The notebooks, and the file that the last cells of each make."""
 WITHOUT_FUNCTION = {"witness serve", "study show"}
 """The first runs until it is interrupted; the second prints a file that Python reads as JSON or Parquet."""
+FUNCTIONS = {"calibration": "calibrate", "predictions": "predict", "comparison": "judge"}
+"""The functions of the studies that have another name in Python."""
 
 
 def methods() -> set[str]:
@@ -30,9 +31,8 @@ def methods() -> set[str]:
 
 @pytest.mark.parametrize("verb", sorted(COMMANDS.keys() - WITHOUT_FUNCTION))
 def test_every_verb_has_a_function_of_its_name(verb: str) -> None:
-    old = VERBS[verb].old or verb.removeprefix("study run ")
-    name = re.sub(r"[ -]", "_", old)
-    assert name in set(fsar_ledger.__all__) | methods()
+    name = verb.removeprefix("maintain ").removeprefix("study run ")
+    assert FUNCTIONS.get(name, re.sub(r"[ -]", "_", name)) in set(fsar_ledger.__all__) | methods()
 
 
 def test_every_public_name_is_documented() -> None:

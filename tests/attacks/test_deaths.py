@@ -133,12 +133,12 @@ def test_a_simulation_whose_worker_is_killed_says_so_and_continues_when_it_is_ca
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("options", [("verify",), pytest.param(("recover",), marks=pytest.mark.slow)], ids=" ".join)
+@pytest.mark.parametrize("verb", ["verify", "maintain recover"])
 def test_a_verification_that_could_not_finish_calls_a_ledger_neither_good_nor_bad(
-    tmp_path: Path, whole: Path, options: tuple[str, ...]
+    tmp_path: Path, whole: Path, verb: str
 ) -> None:
     ledger = shutil.copytree(whole, tmp_path / "ledger")
-    code, out, err = ended_with_a_killed_worker(options[0], ledger, *options[1:], "--workers", "2")
+    code, out, err = ended_with_a_killed_worker(*verb.split(), ledger, "--workers", "2")
     assert (code, out, len(err.splitlines())) == (1, "", 1), err
     assert err.startswith("fsar-ledger: worker process ")
     assert "nothing is said about what was not checked" in err

@@ -59,6 +59,7 @@ def test_an_impossible_experiment_is_refused_before_anything_is_written(
     ("arguments", "parts"),
     [
         (("simulat",), ("'simulate'",)),
+        (("recover", "LEDGER"), ("No such command 'recover'", "fsar-ledger --help")),  # its name before 0.9.0
         (("query", "policy_violation", "LEDGER"), ("policy_violations", "did you mean")),
         (("query", "failures"), ("NAME and LEDGER", "--list")),
         (("query", "failures", "LEDGER", "--param", "robot"), ("NAME=VALUE",)),
@@ -128,7 +129,7 @@ def test_a_place_without_ledger_is_named(call: Call, tmp_path: Path, command: st
     one_message(call(command, tmp_path / "nowhere"), 2, str(tmp_path / "nowhere"), "simulate")
 
 
-@pytest.mark.parametrize("command", ["info", "metrics", "verify", "recover"])
+@pytest.mark.parametrize("command", ["info", "metrics", "verify", "maintain recover"])
 def test_an_interrupted_creation_is_no_damage_and_can_be_finished(call: Call, tmp_path: Path, command: str) -> None:
     ledger = tmp_path / "begun"
     for name in ("segments", "staging", "staging/ledger.json.0123456789abcdef.tmp"):
@@ -137,11 +138,15 @@ def test_an_interrupted_creation_is_no_damage_and_can_be_finished(call: Call, tm
         else:
             (ledger / name).mkdir(parents=True)
         one_message(
-            call(command, ledger), 2, str(ledger), "creation was interrupted", "run the command that creates it again"
+            call(*command.split(), ledger),
+            2,
+            str(ledger),
+            "creation was interrupted",
+            "run the command that creates it again",
         )
     with Writer(ledger, ORIGIN):
         pass
-    assert call(command, ledger).code == 0
+    assert call(*command.split(), ledger).code == 0
 
 
 @pytest.mark.parametrize(
@@ -164,7 +169,7 @@ def test_a_ledger_without_its_ledger_json_is_not_taken_for_one_that_was_only_beg
         ("verify", "PATH"),
         ("sql", "PATH", "SELECT 1"),
         ("query", "failures", "PATH"),
-        ("recover", "PATH", "--json"),
+        ("maintain", "recover", "PATH", "--json"),
         ("simulate", "PATH", *SMALL),
         ("export", "elsewhere", "--out", "PATH.csv"),
     ],
@@ -177,15 +182,17 @@ def test_a_path_that_is_not_utf_8_is_refused_before_anything_is_done(
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("command", ["recover", "verify"])
+@pytest.mark.parametrize("command", ["maintain recover", "verify"])
 def test_a_file_whose_name_is_not_utf_8_is_named_in_json(call: Call, copy: Path, command: str) -> None:
     (copy / "segments" / os.fsdecode(b"x\xff")).write_bytes(b"")
-    assert "x\\udcff" in json.dumps(json.loads(call(command, copy, "--json").out), ensure_ascii=False).replace(
+    assert "x\\udcff" in json.dumps(json.loads(call(*command.split(), copy, "--json").out), ensure_ascii=False).replace(
         "\\\\", "\\"
     )
 
 
-@pytest.mark.parametrize("command", ["simulate", "reproduce", "recover", "info", "export", "study run sensitivity"])
+@pytest.mark.parametrize(
+    "command", ["simulate", "reproduce", "maintain recover", "info", "export", "study run sensitivity"]
+)
 def test_after_ctrl_c_each_command_says_what_is_left(call: Call, monkeypatch: pytest.MonkeyPatch, command: str) -> None:
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
@@ -194,7 +201,7 @@ def test_after_ctrl_c_each_command_says_what_is_left(call: Call, monkeypatch: py
     left = {
         "simulate": "the same command continues there",
         "reproduce": "the same command continues there",
-        "recover": "run it again",
+        "maintain recover": "run it again",
         "study run sensitivity": "the same command continues there",
     }
     one_message(call(*command.split(), "x"), 130, "interrupted; ", left.get(command, "nothing was changed"))

@@ -61,9 +61,11 @@ def test_a_child_that_has_not_begun_its_program_is_not_counted_twice() -> None:
     assert (done.stdout, done.stderr) == ("True True\n", "")
 
 
-@pytest.mark.parametrize("verb", ["info", "metrics", "statistics", "compare", "audit", "explain", "verify", "recover"])
+@pytest.mark.parametrize(
+    "verb", ["info", "metrics", "statistics", "compare", "audit", "explain", "verify", "maintain recover"]
+)
 def test_every_command_that_reads_states_its_memory(call: Call, ledger: Path, verb: str) -> None:
-    one_message(call(verb, ledger, "--memory", "255"), 2, "--memory 255", "at least 256")
+    one_message(call(*verb.split(), ledger, "--memory", "255"), 2, "--memory 255", "at least 256")
 
 
 def test_a_query_with_a_name_states_it_too(call: Call, ledger: Path) -> None:

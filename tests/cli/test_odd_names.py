@@ -48,8 +48,8 @@ ASKED_LESS = (
     ("whatif", "--run", "1", "--change", "drop window:*", "--json"),
     ("verify", "--replay"),
     ("bisect", "--first", "fsar", "--second", "cfc", "--outcome", "policy_violations > 0", "--json"),
-    ("compact", "--json"),
-    ("recover",),
+    ("maintain", "compact", "--json"),
+    ("maintain", "recover"),
 )
 WRITTEN = (
     (("export", "{ledger}", "--out", "{out}"), ".parquet"),
@@ -66,9 +66,9 @@ WRITTEN = (
     (("simulate", "{out}", "--scenario", "door-relay", "--runs", "1", "--architecture", "fsar"), ".made"),
 )
 MADE = {
-    ("upgrade", "{old}", "--into", "{out}"): ".",
+    ("maintain", "upgrade", "{old}", "--into", "{out}"): ".",
     ("whatif", "{ledger}", "--run", "1", "--change", "drop window:*", "--out", "{out}"): ".",
-    ("recover", "{damaged}", "--into", "{out}"): ".",
+    ("maintain", "recover", "{damaged}", "--into", "{out}"): ".",
     ("reproduce", "--out", "{out}", "--only", "results", "--runs", "2"): "results",
     ("witness", "new", "{out}", "--name", "example.org/w1"): None,
 }
@@ -77,7 +77,7 @@ MADE = {
 
 def in_turn(verb: tuple[str, ...], ledger: str) -> tuple[str, ...]:
     """Return a call of the verb about the ledger, which comes after a name and before other arguments."""
-    at = {"query": 2, "study": 3}.get(verb[0], 1)
+    at = {"query": 2, "maintain": 2, "study": 3}.get(verb[0], 1)
     return (*verb[:at], path_of(ledger), *verb[at:])
 
 
@@ -181,9 +181,9 @@ def test_a_ledger_or_folder_of_any_name_is_made_there_and_nowhere_else(
     last = sorted((damaged / "segments").iterdir())[-1]
     last.write_bytes(last.read_bytes()[:-1])
     words = {"old": older, "ledger": crowded / PLAIN, "damaged": path_of(damaged.name)}
-    for (verb, *arguments), ledger in MADE.items():
-        out = Path(ALL_IN_ONE, verb)
-        called = call(verb, *(one.format(**words, out=path_of(str(out))) for one in arguments))
+    for number, (verb, ledger) in enumerate(MADE.items()):
+        out = Path(ALL_IN_ONE, f"made-{number}")
+        called = call(*(one.format(**words, out=path_of(str(out))) for one in verb))
         assert called.code == 0, called.err
         assert any((tmp_path / out).iterdir())
         assert ledger is None or call("verify", tmp_path / out / ledger).code == 0

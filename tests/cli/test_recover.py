@@ -1,4 +1,4 @@
-"""`recover` as it is called: what it prints, its exit codes, and how a damaged ledger is continued."""
+"""`maintain recover` as it is called: what it prints, its exit codes, and how a damaged ledger is continued."""
 
 import json
 import shutil
@@ -34,12 +34,12 @@ def segments_of(ledger: Path) -> list[str]:
 
 @pytest.mark.slow
 def test_a_whole_ledger_is_said_to_be_whole(call: Call, many: Path) -> None:
-    said = call("recover", many)
+    said = call("maintain", "recover", many)
     assert (said.code, said.err) == (0, "")
     assert said.out.startswith(f"{many}: whole, there is nothing to mend\ntrusted\n  commits 0 to 3: ")
     assert "only --anchor" not in said.out
     assert "--anchor FILE does" in said.out
-    anchored = call("recover", many, "--anchor", many / "checkpoint")
+    anchored = call("maintain", "recover", many, "--anchor", many / "checkpoint")
     assert "the anchor vouches for the first" in anchored.out
     assert "--anchor FILE does" not in anchored.out
 
@@ -48,7 +48,7 @@ def test_a_whole_ledger_is_said_to_be_whole(call: Call, many: Path) -> None:
 def test_what_was_mended_is_named(call: Call, copy: Path) -> None:
     (copy / "checkpoint").unlink()
     (copy / "stray").write_bytes(b"?")
-    said = call("recover", copy)
+    said = call("maintain", "recover", copy)
     assert (said.code, said.err) == (0, "")
     assert f"set aside\n  stray -> {copy}.set-aside/000/stray\nmade again\n  checkpoint\n" in said.out
     assert call("verify", copy).code == 0
@@ -59,7 +59,7 @@ def test_a_damaged_ledger_is_explained_and_continued(call: Call, copy: Path, man
     lost = segments_of(copy)[2]
     (copy / lost).unlink()
     before = contents(copy)
-    said = call("recover", copy)
+    said = call("maintain", "recover", copy)
     assert (said.code, said.err) == (3, "")
     assert said.out.startswith(f"{copy}: damaged at commit 2; nothing of it was changed\nfound\n  {lost}: commit 2")
     for line in (
@@ -71,7 +71,7 @@ def test_a_damaged_ledger_is_explained_and_continued(call: Call, copy: Path, man
     ):
         assert f"\n{line}" in said.out or line in said.out
     new = tmp_path / "new"
-    done = call("recover", copy, "--into", new)
+    done = call("maintain", "recover", copy, "--into", new)
     assert (done.code, f"{new} holds what can be trusted" in done.out) == (0, True)
     assert call("verify", new).code == 0
     assert call("simulate", new, *MANY).code == 0
@@ -81,12 +81,12 @@ def test_a_damaged_ledger_is_explained_and_continued(call: Call, copy: Path, man
 
 @pytest.mark.slow
 def test_programs_get_everything_as_json(call: Call, copy: Path) -> None:
-    whole = json.loads(call("recover", copy, "--json").out)
+    whole = json.loads(call("maintain", "recover", copy, "--json").out)
     assert (whole["outcome"], whole["head"]["commits"], whole["steps"], whole["into"]) == ("whole", 4, [], None)
     assert whole["report"]["root"] == whole["head"]["root"]
     last = segments_of(copy)[-1]
     (copy / last).unlink()
-    said = call("recover", copy, "--json")
+    said = call("maintain", "recover", copy, "--json")
     damaged = json.loads(said.out)
     assert (said.code, damaged["outcome"], damaged["head"]["commits"]) == (3, "damaged", 3)
     assert damaged["problems"][0]["where"] == last
@@ -96,7 +96,7 @@ def test_programs_get_everything_as_json(call: Call, copy: Path) -> None:
 def test_long_lists_are_cut_for_people(call: Call, copy: Path) -> None:
     for number in range(13):
         (copy / f"stray-{number}").write_bytes(b"?")
-    assert "  ... and 3 more; --json names all\n" in call("recover", copy).out
+    assert "  ... and 3 more; --json names all\n" in call("maintain", "recover", copy).out
 
 
 @pytest.mark.slow
@@ -104,16 +104,16 @@ def test_with_a_key_the_answer_says_who_signed(call: Call, tmp_path: Path) -> No
     key, path = tmp_path / "fleet.key", tmp_path / "ledger"
     public = call("key", "new", key).out.strip()
     assert call("simulate", path, *SMALL, "--key", key).code == 0
-    signed = call("recover", path, "--trusted-key", f"{key}.pub")
+    signed = call("maintain", "recover", path, "--trusted-key", f"{key}.pub")
     assert (signed.code, f"  signed by {'+'.join(public.split('+')[:2])}\n" in signed.out) == (0, True)
-    unchecked = call("recover", path)
+    unchecked = call("maintain", "recover", path)
     assert "  signed, signer not checked" in unchecked.out
     assert call("key", "new", tmp_path / "other.key").code == 0
-    other = call("recover", path, "--trusted-key", f"{tmp_path / 'other.key'}.pub")
+    other = call("maintain", "recover", path, "--trusted-key", f"{tmp_path / 'other.key'}.pub")
     assert (other.code, "trusted\n  no commit\n" in other.out) == (3, True)
 
 
 def test_wrong_calls_are_one_message(call: Call, copy: Path, tmp_path: Path) -> None:
-    one_message(call("recover", tmp_path / "nowhere"), 2, "found no ledger there")
-    one_message(call("recover", copy, "--into", tmp_path), 2, "--into", "found something there")
-    one_message(call("recover", copy, "--anchor", tmp_path / "nothing"), 2, "--anchor")
+    one_message(call("maintain", "recover", tmp_path / "nowhere"), 2, "found no ledger there")
+    one_message(call("maintain", "recover", copy, "--into", tmp_path), 2, "--into", "found something there")
+    one_message(call("maintain", "recover", copy, "--anchor", tmp_path / "nothing"), 2, "--anchor")

@@ -1,19 +1,13 @@
-"""`study show` shows stored results and whether they are stale; the verbs that were studies work as before."""
+"""`study show` shows stored results and whether they are stale."""
 
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
 
 import pytest
-from typer.main import get_command
 
-from fsar_ledger.api.verbs import VERBS
-from fsar_ledger.cli.app import app
 from tests.studies.conftest import study
 
 from .conftest import Call, one_message
-
-SMALL = ("--metric", "human_intervention")
 
 
 @pytest.mark.parametrize(
@@ -67,19 +61,3 @@ def test_what_cannot_be_shown_is_one_message(call: Call, tmp_path: Path) -> None
     one_message(call("study", "show", "sensitivity"), 2, "the package has none")
     one_message(call("study", "show", "comparison", tmp_path / "text"), 1, "study run comparison", "write it again")
     one_message(call("study", "show", "comparison", tmp_path / "none"), 2, "cannot be read")
-
-
-def test_the_verbs_of_before_are_the_studies_and_no_help_lists_them(call: Call, ledger: Path) -> None:
-    commands: Any = get_command(app)
-    for family in ("study", "maintain"):
-        assert commands.commands[family]
-    of_before = {verb.old: verb for verb in VERBS.values() if verb.old}
-    assert set(of_before) == {
-        *("calibrate", "predict", "judge", "sensitivity", "multiverse"),
-        *("recover", "upgrade", "compact"),
-    }
-    for old, verb in of_before.items():
-        assert old not in [*commands.commands]
-        assert commands.commands[old].help == verb.help
-        assert f"  {old} " not in call("--help").out
-    assert call("multiverse", ledger, *SMALL).out == call("study", "run", "multiverse", ledger, *SMALL).out

@@ -49,8 +49,8 @@ def main(events: int) -> int:
                     print(f"ledger {number}: {claim}", flush=True)
             number += 1
     for name, count in sorted(codes.items()):
-        verb, code = name.split()
-        print(f"{verb:12} exit code {code:>2} {count:>8,} calls")
+        verb, _, code = name.rpartition(" ")
+        print(f"{verb:16} exit code {code:>2} {count:>8,} calls")
     print(
         f"{told:,} events in {number:,} ledgers, {findings:,} findings, "
         f"{claims:,} claims about what was not recorded, {time.perf_counter() - began:.0f} s"

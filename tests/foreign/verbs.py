@@ -54,11 +54,11 @@ VERBS: dict[str, tuple[set[int], tuple[str, ...]]] = {
     "audit": (FOUND, ("{ledger}", "{ledger} --json")),
     "verify": (ANSWERED, ("{ledger}", "{ledger} --quick")),
     "prove": (ANSWERED, ("{ledger} {run}:{seq} --out {out}.tlog-proof",)),
-    "recover": (ANSWERED, ("{ledger}",)),
+    "maintain recover": (ANSWERED, ("{ledger}",)),
     "open": (ANSWERED, ("{ledger} --out {out}.duckdb",)),
     "study": (ANSWERED, ("run multiverse {ledger}",)),
     "report": (REFUSED, ("{ledger} --out {out}.pdf",)),
-    "compact": (REFUSED, ("{ledger}",)),
+    "maintain compact": (REFUSED, ("{ledger}",)),
 }
 """Each verb, its exit codes on a sound ledger, and its calls; a space within a word is written as |."""
 
@@ -119,4 +119,4 @@ def calls(verb: str, ledger: Path, runs: list[LedgerRun], out: Path, draw: rando
         "action": draw.choice(actions) if actions else "",
     }
     listed = [call for call in VERBS[verb][1] if actions or "{action}" not in call]
-    return [(verb, *(word.format(**about).replace("|", " ") for word in call.split())) for call in listed]
+    return [(*verb.split(), *(word.format(**about).replace("|", " ") for word in call.split())) for call in listed]

@@ -43,7 +43,7 @@ READERS = (
     ("query", "conflicts", LEDGER),
     ("query", "claims", LEDGER, "--json"),
     ("prove", LEDGER, "1"),
-    ("recover", LEDGER, "--workers", "1"),
+    ("maintain", "recover", LEDGER, "--workers", "1"),
     ("sql", LEDGER, "SELECT count(*), max(run_id), max(length(parameters)) FROM events"),
 )
 QUICK = (("info", LEDGER), ("verify", LEDGER, "--workers", "1"))
@@ -238,7 +238,7 @@ def asked(*selects: str) -> tuple[tuple[str, ...], ...]:
 PROOF = (("verify-proof", "beside"),)
 ANCHORED = (
     ("verify", LEDGER, "--workers", "1", "--anchor", "beside"),
-    ("recover", LEDGER, "--workers", "1", "--anchor", "beside"),
+    ("maintain", "recover", LEDGER, "--workers", "1", "--anchor", "beside"),
 )
 KEYED = (
     ("verify", LEDGER, "--workers", "1", "--trusted-key", "beside"),

@@ -35,15 +35,15 @@ def old(tmp_path: Path) -> Path:
 
 VERBS = (
     *("verify", "verify --quick", "verify --replay", "info", "audit", "metrics", "statistics", "query runs"),
-    *("sql SELECT", "log", "prove 3", "recover", "compact", "simulate --runs 1", "export --out OUT.csv"),
-    *("export --tiles --out OUT", "report --out OUT.pdf", "view --out OUT.html"),
+    *("sql SELECT", "log", "prove 3", "maintain recover", "maintain compact", "simulate --runs 1"),
+    *("export --out OUT.csv", "export --tiles --out OUT", "report --out OUT.pdf", "view --out OUT.html"),
 )
 
 
 @pytest.mark.parametrize("verb", VERBS)
 def test_every_verb_names_the_command_that_upgrades(old: Path, capsys: pytest.CaptureFixture[str], verb: str) -> None:
     before, words = contents(old), verb.replace("OUT", str(old.parent / "out").replace(" ", "\0")).split()
-    words.insert(2 if words[0] == "query" else 1, str(old))
+    words.insert(2 if words[0] in ("query", "maintain") else 1, str(old))
     assert run([word.replace("\0", " ") for word in words]) == 2
     told = capsys.readouterr()
     assert told.out == ""
