@@ -15,7 +15,7 @@ from .conftest import Call, one_message
     [
         ("calibration", ("world.context_rate_per_s", "distance_margins")),
         ("predictions", ("encounters", "internal events (inward)")),
-        ("comparison", ("ours_one_team", "twenty-four")),
+        ("comparison", ("ours_one_team", "twenty-eight")),
     ],
 )
 def test_a_packaged_result_is_shown_and_rests_on_what_there_is(call: Call, name: str, parts: tuple[str, ...]) -> None:
@@ -38,7 +38,7 @@ def test_effects_are_shown_as_when_they_were_found(call: Call, tmp_path: Path, m
 @pytest.mark.parametrize(
     ("name", "now", "before", "said"),
     [
-        ("calibration", '"model_version": "2"', '"model_version": "1"', "of model '1', expected model '2'"),
+        ("calibration", '"model_version": "3"', '"model_version": "1"', "of model '1', expected model '3'"),
         ("comparison", '"facts/conflicts": "', '"facts/conflicts": "0', "changed since: facts/conflicts"),
         ("comparison", '"parameters": "{', '"parameters": "{ ', "expected those of this version"),
         ("calibration", '"rules"', '"other"', "that name no queries"),
