@@ -20,6 +20,7 @@ from fsar_ledger.events.request import ContractQuestioned, InternalHandoff
 from fsar_ledger.ledger.rows.codec import encode
 from fsar_ledger.metrics.database import Database
 from fsar_ledger.metrics.definitions import metrics
+from fsar_ledger.report.document import Document
 from fsar_ledger.report.experiments import experiments_of
 from fsar_ledger.runtime.experiment import Experiment
 from fsar_ledger.runtime.experiment_arguments import experiment_of
@@ -27,6 +28,7 @@ from fsar_ledger.runtime.knockouts import KNOCKOUTS, Knockout
 from fsar_ledger.runtime.paper import paper_ledger
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
 from tests.recycled import from_table
+from tests.report.made import column, made, said
 
 COPIES, CLAIMS, UNNAMED = "synced-copies", "safe-stop-claims", "unnamed-requests"
 CALM = msgspec.structs.replace(Constants().world, context_rate_per_s=0.0)
@@ -189,3 +191,20 @@ def test_holm_adjusts_the_tests_of_all_mechanisms_together(database: Database) -
     for at, row in enumerate(tested):
         expected = max(expected, min(1.0, (len(tested) - at) * row["p"]))
         assert row["p_holm"] == pytest.approx(expected)
+
+
+def test_what_never_decided_is_named_and_what_is_not_observed_is_no_zero() -> None:
+    def row(architecture: str, mechanism: str, times: int | None, scenario: str = "door-relay") -> dict[str, Any]:
+        named = {"architecture": architecture, "scenario": scenario}
+        return {**named, "part": "registry", "mechanism": mechanism, "times": times}
+
+    uses = [
+        *(row("fsar", "seen", 3), row("cfc", "seen", 0), row("fsar", "seen", 1, "fleet-contention")),
+        *(row("fsar", "never", 0), row("cfc", "never", 0), row("fsar", "hidden", None), row("cfc", "hidden", 0)),
+    ]
+    document = Document(made(uses=uses))
+    assert column(document, "mechanism-uses", "mechanism") == ["hidden", "seen"]
+    assert column(document, "mechanism-uses", "door-relay") == ["– / 0", "3 / 0"]
+    assert column(document, "mechanism-uses", "fleet-contention") == [None, "1"]
+    assert "1 never did in these runs" in said(document)
+    assert "for or against them: registry, never." in said(document)
