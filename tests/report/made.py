@@ -9,7 +9,7 @@ import pyarrow as pa
 from fsar_ledger.metrics.paper_numbers import Table, printed
 from fsar_ledger.metrics.registration import Sample, SampleAround
 from fsar_ledger.metrics.results import StatisticRow
-from fsar_ledger.metrics.robustness import CellSpread, Ensemble, Placebo, RankCounts, Ranking, Rejections
+from fsar_ledger.metrics.robustness import CellSpread, Ensemble, Placebo, RankCounts, Ranking, Rejections, SignCount
 from fsar_ledger.metrics.verdicts import MARGINS, ComparedEffect
 from fsar_ledger.report.findings import Findings, Head, arrow
 from fsar_ledger.report.judge import Number
@@ -177,7 +177,10 @@ def ensemble(plausible: int, *cells: CellSpread) -> Ensemble:
         clipped=0.0,
         plausible=plausible,
         cells=list(cells),
-        signs=[],
+        signs=[
+            SignCount(metric="policy_violations", comparison="fsar-cfc", paper_t=-9.0, same=9, other=1, neither=0),
+            SignCount(metric="policy_violations", comparison="fsar-dhma", paper_t=-9.0, same=10, other=0, neither=0),
+        ],
         ranks=near,
     )
 

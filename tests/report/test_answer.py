@@ -176,6 +176,8 @@ def test_a_verdict_says_how_many_of_the_plausible_points_agree_and_of_all_where_
         found = column(document, "evaluation-results", "agreeing")
         assert found == (["8 of 10", "2 of 10", None] if plausible else ["60 of 80", "20 of 80", None])
     assert "10 are plausible: each of the 24 cells" in told[10]
+    assert "In all 10 plausible sets of constants 1 of 2 differences of means have the paper's sign." in told[10]
+    assert "The others have it in some of them: policy violations of FSAR and CFC (9)." in told[10]
     assert "Since none is, _Agree_ says with how many of all" in told[0]
     assert "What most of the others miss: " in told[0]
 
