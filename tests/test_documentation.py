@@ -332,7 +332,7 @@ ELSEWHERE = (
     "fsar-ledger log out/ledger --run all --about requests,policy --json",
     "fsar-ledger audit out/ledger --architecture fsar --invariant i4 --json",
     "fsar-ledger open out/ledger --out out/ledger.duckdb",
-    'fsar-ledger cause out/ledger --run 1 --outcome "policy_violations > 0"',
+    'fsar-ledger cause out/ledger --run 2 --outcome "policy_violations > 0"',
     'fsar-ledger cause out/ledger --run 2 --outcome "SELECT run_id FROM conflicts" --futures 0 --json',
     "fsar-ledger diff out/ledger 1 1 --other out/large --verified --json",
     "fsar-ledger report out/ledger --out out/report.pdf",

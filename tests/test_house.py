@@ -23,7 +23,10 @@ LONGER = {"tests/independent_verifier.py": 520, "tests/independent_chain.py": 59
 """Files that may be longer: the verifier keeps the order of docs/ledger-format.md, to be read beside it as one text."""
 TOP_LEVEL = {"README.md", "pyproject.toml", "fsar_ledger", "queries", "reports", "tests"}
 REQUIREMENTS = {f"requirements{part}.{kind}" for part in ("", "-test", "-all") for kind in ("in", "txt")}
-SUPPORT = {"Makefile", "LICENSE", "CHANGELOG.md", "benchmarks", "docs", *REQUIREMENTS}
+SUPPORT = {
+    *("Makefile", "LICENSE", "CHANGELOG.md", "CITATION.cff", "codemeta.json", "benchmarks", "docs"),
+    *REQUIREMENTS,
+}
 
 
 def code_files(root: Path, suffix: str, folders: tuple[str, ...] = CODE) -> Iterator[Path]:

@@ -107,7 +107,7 @@ class Caused(Answer, msgspec.Struct, frozen=True, kw_only=True):
 
 
 @verb(
-    'cause out/ledger --run 1 --outcome "policy_violations > 0"',
+    'cause out/ledger --run 2 --outcome "policy_violations > 0"',
     'cause out/ledger --run 2 --outcome "authority_conflicts > 3" --futures 0',
     'cause out/ledger --run 2 --outcome "SELECT run_id FROM conflicts" --futures 0 --json',
 )

@@ -12,16 +12,8 @@
 --   local_us, fleet_us of a decider that is no robot when the run does not observe knowledge
 -- Example: fsar-ledger query facts/policies_seen LEDGER
 -- Stored: grounds read it for each scope
-WITH denied AS (
-    SELECT
-        run_id, seq, time_us, task_id, action_id, reason, decided_by,
-        coalesce(executed_by, 'robot/' || nullif(split_part(decided_by, '/', 2), '')) AS robot
-    FROM request_denied
-    WHERE reason IN ('policy', 'bid', 'own step', 'review')
-),
-
 -- In the DuckDB before ours, which may read this in a file, ASOF joins NULL to NULL.
-issued AS (
+WITH issued AS (
     SELECT run_id, seq, action_id, capability
     FROM request_issued
     WHERE action_id IS NOT NULL
@@ -33,33 +25,23 @@ judged AS (
         denied.run_id, denied.seq, denied.time_us, denied.task_id, denied.action_id,
         coalesce(calls.reason, denied.reason) AS reason,
         if(calls.seq IS NULL, denied.decided_by, calls.decided_by) AS decided_by,
-        coalesce(calls.robot, denied.robot) AS robot,
+        coalesce(
+            calls.robot, denied.executed_by, 'robot/' || nullif(split_part(denied.decided_by, '/', 2), '')
+        ) AS robot,
         coalesce(calls.decided_seq, denied.seq) AS decided_seq,
         coalesce(calls.decided_us, denied.time_us) AS decided_us,
         if(denied.reason = 'review', 'review', 'deny') AS outcome
-    FROM denied
+    FROM request_denied AS denied
     ASOF LEFT JOIN review_calls AS calls
         ON
             denied.run_id = calls.run_id AND if(denied.reason = 'review', denied.task_id, NULL) = calls.task_id
             AND denied.seq > calls.seq
+    WHERE denied.reason IN ('policy', 'bid', 'own step', 'review')
     UNION ALL
     SELECT
         run_id, seq, time_us, task_id, action_id, reason, decided_by, robot, decided_seq, decided_us,
         'review' AS outcome
     FROM review_calls
-),
-
-present AS (
-    -- Where the run does not observe knowledge, nobody can tell what a decider with copies had seen.
-    SELECT
-        judged.*,
-        if(
-            list_contains(runs.observes, 'knowledge') OR starts_with(judged.decided_by, 'robot/'),
-            judged.decided_us,
-            NULL
-        ) AS present_us
-    FROM judged
-    INNER JOIN runs ON judged.run_id = runs.run_id
 ),
 
 copied AS (
@@ -74,11 +56,18 @@ SELECT
     judged.decided_seq, judged.decided_us, judged.outcome,
     coalesce(issued.capability, steps.capability) AS capability,
     -- Planners and the coordinator decide by their last snapshot or copy of a robot's own policy.
-    coalesce(snapshots.time_us, copied.time_us, judged.present_us) AS local_us,
-    coalesce(
-        learned.as_of_us, if(judged.run_id IN (SELECT run_id FROM fleet_rule_learned), -1, judged.present_us)
-    ) AS fleet_us
-FROM present AS judged
+    coalesce(snapshots.time_us, copied.time_us, if(present.run_id IS NULL, NULL, judged.decided_us)) AS local_us,
+    CASE
+        WHEN learned.as_of_us IS NOT NULL THEN learned.as_of_us
+        WHEN judged.run_id IN (SELECT run_id FROM fleet_rule_learned) THEN -1
+        WHEN present.run_id IS NOT NULL THEN judged.decided_us
+    END AS fleet_us
+FROM judged
+-- Where the run does not observe knowledge, nobody can tell what a decider with copies had seen.
+LEFT JOIN runs AS present
+    ON
+        judged.run_id = present.run_id
+        AND (list_contains(present.observes, 'knowledge') OR starts_with(judged.decided_by, 'robot/'))
 ASOF LEFT JOIN issued
     ON judged.run_id = issued.run_id AND judged.action_id = issued.action_id AND judged.decided_seq > issued.seq
 ASOF LEFT JOIN step_began AS steps

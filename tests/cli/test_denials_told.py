@@ -11,12 +11,21 @@ from fsar_ledger import Ledger, open_ledger
 from fsar_ledger.api.answers import Screen
 from fsar_ledger.api.explain import account_lines, shown
 from fsar_ledger.metrics.database import plain_rows
-from tests.cli.conftest import Call
+from tests.cli.conftest import Call, made_in
 from tests.queries.histories import Row, S, event, run
 from tests.recycled import from_rows
 
 A, B, SUPERVISOR = "robot/A1", "robot/B1", "supervisor/B1"
 PRINCIPALS = ("decided_by", "requested_by", "executed_by", "supervised_by")
+
+
+LONG = ("--set", "world.window_mean_s=12", "--set", "world.context_window_share=0.6")
+"""Windows that are often in force together, and over when whoever has a copy decides by them."""
+
+
+@pytest.fixture(scope="module")
+def windowed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return made_in(tmp_path_factory.mktemp("denials"), *LONG)
 
 
 def story(ledger: Ledger, run_id: str, action: str) -> tuple[dict[str, Any], str]:
@@ -137,8 +146,8 @@ def test_a_window_that_was_over_is_said_to_be_and_when_it_was_last_seen() -> Non
     assert still == ("zone", None, 2.0, True)
 
 
-def test_each_denial_is_under_what_was_open_or_had_been_seen_while_it_was(ledger: Path) -> None:
-    rows = open_ledger(ledger).query(GROUNDS).rows()
+def test_each_denial_is_under_what_was_open_or_had_been_seen_while_it_was(windowed: Path) -> None:
+    rows = open_ledger(windowed).query(GROUNDS).rows()
     assert {row["was_open"] for row in rows} == {True, False}
     for row in rows:
         closed_s = row["denied_s"] + 1 if row["closed_s"] is None else row["closed_s"]
@@ -159,8 +168,8 @@ def test_the_story_of_a_denial_tells_how_to_prove_the_window_too(call: Call, led
     )
 
 
-def test_the_grounds_of_denials_are_those_that_each_denial_names_in_order(ledger: Path) -> None:
-    opened = open_ledger(ledger)
+def test_the_grounds_of_denials_are_those_that_each_denial_names_in_order(windowed: Path) -> None:
+    opened = open_ledger(windowed)
     named = [
         (row["run_id"], row["seq"], name, seq)
         for row in opened.query("denials").rows()

@@ -41,7 +41,7 @@ def test_cells_have_the_class_that_was_registered_for_them_and_are_informed_othe
     def classes(table: Table) -> Counter[str]:
         return Counter(registration().declaration_for(table, place._asdict()).kind for place in printed(table))
 
-    assert classes("results") == {"fitted": 24}
+    assert classes("results") == {"fitted": 18, "count": 2, "dial": 2, "by_construction": 2}
     assert classes("ablation") == {"informed": 28, "unspecified": 1, "cannot_follow": 1}
     assert classes("ablation_text") == {"informed": 5, "unspecified": 2, "cannot_follow": 1}
     assert classes("scaling") == {"informed": 15, "unspecified": 30}
