@@ -27,18 +27,19 @@ from tests import past
 
 
 def _has_all_that_is_forged(record: LedgerRun) -> bool:
+    causes = {event.cause for event in record.events if isinstance(event, ExecutionFailed)}
     resolved = [event.level for event in record.events if isinstance(event, FailureResolved)]
     has = {type(event) for event in record.events}
     ends_with_the_world = isinstance(record.events[-1], ContextChanged)
     started = next((event for event in record.events if isinstance(event, ExecutionStarted)), None)
-    if started is None or started.principals.supervised_by is None:
+    if started is None or started.principals.supervised_by is None or causes != {"obstruction"}:
         return False
     return resolved[:1] == ["local"] and ends_with_the_world and has >= {RequestDenied, RoutineWithheld}
 
 
 HONEST = next(
     record
-    for run in count(59)
+    for run in count(439)
     if _has_all_that_is_forged(
         record := simulate_run(RunSpec(42, "fsar", "full", "failure-recovery-chain", 4, run), Constants())
     )

@@ -16,10 +16,14 @@ H_F = Supervisor("supervisor/fleet")
 
 
 def governed(
-    scenario: Scenario, *interventions: tuple[int, Event], run: int = 0, structure: HandlerTable = FSAR
+    scenario: Scenario,
+    *interventions: tuple[int, Event],
+    run: int = 0,
+    structure: HandlerTable = FSAR,
+    constants: Constants = Constants(),  # noqa: B008
 ) -> Kernel:
     """The finished run of four robots, with these events at these times (microseconds)."""
-    constants, spec = Constants(), RunSpec(42, "fsar", "full", scenario, 4, run)
+    spec = RunSpec(42, "fsar", "full", scenario, 4, run)
     facts = sorted([*schedule(constants, 42, scenario, run, 4), *interventions], key=lambda fact: fact[0])
     one = Kernel(
         structure,

@@ -23,10 +23,14 @@ OWN_STEP = past.began(Subject("A1-1", "A1-1/1.1"), Robot("robot/A1"), 1, "naviga
 DELEGATED_STEP = past.began(Subject("A1-1", "A1-1/2.1"), Robot("robot/A1"), 2, "door.open.secure", "B")
 
 
-def started(architecture: Architecture, configuration: Configuration = "full") -> tuple[Event, ...]:
+def started(
+    architecture: Architecture,
+    configuration: Configuration = "full",
+    constants: Constants = Constants(),  # noqa: B008
+) -> tuple[Event, ...]:
     """The founding of a fleet of four under this architecture."""
     spec = RunSpec(1, architecture, configuration, "door-relay", 4, 0)
-    return (run_started(spec, Constants()), *founding(4))
+    return (run_started(spec, constants), *founding(4))
 
 
 def given(architecture: Architecture, *events: Event, configuration: Configuration = "full") -> State:

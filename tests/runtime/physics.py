@@ -7,7 +7,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from fsar_ledger.designs.constants import Constants, Outages, Range, WorldConstants
+from fsar_ledger.designs.constants import DURATIONS, Constants, Outages, Range, WorldConstants
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import Architecture, flat
 from fsar_ledger.events.execution import (
@@ -31,6 +31,10 @@ QUIET = {"obstruction_rate_per_s": 0.0, "degradation_probability": 0.0}
 LAWLESS = {"context_window_share": 0.0, "fleet_rule_rate_per_s": 0.0}
 LATE_HANDS = {"response": Range(900.0, 1000.0)}
 BLOCKED = {"obstruction_rate_per_s": 0.5, "obstruction_mean_s": 1e5}
+LASTING = {  # executions that take half a minute, and time enough for them
+    "durations": tuple((capability, Range(30.0, 40.0)) for capability, _ in DURATIONS),
+    "budget_base_s": 600.0,
+}
 ALWAYS, FOREVER = 1e9, 1e9  # per second, seconds
 OURS = WorldConstants()
 MIXED = Outages(0.02, 8.0, 0.03, 6.0, 0.002)

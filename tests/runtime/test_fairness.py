@@ -33,6 +33,8 @@ from fsar_ledger.runtime.simulation import ARCHITECTURES, RunSpec, simulate_run
 from tests.runtime.failures import ACTION, D, executing, failed
 from tests.runtime.histories import ARRIVED, OWN_STEP, given, happen, types, window
 from tests.runtime.live import play
+from tests.runtime.physics import LAWLESS
+from tests.runtime.pinned import PINNED
 from tests.runtime.test_fsar import REQUESTED
 from tests.runtime.test_own import FLEET, OWN, SPEC
 
@@ -50,10 +52,11 @@ def ward(
     role: str = "porter",
     capability: str | None = "carry.linen",
     off_shift: tuple[OffShift, ...] = (),
+    ours: WorldConstants = OWN.world,
 ) -> Found:
     """Return what happened in six runs of the ward under one more rule."""
     fleet = msgspec.structs.replace(FLEET, policies=(Policy(role, outcome, scope, capability),), off_shift=off_shift)
-    world = msgspec.structs.replace(OWN.world, absence_s=0.0)  # only who is said to be off shift is away
+    world = msgspec.structs.replace(ours, absence_s=0.0)  # only who is said to be off shift is away
     own = msgspec.structs.replace(OWN, fleet=fleet, world=world)
     spec = msgspec.structs.replace(SPEC, architecture=architecture)
     return [list(simulate_run(msgspec.structs.replace(spec, run=run), own).events) for run in RUNS]
@@ -125,7 +128,8 @@ def test_an_own_step_is_reviewed_by_the_robots_supervisor_unless_it_is_away_or_t
 
 
 def test_an_own_step_is_put_before_its_supervisor_once_and_held_without_a_decision_until_the_answer() -> None:
-    for run in ward("fsar", "review", "local"):
+    nothing_else_holds = msgspec.structs.replace(OWN.world, **LAWLESS)
+    for run in ward("fsar", "review", "local", ours=nothing_else_holds):
         [called] = [one for one in run if isinstance(one, SupervisorCalled)]
         [held] = [one for one in run if isinstance(one, ExecutionHeld) and one.subject == called.subject]
         assert (held.outcome, held.reason, held.principals.decided_by) == ("review", "local-policy", None)
@@ -231,9 +235,10 @@ def test_an_answer_starts_only_what_is_still_held_and_not_what_is_on_its_way() -
 @pytest.mark.parametrize("architecture", ARCHITECTURES)
 def test_an_approval_lifts_no_denial_under_any_architecture(architecture: str) -> None:
     """A declared review of the robot's own steps, and windows that deny while the supervisor thinks."""
-    world = msgspec.structs.replace(OWN.world, absence_s=0.0, context_rate_per_s=0.06, context_window_share=1.0)
+    world = msgspec.structs.replace(PINNED.world, absence_s=0.0, context_rate_per_s=0.06, context_window_share=1.0)
+    world = msgspec.structs.replace(world, window_mean_s=10.0, budget_base_s=200.0)  # open when the answer comes
     fleet = msgspec.structs.replace(FLEET, policies=(Policy("porter", "review", "local", "carry.linen"),))
-    structure = Structure(sync_period_us=100_000, snapshot_period_us=100_000)
+    structure = msgspec.structs.replace(PINNED.structure, sync_period_us=100_000, snapshot_period_us=100_000)
     own = msgspec.structs.replace(OWN, fleet=fleet, world=msgspec.structs.replace(world, review_share=0.0))
     own = msgspec.structs.replace(own, structure=structure)
     refused = 0

@@ -23,11 +23,13 @@ from fsar_ledger.runtime.forks import Fork, fork, parts_at, run_again
 from fsar_ledger.runtime.recipes import Recipe, base_of, recorded_recipe, with_changes
 from fsar_ledger.runtime.replay import replay_run
 from fsar_ledger.runtime.simulation import RunSpec, run_id, simulate_run
+from tests.runtime.pinned import PINNED
 from tests.sure import known
 
 ROOT = "0a" * 32
 S = 1_000_000
-REVIEWED = 4  # a run of door-relay in which a supervisor is called
+REVIEWED = 4  # a run of door-relay in which, in the pinned world, a supervisor is called
+SHARE = Constants().world.review_share
 
 
 def base(
@@ -119,7 +121,7 @@ EACH = [
 @pytest.mark.parametrize("texts", EACH, ids="; ".join)
 @pytest.mark.parametrize("architecture", ["fsar", "cfc", "dhma"])
 def test_a_fork_of_every_kind_of_change_repeats_its_base_and_replays(architecture: str, texts: list[str]) -> None:
-    of = base(architecture)
+    of = base(architecture, constants=PINNED)
     found = forked(*texts, of=of)
     require_fork(of[1], found)
     recipe = recorded_recipe(started(found.record), len(found.record.events))
@@ -160,15 +162,17 @@ def test_a_window_that_is_dropped_neither_opens_nor_closes() -> None:
 
 
 def test_a_window_that_is_moved_keeps_its_length() -> None:
-    of = base()
+    of = base(constants=PINNED)
     found = forked("move window:fleet/B1/1 +2s", of=of)
+    lengths_us = set()
     for record, shift_us in ((of[1], 0), (found.record, 2 * S)):
         (opened,), (closed,) = [
             [at for at, one in of_type(record, kind) if one.window == "fleet/B1/1"]
             for kind in (PolicyWindowOpened, PolicyWindowClosed)
         ]
         assert opened == 71_697_922 + shift_us
-        length_us = closed - opened
+        lengths_us.add(closed - opened)
+    [length_us] = lengths_us
     assert length_us > 0
 
 
@@ -181,7 +185,7 @@ def test_an_added_fact_happens_at_its_time() -> None:
 
 
 def test_a_supervisor_who_says_no_is_on_record_with_that() -> None:
-    of = base(run=REVIEWED)
+    of = base(run=REVIEWED, constants=PINNED)
     (asked,) = of_type(of[1], SupervisorCalled)[:1]
     found = forked("answer call:1 deny", of=of)
     answers = [one for at, one in of_type(found.record, SupervisorResponded) if at > asked[0]]
@@ -191,7 +195,7 @@ def test_a_supervisor_who_says_no_is_on_record_with_that() -> None:
 
 
 def test_a_supervisor_who_never_answers_is_not_on_record() -> None:
-    of = base(run=REVIEWED)
+    of = base(run=REVIEWED, constants=PINNED)
     assert of_type(of[1], SupervisorResponded)
     assert not of_type(forked("answer response:* never", of=of).record, SupervisorResponded)
 
@@ -239,7 +243,7 @@ def test_the_base_of_a_fork_has_the_groups_of_constants_that_it_had() -> None:
 @pytest.mark.parametrize(
     ("texts", "message"),
     [
-        (["set world.review_share=0.119"], "is 0.119 already"),
+        ([f"set world.review_share={SHARE}"], f"is {SHARE} already"),
         (["set world.review_shar=0.5"], "did you mean world.review_share"),
         (["set world.review_share=1.5"], "expected a share"),
         (["set world.review_share=-1"], "expected 0 or more"),
@@ -285,7 +289,7 @@ def forged(record: LedgerRun, **fields: object) -> LedgerRun:
         ({"changes": None}, None),
         ({"changes": ("drop  window:fleet/B1/1",)}, "changes"),
         ({"changes": ("drop window:fleet/B1/1", "jump")}, "changes"),
-        ({"changes": ("drop window:fleet/B1/1", "set world.review_share=0.5 instead of 0.119")}, "changes"),
+        ({"changes": ("drop window:fleet/B1/1", f"set world.review_share=0.5 instead of {SHARE}")}, "changes"),
     ],
 )
 def test_a_forged_origin_is_found(fields: dict[str, object], field: str | None) -> None:
@@ -358,7 +362,7 @@ def test_a_run_that_is_over_parts_at_the_event_that_it_lacks() -> None:
 
 
 def test_a_run_that_is_made_again_is_the_same_and_tells_what_it_asked() -> None:
-    recipe, record = base(run=REVIEWED)
+    recipe, record = base(run=REVIEWED, constants=PINNED)
     again, asked = run_again(recipe)
     assert again.events == record.events
     kinds = {one.kind for one in asked}

@@ -15,6 +15,7 @@ from fsar_ledger.metrics.results import metric_rows
 from fsar_ledger.runtime.knockouts import decided_by
 from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, simulate_run
 from tests import past
+from tests.runtime.pinned import PINNED
 
 
 def played(
@@ -39,7 +40,7 @@ def played(
 def test_the_check_again_of_delegated_work_and_the_one_check_of_own_work_are_two_mechanisms(
     configuration: str, expected: set[str]
 ) -> None:
-    events = played("fsar", configuration, "door-relay", 3).events
+    events = played("fsar", configuration, "door-relay", 3, PINNED).events
     is_delegated = {
         event.subject.action_id: event.is_delegated for event in events if isinstance(event, ExecutionQueued)
     }

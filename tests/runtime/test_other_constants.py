@@ -15,6 +15,7 @@ from fsar_ledger.designs.constants import (
     Range,
     Structure,
     WorldConstants,
+    origins,
     write_constants,
 )
 from fsar_ledger.events.fleet import RunStarted
@@ -26,6 +27,7 @@ from fsar_ledger.runtime.replay import Difference, replay_run
 from fsar_ledger.runtime.simulation import RunSpec, run_started, simulate_run
 from fsar_ledger.runtime.world.schedule import arrivals_expected, schedule
 from tests.runtime.forgeries import changed, renamed
+from tests.runtime.pinned import FITTED
 from tests.runtime.test_invented_world import CONSTANTS, SPECS, honest
 from tests.sure import known
 
@@ -34,6 +36,10 @@ from tests.sure import known
 
 def started_with(world: WorldConstants, spec: RunSpec = SPECS[0]) -> RunStarted:
     return run_started(spec, Constants(world))
+
+
+def test_the_pinned_world_gives_every_constant_that_is_fitted_a_value() -> None:
+    assert FITTED.keys() == {name for name, word in origins().items() if word == "fitted"}
 
 
 def first_constant(group: str) -> str:

@@ -10,7 +10,15 @@ import msgspec
 import pytest
 
 from fsar_ledger.base.parameters import BadParameters
-from fsar_ledger.designs.constants import Constants, Outages, Range, WorldConstants, read_constants, write_constants
+from fsar_ledger.designs.constants import (
+    Constants,
+    Outages,
+    Range,
+    Structure,
+    WorldConstants,
+    read_constants,
+    write_constants,
+)
 from fsar_ledger.events import Event
 from fsar_ledger.events.configuration import CONFIGURATIONS, Configuration
 from fsar_ledger.events.envelope import Architecture, Robot, flat
@@ -90,12 +98,12 @@ def test_a_handler_table_that_lacks_what_it_names_is_refused() -> None:
         HandlerTable.of(task, own={Unknown: lambda _state, _command: ()})
 
 
-def ran(architecture: Architecture, facts: Sequence[Fact]) -> Kernel:
+def ran(architecture: Architecture, facts: Sequence[Fact], constants: Constants = Constants()) -> Kernel:  # noqa: B008
     """The run of these facts and no others."""
     one = Kernel(
         handler_table_of(architecture),
-        SimulatedEnvironment(facts, Draws(run_key(1, "door-relay", 0), WorldConstants())),
-        started(architecture),
+        SimulatedEnvironment(facts, Draws(run_key(1, "door-relay", 0), constants.world)),
+        started(architecture, constants=constants),
     )
     one.run()
     return one
@@ -190,7 +198,8 @@ def test_a_robot_without_a_link_goes_on_with_what_it_is_at(architecture: Archite
 
 @EVERY
 def test_who_waits_for_a_robot_that_never_comes_back_gives_up(architecture: Architecture) -> None:
-    run = ran(architecture, [(1, RobotWentOff(B)), (S, DELEGATED)])
+    rarely = Constants(structure=Structure(sync_period_us=50 * S))  # the coordinator is not about to ask again then
+    run = ran(architecture, [(1, RobotWentOff(B)), (S, DELEGATED)], rarely)
     assert when(run, TaskAbandoned) == [61 * S + 60 * S + 1]
 
 

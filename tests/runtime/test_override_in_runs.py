@@ -11,7 +11,6 @@ from hypothesis import given as any_of
 from hypothesis import settings
 from hypothesis import strategies as st
 
-from fsar_ledger.designs.constants import Constants
 from fsar_ledger.events.authority import AuthorityClaimed, AuthorityReleased
 from fsar_ledger.events.envelope import OverrideLevel, Subject
 from fsar_ledger.events.execution import (
@@ -42,6 +41,7 @@ from tests import past
 from tests.recycled import from_table
 from tests.runtime.histories import types
 from tests.runtime.live import of, play, played
+from tests.runtime.pinned import PINNED
 from tests.runtime.test_override import ASK, DOOR, GRANT, OPEN, A, B, C, D, busy, urgent
 
 
@@ -209,7 +209,7 @@ def amid(seed: int) -> Kernel:
                 RequestCapability(requester, executor, capability, "visit", f"q{number}", level),
             )
         )
-    return played(commands, *OFFERS, GRANT, facts=schedule(Constants(), seed, "fleet-contention", 0, 4))
+    return played(commands, *OFFERS, GRANT, facts=schedule(PINNED, seed, "fleet-contention", 0, 4))
 
 
 def test_the_ten_invariants_hold_amid_urgent_requests() -> None:

@@ -232,7 +232,7 @@ def test_settings_change_the_constants_that_they_name_and_no_others() -> None:
         "structure.local_attempts=3 (here 2)",
         "world.absence_from_s=-10 (here -50)",
         'world.durations["carry.heavy"].low_s=1 (here 2)',
-        "world.review_share=0.5 (here 0.119)",
+        f"world.review_share=0.5 (here {default.world.review_share})",
     ]
     assert (found.load, found.outages) == (Load(task_sets=2), Outages(off_rate_per_s=0.01))
     assert with_settings(default, []) is default

@@ -35,6 +35,7 @@ from tests.runtime.physics import (
     BLOCKED,
     EVERY,
     FOREVER,
+    LASTING,
     LATE_HANDS,
     LAWLESS,
     MIXED,
@@ -168,12 +169,16 @@ def test_with_every_robot_off_nobody_does_anything(architecture: Architecture) -
 
 @EVERY
 def test_from_the_moment_at_which_every_robot_is_off_nobody_does_anything(architecture: Architecture) -> None:
-    off = failing(architecture, Outages(off_rate_per_s=ALWAYS, off_mean_s=FOREVER, from_s=28.0))
-    times = [time_us for _, time_us, _, _ in deeds(off)]
-    assert times
-    assert max(times) <= 28_000_100
-    assert of(off.events, ExecutionHalted)
-    assert off.metrics["coordination_success"] == 0
+    outages = Outages(off_rate_per_s=ALWAYS, off_mean_s=FOREVER, from_s=28.0)
+    ours, lasting = failing(architecture, outages), failing(architecture, outages, **LASTING)
+    for off in (ours, lasting):
+        times = [time_us for _, time_us, _, _ in deeds(off)]
+        assert times
+        assert max(times) <= 28_000_100
+        assert off.metrics["coordination_success"] == 0
+    assert of(lasting.events, ExecutionHalted)
+    never_off = failing(architecture, Outages(), **LASTING)
+    assert never_off.metrics["coordination_success"] != 0
 
 
 @EVERY

@@ -14,6 +14,7 @@ from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.ports import AS_USUAL, DISAPPROVES, PREFERS_OTHER, Ask, Environment, Fact, Port
 from fsar_ledger.runtime.simulation import RunSpec, environment_of, founding_of, handler_table_of, kernel
 from tests.runtime.live import of
+from tests.runtime.pinned import PINNED
 
 S = 1_000_000
 SPEC = RunSpec(42, "fsar", "full", "door-relay", 4, 1)
@@ -26,8 +27,14 @@ NO_LENGTH = ("reliability", "verdict")
 class Altered:
     """The simulated world, with other answers at one port: none takes more or less than this."""
 
-    def __init__(self, spec: RunSpec, port: Port | None = None, length_us: int = S) -> None:
-        self._world: Environment = environment_of(spec, Constants())
+    def __init__(
+        self,
+        spec: RunSpec,
+        port: Port | None = None,
+        length_us: int = S,
+        constants: Constants = Constants(),  # noqa: B008
+    ) -> None:
+        self._world: Environment = environment_of(spec, constants)
         self._port, self._length_us = port, length_us
         self.asked: set[Ask] = set()
         self.facts: tuple[Fact, ...] = tuple(self._world.facts)
@@ -96,8 +103,8 @@ def test_a_human_who_answers_otherwise_is_on_record_with_that() -> None:
 class Humans(Altered):
     """The simulated world, with supervisors who answer every call like this."""
 
-    def __init__(self, spec: RunSpec, verdict: int) -> None:
-        super().__init__(spec)
+    def __init__(self, spec: RunSpec, verdict: int, constants: Constants = Constants()) -> None:  # noqa: B008
+        super().__init__(spec, constants=constants)
         self._verdict = verdict
 
     def answer(self, ask: Ask) -> int:
@@ -110,7 +117,7 @@ def test_a_supervisor_who_says_no_to_reviews_is_on_record_with_that(architecture
         found: list[SupervisorResponded] = []
         for scenario in PAPER_SCENARIOS:
             spec = RunSpec(42, architecture, "full", scenario, 4, 1)
-            one = Kernel(handler_table_of(architecture), Humans(spec, verdict), *founding_of(spec, Constants()))
+            one = Kernel(handler_table_of(architecture), Humans(spec, verdict, PINNED), *founding_of(spec, PINNED))
             one.submit(S, SetSupervisionDensity(H_F, None, 1, "every admission is put before a supervisor"))
             one.run()
             found += [event for _, event in of(one, SupervisorResponded)]

@@ -38,6 +38,7 @@ from tests.cli.conftest import Call, call, one_message  # noqa: F401
 from tests.quick import few
 from tests.runtime.forgeries import FORGERIES, HONEST, changed, dropped, seq_of
 from tests.runtime.physics import MIXED
+from tests.runtime.pinned import PINNED
 from tests.runtime.test_replay import DECIDED
 
 CONSTANTS = Constants()
@@ -100,8 +101,8 @@ def test_no_draw_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
 def _feigned(change: str, run: int) -> LedgerRun | None:
     """The run in a world with this change, under the head of the run in its own; None if the change reaches nothing."""
     spec = RunSpec(42, "fsar", "full", "door-relay", 4, run)
-    base = simulate_run(spec, CONSTANTS)
-    found = fork(Recipe(spec, CONSTANTS), base, "0a" * 32, parsed([change])).record
+    base = simulate_run(spec, PINNED)
+    found = fork(Recipe(spec, PINNED), base, "0a" * 32, parsed([change])).record
     feigned = LedgerRun(base.run_id, found.times_us, found.caused_by, [base.events[0], *found.events[1:]])
     return None if parts_at(base, feigned) is None else feigned
 
@@ -174,8 +175,8 @@ def test_every_length_counts() -> None:
 
 def test_verify_takes_the_world_from_the_ledger_or_from_the_seed(call: Call, tmp_path: Path) -> None:  # noqa: F811
     spec = RunSpec(42, "fsar", "full", "door-relay", 4, 4)  # in which a supervisor is called
-    base = simulate_run(spec, CONSTANTS)
-    found = fork(Recipe(spec, CONSTANTS), base, "0a" * 32, parsed(["drop window:fleet/B1/1"])).record
+    base = simulate_run(spec, PINNED)
+    found = fork(Recipe(spec, PINNED), base, "0a" * 32, parsed(["drop window:fleet/B1/1"])).record
     started = base.events[0]
     assert isinstance(started, RunStarted)
     feigned = LedgerRun(run_id(started), found.times_us, found.caused_by, [started, *found.events[1:]])

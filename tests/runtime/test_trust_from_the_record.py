@@ -16,6 +16,7 @@ from tests import past
 from tests.runtime.governed import H_F, governed
 from tests.runtime.histories import ARRIVED, given
 from tests.runtime.live import decided, refusal
+from tests.runtime.pinned import PINNED
 from tests.runtime.test_trust import DOOR, H_B, A, B, C, D, results
 
 
@@ -135,7 +136,7 @@ def test_task_trust_in_the_context_of_a_task_ends_with_the_task() -> None:
 
 
 def test_in_a_run_trust_follows_the_record_and_the_state_is_still_the_fold_of_the_events() -> None:
-    one = governed("collaborative-delivery", (2, TrustThresholdsSet(1, 1, H_F)), run=3)
+    one = governed("collaborative-delivery", (2, TrustThresholdsSet(1, 1, H_F)), run=3, constants=PINNED)
     moved = [event for event in one.events if isinstance(event, TrustSet) and event.decided_by == TRUST]
     assert {event.reason for event in moved} == {"record"}
     assert {scope for event in moved for scope in [event.scope]} >= {"capability", "task"}, "one up, one down"
