@@ -6,7 +6,6 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from fsar_ledger.designs.constants import Constants
 from fsar_ledger.events.configuration import Configuration
 from fsar_ledger.events.envelope import Architecture, Scenario
 from fsar_ledger.ledger.rows.codec import encode
@@ -41,6 +40,7 @@ from tests.queries.defects import (
 from tests.queries.histories import answer
 from tests.quick import few
 from tests.recycled import from_rows
+from tests.runtime.pinned import PINNED
 
 RUNS: tuple[tuple[Scenario, int], ...] = (
     ("failure-recovery-chain", 12),
@@ -58,7 +58,7 @@ def record(
     configuration: Configuration = "full",
     structure: HandlerTable | None = None,
 ) -> Any:
-    return simulate_run(RunSpec(42, architecture, configuration, scenario, 4, run), Constants(), structure)
+    return simulate_run(RunSpec(42, architecture, configuration, scenario, 4, run), PINNED, structure)
 
 
 @cache

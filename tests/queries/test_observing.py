@@ -7,7 +7,6 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pytest
 
-from fsar_ledger.designs.constants import Constants
 from fsar_ledger.events import BESIDE, CONCERNS, EVENT_TYPES, RETIRED_TYPES
 from fsar_ledger.ledger.rows.codec import encode
 from fsar_ledger.ledger.rows.schema import LAYOUTS
@@ -19,6 +18,7 @@ from fsar_ledger.metrics.results import metric_rows
 from fsar_ledger.runtime.simulation import ARCHITECTURES, RunSpec, simulate_run
 from tests.queries.histories import answer, event, run
 from tests.recycled import from_rows, from_table
+from tests.runtime.pinned import PINNED
 
 OF_NO_CONCERN = {"RunStarted", "ExperimentPlanned"}
 """They say what a run is."""
@@ -94,7 +94,7 @@ def variants() -> Iterator[pa.Table]:
     """One run of each architecture in full, and once for each concern without its events; `run_id` is
     architecture:concern."""
     for architecture in ARCHITECTURES:
-        rows = encode([simulate_run(RunSpec(42, architecture, "full", "failure-recovery-chain", 4, 12), Constants())])
+        rows = encode([simulate_run(RunSpec(42, architecture, "full", "failure-recovery-chain", 4, 12), PINNED)])
         for missing in ("nothing", *CONCERNS):
             types = pa.array([tag for tag, concern in CONCERN_OF.items() if concern == missing], pa.string())
             left = rows.filter(pc.invert(pc.is_in(rows["type"], types)))

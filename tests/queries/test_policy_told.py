@@ -15,6 +15,7 @@ from tests.analysis.test_causes import again
 from tests.queries.histories import Row, S, event, run
 from tests.queries.test_rules_and_trust import DOOR, ROBOTS, rule
 from tests.recycled import from_rows
+from tests.runtime.pinned import PINNED
 
 LIFT, CARRY = "lift", "carry.package"
 WITHOUT_POLICY = [one for one in CONCERNS if one != "policy"]
@@ -119,7 +120,7 @@ def records() -> Iterator[LedgerRun]:
     """Runs of each architecture with reviews, and the same with every admission reviewed."""
     for architecture, number in (("fsar", 0), ("cfc", 0), ("cfc", 1), ("dhma", 1), ("dhma", 12), ("fsar", 12)):
         for scenario in ("collaborative-delivery", "door-relay", "failure-recovery-chain"):
-            record = simulated(architecture, number, scenario=scenario)
+            record = simulated(architecture, number, PINNED, scenario)
             yield record
             if architecture == "fsar":
                 yield again(record).fork(tuple(parsed(["density all 2 from 20s"]))).record
