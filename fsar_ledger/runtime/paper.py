@@ -82,6 +82,7 @@ def paper_ledger(name: Name, runs: int | None = None) -> PaperLedger:
     return PaperLedger(name, _ORIGINS[name], tuple(one for part in parts(many) for one in over_seeds(part)))
 
 
+# See docs/decisions/verdicts-pool-registered-seeds.md.
 def over_seeds(experiment: Experiment) -> Iterator[Experiment]:
     """Spread the runs of an experiment over the registered seeds, as evenly as can be, the first seeds first."""
     seeds = registration().verdicts.seeds
