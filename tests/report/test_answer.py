@@ -10,7 +10,7 @@ import pyarrow as pa
 import pytest
 
 from fsar_ledger.metrics.robustness import CellSpread
-from fsar_ledger.metrics.study_results import METRICS, Calibration, encoded, rules
+from fsar_ledger.metrics.study_results import METRICS, Calibration, encoded, packaged, rules
 from fsar_ledger.metrics.verdicts import Answer, ComparedEffect
 from fsar_ledger.report import specs
 from fsar_ledger.report.document import Document
@@ -73,6 +73,16 @@ def test_a_cell_that_moves_changes_the_words() -> None:
     assert "Of its main table governance locality of FSAR does not come out" in said(moved, "answer")
     assert column(moved, "claims", "holds") == [True, False, *[True] * 6]
     assert column(moved, "claims", "fsar_ours")[1] == 0.6
+
+
+def test_that_constants_were_fitted_to_the_main_table_is_said_where_it_is_judged() -> None:
+    record = packaged(Calibration)
+    assert record is not None
+    numbers = results(governance_locality__fsar=0.6)
+    of_its_model = msgspec.structs.replace(made(numbers, pairs_of(numbers)), model_version=record.model_version)
+    found = said(Document(of_its_model, record), "answer")
+    assert f"to which {len(record.parameters)} constants were fitted, governance locality of FSAR does not" in found
+    assert "Of its main table governance locality" in said(Document(of_its_model), "answer")
 
 
 def test_the_farthest_comes_first() -> None:
