@@ -23,7 +23,9 @@ def completed(*words: object) -> list[str]:
         (("simulate", "out", "--scenario", "f"), ["failure-recovery-chain", "fleet-contention"]),
         pytest.param(("simulate", "out", "--workflow", "l"), ["layered-recovery"], marks=pytest.mark.slow),
         pytest.param(("simulate", "out", "--architecture", ""), ["fsar", "cfc", "dhma"], marks=pytest.mark.slow),
-        pytest.param(("simulate", "out", "--without", "trust"), ["trust-evaluation"], marks=pytest.mark.slow),
+        pytest.param(
+            ("simulate", "out", "--without", "trust"), ["trust-evaluation", "trust-by-record"], marks=pytest.mark.slow
+        ),
         (("simulate", "out", "--without", "trust-evaluation+policy-c"), ["trust-evaluation+policy-composition"]),
         (("simulate", "out", "--set", "world.review"), ["world.review_share="]),
         (("query", "audit/policy"), ["audit/policy_at", "audit/policy_known_at"]),

@@ -111,7 +111,10 @@ def calls(ledger: Path, call: Call, place: Path) -> Iterator[tuple[object, ...]]
 def calls_of_studies(ledger: Path, out: Path) -> Iterator[tuple[object, ...]]:
     """Studies of names and numbers that they do not know, and what there is no result of."""
     yield from (
-        ("study", "run", "calibration", "--out", out, "--workers", EVIL),
+        *(
+            ("study", "run", name, "--out", out, "--workers", EVIL)
+            for name in ("ranking", "calibration", "ensemble", "placebo")
+        ),
         ("study", "run", "predictions", "--out", out, "--workers", EVIL),
         ("study", "run", "comparison", EVIL, "--out", out),
         ("study", "run", "sensitivity", "--out", out, "--workers", EVIL),

@@ -146,13 +146,13 @@ def test_rows_of_a_journal_stay_in_the_file_until_segments_are_compacted(tmp_pat
 def test_the_command_line_of_an_older_duckdb_answers_alike(ledger: Path, opened: Opened, tmp_path: Path) -> None:
     pytest.importorskip("duckdb_cli", reason="make test-all installs it")
     calls = list(defaulted().values())
-    script = "\n".join(f"SELECT to_json(t) AS r FROM {call} AS t ORDER BY r; SELECT '--';" for call in calls)
+    script = "\n".join(f"SELECT to_json(whole) AS r FROM {call} AS whole ORDER BY r; SELECT '--';" for call in calls)
     command = [sys.executable, "-m", "duckdb_cli", "-readonly", "-list", "-noheader", "-bail", str(opened.file)]
     older = ran(command, input=script)
     assert (older.returncode, older.stderr) == (0, "")
     with duckdb.connect(str(opened.file), read_only=True) as newer:
         for call, answer in zip(calls, older.stdout.split("--\n")[:-1], strict=True):
-            rows = newer.execute(f"SELECT to_json(t)::VARCHAR AS r FROM {call} AS t ORDER BY r").fetchall()
+            rows = newer.execute(f"SELECT to_json(whole)::VARCHAR AS r FROM {call} AS whole ORDER BY r").fetchall()
             assert answer.splitlines() == [row for (row,) in rows], call
 
 

@@ -131,11 +131,11 @@ def test_forks_are_not_stored_in_the_ledger_of_their_bases(call: Call, ledger: P
 
 @pytest.mark.slow
 def test_a_cause_is_told_with_the_call_that_takes_it_away(call: Call, ledger: Path) -> None:
-    answer = call("cause", ledger, "--run", "1", "--outcome", VIOLATED, "--futures", "3").good()
+    answer = call("cause", ledger, "--run", "2", "--outcome", VIOLATED, "--futures", "3").good()
     assert "suffice together" in answer.out
     assert "futures that avoid it, of 3" in answer.out
     assert "whatif " in answer.out
-    told = json.loads(call("cause", ledger, "--run", "1", "--outcome", VIOLATED, "--futures", "0", "--json").out)
+    told = json.loads(call("cause", ledger, "--run", "2", "--outcome", VIOLATED, "--futures", "0", "--json").out)
     assert told["elements"]
     assert told["chances"] == []
 
