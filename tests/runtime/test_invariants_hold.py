@@ -12,14 +12,10 @@ from fsar_ledger.ledger.rows.codec import encode
 from fsar_ledger.metrics.invariants import audit_rows, chosen
 from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, simulate_run
 from tests.recycled import from_table
+from tests.runtime.pinned import PINNED
 
 BROKEN_WITHOUT: dict[Configuration, set[str]] = {
-    "without-trust-evaluation": {
-        "i3",
-        "i5",
-        "a3",
-        "a5",
-    },  # what an outsider asks for runs unchecked, with no supervisor on record
+    "without-trust-evaluation": {"i5", "a5"},  # what an outsider asks for runs, with no supervisor on record
     "without-policy-composition": {"i3", "a3"},  # nobody composes the requester's policy and the fleet's rule
     "without-layered-recovery": {"i4"},  # every failure skips to a human
     "without-shared-registry": {"i5"},  # requests that find nobody name no executor
@@ -85,7 +81,8 @@ def test_all_ten_hold_on_every_workflow(seed: int) -> None:
 @pytest.mark.slow  # tests/queries/test_mutated_handlers.py looks at each on fewer runs
 @pytest.mark.parametrize("configuration", sorted(BROKEN_WITHOUT))
 def test_each_ablation_breaks_what_it_takes_away(configuration: Configuration) -> None:
-    found = broken(RunSpec(42, "fsar", configuration, scenario, 4, run) for scenario in SCENARIOS for run in range(12))
+    specs = (RunSpec(42, "fsar", configuration, scenario, 4, run) for scenario in SCENARIOS for run in range(12))
+    found = broken(specs, PINNED)
     assert {name for name, _ in found} == BROKEN_WITHOUT[configuration]
 
 
