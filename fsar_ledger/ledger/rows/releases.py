@@ -37,12 +37,23 @@ def parse_columns(where: str, text: str) -> pa.Schema:
     return schema
 
 
+def _number(release: str) -> tuple[int, ...] | None:
+    """Return the three numbers of a release; None for any other text."""
+    parts = release.split(".")
+    if len(parts) != 3 or not all(
+        part.isascii() and part.isdecimal() and len(part) < 10 and part == str(int(part)) for part in parts
+    ):
+        return None
+    return tuple(map(int, parts))
+
+
 def _released() -> dict[str, pa.Schema]:
-    """Return the columns of every release that has a file."""
-    schemas = {}
-    for file in sorted((files("fsar_ledger.ledger.rows") / "columns").iterdir(), key=lambda file: file.name):
-        schemas[file.name.removesuffix(".txt")] = parse_columns(file.name, file.read_text("utf-8"))
-    return schemas
+    """Return the columns of every release that has a file, the first release first."""
+    found = {file.name.removesuffix(".txt"): file for file in (files("fsar_ledger.ledger.rows") / "columns").iterdir()}
+    return {
+        release: parse_columns(found[release].name, found[release].read_text("utf-8"))
+        for release in sorted(found, key=lambda release: _number(release) or ())
+    }
 
 
 SCHEMAS: dict[str, pa.Schema] = _released() | {RELEASE: SCHEMA}
@@ -57,16 +68,6 @@ def is_later(release: str) -> bool:
     number = _number(release)
     own = _number(RELEASE)
     return number is not None and own is not None and number > own
-
-
-def _number(release: str) -> tuple[int, ...] | None:
-    """Return the three numbers of a release; None for any other text."""
-    parts = release.split(".")
-    if len(parts) != 3 or not all(
-        part.isascii() and part.isdecimal() and len(part) < 10 and part == str(int(part)) for part in parts
-    ):
-        return None
-    return tuple(map(int, parts))
 
 
 def widened(table: pa.Table, names: Sequence[str], schema: pa.Schema) -> pa.Table:
