@@ -4,16 +4,16 @@ from collections.abc import Sequence
 
 import pytest
 
-from fsar_ledger.designs.constants import Constants
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
 from fsar_ledger.view.drawn import PageOptions, Words, drawn
+from tests.runtime.pinned import PINNED
 
 ARCHITECTURES = ("fsar", "cfc", "dhma")
 
 
 def a_run(architecture: str, scenario: str = "failure-recovery-chain", size: int = 4, number: int = 0) -> LedgerRun:
-    return simulate_run(RunSpec(7, architecture, "full", scenario, size, number), Constants())
+    return simulate_run(RunSpec(7, architecture, "full", scenario, size, number), PINNED)
 
 
 def plain_words(run: LedgerRun) -> Sequence[Words]:
