@@ -27,6 +27,11 @@ def of_all_seeds(setting: Sequence[Any]) -> dict[str, Any]:
     return {name: value for name, value in zip(CONDITIONS, setting, strict=True) if name != "seed"}
 
 
+def same_setting(of: str = "") -> str:
+    """Return the condition that rows of a relation, whose name stands before a dot, are of `of_all_seeds`."""
+    return " AND ".join(f"{of}{name} IS NOT DISTINCT FROM ${name}" for name in CONDITIONS if name != "seed")
+
+
 SETTINGS = (
     "configuration <> 'full', configuration, fleet_size, kind <> 'simulated', kind, source, model_version, constants, "
     "seed"
@@ -236,16 +241,14 @@ def drawn_effects(database: Database, setting: Sequence[Any]) -> dict[tuple[str,
 
     Raises: as `Database.rows`.
     """
-    given = of_all_seeds(setting)
-    same = " AND ".join(f"{name} IS NOT DISTINCT FROM ${name}" for name in given)
     rows = database.rows(
         f"""
         SELECT metric, comparison, list(cohens_d ORDER BY draw) AS numbers
         FROM drawn_effects
-        WHERE n = {PAPER_PAIRS} AND {same}
+        WHERE n = {PAPER_PAIRS} AND {same_setting()}
         GROUP BY metric, comparison
         """,
-        given,
+        of_all_seeds(setting),
     )
     return {(row["metric"], row["comparison"]): row["numbers"] for row in rows}
 

@@ -17,7 +17,7 @@ from fsar_ledger.metrics.database import Database
 from fsar_ledger.metrics.definitions import metric_named
 from fsar_ledger.metrics.paper_numbers import Place, Printed, Table, printed
 from fsar_ledger.metrics.registration import Declaration, registration
-from fsar_ledger.metrics.results import MetricRow, of_all_seeds, setting_of
+from fsar_ledger.metrics.results import MetricRow, of_all_seeds, same_setting, setting_of
 from fsar_ledger.metrics.verdicts import Odds, odds
 
 ARCHITECTURES = ("fsar", "cfc", "dhma")
@@ -39,13 +39,10 @@ Shape = tuple[str, str, int]
 
 Ends = tuple[float, float]
 
-DRAWN_SQL = """
+DRAWN_SQL = f"""
     SELECT architecture, metric, list(value ORDER BY draw) AS numbers
-    FROM {relation}
-    WHERE
-        configuration = $configuration AND fleet_size = $fleet_size AND kind = $kind
-        AND source IS NOT DISTINCT FROM $source AND model_version IS NOT DISTINCT FROM $model_version
-        AND constants IS NOT DISTINCT FROM $constants
+    FROM {{relation}}
+    WHERE {same_setting()}
     GROUP BY architecture, metric
 """
 

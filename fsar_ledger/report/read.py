@@ -27,6 +27,7 @@ from fsar_ledger.metrics.results import (
     metric_rows,
     models,
     of_all_seeds,
+    same_setting,
     setting_of,
     statistic_rows,
 )
@@ -51,13 +52,9 @@ QUERIES = {
 }
 """The queries that each part of the report reads directly; these read others."""
 
-OF_MAIN = """
-    runs.configuration = $configuration AND runs.fleet_size = $fleet_size
-    AND runs.kind = $kind AND runs.source IS NOT DISTINCT FROM $source
-    AND runs.model_version IS NOT DISTINCT FROM $model_version AND runs.constants IS NOT DISTINCT FROM $constants
-"""
+OF_MAIN = same_setting("runs.")
 CHOSEN_SQL = f"""
-    SELECT run_id
+    SELECT run_id, seed
     FROM (
         SELECT runs.* EXCLUDE (kind), settings.kind, settings.constants
         FROM runs
@@ -216,11 +213,14 @@ def _held(database: Database, main: Main, of: str) -> dict[str, RunCounts]:
 
 @contextmanager
 def _of_one_seed(ledger: Path, demanded: str | None, database: Database, main: Main | None) -> Iterator[Database]:
-    """Yield a database in which the main runs have no seed: its queries keep those of different seeds apart."""
-    if main is None:
+    """Yield a database whose queries, which keep seeds apart, take the main runs together: they have no seed in it.
+
+    It is the given one where they are of one seed: another has to read and judge them again.
+    """
+    chosen = database.table(CHOSEN_SQL, of_all_seeds(main or (None,) * len(CONDITIONS)))
+    if len(set(chosen["seed"].to_pylist())) <= 1:
         yield database
         return
-    chosen = database.table(CHOSEN_SQL, of_all_seeds(main))
     with connect(ledger, demanded=demanded) as narrowed:
         narrowed.hold("chosen_runs", chosen)
         narrowed.prepare("SELECT * FROM run_started")

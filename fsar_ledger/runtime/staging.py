@@ -43,13 +43,14 @@ class Staging(msgspec.Struct, frozen=True):
 
         In this process a batch is made while what is yielded is consumed.
         """
-        if isinstance(workers, WorkerPool):
+        most = min(workers.workers if isinstance(workers, WorkerPool) else workers, len(batches))
+        if most <= 1:
+            yield from map(self._stream, batches)
+        elif isinstance(workers, WorkerPool):
             yield from self._of_pool(batches, workers)
-        elif (most := min(workers, len(batches))) > 1:
+        else:
             with WorkerPool(most) as pool:
                 yield from self._of_pool(batches, pool)
-        else:
-            yield from map(self._stream, batches)
 
     def _of_pool(self, batches: Sequence[Batch], pool: WorkerPool) -> Iterator[Iterable[Staged]]:
         queue: deque[Future[Sequence[Staged]]] = deque()
