@@ -84,7 +84,7 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ledger.view(folder / "one.html", "fsar.full")
     ledger.view(folder / "two.html", "fsar.full", "cfc.full")
     ledger.view(folder / "same.html", "fsar.full", other=twin)
-    large = a_run("dhma", "fleet-contention", 36)
+    large = a_run("dhma", "fleet-contention", 48)
     assert len(large.events) >= MANY
     (folder / "large.html").write_bytes(page_of(shown(large)))
     evil = relabelled(a_run("fsar"), lambda text: text + EVIL)

@@ -45,7 +45,7 @@ def test_it_loads_without_a_message_or_a_request(load: Open, name: str, size: di
 
 
 def test_a_page_of_ten_thousand_events_has_every_lane(load: Open) -> None:
-    assert load("large").locator(".lane").count() >= 72
+    assert load("large").locator(".lane").count() >= 96
 
 
 def test_hostile_text_is_shown_as_text(load: Open) -> None:
