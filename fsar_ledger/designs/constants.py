@@ -230,9 +230,6 @@ WORDS = {
 }
 """What each word means."""
 
-GIVEN = "given"
-"""The word for a value that is not this release's default."""
-
 
 def origins() -> dict[str, str]:
     """Return the word for each constant by dotted name, in the order of the file.

@@ -86,36 +86,6 @@ class DialledRow(MetricRow, frozen=True, kw_only=True):
     made_alike_but: str
 
 
-class CostRow(msgspec.Struct, frozen=True, kw_only=True):
-    """What coordination costs the runs of one architecture and setting, for each request.
-
-    A request is a step for which a robot lacks a capability; `completed` is the share of tasks completed within their
-    budget. The dials are as in `DialledRow`.
-    None: what there is none of, or what the runs do not have. Paper: sec:evaluation:scaling.
-    """
-
-    architecture: str | None
-    configuration: str | None
-    fleet_size: int | None
-    kind: str
-    source: str | None
-    model_version: str | None
-    setting: str
-    teams_working: int | None
-    encounter_mean_s: float | None
-    made_alike_but: str
-    runs: int
-    tasks: int | None
-    completed: float | None
-    requests: int
-    messages: float | None
-    decisions: float | None
-    hops: float | None
-    look_ups: float | None
-    robots_named: float | None
-    checks: float | None
-
-
 class StatisticRow(msgspec.Struct, frozen=True, kw_only=True):
     """One comparison of two architectures, or of one with itself without a mechanism, by one metric over paired runs.
 
@@ -184,16 +154,6 @@ def metric_rows(database: Database, by_scenario: bool = False, *, pools_seeds: b
         ORDER BY {SETTINGS}, position, scenario, list_position(['fsar', 'cfc', 'dhma'], architecture), architecture
     """)
     return typed(rows, MetricRow)
-
-
-def cost_rows(database: Database) -> list[CostRow]:
-    """Return what coordination costs, by architecture, fleet size and setting. Raises: as `Database.rows`."""
-    rows = database.rows("""
-        SELECT *
-        FROM coordination_cost
-        ORDER BY fleet_size, list_position(['fsar', 'cfc', 'dhma'], architecture), architecture, setting
-    """)
-    return typed(rows, CostRow)
 
 
 def dialled_rows(database: Database, *, pools_seeds: bool = False) -> list[DialledRow]:

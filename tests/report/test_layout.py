@@ -2,7 +2,7 @@
 
 import io
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +11,9 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
+from fsar_ledger.metrics.database import from_rows
 from fsar_ledger.metrics.library import library
-from fsar_ledger.metrics.results import CostRow, DialledRow
+from fsar_ledger.metrics.results import DialledRow
 from fsar_ledger.metrics.study_results import Calibration, packaged
 from fsar_ledger.report import build, specs
 from fsar_ledger.report.audit import AuditDocument
@@ -47,7 +48,7 @@ def whole(ledger: Path, workflows: Path) -> Findings:
         for scenario in (None, "door-relay", "collaborative-delivery")
         for at in (30.0, 90.0)
     ]
-    costs = [_cost(name, size) for name in ARCHITECTURES for size in (4, 16)]
+    costs = _costs([(name, size) for name in ARCHITECTURES for size in (4, 16)])
     read = multiverse({(): (0.1, 0.3, 0.2), ("level_four_is_fleet",): (0.4, 0.3, 0.2)})
     differences = [
         DIFFERENCE | {"architecture": name, "configuration": f"without-part-{at}", "metric": one.metric, "p_holm": 0.01}
@@ -59,7 +60,7 @@ def whole(ledger: Path, workflows: Path) -> Findings:
         **relations_of(read),
         "loads": arrow(loads, DialledRow),
         "encounters": arrow(encounters, DialledRow),
-        "costs": arrow(costs, CostRow),
+        "costs": costs,
         "differences": differences,
         "digests": pa.table({"digests": [["one"]]}),
     }
@@ -72,11 +73,12 @@ def _dialled(**given: Any) -> DialledRow:
     return DialledRow(**row | given)
 
 
-def _cost(architecture: str, size: int) -> CostRow:
-    row: dict[str, Any] = dict.fromkeys(CostRow.__struct_fields__)
+def _costs(of: Sequence[tuple[str, int]]) -> pa.Table:
+    row: dict[str, Any] = {"kind": "simulated", "setting": "s", "made_alike_but": "m", "runs": 1, "requests": 1}
     row |= dict.fromkeys(("messages", "decisions", "hops", "look_ups", "robots_named", "checks", "completed"), 0.7)
-    row |= {"kind": "simulated", "setting": "s", "made_alike_but": "m", "runs": 1, "requests": 1}
-    return CostRow(**row | {"architecture": architecture, "fleet_size": size})
+    with from_rows((), threads=1) as empty:
+        columns = empty.table("SELECT * FROM coordination_cost").schema
+    return pa.Table.from_pylist([row | {"architecture": name, "fleet_size": size} for name, size in of], schema=columns)
 
 
 def typeset(document: Document | AuditDocument, folder: Path, kind: str) -> Any:
