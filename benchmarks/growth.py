@@ -15,8 +15,9 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from fsar_ledger.designs.constants import Constants, Load
+from fsar_ledger.events.configuration import PAPER_ARCHITECTURES
 from fsar_ledger.projections.fold import fold
-from fsar_ledger.runtime.simulation import ARCHITECTURES, RunSpec, simulate_run
+from fsar_ledger.runtime.simulation import RunSpec, simulate_run
 from fsar_ledger.runtime.world.founding import founding
 
 SIZES = (4, 16, 64, 256, 1024)
@@ -57,7 +58,7 @@ def print_founding() -> None:
 
 def print_runs() -> None:
     """Print the seconds of one run with up to four working teams, and the cost of an event against a fleet of four."""
-    for architecture in ARCHITECTURES:
+    for architecture in PAPER_ARCHITECTURES:
         of_four = 0.0
         for size in (4, 64, 1024):
             spec, constants = (

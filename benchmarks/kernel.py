@@ -26,11 +26,12 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from benchmarks.table import note
 from fsar_ledger.designs.constants import Constants
+from fsar_ledger.events.configuration import PAPER_ARCHITECTURES
 from fsar_ledger.events.envelope import Robot
 from fsar_ledger.events.world import PolicyWindowClosed, PolicyWindowOpened, RoutineDue, TaskArrived
 from fsar_ledger.runtime.experiment import Experiment
 from fsar_ledger.runtime.ports import Ask
-from fsar_ledger.runtime.simulation import ARCHITECTURES, SCENARIOS, RunSpec, environment_of, simulate_run
+from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, environment_of, simulate_run
 
 POLL_US = 1_000_000
 Process = Generator[simpy.Event, None, None]
@@ -138,7 +139,7 @@ def main() -> int:
     parser.add_argument("--repeats", type=int, default=5)
     options = parser.parse_args()
     constants = Constants()
-    specs = list(Experiment(ARCHITECTURES, SCENARIOS, options.runs).specs())
+    specs = list(Experiment(PAPER_ARCHITECTURES, SCENARIOS, options.runs).specs())
     sides: dict[str, Callable[[RunSpec], int]] = {
         "ours": lambda spec: len(simulate_run(spec, constants).events),
         "SimPy": lambda spec: Fleet(spec, constants).play(),

@@ -21,11 +21,12 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from benchmarks.polars_metrics import GROUP, EventClasses, eight_metrics
 from benchmarks.table import note
 from fsar_ledger.designs.constants import Constants
+from fsar_ledger.events.configuration import PAPER_ARCHITECTURES
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.metrics.database import connect
 from fsar_ledger.metrics.results import metric_rows
 from fsar_ledger.runtime.experiment import Experiment, run_experiment
-from fsar_ledger.runtime.simulation import ARCHITECTURES, SCENARIOS, run_id, run_started
+from fsar_ledger.runtime.simulation import SCENARIOS, run_id, run_started
 
 TOLERANCE = 1e-9
 
@@ -54,7 +55,7 @@ def ledger_of(events: int, cache: Path, workers: int) -> Path:
 
 def experiment(runs: int) -> Experiment:
     return Experiment(
-        architectures=ARCHITECTURES,
+        architectures=PAPER_ARCHITECTURES,
         scenarios=SCENARIOS,
         runs=runs,
         seed=42,

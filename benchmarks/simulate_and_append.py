@@ -23,19 +23,20 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from benchmarks.peers import Measurement, apart, cpu_rate, eventsourcing_saves, measured, sqlite_saves, wall_rate
 from benchmarks.table import note
 from fsar_ledger.designs.constants import Constants
+from fsar_ledger.events.configuration import PAPER_ARCHITECTURES
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows.codec import encode_lines
 from fsar_ledger.ledger.rows.runs import LedgerRun
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.runtime.experiment import ORIGIN, Experiment, run_experiment
-from fsar_ledger.runtime.simulation import ARCHITECTURES, SCENARIOS, simulate_run
+from fsar_ledger.runtime.simulation import SCENARIOS, simulate_run
 
 RUNS_AT_ONCE = 30  # some 16,000 events, as in a commit
 
 
 def experiment(runs: int) -> Experiment:
-    return Experiment(architectures=ARCHITECTURES, scenarios=SCENARIOS, runs=runs)
+    return Experiment(architectures=PAPER_ARCHITECTURES, scenarios=SCENARIOS, runs=runs)
 
 
 def playing(runs: int) -> Iterator[LedgerRun]:

@@ -92,11 +92,11 @@ def audit(
         UsageError: The ledger has no run of these architectures.
     """
     from fsar_ledger.designs.names import known
+    from fsar_ledger.events.configuration import ARCHITECTURES
     from fsar_ledger.ledger.opening import open_for_answers
     from fsar_ledger.metrics.database import Slices, connect_view
     from fsar_ledger.metrics.invariants import all_shown, audit_rows, chosen
     from fsar_ledger.metrics.results import models
-    from fsar_ledger.runtime.architectures import REGISTERED
 
     from .provenance import of_judgement
 
@@ -106,7 +106,7 @@ def audit(
         there = [str(row["architecture"]) for row in database.rows(_ARCHITECTURES)]
         unreadable = sum(one.runs for one in models(database) if one.parameters is None)
         provenance = of_judgement(database)
-        wanted = known("architecture", names_of(architecture), tuple(dict.fromkeys([*REGISTERED, *there])))
+        wanted = known("architecture", names_of(architecture), tuple(dict.fromkeys([*ARCHITECTURES, *there])))
         slices = Slices(view, ledger.demanded)
         is_one = len(slices) == 1
         rows = audit_rows([database], queries, wanted, progress) if is_one else []

@@ -11,7 +11,18 @@ from fsar_ledger.base.progress import Progress
 
 from .answers import Answer, Screen, head_json
 from .names import Names, Place, names_of
-from .verbs import AdoptOption, KeyOption, Shows, WorkersOption, argument, declare, verb
+from .verbs import (
+    ONE_ARCHITECTURE,
+    RUNTIME,
+    AdoptOption,
+    KeyOption,
+    Shows,
+    WorkersOption,
+    argument,
+    declare,
+    either,
+    verb,
+)
 from .workload import WORTH_ROBOTS, workers_of
 
 if TYPE_CHECKING:
@@ -19,18 +30,11 @@ if TYPE_CHECKING:
 
     from .ledger import Ledger
 
-SCENARIOS = Path(__file__).parents[1] / "runtime/world/scenarios"
 CONTINUES = "what is committed stays, and the same command continues there"
 """What an interrupted simulation leaves."""
 
 
-def named_in(folder: Path) -> str:
-    """List the designs in a folder of the package by name; to import them would slow `--help` down."""
-    *names, last = sorted(file.stem for file in folder.glob("*.toml"))
-    return f"{', '.join(names)} or {last}"
-
-
-NAMES = named_in(SCENARIOS)
+ONE_SCENARIO = either(file.stem for file in RUNTIME.glob("world/scenarios/*.toml"))
 
 
 @dataclass(frozen=True)
@@ -75,13 +79,13 @@ def simulate(
     *,
     architecture: Names = declare(
         "NAME",
-        "fsar, cfc or dhma; may be repeated.",
-        "all; with --without, the one that has the mechanism",
+        f"{ONE_ARCHITECTURE}; may be repeated.",
+        "the three of the paper; with --without, the one that has the mechanism",
         complete="architectures",
     ),
     scenario: Names = declare(
         "NAME",
-        f"{NAMES}; may be repeated. Or one of your own: a .toml file (docs/own-fleet.md).",
+        f"{ONE_SCENARIO}; may be repeated. Or one of your own: a .toml file (docs/own-fleet.md).",
         "the paper's five",
         complete="scenarios",
     ),

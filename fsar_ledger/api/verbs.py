@@ -8,7 +8,8 @@ Modules of verbs are imported to show a help text, so they import what takes tim
 """
 
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, TypeVar
 
 from .names import By, Names, Place, Pool, Run
@@ -16,6 +17,7 @@ from .names import By, Names, Place, Pool, Run
 if TYPE_CHECKING:
     from .ledger import Ledger
 
+RUNTIME = Path(__file__).resolve().parents[1] / "runtime"
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 JSON = ("verified", "json")
@@ -29,6 +31,12 @@ STREAM = (*JSON, "csv", "ndjson", "raw", "limit", "wide")
 
 NOTHING_CHANGED = "nothing was changed"
 """What most interrupted calls leave."""
+
+
+def either(names: Iterable[str]) -> str:
+    """Return the names, sorted, as a choice."""
+    *others, last = sorted(names)
+    return f"{', '.join(others)} or {last}"
 
 
 class Option(NamedTuple):
@@ -206,12 +214,14 @@ InvariantOption = Annotated[
         complete="invariants",
     ),
 ]
+ONE_ARCHITECTURE = either(file.parent.name for file in RUNTIME.glob("architectures/*/__init__.py"))
+"""Which there are, by their folders; to import them would slow `--help` down."""
 ArchitectureOption = Annotated[
     Names,
     Option(
         "--architecture",
         "NAME",
-        "Only the runs of fsar, cfc or dhma; may be repeated.",
+        f"Only the runs of {ONE_ARCHITECTURE}; may be repeated.",
         "all",
         complete="architectures",
     ),

@@ -269,10 +269,16 @@ def _parameters(line: Line) -> Iterable[str]:
     return [f"{name}={value}" for value in _values(line, known[name])] if name in known else []
 
 
+def _architectures(_: Line) -> Iterable[str]:
+    from fsar_ledger.events.configuration import ARCHITECTURES
+
+    return ARCHITECTURES
+
+
 OFFERS: Mapping[str, Callable[[Line], Iterable[str]]] = {
     "scenarios": lambda _: _designs("scenarios"),
     "workflows": lambda _: [name.removeprefix("workflow-") for name in _designs("workflows")],
-    "architectures": lambda _: ("fsar", "cfc", "dhma"),
+    "architectures": _architectures,
     "mechanisms": _mechanisms,
     "invariants": _invariants,
     "constants": _constants,

@@ -7,7 +7,7 @@ violation, unattributed record, success, containment): outcomes must emerge.
 The type of each constant says where its value comes from. `Paper`: printed in the paper. `Fitted`: fitted to the
 paper's results table by `fsar-ledger study run calibration` (reports/calibration.json). `AfterFits`: ours, chosen or
 kept while looking at the cells of that table, in the study before the first fit or since; most move a cell, and none is
-a prediction. `Chosen`: ours, and no cell depends on it.
+a prediction. `Chosen`: ours, and no cell depends on it. `Dial`: of a published system (`dials.py`).
 """
 
 from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
@@ -16,6 +16,7 @@ import msgspec
 
 from fsar_ledger.base.parameters import decode_parameters
 from fsar_ledger.designs import Fleet, Scenario
+from fsar_ledger.designs.dials import Alliance, Jade, Roboos
 
 _T = TypeVar("_T")
 Paper = Annotated[_T, msgspec.Meta(extra={"from": "paper"})]
@@ -165,12 +166,23 @@ class Constants(msgspec.Struct, frozen=True):
     structure: Structure = Structure()
     outages: Outages | None = None
     load: Load | None = None
+    jade: Jade | None = None
+    alliance: Alliance | None = None
+    roboos: Roboos | None = None
     scenario: Scenario | None = None
     fleet: Fleet | None = None
 
 
 DESIGNS = ("scenario", "fleet")
 """The groups that are a designer's own and hold no constants."""
+
+
+def with_all_groups(constants: Constants) -> Constants:
+    """Return the constants with every group that may be absent, at its defaults where it is."""
+    defaults = {"outages": Outages(), "load": Load(), "jade": Jade(), "alliance": Alliance(), "roboos": Roboos()}
+    return msgspec.structs.replace(
+        constants, **{name: getattr(constants, name) or group for name, group in defaults.items()}
+    )
 
 
 def write_constants(constants: Constants) -> str:
@@ -227,6 +239,7 @@ WORDS = {
     "the first fit or since; "
     "most move a cell, and none is a prediction",
     "chosen": "ours, and none of the 24 cells depends on it",
+    "dial": "left open, or given, by the sources of a published system; nothing is fitted",
 }
 """What each word means."""
 

@@ -9,6 +9,18 @@ Mechanism = Literal["trust-evaluation", "policy-composition", "layered-recovery"
 MECHANISMS: tuple[Mechanism, ...] = get_args(Mechanism)
 """The mechanisms of FSAR that the paper's ablation table takes out."""
 
+PAPER_ARCHITECTURES: tuple[Architecture, ...] = ("fsar", "cfc", "dhma")
+"""The three that the paper compares, and that are simulated if no others are asked for. Paper: sec:evaluation."""
+
+ARCHITECTURES: tuple[Architecture, ...] = (
+    "fsar",
+    "cfc",
+    "dhma",
+)
+"""Every architecture that can be simulated, in the order of runs and tables; each is a folder of its name in
+`runtime/architectures/`.
+"""
+
 MECHANISMS_OF: dict[Architecture, dict[str, str]] = {
     "fsar": {
         "trust-evaluation": "trust in the requester is evaluated (else anybody is served)",

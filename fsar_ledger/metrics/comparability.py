@@ -85,7 +85,7 @@ IMPUTED = """
     FROM run_metrics AS measured
     INNER JOIN metric_definitions AS definitions ON measured.metric = definitions.metric
     WHERE measured.value IS NULL AND measured.published_convention_value IS NOT NULL
-        AND measured.architecture IN ('fsar', 'cfc', 'dhma')
+        AND measured.architecture IS NOT NULL
     GROUP BY ALL
     ORDER BY min(definitions.position)
 """

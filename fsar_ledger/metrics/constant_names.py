@@ -11,7 +11,7 @@ from typing import Any
 import msgspec
 
 from fsar_ledger.base.parameters import BadParameters, read_parameters
-from fsar_ledger.designs.constants import DESIGNS, Constants, Load, Outages, read_constants, write_constants
+from fsar_ledger.designs.constants import DESIGNS, Constants, read_constants, with_all_groups, write_constants
 
 MAX_PARAMETERS = 65_536
 """Characters of parameters that are read constant by constant; those of the model have 2,000.
@@ -113,8 +113,7 @@ def _whole(constants: Constants) -> dict[str, str]:
 
     A constant of a designer's own is its name alone.
     """
-    absent = {"outages": constants.outages or Outages(), "load": constants.load or Load()}
-    groups = msgspec.structs.replace(constants, scenario=None, fleet=None, **absent)
+    groups = msgspec.structs.replace(with_all_groups(constants), scenario=None, fleet=None)
     designs = {name: getattr(constants, name) for name in DESIGNS}
     own = {name: _json(one.name) for name, one in designs.items() if one is not None}
     unset = {

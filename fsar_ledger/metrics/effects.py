@@ -5,10 +5,11 @@ from typing import ClassVar
 
 import msgspec
 
+from fsar_ledger.events.configuration import PAPER_ARCHITECTURES
+
 from .definitions import published_metrics
 from .study_results import GroundedResult, Row
 
-ARCHITECTURES = ("fsar", "cfc", "dhma")
 MADE_BY = "fsar-ledger study run sensitivity --out FILE"
 NUMBERS = ("effects", "mu", "mu_star", "sigma", "mu_star_conf")
 
@@ -92,7 +93,9 @@ class Sensitivity(GroundedResult, frozen=True, kw_only=True):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        expected = [(metric.name, architecture) for metric in published_metrics() for architecture in ARCHITECTURES]
+        expected = [
+            (metric.name, architecture) for metric in published_metrics() for architecture in PAPER_ARCHITECTURES
+        ]
         if [(one.metric, one.architecture) for one in self.cells] != expected:
             raise ValueError("the cells are not those of the results table")
         names = [one.name for one in self.factors]

@@ -1,5 +1,7 @@
 """The names that a ledger has on record, by kind: what a parameter of a query can be."""
 
+from fsar_ledger.events.configuration import ARCHITECTURES
+
 from .connection import Database
 
 RUNS = "SELECT run_id FROM run_numbers ORDER BY number"
@@ -22,7 +24,7 @@ _ON_RECORD = {
     "context": "SELECT unnest([task_id, context]) AS name FROM events WHERE $run IS NULL OR run_id = $run",
     "reason": "SELECT reason AS name FROM refusal_reasons UNION ALL SELECT reason AS name FROM events",
     "record": "SELECT record_kind AS name FROM event_classes",
-    "architecture": "SELECT architecture AS name FROM runs UNION ALL SELECT unnest(['fsar', 'cfc', 'dhma']) AS name",
+    "architecture": f"SELECT architecture AS name FROM runs UNION ALL SELECT unnest({list(ARCHITECTURES)}) AS name",
     "claim": "SELECT claim AS name FROM case_definitions",
     "case": "SELECT case_number::VARCHAR AS name FROM case_definitions",
 }

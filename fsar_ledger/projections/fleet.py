@@ -8,6 +8,7 @@ import msgspec
 
 from fsar_ledger.designs import registered
 from fsar_ledger.designs.constants import Constants, Outages, Structure, read_constants
+from fsar_ledger.designs.dials import Alliance, Jade, Roboos
 from fsar_ledger.events.configuration import removed_mechanisms
 from fsar_ledger.events.envelope import Robot, Supervisor
 from fsar_ledger.events.fleet import RobotJoined, RunStarted
@@ -44,6 +45,9 @@ class Fleet(msgspec.Struct, frozen=True, dict=True):
     answer_us: int = round(Outages().answer_s * 1e6)
     bodies: tuple[str, ...] = ()
     substitutes: dict[str, str] = {}
+    jade: Jade = Jade()
+    alliance: Alliance = Alliance()
+    roboos: Roboos = Roboos()
 
     @cached_property
     def teams(self) -> dict[int, frozenset[Robot]]:
@@ -99,6 +103,9 @@ def _made(parameters: str | None) -> Fleet:
         answer_us=round((constants.outages or Outages()).answer_s * 1e6),
         bodies=design.bodies,
         substitutes={one.of: one.by for one in design.substitutes},
+        jade=constants.jade or Jade(),
+        alliance=constants.alliance or Alliance(),
+        roboos=constants.roboos or Roboos(),
     )
 
 

@@ -13,6 +13,7 @@ import msgspec
 import pyarrow as pa
 
 from fsar_ledger.designs.registered import PAPER_SCENARIOS, PAPER_WORKFLOWS
+from fsar_ledger.events.configuration import PAPER_ARCHITECTURES
 from fsar_ledger.ledger.log.note import signers_of
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.store.read import View
@@ -22,7 +23,6 @@ from fsar_ledger.metrics.observing import Unobserved, never_observed
 from fsar_ledger.report import printing, specs
 from fsar_ledger.report.experiments import ledger_head
 from fsar_ledger.report.findings import Head, Source, arrow, sources_of
-from fsar_ledger.report.judge import ARCHITECTURES
 from fsar_ledger.report.layout import Layout, for_programs, head_for_programs, versions
 
 MAX_NAME = 60  # characters of the name of a ledger
@@ -136,7 +136,7 @@ def kind_of(ledger: Path, demanded: str | None = None) -> specs.Kind:
             {
                 "scenarios": scenarios,
                 "names": [*scenarios, *PAPER_WORKFLOWS],
-                "architectures": list(ARCHITECTURES),
+                "architectures": list(PAPER_ARCHITECTURES),
             },
         )
     return "paper" if row["is_paper"] else "audit"

@@ -13,14 +13,14 @@ import pyarrow as pa
 
 from fsar_ledger.base.errors import UsageError
 from fsar_ledger.designs.registered import PAPER_WORKFLOWS
-from fsar_ledger.events.configuration import CONFIGURATIONS, EVERY_MECHANISM, FULL, without
+from fsar_ledger.events.configuration import CONFIGURATIONS, EVERY_MECHANISM, FULL, PAPER_ARCHITECTURES, without
 from fsar_ledger.metrics.database import Database, Value, connect
 from fsar_ledger.metrics.paper_numbers import Table
 from fsar_ledger.metrics.plans import completeness
 from fsar_ledger.metrics.results import DialledRow, dialled_rows
 from fsar_ledger.report import judge
 from fsar_ledger.report.findings import Head, arrow
-from fsar_ledger.report.judge import ARCHITECTURES, FOUR_ROBOTS, Number
+from fsar_ledger.report.judge import FOUR_ROBOTS, Number
 
 Relations = dict[str, pa.Table]
 
@@ -163,7 +163,7 @@ def _ablation(database: Database, every: Sequence[DialledRow]) -> Part | None:
 
 def _scaling(database: Database, every: Sequence[DialledRow]) -> Part | None:
     """Return fleets of other sizes than four robots, with comparable fleets of four. Paper: tab:scaling."""
-    rows = [row for row in every if row.configuration == FULL and row.architecture in ARCHITECTURES]
+    rows = [row for row in every if row.configuration == FULL and row.architecture in PAPER_ARCHITECTURES]
     sizes: dict[str, set[int]] = {}
     counts: Counter[str] = Counter()
     for row in rows:

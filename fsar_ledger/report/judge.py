@@ -12,6 +12,7 @@ import msgspec
 
 from fsar_ledger.base.printable import counted, some
 from fsar_ledger.designs.registered import PAPER_SCENARIOS
+from fsar_ledger.events.configuration import PAPER_ARCHITECTURES
 from fsar_ledger.metrics import verdicts
 from fsar_ledger.metrics.database import Database
 from fsar_ledger.metrics.definitions import metric_named
@@ -20,7 +21,6 @@ from fsar_ledger.metrics.registration import Declaration, registration
 from fsar_ledger.metrics.results import MetricRow, of_all_seeds, same_setting, setting_of
 from fsar_ledger.metrics.verdicts import Odds, odds
 
-ARCHITECTURES = ("fsar", "cfc", "dhma")
 COMPARISONS = ("fsar-cfc", "fsar-dhma", "cfc-dhma")
 FOUR_ROBOTS = 4
 """Robots of the paper's fleet in all tables but that of larger fleets."""
@@ -129,7 +129,7 @@ def why_unjudged(runs: Mapping[str, RunCounts], pairs: Mapping[str, RunCounts]) 
     """Say what the ledger holds of each unjudged one, and what follows; None where everything is judged."""
     found = unjudged(runs, pairs)
     told: dict[str, list[str]] = {}
-    for name in (one for one in ARCHITECTURES if one in found):
+    for name in (one for one in PAPER_ARCHITECTURES if one in found):
         told.setdefault(_listed(runs[name], "run"), []).append(name.upper())
     for name in COMPARISONS:
         if name in found and not {*name.split("-")} & found:  # else the runs of its sides already say why

@@ -13,7 +13,7 @@ from typing import Any
 import pyarrow as pa
 
 from fsar_ledger.base.progress import Progress, Showing, unseen
-from fsar_ledger.events.configuration import FULL
+from fsar_ledger.events.configuration import FULL, PAPER_ARCHITECTURES
 from fsar_ledger.metrics.comparability import differing_worlds
 from fsar_ledger.metrics.database import Database, connect, from_rows
 from fsar_ledger.metrics.definitions import published_metrics
@@ -35,7 +35,7 @@ from fsar_ledger.metrics.verdicts import ComparedEffect, compare_effects
 from fsar_ledger.report import judge
 from fsar_ledger.report.experiments import Part, Relations, experiments_of, ledger_head, read_ledger
 from fsar_ledger.report.findings import Findings, arrow, sources_of
-from fsar_ledger.report.judge import ARCHITECTURES, FOUR_ROBOTS, RunCounts
+from fsar_ledger.report.judge import FOUR_ROBOTS, RunCounts
 from fsar_ledger.report.printing import flat
 
 QUERIES = {
@@ -266,7 +266,7 @@ def multiverse_of(database: Database, main: Main, *, progress: Progress | None =
     found = [
         one
         for one in universes(database, list(better), pools_seeds=True, progress=progress)
-        if one.architecture in ARCHITECTURES and setting_of(one) == main
+        if one.architecture in PAPER_ARCHITECTURES and setting_of(one) == main
     ]
     return Multiverse(readings(), tuple(cells(found)), tuple(rankings(found, better)), tuple(found)) if found else None
 

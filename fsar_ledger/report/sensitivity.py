@@ -4,8 +4,9 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+from fsar_ledger.events.configuration import PAPER_ARCHITECTURES
 from fsar_ledger.metrics.definitions import published_metrics
-from fsar_ledger.metrics.effects import ARCHITECTURES, Effect, Sensitivity, reach
+from fsar_ledger.metrics.effects import Effect, Sensitivity, reach
 from fsar_ledger.report import figures
 
 BOUNDS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)  # of a cell of the heat map, in margins
@@ -21,7 +22,7 @@ def heat_map(found: Sensitivity) -> bytes:
     shown = [name for name, furthest in reach(found).items() if furthest >= SHOWN_FROM][:MAX_SHOWN] or [
         found.factors[0].name
     ]
-    columns = [(spec.name, architecture) for spec in published_metrics() for architecture in ARCHITECTURES]
+    columns = [(spec.name, architecture) for spec in published_metrics() for architecture in PAPER_ARCHITECTURES]
     at = {(effect.factor, effect.metric, effect.architecture): effect for effect in found.effects}
     with figures.canvas(7.4, 1.7 + 0.135 * len(shown), 1, 1) as (figure, axes):
         panel = axes[0, 0]

@@ -13,6 +13,7 @@ from fsar_ledger.base.workers import WorkerPool
 from fsar_ledger.designs import Fleet, Scenario, Workflow, registered
 from fsar_ledger.designs.constants import Constants, negatives, write_constants
 from fsar_ledger.events.configuration import (
+    ARCHITECTURES,
     EVERY_MECHANISM,
     FULL,
     MECHANISMS_OF,
@@ -27,7 +28,6 @@ from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.ledger.store.view import Head
 
-from .architectures import REGISTERED
 from .simulation import MODEL_VERSION, RunSpec, plan_record, run_id, run_started
 from .staging import COMMIT_EVENTS, Batch, Staging
 from .world.checks import problems_of_design, problems_of_fleet
@@ -67,7 +67,7 @@ class Experiment(msgspec.Struct, frozen=True):
     constants: Constants = Constants()
 
     def __post_init__(self) -> None:
-        _require_known("architecture", self.architectures, REGISTERED)
+        _require_known("architecture", self.architectures, ARCHITECTURES)
         _require_known("scenario", self.scenarios, self._known_scenarios())
         _require_configurations(self.configurations)
         self._require_designs()
@@ -174,7 +174,7 @@ class Experiment(msgspec.Struct, frozen=True):
     def _put_in_order(self) -> None:
         """Sort the names, so that the same experiment asked for in another order is the same plan."""
         in_order = msgspec.structs.force_setattr
-        in_order(self, "architectures", tuple(sorted(self.architectures, key=REGISTERED.index)))
+        in_order(self, "architectures", tuple(sorted(self.architectures, key=ARCHITECTURES.index)))
         in_order(self, "scenarios", tuple(sorted(self.scenarios, key=self._known_scenarios().index)))
         in_order(self, "configurations", tuple(sorted(self.configurations, key=rank)))
 

@@ -9,12 +9,17 @@ from fsar_ledger.base.errors import InvalidExperiment, UsageError, option
 from fsar_ledger.designs import registered
 from fsar_ledger.designs.constants import Constants, Load
 from fsar_ledger.designs.names import known
-from fsar_ledger.events.configuration import EVERY_MECHANISM, FULL, MECHANISMS_OF, removed_mechanisms
+from fsar_ledger.events.configuration import (
+    ARCHITECTURES,
+    EVERY_MECHANISM,
+    FULL,
+    MECHANISMS_OF,
+    PAPER_ARCHITECTURES,
+    removed_mechanisms,
+)
 from fsar_ledger.events.configuration import without as ablation
-from fsar_ledger.runtime.architectures import REGISTERED
 from fsar_ledger.runtime.experiment import Experiment, workflow_experiment
 from fsar_ledger.runtime.own import is_file, with_own
-from fsar_ledger.runtime.simulation import ARCHITECTURES
 from fsar_ledger.runtime.world.founding import team_size
 
 RUNS = 20  # per scenario and architecture, as in the paper
@@ -71,7 +76,7 @@ def experiment_of(
             )
         constants = msgspec.structs.replace(constants, load=Load(*load))
     return Experiment(
-        architectures=known("architecture", architectures, REGISTERED) or whose or ARCHITECTURES,
+        architectures=known("architecture", architectures, ARCHITECTURES) or whose or PAPER_ARCHITECTURES,
         scenarios=chosen or registered.PAPER_SCENARIOS,
         configurations=configurations or (FULL,),
         runs=RUNS if runs is None else runs,

@@ -15,7 +15,7 @@ import msgspec
 from fsar_ledger.base import printable
 from fsar_ledger.base.errors import InvalidExperiment, UsageError
 from fsar_ledger.designs import Fleet, Scenario, registered
-from fsar_ledger.designs.constants import SIGNED, Constants, Load, Outages
+from fsar_ledger.designs.constants import SIGNED, Constants, with_all_groups
 from fsar_ledger.designs.files import at_line, read_design
 from fsar_ledger.metrics.constant_names import names_of_constants
 
@@ -172,7 +172,7 @@ def _put(tree: dict[str, Any], name: str, value: float | int | None) -> None:
         if isinstance(where, dict):
             if where.get(part) is None:
                 assert at == 0
-                where[part] = msgspec.to_builtins({"outages": Outages(), "load": Load()}[part])
+                where[part] = msgspec.to_builtins(getattr(with_all_groups(Constants()), part))
             where = where[part]
         else:
             where = next(law for key, law in where if key == part)

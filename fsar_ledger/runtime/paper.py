@@ -13,11 +13,19 @@ from typing import Literal, get_args
 import msgspec
 
 from fsar_ledger.designs.constants import Constants, Load
-from fsar_ledger.events.configuration import CONFIGURATIONS, FULL, MECHANISMS, MECHANISMS_OF, Configuration, without
+from fsar_ledger.events.configuration import (
+    CONFIGURATIONS,
+    FULL,
+    MECHANISMS,
+    MECHANISMS_OF,
+    PAPER_ARCHITECTURES,
+    Configuration,
+    without,
+)
 from fsar_ledger.ledger.log.note import Signer
 from fsar_ledger.metrics.registration import registration
 from fsar_ledger.runtime.experiment import ORIGIN, WORKFLOWS_ORIGIN, Experiment, workflow_experiment
-from fsar_ledger.runtime.simulation import ARCHITECTURES, SCENARIOS
+from fsar_ledger.runtime.simulation import SCENARIOS
 
 Name = Literal["results", "ablation", "scaling", "workflows"]
 NAMES: tuple[Name, ...] = get_args(Name)
@@ -98,7 +106,7 @@ def whole_of(runs: int) -> range:
 
 
 def _results(runs: int) -> Iterator[Experiment]:
-    yield Experiment(ARCHITECTURES, SCENARIOS, runs)
+    yield Experiment(PAPER_ARCHITECTURES, SCENARIOS, runs)
 
 
 def _ablation(runs: int) -> Iterator[Experiment]:
@@ -115,12 +123,16 @@ def _ablation(runs: int) -> Iterator[Experiment]:
 def _scaling(runs: int) -> Iterator[Experiment]:
     """Yield the experiments over fleet sizes, at full load (all teams work) and with fewer teams at work."""
     for size in TABLED_SIZES:
-        yield Experiment(ARCHITECTURES, SCENARIOS, runs, fleet_size=size)
+        yield Experiment(PAPER_ARCHITECTURES, SCENARIOS, runs, fleet_size=size)
     for size in (*TABLED_SIZES[1:], *BEYOND):
         fewer = -(-runs // BEYOND.get(size, 1))
         if size in BEYOND:
-            yield Experiment(ARCHITECTURES, SCENARIOS, fewer, fleet_size=size)
+            yield Experiment(PAPER_ARCHITECTURES, SCENARIOS, fewer, fleet_size=size)
         for teams in range(1, size // 4) if size == LOADED_SIZE else (1,):
             yield Experiment(
-                ARCHITECTURES, SCENARIOS, fewer, fleet_size=size, constants=Constants(load=Load(teams_working=teams))
+                PAPER_ARCHITECTURES,
+                SCENARIOS,
+                fewer,
+                fleet_size=size,
+                constants=Constants(load=Load(teams_working=teams)),
             )

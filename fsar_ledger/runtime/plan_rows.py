@@ -9,13 +9,14 @@ from fsar_ledger.base.errors import InvalidExperiment, UsageError
 from fsar_ledger.base.parameters import BadParameters
 from fsar_ledger.designs.constants import Load, read_constants
 from fsar_ledger.designs.registered import PAPER_SCENARIOS, workflows
+from fsar_ledger.events.configuration import PAPER_ARCHITECTURES
 from fsar_ledger.ledger.store.read import View
 from fsar_ledger.metrics.database import Database
 from fsar_ledger.metrics.plans import EXPERIMENTS
 from fsar_ledger.runtime.experiment import ORIGIN
 from fsar_ledger.runtime.experiment_arguments import RUNS, experiment_of
 from fsar_ledger.runtime.paper import NAMES, paper_ledger, whole_of
-from fsar_ledger.runtime.simulation import ARCHITECTURES, plan_id
+from fsar_ledger.runtime.simulation import plan_id
 
 MAX_RUNS = 9999  # of an experiment
 MAX_COUNTS = 32
@@ -122,7 +123,7 @@ def _asked(plan: Mapping[str, Any], parameters: str) -> dict[str, Any] | None:
         set(plan[name]) for name in ("scenarios", "architectures", "configurations")
     )
     is_workflow, is_ablated = scenarios <= set(workflows()), configurations != {"full"}
-    default = {"fsar"} if is_workflow or is_ablated else set(ARCHITECTURES)
+    default = {"fsar"} if is_workflow or is_ablated else set(PAPER_ARCHITECTURES)
     return {
         "architectures": None if architectures == default else sorted(architectures),
         "scenarios": None if is_workflow or scenarios == set(PAPER_SCENARIOS) else sorted(scenarios),

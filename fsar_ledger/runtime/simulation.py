@@ -24,8 +24,6 @@ from .world.schedule import schedule
 
 MODEL_VERSION = "3"
 
-ARCHITECTURES = ("fsar", "cfc", "dhma")
-"""The three architectures that the paper compares, however many others are registered."""
 SCENARIOS = PAPER_SCENARIOS
 
 

@@ -22,13 +22,14 @@ from fsar_ledger.api.names import Place
 from fsar_ledger.api.workload import workers_of
 from fsar_ledger.base.progress import Progress
 from fsar_ledger.designs.constants import Constants
+from fsar_ledger.events.configuration import PAPER_ARCHITECTURES
 from fsar_ledger.metrics import study_results
 from fsar_ledger.metrics.registration import Free, registration
 from fsar_ledger.metrics.results import metric_rows
 from fsar_ledger.metrics.study_results import METRICS, Calibration, Direction, Objective, Parameter, Residual, rules
 from fsar_ledger.metrics.verdicts import MARGINS, published
 from fsar_ledger.runtime.experiment import Experiment
-from fsar_ledger.runtime.simulation import ARCHITECTURES, MODEL_VERSION, SCENARIOS
+from fsar_ledger.runtime.simulation import MODEL_VERSION, SCENARIOS
 
 from .evaluations import CELLS, Answer, Evaluate, Evaluations, evaluate, evaluating, means_of, question_at, simulated
 from .factor_effects import Matrix, Vector
@@ -96,7 +97,7 @@ def calibrate(
         best = min(rough, key=lambda one: one.reached)
         last = search(judge, best.point, PLAN.runs, PLAN.most_steps)
         (begun,) = judge.each([best.start], PLAN.runs)
-        accepted = Experiment(ARCHITECTURES, SCENARIOS, PLAN.judged_runs, PLAN.seed, constants=at(last.point))
+        accepted = Experiment(PAPER_ARCHITECTURES, SCENARIOS, PLAN.judged_runs, PLAN.seed, constants=at(last.point))
         with simulated([accepted], workers) as database:
             means = means_of(metric_rows(database))
         result = _result(objective(begun, best.start), best.start, (*rough, last), means)

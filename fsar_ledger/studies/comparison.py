@@ -15,7 +15,7 @@ import msgspec
 
 from fsar_ledger.base.errors import FsarLedgerError, UsageError
 from fsar_ledger.base.publishing import require_another
-from fsar_ledger.events.configuration import FULL, MECHANISMS, Configuration, without
+from fsar_ledger.events.configuration import FULL, MECHANISMS, PAPER_ARCHITECTURES, Configuration, without
 from fsar_ledger.events.envelope import Architecture
 from fsar_ledger.metrics import verdicts
 from fsar_ledger.metrics.definitions import published_metrics
@@ -23,7 +23,6 @@ from fsar_ledger.metrics.paper_numbers import Place, Table, printed
 from fsar_ledger.metrics.registration import registration
 from fsar_ledger.metrics.study_results import Cell, Check, Comparison, Outcome, Predicted, Predictions, read
 from fsar_ledger.metrics.verdicts import MARGINS, Answer
-from fsar_ledger.runtime.simulation import ARCHITECTURES
 
 from .predictions import CASES, SEEDS
 from .result import require_out, stale, write
@@ -160,7 +159,7 @@ def _seeds(numbers: Numbers) -> Iterator[Check]:
 
 def _twelve(numbers: Numbers) -> Iterator[Check]:
     for metric in dict.fromkeys(place.metric for place in printed("scaling")):
-        for architecture in ARCHITECTURES:
+        for architecture in PAPER_ARCHITECTURES:
             for teams in (None, 1):
                 eight, twelve, sixteen = (
                     numbers.mean("scaling", metric, architecture, size=size, teams=teams) for size in (8, 12, 16)
@@ -175,7 +174,7 @@ def _twenty_eight(numbers: Numbers) -> Iterator[Check]:
         at_16, at_28 = (numbers.mean("scaling", LOCALITY, size=size, teams=teams) for size in (16, 28))
         yield _between(f"{LOCALITY}, fsar, 28 robots, {_said(teams)}", at_28, (at_16,), MARGINS[LOCALITY])
         falls: dict[str, float | None] = {}
-        for architecture in ARCHITECTURES:
+        for architecture in PAPER_ARCHITECTURES:
             before, after = (
                 numbers.mean("scaling", SUCCESS, architecture, size=size, teams=teams) for size in (16, 28)
             )
@@ -190,7 +189,7 @@ def _loads(numbers: Numbers) -> Iterator[Check]:
         of, working = ("loads", teams) if teams in (2, 3) else ("scaling", 1 if teams == 1 else None)
         return numbers.mean(of, metric, architecture, size=16, teams=working)
 
-    for architecture in ARCHITECTURES:
+    for architecture in PAPER_ARCHITECTURES:
         for fewer, more in pairwise(range(1, 5)):
             before, after = at(SUCCESS, architecture, fewer), at(SUCCESS, architecture, more)
             high = None if before is None else before + MARGINS[SUCCESS]

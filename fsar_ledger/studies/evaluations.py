@@ -23,14 +23,14 @@ from fsar_ledger.base.errors import UsageError, WriteFailed
 from fsar_ledger.base.progress import Progress
 from fsar_ledger.base.workers import WorkerPool
 from fsar_ledger.designs.constants import Constants, write_constants
-from fsar_ledger.events.configuration import FULL
+from fsar_ledger.events.configuration import FULL, PAPER_ARCHITECTURES
 from fsar_ledger.events.envelope import Architecture
 from fsar_ledger.ledger.rows.codec import encode
 from fsar_ledger.metrics.database import Database, connect, from_table
 from fsar_ledger.metrics.results import MetricRow, metric_rows
 from fsar_ledger.metrics.verdicts import MARGINS
 from fsar_ledger.runtime.experiment import Experiment, run_experiment
-from fsar_ledger.runtime.simulation import ARCHITECTURES, MODEL_VERSION, SCENARIOS, RunSpec, simulate_run
+from fsar_ledger.runtime.simulation import MODEL_VERSION, SCENARIOS, RunSpec, simulate_run
 
 from .factor_effects import Vector
 from .factors import Setting
@@ -38,7 +38,7 @@ from .points import at
 from .result import require_out
 
 CELLS: tuple[tuple[str, str], ...] = tuple(
-    (metric, architecture) for metric in MARGINS for architecture in ARCHITECTURES
+    (metric, architecture) for metric in MARGINS for architecture in PAPER_ARCHITECTURES
 )
 """The 24 cells of the results table, in the order in which an evaluation answers them."""
 
@@ -79,7 +79,7 @@ def measured(
     seed: int,
     runs: int,
     fleet_size: int = 4,
-    architectures: Sequence[Architecture] = ARCHITECTURES,
+    architectures: Sequence[Architecture] = PAPER_ARCHITECTURES,
 ) -> list[MetricRow]:
     """Return the metrics, computed in SQL, of so many runs of each scenario and architecture, with all in memory."""
     records = [

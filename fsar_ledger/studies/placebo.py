@@ -15,7 +15,7 @@ from fsar_ledger.api.workload import workers_of
 from fsar_ledger.base.progress import Progress
 from fsar_ledger.base.wilson import wilson
 from fsar_ledger.designs.constants import Constants
-from fsar_ledger.events.configuration import FULL
+from fsar_ledger.events.configuration import FULL, PAPER_ARCHITECTURES
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.staging import stage
@@ -25,13 +25,13 @@ from fsar_ledger.metrics.registration import registration
 from fsar_ledger.metrics.results import statistic_rows
 from fsar_ledger.metrics.robustness import Placebo, Rejections
 from fsar_ledger.metrics.verdicts import ALPHA
-from fsar_ledger.runtime.simulation import ARCHITECTURES, SCENARIOS, RunSpec, handler_table_of, simulate_run
+from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, handler_table_of, simulate_run
 
 from .evaluations import Answer, Evaluate, Question, evaluating
 from .factors import Setting
 from .result import RESUME_ADVICE, grounds, write
 
-FSAR, OTHER_NAME = ARCHITECTURES[:2]
+FSAR, OTHER_NAME = PAPER_ARCHITECTURES[:2]
 COMPARISON = f"{FSAR}-{OTHER_NAME}"
 METRICS = tuple(metric.name for metric in published_metrics())
 TESTS = ("p", "p_holm", "wilcoxon_p", "mcnemar_p")

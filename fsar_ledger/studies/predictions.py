@@ -16,13 +16,13 @@ from fsar_ledger.api.names import Place
 from fsar_ledger.api.workload import workers_of
 from fsar_ledger.base.progress import Progress, each
 from fsar_ledger.designs.constants import Constants, Load
-from fsar_ledger.events.configuration import CONFIGURATIONS, MECHANISMS, Configuration, without
+from fsar_ledger.events.configuration import CONFIGURATIONS, MECHANISMS, PAPER_ARCHITECTURES, Configuration, without
 from fsar_ledger.events.envelope import Architecture
 from fsar_ledger.metrics.results import MetricRow, metric_rows, typed
 from fsar_ledger.metrics.study_results import Claim, Predicted, Predictions
 from fsar_ledger.runtime.experiment import Experiment
 from fsar_ledger.runtime.paper import over_seeds
-from fsar_ledger.runtime.simulation import ARCHITECTURES, SCENARIOS
+from fsar_ledger.runtime.simulation import SCENARIOS
 
 from .evaluations import simulated
 from .result import grounds, require_out, write
@@ -69,7 +69,7 @@ def planned_experiments() -> Iterator[PlannedExperiment]:
         seed: int | None = None,
         size: int = 4,
         teams: int | None = None,
-        architectures: tuple[Architecture, ...] = ARCHITECTURES,
+        architectures: tuple[Architecture, ...] = PAPER_ARCHITECTURES,
         configurations: tuple[Configuration, ...] = ("full",),
         constants: Constants | None = None,
     ) -> PlannedExperiment:

@@ -12,11 +12,11 @@ from fsar_ledger.api.names import Place
 from fsar_ledger.api.workload import workers_of
 from fsar_ledger.base.progress import Progress
 from fsar_ledger.base.wilson import wilson
+from fsar_ledger.events.configuration import PAPER_ARCHITECTURES
 from fsar_ledger.metrics.definitions import Metric, published_metrics
 from fsar_ledger.metrics.registration import registration
 from fsar_ledger.metrics.robustness import RankCounts, Ranking
 from fsar_ledger.metrics.verdicts import MARGINS, published
-from fsar_ledger.runtime.simulation import ARCHITECTURES
 
 from .evaluations import CELLS, Answer, Evaluate, evaluate, evaluating, question_at
 from .points import points_over_ranges
@@ -24,7 +24,7 @@ from .result import RESUME_ADVICE, grounds, ranges, write
 
 ALL = "all eight"
 IN_PAPER = "those in which the paper prints it best"
-FSAR, OTHERS = ARCHITECTURES[0], ARCHITECTURES[1:]
+FSAR, OTHERS = PAPER_ARCHITECTURES[0], PAPER_ARCHITECTURES[1:]
 
 
 def ranking(
@@ -67,10 +67,12 @@ class _Standing(NamedTuple):
 def _standing(metric: Metric, means: Mapping[str, float | None]) -> _Standing:
     sign = 1 if metric.better == "higher" else -1
     known = {architecture: sign * mean for architecture, mean in means.items() if mean is not None}
-    if len(known) < len(ARCHITECTURES):
+    if len(known) < len(PAPER_ARCHITECTURES):
         return _Standing(None, None)
     lead = (known[FSAR] - max(known[other] for other in OTHERS)) / MARGINS[metric.name]
-    ours = [known[one] for one in sorted(ARCHITECTURES, key=lambda one: -sign * published()[metric.name, one].value)]
+    ours = [
+        known[one] for one in sorted(PAPER_ARCHITECTURES, key=lambda one: -sign * published()[metric.name, one].value)
+    ]
     return _Standing(lead, None if len(set(ours)) < len(ours) else ours == sorted(ours, reverse=True))
 
 
@@ -85,7 +87,9 @@ def ranks(answers: Sequence[Answer]) -> Iterator[RankCounts]:
 
 def is_best_in_paper(metric: Metric) -> bool:
     """Return whether the paper prints FSAR as better than both others."""
-    return (_standing(metric, {one: published()[metric.name, one].value for one in ARCHITECTURES}).lead or 0.0) > 0
+    return (
+        _standing(metric, {one: published()[metric.name, one].value for one in PAPER_ARCHITECTURES}).lead or 0.0
+    ) > 0
 
 
 def _rank(name: str, of: Sequence[Metric], answers: Sequence[Answer]) -> RankCounts:
@@ -123,4 +127,4 @@ def _rank(name: str, of: Sequence[Metric], answers: Sequence[Answer]) -> RankCou
 
 def _standings(of: Sequence[Metric], answer: Answer) -> list[_Standing]:
     by_cell = dict(zip(CELLS, answer, strict=True))
-    return [_standing(metric, {one: by_cell[metric.name, one] for one in ARCHITECTURES}) for metric in of]
+    return [_standing(metric, {one: by_cell[metric.name, one] for one in PAPER_ARCHITECTURES}) for metric in of]

@@ -1,45 +1,55 @@
--- Title: Who is compared with whom: the three pairs of architectures, and an architecture with itself without a
---   mechanism
+-- Title: Who is compared with whom: every two architectures, and an architecture with itself without a mechanism
 -- Paper: tab:significance, tab:ablation
 -- Grain: one row per comparison and configuration; differences are first minus second
 -- Key: comparison, configuration
--- Units: family names the tests that Holm adjusts together; configuration that of both architectures, of an ablation
---   the ablated one
+-- Units: family names the tests that Holm adjusts together: those of the paper's three architectures, and apart from
+--   them those with any other; configuration that of both architectures, of an ablation the ablated one
 -- NULL: never
 -- Example: fsar-ledger query statistics/comparisons LEDGER
-WITH pairs (comparison, first_architecture, second_architecture) AS (
-    VALUES
-    ('fsar-cfc', 'fsar', 'cfc'),
-    ('fsar-dhma', 'fsar', 'dhma'),
-    ('cfc-dhma', 'cfc', 'dhma')
-),
-
-held AS (
+WITH held AS (
     SELECT DISTINCT architecture, configuration
     FROM run_metrics
     WHERE architecture IS NOT NULL AND configuration IS NOT NULL
 ),
 
-shared AS (
-    SELECT 'full' AS configuration
+of_paper (architecture, position) AS (
+    VALUES ('fsar', 1), ('cfc', 2), ('dhma', 3)
+),
+
+sides AS (
+    SELECT architecture, position, 'full' AS configuration
+    FROM of_paper
     UNION
-    SELECT configuration
+    SELECT held.architecture, coalesce(of_paper.position, 4) AS position, held.configuration
     FROM held
-    WHERE architecture IN ('fsar', 'cfc', 'dhma')
-    GROUP BY configuration
-    HAVING count(*) > 1
+    LEFT JOIN of_paper ON held.architecture = of_paper.architecture
+),
+
+pairs AS (
+    SELECT
+        firsts.configuration,
+        firsts.architecture AS first_architecture,
+        seconds.architecture AS second_architecture,
+        CASE WHEN seconds.position < 4 THEN 'architectures' ELSE 'architectures added' END AS family
+    FROM sides AS firsts
+    INNER JOIN sides AS seconds
+        ON
+            firsts.configuration = seconds.configuration
+            AND (firsts.position, firsts.architecture) < (seconds.position, seconds.architecture)
+    LEFT JOIN held
+        ON firsts.architecture = held.architecture AND firsts.configuration = held.configuration
+    -- The paper's pairs are there whether they have run or not; of the others, only what has run.
+    WHERE seconds.position < 4 OR held.architecture IS NOT NULL
 )
 
 SELECT
-    pairs.comparison,
-    CASE WHEN shared.configuration = 'full' THEN 'architectures' ELSE 'architectures ' || shared.configuration END
-        AS family,
-    shared.configuration, pairs.first_architecture,
-    shared.configuration AS first_configuration,
-    pairs.second_architecture,
-    shared.configuration AS second_configuration
+    first_architecture || '-' || second_architecture AS comparison,
+    CASE WHEN configuration = 'full' THEN family ELSE family || ' ' || configuration END AS family,
+    configuration, first_architecture,
+    configuration AS first_configuration,
+    second_architecture,
+    configuration AS second_configuration
 FROM pairs
-CROSS JOIN shared
 UNION ALL
 SELECT
     architecture || '-' || configuration AS comparison,

@@ -13,10 +13,11 @@ import msgspec
 import pytest
 
 from fsar_ledger.designs.constants import Constants
+from fsar_ledger.events.configuration import PAPER_ARCHITECTURES
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.runtime.experiment import ORIGIN, Experiment
-from fsar_ledger.runtime.simulation import ARCHITECTURES, RunSpec, plan_record, simulate_run
+from fsar_ledger.runtime.simulation import RunSpec, plan_record, simulate_run
 from tests.attacks.conftest import Attack
 from tests.cli.conftest import one_message
 from tests.ledger.hostile import stage_anything
@@ -26,7 +27,7 @@ from tests.runtime.forgeries import changed, renamed
 
 SOME = ("--scenario", "door-relay", "--seed", "3", "--workers", "2", "--runs", "17")
 MANY = (*SOME[:-1], "50")
-EXPERIMENT = Experiment(ARCHITECTURES, ("door-relay",), 17, 3)  # the plan, and three commits
+EXPERIMENT = Experiment(PAPER_ARCHITECTURES, ("door-relay",), 17, 3)  # the plan, and three commits
 
 
 @pytest.fixture(scope="module")

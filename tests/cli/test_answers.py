@@ -10,8 +10,10 @@ import polars as pl
 import pytest
 
 from fsar_ledger import __version__
-from fsar_ledger.api.simulate import SCENARIOS, named_in
+from fsar_ledger.api.simulate import ONE_SCENARIO
+from fsar_ledger.api.verbs import ONE_ARCHITECTURE, either
 from fsar_ledger.designs import registered
+from fsar_ledger.events.configuration import ARCHITECTURES
 from fsar_ledger.metrics.definitions import metrics
 from tests.cli.conftest import SMALL, Call, Called, in_a_process
 from tests.running import ran
@@ -33,13 +35,12 @@ def test_help_imports_nothing_heavy() -> None:
     assert done.stderr.split() == []
 
 
-def test_help_lists_every_registered_scenario(call: Call, tmp_path: Path) -> None:
+def test_help_lists_every_registered_scenario_and_architecture(call: Call) -> None:
     said = " ".join(call("simulate", "--help").out.split()).replace("- ", "-")
     assert all(name in said for name in registered.scenarios())
-    for name in ("night", "a-sixth"):
-        (tmp_path / f"{name}.toml").touch()
-    assert named_in(tmp_path) == "a-sixth or night"
-    assert {path.stem for path in SCENARIOS.glob("*.toml")} == set(registered.scenarios())
+    assert either(["night", "day", "a-sixth"]) == "a-sixth, day or night"
+    assert either(registered.scenarios()) == ONE_SCENARIO
+    assert either(ARCHITECTURES) == ONE_ARCHITECTURE
 
 
 def test_the_version_is_told_without_typer() -> None:

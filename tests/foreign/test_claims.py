@@ -11,11 +11,12 @@ from msgspec.structs import asdict
 from fsar_ledger.api.ledger import open_ledger
 from fsar_ledger.designs.constants import Constants
 from fsar_ledger.events import CONCERN_OF, CONCERNS
+from fsar_ledger.events.configuration import PAPER_ARCHITECTURES
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.metrics.database import Database
 from fsar_ledger.metrics.library import library
 from fsar_ledger.metrics.observing import types_read, unobserved
-from fsar_ledger.runtime.simulation import ARCHITECTURES, RunSpec, simulate_run
+from fsar_ledger.runtime.simulation import RunSpec, simulate_run
 from tests.foreign.claims import BY_RUN, GAPS, OF_GAPS, WHOLE, recorded_without, vain_claims, without
 from tests.foreign.histories import append
 from tests.foreign.verbs import ask
@@ -29,7 +30,7 @@ def runs() -> list[LedgerRun]:
     """A run of each architecture in which robots fail, ask, are refused and are helped."""
     return [
         simulate_run(RunSpec(42, architecture, "full", "failure-recovery-chain", 4, 12), Constants())
-        for architecture in ARCHITECTURES
+        for architecture in PAPER_ARCHITECTURES
     ]
 
 

@@ -9,10 +9,11 @@ from typing import NamedTuple
 
 from fsar_ledger.cli import app
 from fsar_ledger.designs.constants import Constants
+from fsar_ledger.events.configuration import PAPER_ARCHITECTURES
 from fsar_ledger.events.envelope import Scenario
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.staging import stage
-from fsar_ledger.runtime.simulation import ARCHITECTURES, RunSpec, simulate_run
+from fsar_ledger.runtime.simulation import RunSpec, simulate_run
 from tests.ledger.damage import files_of, kind_of
 
 VERBS: dict[str, tuple[str, ...]] = {
@@ -63,7 +64,7 @@ def write_runs(path: Path) -> None:
     """
     batches = [
         [simulate_run(RunSpec(7, architecture, "full", scenario, 4, 0), Constants()) for scenario in SCENARIOS]
-        for architecture in ARCHITECTURES
+        for architecture in PAPER_ARCHITECTURES
     ]
     with Writer(path, "example.org/flips") as writer:
         for batch in batches[:-1]:

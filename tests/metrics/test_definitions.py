@@ -4,10 +4,11 @@ import pytest
 
 from fsar_ledger.base.errors import UsageError
 from fsar_ledger.designs.constants import Constants
+from fsar_ledger.events.configuration import PAPER_ARCHITECTURES
 from fsar_ledger.ledger.rows.codec import encode
 from fsar_ledger.metrics.definitions import metrics, metrics_in
 from fsar_ledger.metrics.library import Query, library
-from fsar_ledger.runtime.simulation import ARCHITECTURES, RunSpec, simulate_run
+from fsar_ledger.runtime.simulation import RunSpec, simulate_run
 from tests.recycled import from_rows, from_table
 
 MEASURED = ("run_id", "numerator", "denominator", "value", "not_observed")
@@ -63,7 +64,9 @@ def test_every_query_with_the_numbers_of_a_run_is_a_metric_and_every_metric_has_
 
 
 def test_values_are_numerators_over_denominators_on_the_scale_that_the_registry_names() -> None:
-    specs = [RunSpec(42, one, "full", "failure-recovery-chain", 4, run) for one in ARCHITECTURES for run in range(4)]
+    specs = [
+        RunSpec(42, one, "full", "failure-recovery-chain", 4, run) for one in PAPER_ARCHITECTURES for run in range(4)
+    ]
     with from_table(encode([simulate_run(spec, Constants()) for spec in specs])) as database:
         for metric in metrics():
             rows = database.query(f"metrics/{metric.name}").to_pylist()

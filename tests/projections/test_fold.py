@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from fsar_ledger.designs.constants import Constants, Outages
 from fsar_ledger.designs.registered import PAPER_WORKFLOWS
 from fsar_ledger.events import EVENT_TYPES, Event
-from fsar_ledger.events.configuration import CONFIGURATIONS
+from fsar_ledger.events.configuration import CONFIGURATIONS, PAPER_ARCHITECTURES
 from fsar_ledger.events.envelope import Robot, Subject
 from fsar_ledger.events.execution import ExecutionFinished, ExecutionQueued, ExecutionWithdrawn
 from fsar_ledger.events.world import PolicyWindowClosed, PolicyWindowOpened
@@ -18,7 +18,7 @@ from fsar_ledger.projections import execution, world
 from fsar_ledger.projections.fold import ROUTES, STATELESS, State, apply, fold
 from fsar_ledger.projections.world import in_force, stricter
 from fsar_ledger.runtime.experiment import Experiment
-from fsar_ledger.runtime.simulation import ARCHITECTURES, SCENARIOS, RunSpec, simulate_run
+from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, simulate_run
 from tests import past
 from tests.foreign.histories import foreign_run
 from tests.runtime.commanded import commanded
@@ -62,7 +62,7 @@ def test_every_event_type_has_a_projection_or_is_listed_as_a_record() -> None:
 def emitted() -> set[type[Event]]:
     specs = [
         RunSpec(8, architecture, "full", scenario, 4, run)
-        for architecture in ARCHITECTURES
+        for architecture in PAPER_ARCHITECTURES
         for scenario in SCENARIOS
         for run in range(12)
     ]

@@ -8,9 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fsar_ledger.designs.constants import Constants
+from fsar_ledger.events.configuration import PAPER_ARCHITECTURES
 from fsar_ledger.projections import maps
 from fsar_ledger.projections.maps import SharedMap, among, put, without
-from fsar_ledger.runtime.simulation import ARCHITECTURES, RunSpec, simulate_run
+from fsar_ledger.runtime.simulation import RunSpec, simulate_run
 
 CHANGES = st.lists(st.tuples(st.integers(0, 12), st.one_of(st.none(), st.integers())), max_size=60)
 
@@ -106,7 +107,7 @@ def test_a_mapping_grows_and_shrinks_by_one_entry_at_a_time() -> None:
     assert list(found) == list(expected)
 
 
-@pytest.mark.parametrize("architecture", ARCHITECTURES)
+@pytest.mark.parametrize("architecture", PAPER_ARCHITECTURES)
 def test_a_run_is_the_same_whatever_the_size_of_a_large_mapping(
     architecture: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -10,11 +10,12 @@ import pytest
 from fsar_ledger.base.errors import QueryFailed
 from fsar_ledger.designs.constants import Constants
 from fsar_ledger.events import CONCERNS
+from fsar_ledger.events.configuration import PAPER_ARCHITECTURES
 from fsar_ledger.ledger.rows.codec import encode
 from fsar_ledger.metrics.database import from_rows, from_table
 from fsar_ledger.metrics.library import library
 from fsar_ledger.metrics.observing import types_read
-from fsar_ledger.runtime.simulation import ARCHITECTURES, RunSpec, simulate_run
+from fsar_ledger.runtime.simulation import RunSpec, simulate_run
 from tests.queries.histories import answer, run
 from tests.queries.test_cases import (
     INJECTED,
@@ -141,13 +142,13 @@ def test_the_events_behind_a_number_are_listed_with_the_action_to_explain() -> N
 def test_the_evidence_of_each_claim_adds_up_to_its_number_and_names_events_of_the_run() -> None:
     specs = [
         RunSpec(42, architecture, "full", scenario, 4, 3)
-        for architecture in ARCHITECTURES
+        for architecture in PAPER_ARCHITECTURES
         for scenario in SCENARIOS.values()
     ]
     with from_table(encode([simulate_run(spec, Constants()) for spec in specs])) as database:
         claims = {(row["claim"], row["architecture"]): row for row in database.query("cases/case_claims").to_pylist()}
         events = database.query("cases/case_events").to_pylist()
-    assert len(claims) == len(ARCHITECTURES) * len(answer("cases/case_definitions"))
+    assert len(claims) == len(PAPER_ARCHITECTURES) * len(answer("cases/case_definitions"))
     assert {(row["counted"] > 0, row["type"] is not None) for row in events} == {(True, True), (False, False)}
     for (claim, architecture), row in claims.items():
         things = {

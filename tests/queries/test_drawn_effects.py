@@ -7,14 +7,14 @@ import polars as pl
 import pytest
 
 from fsar_ledger.designs.constants import Constants
-from fsar_ledger.events.configuration import FULL
+from fsar_ledger.events.configuration import FULL, PAPER_ARCHITECTURES
 from fsar_ledger.ledger.rows.codec import encode
 from fsar_ledger.metrics.database import Database, from_table
 from fsar_ledger.metrics.paper_numbers import printed_tests
 from fsar_ledger.metrics.registration import registration
 from fsar_ledger.metrics.results import drawn_effects, setting_of, statistic_rows
 from fsar_ledger.metrics.verdicts import compare_effects
-from fsar_ledger.runtime.simulation import ARCHITECTURES, SCENARIOS, RunSpec, simulate_run
+from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, simulate_run
 from tests.sure import known
 
 RUNS = 3
@@ -26,7 +26,7 @@ def database() -> Iterator[Database]:
         simulate_run(RunSpec(1, architecture, FULL, scenario, 4, run), Constants())
         for scenario in SCENARIOS
         for run in range(RUNS)
-        for architecture in ARCHITECTURES
+        for architecture in PAPER_ARCHITECTURES
     ]
     with from_table(encode(records), threads=1) as opened:
         yield opened

@@ -8,6 +8,7 @@ import pyarrow.compute as pc
 import pytest
 
 from fsar_ledger.events import BESIDE, CONCERNS, EVENT_TYPES, RETIRED_TYPES
+from fsar_ledger.events.configuration import PAPER_ARCHITECTURES
 from fsar_ledger.ledger.rows.codec import encode
 from fsar_ledger.ledger.rows.schema import LAYOUTS
 from fsar_ledger.metrics.database import Database
@@ -15,7 +16,7 @@ from fsar_ledger.metrics.invariants import audit_rows, invariants
 from fsar_ledger.metrics.library import library
 from fsar_ledger.metrics.observing import types_read
 from fsar_ledger.metrics.results import metric_rows
-from fsar_ledger.runtime.simulation import ARCHITECTURES, RunSpec, simulate_run
+from fsar_ledger.runtime.simulation import RunSpec, simulate_run
 from tests.queries.histories import answer, event, run
 from tests.recycled import from_rows, from_table
 from tests.runtime.pinned import PINNED
@@ -93,7 +94,7 @@ def test_a_judge_rests_on_the_concerns_of_all_events_that_its_query_reads(judge:
 def variants() -> Iterator[pa.Table]:
     """One run of each architecture in full, and once for each concern without its events; `run_id` is
     architecture:concern."""
-    for architecture in ARCHITECTURES:
+    for architecture in PAPER_ARCHITECTURES:
         rows = encode([simulate_run(RunSpec(42, architecture, "full", "failure-recovery-chain", 4, 12), PINNED)])
         for missing in ("nothing", *CONCERNS):
             types = pa.array([tag for tag, concern in CONCERN_OF.items() if concern == missing], pa.string())
@@ -140,7 +141,7 @@ def test_an_invariant_holds_of_no_run_that_lacks_what_it_rests_on_and_offences_a
         found: dict[str, set[int]] = {}
         for row in database.rows(f"SELECT DISTINCT run_id, seq FROM {query.relation}"):
             found.setdefault(row["run_id"], set()).add(row["seq"])
-        for architecture in ARCHITECTURES:
+        for architecture in PAPER_ARCHITECTURES:
             for missing in NEEDED[query.relation]:
                 if (query.relation, missing) not in context:
                     partial = found.get(f"{architecture}:{missing}", set())

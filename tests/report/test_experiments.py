@@ -8,7 +8,7 @@ import pytest
 
 from fsar_ledger.designs.constants import Constants, Load
 from fsar_ledger.designs.registered import PAPER_SCENARIOS
-from fsar_ledger.events.configuration import FULL, without
+from fsar_ledger.events.configuration import FULL, PAPER_ARCHITECTURES, without
 from fsar_ledger.events.envelope import Architecture
 from fsar_ledger.ledger.rows.codec import encode
 from fsar_ledger.metrics.database import Database
@@ -18,7 +18,7 @@ from fsar_ledger.report.document import Document
 from fsar_ledger.report.experiments import Part, experiments_of
 from fsar_ledger.report.judge import OPEN, Number
 from fsar_ledger.runtime.experiment import Experiment
-from fsar_ledger.runtime.simulation import ARCHITECTURES, simulate_run
+from fsar_ledger.runtime.simulation import simulate_run
 from tests.recycled import from_table
 from tests.report.made import HEAD, column, made, names, number, part, said
 
@@ -37,7 +37,7 @@ def meeting(mean: float, *configurations: str) -> Experiment:
     return Experiment(("fsar",), PAPER_SCENARIOS, 2, 42, 4, configurations, Constants(world))
 
 
-def loaded(size: int, teams: int | None, architectures: tuple[Architecture, ...] = ARCHITECTURES) -> Experiment:
+def loaded(size: int, teams: int | None, architectures: tuple[Architecture, ...] = PAPER_ARCHITECTURES) -> Experiment:
     load = None if teams is None else Load(teams_working=teams)
     return Experiment(architectures, PAPER_SCENARIOS, 1, 42, size, constants=Constants(load=load))
 

@@ -11,6 +11,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
+from fsar_ledger.events.configuration import PAPER_ARCHITECTURES
 from fsar_ledger.metrics.database import from_rows
 from fsar_ledger.metrics.library import library
 from fsar_ledger.metrics.results import DialledRow
@@ -19,7 +20,6 @@ from fsar_ledger.report import build, specs
 from fsar_ledger.report.audit import AuditDocument
 from fsar_ledger.report.document import Document
 from fsar_ledger.report.findings import Findings, arrow
-from fsar_ledger.report.judge import ARCHITECTURES
 from fsar_ledger.report.read import gather, relations_of
 from fsar_ledger.report.records import robustness_relations
 from tests.report.made import DIFFERENCE, HEAD, ensemble, names, of_table, placebo, prior, replaced, said
@@ -48,11 +48,11 @@ def whole(ledger: Path, workflows: Path) -> Findings:
         for scenario in (None, "door-relay", "collaborative-delivery")
         for at in (30.0, 90.0)
     ]
-    costs = _costs([(name, size) for name in ARCHITECTURES for size in (4, 16)])
+    costs = _costs([(name, size) for name in PAPER_ARCHITECTURES for size in (4, 16)])
     read = multiverse({(): (0.1, 0.3, 0.2), ("level_four_is_fleet",): (0.4, 0.3, 0.2)})
     differences = [
         DIFFERENCE | {"architecture": name, "configuration": f"without-part-{at}", "metric": one.metric, "p_holm": 0.01}
-        for name in ARCHITECTURES
+        for name in PAPER_ARCHITECTURES
         for at in range(3)
         for one in of_table("results")[::3]
     ]

@@ -18,12 +18,12 @@ from fsar_ledger.designs.constants import (
     origins,
     write_constants,
 )
+from fsar_ledger.events.configuration import PAPER_ARCHITECTURES
 from fsar_ledger.events.envelope import Architecture
 from fsar_ledger.metrics.results import MetricRow
 from fsar_ledger.report.document import Document
 from fsar_ledger.report.printing import flat
 from fsar_ledger.report.records import own_constants
-from fsar_ledger.runtime.simulation import ARCHITECTURES
 from fsar_ledger.studies.calibration import PLAN
 from fsar_ledger.studies.evaluations import measured
 from tests.quick import few
@@ -121,7 +121,7 @@ def cells(constants: Constants, architecture: Architecture) -> list[MetricRow]:
     return measured(constants, PLAN.seed, 1, architectures=(architecture,))
 
 
-@pytest.mark.parametrize("architecture", few(ARCHITECTURES, ["fsar"]))
+@pytest.mark.parametrize("architecture", few(PAPER_ARCHITECTURES, ["fsar"]))
 def test_no_cell_hangs_on_what_was_chosen(architecture: Architecture) -> None:
     changed = {f"{group}.{name}" for group, values in CHANGES.items() for name in values}
     assert of("chosen") == changed | {name for name in origins() if name.partition(".")[0] not in CHANGES}, (

@@ -10,6 +10,7 @@ import pytest
 
 from fsar_ledger.base.errors import UsageError
 from fsar_ledger.designs.registered import PAPER_SCENARIOS, PAPER_WORKFLOWS
+from fsar_ledger.events.configuration import PAPER_ARCHITECTURES
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.store.append import Writer
@@ -100,7 +101,7 @@ def test_a_number_that_does_not_come_out_has_its_reason_or_says_that_none_is_on_
     assert len(missed) > 0
     assert all(one in found for one in distances)
     assert "no reason is on record" in found
-    cells = {f"{spec.name}/{name}" for spec in published_metrics() for name in judge.ARCHITECTURES}
+    cells = {f"{spec.name}/{name}" for spec in published_metrics() for name in PAPER_ARCHITECTURES}
     assert {row["id"] for row in specs.rows("reasons")} <= cells
 
 
@@ -245,7 +246,7 @@ def test_a_feature_agrees_or_differs_where_the_ledger_shows_it(
 ) -> None:
     rows = [
         {"feature": "single_agent_robot", "architecture": name, "grade": grade}
-        for name, grade in zip(judge.ARCHITECTURES, ours, strict=True)
+        for name, grade in zip(PAPER_ARCHITECTURES, ours, strict=True)
     ]
     rows.append({"feature": "layered_recovery", "architecture": "fsar", "grade": "full"})
     document = Document(made(features=rows))
@@ -262,7 +263,7 @@ def test_grades_and_cells_are_those_of_the_queries(ledger: Path, flows: Document
             for row in plain_rows(database.query("tables/architecture_features"))
         }
     order = [row["feature"] for row in specs.paper_table("architecture_features")]
-    for architecture in judge.ARCHITECTURES:
+    for architecture in PAPER_ARCHITECTURES:
         ours = column(flows, "architectural-comparison", f"{architecture}_ours")
         assert ours == [rows[feature, architecture] for feature in order]
     paper = [row["workflow_2_layered_recovery"] or None for row in specs.paper_table("mechanism_coverage")]

@@ -9,6 +9,7 @@ import pytest
 
 from fsar_ledger.designs.constants import DURATIONS, Constants, Outages, Range, WorldConstants
 from fsar_ledger.events import Event
+from fsar_ledger.events.configuration import PAPER_ARCHITECTURES
 from fsar_ledger.events.envelope import Architecture, flat
 from fsar_ledger.events.execution import (
     ExecutionFailed,
@@ -22,10 +23,10 @@ from fsar_ledger.events.recovery import AssistanceEnded
 from fsar_ledger.ledger.rows.codec import LedgerRun, encode
 from fsar_ledger.metrics.results import metric_rows
 from fsar_ledger.projections.fold import State, apply
-from fsar_ledger.runtime.simulation import ARCHITECTURES, SCENARIOS, RunSpec, simulate_run
+from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, simulate_run
 from tests.recycled import from_table
 
-EVERY = pytest.mark.parametrize("architecture", ARCHITECTURES)
+EVERY = pytest.mark.parametrize("architecture", PAPER_ARCHITECTURES)
 RUNS = 3
 QUIET = {"obstruction_rate_per_s": 0.0, "degradation_probability": 0.0}
 LAWLESS = {"context_window_share": 0.0, "fleet_rule_rate_per_s": 0.0}
@@ -77,9 +78,9 @@ def in_world(architecture: Architecture, constants: Constants, runs: int) -> Pla
 @cache
 def _measured(constants: Constants, runs: int) -> dict[str, dict[str, float | None]]:
     """Of every architecture, since opening a database costs more than judging three times as many runs."""
-    found: dict[str, dict[str, float | None]] = {architecture: {} for architecture in ARCHITECTURES}
+    found: dict[str, dict[str, float | None]] = {architecture: {} for architecture in PAPER_ARCHITECTURES}
     with from_table(
-        encode([record for one in ARCHITECTURES for record in in_world(one, constants, runs).records]), threads=1
+        encode([record for one in PAPER_ARCHITECTURES for record in in_world(one, constants, runs).records]), threads=1
     ) as database:
         for row in metric_rows(database):
             found[row.architecture or ""][row.metric] = row.mean

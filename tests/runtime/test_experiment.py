@@ -9,12 +9,13 @@ import pytest
 
 from fsar_ledger.base.errors import InvalidExperiment, NotALedger
 from fsar_ledger.designs.constants import Constants, Outages, Range, Structure, WorldConstants
+from fsar_ledger.events.configuration import PAPER_ARCHITECTURES
 from fsar_ledger.ledger.opening import open_for_answers, open_ledger
 from fsar_ledger.ledger.verify.verify import verify
 from fsar_ledger.runtime.experiment import Experiment, missing_runs, run_experiment
-from fsar_ledger.runtime.simulation import ARCHITECTURES, SCENARIOS, RunSpec, run_id, run_started
+from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, run_id, run_started
 
-SMALL = Experiment(ARCHITECTURES, SCENARIOS[:2], runs=5, seed=3)
+SMALL = Experiment(PAPER_ARCHITECTURES, SCENARIOS[:2], runs=5, seed=3)
 
 
 def test_runs_come_in_canonical_order() -> None:
@@ -30,7 +31,7 @@ def test_runs_come_in_canonical_order() -> None:
 
 def test_batches_have_as_many_runs_as_a_commit_holds_of_such_a_fleet_and_the_last_one_the_rest() -> None:
     assert [len(batch) for batch in SMALL.batches()] == [22, 8]
-    default = Experiment(ARCHITECTURES, SCENARIOS, runs=20)
+    default = Experiment(PAPER_ARCHITECTURES, SCENARIOS, runs=20)
     assert [len(batch) for batch in default.batches()] == [22, 22, *[21] * 12, 4]
     larger = msgspec.structs.replace(SMALL, fleet_size=16)
     assert [len(batch) for batch in larger.batches()] == [5] * 6
@@ -82,7 +83,7 @@ def test_what_is_missing_of_a_batch_is_committed_with_the_rest_of_that_batch() -
     ],
 )
 def test_an_impossible_experiment_is_refused_with_what_was_found(changes: dict[str, Any], message: str) -> None:
-    given: dict[str, Any] = {"architectures": ARCHITECTURES, "scenarios": SCENARIOS, "runs": 1, **changes}
+    given: dict[str, Any] = {"architectures": PAPER_ARCHITECTURES, "scenarios": SCENARIOS, "runs": 1, **changes}
     with pytest.raises(InvalidExperiment, match=message):
         Experiment(**given)
 

@@ -8,6 +8,7 @@ import pytest
 
 from fsar_ledger.designs import OffShift, Policy
 from fsar_ledger.designs.constants import Constants, Structure, WorldConstants
+from fsar_ledger.events.configuration import PAPER_ARCHITECTURES
 from fsar_ledger.events.envelope import FLEET_SUPERVISOR, PolicyOutcome, PolicyScope, Robot, Subject, Supervisor
 from fsar_ledger.events.execution import (
     ApproachStarted,
@@ -29,7 +30,7 @@ from fsar_ledger.runtime.architectures.fsar.execution import DecideOwnStep, Refu
 from fsar_ledger.runtime.architectures.fsar.request import EvaluateRequest, evaluate_request
 from fsar_ledger.runtime.handlers.commands import Command, StartAction, TakeTurn
 from fsar_ledger.runtime.handlers.supervision import RespondToCall
-from fsar_ledger.runtime.simulation import ARCHITECTURES, RunSpec, simulate_run
+from fsar_ledger.runtime.simulation import RunSpec, simulate_run
 from tests.runtime.failures import ACTION, D, executing, failed
 from tests.runtime.histories import ARRIVED, OWN_STEP, given, happen, types, window
 from tests.runtime.live import play
@@ -71,7 +72,7 @@ def reviewers(found: Found) -> set[str]:
     return {one.supervisor for one in called if one.purpose == "review"}
 
 
-@pytest.mark.parametrize("architecture", ARCHITECTURES)
+@pytest.mark.parametrize("architecture", PAPER_ARCHITECTURES)
 @pytest.mark.parametrize("outcome", ["allow", "deny", "review"])
 def test_a_rule_of_the_robots_own_binds_its_own_step_under_every_architecture(
     architecture: str, outcome: PolicyOutcome
@@ -81,7 +82,7 @@ def test_a_rule_of_the_robots_own_binds_its_own_step_under_every_architecture(
     assert bool(reviewers(found)) == (outcome == "review")
 
 
-@pytest.mark.parametrize("architecture", ARCHITECTURES)
+@pytest.mark.parametrize("architecture", PAPER_ARCHITECTURES)
 def test_a_step_under_review_starts_after_a_supervisor_has_approved_it(architecture: str) -> None:
     for run in ward(architecture, "review", "local"):
         approved = set()
@@ -92,20 +93,20 @@ def test_a_step_under_review_starts_after_a_supervisor_has_approved_it(architect
                 assert one.subject.action_id in approved
 
 
-@pytest.mark.parametrize("architecture", ARCHITECTURES)
+@pytest.mark.parametrize("architecture", PAPER_ARCHITECTURES)
 def test_a_rule_of_the_robots_own_binds_what_others_ask_of_it_under_every_architecture(architecture: str) -> None:
     assert starts(ward(architecture, "allow", "local", "door", "door.open.secure"), "door.open.secure")
     assert not starts(ward(architecture, "deny", "local", "door", "door.open.secure"), "door.open.secure")
 
 
-@pytest.mark.parametrize("architecture", ARCHITECTURES)
+@pytest.mark.parametrize("architecture", PAPER_ARCHITECTURES)
 def test_the_fleets_rule_binds_where_the_structure_composes_it_and_is_violated_where_it_does_not(
     architecture: str,
 ) -> None:
     assert bool(starts(ward(architecture, "deny", "fleet"))) != (architecture in LOOKS_AT_THE_FLEETS_RULE)
 
 
-@pytest.mark.parametrize("architecture", ARCHITECTURES)
+@pytest.mark.parametrize("architecture", PAPER_ARCHITECTURES)
 @pytest.mark.parametrize("scope", ["local", "fleet"])
 def test_a_rule_about_everything_binds_motions_through_the_check_that_a_window_reaches(
     architecture: str, scope: PolicyScope
@@ -181,7 +182,7 @@ def attempts(architecture: str, allowed: int) -> list[int]:
     return list(made.values())
 
 
-@pytest.mark.parametrize("architecture", ARCHITECTURES)
+@pytest.mark.parametrize("architecture", PAPER_ARCHITECTURES)
 def test_the_local_budget_of_attempts_means_the_same_under_every_architecture(architecture: str) -> None:
     assert set(attempts(architecture, 0)) == {0}
     assert max(attempts(architecture, 1)) == 1
@@ -232,7 +233,7 @@ def test_an_answer_starts_only_what_is_still_held_and_not_what_is_on_its_way() -
     assert play(state, command) == ()
 
 
-@pytest.mark.parametrize("architecture", ARCHITECTURES)
+@pytest.mark.parametrize("architecture", PAPER_ARCHITECTURES)
 def test_an_approval_lifts_no_denial_under_any_architecture(architecture: str) -> None:
     """A declared review of the robot's own steps, and windows that deny while the supervisor thinks."""
     world = msgspec.structs.replace(PINNED.world, absence_s=0.0, context_rate_per_s=0.06, context_window_share=1.0)

@@ -9,6 +9,7 @@ import pytest
 from fsar_ledger.base.errors import InvalidExperiment
 from fsar_ledger.designs.constants import Constants, Load, WorldConstants
 from fsar_ledger.events import Event
+from fsar_ledger.events.configuration import PAPER_ARCHITECTURES
 from fsar_ledger.events.envelope import Architecture, Robot, Scenario
 from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.events.policy import PolicyRuleSet, RolePolicyRuleSet
@@ -22,7 +23,7 @@ from fsar_ledger.projections.fold import fold
 from fsar_ledger.projections.policy import ruled
 from fsar_ledger.runtime.experiment import Experiment, run_experiment
 from fsar_ledger.runtime.handlers.attribution import nearest_first
-from fsar_ledger.runtime.simulation import ARCHITECTURES, SCENARIOS, RunSpec, run_id, run_started, simulate_run
+from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, run_id, run_started, simulate_run
 from fsar_ledger.runtime.world.founding import founding
 from fsar_ledger.runtime.world.schedule import schedule
 
@@ -144,7 +145,7 @@ def test_an_impossible_load_or_floor_is_refused_with_what_was_found(
     fleet_size: int, constants: Constants, message: str
 ) -> None:
     with pytest.raises(InvalidExperiment, match=message):
-        Experiment(ARCHITECTURES, SCENARIOS, 1, fleet_size=fleet_size, constants=constants)
+        Experiment(PAPER_ARCHITECTURES, SCENARIOS, 1, fleet_size=fleet_size, constants=constants)
 
 
 # --- founding ---
@@ -172,7 +173,7 @@ def test_the_rules_of_a_thousand_robots_are_as_many_as_its_roles_and_exceptions(
 # --- runs of large fleets ---
 
 
-@pytest.mark.parametrize("architecture", ARCHITECTURES)
+@pytest.mark.parametrize("architecture", PAPER_ARCHITECTURES)
 def test_a_fleet_of_256_with_all_its_tasks_comes_to_an_end(architecture: Architecture) -> None:
     load = None if architecture == "cfc" else Load(8)
     record = made(architecture, "door-relay", 256, load)
@@ -183,7 +184,7 @@ def test_a_fleet_of_256_with_all_its_tasks_comes_to_an_end(architecture: Archite
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("architecture", ARCHITECTURES)
+@pytest.mark.parametrize("architecture", PAPER_ARCHITECTURES)
 def test_a_fleet_of_a_thousand_robots_is_simulated_and_stored(tmp_path: Path, architecture: Architecture) -> None:
     experiment = Experiment(
         (architecture,), ("fleet-contention",), 1, fleet_size=1024, constants=Constants(load=Load(4))
@@ -192,7 +193,7 @@ def test_a_fleet_of_a_thousand_robots_is_simulated_and_stored(tmp_path: Path, ar
 
 
 def test_what_one_segment_cannot_hold_is_staged_in_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    experiment = Experiment(ARCHITECTURES, ("door-relay",), 1)
+    experiment = Experiment(PAPER_ARCHITECTURES, ("door-relay",), 1)
     whole = run_experiment(tmp_path / "whole", experiment, workers=1).head
     monkeypatch.setattr(staging, "MAX_ROWS", 500)
     parts = run_experiment(tmp_path / "parts", experiment, workers=1).head

@@ -15,6 +15,7 @@ import pytest
 
 from fsar_ledger.designs.constants import Constants, Outages
 from fsar_ledger.events import Event
+from fsar_ledger.events.configuration import PAPER_ARCHITECTURES
 from fsar_ledger.events.envelope import Architecture, Robot, flat, with_columns
 from fsar_ledger.events.world import (
     ActuatorDegraded,
@@ -33,7 +34,6 @@ from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.ports import Fact
 from fsar_ledger.runtime.replay import replay_run
 from fsar_ledger.runtime.simulation import (
-    ARCHITECTURES,
     SCENARIOS,
     RunSpec,
     founding_of,
@@ -51,7 +51,11 @@ CONSTANTS = Constants()
 FACTS: tuple[type[Event], ...] = get_args(WorldEvent)
 AWAY = RunSpec(9, "fsar", "full", "fleet-contention", 4, 7)
 SPECS = [
-    *(RunSpec(9, architecture, "full", scenario, 4, 1) for architecture in ARCHITECTURES for scenario in SCENARIOS),
+    *(
+        RunSpec(9, architecture, "full", scenario, 4, 1)
+        for architecture in PAPER_ARCHITECTURES
+        for scenario in SCENARIOS
+    ),
     RunSpec(9, "fsar", "full", "workflow-door-relay", 4, 0),
     RunSpec(9, "fsar", "full", "workflow-layered-recovery", 4, 0),
     RunSpec(9, "cfc", "full", "mixed-trust-inspection", 8, 0),
@@ -158,7 +162,7 @@ INVENTED: dict[str, Invent] = {
 }
 
 
-@pytest.mark.parametrize("architecture", ARCHITECTURES)
+@pytest.mark.parametrize("architecture", PAPER_ARCHITECTURES)
 @pytest.mark.parametrize("name", list(INVENTED))
 def test_a_run_in_an_invented_world_is_found_where_it_leaves_its_own(name: str, architecture: Architecture) -> None:
     spec = RunSpec(9, architecture, "full", "fleet-contention", 4, 1)
@@ -241,7 +245,7 @@ def test_every_fact_that_is_left_out_of_a_random_world_in_which_the_run_is_made_
     for _ in range(60):
         spec = RunSpec(
             draw.randrange(2**53),
-            draw.choice(ARCHITECTURES),
+            draw.choice(PAPER_ARCHITECTURES),
             "full",
             draw.choice(SCENARIOS),
             draw.choice((4, 8)),

@@ -20,7 +20,7 @@ from fsar_ledger.designs.constants import (
     write_constants,
 )
 from fsar_ledger.events import Event
-from fsar_ledger.events.configuration import CONFIGURATIONS, Configuration
+from fsar_ledger.events.configuration import CONFIGURATIONS, PAPER_ARCHITECTURES, Configuration
 from fsar_ledger.events.envelope import Architecture, Robot, flat
 from fsar_ledger.events.execution import ExecutionFinished, ExecutionHalted, ExecutionResumed, ExecutionStarted
 from fsar_ledger.events.knowledge import CopySynced
@@ -49,13 +49,13 @@ from fsar_ledger.runtime.handlers.public import PublicCommand
 from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.ports import Ask, Fact
 from fsar_ledger.runtime.replay import replay_run
-from fsar_ledger.runtime.simulation import ARCHITECTURES, SCENARIOS, RunSpec, handler_table_of, simulate_run
+from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, handler_table_of, simulate_run
 from fsar_ledger.runtime.world.draws import Draws, SimulatedEnvironment, Stream, run_key
 from fsar_ledger.runtime.world.schedule import schedule
 from tests import past
 from tests.runtime.histories import started
 
-EVERY = pytest.mark.parametrize("architecture", ARCHITECTURES)
+EVERY = pytest.mark.parametrize("architecture", PAPER_ARCHITECTURES)
 A, B, DOOR, S = Robot("robot/A1"), Robot("robot/B1"), "door.open.secure", 1_000_000
 MIXED = Outages(0.02, 8.0, 0.03, 6.0, 0.002)
 OWN = past.arrived("A1-1", A, ("A navigate.indoor",), budget_us=60 * S, due_us=61 * S)
@@ -218,7 +218,7 @@ def test_the_coordinator_sees_a_silent_robot_as_it_was() -> None:
 
 @pytest.mark.parametrize("configuration", CONFIGURATIONS)
 def test_a_run_with_outages_is_replayed(configuration: Configuration) -> None:
-    for architecture in ARCHITECTURES if configuration == "full" else ("fsar",):
+    for architecture in PAPER_ARCHITECTURES if configuration == "full" else ("fsar",):
         record = simulate_run(
             RunSpec(7, architecture, configuration, "fleet-contention", 4, 1), Constants(outages=MIXED)
         )
@@ -230,7 +230,7 @@ def test_a_run_with_outages_is_replayed(configuration: Configuration) -> None:
 def test_every_architecture_meets_the_same_outages_and_they_move_nothing_else() -> None:
     runs = [
         simulate_run(RunSpec(7, architecture, "full", "fleet-contention", 4, 1), Constants(outages=MIXED))
-        for architecture in ARCHITECTURES
+        for architecture in PAPER_ARCHITECTURES
     ]
     worlds = [
         [(at, one) for at, one in zip(run.times_us, run.events, strict=True) if isinstance(one, get_args(WorldEvent))]
@@ -281,7 +281,7 @@ LEGAL = [(name, value) for name, ours in WORLD.items() for value in extremes(nam
 def test_extreme_constants_make_runs_that_end_and_can_be_stored_and_replayed(name: str, value: object) -> None:
     constants = Constants(world=msgspec.structs.replace(WorldConstants(), **{name: value}))
     place = LEGAL.index((name, value))
-    spec = RunSpec(3, ARCHITECTURES[place % 3], "full", SCENARIOS[place % 5], 4, 0)
+    spec = RunSpec(3, PAPER_ARCHITECTURES[place % 3], "full", SCENARIOS[place % 5], 4, 0)
     record: LedgerRun = simulate_run(spec, constants)
     [back] = decode(encode([record]))
     assert list(back.events) == record.events

@@ -25,6 +25,7 @@ from fsar_ledger.designs import (
     registered,
 )
 from fsar_ledger.designs.constants import Constants, Load, Outages, read_constants, write_constants
+from fsar_ledger.events.configuration import PAPER_ARCHITECTURES
 from fsar_ledger.events.envelope import Supervisor, TrustScope
 from fsar_ledger.events.execution import ExecutionStarted
 from fsar_ledger.events.fleet import RobotJoined
@@ -35,7 +36,7 @@ from fsar_ledger.metrics.constant_names import unlike_ours
 from fsar_ledger.runtime.experiment import Experiment, run_experiment
 from fsar_ledger.runtime.own import with_own, with_settings
 from fsar_ledger.runtime.replay import replay
-from fsar_ledger.runtime.simulation import ARCHITECTURES, RunSpec, run_id, run_started, simulate_run
+from fsar_ledger.runtime.simulation import RunSpec, run_id, run_started, simulate_run
 from fsar_ledger.runtime.world.checks import problems_of_fleet, problems_of_scenario
 from fsar_ledger.runtime.world.schedule import schedule
 from tests.running import ran
@@ -131,7 +132,7 @@ def test_a_night_without_an_end_lasts_as_long_as_the_run() -> None:
 
 
 def test_own_runs_verify_and_replay_from_the_ledger_alone(tmp_path: Path) -> None:
-    run_experiment(tmp_path / "ledger", Experiment(ARCHITECTURES, ("night",), 2, 7, 6, constants=OWN), 1)
+    run_experiment(tmp_path / "ledger", Experiment(PAPER_ARCHITECTURES, ("night",), 2, 7, 6, constants=OWN), 1)
     assert verify(tmp_path / "ledger").ok
     report = replay(tmp_path / "ledger")
     assert (report.ok, report.runs) == (True, 6)
@@ -259,7 +260,8 @@ def test_a_scenario_is_one_file_and_an_architecture_a_folder_and_a_line(tmp_path
     (tmp_path / "fsar_ledger/runtime/world/scenarios/sixth.toml").write_text(scenario)
     architectures = tmp_path / "fsar_ledger/runtime/architectures"
     shutil.copytree(architectures / "cfc", architectures / "mine")
-    handlers, register = architectures / "mine/__init__.py", architectures / "__init__.py"
+    handlers = architectures / "mine/__init__.py"
+    register = tmp_path / "fsar_ledger/events/configuration.py"
     handlers.write_text(handlers.read_text().replace("CFC: HandlerTable", "MINE: HandlerTable"))
     register.write_text(register.read_text().replace('    "dhma",\n', '    "dhma",\n    "mine",\n'))
     program = (
@@ -348,7 +350,7 @@ MANY = settings(max_examples=100, deadline=None, suppress_health_check=list(Heal
 
 
 @FEW
-@given(designs(), st.integers(1, 2), st.sampled_from(ARCHITECTURES))
+@given(designs(), st.integers(1, 2), st.sampled_from(PAPER_ARCHITECTURES))
 def test_any_well_made_fleet_and_scenario_simulate_verify_and_replay(
     tmp_path_factory: pytest.TempPathFactory, own: Constants, teams: int, architecture: str
 ) -> None:
@@ -357,7 +359,7 @@ def test_any_well_made_fleet_and_scenario_simulate_verify_and_replay(
 
 @pytest.mark.slow
 @MANY
-@given(designs(), st.integers(1, 3), st.sampled_from(ARCHITECTURES))
+@given(designs(), st.integers(1, 3), st.sampled_from(PAPER_ARCHITECTURES))
 def test_any_of_many_well_made_fleets_and_scenarios_simulate_verify_and_replay(
     tmp_path_factory: pytest.TempPathFactory, own: Constants, teams: int, architecture: str
 ) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from fsar_ledger.designs.constants import Constants, Outages
-from fsar_ledger.events.configuration import CONFIGURATIONS
+from fsar_ledger.events.configuration import CONFIGURATIONS, PAPER_ARCHITECTURES
 from fsar_ledger.events.envelope import with_columns
 from fsar_ledger.events.execution import ExecutionStarted
 from fsar_ledger.events.fleet import RunStarted
@@ -24,7 +24,6 @@ from fsar_ledger.runtime.recipes import Recipe
 from fsar_ledger.runtime.recorded import RecordedKernel, recorded_environment
 from fsar_ledger.runtime.replay import replay_run
 from fsar_ledger.runtime.simulation import (
-    ARCHITECTURES,
     SCENARIOS,
     RunSpec,
     environment_of,
@@ -43,15 +42,15 @@ from tests.runtime.test_replay import DECIDED
 
 CONSTANTS = Constants()
 EXPERIMENTS = {
-    "every architecture": Experiment(ARCHITECTURES, SCENARIOS, runs=2, seed=11),
+    "every architecture": Experiment(PAPER_ARCHITECTURES, SCENARIOS, runs=2, seed=11),
     "every ablation": Experiment(("fsar",), SCENARIOS, runs=1, seed=12, configurations=CONFIGURATIONS),
     "the workflows": workflow_experiment(seed=13, runs=2),
-    "larger fleets": Experiment(ARCHITECTURES, SCENARIOS, runs=1, seed=14, fleet_size=16),
+    "larger fleets": Experiment(PAPER_ARCHITECTURES, SCENARIOS, runs=1, seed=14, fleet_size=16),
     "robots and links that fail": Experiment(
-        ARCHITECTURES, SCENARIOS, runs=3, seed=15, constants=Constants(outages=MIXED)
+        PAPER_ARCHITECTURES, SCENARIOS, runs=3, seed=15, constants=Constants(outages=MIXED)
     ),
     "robots off all the time": Experiment(
-        ARCHITECTURES, SCENARIOS, runs=2, seed=16, constants=Constants(outages=Outages(0.1, 5.0, 0.1, 5.0, 0.05))
+        PAPER_ARCHITECTURES, SCENARIOS, runs=2, seed=16, constants=Constants(outages=Outages(0.1, 5.0, 0.1, 5.0, 0.05))
     ),
 }
 

@@ -13,7 +13,7 @@ import pytest
 
 from fsar_ledger.designs.constants import Constants, Range, Structure, WorldConstants
 from fsar_ledger.events import Event
-from fsar_ledger.events.configuration import CONFIGURATIONS, Configuration
+from fsar_ledger.events.configuration import CONFIGURATIONS, PAPER_ARCHITECTURES, Configuration
 from fsar_ledger.events.envelope import Architecture, Robot, flat, with_columns
 from fsar_ledger.events.trust import TrustSet
 from fsar_ledger.events.world import ContextChanged, WorldEvent
@@ -29,7 +29,7 @@ from fsar_ledger.runtime.experiment import ORIGIN, Experiment, run_experiment, w
 from fsar_ledger.runtime.handlers.commands import Command, Decide
 from fsar_ledger.runtime.knockouts import KNOCKOUTS, Knockout
 from fsar_ledger.runtime.replay import ReplayReport, replay, replay_run
-from fsar_ledger.runtime.simulation import ARCHITECTURES, SCENARIOS, RunSpec, handler_table_of, simulate_run
+from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, handler_table_of, simulate_run
 from tests import past
 from tests.cli.conftest import Call, call, one_message  # noqa: F401
 from tests.ledger.forgery import segment_at
@@ -55,12 +55,12 @@ def committed(path: Path, *runs: LedgerRun) -> Path:
 # --- honest ledgers ---
 
 EXPERIMENTS = {
-    "every architecture": Experiment(ARCHITECTURES, SCENARIOS, runs=3, seed=11),
+    "every architecture": Experiment(PAPER_ARCHITECTURES, SCENARIOS, runs=3, seed=11),
     "every ablation": Experiment(("fsar",), SCENARIOS, runs=2, seed=12, configurations=ABLATIONS),
     "the workflows": workflow_experiment(seed=13, runs=2),
-    "a larger fleet": Experiment(ARCHITECTURES, ("fleet-contention",), runs=1, seed=14, fleet_size=8),
+    "a larger fleet": Experiment(PAPER_ARCHITECTURES, ("fleet-contention",), runs=1, seed=14, fleet_size=8),
     "another world": Experiment(
-        ARCHITECTURES,
+        PAPER_ARCHITECTURES,
         ("door-relay",),
         1,
         15,
@@ -185,7 +185,7 @@ def name_of(structure: HandlerTable, command: type[Command]) -> str:
     return f"{decide.__module__}.{decide.__qualname__}".removeprefix("fsar_ledger.runtime.")
 
 
-@pytest.mark.parametrize("architecture", ARCHITECTURES)
+@pytest.mark.parametrize("architecture", PAPER_ARCHITECTURES)
 def test_whichever_handler_is_silenced_replay_names_that_handler(
     monkeypatch: pytest.MonkeyPatch, architecture: Architecture
 ) -> None:

@@ -10,11 +10,12 @@ import pytest
 
 from fsar_ledger.designs.constants import Constants, Range, Structure, WorldConstants
 from fsar_ledger.events import CONCERNS, Event
+from fsar_ledger.events.configuration import PAPER_ARCHITECTURES
 from fsar_ledger.events.envelope import Architecture, Robot
 from fsar_ledger.events.world import RoutineDue
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.runtime.replay import NOT_REPLAYED, ReplayReport, replay, replay_commit, replay_run
-from fsar_ledger.runtime.simulation import ARCHITECTURES, RunSpec, simulate_run
+from fsar_ledger.runtime.simulation import RunSpec, simulate_run
 from tests import past
 from tests.cli.conftest import Call, call, one_message  # noqa: F401
 from tests.quick import few
@@ -98,8 +99,14 @@ def test_facts_that_no_handler_can_decide_on_are_a_finding_with_its_place(tmp_pa
 @pytest.mark.parametrize(
     ("architecture", "constants"),
     [
-        *((architecture, Constants(WorldConstants(message=Range(-1e12, -1e11)))) for architecture in ARCHITECTURES),
-        *((architecture, Constants(WorldConstants(message=Range(1e300, 1e308)))) for architecture in ARCHITECTURES),
+        *(
+            (architecture, Constants(WorldConstants(message=Range(-1e12, -1e11))))
+            for architecture in PAPER_ARCHITECTURES
+        ),
+        *(
+            (architecture, Constants(WorldConstants(message=Range(1e300, 1e308))))
+            for architecture in PAPER_ARCHITECTURES
+        ),
         ("fsar", Constants(WorldConstants(durations=()))),
         ("cfc", Constants(structure=Structure(sync_period_us=0))),
         ("cfc", Constants(structure=Structure(sync_period_us=1))),

@@ -12,7 +12,7 @@ import pytest
 
 from fsar_ledger.designs.constants import Constants, Outages
 from fsar_ledger.events import Event
-from fsar_ledger.events.configuration import CONFIGURATIONS, Configuration
+from fsar_ledger.events.configuration import CONFIGURATIONS, PAPER_ARCHITECTURES, Configuration
 from fsar_ledger.events.envelope import Architecture, Robot, Scenario
 from fsar_ledger.events.world import LinkCameUp, LinkWentDown, RobotCameBack, RobotWentOff
 from fsar_ledger.ledger.rows.codec import LedgerRun, decode, encode
@@ -20,7 +20,7 @@ from fsar_ledger.projections.fold import State, fold
 from fsar_ledger.runtime.architectures.fsar.execution import decide_routine
 from fsar_ledger.runtime.architectures.handler_table import HandlerTable
 from fsar_ledger.runtime.handlers.commands import DecideRoutine
-from fsar_ledger.runtime.simulation import ARCHITECTURES, SCENARIOS, RunSpec, handler_table_of, kernel, simulate_run
+from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, handler_table_of, kernel, simulate_run
 from tests.quick import few
 
 CONSTANTS = Constants()
@@ -61,7 +61,7 @@ def assert_resumes(spec: RunSpec, places: int, constants: Constants = CONSTANTS)
         )
 
 
-@pytest.mark.parametrize("architecture", ARCHITECTURES)
+@pytest.mark.parametrize("architecture", PAPER_ARCHITECTURES)
 @pytest.mark.parametrize("scenario", few(SCENARIOS, ["door-relay", "fleet-contention"]))
 def test_a_run_resumes_anywhere(scenario: Scenario, architecture: Architecture) -> None:
     for run in range(2):
@@ -74,12 +74,12 @@ def test_an_ablated_run_resumes_anywhere(configuration: Configuration) -> None:
         assert_resumes(RunSpec(5, "fsar", configuration, scenario, 4, 0), 8)
 
 
-@pytest.mark.parametrize("architecture", few(ARCHITECTURES, ["fsar"]))
+@pytest.mark.parametrize("architecture", few(PAPER_ARCHITECTURES, ["fsar"]))
 def test_a_run_resumes_at_every_single_position(architecture: Architecture) -> None:
     assert_resumes(RunSpec(6, architecture, "full", "failure-recovery-chain", 4, 3), 10_000)
 
 
-@pytest.mark.parametrize("architecture", ARCHITECTURES)
+@pytest.mark.parametrize("architecture", PAPER_ARCHITECTURES)
 @pytest.mark.parametrize("run", few(range(2), [0]))
 def test_a_run_with_outages_resumes_anywhere(architecture: Architecture, run: int) -> None:
     """What is kept for a robot that is off, or for a link that is down, follows from the events as well."""
@@ -90,12 +90,12 @@ def test_a_run_with_outages_resumes_anywhere(architecture: Architecture, run: in
 
 
 def test_a_larger_fleet_resumes_anywhere() -> None:
-    for architecture in ARCHITECTURES:
+    for architecture in PAPER_ARCHITECTURES:
         assert_resumes(RunSpec(5, architecture, "full", "fleet-contention", 8, 0), 6)
 
 
 def test_the_live_state_is_the_fold_of_the_stored_events() -> None:
-    for architecture in ARCHITECTURES:
+    for architecture in PAPER_ARCHITECTURES:
         spec = RunSpec(7, architecture, "full", "fleet-contention", 4, 0)
         one = kernel(spec, CONSTANTS)
         one.run()

@@ -12,14 +12,13 @@ from msgspec.structs import replace
 
 from fsar_ledger.designs.constants import Constants, Structure, WorldConstants
 from fsar_ledger.events import Event
-from fsar_ledger.events.configuration import CONFIGURATIONS, Configuration
+from fsar_ledger.events.configuration import ARCHITECTURES, CONFIGURATIONS, Configuration
 from fsar_ledger.events.envelope import Architecture, Scenario
 from fsar_ledger.events.recovery import FailureResolved
 from fsar_ledger.events.task import TaskCompleted
 from fsar_ledger.events.world import WorldEvent
 from fsar_ledger.ledger.rows.codec import LedgerRun, encode
 from fsar_ledger.metrics.results import metric_rows
-from fsar_ledger.runtime.architectures import REGISTERED
 from fsar_ledger.runtime.architectures.handler_table import HandlerTable
 from fsar_ledger.runtime.handlers.commands import StartAction, TakeTurn
 from fsar_ledger.runtime.kernel import Kernel
@@ -119,11 +118,13 @@ def test_draws_that_count_do_not_agree() -> None:
 
 
 def names_are_blind(names: Sequence[str]) -> bool:
-    return not any(word in name for name in names for word in (*REGISTERED, *CONFIGURATIONS))
+    return not any(word in name for name in names for word in (*ARCHITECTURES, *CONFIGURATIONS))
 
 
 def test_no_stream_name_contains_an_architecture_or_a_configuration() -> None:
-    names = [f"{stream}/{key}" for architecture in REGISTERED for stream, key in asked_by(architecture, RecordingDraws)]
+    names = [
+        f"{stream}/{key}" for architecture in ARCHITECTURES for stream, key in asked_by(architecture, RecordingDraws)
+    ]
     assert names_are_blind(names)
     assert not names_are_blind([*names, "message/cfc/A1-1"])
 
@@ -230,7 +231,7 @@ def test_shorter_sync_gives_fewer_violations_under_cfc() -> None:
 
 
 def test_every_command_is_decided_once_and_every_reaction_is_to_an_event() -> None:
-    for architecture in REGISTERED:
+    for architecture in ARCHITECTURES:
         found = handler_table_of(architecture)
         assert all(issubclass(event, Event) for event in found.reacts)
         assert TakeTurn in found.decides

@@ -8,12 +8,13 @@ import pytest
 
 from fsar_ledger.designs.constants import Constants
 from fsar_ledger.events import Event
+from fsar_ledger.events.configuration import PAPER_ARCHITECTURES
 from fsar_ledger.events.envelope import COORDINATOR, FLEET_SUPERVISOR, TRUST, Architecture, Robot, Scenario, agent
 from fsar_ledger.events.request import RequestDenied, RequestUnanswered, SegmentTransferred
 from fsar_ledger.events.supervision import SupervisorCalled, SupervisorResponded
 from fsar_ledger.events.task import StepBegan
 from fsar_ledger.events.trust import TrustSet
-from fsar_ledger.runtime.simulation import ARCHITECTURES, RunSpec, simulate_run
+from fsar_ledger.runtime.simulation import RunSpec, simulate_run
 
 E = TypeVar("E", bound=Event)
 RUNS = 10
@@ -69,7 +70,7 @@ def test_in_scenario_2_a_segment_of_the_task_is_transferred_by_whoever_decides(
     assert {one.principals.requested_by for one in there} == {None if architecture == "cfc" else "robot/A1"}
 
 
-@pytest.mark.parametrize("architecture", ARCHITECTURES)
+@pytest.mark.parametrize("architecture", PAPER_ARCHITECTURES)
 def test_no_robot_begins_a_segment_before_it_was_transferred_to_it(architecture: Architecture) -> None:
     for scenario in ("collaborative-delivery", "failure-recovery-chain", "mixed-trust-inspection"):
         for run in played(scenario, architecture):

@@ -6,21 +6,22 @@ import pytest
 
 from fsar_ledger.base.errors import InvalidExperiment
 from fsar_ledger.designs.constants import Constants
+from fsar_ledger.events.configuration import PAPER_ARCHITECTURES
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.rows.run_slices import joined
 from fsar_ledger.ledger.verify.verify import verify
 from fsar_ledger.runtime import staging
 from fsar_ledger.runtime.experiment import Experiment, run_experiment
 from fsar_ledger.runtime.replay import replay
-from fsar_ledger.runtime.simulation import ARCHITECTURES, SCENARIOS, RunSpec, simulate_run, simulate_slices
+from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, simulate_run, simulate_slices
 from tests.ledger.samples import contents
 from tests.quick import few
 
-WHOLE = Experiment(ARCHITECTURES, SCENARIOS[:2], 3)
+WHOLE = Experiment(PAPER_ARCHITECTURES, SCENARIOS[:2], 3)
 SMALL = 300  # events of a commit; a run has some 500
 
 
-@pytest.mark.parametrize("architecture", ARCHITECTURES)
+@pytest.mark.parametrize("architecture", PAPER_ARCHITECTURES)
 @pytest.mark.parametrize("scenario", few(SCENARIOS, SCENARIOS[2:3]))
 def test_slices_are_the_run(architecture: str, scenario: str) -> None:
     for fleet_size in (4, 16):

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from fsar_ledger.designs.constants import Constants, negatives, origins
+from fsar_ledger.events.configuration import PAPER_ARCHITECTURES
 from fsar_ledger.runtime.experiment import Experiment
-from fsar_ledger.runtime.simulation import ARCHITECTURES, SCENARIOS
+from fsar_ledger.runtime.simulation import SCENARIOS
 from fsar_ledger.studies.factor_effects import (
     DELTA,
     Trajectory,
@@ -89,7 +90,7 @@ def test_runs_take_the_constants_at_the_ends_of_all_ranges(end: float) -> None:
     for names in ([factor.name for factor in factors()], *([factor.name] for factor in factors())):
         at = setting(factors(), dict.fromkeys(names, end))
         assert negatives(at.constants) == []
-        Experiment(ARCHITECTURES, SCENARIOS, 1, 1, at.fleet_size, constants=at.constants)
+        Experiment(PAPER_ARCHITECTURES, SCENARIOS, 1, 1, at.fleet_size, constants=at.constants)
 
 
 def test_effects_and_indices_are_those_of_salib() -> None:

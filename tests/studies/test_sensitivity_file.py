@@ -10,12 +10,13 @@ import pytest
 from fsar_ledger.base.errors import FsarLedgerError
 from fsar_ledger.cli.app import run
 from fsar_ledger.designs.constants import Constants, write_constants
+from fsar_ledger.events.configuration import PAPER_ARCHITECTURES
 from fsar_ledger.metrics.effects import Sensitivity, dozen, reach
 from fsar_ledger.metrics.study_results import METRICS, encoded, read, rules
 from fsar_ledger.report.document import Document
 from fsar_ledger.report.printing import flat
 from fsar_ledger.report.sensitivity import heat_map
-from fsar_ledger.runtime.simulation import ARCHITECTURES, MODEL_VERSION
+from fsar_ledger.runtime.simulation import MODEL_VERSION
 from fsar_ledger.studies.evaluations import CELLS, evaluate
 from fsar_ledger.studies.factors import factors, setting
 from tests.report.made import column, made, names, said
@@ -125,7 +126,7 @@ def test_a_small_study_of_the_simulator_is_the_same_with_any_number_of_workers(t
     moved = {(effect.factor, effect.architecture) for effect in one.effects if effect.mu_star_margins}
     assert moved == {
         ("structure.sync_period_us", "cfc"),
-        *(("world.window_mean_s", architecture) for architecture in ARCHITECTURES),
+        *(("world.window_mean_s", architecture) for architecture in PAPER_ARCHITECTURES),
     }
 
 

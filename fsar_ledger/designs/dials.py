@@ -1,0 +1,51 @@
+"""What the sources of the published systems leave open, each with a value from its range.
+
+They were chosen before any run of these architectures was counted, and nothing is fitted. A dial that a source gives
+says so; a range is what the sources allow. Paper: tab:baseline_context.
+"""
+
+from typing import Annotated, TypeVar
+
+import msgspec
+
+_T = TypeVar("_T")
+Dial = Annotated[_T, msgspec.Meta(extra={"from": "dial"})]
+
+
+class Jade(msgspec.Struct, frozen=True):
+    """JADE: a FIPA contract net with yellow pages. Units: microseconds unless the name says otherwise."""
+
+    # No reply-by waits for ever (ContractNetInitiator, deadline -1); every architecture here waits 5 s for an answer.
+    reply_by_us: Dial[int] = 5_000_000  # 0: none; 1 s to 30 s
+    # The protocol has no recovery of a task; iterated rounds are FIPA's, and their number is the user's.
+    rounds: Dial[int] = 3  # calls for proposals until the step is tried anew; 1 to 10
+    lease_us: Dial[int] = 0  # of an entry in the yellow pages; 0: for ever, the default (jade_domain_df_maxleasetime)
+    dead_after_us: Dial[int] = 10_000_000  # a silent agent is removed (UDPNodeMonitoringService); 3 s to 10 s
+    owner_is_named: Dial[int] = 1  # 1: AMSAgentDescription.ownership names the robot's supervisor; 0: nobody
+    permissions: Dial[int] = 0  # 1: with the add-on JADE-S, an agent serves its own team alone; 0: whoever asks
+
+
+class Alliance(msgspec.Struct, frozen=True):
+    """ALLIANCE: motivational behaviours. Units: microseconds."""
+
+    # A robot starts when its motivation has grown to the threshold: threshold / fast rate. The third-party values
+    # (150 / 5 and 200 / 10 at 2 Hz) come to 15 s and 10 s for tasks of 100 s and 200 s; ours take a tenth of that.
+    impatience_us: Dial[int] = 1_000_000  # 0.1 s to 15 s
+    # While a teammate is heard to work on it, motivation grows at the slow rate, until it has taken this long.
+    patience_us: Dial[int] = 11_000_000  # 1.1 times the expected 10 s; 5 s to 30 s
+    broadcast_us: Dial[int] = 2_000_000  # 0.5 Hz
+    silence_us: Dial[int] = 10_000_000  # a teammate that is not heard for this long is taken to be idle
+    yield_us: Dial[int] = 7_500_000  # 0.75 times the expected 10 s: then another one that broadcasts may have it
+    give_up_us: Dial[int] = 11_000_000  # 1.1 times the expected 10 s
+    senses_policy: Dial[int] = 1  # 1: its own policy is sensory feedback: no motivation while it denies; 0: not sensed
+    learns: Dial[int] = 0  # 1: L-ALLIANCE, patience follows the times that teammates have taken; 0: fixed
+
+
+class Roboos(msgspec.Struct, frozen=True):
+    """RoboOS: one master and a shared store. Units: microseconds."""
+
+    planning_us: Dial[int] = 242_000  # the master plans one task: CFC's time for an item at least; a curve to 10 s
+    expiry_us: Dial[int] = 60_000_000  # of a robot's entry in the store (slaver/run.py, _heartbeat_loop)
+    refresh_us: Dial[int] = 30_000_000  # and how often it is refreshed
+    manual_help: Dial[int] = 1  # 1: the local checklist ends with manual help; 0: with the brain, which only saves
+    gate: Dial[int] = 0  # 1: a robot refuses what its own policy denies; 0: it does what it is told
