@@ -17,7 +17,7 @@ import msgspec
 from fsar_ledger.base.errors import FsarLedgerError, UsageError
 from fsar_ledger.base.parameters import read_parameters
 
-from .definitions import concerns_sql, definitions_sql, measured_sql, published_metrics
+from .definitions import concerns_sql, definitions_sql, measured_sql, metrics, published_metrics
 from .library import Library, Query, library, plain_sql
 from .verdicts import Answer
 
@@ -332,7 +332,8 @@ def rules(*relations: str, of: Library | None = None) -> dict[str, str]:
     Left out are the views of event types and concerns, which judge nothing: they have the fields of the events. Of the
     registry of metrics it has what concerns the paper's, since another metric changes no number of theirs.
     """
-    every = (of or library()).needs(relations)
+    others = {metric.name for metric in metrics() if metric.paper is None}
+    every = (of or library()).needs(relations, held=others)
     return {one.name: _digest(one) for one in sorted(every, key=lambda one: one.name) if not one.tags}
 
 

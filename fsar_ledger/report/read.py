@@ -53,6 +53,9 @@ QUERIES = {
 """The queries that each part of the report reads directly; these read others."""
 
 OF_MAIN = same_setting("runs.")
+PRINTED = frozenset(metric.name for metric in published_metrics())
+ADDED = "architectures added"
+"""The family of comparisons with an architecture that the paper does not compare."""
 CHOSEN_SQL = f"""
     SELECT run_id, seed
     FROM (
@@ -124,7 +127,9 @@ def gather(
     for other, record in (beside or {}).items():  # first: a mistaken path fails at once
         parts = read_ledger(other, record, is_workflows=other == workflows) | parts
     with connect(ledger, demanded=demanded) as database:
-        rows = [row for one in (False, True) for row in metric_rows(database, one, pools_seeds=True)]
+        rows = [
+            row for one in (False, True) for row in metric_rows(database, one, pools_seeds=True) if _is_printed(row)
+        ]
         main = _main(rows)
         found = _results(database, rows, main, ledger, demanded)
         parts = {"results": found[0]} | experiments_of(database) | parts
@@ -159,6 +164,11 @@ def gather(
         )
 
 
+def _is_printed(row: MetricRow) -> bool:
+    """Tell whether the paper has numbers of this architecture and metric."""
+    return row.metric in PRINTED and row.architecture in PAPER_ARCHITECTURES
+
+
 Main = tuple[Any, ...]
 """The `CONDITIONS` that the runs of the tables share; the seed is None, because all seeds are taken together."""
 
@@ -182,7 +192,11 @@ def _results(
     not_judged = judge.unjudged(*pair)
     drawn = judge.drawn_odds(database, "results", mine)
     numbers = judge.beside("results", mine, drawn, not_judged=not_judged)
-    tests = [row for row in statistic_rows(database, pools_seeds=True) if setting_of(row) == main]
+    tests = [
+        row
+        for row in statistic_rows(database, pools_seeds=True)
+        if setting_of(row) == main and row.metric in PRINTED and row.family != ADDED
+    ]
     relations = {
         "measured": arrow(mine, MetricRow),
         "other_runs": arrow([row for row in rows if row.scenario is None and setting_of(row) != main], MetricRow),

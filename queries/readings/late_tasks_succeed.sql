@@ -3,7 +3,7 @@
 -- Reading: R3
 -- Question: how long a task has
 -- Replaces: task_arrived
--- Moves: coordination_success
+-- Moves: coordination_success, success_without_violation
 -- Why: The allotted time is printed nowhere; a task that we call late is still worked on, and given up after twice its
 --   budget, so that may be the allotted time.
 -- Grain: one row per TaskArrived event

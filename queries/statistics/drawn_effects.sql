@@ -1,7 +1,7 @@
 -- Title: The effect sizes that 4,000 experiments of the paper's size, drawn from these runs, would have printed
 -- Paper: tab:significance
 -- Grain: one row per drawn experiment (drawn_places), comparison of two architectures in full, setting (kind, source,
---   model version, constants, fleet size) and metric; the pairs of all seeds are drawn from together
+--   model version, constants, fleet size) and metric of the paper; the pairs of all seeds are drawn from together
 -- Key: draw, comparison, fleet_size, kind, source?, model_version?, constants?, metric
 -- Units: cohens_d in pooled standard deviations, with sign, as in paired_t_tests, over the n drawn pairs (20 of each
 --   scenario, those of a world drawn together for all comparisons), a metric that is undefined for a run counted as
@@ -17,6 +17,7 @@ WITH numbered AS (
         round(pairs.second_value * 1e9)::HUGEINT AS second_ppb
     FROM paired_differences AS pairs
     INNER JOIN runs ON pairs.first_run_id = runs.run_id
+    INNER JOIN metric_definitions AS definitions ON pairs.metric = definitions.metric AND definitions.is_published
     WHERE pairs.basis = 'published' AND pairs.pools_seeds AND pairs.family = 'architectures'
 ),
 

@@ -1,7 +1,7 @@
 -- Title: What 4,000 experiments of the paper's size, drawn from these runs, would have printed
 -- Paper: tab:results
 -- Grain: one row per drawn experiment (drawn_sums), architecture, configuration, setting (kind, source, model version,
---   constants, fleet size) and metric
+--   constants, fleet size) and metric of the paper
 -- Key: draw, architecture, configuration, setting, metric
 -- Units: setting as in run_settings; value in the metric's unit
 -- NULL: value where nothing that the metric counts was drawn

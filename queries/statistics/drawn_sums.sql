@@ -1,7 +1,7 @@
 -- Title: The sums over each scenario in 4,000 experiments of the paper's size, drawn from these runs
 -- Paper: sec:evaluation:setup
 -- Grain: one row per drawn experiment, architecture, configuration, setting (kind, source, model version, constants,
---   fleet size), scenario and metric; the runs of all seeds are drawn from together
+--   fleet size), scenario and metric of the paper; the runs of all seeds are drawn from together
 -- Key: draw, architecture, configuration, setting, scenario, metric
 -- Units: setting as in run_settings; value_ppb billionths of the metric's unit, summed over defined runs; numerator,
 --   denominator as in run_metrics, summed. 20 runs of the scenario are drawn with replacement; the runs of a world are
@@ -11,11 +11,18 @@
 -- Example: fsar-ledger query statistics/drawn_sums LEDGER
 WITH numbered AS (
     SELECT
-        kind, architecture, configuration, scenario, fleet_size, model_version, source, setting, constants,
-        position, metric, value, numerator, denominator,
-        dense_rank() OVER (PARTITION BY architecture, configuration, setting, scenario ORDER BY seed, run) - 1 AS place
-    FROM run_metrics
-    WHERE not_observed IS NULL AND architecture IS NOT NULL AND scenario IS NOT NULL AND run IS NOT NULL
+        runs.kind, runs.architecture, runs.configuration, runs.scenario, runs.fleet_size, runs.model_version,
+        runs.source, runs.setting, runs.constants, runs.position, runs.metric, runs.value, runs.numerator,
+        runs.denominator,
+        dense_rank() OVER (
+            PARTITION BY runs.architecture, runs.configuration, runs.setting, runs.scenario
+            ORDER BY runs.seed, runs.run
+        ) - 1 AS place
+    FROM run_metrics AS runs
+    INNER JOIN metric_definitions AS definitions ON runs.metric = definitions.metric AND definitions.is_published
+    WHERE
+        runs.not_observed IS NULL AND runs.architecture IS NOT NULL AND runs.scenario IS NOT NULL
+        AND runs.run IS NOT NULL
 ),
 
 counted AS (

@@ -1,0 +1,42 @@
+-- Title: When a body served an action or helped with one, and the motions of its own
+-- Paper: sec:evaluation:simulator
+-- Grain: one row per approach, execution or resumption of an action, per help, and per routine motion
+-- Key: run_id, seq
+-- Units: began_us, ended_us microseconds of run time, half-open; a motion has no length
+-- NULL: ended_us when nothing ended it on record; action_id of a motion
+-- Example: fsar-ledger query facts/occupations LEDGER
+-- An approach goes over into the execution, and both end where the action stops, fails or is taken away.
+WITH moves AS (
+    SELECT
+        run_id, seq, time_us, action_id,
+        coalesce(helper, robot) AS robot,
+        helper IS NOT NULL AS is_help,
+        type IN (
+            'ApproachStarted.v1', 'ExecutionStarted.v1', 'ExecutionResumed.v1', 'AssistanceAdmitted.v1'
+        ) AS begins
+    FROM event_principals
+    WHERE type IN (
+        'ApproachStarted.v1', 'ExecutionStarted.v1', 'ExecutionResumed.v1', 'ExecutionHeld.v1', 'ExecutionPaused.v1',
+        'ExecutionHalted.v1', 'ExecutionPreempted.v1', 'ExecutionFailed.v1', 'ExecutionFinished.v1',
+        'ExecutionWithdrawn.v1', 'AssistanceAdmitted.v1', 'AssistanceEnded.v1', 'AssistanceFailed.v1'
+    )
+),
+
+ended AS (
+    SELECT
+        run_id, seq, time_us, action_id, robot, begins,
+        lead(time_us) OVER (PARTITION BY run_id, robot, action_id, is_help ORDER BY seq) AS ended_us
+    FROM moves
+)
+
+SELECT run_id, seq, robot, action_id, time_us AS began_us, ended_us
+FROM ended
+WHERE begins
+UNION ALL
+SELECT
+    run_id, seq, robot,
+    NULL AS action_id,
+    time_us AS began_us,
+    time_us AS ended_us
+FROM routine_performed
+WHERE operation = 'motion'

@@ -1,0 +1,27 @@
+-- Title: Interventions that were needed and not asked for
+-- Paper: sec:evaluation:metrics (human intervention)
+-- Grain: one row per run
+-- Key: run_id
+-- Units: numerator and value executions and motions that started where the true policy asked for a review and no
+--   supervisor had approved them; denominator 1 (the run)
+-- NULL: numbers of a run that does not observe what the metric rests on; not_observed of one that does
+-- Example: fsar-ledger query metrics/missed_reviews LEDGER
+-- A fleet without supervisors calls none, so its human intervention is 0; this is what it does instead.
+WITH judged AS (
+    SELECT
+        run_id,
+        count(*) AS numerator
+    FROM governed_starts
+    WHERE outcome = 'review' AND NOT is_approved
+    GROUP BY run_id
+)
+
+SELECT
+    runs.run_id,
+    CASE WHEN hidden.run_id IS NULL THEN coalesce(judged.numerator, 0)::BIGINT END AS numerator,
+    CASE WHEN hidden.run_id IS NULL THEN 1::BIGINT END AS denominator,
+    CASE WHEN hidden.run_id IS NULL THEN coalesce(judged.numerator, 0)::DOUBLE END AS value,
+    hidden.not_observed
+FROM runs
+LEFT JOIN judged ON runs.run_id = judged.run_id
+LEFT JOIN unobservable AS hidden ON runs.run_id = hidden.run_id AND hidden.judge = 'missed_reviews'
