@@ -44,11 +44,12 @@ class SnapshotTaken(Event, frozen=True):
 
 
 class BidReceived(Event, frozen=True):
-    """The requester's planner has read a bid."""
+    """The requester has read a bid; `ahead` as in `BidSubmitted`."""
 
     subject: Subject[TaskId, ActionId]
     robot: Robot
     outcome: PolicyOutcome
+    ahead: int | None = None
 
 
 class PlannerEngaged(Event, frozen=True):

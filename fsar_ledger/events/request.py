@@ -80,19 +80,37 @@ class CandidateMatched(Event, frozen=True):
 
 
 class BidSubmitted(Event, frozen=True):
-    """A bid has left a robot's communication agent. Paper: sec:evaluation:baselines (DHMA)."""
+    """A bid has left a robot: a proposal, or (`deny`) a refusal. Paper: sec:evaluation:baselines (DHMA).
+
+    `ahead` is the number of actions that come first at the robot, if the proposal says so.
+    """
 
     task_id: TaskId
     principals: Parties
     robot: Robot
     outcome: PolicyOutcome
+    ahead: int | None = None
 
 
 class AwardMade(Event, frozen=True):
-    """The requester's planner has awarded the contract. Paper: sec:evaluation:baselines (DHMA)."""
+    """The requester has awarded the contract. Paper: sec:evaluation:baselines (DHMA).
+
+    `rejected` are the other robots that proposed, if they are told.
+    """
 
     task_id: TaskId
     principals: Parties
+    robot: Robot
+    rejected: tuple[Robot, ...] | None = None
+
+
+class MessageUndelivered(Event, frozen=True):
+    """The platform has found that a message about the action cannot be delivered to this robot.
+
+    JADE: the sender gets a FAILURE from the AMS (jade/core/messaging/MessagingService.java).
+    """
+
+    subject: Subject[TaskId, ActionId]
     robot: Robot
 
 

@@ -6,7 +6,7 @@ from typing import assert_never
 import msgspec
 
 from fsar_ledger.events.envelope import FailureCause, RecoveryLevel, Robot
-from fsar_ledger.events.execution import ExecutionFailed
+from fsar_ledger.events.execution import ExecutionFailed, ExecutionWithdrawn
 from fsar_ledger.events.recovery import (
     AssistanceAdmitted,
     AssistanceDeclined,
@@ -21,6 +21,7 @@ from .maps import put, without
 
 HANDLES = (
     ExecutionFailed
+    | ExecutionWithdrawn
     | RecoveryAttempted
     | RecoveryEscalated
     | AssistanceRequested
@@ -63,6 +64,8 @@ def evolve(state: Recoveries, event: HANDLES) -> Recoveries:
         case ExecutionFailed():
             failed = Recovery(event.robot, event.failure, event.cause, event.detected_us)
             return put(state, event.subject.action_id, failed)
+        case ExecutionWithdrawn():  # the robot gave the action up; else recovery goes on with another robot
+            return state if event.failure is None else without(state, event.subject.action_id)
         case RecoveryAttempted():
             changed = msgspec.structs.replace(_failed(state, event), number=event.number, deadline_us=event.deadline_us)
             return put(state, event.failed_action, changed)

@@ -26,6 +26,7 @@ from fsar_ledger.events.request import (
     CommandIssued,
     ContractQuestioned,
     ContractVoided,
+    MessageUndelivered,
     OfferAnswered,
     RequestAccepted,
     RequestClosed,
@@ -58,6 +59,7 @@ HANDLES = (
     | RequestAccepted
     | ContractQuestioned
     | ContractVoided
+    | MessageUndelivered
     | RequestDenied
     | RequestCountered
     | RequestDeferred
@@ -80,7 +82,9 @@ class Request(msgspec.Struct, frozen=True, gc=False):
     `is_relayed`: the relay has passed it on. `is_heard`: the robot asked has deferred it or put it before a supervisor.
     `is_received`: a robot has it, in its queue or before H_F, who orders two. `is_unanswered`: the time for an answer
     has run out; `silent`: the robots that did not answer in time.
-    `bids`: the bids received; `underway`: those sent by robots of which none was received yet.
+    `bids`: the bids received, in that order; `underway`: those sent by robots of which none was received yet; `ahead`:
+    robot -> the number of actions that come first there, by its bid; `undelivered`: the robots that a message of this
+    round cannot reach; `failed`: the robots whose contracts were void, in order.
     """
 
     task_id: str
@@ -97,6 +101,9 @@ class Request(msgspec.Struct, frozen=True, gc=False):
     seen_busy: bool = False
     bids: Mapping[Robot, PolicyOutcome] = {}
     underway: Mapping[Robot, PolicyOutcome] = {}
+    ahead: Mapping[Robot, int] = {}
+    undelivered: tuple[Robot, ...] = ()
+    failed: tuple[Robot, ...] = ()
     is_accepted: bool = False
     is_questioned: bool = False
     round: int = 0
@@ -180,6 +187,8 @@ def evolve(state: Requests, event: HANDLES) -> Requests:
             return _changed(state, event.subject.action_id, is_questioned=True)
         case ContractVoided():
             return _voided(state, event)
+        case MessageUndelivered():
+            return _undelivered(state, event)
         case RequestUnanswered():
             return _unanswered(state, event)
         case RequestCountered():
@@ -233,7 +242,15 @@ def _bid_received(state: Requests, event: BidReceived) -> Requests:
     if known is None:
         return state
     bids = put(without(known.bids, event.robot), event.robot, event.outcome)
-    return _changed(state, known.action_id, bids=bids, underway=without(known.underway, event.robot))
+    ahead = known.ahead if event.ahead is None else put(known.ahead, event.robot, event.ahead)
+    return _changed(state, known.action_id, bids=bids, underway=without(known.underway, event.robot), ahead=ahead)
+
+
+def _undelivered(state: Requests, event: MessageUndelivered) -> Requests:
+    known = state.open.get(event.subject.action_id)
+    if known is None:
+        return state
+    return _changed(state, known.action_id, undelivered=(*known.undelivered, event.robot))
 
 
 def _voided(state: Requests, event: ContractVoided) -> Requests:
@@ -246,6 +263,9 @@ def _voided(state: Requests, event: ContractVoided) -> Requests:
         event.subject.action_id,
         bids={},
         underway={},
+        ahead={},
+        undelivered=(),
+        failed=(*known.failed, event.robot),
         target=None,
         is_accepted=False,
         is_questioned=False,

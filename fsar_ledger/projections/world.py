@@ -50,7 +50,8 @@ Windows = Mapping[Robot, tuple[tuple[str, PolicyOutcome], ...]]  # robot -> open
 class World(msgspec.Struct, frozen=True, gc=False):
     """The true state of the world; deciders may read only what is local to them or what they were told.
 
-    `degraded`: robot -> grade of its actuator; `off`: robots that are off; `unlinked`: robots whose link is down.
+    `degraded`: robot -> grade of its actuator; `off`: robots that are off; `unlinked`: robots whose link is down;
+    `returns`: robot -> how often messages could reach it again.
     """
 
     local: Windows = {}
@@ -60,6 +61,7 @@ class World(msgspec.Struct, frozen=True, gc=False):
     off_shift: frozenset[Supervisor] = frozenset()
     off: frozenset[Robot] = frozenset()
     unlinked: frozenset[Robot] = frozenset()
+    returns: Mapping[Robot, int] = {}
 
 
 INITIAL = World()
@@ -122,11 +124,11 @@ def evolve(state: World, event: HANDLES) -> World:
         case RobotWentOff():
             return msgspec.structs.replace(state, off=state.off | {event.robot})
         case RobotCameBack():
-            return msgspec.structs.replace(state, off=state.off - {event.robot})
+            return _returned(msgspec.structs.replace(state, off=state.off - {event.robot}), event.robot)
         case LinkWentDown():
             return msgspec.structs.replace(state, unlinked=state.unlinked | {event.robot})
         case LinkCameUp():
-            return msgspec.structs.replace(state, unlinked=state.unlinked - {event.robot})
+            return _returned(msgspec.structs.replace(state, unlinked=state.unlinked - {event.robot}), event.robot)
         case SupervisorLeft():
             return msgspec.structs.replace(state, off_shift=state.off_shift | {event.supervisor})
         case SupervisorReturned():
@@ -139,6 +141,12 @@ def _graded(state: World, robot: Robot, grade: Grade) -> World:
     """Degrade the actuator, unless it is already worse: only a service improves it."""
     worst = max(state.degraded.get(robot, grade), grade, key=GRADES.index)
     return msgspec.structs.replace(state, degraded=put(state.degraded, robot, worst))
+
+
+def _returned(state: World, robot: Robot) -> World:
+    if not is_linked(state, robot):
+        return state
+    return msgspec.structs.replace(state, returns=put(state.returns, robot, state.returns.get(robot, 0) + 1))
 
 
 def _cleared(state: World, robot: Robot) -> World:

@@ -18,6 +18,7 @@ WITH words (type, part, sender, receiver, words, detail) AS (
     ('CandidateMatched.v1', 1, 'decider', 'decider', 'considers a candidate', 'capability'),
     ('BidSubmitted.v1', 1, 'robot', 'requester', 'bid', 'outcome'),
     ('AwardMade.v1', 1, 'requester', 'robot', 'award', NULL),
+    ('MessageUndelivered.v1', 1, 'robot', 'robot', 'cannot be reached', NULL),
     ('InternalHandoff.v1', 1, 'sender', 'receiver', 'hands over', NULL),
     ('RequestAdmitted.v1', 1, 'decider', 'decider', 'evaluate', 'policy'),
     ('RequestDenied.v1', 1, 'decider', 'requester', 'deny', 'reason'),

@@ -11,6 +11,7 @@ WITH reasons (reason, conjunct) AS (
     ('advertisement', 'advertisement'),
     ('trust', 'trust'),
     ('no trust', 'trust'),
+    ('permission', 'trust'),
     ('policy', 'policy'),
     ('local-policy', 'policy'),
     ('fleet-rule', 'policy'),
