@@ -17,12 +17,15 @@ class Jade(msgspec.Struct, frozen=True):
 
     # No reply-by waits for ever (ContractNetInitiator, deadline -1); every architecture here waits 5 s for an answer.
     reply_by_us: Dial[int] = 5_000_000  # 0: none; 1 s to 30 s
-    # The protocol has no recovery of a task; iterated rounds are FIPA's, and their number is the user's.
+    # The protocol has no recovery of a task; iterated rounds are FIPA's (SC00030H), and their number is the user's.
     rounds: Dial[int] = 3  # calls for proposals until the step is tried anew; 1 to 10
+    subscribes: Dial[int] = 0  # 1: robots subscribe to the yellow pages; 0: they search them for every step (DFService)
     lease_us: Dial[int] = 0  # of an entry in the yellow pages; 0: for ever, the default (jade_domain_df_maxleasetime)
     dead_after_us: Dial[int] = 10_000_000  # a silent agent is removed (UDPNodeMonitoringService); 3 s to 10 s
     owner_is_named: Dial[int] = 1  # 1: AMSAgentDescription.ownership names the robot's supervisor; 0: nobody
-    permissions: Dial[int] = 0  # 1: with the add-on JADE-S, an agent serves its own team alone; 0: whoever asks
+    # JADE-S grants the right to send to an agent by a policy file; its author can only write down whom the fleet says
+    # that a robot trusts. A grant by team would let every outsider of the scenarios in, who is of the team.
+    permissions: Dial[int] = 0  # 1: with the add-on JADE-S, who is trusted may send a call; 0: whoever asks
 
 
 class Alliance(msgspec.Struct, frozen=True):
