@@ -16,6 +16,7 @@ ARCHITECTURES: tuple[Architecture, ...] = (
     "fsar",
     "cfc",
     "dhma",
+    "jade",
 )
 """Every architecture that can be simulated, in the order of runs and tables; each is a folder of its name in
 `runtime/architectures/`.
