@@ -79,9 +79,12 @@ def emitted() -> set[type[Event]]:
     away = simulate_run(
         RunSpec(8, "fsar", "full", "fleet-contention", 4, 0), Constants(outages=Outages(0.05, 8.0, 0.03, 6.0))
     ).events
+    unreachable = simulate_run(
+        RunSpec(42, "jade", "full", "door-relay", 8, 0), Constants(outages=Outages(0.02, 8.0, 0.03, 6.0))
+    ).events
     planned = [Experiment(("fsar",), SCENARIOS, 12, 8).plan()]
     runs = (simulate_run(spec, Constants()).events for spec in specs)
-    return {type(event) for events in (*runs, commanded().events, away, planned) for event in events}
+    return {type(event) for events in (*runs, commanded().events, away, unreachable, planned) for event in events}
 
 
 def test_every_event_type_is_emitted_by_some_run(emitted: set[type[Event]]) -> None:
