@@ -32,10 +32,12 @@ from fsar_ledger.events.world import (
     RobotCameBack,
     RobotWentOff,
 )
+from fsar_ledger.projections.registry import NO_ANSWER
 from fsar_ledger.runtime.architectures.jade.contract_net import (
     CallForProposals,
     EvaluateCall,
     EvaluateProposals,
+    ReceiveAcceptance,
     ReceiveReply,
 )
 from fsar_ledger.runtime.handlers.commands import (
@@ -67,7 +69,7 @@ from tests.runtime.architectures.jade_runs import (
     scenario,
     times,
 )
-from tests.runtime.histories import SECOND, types, window
+from tests.runtime.histories import SECOND, happen, types, window
 from tests.runtime.live import of
 
 
@@ -128,6 +130,7 @@ def test_an_entry_has_no_lease_by_default_and_else_ends_with_it() -> None:
 
 def test_who_is_not_listed_is_not_called() -> None:
     run = ran([(S, LinkWentDown(B)), (20 * S, TASK)])
+    assert [event.candidates for _, event in of(run, RegistryQueried)] == [(B2,)]
     assert {event.robot for _, event in of(run, BidSubmitted)} == {B2}
 
 
@@ -269,6 +272,23 @@ def test_an_acceptance_that_the_platform_cannot_deliver_comes_back_as_a_failure(
     assert [event.robot for _, event in of(run, AwardMade)] == [B, B2]
     assert [event.robot for _, event in of(run, ExecutionStarted)] == [B2]
     assert of(run, TaskCompleted)
+
+
+def test_an_acceptance_that_was_found_undeliverable_is_not_delivered_later() -> None:
+    state = given(*LISTED, BidReceived(ABOUT, B, "allow", 0))
+    play(state, EvaluateProposals(ACTION, 0))
+    happen(state, MessageUndelivered(ABOUT, B))
+    assert decided(state, ReceiveAcceptance(ACTION, 0)) == ()
+
+
+def test_an_acceptance_to_an_agent_that_is_dead_by_then_comes_back_at_once() -> None:
+    dead = AvailabilityChanged(robot=B, capability=None, availability="offline", reason=NO_ANSWER)
+    state = given(*LISTED, BidReceived(ABOUT, B, "allow", 0), LinkWentDown(B), dead)
+    [award] = play(state, EvaluateProposals(ACTION, 0))
+    _, bounce = follows(state, award)
+    assert decided(state, bounce) == (MessageUndelivered(ABOUT, B),)
+    happen(state, LinkCameUp(B))
+    assert decided(state, bounce) == (), "it is back in time"
 
 
 def test_a_change_of_context_leaves_the_contract_standing() -> None:

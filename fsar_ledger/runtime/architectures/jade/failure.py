@@ -60,7 +60,7 @@ def give_up(state: State, command: GiveUp, action: Action) -> tuple[Event, ...]:
 @HANDLERS.decide_on(open_request, ReceiveFailure, requester)
 def receive_failure(_state: State, command: ReceiveFailure, request: Request) -> tuple[Event, ...]:
     """End the contract with the robot that has failed."""
-    if command.round != request.round or request.target != command.robot:
+    if command.round != request.round:
         return ()
     return (ContractVoided(request.subject, command.robot),)
 
