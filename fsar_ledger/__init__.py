@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from fsar_ledger.studies.predictions import predict
     from fsar_ledger.studies.ranking import ranking
     from fsar_ledger.studies.sensitivity import sensitivity
+    from fsar_ledger.studies.systems import systems
 
 __version__ = "0.10.0"
 
@@ -59,6 +60,7 @@ __all__ = [
     "reproduce",
     "sensitivity",
     "simulate",
+    "systems",
     "verify_proof",
     "witness_new",
 ]
@@ -83,6 +85,7 @@ _HOMES = {
     "studies.predictions": ("predict",),
     "studies.ranking": ("ranking",),
     "studies.sensitivity": ("sensitivity",),
+    "studies.systems": ("systems",),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 

@@ -22,11 +22,15 @@ ROOT = Path(__file__).parent.parent
 
 
 class Stage(NamedTuple):
-    """A file, and the stages after which it is made."""
+    """A file, and the stages after which it is made.
+
+    `is_of_fit`: no file of the model may change between the registration and it.
+    """
 
     name: str
     path: str
     after: tuple[str, ...]
+    is_of_fit: bool = True
 
 
 STAGES = (
@@ -38,6 +42,8 @@ STAGES = (
     Stage("ensemble", "reports/ensemble.json", ("fit",)),
     Stage("sensitivity", "reports/sensitivity.json", ("fit",)),
     Stage("placebo", "reports/placebo.json", ("fit",)),
+    Stage("dials", "fsar_ledger/designs/dials.py", ("fit",), is_of_fit=False),
+    Stage("systems", "reports/systems.json", ("dials",), is_of_fit=False),
 )
 REGISTRATION = STAGES[0]
 LAST = "comparison"
@@ -70,7 +76,8 @@ def findings(root: Path = ROOT, stages: Sequence[Stage] = STAGES) -> Iterator[st
                     f"{one.name} ({one.path}, {made[one.name][:12]}) does not come after the {earlier} "
                     f"({made[earlier][:12]}); expected a later commit of its own"
                 )
-    ends = dict.fromkeys([*made.values(), *([] if LAST in made else [git(root, "rev-parse", "HEAD")])])
+    of_fit = [made[one.name] for one in stages if one.is_of_fit and one.name in made]
+    ends = dict.fromkeys([*of_fit, *([] if LAST in made else [git(root, "rev-parse", "HEAD")])])
     changed = dict.fromkeys(change for end in ends for change in model_changed(root, start, end))
     yield from (f"{change} between the registration ({start[:12]}) and what follows from it" for change in changed)
 
@@ -133,7 +140,7 @@ def nameless(line: str) -> tuple[str, str]:
 
 def main() -> None:
     """Print the stages and what does not hold; return 1 if anything does not."""
-    for name, path, _ in STAGES:
+    for name, path, *_ in STAGES:
         commit = stage(ROOT, path)
         print(
             f"{name:13} {git(ROOT, 'log', '-1', '--format=%h %as %s', commit) if commit else f'not made yet ({path})'}"

@@ -22,6 +22,7 @@ from fsar_ledger.studies.predictions import predict
 from fsar_ledger.studies.ranking import ranking
 from fsar_ledger.studies.result import KINDS
 from fsar_ledger.studies.sensitivity import sensitivity
+from fsar_ledger.studies.systems import systems
 from tests.history import ROOT, results_of
 
 REPORTS = ROOT / "reports"
@@ -31,6 +32,7 @@ MAKERS: Mapping[str, Callable[[Path], object]] = {
     "placebo": placebo,
     "ranking": ranking,
     "ensemble": ensemble,
+    "systems": systems,
     "sensitivity": sensitivity,
     "calibration": calibrate,
 }

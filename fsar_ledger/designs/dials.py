@@ -4,12 +4,17 @@ They were chosen before any run of these architectures was counted, and nothing 
 says so; a range is what the sources allow. Paper: tab:baseline_context.
 """
 
-from typing import Annotated, TypeVar
+from typing import Annotated, TypeVar, get_type_hints
 
 import msgspec
 
 _T = TypeVar("_T")
 Dial = Annotated[_T, msgspec.Meta(extra={"from": "dial"})]
+
+
+def tried(*values: int) -> msgspec.Meta:
+    """Say which values of a dial the study of systems tries: the ends of what its source allows, and some between."""
+    return msgspec.Meta(extra={"tried": values})
 
 
 class Jade(msgspec.Struct, frozen=True):
@@ -52,3 +57,14 @@ class Roboos(msgspec.Struct, frozen=True):
     refresh_us: Dial[int] = 30_000_000  # and how often it is refreshed
     manual_help: Dial[int] = 1  # 1: the local checklist ends with manual help; 0: with the brain, which only saves
     gate: Dial[int] = 0  # 1: a robot refuses what its own policy denies; 0: it does what it is told
+
+
+def dials() -> dict[str, tuple[int, ...]]:
+    """Return the values that are tried of each dial, by its dotted name, in the order of this file."""
+    return {
+        f"{kind.__name__.lower()}.{name}": meta.extra["tried"]
+        for kind in (Jade, Alliance, Roboos)
+        for name, hint in get_type_hints(kind, include_extras=True).items()
+        for meta in hint.__metadata__
+        if meta.extra and "tried" in meta.extra
+    }

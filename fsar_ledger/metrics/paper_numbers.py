@@ -65,6 +65,12 @@ def printed(table: Table) -> dict[Place, Printed]:
     return dict(read(_lines(table)))
 
 
+@cache
+def features() -> tuple[str, ...]:
+    """Return the features by which the paper compares architectures. Paper: tab:baseline_context."""
+    return tuple(row["feature"] for row in _lines("architecture_features"))
+
+
 def _lines(table: str) -> list[dict[str, str]]:
     text = files("fsar_ledger.reports").joinpath("paper", f"{table}.csv").read_text("utf-8")
     return list(csv.DictReader(text.splitlines()))

@@ -27,6 +27,16 @@ def of_all_seeds(setting: Sequence[Any]) -> dict[str, Any]:
     return {name: value for name, value in zip(CONDITIONS, setting, strict=True) if name != "seed"}
 
 
+def take_seeds_together(database: Database, chosen_sql: str = "TRUE") -> None:
+    """Have every query take the runs together for which the condition holds: none of them has a seed any more.
+
+    To be called before anything is asked.
+    """
+    database.prepare("SELECT * FROM run_started")
+    runs = database.library.find("staging/runs").sql
+    database.define("runs", f"SELECT * REPLACE (NULL::BIGINT AS seed) FROM ({runs}) WHERE {chosen_sql}")
+
+
 def same_setting(of: str = "") -> str:
     """Return the condition that rows of a relation, whose name stands before a dot, are of `of_all_seeds`."""
     return " AND ".join(f"{of}{name} IS NOT DISTINCT FROM ${name}" for name in CONDITIONS if name != "seed")

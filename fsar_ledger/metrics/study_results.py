@@ -332,7 +332,7 @@ def rules(*relations: str, of: Library | None = None) -> dict[str, str]:
     Left out are the views of event types and concerns, which judge nothing: they have the fields of the events. Of the
     registry of metrics it has what concerns the paper's, since another metric changes no number of theirs.
     """
-    others = {metric.name for metric in metrics() if metric.paper is None}
+    others = {metric.name for metric in metrics() if metric.paper is None} - set(relations)
     every = (of or library()).needs(relations, held=others)
     return {one.name: _digest(one) for one in sorted(every, key=lambda one: one.name) if not one.tags}
 

@@ -10,7 +10,7 @@ from typing import Any
 import msgspec
 import pyarrow as pa
 
-from fsar_ledger.metrics.definitions import published_metrics
+from fsar_ledger.metrics.definitions import metrics, published_metrics
 from fsar_ledger.metrics.effects import Sensitivity
 from fsar_ledger.metrics.study_results import Calibration
 from fsar_ledger.report import printing, records, specs
@@ -108,6 +108,7 @@ def _relations(
         "quotes": _listed(specs.quotes()),
         "labels": _listed(specs.labels()),
         "metrics": _metrics(),
+        "measures": _measures(),
         "judged": _numbered(arrow(judged, Number)),
         "heads": _listed(heads),
         "notes": pa.table({"text": pa.array(notes, pa.string())}),
@@ -132,6 +133,13 @@ def _listed(rows: Sequence[Mapping[str, Any]]) -> pa.Table:
 def _numbered(table: pa.Table) -> pa.Table:
     """Return the table with the position of each row."""
     return table.append_column("position", pa.array(range(table.num_rows), pa.int64()))
+
+
+def _measures() -> pa.Table:
+    """Return every metric, also those that the paper does not have."""
+    fields = ("title", "short", "factor", "decimals", "better")
+    rows = [{name: getattr(one, name) for name in fields} | {"metric": one.name} for one in metrics()]
+    return _listed([row | {"is_printed": one.paper is not None} for row, one in zip(rows, metrics(), strict=True)])
 
 
 def _metrics() -> pa.Table:

@@ -30,6 +30,7 @@ from fsar_ledger.metrics.results import (
     same_setting,
     setting_of,
     statistic_rows,
+    take_seeds_together,
 )
 from fsar_ledger.metrics.verdicts import ComparedEffect, compare_effects
 from fsar_ledger.report import judge
@@ -237,12 +238,7 @@ def _of_one_seed(ledger: Path, demanded: str | None, database: Database, main: M
         return
     with connect(ledger, demanded=demanded) as narrowed:
         narrowed.hold("chosen_runs", chosen)
-        narrowed.prepare("SELECT * FROM run_started")
-        runs = narrowed.library.find("staging/runs").sql
-        narrowed.define(
-            "runs",
-            f"SELECT * REPLACE (NULL::BIGINT AS seed) FROM ({runs}) WHERE run_id IN (SELECT run_id FROM chosen_runs)",
-        )
+        take_seeds_together(narrowed, "run_id IN (SELECT run_id FROM chosen_runs)")
         yield narrowed
 
 

@@ -12,6 +12,7 @@ from fsar_ledger.designs.constants import Constants, write_constants
 from fsar_ledger.metrics.effects import MADE_BY, Sensitivity, dozen, reach
 from fsar_ledger.metrics.robustness import CellSpread, Ensemble, Placebo, RankCounts, Ranking, Rejections, SignCount
 from fsar_ledger.metrics.study_results import Calibration, Comparison, changed, packaged
+from fsar_ledger.metrics.systems import NamedShares, SystemGrade, SystemNumber, Systems
 from fsar_ledger.report.findings import Findings, arrow
 from fsar_ledger.report.printing import flat, words
 
@@ -33,20 +34,27 @@ class Drawn(msgspec.Struct, frozen=True):
 
 
 def robustness(findings: Findings, folder: Traversable | None = None) -> dict[str, pa.Table]:
-    """Return what `study run ranking`, `ensemble` and `placebo` left in this folder (default: packaged), as relations.
+    """Return what `study run ranking`, `ensemble`, `placebo` and `systems` left in this folder, as relations.
+
+    Without a folder, it is what the package holds.
 
     Results of another model than these runs' are left out, and but for the ranking those of other constants.
     """
     prior, around, control = packaged(Ranking, folder), packaged(Ensemble, folder), packaged(Placebo, folder)
+    systems = packaged(Systems, folder)
     return robustness_relations(
         prior if prior is not None and prior.model_version == findings.model_version else None,
         around if around is not None and _is_of_these_runs(around, findings) else None,
         control if control is not None and _is_of_these_runs(control, findings) else None,
+        systems if systems is not None and _is_of_these_runs(systems, findings) else None,
     )
 
 
 def robustness_relations(
-    prior: Ranking | None = None, around: Ensemble | None = None, control: Placebo | None = None
+    prior: Ranking | None = None,
+    around: Ensemble | None = None,
+    control: Placebo | None = None,
+    systems: Systems | None = None,
 ) -> dict[str, pa.Table]:
     """Return these results as relations: `prior`, `around` and `placebo` with one row each, and those of their tables.
 
@@ -68,6 +76,9 @@ def robustness_relations(
             Drawn,
         ),
         "rejections": arrow(control.tests if control else (), Rejections),
+        "system_numbers": arrow(systems.numbers if systems else (), SystemNumber),
+        "system_grades": arrow(systems.grades if systems else (), SystemGrade),
+        "system_named": arrow(systems.named if systems else (), NamedShares),
     }
 
 
@@ -82,7 +93,7 @@ def judged(findings: Findings, folder: Traversable | None = None) -> Comparison 
     return found if _is_of_these_runs(found, findings) else None
 
 
-def _is_of_these_runs(record: Comparison | Ensemble | Placebo, findings: Findings) -> bool:
+def _is_of_these_runs(record: Comparison | Ensemble | Placebo | Systems, findings: Findings) -> bool:
     constants_of = dict(flat("", read_parameters(record.parameters)))
     return (record.model_version, constants_of) == (findings.model_version, findings.parameters)
 

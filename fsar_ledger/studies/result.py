@@ -23,6 +23,7 @@ from fsar_ledger.metrics.study_results import (
     encoded,
     rules,
 )
+from fsar_ledger.metrics.systems import Systems
 from fsar_ledger.runtime.simulation import MODEL_VERSION
 
 from .points import FREE, at
@@ -35,6 +36,7 @@ KINDS: dict[str, type[Result]] = {
     "comparison": Comparison,
     "sensitivity": Sensitivity,
     "placebo": Placebo,
+    "systems": Systems,
 }
 """The studies whose results are files, in the order in which they are made."""
 RESUME_ADVICE = "make room and call it again, which goes on from there"

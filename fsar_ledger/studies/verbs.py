@@ -15,7 +15,7 @@ from fsar_ledger.base.progress import Progress
 if TYPE_CHECKING:
     from fsar_ledger.metrics.study_results import Result
 
-STUDIES = ("ranking", "calibration", "ensemble", "predictions", "comparison", "sensitivity", "placebo")
+STUDIES = ("ranking", "calibration", "ensemble", "predictions", "comparison", "sensitivity", "placebo", "systems")
 """Those whose results are files."""
 
 OutOption = Annotated[Place, Option("--out", "FILE", "The result, as JSON; replaced if it exists.")]
@@ -224,5 +224,17 @@ def placebo(
     seeds each test may reject only as often as its level says. An interrupted study continues where it stopped.
     """
     from .placebo import placebo as study
+
+    return ResultTables(study(out, workers=workers, progress=progress), f"{out}")
+
+
+@verb("study run systems --out out/systems.json", name="study run systems", takes=("wide",), after_interruption=GOES_ON)
+def systems(out: OutOption, workers: WorkersOption = None, progress: Points = None) -> ResultTables:
+    """Run every architecture in the same worlds, at 4, 8 and 16 robots and over each dial; takes some 15 minutes.
+
+    These are the paper's three and three published systems, RoboOS, JADE's contract net and ALLIANCE, by the paper's
+    metrics and by those that silence cannot win. Nothing is fitted. An interrupted study continues where it stopped.
+    """
+    from .systems import systems as study
 
     return ResultTables(study(out, workers=workers, progress=progress), f"{out}")

@@ -3,8 +3,8 @@
 -- Grain: one row per run
 -- Key: run_id
 -- Units: numerator microseconds from detection until another principal decides something about the action or a
---   supervisor is called, or until the failure is resolved, or else until the run ends; denominator failures; value
---   seconds
+--   supervisor is called, or until the failure is resolved or the task goes on or is given up, or else until the run
+--   ends; denominator failures; value seconds
 -- NULL: value of a run without failures; numbers of a run that does not observe what the metric rests on; not_observed
 --   of one that does
 -- Example: fsar-ledger query metrics/time_to_know_s LEDGER
@@ -41,6 +41,17 @@ told AS (
     GROUP BY failures.run_id, failures.seq
 ),
 
+passed AS (
+    SELECT
+        failures.run_id, failures.seq,
+        min(tasks.time_us) AS passed_us
+    FROM failures
+    INNER JOIN task_events AS tasks
+        ON failures.run_id = tasks.run_id AND failures.task_id = tasks.task_id AND failures.seq < tasks.seq
+    WHERE tasks.type IN ('StepCompleted.v1', 'TaskCompleted.v1', 'TaskAbandoned.v1')
+    GROUP BY failures.run_id, failures.seq
+),
+
 ends AS (
     SELECT
         run_id,
@@ -53,11 +64,13 @@ judged AS (
     SELECT
         failures.run_id,
         count(*) AS denominator,
-        sum(coalesce(least(told.known_us, failures.resolved_us), ends.ended_us) - failures.detected_us)::BIGINT
-            AS numerator
+        sum(
+            coalesce(least(told.known_us, failures.resolved_us, passed.passed_us), ends.ended_us) - failures.detected_us
+        )::BIGINT AS numerator
     FROM failures
     INNER JOIN ends ON failures.run_id = ends.run_id
     LEFT JOIN told ON failures.run_id = told.run_id AND failures.seq = told.seq
+    LEFT JOIN passed ON failures.run_id = passed.run_id AND failures.seq = passed.seq
     GROUP BY failures.run_id
 )
 

@@ -148,6 +148,13 @@ def test_a_failure_is_its_robots_alone_until_somebody_else_decides_or_is_called(
     assert measured("time_to_know_s", failed(1), own, resolved, other) == (2 * S, 1, 2.0)
 
 
+def test_a_failure_is_over_when_its_task_goes_on_or_is_given_up() -> None:
+    other = event("TaskCompleted", 2 * S, task_id="B1-1")
+    for name in ("StepCompleted", "TaskCompleted", "TaskAbandoned"):
+        over = event(name, 6 * S, task_id="A1-1")
+        assert measured("time_to_know_s", failed(1), other, over, event("RobotWentOff", 9 * S, robot=B))[0] == 5 * S
+
+
 def test_a_failure_of_which_nobody_hears_lasts_until_the_run_ends() -> None:
     assert measured("time_to_know_s", failed(1), event("RobotWentOff", 9 * S, robot=B)) == (8 * S, 1, 8.0)
     assert measured("time_to_know_s", event("RobotWentOff", 9 * S, robot=B)) == (0, 0, None)

@@ -1,0 +1,146 @@
+"""Runs every architecture in the same worlds, at several fleet sizes and over each of its dials.
+
+Nothing is fitted, and no number decides a dial: `designs/dials.py` is frozen by a commit before the first of these runs
+is counted (`python -m tests.history`). Paper: tab:baseline_context.
+"""
+
+from collections.abc import Iterator, Sequence
+from hashlib import sha256
+from pathlib import Path
+
+import msgspec
+
+from fsar_ledger.api.names import Place
+from fsar_ledger.api.workload import workers_of
+from fsar_ledger.base.progress import Progress
+from fsar_ledger.designs.constants import Constants, write_constants
+from fsar_ledger.designs.dials import dials
+from fsar_ledger.events.configuration import ARCHITECTURES
+from fsar_ledger.metrics.definitions import metrics
+from fsar_ledger.metrics.paper_numbers import features
+from fsar_ledger.metrics.results import metric_rows, take_seeds_together
+from fsar_ledger.metrics.systems import NamedShares, SystemGrade, SystemNumber, Systems
+from fsar_ledger.runtime.experiment import Experiment
+from fsar_ledger.runtime.own import with_values
+from fsar_ledger.runtime.simulation import SCENARIOS
+
+from .evaluations import Answer, Evaluate, Question, evaluating, simulated
+from .factors import Setting
+from .result import RESUME_ADVICE, grounds, write
+
+SEEDS = (20260001, 20260002, 20260003, 20260004)
+"""Those of the verdicts: at four robots, the numbers of the paper's three are those of its tables in the report."""
+RUNS = {4: 50, 8: 20, 16: 10}
+"""Runs of each scenario and seed, by fleet size."""
+DIAL_SIZE = 4
+METRICS = tuple(metric.name for metric in metrics())
+FEATURES = features()
+GRADES = ("none", "partial", "full")
+FIELDS = ("origin", "executor", "supervisor")
+OF_METRIC = ("n", "mean", "ci_low", "ci_high", "sd")
+WIDTH = len(METRICS) * len(OF_METRIC) + len(FEATURES) + len(FIELDS)
+NAMED_SQL = f"""
+    SELECT {", ".join(f"avg({field}_is_named::INTEGER) AS {field}" for field in FIELDS)} FROM true_principals
+"""
+
+
+class SystemQuestion(Question, frozen=True):
+    """What to evaluate of one architecture, over several seeds."""
+
+    architecture: str
+    seeds: tuple[int, ...]
+
+    @property
+    def key(self) -> str:
+        """Return a digest of everything that the answer depends on, except the program."""
+        setting = self.setting
+        parts = (write_constants(setting.constants), setting.fleet_size, self.seeds, self.runs, self.architecture)
+        return sha256(msgspec.json.encode(parts)).hexdigest()[:32]
+
+
+class Trial(msgspec.Struct, frozen=True):
+    """One thing to try: an architecture at a fleet size, or with one of its dials at a value."""
+
+    architecture: str
+    fleet_size: int
+    dial: str | None = None
+    value: int | None = None
+
+    @property
+    def question(self) -> SystemQuestion:
+        """Return what is to be evaluated."""
+        constants = Constants() if self.dial is None else with_values(Constants(), {self.dial: self.value})
+        seeds = SEEDS if self.dial is None else SEEDS[:1]
+        runs = RUNS[self.fleet_size]
+        return SystemQuestion(Setting(constants, self.fleet_size), seeds[0], runs, self.architecture, seeds)
+
+
+def trials() -> list[Trial]:
+    """Return every architecture at every size, and every value of every dial."""
+    sizes = [Trial(architecture, size) for size in RUNS for architecture in ARCHITECTURES]
+    return sizes + [
+        Trial(name.partition(".")[0], DIAL_SIZE, name, value) for name, values in dials().items() for value in values
+    ]
+
+
+def systems(
+    out: Place, *, workers: int | None = None, progress: Progress | None = None, ask: Evaluate | None = None
+) -> Systems:
+    """Run them, write the result and return it. An interrupted study continues from what is kept beside it.
+
+    Raises: As `evaluating`; WriteFailed, WorkerDied.
+    """
+    out, tried = Path(out), trials()
+    with evaluating(out, workers_of(workers), progress, ask or answer, WIDTH) as evaluations:
+        evaluations.expected = len(tried)
+        found = evaluations.answers([one.question for one in tried])
+        declared = dict(zip((one.architecture for one in tried), found[: len(ARCHITECTURES)], strict=False))
+        result = Systems(
+            **grounds(Systems),
+            seeds=SEEDS,
+            runs={str(size): runs for size, runs in RUNS.items()},
+            cpu_minutes=evaluations.cpu_minutes,
+            numbers=[number for one, values in zip(tried, found, strict=True) for number in _numbers(one, values)],
+            grades=[grade for one, values in declared.items() for grade in _grades(one, values)],
+            named=[_named(one, values) for one, values in declared.items()],
+        )
+        write(out, result, RESUME_ADVICE)
+    return result
+
+
+def answer(question: Question) -> Answer:
+    """Return the metrics, the grades and the shares of names of one architecture, over all seeds."""
+    assert isinstance(question, SystemQuestion)
+    setting, whose = question.setting, (question.architecture,)
+    experiments = [
+        Experiment(whose, SCENARIOS, question.runs, seed, setting.fleet_size, constants=setting.constants)
+        for seed in question.seeds
+    ]
+    with simulated(experiments, 1) as database:
+        take_seeds_together(database)
+        rows = {row.metric: row for row in metric_rows(database)}
+        measured = [getattr(rows[name], column) for name in METRICS for column in OF_METRIC]
+        shown = {row["feature"]: row["grade"] for row in database.rows("SELECT * FROM architecture_features")}
+        [named] = database.rows(NAMED_SQL)
+    grades = [None if (grade := shown[one]) is None else float(GRADES.index(grade)) for one in FEATURES]
+    return (*measured, *grades, *(named[field] for field in FIELDS))
+
+
+def _numbers(one: Trial, values: Answer) -> Iterator[SystemNumber]:
+    for at, metric in enumerate(METRICS):
+        n, mean, low, high, sd = values[at * len(OF_METRIC) : (at + 1) * len(OF_METRIC)]
+        yield SystemNumber(
+            **msgspec.structs.asdict(one), metric=metric, n=int(n or 0), mean=mean, low=low, high=high, sd=sd
+        )
+
+
+def _grades(architecture: str, values: Sequence[float | None]) -> Iterator[SystemGrade]:
+    found = values[len(METRICS) * len(OF_METRIC) :][: len(FEATURES)]
+    for feature, grade in zip(FEATURES, found, strict=True):
+        yield SystemGrade(
+            architecture=architecture, feature=feature, grade=None if grade is None else GRADES[int(grade)]
+        )
+
+
+def _named(architecture: str, values: Sequence[float | None]) -> NamedShares:
+    return NamedShares(architecture=architecture, **dict(zip(FIELDS, values[-len(FIELDS) :], strict=True)))
