@@ -3,7 +3,7 @@
 Knowledge lags behind the world. The architecture determines which knowledge exists.
 """
 
-from .envelope import ActionId, Event, PolicyOutcome, Robot, Subject, TaskId
+from .envelope import ActionId, Availability, Event, PolicyOutcome, Principal, Robot, Subject, TaskId
 
 
 class FleetRuleLearned(Event, frozen=True):
@@ -65,3 +65,15 @@ class WorkQueued(Event, frozen=True):
     subject: Subject[TaskId, ActionId]
     item: str
     ready_us: int
+
+
+class StoreEntryWritten(Event, frozen=True, kw_only=True):
+    """A robot's entry in a shared store now shows this availability; `written_by` is who wrote it.
+
+    Units: `until_us` microseconds of run time at which the entry expires, None if it does not.
+    """
+
+    robot: Robot
+    availability: Availability
+    until_us: int | None
+    written_by: Principal

@@ -33,3 +33,14 @@ class TaskAbandoned(Event, frozen=True):
     """The task has taken twice its budget and is given up before its next step."""
 
     task_id: TaskId
+
+
+class TaskPlanned(Event, frozen=True, kw_only=True):
+    """A master has named one robot for each step of the task, in order; empty when it has found no plan.
+
+    Units: `ready_us` microseconds of run time at which the planning ends.
+    """
+
+    task_id: TaskId
+    robots: tuple[Robot, ...]
+    ready_us: int

@@ -12,19 +12,31 @@ from fsar_ledger.events.knowledge import (
     PeerRemembered,
     PlannerEngaged,
     SnapshotTaken,
+    StoreEntryWritten,
     WorkQueued,
 )
 from fsar_ledger.events.world import SyncPhaseSet
 
 from .maps import put
 
-HANDLES = SyncPhaseSet | FleetRuleLearned | PeerRemembered | CopySynced | SnapshotTaken | PlannerEngaged | WorkQueued
+HANDLES = (
+    SyncPhaseSet
+    | FleetRuleLearned
+    | PeerRemembered
+    | CopySynced
+    | SnapshotTaken
+    | PlannerEngaged
+    | WorkQueued
+    | StoreEntryWritten
+)
 
 
 class Knowledge(msgspec.Struct, frozen=True, gc=False):
     """What each decider was told.
 
-    `copy` is the coordinator's last synced copy. Units: `ready_us` run time at which its queue of work is done.
+    `copy` is the coordinator's last synced copy. `store`: robot -> its entry in a shared store; `beats`: robot -> until
+    when its own last writing there holds (run time), 0 if it does not expire. Units: `ready_us` run time at which the
+    coordinator's queue of work is done.
     """
 
     sync_phase_ppm: int = 0
@@ -35,6 +47,8 @@ class Knowledge(msgspec.Struct, frozen=True, gc=False):
     snapshot: Mapping[Robot, PolicyOutcome] = {}
     engaged_until_us: Mapping[Robot, int] = {}
     ready_us: int = 0
+    store: Mapping[Robot, StoreEntryWritten] = {}
+    beats: Mapping[Robot, int] = {}
 
 
 INITIAL = Knowledge()
@@ -60,6 +74,11 @@ def evolve(state: Knowledge, event: HANDLES) -> Knowledge:
             return replace(state, engaged_until_us=put(state.engaged_until_us, event.robot, event.until_us))
         case PeerRemembered():
             return replace(state, met=put(state.met, (event.robot, event.peer), event.until_us))
+        case StoreEntryWritten():
+            beats = state.beats
+            if event.written_by == event.robot:
+                beats = put(beats, event.robot, event.until_us or 0)
+            return replace(state, store=put(state.store, event.robot, event), beats=beats)
         case SyncPhaseSet():
             return replace(state, sync_phase_ppm=event.phase_ppm)
         case _:

@@ -8,12 +8,12 @@ from msgspec.structs import replace
 
 from fsar_ledger.designs.constants import END_US
 from fsar_ledger.events.envelope import Robot
-from fsar_ledger.events.task import StepBegan, StepCompleted, TaskAbandoned, TaskCompleted
+from fsar_ledger.events.task import StepBegan, StepCompleted, TaskAbandoned, TaskCompleted, TaskPlanned
 from fsar_ledger.events.world import TaskArrived
 
 from .maps import put, without
 
-HANDLES = TaskArrived | StepBegan | StepCompleted | TaskCompleted | TaskAbandoned
+HANDLES = TaskArrived | TaskPlanned | StepBegan | StepCompleted | TaskCompleted | TaskAbandoned
 
 
 class Task(msgspec.Struct, frozen=True, gc=False):
@@ -21,7 +21,7 @@ class Task(msgspec.Struct, frozen=True, gc=False):
 
     `step` counts the steps done, `attempt` the attempts at the present one, from 1; `checkpoints` as in `TaskArrived`.
     `action_id` is the last attempt, empty before the first. `has_arrived`: its arrival is on record; if not, nothing is
-    known of its team, steps and times.
+    known of its team, steps and times. `plan` names one robot for each step, where a master has planned them all.
     """
 
     task_id: str
@@ -36,6 +36,7 @@ class Task(msgspec.Struct, frozen=True, gc=False):
     checkpoints: tuple[str, ...] | None = None
     is_time_critical: bool = False
     has_arrived: bool = True
+    plan: tuple[Robot, ...] = ()
 
 
 Tasks = Mapping[str, Task]
@@ -64,6 +65,9 @@ def evolve(state: Tasks, event: HANDLES) -> Tasks:
             about = (event.task_id, event.robot, event.team, event.steps, event.budget_us, event.due_us)
             task = Task(*about, checkpoints=event.checkpoints, is_time_critical=event.is_time_critical)
             return put(state, event.task_id, task)
+        case TaskPlanned():
+            known = state.get(event.task_id)
+            return state if known is None else put(state, event.task_id, replace(known, plan=event.robots))
         case TaskCompleted() | TaskAbandoned():
             return without(state, event.task_id)
         case _:

@@ -44,6 +44,7 @@ WITH words (type, sender, receiver, words, detail) AS (
     ('SupervisorReturned.v1', 'on_shift', 'on_shift', 'is back on shift', NULL),
     ('SupervisionDensitySet.v1', 'decider', 'robots', 'sets supervision', 'density'),
     ('TaskArrived.v1', 'robot', 'robot', 'receives task', 'task'),
+    ('TaskPlanned.v1', 'coordinator', 'coordinator', 'plans task', 'task'),
     ('StepBegan.v1', 'robot', 'robot', 'turns to', 'capability'),
     ('StepCompleted.v1', 'task', 'task', 'step is done', NULL),
     ('SegmentTransferred.v1', 'decider', 'robot', 'gives the task on', NULL),
@@ -63,6 +64,7 @@ WITH words (type, sender, receiver, words, detail) AS (
     ('SnapshotTaken.v1', 'robot', 'robot', 'refreshes its policy snapshot', 'outcome'),
     ('CopySynced.v1', 'coordinator', 'coordinator', 'refreshes its copy of all robots', NULL),
     ('WorkQueued.v1', 'coordinator', 'coordinator', 'queues', 'item'),
+    ('StoreEntryWritten.v1', 'robot', 'robot', 'is shown in the store', 'availability'),
     ('BidReceived.v1', 'robot', 'robot', 'bid is read', 'outcome'),
     ('PlannerEngaged.v1', 'robot', 'robot', 'planner is engaged', NULL),
     ('CommandRejected.v1', 'issuer', 'issuer', 'command rejected', 'command')

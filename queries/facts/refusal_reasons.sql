@@ -22,6 +22,7 @@ WITH reasons (reason, conjunct) AS (
     ('override', 'authority'),
     ('no candidate', NULL),
     ('no answer', NULL),
+    ('no channel', NULL),
     ('helper busy', NULL)
 )
 
