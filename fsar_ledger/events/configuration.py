@@ -17,6 +17,7 @@ ARCHITECTURES: tuple[Architecture, ...] = (
     "cfc",
     "dhma",
     "jade",
+    "roboos",
 )
 """Every architecture that can be simulated, in the order of runs and tables; each is a folder of its name in
 `runtime/architectures/`.

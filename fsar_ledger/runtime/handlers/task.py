@@ -222,7 +222,7 @@ def segment_message(state: State, event: SegmentTransferred) -> Ask:
 
 
 @HANDLERS.react(TaskArrived)
-def _on_arrival(state: State, event: TaskArrived, now_us: int) -> tuple[Scheduled, ...]:
+def on_arrival(state: State, event: TaskArrived, now_us: int) -> tuple[Scheduled, ...]:
     """Schedule the first step, and the time at which the task is given up.
 
     That is after so many budgets, and at the latest at the end of the run.

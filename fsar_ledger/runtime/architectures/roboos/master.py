@@ -1,0 +1,201 @@
+"""RoboOS: the master plans a whole task, sends one subtask after the other, and takes the results.
+
+Source: master/agents/agent.py, publish_global_task and _handle_result.
+
+- The store is read once, before the planning, which names the robot of every subtask. Robots shown idle are preferred
+  (planner.py, _get_prompt_from_memory). In the source a language model chooses among them; ours takes the nearest, as
+  the other architectures do.
+- Tasks are planned side by side: each has its own request thread (master/run.py), so the master has no queue.
+- Steps of one task depend on each other, so each is a group of its own: the next is sent when the result of the one
+  before is back. The source does not wait for the last group; here the task is done when its last result is.
+- One message takes a subtask to the robot and one brings its result. The master waits for it longer than any run lasts
+  (communication.py: 6000 s).
+- Any result sets the robot idle, a failed one, too, and also while the robot serves another subtask.
+- No result is used for the next step ("TODO: Task result should be refered to the next step determination"), so the
+  source sends the next group after a failure as well. Our choice: the task is given up then. Our steps need the earlier
+  ones, bodies of our world would carry them out all the same, and nobody in the source repeats a failed subtask.
+- A language model may fail to plan; ours does not. The one task without a plan is one with a step for which the store
+  has no capable robot: it is planned `planning_retries` times more on the same reading of the store, and then ignored.
+- Only the master has a channel to a robot, so what an outsider wants of one comes to nothing.
+"""
+
+from fsar_ledger.events import Event
+from fsar_ledger.events.authority import AuthorityClaimed
+from fsar_ledger.events.envelope import COORDINATOR, Parties, Principals, RequestSubject, Robot, robot_named
+from fsar_ledger.events.request import CommandIssued, RequestDenied
+from fsar_ledger.events.task import StepBegan, StepCompleted, TaskAbandoned, TaskPlanned
+from fsar_ledger.events.world import OutsiderRequestInjected, TaskArrived
+from fsar_ledger.projections.fold import State
+from fsar_ledger.projections.request import Request
+from fsar_ledger.projections.task import Task
+from fsar_ledger.runtime.handlers.attribution import capable
+from fsar_ledger.runtime.handlers.authority import release
+from fsar_ledger.runtime.handlers.commands import (
+    ActionCommand,
+    BeginStep,
+    Command,
+    Handlers,
+    React,
+    Scheduled,
+    nobody,
+    open_request,
+)
+from fsar_ledger.runtime.handlers.task import begin_step, on_arrival, on_completed
+
+from .store import entry, is_shown_idle, is_stored, written
+
+NO_CHANNEL = "no channel"
+
+HANDLERS = Handlers()
+
+
+class PlanTask(Command):
+    """Read the store and plan the task."""
+
+    task_id: str
+
+
+class IgnoreTask(Command):
+    """Ignore a task for which no plan was found."""
+
+    task_id: str
+
+
+class BeginSubtask(BeginStep):
+    """Turn to the next step of the task, as the master."""
+
+
+class SendSubtask(ActionCommand):
+    """Send the step to the robot that the plan names."""
+
+
+class TakeResult(ActionCommand):
+    """Take the result that the robot has sent back."""
+
+    task_id: str
+    robot: Robot
+
+
+class RefuseOutsider(ActionCommand):
+    """Let a request come to nothing that does not come from the master."""
+
+
+def on_record(robot: Robot) -> Parties:
+    """Return whom RoboOS records: the robot alone (slaver/run.py, _send_result)."""
+    return Parties(requested_by=None, executed_by=robot, supervised_by=None)
+
+
+@HANDLERS.decide(PlanTask, nobody)
+def plan_task(state: State, command: PlanTask) -> tuple[TaskPlanned, ...]:
+    """Name a robot for every step by the store as it is now, before the planning."""
+    task, dials = state.task.get(command.task_id), state.fleet.roboos
+    if task is None:
+        return ()
+    named = [_named_for(state, task, step, command.now_us) for step in task.steps]
+    robots = tuple(robot for robot in named if robot is not None)
+    if len(robots) == len(named):
+        ready_us = command.now_us + dials.planning_us
+        return (TaskPlanned(task_id=task.task_id, robots=robots, ready_us=ready_us),)
+    ready_us = command.now_us + (1 + dials.planning_retries) * dials.planning_us
+    return (TaskPlanned(task_id=task.task_id, robots=(), ready_us=ready_us),)
+
+
+def _named_for(state: State, task: Task, step: str, now_us: int) -> Robot | None:
+    """Return the first robot in the store that can do the step, one shown idle if possible; None if there is none.
+
+    A busy robot can be named: all that is checked of a plan is that its robots are registered (agent.py,
+    reasoning_and_subtasks_is_right), and a subtask waits at the robot.
+    """
+    actor, capability, *target = step.split(" ")
+    acting = robot_named(actor, task.team)
+    able = capable(state.fleet, state.registry, capability, acting) if target else (acting,)
+    stored = [robot for robot in able if is_stored(state, robot, now_us)]
+    idle = (robot for robot in stored if is_shown_idle(state, robot, now_us))
+    return next(idle, stored[0] if stored else None)
+
+
+@HANDLERS.decide(IgnoreTask, nobody)
+def ignore_task(state: State, command: IgnoreTask) -> tuple[TaskAbandoned, ...]:
+    """Give up the task, of which nothing was done."""
+    return (TaskAbandoned(command.task_id),) if command.task_id in state.task else ()
+
+
+@HANDLERS.decide(BeginSubtask, nobody)
+def begin_subtask(state: State, command: BeginSubtask) -> tuple[Event, ...]:
+    """Begin the next step: the master does, whether or not the robot whose task it is can hear it."""
+    return begin_step(state, command)
+
+
+@HANDLERS.decide_on(open_request, SendSubtask, nobody)
+def send_subtask(state: State, command: SendSubtask, request: Request) -> tuple[Event, ...]:
+    """Send the subtask, write `busy`, and claim the action until the result is back.
+
+    An own step is a subtask like any other. The robot gets it whether or not it is busy by now.
+    """
+    task = state.task.get(request.task_id)
+    if task is None or len(task.plan) < request.step:
+        return ()
+    robot = task.plan[request.step - 1]
+    return (
+        CommandIssued(
+            subject=RequestSubject(request.task_id, request.action_id, None),
+            principals=on_record(robot).decided(COORDINATOR),
+            robot=robot,
+            seen_busy=entry(state, robot).availability == "busy",
+        ),
+        *written(state, robot, "busy", command.now_us),
+        AuthorityClaimed(request.subject, "execution", COORDINATOR, "dispatch"),
+        AuthorityClaimed(request.subject, "override", COORDINATOR, "dispatch"),
+    )
+
+
+@HANDLERS.decide(TakeResult, nobody)
+def take_result(state: State, command: TakeResult) -> tuple[Event, ...]:
+    """Write `idle`, whatever the result; go on after a success, and give up the task after anything else."""
+    taken = (
+        *written(state, command.robot, "ready", command.now_us),
+        *release(state.authority, command.action_id),
+    )
+    request = open_request(state, command.action_id)
+    if request is None or request.task_id not in state.task:
+        return taken
+    if request.is_over or request.result is not None:
+        return (*taken, TaskAbandoned(request.task_id))
+    return (*taken, StepCompleted(request.subject))
+
+
+@HANDLERS.decide_on(open_request, RefuseOutsider, nobody)
+def refuse_outsider(_state: State, _command: RefuseOutsider, request: Request) -> tuple[RequestDenied, ...]:
+    """Record that the request has reached nobody: no principal of RoboOS decides it."""
+    unknown = Principals(decided_by=None, requested_by=None, executed_by=None, supervised_by=None, path=())
+    return (RequestDenied(RequestSubject(request.task_id, None, None), unknown, NO_CHANNEL),)
+
+
+@HANDLERS.react(TaskPlanned)
+def _on_plan(_state: State, event: TaskPlanned, now_us: int) -> tuple[Scheduled, ...]:
+    follows = BeginSubtask(event.task_id) if event.robots else IgnoreTask(event.task_id)
+    return (Scheduled(follows, max(1, event.ready_us - now_us)),)
+
+
+@HANDLERS.react(StepBegan)
+def _on_step(_state: State, event: StepBegan, _now_us: int) -> tuple[Scheduled, ...]:
+    return (Scheduled(SendSubtask(event.subject.action_id)),)
+
+
+@HANDLERS.react(OutsiderRequestInjected)
+def _on_outsider(_state: State, event: OutsiderRequestInjected, _now_us: int) -> tuple[Scheduled, ...]:
+    return (Scheduled(RefuseOutsider(event.task_id)),)
+
+
+def _on_arrival(state: State, event: TaskArrived, now_us: int) -> tuple[Scheduled, ...]:
+    """Schedule the planning: tasks are published to the master, not to a robot (master/run.py, publish_task)."""
+    _begins, expires = on_arrival(state, event, now_us)
+    return (Scheduled(PlanTask(event.task_id)), expires)
+
+
+def _on_completed(_state: State, event: StepCompleted, _now_us: int) -> tuple[Scheduled, ...]:
+    """Schedule the next step; the plan names its robot, so no segment is handed over."""
+    return (Scheduled(BeginSubtask(event.subject.task_id)),)
+
+
+INSTEAD: dict[React, React] = {on_arrival: _on_arrival, on_completed: _on_completed}
