@@ -150,8 +150,8 @@ def test_the_handler_stops_at_the_first_method_that_helps() -> None:
 
 def test_after_another_path_a_robot_is_asked_that_the_store_shows_idle() -> None:
     state = obstructed(stored(A, "busy"))
-    failed, asked = decided(state, EndAttempt(ACTION, 1, now_us=13 * S))
-    assert type(failed).__name__ == "RecoveryAttemptFailed"
+    *moved, asked = decided(state, EndAttempt(ACTION, 1, now_us=13 * S))
+    assert types(tuple(moved)) == ["RecoveryAttemptFailed", "RecoveryEscalated"]
     assert isinstance(asked, AssistanceRequested)
     assert (asked.helper, asked.level, asked.principals.decided_by) == (D, "peer", B)
 

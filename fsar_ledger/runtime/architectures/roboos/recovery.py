@@ -2,9 +2,9 @@
 
 Source: slaver/robot/error_handler.py, error_definitions.py, core.py; slaver/agents/slaver_agent.py.
 
-- The handler calls the methods of the error's list in order, and stops at the first that does not raise. In the source
-  the methods are stubs: what they do is taken from their descriptions, and in our world a method raises if it does not
-  resolve the failure.
+- The handler calls the methods of the error's list in order, logs each, and stops at the first that does not raise. In
+  the source the methods are stubs: what they do is taken from their descriptions, and in our world a method raises if
+  it does not resolve the failure. A move from the robot itself to another, a human or the brain is an escalation.
 - An obstruction is E101: another path, another idle robot, manual assistance, the brain.
 - No error of the source is a worn actuator. Our choice is E302 (an object drops): the tool is called again, no more;
   the dial `worn_error` has E303 instead. The source has manual assistance in E101 alone; see the dial `manual_help`.
@@ -172,7 +172,9 @@ def _next_method(state: State, action: Action, recovery: Recovery, now_us: int) 
     if "another robot" in methods:
         helper = _idle_robot(state, action, recovery, now_us)
         if helper is not None:
+            moved = (_escalated(action, recovery, "peer"),) if recovery.level != "peer" else ()
             return (
+                *moved,
                 AssistanceRequested(
                     subject=action.subject,
                     principals=_by_robot(action.robot),
@@ -210,7 +212,7 @@ def _escalated(
         principals=_by_robot(action.robot),
         robot=action.robot,
         failure=recovery.failure,
-        level="peer" if recovery.tried else "local",
+        level=recovery.level,
         to_level=to_level,
         failed_action=action.action_id,
         reason=reason,
