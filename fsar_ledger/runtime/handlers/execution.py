@@ -150,8 +150,13 @@ def halt_action(state: State, command: HaltAction, action: Action) -> tuple[Even
 
 @HANDLERS.decide_on(known_action, ResumeAction, body)
 def resume_action(state: State, command: ResumeAction, action: Action) -> tuple[Event, ...]:
-    """Resume the rest of the execution; without a rest it has finished."""
-    if action.stage not in ("paused", "halted", "failed", "preempted") or command.action_id in state.recovery:
+    """Resume the rest of the execution once no failure of it is open; without a rest it has finished."""
+    return () if command.action_id in state.recovery else resumed(state, command, action)
+
+
+def resumed(state: State, command: ResumeAction, action: Action) -> tuple[Event, ...]:
+    """Return the facts of `resume_action`, whatever failure is open."""
+    if action.stage not in ("paused", "halted", "failed", "preempted"):
         return ()
     if action.stage == "preempted" and not (action.has_begun and holds_robot(state.execution, action)):
         return ()
