@@ -157,8 +157,8 @@ class ExecutionFinished(Event, frozen=True):
 class ExecutionWithdrawn(Event, frozen=True):
     """The action no longer occupies this robot.
 
-    Its contract is void, it was reassigned, or its task was given up before it began. With the number of a `failure`,
-    the robot gave it up because of that failure, which nobody recovers.
+    Its contract is void, it was reassigned, its robot has left it, or its task was given up before it began. With the
+    number of a `failure`, the robot gave it up because of that failure, which nobody recovers.
     """
 
     subject: Subject[TaskId, ActionId]

@@ -77,3 +77,53 @@ class StoreEntryWritten(Event, frozen=True, kw_only=True):
     availability: Availability
     until_us: int | None
     written_by: Principal
+
+
+class MotivationBegan(Event, frozen=True):
+    """The robot senses that the action is wanted, and from `since_us` (run time) its motivation grows from zero.
+
+    It has just been told, or is free again, or its own policy allows again.
+    """
+
+    subject: Subject[TaskId, ActionId]
+    robot: Robot
+    since_us: int
+
+
+class ActivityBroadcast(Event, frozen=True):
+    """The robot tells the others that it is active on the action, as it has been since `since_us` (run time).
+
+    The first one of a `since_us` is its activation.
+    """
+
+    subject: Subject[TaskId, ActionId]
+    robot: Robot
+    since_us: int
+
+
+class ActivityHeard(Event, frozen=True, kw_only=True):
+    """At `as_of_us` (run time) the robot has heard that `peer` is active on the action.
+
+    Units: `level_us` its own motivation then, as microseconds of growth at the fast rate; `patience_us` microseconds
+    for which it lets this peer slow its motivation.
+    """
+
+    subject: Subject[TaskId, ActionId]
+    robot: Robot
+    peer: Robot
+    as_of_us: int
+    level_us: int
+    patience_us: int
+
+
+class NeedEnded(Event, frozen=True, kw_only=True):
+    """The robot knows that the action is not wanted any more, because `peer` has done it (itself, perhaps).
+
+    Units: `took_us` microseconds from when the robot first heard that the peer was active, None if it never did.
+    """
+
+    subject: Subject[TaskId, ActionId]
+    robot: Robot
+    peer: Robot
+    capability: str
+    took_us: int | None

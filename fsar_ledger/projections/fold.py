@@ -17,6 +17,7 @@ from . import (
     execution,
     fleet,
     knowledge,
+    motivation,
     policy,
     recovery,
     registry,
@@ -35,6 +36,7 @@ _PROJECTIONS = (
     execution,
     fleet,
     knowledge,
+    motivation,
     policy,
     recovery,
     registry,
@@ -59,6 +61,7 @@ class State:
         self.execution = execution.INITIAL
         self.fleet = fleet.INITIAL
         self.knowledge = knowledge.INITIAL
+        self.motivation = motivation.INITIAL
         self.policy = policy.INITIAL
         self.recovery = recovery.INITIAL
         self.registry = registry.INITIAL

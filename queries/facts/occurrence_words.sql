@@ -67,6 +67,10 @@ WITH words (type, sender, receiver, words, detail) AS (
     ('StoreEntryWritten.v1', 'robot', 'robot', 'is shown in the store', 'availability'),
     ('BidReceived.v1', 'robot', 'robot', 'bid is read', 'outcome'),
     ('PlannerEngaged.v1', 'robot', 'robot', 'planner is engaged', NULL),
+    ('MotivationBegan.v1', 'robot', 'robot', 'senses a need', NULL),
+    ('ActivityBroadcast.v1', 'robot', 'robot', 'says that it is active', NULL),
+    ('ActivityHeard.v1', 'peer', 'robot', 'is heard to be active', NULL),
+    ('NeedEnded.v1', 'peer', 'robot', 'is heard to be done', 'capability'),
     ('CommandRejected.v1', 'issuer', 'issuer', 'command rejected', 'command')
 )
 

@@ -193,10 +193,14 @@ def failed(time_us: int, number: int = 1) -> Row:
     return act("ExecutionFailed", time_us, "t1/1.1", robot=B, failure=number, cause="degradation", detected_us=time_us)
 
 
-SILENT = {  # what names an action and is not told: claims, queues and plans are behind the deeds that are
+SILENT = {  # what names an action and is not told: claims, queues, plans and motivations are behind the deeds that are
+    "ActivityBroadcast",
+    "ActivityHeard",
     "AuthorityReleased",
     "BidReceived",
     "ExecutionQueued",
+    "MotivationBegan",
+    "NeedEnded",
     "StepBegan",
     "StepCompleted",
     "WorkQueued",
