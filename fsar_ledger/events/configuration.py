@@ -18,6 +18,7 @@ ARCHITECTURES: tuple[Architecture, ...] = (
     "dhma",
     "jade",
     "roboos",
+    "alliance",
 )
 """Every architecture that can be simulated, in the order of runs and tables; each is a folder of its name in
 `runtime/architectures/`.

@@ -76,6 +76,7 @@ def emitted() -> set[type[Event]]:
         RunSpec(42, "fsar", "full", "mixed-trust-inspection", 4, 19)
     )  # one of the few in which a task changes hands
     specs.append(RunSpec(8, "roboos", "full", "door-relay", 4, 0))  # which has a store
+    specs.append(RunSpec(8, "alliance", "full", "door-relay", 16, 0))  # in which robots have teammates to hear
     specs.append(RunSpec(42, "cfc", "full", "fleet-contention", 4, 32))  # and in which a helper is busy
     away = simulate_run(
         RunSpec(8, "fsar", "full", "fleet-contention", 4, 0), Constants(outages=Outages(0.05, 8.0, 0.03, 6.0))

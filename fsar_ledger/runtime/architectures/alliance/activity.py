@@ -1,0 +1,292 @@
+"""ALLIANCE: a robot becomes active on an action, says so, and leaves it by acquiescence or when it is done.
+
+It claims execution while it is active, and two robots that are active on the same action hold two claims to it: nobody
+decides between them. Each executes it under a name of its own (`projections.motivation`), and the first to finish
+completes the step; the motion of the other was in vain, and ends when it hears of that. What this leaves out: the work
+of both does not add up, and neither is in the other's way.
+"""
+
+import msgspec
+
+from fsar_ledger.events import Event
+from fsar_ledger.events.authority import AuthorityClaimed
+from fsar_ledger.events.envelope import Parties, RequestSubject, Robot, Subject
+from fsar_ledger.events.execution import ExecutionFinished, ExecutionQueued, ExecutionWithdrawn, OwnStepDecided
+from fsar_ledger.events.knowledge import ActivityBroadcast, ActivityHeard, NeedEnded
+from fsar_ledger.events.recovery import FailureResolved, RecoveryEscalated
+from fsar_ledger.events.request import RequestAccepted
+from fsar_ledger.events.world import PolicyWindowOpened
+from fsar_ledger.projections.execution import Action
+from fsar_ledger.projections.fold import State
+from fsar_ledger.projections.motivation import (
+    action_of,
+    execution_name,
+    motivation_of,
+    task_of,
+)
+from fsar_ledger.projections.request import Request
+from fsar_ledger.runtime.handlers.attribution import is_idle
+from fsar_ledger.runtime.handlers.authority import released
+from fsar_ledger.runtime.handlers.commands import CompleteStep, Handlers, Scheduled, message, named
+from fsar_ledger.runtime.handlers.execution import queued
+
+from .motivation import HearActivity, NeedCommand, TakeUp, is_applicable, level_us, teammates, wanted
+
+REASON = "motivation"
+
+HANDLERS = Handlers()
+
+
+class Broadcast(NeedCommand):
+    """Say again that the robot is active."""
+
+    since_us: int
+
+
+class Acquiesce(NeedCommand):
+    """Leave the action, if there is reason to."""
+
+    since_us: int
+
+
+class EndActivity(NeedCommand):
+    """End the claim of a robot that executes no more; `execution_id` is what it has finished, empty if nothing."""
+
+    execution_id: str = ""
+    capability: str = ""
+
+
+class HearDone(NeedCommand):
+    """Deliver word that the peer has done the action."""
+
+    peer: Robot
+    capability: str
+
+
+def by_robot(robot: Robot) -> Parties:
+    """Return whom a record names: the robot that acts. Nobody has asked it, and no supervisor is known."""
+    return Parties(requested_by=None, executed_by=robot, supervised_by=None)
+
+
+def in_hand_of(state: State, robot: Robot, action_id: str) -> Action | None:
+    """Return the robot's own execution of the action, if it is active on it."""
+    active = state.motivation.active.get(robot)
+    if active is None or active.action_id != action_id:
+        return None
+    return state.execution.actions.get(execution_name(state.execution, action_id, robot))
+
+
+@HANDLERS.decide(TakeUp, named)
+def take_up(state: State, command: TakeUp) -> tuple[Event, ...]:
+    """Become active at the threshold, unless suppressed by another activity or not applicable.
+
+    If a teammate has given the action up after a failure, this takes over what it left.
+    """
+    robot, action_id, dials = command.robot, command.action_id, state.fleet.alliance
+    request, known = wanted(state, action_id, command.now_us), motivation_of(state.motivation, action_id, robot)
+    if request is None or known is None or known.as_of_us is None:
+        return ()
+    if not is_idle(state.execution, robot) or not is_applicable(state, robot, request):
+        return ()
+    if level_us(known, command.now_us, dials.impatience_us, dials.silence_us) < dials.impatience_us:
+        return ()  # a teammate was heard meanwhile
+    name = execution_name(state.execution, action_id, robot)
+    principals = by_robot(robot).decided(robot)
+    decided: Event = (
+        RequestAccepted(RequestSubject(request.task_id, name, None), principals)
+        if request.is_delegated
+        else OwnStepDecided(request.subject, principals, request.capability)
+    )
+    return (
+        decided,
+        AuthorityClaimed(request.subject, "execution", robot, REASON),
+        ActivityBroadcast(request.subject, robot, command.now_us),
+        *_taken_over(state, action_id, robot),
+        _queued(state, request, robot, name),
+    )
+
+
+def _queued(state: State, request: Request, robot: Robot, name: str) -> ExecutionQueued:
+    """Return the fact that the robot turns to the step; it has no way to go where it still is.
+
+    That a robot which has left the step and been nowhere else need not come back is our choice: otherwise a step that
+    takes longer than the give-up delay would never end.
+    """
+    is_there = state.motivation.at.get(robot) == request.action_id
+    return msgspec.structs.replace(
+        queued(request, by_robot(robot), robot),
+        subject=Subject(request.task_id, name),
+        has_approach=request.is_delegated and request.step > 0 and not is_there,
+        is_supervised=False,
+    )
+
+
+def _taken_over(state: State, action_id: str, robot: Robot) -> tuple[FailureResolved, ...]:
+    """Return the resolution of each failure with which another robot has given the action up."""
+    return tuple(
+        FailureResolved(Subject(task_of(action_id), name), open_failure.robot, open_failure.failure, "peer")
+        for name, open_failure in state.recovery.items()
+        if action_of(name) == action_id
+        and open_failure.robot != robot
+        and open_failure.level == "peer"
+        and (one := state.execution.actions.get(name)) is not None
+        and one.stage == "withdrawn"
+    )
+
+
+@HANDLERS.decide(Broadcast, named)
+def broadcast(state: State, command: Broadcast) -> tuple[Event, ...]:
+    """Say so while the robot is active."""
+    active, action_id = state.motivation.active.get(command.robot), command.action_id
+    if active is None or (active.action_id, active.since_us) != (action_id, command.since_us):
+        return ()
+    return (ActivityBroadcast(Subject(task_of(action_id), action_id), command.robot, active.since_us),)
+
+
+@HANDLERS.decide(Acquiesce, named)
+def acquiesce(state: State, command: Acquiesce) -> tuple[Event, ...]:
+    """Leave the action: yield to a teammate that broadcasts, give up, or stop because sensors do not allow it any more.
+
+    Active for more than the yielding delay while another broadcasts, or for more than the giving-up delay
+    (acquiescence.cpp). Once it executes, a window of its own policy does not stop a robot: it replans, as under every
+    architecture (our choice).
+    """
+    robot, action_id, dials = command.robot, command.action_id, state.fleet.alliance
+    active, action = state.motivation.active.get(robot), in_hand_of(state, robot, action_id)
+    if active is None or action is None or active.since_us != command.since_us:
+        return ()
+    elapsed_us, known = command.now_us - active.since_us, motivation_of(state.motivation, action_id, robot)
+    heard = () if known is None else known.heard.values()
+    is_heard = any(one.last_us >= command.now_us - dials.silence_us for one in heard)
+    request = state.request.open.get(action_id)
+    has_begun = action.stage not in ("queued", "approaching")
+    if elapsed_us > dials.yield_us and is_heard:
+        return left(state, action, is_taken=True)
+    if elapsed_us > dials.give_up_us:
+        return left(state, action, is_taken=False)
+    if not has_begun and request is not None and not is_applicable(state, robot, request):
+        return left(state, action, is_taken=False)
+    return ()
+
+
+def left(state: State, action: Action, *, is_taken: bool) -> tuple[Event, ...]:
+    """Return that the robot leaves the action; `is_taken`: a teammate is at it, so its failure is over."""
+    robot, recovery, records = action.robot, state.recovery.get(action.action_id), list[Event]()
+    if recovery is not None and recovery.level == "local" and action.is_delegated:
+        records.append(
+            RecoveryEscalated(
+                subject=action.subject,
+                principals=by_robot(robot).decided(robot),
+                robot=robot,
+                failure=recovery.failure,
+                level="local",
+                to_level="peer",
+                failed_action=action.action_id,
+                reason="acquiescence",
+            )
+        )
+    claims = state.authority.claims.get(action_of(action.action_id), ())
+    records += released(claim for claim in claims if claim.claimant == robot)
+    records.append(ExecutionWithdrawn(action.subject, robot))
+    if recovery is not None and is_taken:
+        records.append(FailureResolved(action.subject, robot, recovery.failure, "peer"))
+    return tuple(records)
+
+
+@HANDLERS.decide(EndActivity, named)
+def end_activity(state: State, command: EndActivity) -> tuple[Event, ...]:
+    """End the robot's claim. What it has finished is wanted no more, and a failure that it got over by itself ends."""
+    robot, action_id = command.robot, command.action_id
+    ended = released(claim for claim in state.authority.claims.get(action_id, ()) if claim.claimant == robot)
+    if not command.execution_id:
+        return ended
+    subject, recovery = Subject(task_of(action_id), command.execution_id), state.recovery.get(command.execution_id)
+    over = () if recovery is None else (FailureResolved(subject, robot, recovery.failure, "local"),)
+    return (*ended, *over, *_need_ended(state, command, robot))
+
+
+@HANDLERS.decide(HearDone, named)
+def hear_done(state: State, command: HearDone) -> tuple[Event, ...]:
+    """Stop what the robot does about the action, and forget the need."""
+    action = in_hand_of(state, command.robot, command.action_id)
+    stopped = () if action is None else left(state, action, is_taken=True)
+    return (*stopped, *_need_ended(state, command, command.peer))
+
+
+def _need_ended(state: State, command: EndActivity | HearDone, by: Robot) -> tuple[NeedEnded, ...]:
+    """Return that the robot knows of the end, if it knew of the need or of somebody's activity."""
+    known = motivation_of(state.motivation, command.action_id, command.robot)
+    if known is None:
+        return ()
+    heard = known.heard.get(by)
+    return (
+        NeedEnded(
+            subject=Subject(task_of(command.action_id), command.action_id),
+            robot=command.robot,
+            peer=by,
+            capability=command.capability,
+            took_us=None if heard is None else command.now_us - heard.first_us,
+        ),
+    )
+
+
+@HANDLERS.react(ActivityBroadcast)
+def _on_broadcast(state: State, event: ActivityBroadcast, _now_us: int) -> tuple[Scheduled, ...]:
+    """Send it to every robot with such a behaviour set, and schedule the next one.
+
+    The first is sent at activation (our choice: the timer of the sources runs on its own). No period, no further ones.
+    """
+    action_id, robot, dials = event.subject.action_id, event.robot, state.fleet.alliance
+    request, active = state.request.open.get(action_id), state.motivation.active[robot]
+    hop = f"active/{state.motivation.spells[action_id]}.{active.broadcasts}"
+    told = tuple(
+        Scheduled(HearActivity(peer, action_id, robot), 0, (message(robot, action_id, f"{hop}/{robot}/{peer}"),))
+        for peer in (() if request is None else teammates(state, request, robot))
+    )
+    again = (Scheduled(Broadcast(robot, action_id, event.since_us), dials.broadcast_us),) if dials.broadcast_us else ()
+    if active.broadcasts > 1:
+        return (*told, *again)
+    delays_us = (dials.yield_us, dials.give_up_us)
+    left_by = (Scheduled(Acquiesce(robot, action_id, event.since_us), after_us + 1) for after_us in delays_us)
+    return (*told, *again, *left_by)
+
+
+@HANDLERS.react(ActivityHeard)
+def _on_heard(state: State, event: ActivityHeard, now_us: int) -> tuple[Scheduled, ...]:
+    """Let an active robot that may yield by now consider it."""
+    active = state.motivation.active.get(event.robot)
+    if active is None or active.action_id != event.subject.action_id:
+        return ()
+    if now_us - active.since_us <= state.fleet.alliance.yield_us:
+        return ()
+    return (Scheduled(Acquiesce(event.robot, active.action_id, active.since_us)),)
+
+
+@HANDLERS.react(PolicyWindowOpened)
+def _on_window(state: State, event: PolicyWindowOpened, _now_us: int) -> tuple[Scheduled, ...]:
+    active = state.motivation.active.get(event.robot)
+    if active is None or event.scope != "local":
+        return ()
+    return (Scheduled(Acquiesce(event.robot, active.action_id, active.since_us)),)
+
+
+@HANDLERS.react(ExecutionFinished)
+def _on_finish(state: State, event: ExecutionFinished, _now_us: int) -> tuple[Scheduled, ...]:
+    """Tell the robot whose step it is, and every teammate that may be at it as well, one message each."""
+    robot, action_id = event.robot, action_of(event.subject.action_id)
+    request = state.request.open.get(action_id)
+    capability = "" if request is None else request.capability
+    end = Scheduled(EndActivity(robot, action_id, event.subject.action_id, capability))
+    if request is None:
+        return (end,)
+    result = (message(robot, action_id, 4),) if request.is_delegated else ()
+    told = tuple(
+        Scheduled(HearDone(peer, action_id, robot, capability), 0, (message(robot, action_id, f"done/{robot}/{peer}"),))
+        for peer in teammates(state, request, robot)
+    )
+    return (end, Scheduled(CompleteStep(action_id), 0, result), *told)
+
+
+@HANDLERS.react(ExecutionWithdrawn)
+def _on_withdrawn(_state: State, event: ExecutionWithdrawn, _now_us: int) -> tuple[Scheduled, ...]:
+    return (Scheduled(EndActivity(event.robot, action_of(event.subject.action_id))),)
