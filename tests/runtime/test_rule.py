@@ -34,6 +34,7 @@ GOVERNANCES: tuple[tuple[Architecture, Configuration], ...] = (
     ("fsar", "full"),
     ("cfc", "full"),
     ("dhma", "full"),
+    ("alliance", "full"),
     *(("fsar", configuration) for configuration in CONFIGURATIONS[1:]),
 )
 
@@ -108,7 +109,7 @@ def meetings_agree(one: dict[tuple[str, str], int], other: dict[tuple[str, str],
     return len(common) > 10 and all(one[key] == other[key] for key in common)
 
 
-@pytest.mark.parametrize("other", ["cfc", "dhma"])
+@pytest.mark.parametrize("other", ["cfc", "dhma", "alliance"])
 def test_draws_agree_wherever_two_architectures_meet_the_same_key(other: Architecture) -> None:
     assert meetings_agree(asked_by("fsar", RecordingDraws), asked_by(other, RecordingDraws))
 
