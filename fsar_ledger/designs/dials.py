@@ -4,17 +4,12 @@ They were chosen before any run of these architectures was counted, and nothing 
 says so; a range is what the sources allow. Paper: tab:baseline_context.
 """
 
-from typing import Annotated, TypeVar, get_type_hints
+from typing import Annotated, TypeVar
 
 import msgspec
 
 _T = TypeVar("_T")
 Dial = Annotated[_T, msgspec.Meta(extra={"from": "dial"})]
-
-
-def tried(*values: int) -> msgspec.Meta:
-    """Say which values of a dial the study of systems tries: the ends of what its source allows, and some between."""
-    return msgspec.Meta(extra={"tried": values})
 
 
 class Jade(msgspec.Struct, frozen=True):
@@ -65,12 +60,24 @@ class Roboos(msgspec.Struct, frozen=True):
     gate: Dial[int] = 0  # 1: a robot refuses what its own policy denies; 0: it does what it is told
 
 
-def dials() -> dict[str, tuple[int, ...]]:
-    """Return the values that are tried of each dial, by its dotted name, in the order of this file."""
-    return {
-        f"{kind.__name__.lower()}.{name}": meta.extra["tried"]
-        for kind in (Jade, Alliance, Roboos)
-        for name, hint in get_type_hints(kind, include_extras=True).items()
-        for meta in hint.__metadata__
-        if meta.extra and "tried" in meta.extra
-    }
+TRIED: dict[str, tuple[int, ...]] = {
+    "roboos.planning_us": (242_000, 1_000_000, 3_000_000, 10_000_000),
+    "roboos.max_steps": (1, 20),
+    "roboos.manual_help": (0, 1, 2),
+    "roboos.worn_error": (302, 303),
+    "roboos.gate": (0, 1),
+    "jade.reply_by_us": (0, 1_000_000, 5_000_000, 30_000_000),
+    "jade.rounds": (1, 3, 10),
+    "jade.subscribes": (0, 1),
+    "jade.owner_is_named": (0, 1),
+    "jade.permissions": (0, 1),
+    "alliance.impatience_us": (100_000, 300_000, 1_000_000, 3_000_000, 15_000_000),
+    "alliance.patience_us": (5_000_000, 11_000_000, 30_000_000),
+    "alliance.yield_us": (7_500_000, 10_000_000),
+    "alliance.senses_policy": (0, 1),
+    "alliance.learns": (0, 1),
+}
+"""Which values of a dial `study run systems` tries: the ends of what its source allows, and some between.
+
+Left out are those that a source gives as one number, and those that matter in outages alone.
+"""

@@ -16,8 +16,8 @@ ARCHITECTURES: tuple[Architecture, ...] = (
     "fsar",
     "cfc",
     "dhma",
-    "jade",
     "roboos",
+    "jade",
     "alliance",
 )
 """Every architecture that can be simulated, in the order of runs and tables; each is a folder of its name in

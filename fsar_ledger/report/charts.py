@@ -32,6 +32,11 @@ LINES = {"solid": "-", "dashed": "--", "dotted": ":"}
 PALE = "#8fb8d6"
 
 
+def named(series: str) -> str:
+    """Return the name of a series as it is printed; architectures have theirs."""
+    return {"roboos": "RoboOS"}.get(series, series.upper()) if series in COLOURS else series
+
+
 def panels_of(rows: Sequence[Row]) -> dict[str, list[Row]]:
     """Return the rows of each panel, in the order in which the rows name the panels."""
     found: dict[str, list[Row]] = {}
@@ -83,7 +88,7 @@ def bars(spec: specs.Bars, rows: Sequence[Row]) -> bytes:
                 panel, max(row[key] for row in mine for key in ("paper", "value", "high") if row[key] is not None)
             )
         handles: list[Any] = [
-            Patch(color=colours[name], label=f"{name.upper()}, this ledger")
+            Patch(color=colours[name], label=f"{named(name)}, this ledger")
             for name in colours
             if spec.legend and name in COLOURS
         ]
@@ -155,7 +160,7 @@ def _axes(panel: Any, spec: specs.Curve, ticks: Sequence[float]) -> None:
         panel.set_yscale("log", base=spec.y_scale)
     else:
         panel.set_ylim(bottom=0)
-    panel.set_xticks(ticks, [f"{tick:,.0f}" for tick in ticks])
+    panel.set_xticks(ticks, [f"{tick:,g}" for tick in ticks])
     panel.minorticks_off()
     panel.set_xlabel(spec.x_label)
     panel.set_ylabel(spec.y_label)
@@ -167,7 +172,7 @@ def _curve_legend(spec: specs.Curve, looks: Mapping[str, tuple[str, str]], rows:
     from matplotlib.lines import Line2D
 
     handles = [
-        Line2D([], [], color=colour, marker=marker, markersize=4, label=name.upper() if name in COLOURS else name)
+        Line2D([], [], color=colour, marker=marker, markersize=4, label=named(name))
         for name, (colour, marker) in looks.items()
         if marker
     ]
@@ -220,7 +225,12 @@ def distances(spec: specs.Bars, rows: Sequence[Row]) -> bytes:
             panel.tick_params(axis="y", length=0)
         axes[0, 0].set_yticks(range(len(lines)), lines)
         axes[0, len(shown) // 2].set_xlabel("(ours − paper) / margin: linear up to 1, logarithmic beyond")
-        legend_below(figure, _distance_legend(), handletextpad=0.4, columnspacing=1.3)
+        legend_below(
+            figure,
+            _distance_legend([name for name in COLOURS if any(row["series"] == name for row in rows)]),
+            handletextpad=0.4,
+            columnspacing=1.3,
+        )
         return rendered(figure)
 
 
@@ -249,12 +259,12 @@ def _look(outcome: str, colour: str) -> dict[str, Any]:
     return {"markersize": 4.4, "linestyle": "none", **edge}
 
 
-def _distance_legend() -> list[Any]:
+def _distance_legend(of: Sequence[str]) -> list[Any]:
     from matplotlib.lines import Line2D
 
     names = [
-        Line2D([], [], color=colour, marker=MARKERS[name], markersize=4.4, linestyle="none", label=name.upper())
-        for name, colour in COLOURS.items()
+        Line2D([], [], color=COLOURS[name], marker=MARKERS[name], markersize=4.4, linestyle="none", label=named(name))
+        for name in of
     ]
     outcomes = [
         Line2D([], [], label=OUTCOMES[outcome], marker="o", **_look(outcome, "#444444"))

@@ -11,8 +11,15 @@ from fsar_ledger.base import printable
 
 Row = Mapping[str, Any]
 
-COLOURS = {"fsar": "#0072B2", "cfc": "#D55E00", "dhma": "#009E73"}  # Okabe and Ito: safe for colour-blind readers
-MARKERS = {"fsar": "o", "cfc": "s", "dhma": "^"}  # distinguishable in grey, too
+COLOURS = {  # Okabe and Ito: safe for colour-blind readers
+    "fsar": "#0072B2",
+    "cfc": "#D55E00",
+    "dhma": "#009E73",
+    "jade": "#CC79A7",
+    "alliance": "#E69F00",
+    "roboos": "#56B4E9",
+}
+MARKERS = {"fsar": "o", "cfc": "s", "dhma": "^", "jade": "D", "alliance": "v", "roboos": "P"}  # also told apart in grey
 STYLE: dict[str, Any] = {
     "svg.hashsalt": "fsar-ledger",
     "svg.fonttype": "path",

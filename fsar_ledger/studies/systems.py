@@ -14,7 +14,7 @@ from fsar_ledger.api.names import Place
 from fsar_ledger.api.workload import workers_of
 from fsar_ledger.base.progress import Progress
 from fsar_ledger.designs.constants import Constants, write_constants
-from fsar_ledger.designs.dials import dials
+from fsar_ledger.designs.dials import TRIED
 from fsar_ledger.events.configuration import ARCHITECTURES
 from fsar_ledger.metrics.definitions import metrics
 from fsar_ledger.metrics.paper_numbers import features
@@ -79,7 +79,7 @@ def trials() -> list[Trial]:
     """Return every architecture at every size, and every value of every dial."""
     sizes = [Trial(architecture, size) for size in RUNS for architecture in ARCHITECTURES]
     return sizes + [
-        Trial(name.partition(".")[0], DIAL_SIZE, name, value) for name, values in dials().items() for value in values
+        Trial(name.partition(".")[0], DIAL_SIZE, name, value) for name, values in TRIED.items() for value in values
     ]
 
 
