@@ -30,7 +30,7 @@ SOAKS := soak-tests soak-federation soak-crash soak-beside soak-damage soak-veri
 
 .DEFAULT_GOAL := help
 .PHONY: help setup reproduce test test-all test-rest check check-style check-types check-sql check-imports soak $(SOAKS) \
-	soak-sensitivity fleets bench docs page pins sbom clean
+	soak-sensitivity fleets systems bench docs page pins sbom clean
 
 help:
 	@echo "make setup       create .venv with the command fsar-ledger in it"
@@ -43,6 +43,8 @@ help:
 	@echo "                 resumes where it was interrupted"
 	@echo "make fleets      measure what coordination costs in fleets of 4 to 4,096 robots, into $$OUT/fleets.pdf;"
 	@echo "                 40 minutes and 9 GiB; resumes where it was interrupted"
+	@echo "make systems     run six architectures, three of them published systems, into $$OUT/systems.json; 15 minutes;"
+	@echo "                 resumes where it was interrupted"
 	@echo "make bench       run the benchmarks and print ratios"
 	@echo "make docs        rewrite the pages that show real output"
 	@echo "make page        build the script of the page that view writes from fsar_ledger/view/src; needs Node"
@@ -160,6 +162,10 @@ soak-swaps: $(READY_TEST)
 # a fit.
 soak-sensitivity: $(READY)
 	$(BIN)/fsar-ledger study run sensitivity --out "$$OUT/sensitivity.json" --svg "$$OUT/sensitivity.svg"
+
+# What do RoboOS, JADE and ALLIANCE do in the worlds of the paper's three? Resumes where it was interrupted.
+systems: $(READY)
+	$(BIN)/fsar-ledger study run systems --out "$$OUT/systems.json"
 
 # Which size breaks which architecture, and what does a request cost there? Not a test; 62 million events, 10 GiB.
 fleets: reproduce

@@ -103,7 +103,7 @@ def _relations(
         **records.predictions(records.judged(findings)),
         **measured,
         **{f"paper_{name}": _listed(specs.paper_table(name)) for name in PAPER_TABLES},
-        **{name: _listed(specs.rows(name)) for name in ("reasons", "mechanisms")},
+        **{name: _listed(specs.rows(name)) for name in ("reasons", "mechanisms", "structural")},
         "case_cells": _listed(specs.rows("cases")),
         "quotes": _listed(specs.quotes()),
         "labels": _listed(specs.labels()),

@@ -1,0 +1,94 @@
+"""Every architecture is run at every size and over every dial, and what cannot be otherwise is explained."""
+
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from fsar_ledger.designs.constants import Constants, with_all_groups
+from fsar_ledger.designs.dials import TRIED
+from fsar_ledger.events.configuration import ARCHITECTURES, PAPER_ARCHITECTURES
+from fsar_ledger.metrics.definitions import metrics
+from fsar_ledger.metrics.study_results import packaged, read
+from fsar_ledger.metrics.systems import Systems
+from fsar_ledger.report import specs
+from fsar_ledger.runtime.own import with_values
+from fsar_ledger.studies import systems as study
+from fsar_ledger.studies.evaluations import Answer, Question
+from fsar_ledger.studies.factors import Setting
+from fsar_ledger.studies.systems import WIDTH, SystemQuestion, answer, systems, trials
+
+
+def test_a_dial_is_tried_at_its_declared_value_and_at_others() -> None:
+    declared = with_all_groups(Constants())
+    for name, values in TRIED.items():
+        group, _, dial = name.partition(".")
+        assert group in set(ARCHITECTURES) - set(PAPER_ARCHITECTURES)
+        assert getattr(getattr(declared, group), dial) in values
+        assert len(set(values)) == len(values) > 1
+
+
+def test_trials_ask_the_same_only_where_every_dial_of_a_system_has_its_declared_value() -> None:
+    keys = [one.question.key for one in trials()]
+    systems_with_dials = {name.partition(".")[0] for name in TRIED}
+    assert len(keys) - len(set(keys)) == len(TRIED) - len(systems_with_dials)
+    assert {one.architecture for one in trials() if one.dial is None} == set(ARCHITECTURES)
+    assert {one.dial for one in trials() if one.dial is not None} == set(TRIED)
+
+
+def test_the_result_keeps_what_each_trial_answered(tmp_path: Path) -> None:
+    asked: list[Question] = []
+
+    def ask(question: Question) -> Answer:
+        asked.append(question)
+        return tuple(float(len(asked)) if at % 5 == 1 else None for at in range(WIDTH - 11)) + (2.0, None) * 5 + (0.5,)
+
+    made = systems(tmp_path / "systems.json", workers=1, ask=ask)
+    keys = [one.question.key for one in trials()]
+    assert [one.key for one in asked] == list(dict.fromkeys(keys))
+    assert len(made.numbers) == len(trials()) * len(metrics())
+    place = {key: float(at + 1) for at, key in enumerate(dict.fromkeys(keys))}
+    assert [one.mean for one in made.numbers[:: len(metrics())]] == [place[key] for key in keys]
+    assert {one.grade for one in made.grades} == {"full", None}
+    assert read(tmp_path / "systems.json", Systems) == made
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("architecture", ARCHITECTURES)
+def test_an_answer_has_every_metric_grade_and_share(architecture: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(study, "RUNS", {4: 2})
+    monkeypatch.setattr(study, "SEEDS", (1, 2))
+    [question] = [one.question for one in trials() if (one.architecture, one.dial) == (architecture, None)]
+    found = answer(question)
+    assert len(found) == WIDTH
+    assert found[0] == 2 * 2 * 5  # runs in which success is defined
+
+
+def test_a_dial_reaches_its_architecture() -> None:
+    slow = with_values(Constants(), {"alliance.impatience_us": 15_000_000})
+    impatient, patient = (
+        answer(SystemQuestion(Setting(one, 4), 1, 1, "alliance", (1,)))[1] for one in (Constants(), slow)
+    )
+    assert impatient is not None
+    assert patient is not None
+    assert impatient > patient
+
+
+def test_whatever_is_the_same_in_every_run_has_a_reason() -> None:
+    found = packaged(Systems)
+    if found is None:
+        return
+    cells: dict[tuple[str, str], list[bool]] = {}
+    for one in found.numbers:
+        if one.dial is None and one.mean is not None:
+            cells.setdefault((one.metric, one.architecture), []).append(one.sd == 0)
+    structural = {cell for cell, same in cells.items() if all(same)}
+    explained = [(row["metric"], name) for row in specs.rows("structural") for name in row["architectures"]]
+    assert sorted(explained) == sorted(structural)
+
+
+def test_the_result_is_of_the_declared_seeds_and_runs() -> None:
+    found = packaged(Systems)
+    if found is not None:
+        assert (found.seeds, found.runs) == (study.SEEDS, {str(size): runs for size, runs in study.RUNS.items()})
+        assert msgspec.json.decode(msgspec.json.encode(found), type=Systems) == found
