@@ -6,10 +6,13 @@ from typing import Any
 import msgspec
 import pyarrow as pa
 
+from fsar_ledger.events.configuration import ARCHITECTURES
+from fsar_ledger.metrics.definitions import metrics
 from fsar_ledger.metrics.paper_numbers import Table, printed
 from fsar_ledger.metrics.registration import Sample, SampleAround
 from fsar_ledger.metrics.results import StatisticRow
 from fsar_ledger.metrics.robustness import CellSpread, Ensemble, Placebo, RankCounts, Ranking, Rejections, SignCount
+from fsar_ledger.metrics.systems import NamedShares, SystemGrade, SystemNumber, Systems
 from fsar_ledger.metrics.verdicts import MARGINS, ComparedEffect
 from fsar_ledger.report.findings import Findings, Head, arrow
 from fsar_ledger.report.judge import Number
@@ -190,3 +193,33 @@ def placebo(*tests: tuple[str, str]) -> Placebo:
     share: dict[str, Any] = {"rejected": 5, "kept": 95, "undefined": 0, "share": 0.05, "low": 0.02, "high": 0.11}
     made = [Rejections(metric=metric, test=test, **share) for metric, test in tests]
     return Placebo(**GROUNDS, sample=SAMPLE, alpha=0.05, pairs=9, largest_difference=0.0, tests=made)
+
+
+def systems(*others: SystemNumber) -> Systems:
+    """Six architectures at three sizes, all alike but for FSAR's violations; JADE intervenes in no run at all."""
+    numbers = [
+        system_number(architecture, metric.name, fleet_size=size)
+        for architecture in ARCHITECTURES
+        for size in (4, 8, 16)
+        for metric in metrics()
+    ]
+    return Systems(
+        **GROUNDS,
+        seeds=(1,),
+        runs={"4": 1, "8": 1, "16": 1},
+        numbers=[*numbers, *others],
+        grades=[
+            SystemGrade(architecture=name, feature="single_agent_robot", grade="full") for name in ARCHITECTURES[3:]
+        ],
+        named=[NamedShares(architecture=name, origin=1.0, executor=1.0, supervisor=None) for name in ARCHITECTURES],
+    )
+
+
+def system_number(architecture: str, metric: str, **given: Any) -> SystemNumber:
+    """Return a number of an architecture at four robots, in the middle of a wide interval."""
+    is_silent = (architecture, metric) == ("jade", "human_intervention")
+    mean = 0.1 if (architecture, metric) == ("fsar", "policy_violations") else 0.0 if is_silent else 0.5
+    low, high = (mean - 0.05, mean + 0.05) if metric == "policy_violations" else (0.0, 1.0)
+    sd = 0.0 if is_silent else 0.2
+    row: dict[str, Any] = {"fleet_size": 4, "dial": None, "value": None, "n": 9, "mean": mean, "low": low, "high": high}
+    return SystemNumber(**row | {"architecture": architecture, "metric": metric, "sd": sd} | given)

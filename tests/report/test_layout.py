@@ -22,10 +22,27 @@ from fsar_ledger.report.document import Document
 from fsar_ledger.report.findings import Findings, arrow
 from fsar_ledger.report.read import gather, relations_of
 from fsar_ledger.report.records import robustness_relations
-from tests.report.made import DIFFERENCE, HEAD, ensemble, names, of_table, placebo, prior, replaced, said
+from tests.report.made import (
+    DIFFERENCE,
+    HEAD,
+    ensemble,
+    names,
+    of_table,
+    placebo,
+    prior,
+    replaced,
+    said,
+    system_number,
+    systems,
+)
 from tests.report.test_readings import multiverse
 
 MOST_PAGES = 18
+IMPATIENT = [
+    system_number("alliance", metric, dial="alliance.impatience_us", value=value)
+    for metric in ("coordination_success", "success_without_violation")
+    for value in (100_000, 1_000_000, 15_000_000)
+]
 MARGINS_MM = (19.0, 17.0)
 """What lies above and below the text of a page, of 297 mm; the line of the header is left out."""
 
@@ -177,7 +194,7 @@ def test_every_table_and_figure_has_a_name_of_its_own_a_caption_and_a_query_that
 
 def test_every_part_of_every_section_is_shown_by_a_report_with_everything(whole: Findings) -> None:
     """A SELECT over a relation that nothing gives, or a column that is not there, would be left out in silence."""
-    studies = robustness_relations(prior(), ensemble(10), placebo(("governance_locality", "p")))
+    studies = robustness_relations(prior(), ensemble(10), placebo(("governance_locality", "p")), systems(*IMPATIENT))
     document = Document(whole, packaged(Calibration), robustness=studies)
     printed = {part["name"] for section in document.sections for part in section["parts"] if "name" in part}
     asked = {part.name for _, part in parts() if isinstance(part, specs.Table | specs.Figure)}

@@ -1,0 +1,44 @@
+"""Six architectures side by side: what is structural is marked and explained, and a rank counts where it holds."""
+
+from fsar_ledger.report.document import Document
+from fsar_ledger.report.records import robustness_relations
+from tests.report.made import column, made, said, system_number, systems
+
+FAST, SLOW = (
+    system_number("alliance", "policy_violations", dial="alliance.impatience_us", value=value, mean=at, low=at, high=at)
+    for value, at in ((100_000, 0.5), (15_000_000, 0.05))
+)
+
+
+def page(*dials: object) -> Document:
+    return Document(made(), robustness=robustness_relations(systems=systems(*dials)))  # type: ignore[arg-type]
+
+
+def test_a_number_that_is_the_same_in_every_run_is_marked_and_has_its_reason() -> None:
+    document = page()
+    human = [cell for cell in column(document, "systems", "jade") if cell.endswith("†")]
+    assert human == ["0.0†"] * 3
+    assert not any(cell.endswith("†") for cell in column(document, "systems", "fsar"))
+    assert "They are: Human (%), JADE (there is no supervisor to call)." in said(document).replace("\\", "")
+
+
+def test_a_rank_holds_only_where_it_holds_at_every_size_and_for_every_value_of_a_dial() -> None:
+    at = column(page(), "system-ranks", "short").index("Violations")
+    assert column(page(), "system-ranks", "alliance")[at] == "better"
+    assert column(page(FAST), "system-ranks", "alliance")[at] == "better"
+    assert column(page(FAST, SLOW), "system-ranks", "alliance")[at] == "turns"
+    assert column(page(FAST, SLOW), "system-ranks", "jade")[at] == "better"
+    assert set(column(page(), "system-ranks", "roboos")) == {"alike", "better"}
+
+
+def test_page_one_says_by_what_fsar_is_the_best_beside_the_published_systems() -> None:
+    assert "FSAR is the best by policy violations at every size" in said(page(), "answer")
+    assert "Beside RoboOS" not in said(page(FAST, SLOW), "answer"), "it is the best by nothing"
+    assert "Beside RoboOS" not in said(Document(made()), "answer")
+
+
+def test_a_published_system_has_its_own_grade_beside_the_paper_s() -> None:
+    features = [{"feature": "single_agent_robot", "architecture": "fsar", "grade": "full"}]
+    document = Document(made(features=features), robustness=robustness_relations(systems=systems()))
+    assert column(document, "architectural-comparison", "jade_ours", "printed")[0] == "●"
+    assert column(document, "architectural-comparison", "verdict")[0] == "RoboOS, JADE"
