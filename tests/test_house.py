@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from fsar_ledger.events.configuration import ARCHITECTURES
 from fsar_ledger.metrics.library import generated
 from tests.running import ran
 
@@ -137,7 +138,7 @@ def architectures_named(root: Path) -> list[str]:
     found = []
     for path in code_files(root / "fsar_ledger", ".py", ("runtime/handlers", "projections")):
         for node in ast.walk(ast.parse(path.read_text("utf-8"))):
-            is_name = isinstance(node, ast.Constant) and node.value in ("fsar", "cfc", "dhma")
+            is_name = isinstance(node, ast.Constant) and node.value in ARCHITECTURES
             is_asked = isinstance(node, ast.Attribute) and node.attr == "architecture"
             if isinstance(node, ast.Constant | ast.Attribute) and (is_name or is_asked):
                 found.append(f"{path.relative_to(root)}:{node.lineno}")

@@ -148,7 +148,7 @@ app = typer.Typer(
     name="fsar-ledger",
     cls=Verbs,
     help=(
-        "Simulate robot fleets under three governance architectures, keep every event in an append-only ledger, and "
+        "Simulate robot fleets under several governance architectures, keep every event in an append-only ledger, and "
         "judge it by SQL."
     ),
     epilog="\b\nStart here:\n  fsar-ledger reproduce              run the paper's experiments and report\n"

@@ -1,7 +1,7 @@
 -- Title: Pairwise tests, a metric that is undefined for a run counted as the paper does (containment 1, latency 0 s)
 -- Paper: tab:significance
 -- Grain: one row per comparison, configuration, setting (kind, source, model version, constants, fleet size), seed and
---   metric: three a metric where all three architectures have run, and one for each ablation
+--   metric: one for every two architectures that have run, and one for each ablation
 -- Key: comparison, configuration, seed?, fleet_size?, kind, source?, model_version?, constants?, metric
 -- Units: first_mean, second_mean, mean_difference in the metric's unit; n pairs; the rest without unit
 -- NULL: tests and effect sizes where nothing varies; McNemar columns for metrics that are not 0 or 1 per run,
