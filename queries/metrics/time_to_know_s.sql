@@ -9,68 +9,16 @@
 --   of one that does
 -- Example: fsar-ledger query metrics/time_to_know_s LEDGER
 -- A failure of which nobody hears is contained and calls nobody; here it lasts.
-WITH records AS (
-    SELECT
-        run_id, seq, time_us, type,
-        coalesce(failed_action, action_id) AS action_id,
-        decided_by
-    FROM recovery_events
-    UNION ALL BY NAME
-    SELECT run_id, seq, time_us, type, action_id, decided_by
-    FROM supervision_events
-    UNION ALL BY NAME
-    SELECT run_id, seq, time_us, type, action_id, decided_by
-    FROM request_events
-),
-
-told AS (
-    SELECT
-        failures.run_id, failures.seq,
-        min(records.time_us) AS known_us
-    FROM failures
-    INNER JOIN records
-        ON
-            failures.run_id = records.run_id AND failures.action_id = records.action_id
-            AND failures.seq < records.seq
-    WHERE
-        records.type = 'SupervisorCalled.v1'
-        OR (
-            records.decided_by <> failures.robot
-            AND NOT starts_with(records.decided_by, replace(failures.robot, 'robot/', 'agent/') || '/')
-        )
-    GROUP BY failures.run_id, failures.seq
-),
-
-passed AS (
-    SELECT
-        failures.run_id, failures.seq,
-        min(tasks.time_us) AS passed_us
-    FROM failures
-    INNER JOIN task_events AS tasks
-        ON failures.run_id = tasks.run_id AND failures.task_id = tasks.task_id AND failures.seq < tasks.seq
-    WHERE tasks.type IN ('StepCompleted.v1', 'TaskCompleted.v1', 'TaskAbandoned.v1')
-    GROUP BY failures.run_id, failures.seq
-),
-
-ends AS (
-    SELECT
-        run_id,
-        max(time_us) AS ended_us
-    FROM event_principals
-    GROUP BY run_id
-),
-
-judged AS (
+WITH judged AS (
     SELECT
         failures.run_id,
         count(*) AS denominator,
         sum(
-            coalesce(least(told.known_us, failures.resolved_us, passed.passed_us), ends.ended_us) - failures.detected_us
+            coalesce(least(told.known_us, failures.resolved_us, told.passed_us), told.run_ended_us)
+            - failures.detected_us
         )::BIGINT AS numerator
     FROM failures
-    INNER JOIN ends ON failures.run_id = ends.run_id
-    LEFT JOIN told ON failures.run_id = told.run_id AND failures.seq = told.seq
-    LEFT JOIN passed ON failures.run_id = passed.run_id AND failures.seq = passed.seq
+    INNER JOIN failures_told AS told ON failures.run_id = told.run_id AND failures.seq = told.seq
     GROUP BY failures.run_id
 )
 

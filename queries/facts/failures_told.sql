@@ -1,0 +1,64 @@
+-- Title: Until when each failure was its robot's alone
+-- Paper: sec:model:recovery
+-- Grain: one row per ExecutionFailed event
+-- Key: run_id, seq
+-- Units: known_us microseconds of run time when another principal decides something about the action or a supervisor is
+--   called, passed_us when the task goes on or is given up, run_ended_us when the run ends
+-- NULL: known_us where nobody else is on record as knowing; passed_us where the task did neither
+-- Example: fsar-ledger query facts/failures_told LEDGER
+WITH records AS (
+    SELECT
+        run_id, seq, time_us, type,
+        coalesce(failed_action, action_id) AS action_id,
+        decided_by
+    FROM recovery_events
+    UNION ALL BY NAME
+    SELECT run_id, seq, time_us, type, action_id, decided_by
+    FROM supervision_events
+    UNION ALL BY NAME
+    SELECT run_id, seq, time_us, type, action_id, decided_by
+    FROM request_events
+),
+
+told AS (
+    SELECT
+        failures.run_id, failures.seq,
+        min(records.time_us) AS known_us
+    FROM failures
+    INNER JOIN records
+        ON
+            failures.run_id = records.run_id AND failures.action_id = records.action_id
+            AND failures.seq < records.seq
+    WHERE
+        records.type = 'SupervisorCalled.v1'
+        OR (
+            records.decided_by <> failures.robot
+            AND NOT starts_with(records.decided_by, replace(failures.robot, 'robot/', 'agent/') || '/')
+        )
+    GROUP BY failures.run_id, failures.seq
+),
+
+passed AS (
+    SELECT
+        failures.run_id, failures.seq,
+        min(tasks.time_us) AS passed_us
+    FROM failures
+    INNER JOIN task_events AS tasks
+        ON failures.run_id = tasks.run_id AND failures.task_id = tasks.task_id AND failures.seq < tasks.seq
+    WHERE tasks.type IN ('StepCompleted.v1', 'TaskCompleted.v1', 'TaskAbandoned.v1')
+    GROUP BY failures.run_id, failures.seq
+),
+
+ends AS (
+    SELECT
+        run_id,
+        max(time_us) AS ended_us
+    FROM event_principals
+    GROUP BY run_id
+)
+
+SELECT failures.run_id, failures.seq, told.known_us, passed.passed_us, ends.ended_us AS run_ended_us
+FROM failures
+INNER JOIN ends ON failures.run_id = ends.run_id
+LEFT JOIN told ON failures.run_id = told.run_id AND failures.seq = told.seq
+LEFT JOIN passed ON failures.run_id = passed.run_id AND failures.seq = passed.seq
