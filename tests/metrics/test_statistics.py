@@ -312,6 +312,24 @@ def test_comparisons_are_three_per_metric_in_the_order_of_the_paper() -> None:
     assert [row.mean_difference for row in rows] == close([-1 / 3, -2 / 3, -1 / 3])
 
 
+def test_every_two_architectures_are_compared_whatever_their_names_and_the_paper_s_stay_a_family() -> None:
+    names = ("fsar", "cfc", "dhma", "jade", "a-seventh")
+    values = {(METRIC, name): [float(at), 2.0, 5.0 + at * at] for at, name in enumerate(names)}
+    rows = {row.comparison: row for row in compared(run_metrics(values))}
+    assert list(rows)[:3] == ["fsar-cfc", "fsar-dhma", "cfc-dhma"]
+    added = {
+        *("fsar-a-seventh", "fsar-jade", "cfc-a-seventh", "cfc-jade", "dhma-a-seventh", "dhma-jade"),
+        "a-seventh-jade",
+    }
+    assert set(list(rows)[3:]) == added
+    assert {rows[one].family for one in added} == {"architectures added"}
+    assert {rows[one].family_tests for one in added} == {7}
+    alone = compared(run_metrics({key: one for key, one in values.items() if key[1] in names[:3]}))
+    assert [rows[one.comparison] for one in alone] == alone, "the three of the paper are as if nobody else had run"
+    (pair,) = compared(run_metrics({key: one for key, one in values.items() if key[1] in ("jade", "a-seventh")}))
+    assert pair.comparison == "a-seventh-jade"
+
+
 @pytest.mark.slow
 def test_runs_pair_only_with_the_run_of_the_same_world() -> None:
     (row,) = compared(run_metrics({(METRIC, "fsar"): [1.0, 2.0, 3.0, 4.0], (METRIC, "cfc"): [2.0, 4.0]}))
