@@ -27,7 +27,7 @@ from fsar_ledger.events.knowledge import CopySynced
 from fsar_ledger.events.registry import RegistryQueried
 from fsar_ledger.events.request import GapDetected, RequestAdmitted, RequestIssued
 from fsar_ledger.events.supervision import ActuatorServiced
-from fsar_ledger.events.task import StepBegan, TaskAbandoned
+from fsar_ledger.events.task import StepBegan, StepCompleted, TaskAbandoned
 from fsar_ledger.events.world import (
     ActuatorDegraded,
     Grade,
@@ -37,6 +37,7 @@ from fsar_ledger.events.world import (
     RobotCameBack,
     RobotWentOff,
     SyncPhaseSet,
+    TaskArrived,
     WorldEvent,
 )
 from fsar_ledger.ledger.rows.codec import LedgerRun, decode, encode
@@ -96,6 +97,16 @@ def test_a_handler_table_that_lacks_what_it_names_is_refused() -> None:
         HandlerTable.of(task, execution)
     with pytest.raises(ValueError, match="lacks what it names: Unknown by no module"):
         HandlerTable.of(task, own={Unknown: lambda _state, _command: ()})
+
+
+def test_a_module_has_one_handler_of_a_command_and_one_reaction_to_an_event() -> None:
+    handlers = Handlers()
+    handlers.decide(BeginStep)(task.begin_step)
+    handlers.react(StepCompleted, TaskArrived)(task.on_completed)
+    with pytest.raises(ValueError, match="begin_step: BeginStep has a handler in this module already"):
+        handlers.decide(BeginStep)(task.begin_step)
+    with pytest.raises(ValueError, match="on_transfer: TaskArrived has a reaction in this module already"):
+        handlers.react(TaskArrived)(task.on_transfer)
 
 
 def ran(architecture: Architecture, facts: Sequence[Fact], constants: Constants = Constants()) -> Kernel:  # noqa: B008

@@ -80,6 +80,7 @@ Failure = tuple[Action, Recovery]
 class Handlers:
     """The decisions and reactions of one module, which registers them with these decorators.
 
+    Each command has one handler here, and each event one reaction; a second one is a ValueError.
     `decides`: the handler of each command type; `actors`: who carries it out, for all but public commands; `reacts`:
     the reaction to each event type.
     """
@@ -93,6 +94,8 @@ class Handlers:
         """Register the decorated function as the handler of this command, which `actor` carries out."""
 
         def register(function: _Function) -> _Function:
+            if command in self.decides:
+                raise ValueError(f"{function.__name__}: {command.__name__} has a handler in this module already")
             self.decides[command] = function
             if actor is not None:
                 self.actors[command] = actor
@@ -119,6 +122,9 @@ class Handlers:
         """Register the decorated function as the reaction to events of these types."""
 
         def register(function: _Function) -> _Function:
+            for event in events:
+                if event in self.reacts:
+                    raise ValueError(f"{function.__name__}: {event.__name__} has a reaction in this module already")
             self.reacts.update(dict.fromkeys(events, function))
             return function
 
