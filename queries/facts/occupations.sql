@@ -3,9 +3,10 @@
 -- Grain: one row per approach, execution or resumption of an action, per help, and per routine motion
 -- Key: run_id, seq
 -- Units: began_us, ended_us microseconds of run time, half-open; a motion has no length
--- NULL: ended_us when nothing ended it on record; action_id of a motion
+-- NULL: ended_us when nothing ended it on record; action_id and work of a motion
 -- Example: fsar-ledger query facts/occupations LEDGER
--- An approach goes over into the execution, and both end where the action stops, fails or is taken away.
+-- An approach goes over into the execution, and both end where the action stops, fails or is taken away. Two actions
+-- are the same work if they are for the same step of a task: another attempt, or another robot's beside it.
 WITH moves AS (
     SELECT
         run_id, seq, time_us, action_id,
@@ -27,15 +28,29 @@ ended AS (
         run_id, seq, time_us, action_id, robot, begins,
         lead(time_us) OVER (PARTITION BY run_id, robot, action_id, is_help ORDER BY seq) AS ended_us
     FROM moves
+),
+
+works AS (
+    SELECT
+        run_id, action_id,
+        any_value(task_id || ' ' || step) AS work
+    FROM execution_queued
+    GROUP BY run_id, action_id
 )
 
-SELECT run_id, seq, robot, action_id, time_us AS began_us, ended_us
+SELECT
+    ended.run_id, ended.seq, ended.robot, ended.action_id,
+    coalesce(works.work, ended.action_id) AS work,
+    ended.time_us AS began_us,
+    ended.ended_us
 FROM ended
-WHERE begins
+LEFT JOIN works ON ended.run_id = works.run_id AND ended.action_id = works.action_id
+WHERE ended.begins
 UNION ALL
 SELECT
     run_id, seq, robot,
     NULL AS action_id,
+    NULL AS work,
     time_us AS began_us,
     time_us AS ended_us
 FROM routine_performed

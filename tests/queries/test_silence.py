@@ -51,7 +51,18 @@ def test_a_body_that_serves_two_actions_at_once_is_a_conflict_whether_or_not_any
 
 def test_two_bodies_that_serve_one_action_at_once_are_a_conflict() -> None:
     story = [started(1), act("ApproachStarted", 2 * S, STEP, robot=B), started(3, robot=B)]
-    assert measured("effect_conflicts", *story) == (2, 1, 2.0)
+    assert measured("effect_conflicts", *story) == (1, 1, 1.0)
+    assert measured("effect_conflicts", *story, started(4, robot=C)) == (1, 1, 1.0), "however many"
+
+
+def test_two_bodies_that_do_the_same_step_under_two_names_are_a_conflict_too() -> None:
+    names = {STEP: A, "A1-1/1.1:B1": B, "A1-1/2.1": C}
+    queues = [
+        act("ExecutionQueued", 0, name, robot=robot, step=int(name.partition("/")[2][0]), attempt=1)
+        for name, robot in names.items()
+    ]
+    starts = [started(at, name, robot) for at, (name, robot) in enumerate(names.items(), 1)]
+    assert measured("effect_conflicts", *queues, *starts) == (1, 1, 1.0)
 
 
 def test_what_follows_the_end_of_another_is_no_conflict() -> None:
