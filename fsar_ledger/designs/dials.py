@@ -47,7 +47,7 @@ class Alliance(msgspec.Struct, frozen=True):
 class Roboos(msgspec.Struct, frozen=True):
     """RoboOS: one master and a shared store. Units: microseconds unless the name says otherwise."""
 
-    planning_us: Dial[int] = 242_000  # the master plans one task: CFC's time for an item at least; a curve to 10 s
+    planning_us: Dial[int] = 242_000  # the master plans one task: CFC's time for an item; a curve to 10 s
     planning_retries: Dial[int] = 5  # of a task without a plan, which is then ignored (MODEL_RETRY_PLANNING)
     expiry_us: Dial[int] = 60_000_000  # of a robot's entry in the store (slaver/run.py, _heartbeat_loop)
     refresh_us: Dial[int] = 30_000_000  # and how often it is refreshed
@@ -57,6 +57,7 @@ class Roboos(msgspec.Struct, frozen=True):
     # No error of the source is a worn actuator. 302, an object drops: grasp again, no more; 303, as inherited from
     # vision: near position, another idle robot, the brain.
     worn_error: Dial[int] = 302  # 302 or 303
+    # With a gate a refusal is a failed result, which gives up the task (ours: nobody in the source repeats a subtask).
     gate: Dial[int] = 0  # 1: a robot refuses what its own policy denies; 0: it does what it is told
 
 

@@ -2,15 +2,17 @@
 -- Paper: sec:model:recovery
 -- Grain: one row per ExecutionFailed event
 -- Key: run_id, seq
--- Units: known_us microseconds of run time when another principal decides something about the action or a supervisor is
---   called, passed_us when the task goes on or is given up, run_ended_us when the run ends
+-- Units: known_us microseconds of run time when another principal decides something about the action, a supervisor is
+--   called, or a robot that was asked to help has heard of it; passed_us when the task goes on or is given up,
+--   run_ended_us when the run ends
 -- NULL: known_us where nobody else is on record as knowing; passed_us where the task did neither
 -- Example: fsar-ledger query facts/failures_told LEDGER
 WITH records AS (
     SELECT
         run_id, seq, time_us, type,
         coalesce(failed_action, action_id) AS action_id,
-        decided_by
+        decided_by,
+        CASE WHEN type <> 'AssistanceRequested.v1' THEN helper END AS helper
     FROM recovery_events
     UNION ALL BY NAME
     SELECT run_id, seq, time_us, type, action_id, decided_by
@@ -31,6 +33,7 @@ told AS (
             AND failures.seq < records.seq
     WHERE
         records.type = 'SupervisorCalled.v1'
+        OR records.helper <> failures.robot
         OR (
             records.decided_by <> failures.robot
             AND NOT starts_with(records.decided_by, replace(failures.robot, 'robot/', 'agent/') || '/')

@@ -159,6 +159,15 @@ def test_a_failure_is_its_robots_alone_until_somebody_else_decides_or_is_called(
     assert measured("time_to_know_s", failed(1), own, resolved, other) == (2 * S, 1, 2.0)
 
 
+def test_whoever_was_asked_to_help_knows_once_it_has_answered_whether_or_not_a_record_names_it() -> None:
+    asked = act("AssistanceRequested", 2 * S, STEP, robot=A, helper=B, failure=1, decided_by=A, failed_action=STEP)
+    resolved = act("FailureResolved", 9 * S, STEP, robot=A, failure=1, level="peer")
+    for answer_of_b in ("AssistanceAdmitted", "AssistanceDeclined"):
+        answered = act(answer_of_b, 4 * S, STEP, robot=A, helper=B, failure=1)
+        assert measured("time_to_know_s", failed(1), asked, answered, resolved) == (3 * S, 1, 3.0)
+    assert measured("time_to_know_s", failed(1), asked, resolved) == (8 * S, 1, 8.0)
+
+
 def test_a_failure_is_over_when_its_task_goes_on_or_is_given_up() -> None:
     other = event("TaskCompleted", 2 * S, task_id="B1-1")
     for name in ("StepCompleted", "TaskCompleted", "TaskAbandoned"):

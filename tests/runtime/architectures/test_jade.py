@@ -34,12 +34,14 @@ from fsar_ledger.events.world import (
 )
 from fsar_ledger.projections.registry import NO_ANSWER
 from fsar_ledger.runtime.architectures.jade.contract_net import (
+    Bounce,
     CallForProposals,
     EvaluateCall,
     EvaluateProposals,
     ReceiveAcceptance,
     ReceiveReply,
 )
+from fsar_ledger.runtime.architectures.jade.directory import RemoveNode
 from fsar_ledger.runtime.handlers.commands import (
     BeginStep,
 )
@@ -213,6 +215,18 @@ def test_a_candidate_that_the_platform_cannot_reach_is_waited_for_no_longer() ->
     [(lost_us, lost)] = of(run, MessageUndelivered)
     assert (lost_us // S, lost.robot) == (11, B2)
     assert times(run, AwardMade) == [12]
+
+
+def test_a_call_to_a_robot_that_has_left_the_platform_is_found_undeliverable_at_once() -> None:
+    """A subscriber that has not heard yet of its removal calls it all the same."""
+    state = given(LinkWentDown(B))
+    play(state, RemoveNode(B, 0))
+    happen(state, *LISTED)
+    [issued] = play(state, CallForProposals(ACTION))
+    bounced = [one for one in follows(state, issued) if isinstance(one, Bounce)]
+    assert bounced == [Bounce(ACTION, B, 0)]
+    assert [type(one) for one in decided(state, bounced[0])] == [MessageUndelivered]
+    assert not any(isinstance(one, Bounce) for one in follows(given(*LISTED, issued), issued))
 
 
 def test_a_reply_that_comes_after_the_deadline_is_out_of_sequence_and_ignored() -> None:

@@ -98,8 +98,8 @@ class ReceiveAcceptance(ActionCommand):
     round: int
 
 
-class BounceAcceptance(ActionCommand):
-    """Find that the contractor's node is no longer on the platform."""
+class Bounce(ActionCommand):
+    """Find that the node of the robot that is called, or accepted, is no longer on the platform."""
 
     robot: Robot
     round: int
@@ -214,9 +214,9 @@ def receive_acceptance(state: State, command: ReceiveAcceptance, request: Reques
     )
 
 
-@HANDLERS.decide_on(open_request, BounceAcceptance, nobody)
-def bounce_acceptance(state: State, command: BounceAcceptance, request: Request) -> tuple[Event, ...]:
-    """Find the acceptance undeliverable, unless the robot can be reached again."""
+@HANDLERS.decide_on(open_request, Bounce, nobody)
+def bounce(state: State, command: Bounce, request: Request) -> tuple[Event, ...]:
+    """Find the call or the acceptance undeliverable, unless the robot can be reached again."""
     if command.round != request.round or is_linked(state.world, command.robot):
         return ()
     return (MessageUndelivered(request.subject, command.robot),) if awaits_delivery(request, command.robot) else ()
@@ -259,6 +259,8 @@ def _on_call(state: State, event: RequestIssued, _now_us: int) -> tuple[Schedule
     for robot in called(request):
         cfp = message(request.requester, f"{request.action_id}/{request.round}/{robot}", "call")
         calls.append(Scheduled(EvaluateCall(request.action_id, robot, request.round), 0, (cfp,)))
+        if robot in state.registry.silent:
+            calls.append(Scheduled(Bounce(request.action_id, robot, request.round)))
     reply_by_us = state.fleet.jade.reply_by_us
     if reply_by_us == 0:
         return tuple(calls)
@@ -293,7 +295,7 @@ def _on_award(state: State, event: AwardMade, _now_us: int) -> tuple[Scheduled, 
     sent = Scheduled(ReceiveAcceptance(request.action_id, request.round), 0, (accept,))
     if event.robot not in state.registry.silent:
         return (sent,)
-    return (sent, Scheduled(BounceAcceptance(request.action_id, event.robot, request.round)))
+    return (sent, Scheduled(Bounce(request.action_id, event.robot, request.round)))
 
 
 @HANDLERS.react(MessageUndelivered)

@@ -2,7 +2,8 @@
 
 Source: slaver/run.py, handle_task and _execute_task: one agent and one lock a robot. Nothing is checked. Our choices:
 with the dial `gate`, a subtask is refused on arrival, and a refusal is a result like any other; a subtask of a task
-that was given up comes back as a result, too, since the source has no way to cancel one.
+that was given up comes back as a result, too. The source has no way to cancel one; here a queued one is withdrawn with
+its task, as under every architecture (reading R3), which is kinder where tasks run late.
 """
 
 from fsar_ledger.events import Event
