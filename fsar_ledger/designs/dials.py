@@ -36,9 +36,9 @@ class Alliance(msgspec.Struct, frozen=True):
     impatience_us: Dial[int] = 1_000_000  # 0.1 s to 15 s
     # While a teammate is heard to work on it, motivation grows at the slow rate, until it has taken this long.
     patience_us: Dial[int] = 11_000_000  # 1.1 times the expected 10 s; 5 s to 30 s
-    broadcast_us: Dial[int] = 2_000_000  # 0.5 Hz
-    silence_us: Dial[int] = 10_000_000  # a teammate that is not heard for this long is taken to be idle
-    yield_us: Dial[int] = 7_500_000  # 0.75 times the expected 10 s: then another one that broadcasts may have it
+    broadcast_us: Dial[int] = 2_000_000  # 0.5 Hz; 0.2 s if it were scaled as the delays are
+    silence_us: Dial[int] = 10_000_000  # a teammate not heard for this long is taken to be idle; 1 s if it were scaled
+    yield_us: Dial[int] = 7_500_000  # 0.75 times the expected 10 s, or once: then another that broadcasts may have it
     give_up_us: Dial[int] = 11_000_000  # 1.1 times the expected 10 s
     senses_policy: Dial[int] = 1  # 1: its own policy is sensory feedback: no motivation while it denies; 0: not sensed
     learns: Dial[int] = 0  # 1: L-ALLIANCE, patience follows the times that teammates have taken; 0: fixed
@@ -75,6 +75,8 @@ TRIED: dict[str, tuple[int, ...]] = {
     "alliance.impatience_us": (100_000, 300_000, 1_000_000, 3_000_000, 15_000_000),
     "alliance.patience_us": (5_000_000, 11_000_000, 30_000_000),
     "alliance.yield_us": (7_500_000, 10_000_000),
+    "alliance.broadcast_us": (200_000, 2_000_000),
+    "alliance.silence_us": (1_000_000, 10_000_000),
     "alliance.senses_policy": (0, 1),
     "alliance.learns": (0, 1),
 }

@@ -3,9 +3,10 @@
 -- Grain: one row per ExecutionStarted event and per RoutinePerformed event whose operation is motion
 -- Key: run_id, seq
 -- Units: started_us microseconds of run time; under_seqs positions in the run of the windows and rules in force then
--- NULL: action_id and on_behalf_of for a motion, which serves no action and nobody else; outcome and under_seqs when
---   the run does not observe policy, is_approved without supervision, is_violation when it rests on such
+-- NULL: action_id and on_behalf_of for a motion; outcome and under_seqs when the run does not observe policy,
+--   is_approved without supervision, is_violation when it rests on such
 -- Example: fsar-ledger query facts/governed_starts LEDGER
+-- Stored: three metrics and I3 read it
 WITH starts AS (
     SELECT run_id, seq, time_us AS started_us, task_id, action_id, robot, on_behalf_of, capability
     FROM execution_events

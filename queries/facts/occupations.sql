@@ -3,37 +3,49 @@
 -- Grain: one row per approach, execution or resumption of an action, per help, and per routine motion
 -- Key: run_id, seq
 -- Units: began_us, ended_us microseconds of run time, half-open; a motion has no length
--- NULL: ended_us when nothing ended it on record; action_id and work of a motion
+-- NULL: ended_us of an approach or a help that nothing ended on record; action_id and work of a motion
 -- Example: fsar-ledger query facts/occupations LEDGER
--- An approach goes over into the execution, and both end where the action stops, fails or is taken away. Two actions
--- are the same work if they are for the same step of a task: another attempt, or another robot's beside it.
+-- Stored: it is made of three views of events
+-- An approach goes over into the execution, and both end where the action stops, fails or is taken away; where nothing
+-- tells that, an execution ends as planned. Two actions are the same work if they are for the same step of a task.
 WITH moves AS (
+    SELECT
+        run_id, seq, time_us, action_id, robot, ends_us,
+        FALSE AS is_help,
+        type IN ('ApproachStarted.v1', 'ExecutionStarted.v1', 'ExecutionResumed.v1') AS begins
+    FROM execution_events
+    WHERE
+        type IN (
+            'ApproachStarted.v1',
+            'ExecutionStarted.v1',
+            'ExecutionResumed.v1',
+            'ExecutionHeld.v1',
+            'ExecutionPaused.v1',
+            'ExecutionHalted.v1', 'ExecutionPreempted.v1', 'ExecutionFinished.v1', 'ExecutionWithdrawn.v1'
+        )
+    UNION ALL BY NAME
     SELECT
         run_id, seq, time_us, action_id,
         coalesce(helper, robot) AS robot,
-        helper IS NOT NULL AS is_help,
-        type IN (
-            'ApproachStarted.v1', 'ExecutionStarted.v1', 'ExecutionResumed.v1', 'AssistanceAdmitted.v1'
-        ) AS begins
-    FROM event_principals
-    WHERE type IN (
-        'ApproachStarted.v1', 'ExecutionStarted.v1', 'ExecutionResumed.v1', 'ExecutionHeld.v1', 'ExecutionPaused.v1',
-        'ExecutionHalted.v1', 'ExecutionPreempted.v1', 'ExecutionFailed.v1', 'ExecutionFinished.v1',
-        'ExecutionWithdrawn.v1', 'AssistanceAdmitted.v1', 'AssistanceEnded.v1', 'AssistanceFailed.v1'
-    )
+        type <> 'ExecutionFailed.v1' AS is_help,
+        type = 'AssistanceAdmitted.v1' AS begins
+    FROM recovery_events
+    WHERE type IN ('ExecutionFailed.v1', 'AssistanceAdmitted.v1', 'AssistanceEnded.v1', 'AssistanceFailed.v1')
 ),
 
 ended AS (
     SELECT
         run_id, seq, time_us, action_id, robot, begins,
-        lead(time_us) OVER (PARTITION BY run_id, robot, action_id, is_help ORDER BY seq) AS ended_us
+        coalesce(
+            lead(time_us) OVER (PARTITION BY run_id, robot, action_id, is_help ORDER BY seq), ends_us
+        ) AS ended_us
     FROM moves
 ),
 
 works AS (
     SELECT
         run_id, action_id,
-        any_value(task_id || ' ' || step) AS work
+        any_value(CASE WHEN step > 0 THEN task_id || ' ' || step END) AS work
     FROM execution_queued
     GROUP BY run_id, action_id
 )

@@ -2,37 +2,47 @@
 -- Paper: sec:evaluation:metrics (authority conflict)
 -- Grain: one row per run
 -- Key: run_id
--- Units: numerator and value two actions that a body served at once, motions of a body by itself while it served one,
---   and works that two bodies or more did at once, each counted once; denominator 1 (the run); *_without_routine the
---   same without those motions, which are routine operations
+-- Units: numerator and value actions that a body began to serve while it served another, motions of a body by itself
+--   while it served one, and works that two bodies or more did at once, each counted once; denominator 1 (the run);
+--   *_without_routine the same without those motions, which are routine operations
 -- NULL: numbers of a run that does not observe what the metric rests on; not_observed of one that does
 -- Example: fsar-ledger query metrics/effect_conflicts LEDGER
+-- What nothing ends on record lasts no time here, since a system that records starts alone is not to be accused.
 -- Whether anybody claimed authority does not matter: where nobody claims, the paper's count of conflicts is 0.
-WITH clashes AS (
+WITH swept AS (
+    -- Ordered by beginning, each occupation beside the earlier one that lasts longest: of its body, and of its work.
+    SELECT
+        run_id, seq, robot, action_id, work, began_us,
+        max(ended_us) OVER of_body AS busy_until_us,
+        arg_max(action_id, ended_us) OVER of_body AS busy_with,
+        max(ended_us) OVER of_work AS done_until_us,
+        arg_max(robot, ended_us) OVER of_work AS done_by
+    FROM occupations
+    WINDOW
+        of_body AS (
+            PARTITION BY run_id, robot
+            ORDER BY seq ROWS BETWEEN UNBOUNDED PRECEDING AND 1 PRECEDING
+        ),
+        of_work AS (
+            PARTITION BY run_id, work
+            ORDER BY seq ROWS BETWEEN UNBOUNDED PRECEDING AND 1 PRECEDING
+        )
+),
+
+clashes AS (
     SELECT DISTINCT
-        later.run_id, later.robot,
-        least(earlier.action_id, later.action_id) AS one,
-        greatest(earlier.action_id, later.action_id) AS other,
-        CASE WHEN later.action_id IS NULL THEN later.seq END AS motion
-    FROM occupations AS later
-    INNER JOIN occupations AS earlier
-        ON
-            later.run_id = earlier.run_id AND later.robot = earlier.robot AND later.seq > earlier.seq
-            AND earlier.action_id IS DISTINCT FROM later.action_id
-            AND later.began_us < coalesce(earlier.ended_us, later.began_us + 1)
+        run_id, robot, action_id,
+        CASE WHEN action_id IS NULL THEN seq END AS motion
+    FROM swept
+    WHERE busy_until_us > began_us AND busy_with IS DISTINCT FROM action_id
     UNION ALL
     SELECT DISTINCT
-        later.run_id,
+        run_id,
         NULL AS robot,
-        later.work AS one,
-        NULL AS other,
+        work AS action_id,
         NULL AS motion
-    FROM occupations AS later
-    INNER JOIN occupations AS earlier
-        ON
-            later.run_id = earlier.run_id AND later.work = earlier.work AND later.seq > earlier.seq
-            AND later.robot <> earlier.robot
-            AND later.began_us < coalesce(earlier.ended_us, later.began_us + 1)
+    FROM swept
+    WHERE work IS NOT NULL AND done_until_us > began_us AND done_by <> robot
 ),
 
 judged AS (

@@ -3,14 +3,16 @@
 -- Grain: one row per run
 -- Key: run_id
 -- Units: numerator and value executions and motions that started where the true policy asked for a review and no
---   supervisor had approved them; denominator 1 (the run)
+--   supervisor had approved them; denominator 1 (the run); *_without_routine the same without motions, which serve no
+--   action and which nobody can approve
 -- NULL: numbers of a run that does not observe what the metric rests on; not_observed of one that does
 -- Example: fsar-ledger query metrics/missed_reviews LEDGER
 -- A fleet without supervisors calls none, so its human intervention is 0; this is what it does instead.
 WITH judged AS (
     SELECT
         run_id,
-        count(*) AS numerator
+        count(*) AS numerator,
+        count(action_id) AS numerator_without_routine
     FROM governed_starts
     WHERE outcome = 'review' AND NOT is_approved
     GROUP BY run_id
@@ -21,6 +23,11 @@ SELECT
     CASE WHEN hidden.run_id IS NULL THEN coalesce(judged.numerator, 0)::BIGINT END AS numerator,
     CASE WHEN hidden.run_id IS NULL THEN 1::BIGINT END AS denominator,
     CASE WHEN hidden.run_id IS NULL THEN coalesce(judged.numerator, 0)::DOUBLE END AS value,
+    CASE WHEN hidden.run_id IS NULL THEN coalesce(judged.numerator_without_routine, 0)::BIGINT END
+        AS numerator_without_routine,
+    CASE WHEN hidden.run_id IS NULL THEN 1::BIGINT END AS denominator_without_routine,
+    CASE WHEN hidden.run_id IS NULL THEN coalesce(judged.numerator_without_routine, 0)::DOUBLE END
+        AS value_without_routine,
     hidden.not_observed
 FROM runs
 LEFT JOIN judged ON runs.run_id = judged.run_id

@@ -20,7 +20,7 @@ def completed(task: str, at_s: int) -> Row:
 
 
 def started(at_s: int, action: str = STEP, robot: str = A, **fields: Any) -> Row:
-    return act("ExecutionStarted", at_s * S, action, robot=robot, **{"on_behalf_of": A, "ends_us": 0, **fields})
+    return act("ExecutionStarted", at_s * S, action, robot=robot, **{"on_behalf_of": A, "ends_us": 99 * S, **fields})
 
 
 def window(at_s: int, outcome: str = "deny", robot: str = A) -> Row:
@@ -70,6 +70,11 @@ def test_what_follows_the_end_of_another_is_no_conflict() -> None:
     for end in ends:
         story = [started(1), act(end, 2 * S, STEP, robot=A), started(2, "B1-1/1.1"), started(2, STEP, robot=B)]
         assert measured("effect_conflicts", *story) == (0, 1, 0.0), end
+
+
+def test_what_nothing_ends_on_record_lasts_as_planned() -> None:
+    story = [started(1, ends_us=2 * S), started(3, "B1-1/1.1", ends_us=4 * S)]
+    assert measured("effect_conflicts", *story) == (0, 1, 0.0)
 
 
 def test_a_helper_that_serves_another_action_is_a_conflict() -> None:
@@ -140,6 +145,9 @@ def test_what_starts_under_review_without_an_approval_was_not_asked_for() -> Non
     assert measured("missed_reviews", window(1, "review"), started(4)) == (1, 1, 1.0)
     assert measured("missed_reviews", window(1, "review"), approved, started(4)) == (0, 1, 0.0)
     assert measured("missed_reviews", window(1, "deny"), started(4)) == (0, 1, 0.0)
+    moved = event("RoutinePerformed", 4 * S, robot=A, operation="motion")
+    columns = ("numerator", "numerator_without_routine")
+    assert answer("metrics/missed_reviews", run(window(1, "review"), moved), columns=columns) == [(1, 0)]
 
 
 # --- time to know ---

@@ -80,7 +80,7 @@ def in_hand_of(state: State, robot: Robot, action_id: str) -> Action | None:
 def take_up(state: State, command: TakeUp) -> tuple[Event, ...]:
     """Become active at the threshold, unless suppressed by another activity or not applicable.
 
-    If a teammate has given the action up after a failure, this takes over what it left.
+    If a teammate has given the action up after a failure, or the robot itself, this takes over what was left.
     """
     robot, action_id, dials = command.robot, command.action_id, state.fleet.alliance
     request, known = wanted(state, action_id, command.now_us), motivation_of(state.motivation, action_id, robot)
@@ -122,13 +122,12 @@ def _queued(state: State, request: Request, robot: Robot, name: str) -> Executio
 
 
 def _taken_over(state: State, action_id: str, robot: Robot) -> tuple[FailureResolved, ...]:
-    """Return the resolution of each failure with which another robot has given the action up."""
+    """Return the resolution of each failure with which another robot, or this one itself, has given the action up."""
     return tuple(
-        FailureResolved(Subject(task_of(action_id), name), open_failure.robot, open_failure.failure, "peer")
-        for name, open_failure in state.recovery.items()
+        FailureResolved(Subject(task_of(action_id), name), known.robot, known.failure, known.level)
+        for name, known in state.recovery.items()
         if action_of(name) == action_id
-        and open_failure.robot != robot
-        and open_failure.level == "peer"
+        and (known.level == "peer" or known.robot == robot)
         and (one := state.execution.actions.get(name)) is not None
         and one.stage == "withdrawn"
     )
@@ -161,7 +160,9 @@ def acquiesce(state: State, command: Acquiesce) -> tuple[Event, ...]:
     request = state.request.open.get(action_id)
     has_begun = action.stage not in ("queued", "approaching")
     if elapsed_us > dials.yield_us and is_heard:
-        return left(state, action, is_taken=True)
+        # Whom it hears may have left as well; then its failure is not over until somebody takes the action up.
+        others = (one for name, one in state.motivation.active.items() if name != robot)
+        return left(state, action, is_taken=any(one.action_id == action_id for one in others))
     if elapsed_us > dials.give_up_us:
         return left(state, action, is_taken=False)
     if not has_begun and request is not None and not is_applicable(state, robot, request):
