@@ -3,8 +3,7 @@
 -- Grain: one row per ExecutionStarted event and per RoutinePerformed event whose operation is motion
 -- Key: run_id, seq
 -- Units: started_us microseconds of run time; under_seqs positions in the run of the windows and rules in force then
--- NULL: action_id and on_behalf_of for a motion; outcome and under_seqs when the run does not observe policy,
---   is_approved without supervision, is_violation when it rests on such
+-- NULL: action_id, on_behalf_of for a motion; outcome, under_seqs, is_approved, is_violation where that is unobserved
 -- Example: fsar-ledger query facts/governed_starts LEDGER
 -- Stored: three metrics and I3 read it
 WITH starts AS (
