@@ -196,7 +196,7 @@ def placebo(*tests: tuple[str, str]) -> Placebo:
 
 
 def systems(*others: SystemNumber) -> Systems:
-    """Six architectures at three sizes, all alike but for FSAR's violations; JADE intervenes in no run at all."""
+    """Six architectures at three sizes, alike but for the violations of FSAR; under JADE no human is ever called."""
     numbers = [
         system_number(architecture, metric.name, fleet_size=size)
         for architecture in ARCHITECTURES

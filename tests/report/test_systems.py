@@ -19,7 +19,7 @@ def test_a_number_that_is_the_same_in_every_run_is_marked_and_has_its_reason() -
     human = [cell for cell in column(document, "systems", "jade") if cell.endswith("†")]
     assert human == ["0.0†"] * 3
     assert not any(cell.endswith("†") for cell in column(document, "systems", "fsar"))
-    assert "They are: Human (%), JADE (there is no supervisor to call)." in said(document).replace("\\", "")
+    assert "They are: Human (%) of JADE (there is no supervisor to call)." in said(document).replace("\\", "")
 
 
 def test_a_rank_holds_only_where_it_holds_at_every_size_and_for_every_value_of_a_dial() -> None:
