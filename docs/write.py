@@ -32,7 +32,7 @@ from typer.main import get_command
 
 from fsar_ledger.api.ledger import Ledger
 from fsar_ledger.cli.app import app, run
-from fsar_ledger.designs.constants import WORDS, Constants, Load, Outages, origins
+from fsar_ledger.designs.constants import WORDS, Constants, origins, with_all_groups
 from fsar_ledger.events.configuration import MECHANISMS_OF
 from fsar_ledger.events.envelope import Robot
 from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
@@ -205,7 +205,7 @@ def with_section(page: str, name: str, text: str) -> str:
 
 def with_constants(page: str) -> str:
     """Return the page with the table of all constants, their values and the sources of these."""
-    values = dict(flat("", json.loads(msgspec.json.encode(Constants(outages=Outages(), load=Load())))))
+    values = dict(flat("", json.loads(msgspec.json.encode(with_all_groups(Constants())))))
     rows = [f"| `{name}` | {values[name]} | {word} |" for name, word in origins().items()]
     counts = Counter(origins().values())
     lines = [f"- **{word}** ({counts[word]}): {meaning}" for word, meaning in WORDS.items()]

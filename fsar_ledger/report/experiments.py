@@ -17,7 +17,7 @@ from fsar_ledger.events.configuration import CONFIGURATIONS, EVERY_MECHANISM, FU
 from fsar_ledger.metrics.database import Database, Value, connect
 from fsar_ledger.metrics.paper_numbers import Table
 from fsar_ledger.metrics.plans import completeness
-from fsar_ledger.metrics.results import DialledRow, dialled_rows
+from fsar_ledger.metrics.results import DialledRow, dialled_rows, measure_the_printed
 from fsar_ledger.report import judge
 from fsar_ledger.report.findings import Head, arrow
 from fsar_ledger.report.judge import FOUR_ROBOTS, Number
@@ -96,6 +96,7 @@ def read_ledger(ledger: Path, demanded: str | None, *, is_workflows: bool = Fals
     # A ledger of large fleets may have a run of tens of millions of events, which cannot be judged in parts.
     with TemporaryDirectory(prefix="fsar-ledger-") as spilled, connect(ledger, demanded=demanded) as database:
         database.spill(Path(spilled))
+        measure_the_printed(database)
         found = _workflows(database)
         if is_workflows and not found:
             raise UsageError(

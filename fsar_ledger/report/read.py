@@ -24,6 +24,7 @@ from fsar_ledger.metrics.results import (
     MetricRow,
     StatisticRow,
     drawn_effects,
+    measure_the_printed,
     metric_rows,
     models,
     of_all_seeds,
@@ -128,6 +129,7 @@ def gather(
     for other, record in (beside or {}).items():  # first: a mistaken path fails at once
         parts = read_ledger(other, record, is_workflows=other == workflows) | parts
     with connect(ledger, demanded=demanded) as database:
+        measure_the_printed(database)
         rows = [
             row for one in (False, True) for row in metric_rows(database, one, pools_seeds=True) if _is_printed(row)
         ]
@@ -239,6 +241,7 @@ def _of_one_seed(ledger: Path, demanded: str | None, database: Database, main: M
     with connect(ledger, demanded=demanded) as narrowed:
         narrowed.hold("chosen_runs", chosen)
         take_seeds_together(narrowed, "run_id IN (SELECT run_id FROM chosen_runs)")
+        measure_the_printed(narrowed)
         yield narrowed
 
 

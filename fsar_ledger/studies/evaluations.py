@@ -27,7 +27,7 @@ from fsar_ledger.events.configuration import FULL, PAPER_ARCHITECTURES
 from fsar_ledger.events.envelope import Architecture
 from fsar_ledger.ledger.rows.codec import encode
 from fsar_ledger.metrics.database import Database, connect, from_table
-from fsar_ledger.metrics.results import MetricRow, metric_rows
+from fsar_ledger.metrics.results import MetricRow, measure_the_printed, metric_rows
 from fsar_ledger.metrics.verdicts import MARGINS
 from fsar_ledger.runtime.experiment import Experiment, run_experiment
 from fsar_ledger.runtime.simulation import MODEL_VERSION, SCENARIOS, RunSpec, simulate_run
@@ -89,6 +89,7 @@ def measured(
         for architecture in architectures
     ]
     with from_table(encode(records), threads=1) as database:
+        measure_the_printed(database)
         return metric_rows(database)
 
 
