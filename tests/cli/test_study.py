@@ -55,9 +55,10 @@ def test_a_result_that_rests_on_something_else_is_stale(
     assert said in last
 
 
-def test_what_cannot_be_shown_is_one_message(call: Call, tmp_path: Path) -> None:
+def test_what_cannot_be_shown_is_one_message(call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "text").write_text("no result")
     one_message(call("study", "show", "calibrations"), 2, "calibration")
-    one_message(call("study", "show", "sensitivity"), 2, "the package has none")
     one_message(call("study", "show", "comparison", tmp_path / "text"), 1, "study run comparison", "write it again")
     one_message(call("study", "show", "comparison", tmp_path / "none"), 2, "cannot be read")
+    monkeypatch.setattr(study_results, "packaged", lambda _kind: None)
+    one_message(call("study", "show", "sensitivity"), 2, "the package has none")
