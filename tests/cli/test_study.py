@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from fsar_ledger.metrics import study_results
 from tests.studies.conftest import study
 
 from .conftest import Call, one_message
