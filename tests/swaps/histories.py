@@ -133,9 +133,10 @@ def histories() -> Iterator[History]:
 
 
 def digest() -> str:
-    """Return the SHA-256, in hex, of everything that the runs record."""
+    """Return the SHA-256, in hex, of all that the runs record; a new field without a value does not change it."""
     found = sha256()
     for history in histories():
         for event in history():
-            found.update(msgspec.json.encode([type(event).__name__, flat(event)]))
+            recorded = {name: value for name, value in flat(event).items() if value is not None}
+            found.update(msgspec.json.encode([type(event).__name__, recorded]))
     return found.hexdigest()

@@ -14,7 +14,7 @@ from tests.swaps.histories import digest, histories
 from tests.swaps.sites import MADE, PACKAGE, Swap, calls, swaps
 from tests.swaps.soak import expected, shows, untyped
 
-PINNED = "92abf068dcfa7657b03c2ce29b9b4cb5bdbbc559d0ed75d94af059e4fd695e99"
+PINNED = "054055ef009dd98216730176d7ed78610aee10501f71f917dc23e6fcc449da21"
 """Of everything that the runs of the soak record."""
 
 KINDS = {"Robot", "Supervisor", "Service", "Agent", "Coordinator"}
