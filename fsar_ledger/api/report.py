@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     "report out/ledger --out out/report.pdf --numbers out/numbers.json",
     "report out/ledger --kind audit --out out/audit.pdf",
     takes=(),
+    hunger=3,
 )
 def report(
     ledger: "Ledger",

@@ -11,6 +11,7 @@ import signal
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext, suppress
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, get_args
 
@@ -111,7 +112,8 @@ def _callback(verb: Verb) -> Callable[..., None]:
         verb.arrange(given)
         is_bounded = "ledger" in ledgers and not verb.is_apart(given)
         read = [given[name] for name in ledgers] + [place for name in stored for place in _several(given[name])]
-        with bounded(most, *read, workers=given.get("workers")) if is_bounded else nullcontext():
+        limit = partial(bounded, most, *read, workers=given.get("workers"), hunger=verb.hunger)
+        with limit() if is_bounded else nullcontext():
             demands = beside.get("verified", False)
             code = respond(verb, given, ledgers, form, asked, drawn, verified=demands, clock=context.obj)
         if code:
@@ -312,8 +314,9 @@ LEAST_MIB = 256
 BASE_BYTES = 576 << 20
 PER_BYTE = 16
 """By default a command may take `BASE_BYTES`, and `PER_BYTE` bytes for each byte of the segments on disk. Most commands
-need 300 MiB and 10. Of a ledger of ten million events `study run multiverse`, `open` and `report` need more and are
-given it with --memory: by default as much would be there for a small file that unpacks to much.
+need 300 MiB and 10; `report` takes some 40 for each byte (`Verb.hunger`). Of a ledger of ten million events `study run
+multiverse` and `open` need more and are given it with --memory: by default as much would be there for a small file that
+unpacks to much.
 """
 
 PER_WORKER_BYTES = 192 << 20
@@ -323,7 +326,9 @@ MACHINE_SHARE = 0.8
 
 
 @contextmanager
-def bounded(asked_mib: int | None, *ledgers: Path | None, workers: int | None = None) -> Iterator[None]:
+def bounded(
+    asked_mib: int | None, *ledgers: Path | None, workers: int | None = None, hunger: int = 1
+) -> Iterator[None]:
     """Limit the memory of the command to what was asked for, or to what ledgers of this size need.
 
     Beyond that the command ends with one message and exit code 2.
@@ -334,7 +339,7 @@ def bounded(asked_mib: int | None, *ledgers: Path | None, workers: int | None = 
     """
     if asked_mib is not None and not LEAST_MIB <= asked_mib <= memory.MOST_MIB:
         raise UsageError(f"--memory {asked_mib}: expected at least {LEAST_MIB} and at most {memory.MOST_MIB} (MiB)")
-    most = default_bytes(*ledgers, workers=workers) if asked_mib is None else asked_mib << 20
+    most = default_bytes(*ledgers, workers=workers, hunger=hunger) if asked_mib is None else asked_mib << 20
 
     def end() -> None:
         say(memory.exceeded_message())
@@ -353,10 +358,13 @@ def bounded(asked_mib: int | None, *ledgers: Path | None, workers: int | None = 
             raise LimitReached(memory.exceeded_message()) from error
 
 
-def default_bytes(*ledgers: Path | None, workers: int | None = None) -> int:
-    """Return the default limit, which grows with the segments and workers, and is never all of the machine's memory."""
+def default_bytes(*ledgers: Path | None, workers: int | None = None, hunger: int = 1) -> int:
+    """Return the default limit, which grows with the segments and workers, and is never all of the machine's memory.
+
+    `hunger` is that of the verb.
+    """
     more = max(0, (workers_of(None) if workers is None else workers) - 2)
     return min(
-        BASE_BYTES + PER_WORKER_BYTES * more + PER_BYTE * stored(*ledgers),
+        BASE_BYTES + PER_WORKER_BYTES * more + hunger * PER_BYTE * stored(*ledgers),
         int(MACHINE_SHARE * memory.bytes_installed()),
     )

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from fsar_ledger.events.configuration import ARCHITECTURES
 from tests.cli.conftest import in_a_process
 
 
@@ -22,7 +23,7 @@ def completed(*words: object) -> list[str]:
     [
         (("simulate", "out", "--scenario", "f"), ["failure-recovery-chain", "fleet-contention"]),
         pytest.param(("simulate", "out", "--workflow", "l"), ["layered-recovery"], marks=pytest.mark.slow),
-        pytest.param(("simulate", "out", "--architecture", ""), ["fsar", "cfc", "dhma"], marks=pytest.mark.slow),
+        pytest.param(("simulate", "out", "--architecture", ""), list(ARCHITECTURES), marks=pytest.mark.slow),
         pytest.param(
             ("simulate", "out", "--without", "trust"), ["trust-evaluation", "trust-by-record"], marks=pytest.mark.slow
         ),
