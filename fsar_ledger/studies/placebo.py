@@ -16,6 +16,7 @@ from fsar_ledger.base.progress import Progress
 from fsar_ledger.base.wilson import wilson
 from fsar_ledger.designs.constants import Constants
 from fsar_ledger.events.configuration import FULL, PAPER_ARCHITECTURES
+from fsar_ledger.events.envelope import Architecture
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.staging import stage
@@ -95,20 +96,20 @@ def p_values(question: Question) -> Answer:
 
 
 @contextmanager
-def committed(question: Question, other_seed: int) -> Iterator[Database]:
+def committed(question: Question, other_seed: int, other_name: Architecture = OTHER_NAME) -> Iterator[Database]:
     """Commit FSAR with one seed, and FSAR under the other name with the other, to a ledger; yield its database."""
     with TemporaryDirectory() as folder:
         ledger = Path(folder) / "ledger"
         with Writer(ledger, "fsar-ledger/placebo") as writer:
             for scenario in SCENARIOS:
-                writer.append(stage(ledger, list(_runs(question, other_seed, scenario))))
+                writer.append(stage(ledger, list(_runs(question, other_seed, other_name, scenario))))
         with connect(ledger, threads=1) as database:
             yield database
 
 
-def _runs(question: Question, other_seed: int, scenario: str) -> Iterator[LedgerRun]:
+def _runs(question: Question, other_seed: int, other_name: Architecture, scenario: str) -> Iterator[LedgerRun]:
     setting = question.setting
-    for name, seed in ((FSAR, question.seed), (OTHER_NAME, other_seed)):
+    for name, seed in ((FSAR, question.seed), (other_name, other_seed)):
         for run in range(question.runs):
             spec = RunSpec(seed, name, FULL, scenario, setting.fleet_size, run)
             yield simulate_run(spec, setting.constants, handler_table_of(FSAR))

@@ -7,19 +7,32 @@ import numpy as np
 import pytest
 
 from fsar_ledger.designs.constants import Constants
+from fsar_ledger.events.configuration import ARCHITECTURES
+from fsar_ledger.metrics.definitions import metrics
 from fsar_ledger.metrics.registration import Sample, registration
+from fsar_ledger.metrics.results import statistic_rows
 from fsar_ledger.metrics.robustness import Placebo
 from fsar_ledger.metrics.study_results import read, rules
 from fsar_ledger.studies import placebo as study
 from fsar_ledger.studies.evaluations import Answer, Question
 from fsar_ledger.studies.factors import Setting
 from fsar_ledger.studies.placebo import ANY, METRICS, TESTS, committed, on_same_seeds, p_values, placebo, rejections
+from tests.quick import few
 
 QUESTION = Question(Setting(Constants(), 4), 9, 3)
 
 
 def test_on_the_same_seeds_nothing_differs() -> None:
     assert on_same_seeds(QUESTION) == (15, 0.0)
+
+
+@pytest.mark.parametrize("name", few(ARCHITECTURES[1:], ["jade"]))
+def test_no_name_makes_a_difference_to_any_metric(name: str) -> None:
+    with committed(QUESTION, QUESTION.seed, name) as database:
+        rows = statistic_rows(database)
+    assert {row.comparison for row in rows} == {f"fsar-{name}"}
+    assert {row.metric for row in rows} == {metric.name for metric in metrics()}
+    assert {row.mean_difference for row in rows if row.mean_difference is not None} == {0.0}
 
 
 def test_runs_that_did_not_meet_the_same_world_are_paired_by_no_rule_and_compared_here_alone() -> None:
