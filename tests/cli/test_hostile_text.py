@@ -113,7 +113,7 @@ def calls_of_studies(ledger: Path, out: Path) -> Iterator[tuple[object, ...]]:
     yield from (
         *(
             ("study", "run", name, "--out", out, "--workers", EVIL)
-            for name in ("ranking", "calibration", "ensemble", "placebo")
+            for name in ("ranking", "calibration", "ensemble", "placebo", "systems")
         ),
         ("study", "run", "predictions", "--out", out, "--workers", EVIL),
         ("study", "run", "comparison", EVIL, "--out", out),
