@@ -224,7 +224,7 @@ def not_compared(database: Database) -> list[str]:
             f"found {held}, all without seed, scenario, fleet size or number; runs that are not known to have met one "
             "world are no pairs"
         ]
-    return [f"found {held}; expected fsar, cfc or dhma, or the configurations of one architecture"]
+    return [f"found {held}; expected two architectures, or the configurations of one"]
 
 
 def left_over(database: Database) -> list[str]:
