@@ -3,8 +3,8 @@
 -- Grain: one row per ExecutionFailed event
 -- Key: run_id, seq
 -- Units: known_us microseconds of run time when another principal decides something about the action, a supervisor is
---   called, or a robot that was asked to help has heard of it; passed_us when the task goes on or is given up,
---   run_ended_us when the run ends
+--   called, or a robot that was asked to help has heard of it; passed_us when the task goes on or is given up;
+--   run_ended_us the time of the last record of a task, a request, recovery or supervision
 -- NULL: known_us where nobody else is on record as knowing; passed_us where the task did neither
 -- Example: fsar-ledger query facts/failures_told LEDGER
 WITH records AS (
@@ -56,7 +56,13 @@ ends AS (
     SELECT
         run_id,
         max(time_us) AS ended_us
-    FROM event_principals
+    FROM (
+        SELECT run_id, time_us
+        FROM records
+        UNION ALL
+        SELECT run_id, time_us
+        FROM task_events
+    ) AS every_record
     GROUP BY run_id
 )
 

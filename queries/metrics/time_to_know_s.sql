@@ -4,7 +4,7 @@
 -- Key: run_id
 -- Units: numerator microseconds from detection until another principal decides something about the action or a
 --   supervisor is called, or until the failure is resolved or the task goes on or is given up, or else until the run
---   ends; denominator failures; value seconds
+--   ends (its last record of such); denominator failures; value seconds
 -- NULL: value of a run without failures; numbers of a run that does not observe what the metric rests on; not_observed
 --   of one that does
 -- Example: fsar-ledger query metrics/time_to_know_s LEDGER

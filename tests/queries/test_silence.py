@@ -184,5 +184,5 @@ def test_a_failure_is_over_when_its_task_goes_on_or_is_given_up() -> None:
 
 
 def test_a_failure_of_which_nobody_hears_lasts_until_the_run_ends() -> None:
-    assert measured("time_to_know_s", failed(1), event("RobotWentOff", 9 * S, robot=B)) == (8 * S, 1, 8.0)
+    assert measured("time_to_know_s", failed(1), event("TaskCompleted", 9 * S, task_id="B1-1")) == (8 * S, 1, 8.0)
     assert measured("time_to_know_s", event("RobotWentOff", 9 * S, robot=B)) == (0, 0, None)
