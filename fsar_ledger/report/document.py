@@ -138,8 +138,7 @@ def _numbered(table: pa.Table) -> pa.Table:
 def _measures() -> pa.Table:
     """Return every metric, also those that the paper does not have."""
     fields = ("title", "short", "factor", "decimals", "better")
-    rows = [{name: getattr(one, name) for name in fields} | {"metric": one.name} for one in metrics()]
-    return _listed([row | {"is_printed": one.paper is not None} for row, one in zip(rows, metrics(), strict=True)])
+    return _listed([{"metric": one.name} | {name: getattr(one, name) for name in fields} for one in metrics()])
 
 
 def _metrics() -> pa.Table:

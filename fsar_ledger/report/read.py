@@ -55,7 +55,6 @@ QUERIES = {
 """The queries that each part of the report reads directly; these read others."""
 
 OF_MAIN = same_setting("runs.")
-PRINTED = frozenset(metric.name for metric in published_metrics())
 ADDED = "architectures added"
 """The family of comparisons with an architecture that the paper does not compare."""
 CHOSEN_SQL = f"""
@@ -131,7 +130,10 @@ def gather(
     with connect(ledger, demanded=demanded) as database:
         measure_the_printed(database)
         rows = [
-            row for one in (False, True) for row in metric_rows(database, one, pools_seeds=True) if _is_printed(row)
+            row
+            for one in (False, True)
+            for row in metric_rows(database, one, pools_seeds=True)
+            if row.architecture in PAPER_ARCHITECTURES
         ]
         main = _main(rows)
         found = _results(database, rows, main, ledger, demanded)
@@ -167,11 +169,6 @@ def gather(
         )
 
 
-def _is_printed(row: MetricRow) -> bool:
-    """Tell whether the paper has numbers of this architecture and metric."""
-    return row.metric in PRINTED and row.architecture in PAPER_ARCHITECTURES
-
-
 Main = tuple[Any, ...]
 """The `CONDITIONS` that the runs of the tables share; the seed is None, because all seeds are taken together."""
 
@@ -196,9 +193,7 @@ def _results(
     drawn = judge.drawn_odds(database, "results", mine)
     numbers = judge.beside("results", mine, drawn, not_judged=not_judged)
     tests = [
-        row
-        for row in statistic_rows(database, pools_seeds=True)
-        if setting_of(row) == main and row.metric in PRINTED and row.family != ADDED
+        row for row in statistic_rows(database, pools_seeds=True) if setting_of(row) == main and row.family != ADDED
     ]
     relations = {
         "measured": arrow(mine, MetricRow),

@@ -12,7 +12,7 @@ from fsar_ledger.designs.constants import Constants, write_constants
 from fsar_ledger.metrics.effects import MADE_BY, Sensitivity, dozen, reach
 from fsar_ledger.metrics.robustness import CellSpread, Ensemble, Placebo, RankCounts, Ranking, Rejections, SignCount
 from fsar_ledger.metrics.study_results import Calibration, Comparison, changed, packaged
-from fsar_ledger.metrics.systems import NamedShares, SystemGrade, SystemNumber, Systems
+from fsar_ledger.metrics.systems import SystemGrade, SystemNumber, Systems
 from fsar_ledger.report.findings import Findings, arrow
 from fsar_ledger.report.printing import flat, words
 
@@ -78,7 +78,6 @@ def robustness_relations(
         "rejections": arrow(control.tests if control else (), Rejections),
         "system_numbers": arrow(systems.numbers if systems else (), SystemNumber),
         "system_grades": arrow(systems.grades if systems else (), SystemGrade),
-        "system_named": arrow(systems.named if systems else (), NamedShares),
     }
 
 

@@ -67,7 +67,9 @@ def start_after_approach(state: State, event: ApproachStarted, _now_us: int) -> 
     return (start_action(event.subject.action_id, action.capability, 0, (way,)),)
 
 
-def queued(request: Request, parties: Parties, robot: Robot, override: OverrideLevel = "none") -> ExecutionQueued:
+def queued(
+    request: Request, parties: Parties, robot: Robot, override: OverrideLevel = "none", *, is_supervised: bool = True
+) -> ExecutionQueued:
     """Return the fact that the step waits for its turn at the robot; a delegated step has an approach first."""
     return ExecutionQueued(
         subject=request.subject,
@@ -79,7 +81,7 @@ def queued(request: Request, parties: Parties, robot: Robot, override: OverrideL
         attempt=request.attempt,
         is_delegated=request.is_delegated,
         has_approach=request.is_delegated,
-        is_supervised=True,
+        is_supervised=is_supervised,
         override=override,
     )
 

@@ -114,10 +114,9 @@ def _queued(state: State, request: Request, robot: Robot, name: str) -> Executio
     """
     is_there = state.motivation.at.get(robot) == request.action_id
     return msgspec.structs.replace(
-        queued(request, by_robot(robot), robot),
+        queued(request, by_robot(robot), robot, is_supervised=False),
         subject=Subject(request.task_id, name),
         has_approach=request.is_delegated and request.step > 0 and not is_there,
-        is_supervised=False,
     )
 
 

@@ -61,10 +61,9 @@ def queued_for(state: State, request: Request, parties: Parties, robot: Robot) -
     """Return the fact that the robot has the action in its queue. An outsider's is no step, and has no approach."""
     is_step = request.step > 0
     return msgspec.structs.replace(
-        queued(request, parties, robot),
+        queued(request, parties, robot, is_supervised=bool(state.fleet.jade.owner_is_named)),
         is_delegated=request.is_delegated and is_step,
         has_approach=request.is_delegated and is_step,
-        is_supervised=bool(state.fleet.jade.owner_is_named),
     )
 
 

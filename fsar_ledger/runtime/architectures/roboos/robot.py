@@ -11,7 +11,6 @@ from fsar_ledger.events.envelope import COORDINATOR, RequestSubject, Robot, Subj
 from fsar_ledger.events.execution import (
     ExecutionFinished,
     ExecutionPaused,
-    ExecutionQueued,
     ExecutionWithdrawn,
     RoutinePerformed,
     RoutineWithheld,
@@ -19,7 +18,6 @@ from fsar_ledger.events.execution import (
 from fsar_ledger.events.request import CommandIssued, RequestDenied
 from fsar_ledger.events.world import ContextChanged
 from fsar_ledger.projections.fold import State
-from fsar_ledger.projections.request import Request
 from fsar_ledger.runtime.handlers.commands import (
     ActionCommand,
     DecideRoutine,
@@ -33,7 +31,7 @@ from fsar_ledger.runtime.handlers.commands import (
     named,
     open_request,
 )
-from fsar_ledger.runtime.handlers.execution import approach, pause_running, started, waiting
+from fsar_ledger.runtime.handlers.execution import approach, pause_running, queued, started, waiting
 from fsar_ledger.runtime.handlers.policy import own_policy
 
 from .master import TakeResult, on_record
@@ -57,7 +55,7 @@ def take_subtask(state: State, command: TakeSubtask) -> tuple[Event, ...]:
     if not _may(state, robot, request.capability, request.task_id):
         subject = RequestSubject(request.task_id, request.action_id, None)
         return (RequestDenied(subject, on_record(robot).decided(robot), "policy"),)
-    return (_queued(request, robot),)
+    return (queued(request, on_record(robot), robot, is_supervised=False),)
 
 
 def _may(state: State, robot: Robot, capability: str | None, context: str | None) -> bool:
@@ -65,21 +63,6 @@ def _may(state: State, robot: Robot, capability: str | None, context: str | None
     if not state.fleet.roboos.gate:
         return True
     return own_policy(state.policy, state.world, robot, capability, context) != "deny"
-
-
-def _queued(request: Request, robot: Robot) -> ExecutionQueued:
-    return ExecutionQueued(
-        subject=request.subject,
-        principals=on_record(robot),
-        robot=robot,
-        on_behalf_of=request.requester,
-        capability=request.capability,
-        step=request.step,
-        attempt=request.attempt,
-        is_delegated=request.is_delegated,
-        has_approach=request.is_delegated,
-        is_supervised=False,
-    )
 
 
 @HANDLERS.decide(StartAction, body)
