@@ -18,6 +18,7 @@ from fsar_ledger.designs.dials import TRIED
 from fsar_ledger.events.configuration import ARCHITECTURES
 from fsar_ledger.metrics.definitions import metrics
 from fsar_ledger.metrics.paper_numbers import features
+from fsar_ledger.metrics.registration import registration
 from fsar_ledger.metrics.results import metric_rows, take_seeds_together
 from fsar_ledger.metrics.systems import NamedShares, SystemGrade, SystemNumber, Systems
 from fsar_ledger.runtime.experiment import Experiment
@@ -28,7 +29,7 @@ from .evaluations import Answer, Evaluate, Question, evaluating, simulated
 from .factors import Setting
 from .result import RESUME_ADVICE, grounds, write
 
-SEEDS = (20260001, 20260002, 20260003, 20260004)
+SEEDS = registration().verdicts.seeds
 """Those of the verdicts: at four robots, the numbers of the paper's three are those of its tables in the report."""
 RUNS = {4: 50, 8: 20, 16: 10}
 """Runs of each scenario and seed, by fleet size."""
