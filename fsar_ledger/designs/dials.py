@@ -34,6 +34,9 @@ class Alliance(msgspec.Struct, frozen=True):
     # A robot starts when its motivation has grown to the threshold: threshold / fast rate. The third-party values
     # (150 / 5 and 200 / 10 at 2 Hz) come to 15 s and 10 s for tasks of 100 s and 200 s; ours take a tenth of that.
     impatience_us: Dial[int] = 1_000_000  # 0.1 s to 15 s
+    # Rates are of single robots and tasks; which robot is the faster is the designer's choice (the third-party values
+    # of two behaviours are 15 s and 10 s). With equal ones teammates that sense a need together all start.
+    stagger_us: Dial[int] = 0  # 0: equal rates; else how much longer than those of the team before a team's robots take
     # While a teammate is heard to work on it, motivation grows at the slow rate, until it has taken this long.
     patience_us: Dial[int] = 11_000_000  # 1.1 times the expected 10 s; 5 s to 30 s
     broadcast_us: Dial[int] = 2_000_000  # 0.5 Hz; 0.2 s if it were scaled as the delays are
@@ -73,6 +76,7 @@ TRIED: dict[str, tuple[int, ...]] = {
     "jade.owner_is_named": (0, 1),
     "jade.permissions": (0, 1),
     "alliance.impatience_us": (100_000, 300_000, 1_000_000, 3_000_000, 15_000_000),
+    "alliance.stagger_us": (0, 300_000, 1_000_000),
     "alliance.patience_us": (5_000_000, 11_000_000, 30_000_000),
     "alliance.yield_us": (7_500_000, 10_000_000),
     "alliance.broadcast_us": (200_000, 2_000_000),
@@ -82,5 +86,6 @@ TRIED: dict[str, tuple[int, ...]] = {
 }
 """Which values of a dial `study run systems` tries: the ends of what its source allows, and some between.
 
+A dial that only acts between robots of one role is tried at every fleet size, since four robots have four roles.
 Left out are those that a source gives as one number, and those that matter in outages alone.
 """

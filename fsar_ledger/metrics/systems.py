@@ -1,4 +1,4 @@
-"""The result of the study of systems: every architecture at several fleet sizes, and over each dial of its own."""
+"""The result of the study of systems: every architecture at several fleet sizes, over its dials, in other worlds."""
 
 from collections.abc import Iterator
 from typing import ClassVar
@@ -46,10 +46,26 @@ class NamedShares(msgspec.Struct, frozen=True, kw_only=True):
     supervisor: float | None
 
 
+class HeldRank(msgspec.Struct, frozen=True, kw_only=True):
+    """How FSAR stands beside another architecture when one constant is moved: in how many settings it is told apart.
+
+    In `higher` of the `settings` its 95 % interval lies above the other's, in `lower` below; in the rest they meet.
+    A setting in which the metric is undefined for one of them does not count. `against` names those of the rarer kind.
+    """
+
+    architecture: str
+    metric: str
+    settings: int
+    higher: int
+    lower: int
+    against: tuple[str, ...]
+
+
 class Systems(GroundedResult, frozen=True, kw_only=True):
     """What every architecture does in the same worlds; nothing of it is fitted.
 
     `runs` are those of each scenario and seed, by fleet size; a dial is tried with the runs of the first seed.
+    `moved_runs` are those of each scenario where a constant is moved.
     """
 
     FILE: ClassVar[str] = "systems.json"
@@ -68,10 +84,12 @@ class Systems(GroundedResult, frozen=True, kw_only=True):
     numbers: list[SystemNumber]
     grades: list[SystemGrade]
     named: list[NamedShares]
+    moved_runs: int
+    held: list[HeldRank]
 
     def tables(self) -> Iterator[list[Row]]:
-        """Yield the numbers, the grades and the shares of names."""
-        for part in (self.numbers, self.grades, self.named):
+        """Yield the numbers, the grades, the shares of names, and where ranks hold."""
+        for part in (self.numbers, self.grades, self.named, self.held):
             yield rows_of(part)
 
     def summary(self) -> str:

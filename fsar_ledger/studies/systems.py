@@ -1,12 +1,13 @@
-"""Runs every architecture in the same worlds, at several fleet sizes and over each of its dials.
+"""Runs every architecture in the same worlds: at several fleet sizes, over each of its dials, in other worlds.
 
 Nothing is fitted, and no number decides a dial: `designs/dials.py` is frozen by a commit before the first of these runs
 is counted (`python -m tests.history`). Paper: tab:baseline_context.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from hashlib import sha256
 from pathlib import Path
+from typing import Literal
 
 import msgspec
 
@@ -20,20 +21,23 @@ from fsar_ledger.metrics.definitions import metrics
 from fsar_ledger.metrics.paper_numbers import features
 from fsar_ledger.metrics.registration import registration
 from fsar_ledger.metrics.results import metric_rows, take_seeds_together
-from fsar_ledger.metrics.systems import NamedShares, SystemGrade, SystemNumber, Systems
+from fsar_ledger.metrics.systems import HeldRank, NamedShares, SystemGrade, SystemNumber, Systems
 from fsar_ledger.runtime.experiment import Experiment
 from fsar_ledger.runtime.own import with_values
 from fsar_ledger.runtime.simulation import SCENARIOS
 
 from .evaluations import Answer, Evaluate, Question, evaluating, simulated
-from .factors import Setting
+from .factors import Setting, factors, setting
 from .result import RESUME_ADVICE, grounds, write
 
 SEEDS = registration().verdicts.seeds
 """Those of the verdicts: at four robots, the numbers of the paper's three are those of its tables in the report."""
 RUNS = {4: 50, 8: 20, 16: 10}
 """Runs of each scenario and seed, by fleet size."""
-DIAL_SIZE = 4
+DIAL_SIZES = {"alliance.stagger_us": tuple(RUNS)}
+"""Fleet sizes at which a dial is tried; one that is not here is tried with four robots."""
+MOVED_RUNS = 20
+"""Runs of each scenario where a constant is moved."""
 METRICS = tuple(metric.name for metric in metrics())
 FEATURES = features()
 GRADES = ("none", "partial", "full")
@@ -76,11 +80,36 @@ class Trial(msgspec.Struct, frozen=True):
         return SystemQuestion(Setting(constants, self.fleet_size), seeds[0], runs, self.architecture, seeds)
 
 
+class MovedConstant(msgspec.Struct, frozen=True):
+    """A constant, the load or the fleet size at an end of its range, everything else at its base."""
+
+    name: str
+    setting: Setting
+
+    def question(self, architecture: str) -> SystemQuestion:
+        """Return what is to be evaluated of one architecture."""
+        return SystemQuestion(self.setting, SEEDS[0], MOVED_RUNS, architecture, SEEDS[:1])
+
+
 def trials() -> list[Trial]:
     """Return every architecture at every size, and every value of every dial."""
     sizes = [Trial(architecture, size) for size in RUNS for architecture in ARCHITECTURES]
     return sizes + [
-        Trial(name.partition(".")[0], DIAL_SIZE, name, value) for name, values in TRIED.items() for value in values
+        Trial(name.partition(".")[0], size, name, value)
+        for name, values in TRIED.items()
+        for size in DIAL_SIZES.get(name, (4,))
+        for value in values
+    ]
+
+
+def moved_constants() -> list[MovedConstant]:
+    """Return each factor of the sensitivity at either end of its range, unless its base is that end."""
+    every = factors()
+    return [
+        MovedConstant(f"{factor.name}={factor.shown(position)}", setting(every, {factor.name: position}))
+        for factor in every
+        for position in (0.0, 1.0)
+        if factor.at(position) != factor.value
     ]
 
 
@@ -91,10 +120,13 @@ def systems(
 
     Raises: As `evaluating`; WriteFailed, WorkerDied.
     """
-    out, tried = Path(out), trials()
+    out, tried, moved = Path(out), trials(), moved_constants()
+    elsewhere = {name: [one.question(name) for one in moved] for name in ARCHITECTURES}
     with evaluating(out, workers_of(workers), progress, ask or answer, WIDTH) as evaluations:
-        evaluations.expected = len(tried)
-        found = evaluations.answers([one.question for one in tried])
+        questions = [one.question for one in tried]
+        evaluations.expected = len({one.key for group in (questions, *elsewhere.values()) for one in group})
+        found = evaluations.answers(questions)
+        ranked = {name: evaluations.answers(group) for name, group in elsewhere.items()}
         declared = dict(zip((one.architecture for one in tried), found[: len(ARCHITECTURES)], strict=False))
         result = Systems(
             **grounds(Systems),
@@ -104,6 +136,8 @@ def systems(
             numbers=[number for one, values in zip(tried, found, strict=True) for number in _numbers(one, values)],
             grades=[grade for one, values in declared.items() for grade in _grades(one, values)],
             named=[_named(one, values) for one, values in declared.items()],
+            moved_runs=MOVED_RUNS,
+            held=list(held_ranks([one.name for one in moved], ranked)),
         )
         write(out, result, RESUME_ADVICE)
     return result
@@ -133,6 +167,34 @@ def _numbers(one: Trial, values: Answer) -> Iterator[SystemNumber]:
         yield SystemNumber(
             **msgspec.structs.asdict(one), metric=metric, n=int(n or 0), mean=mean, low=low, high=high, sd=sd
         )
+
+
+def held_ranks(moved: Sequence[str], answers: Mapping[str, Sequence[Answer]]) -> Iterator[HeldRank]:
+    """Yield where FSAR stands beside each other architecture by each metric, from the answers in these settings."""
+    for other in [name for name in answers if name != "fsar"]:
+        for at, metric in enumerate(METRICS):
+            sides = {
+                name: _side(ours, theirs, at * len(OF_METRIC))
+                for name, ours, theirs in zip(moved, answers["fsar"], answers[other], strict=True)
+            }
+            higher, lower = (tuple(name for name, side in sides.items() if side == one) for one in ("higher", "lower"))
+            yield HeldRank(
+                architecture=other,
+                metric=metric,
+                settings=sum(side is not None for side in sides.values()),
+                higher=len(higher),
+                lower=len(lower),
+                against=min(higher, lower, key=len),
+            )
+
+
+def _side(ours: Answer, theirs: Answer, at: int) -> Literal["higher", "lower", "alike"] | None:
+    """Tell on which side of the other's interval ours lies; None where one of them is undefined."""
+    low, high = at + OF_METRIC.index("ci_low"), at + OF_METRIC.index("ci_high")
+    our_low, our_high, their_low, their_high = ours[low], ours[high], theirs[low], theirs[high]
+    if our_low is None or our_high is None or their_low is None or their_high is None:
+        return None
+    return "higher" if our_low > their_high else "lower" if our_high < their_low else "alike"
 
 
 def _grades(architecture: str, values: Sequence[float | None]) -> Iterator[SystemGrade]:

@@ -15,9 +15,9 @@ Records name the robot that executes. They name no requester, since none asks, a
 either source. A rule of the fleet is violated, since nothing looks at one; a robot's own policy reaches it as sensory
 feedback (dial `senses_policy`), and a review is put before nobody, so it is as a denial.
 
-Left out: rates of single robots and tasks (all have the same, so teammates that sense a need within a message's time
-of each other all start), the spin of 2 Hz (motivation is linear between two events, so its instant is computed), loss
-of messages, and the sensing of a teammate's effects other than by its messages.
+Left out: rates of single tasks, and of single robots where the dial `stagger_us` is 0 (teammates that sense a need
+within a message's time of each other then all start), the spin of 2 Hz (motivation is linear between two events, so its
+instant is computed), loss of messages, and the sensing of a teammate's effects other than by its messages.
 """
 
 from fsar_ledger.runtime.architectures.handler_table import COMMON, HandlerTable

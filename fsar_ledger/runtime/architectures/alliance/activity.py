@@ -30,7 +30,7 @@ from fsar_ledger.runtime.handlers.authority import released
 from fsar_ledger.runtime.handlers.commands import CompleteStep, Handlers, Scheduled, message, named
 from fsar_ledger.runtime.handlers.execution import queued
 
-from .motivation import HearActivity, NeedCommand, TakeUp, is_applicable, level_us, teammates, wanted
+from .motivation import HearActivity, NeedCommand, TakeUp, impatience_us, is_applicable, level_us, teammates, wanted
 
 REASON = "motivation"
 
@@ -88,7 +88,8 @@ def take_up(state: State, command: TakeUp) -> tuple[Event, ...]:
         return ()
     if not is_idle(state.execution, robot) or not is_applicable(state, robot, request):
         return ()
-    if level_us(known, command.now_us, dials.impatience_us, dials.silence_us) < dials.impatience_us:
+    threshold_us = impatience_us(state, robot)
+    if level_us(known, command.now_us, threshold_us, dials.silence_us) < threshold_us:
         return ()  # a teammate was heard meanwhile
     name = execution_name(state.execution, action_id, robot)
     principals = by_robot(robot).decided(robot)

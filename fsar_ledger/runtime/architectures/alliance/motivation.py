@@ -1,7 +1,7 @@
 """ALLIANCE: what a robot senses and hears, and how its motivation to do an action grows.
 
 m = (m + impatience) * not acquiescent * not suppressed * not reset * applicable (motivational_behaviour.cpp, getLevel).
-Here m counts microseconds of growth at the fast rate, so that its threshold is the dial `impatience_us`. It grows from
+Here m counts microseconds of growth at the fast rate, so that a robot's threshold is `impatience_us`. It grows from
 zero: since the robot was told of the need, is free again (activity suppression), its policy allows again (sensory
 feedback), or it first heard a teammate (impatience reset, once for each). The reset acts on what grows: a robot that is
 active leaves by acquiescence alone, else its delays would mean nothing (our reading).
@@ -131,6 +131,12 @@ def _phases(known: Motivation, from_us: int, impatience_us: int, silence_us: int
             yield until_us, max(impatience_us, *(patience for _, patience in slow[place:]))
 
 
+def impatience_us(state: State, robot: Robot) -> int:
+    """Return how long the robot's motivation takes to the threshold at its fast rate. Units: microseconds."""
+    dials = state.fleet.alliance
+    return dials.impatience_us + dials.stagger_us * (state.fleet.robots[robot].team - 1)
+
+
 def level_us(known: Motivation, now_us: int, impatience_us: int, silence_us: int) -> int:
     """Return the motivation now. Units: microseconds of growth at the fast rate; `impatience_us` is the threshold."""
     if known.as_of_us is None:
@@ -197,7 +203,7 @@ def hear_activity(state: State, command: HearActivity) -> tuple[Event, ...]:
             robot=robot,
             peer=command.peer,
             as_of_us=command.now_us,
-            level_us=0 if is_zero else level_us(known, command.now_us, dials.impatience_us, dials.silence_us),
+            level_us=0 if is_zero else level_us(known, command.now_us, impatience_us(state, robot), dials.silence_us),
             patience_us=patience_us(state, robot, command.peer, request.capability),
         ),
     )
@@ -205,10 +211,10 @@ def hear_activity(state: State, command: HearActivity) -> tuple[Event, ...]:
 
 def take_up_when_ripe(state: State, action_id: str, robot: Robot, now_us: int) -> tuple[Scheduled, ...]:
     """Schedule the instant at which the motivation will reach the threshold; what is heard until then moves it."""
-    known, dials = motivation_of(state.motivation, action_id, robot), state.fleet.alliance
+    known = motivation_of(state.motivation, action_id, robot)
     if known is None or known.as_of_us is None or not is_idle(state.execution, robot):
         return ()
-    due_us = ripe_us(known, dials.impatience_us, dials.silence_us)
+    due_us = ripe_us(known, impatience_us(state, robot), state.fleet.alliance.silence_us)
     return (Scheduled(TakeUp(robot, action_id), max(1, due_us - now_us)),)
 
 
