@@ -103,13 +103,15 @@ def trials() -> list[Trial]:
 
 
 def moved_constants() -> list[MovedConstant]:
-    """Return each factor of the sensitivity at either end of its range, unless its base is that end."""
+    """Return each factor of the sensitivity at either end of its range, but for what is the base again."""
     every = factors()
+    base = setting(every, {})
     return [
-        MovedConstant(f"{factor.name}={factor.shown(position)}", setting(every, {factor.name: position}))
+        moved
         for factor in every
         for position in (0.0, 1.0)
-        if factor.at(position) != factor.value
+        if (moved := MovedConstant(f"{factor.name}={factor.shown(position)}", setting(every, {factor.name: position})))
+        and moved.setting != base
     ]
 
 
