@@ -8,15 +8,23 @@ import pyarrow as pa
 
 from fsar_ledger.base import printable
 from fsar_ledger.base.parameters import read_parameters
-from fsar_ledger.designs.constants import Constants, write_constants
+from fsar_ledger.designs.constants import Constants, with_all_groups, write_constants
+from fsar_ledger.designs.dials import TRIED
 from fsar_ledger.metrics.effects import MADE_BY, Sensitivity, dozen, reach
 from fsar_ledger.metrics.robustness import CellSpread, Ensemble, Placebo, RankCounts, Ranking, Rejections, SignCount
 from fsar_ledger.metrics.study_results import Calibration, Comparison, changed, packaged
-from fsar_ledger.metrics.systems import SystemGrade, SystemNumber, Systems
+from fsar_ledger.metrics.systems import HeldRank, SystemGrade, SystemNumber, Systems
 from fsar_ledger.report.findings import Findings, arrow
 from fsar_ledger.report.printing import flat, words
 
 MAX_NAMED = 5  # differing constants that a message names
+
+
+class DeclaredDial(msgspec.Struct, frozen=True):
+    """A dial of a published system, and the value at which it stands unless it is turned."""
+
+    dial: str
+    declared: int
 
 
 class Drawn(msgspec.Struct, frozen=True):
@@ -78,7 +86,15 @@ def robustness_relations(
         "rejections": arrow(control.tests if control else (), Rejections),
         "system_numbers": arrow(systems.numbers if systems else (), SystemNumber),
         "system_grades": arrow(systems.grades if systems else (), SystemGrade),
+        "declared_dials": arrow([DeclaredDial(one, _declared(one)) for one in TRIED if systems], DeclaredDial),
+        "system_held": arrow(systems.held if systems else (), HeldRank),
     }
+
+
+def _declared(dial: str) -> int:
+    group, _, name = dial.partition(".")
+    value: int = getattr(getattr(with_all_groups(Constants()), group), name)
+    return value
 
 
 # See docs/decisions/fit-is-registered-first.md.

@@ -12,7 +12,7 @@ from fsar_ledger.metrics.paper_numbers import Table, printed
 from fsar_ledger.metrics.registration import Sample, SampleAround
 from fsar_ledger.metrics.results import StatisticRow
 from fsar_ledger.metrics.robustness import CellSpread, Ensemble, Placebo, RankCounts, Ranking, Rejections, SignCount
-from fsar_ledger.metrics.systems import NamedShares, SystemGrade, SystemNumber, Systems
+from fsar_ledger.metrics.systems import HeldRank, NamedShares, SystemGrade, SystemNumber, Systems
 from fsar_ledger.metrics.verdicts import MARGINS, ComparedEffect
 from fsar_ledger.report.findings import Findings, Head, arrow
 from fsar_ledger.report.judge import Number
@@ -212,6 +212,14 @@ def systems(*others: SystemNumber) -> Systems:
             SystemGrade(architecture=name, feature="single_agent_robot", grade="full") for name in ARCHITECTURES[3:]
         ],
         named=[NamedShares(architecture=name, origin=1.0, executor=1.0, supervisor=None) for name in ARCHITECTURES],
+        moved_runs=1,
+        held=[
+            HeldRank(
+                architecture=name, metric=metric.name, settings=9, higher=1, lower=6, against=("load.task_sets=2",)
+            )
+            for name in ARCHITECTURES[1:]
+            for metric in metrics()
+        ],
     )
 
 

@@ -43,6 +43,7 @@ IMPATIENT = [
     for metric in ("coordination_success", "success_without_violation")
     for value in (100_000, 1_000_000, 15_000_000)
 ]
+SWITCHED = [system_number("jade", "policy_violations", dial="jade.permissions", value=value) for value in (0, 1)]
 MARGINS_MM = (19.0, 17.0)
 """What lies above and below the text of a page, of 297 mm; the line of the header is left out."""
 
@@ -194,7 +195,9 @@ def test_every_table_and_figure_has_a_name_of_its_own_a_caption_and_a_query_that
 
 def test_every_part_of_every_section_is_shown_by_a_report_with_everything(whole: Findings) -> None:
     """A SELECT over a relation that nothing gives, or a column that is not there, would be left out in silence."""
-    studies = robustness_relations(prior(), ensemble(10), placebo(("governance_locality", "p")), systems(*IMPATIENT))
+    studies = robustness_relations(
+        prior(), ensemble(10), placebo(("governance_locality", "p")), systems(*IMPATIENT, *SWITCHED)
+    )
     document = Document(whole, packaged(Calibration), robustness=studies)
     printed = {part["name"] for section in document.sections for part in section["parts"] if "name" in part}
     asked = {part.name for _, part in parts() if isinstance(part, specs.Table | specs.Figure)}

@@ -1,5 +1,7 @@
 """Six architectures side by side: what is structural is marked and explained, and a rank counts where it holds."""
 
+import re
+
 from fsar_ledger.metrics.systems import SystemNumber
 from fsar_ledger.report.document import Document
 from fsar_ledger.report.records import robustness_relations
@@ -16,6 +18,11 @@ def beaten(architecture: str, metric: str, size: int) -> SystemNumber:
     return system_number(architecture, metric, fleet_size=size, dial="another", value=1, mean=-9.0, low=-9.0, high=-9.0)
 
 
+def ranks(document: Document, architecture: str) -> list[str]:
+    """The words of its column, without the counts behind them."""
+    return [re.sub(r" \d+ : \d+$", "", cell) for cell in column(document, "system-ranks", architecture)]
+
+
 def page(*dials: SystemNumber) -> Document:
     return Document(made(), robustness=robustness_relations(systems=systems(*dials)))
 
@@ -30,16 +37,35 @@ def test_a_number_that_is_the_same_in_every_run_is_marked_and_has_its_reason() -
 
 def test_a_rank_holds_only_where_it_holds_at_every_size_and_for_every_value_of_a_dial() -> None:
     at = column(page(), "system-ranks", "short").index("Violations")
-    assert column(page(), "system-ranks", "alliance")[at] == "better"
-    assert column(page(FAST), "system-ranks", "alliance")[at] == "better"
-    assert column(page(FAST, SLOW), "system-ranks", "alliance")[at] == "turns"
-    assert column(page(FAST, SLOW), "system-ranks", "jade")[at] == "better"
-    assert set(column(page(), "system-ranks", "roboos")) == {"alike", "better"}
+    assert ranks(page(), "alliance")[at] == "better"
+    assert ranks(page(FAST), "alliance")[at] == "better"
+    assert ranks(page(FAST, SLOW), "alliance")[at] == "turns"
+    assert ranks(page(FAST, SLOW), "jade")[at] == "better"
+    assert set(ranks(page(), "roboos")) == {"alike", "better"}
     half = page(beaten("roboos", "reassignment_latency_s", 4))
-    assert "not better" in column(half, "system-ranks", "roboos")
-    assert (
-        column(page(), "system-ranks", "jade")[column(page(), "system-ranks", "short").index("Human (%)")] == "alike†"
-    )
+    assert "not better" in ranks(half, "roboos")
+    assert ranks(page(), "jade")[column(page(), "system-ranks", "short").index("Human (%)")] == "alike†"
+
+
+def test_behind_a_rank_stands_in_how_many_other_worlds_fsar_is_better_and_in_how_many_worse() -> None:
+    shown = dict(zip(column(page(), "system-ranks", "short"), column(page(), "system-ranks", "jade"), strict=True))
+    assert shown["Violations"] == "better 6 : 1"  # fewer is better, and FSAR has fewer in six
+    assert shown["Clean success (%)"] == "alike 1 : 6"
+    assert "which makes 9 other worlds for all six" in said(page())
+
+
+def test_a_dial_names_what_is_told_apart_where_it_is_turned() -> None:
+    turned = [
+        system_number("jade", "policy_violations", dial="jade.permissions", value=value, mean=at, low=at, high=at)
+        for value, at in ((0, 0.5), (1, 0.25))
+    ]
+    assert column(page(*turned), "system-switches", "moves") == ["Violations 0.5 → 0.25"]
+    assert column(page(*turned), "system-switches", "setting") == ["0 → 1"]
+    assert column(
+        page(turned[0], system_number("jade", "policy_violations", dial="jade.permissions", value=1)),
+        "system-switches",
+        "moves",
+    ) == ["nothing"]
 
 
 def test_page_one_says_by_what_fsar_is_the_best_beside_the_published_systems() -> None:

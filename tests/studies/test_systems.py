@@ -16,7 +16,15 @@ from fsar_ledger.runtime.own import with_values
 from fsar_ledger.studies import systems as study
 from fsar_ledger.studies.evaluations import Answer, Question
 from fsar_ledger.studies.factors import Setting
-from fsar_ledger.studies.systems import WIDTH, SystemQuestion, answer, systems, trials
+from fsar_ledger.studies.systems import (
+    WIDTH,
+    SystemQuestion,
+    answer,
+    held_ranks,
+    moved_constants,
+    systems,
+    trials,
+)
 
 
 def test_a_dial_is_tried_at_its_declared_value_and_at_others() -> None:
@@ -45,12 +53,36 @@ def test_the_result_keeps_what_each_trial_answered(tmp_path: Path) -> None:
 
     made = systems(tmp_path / "systems.json", workers=1, ask=ask)
     keys = [one.question.key for one in trials()]
-    assert [one.key for one in asked] == list(dict.fromkeys(keys))
+    elsewhere = [moved.question(name).key for name in ARCHITECTURES for moved in moved_constants()]
+    assert [one.key for one in asked] == list(dict.fromkeys(keys + elsewhere))
     assert len(made.numbers) == len(trials()) * len(metrics())
     place = {key: float(at + 1) for at, key in enumerate(dict.fromkeys(keys))}
     assert [one.mean for one in made.numbers[:: len(metrics())]] == [place[key] for key in keys]
     assert {one.grade for one in made.grades} == {"full", None}
     assert read(tmp_path / "systems.json", Systems) == made
+
+
+def test_every_constant_is_moved_to_both_ends_and_none_of_the_worlds_is_the_base() -> None:
+    moved = moved_constants()
+    assert len({one.question("fsar").key for one in moved}) == len(moved)
+    assert SystemQuestion(Setting(Constants(), 4), moved[0].question("fsar").seed, 20, "fsar", (1,)).setting not in [
+        one.setting for one in moved
+    ]
+    names = [one.name.partition("=")[0] for one in moved]
+    assert {name for name in names if names.count(name) == 1} >= {"load.task_sets", "fleet.size"}
+    assert "world.review_share" in names
+
+
+def test_a_rank_counts_the_worlds_in_which_the_intervals_do_not_meet() -> None:
+    def answers(*intervals: tuple[float | None, float | None]) -> list[Answer]:
+        return [(None, 0.5, low, high, None) + (None,) * (WIDTH - 5) for low, high in intervals]
+
+    ours = answers((0.5, 0.6), (0.5, 0.6), (0.5, 0.6), (0.5, 0.6), (None, None))
+    theirs = answers((0.1, 0.2), (0.1, 0.2), (0.7, 0.8), (0.6, 0.8), (0.1, 0.2))
+    first, second, *_ = held_ranks(["a", "b", "c", "d", "e"], {"fsar": ours, "jade": theirs})
+    assert (first.architecture, first.metric) == ("jade", "coordination_success")
+    assert (first.settings, first.higher, first.lower, first.against) == (4, 2, 1, ("c",))
+    assert (second.settings, second.higher, second.lower, second.against) == (0, 0, 0, ())
 
 
 @pytest.mark.slow
