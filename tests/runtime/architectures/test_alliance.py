@@ -15,7 +15,6 @@ from fsar_ledger.events.execution import (
     ApproachStarted,
     ExecutionFailed,
     ExecutionFinished,
-    ExecutionQueued,
     ExecutionStarted,
     ExecutionWithdrawn,
     OwnStepDecided,
@@ -154,21 +153,6 @@ def test_a_robot_starts_its_own_step_when_its_motivation_has_grown_to_the_thresh
     run = ran([(S, OWN)])
     [grows], [decided] = when(run, MotivationBegan), when(run, OwnStepDecided)
     assert decided == grows + DIALS.impatience_us
-    assert when(run, TaskCompleted)
-
-
-BOTH_SENSE_IT = [(S, FAR)]
-"""Two robots that can open the door learn of it by messages that take the same time."""
-
-
-def test_with_equal_rates_teammates_that_sense_a_need_together_both_start() -> None:
-    assert len(when(ran(BOTH_SENSE_IT), ExecutionQueued)) > 1
-    assert {event.robot for event in of(ran(BOTH_SENSE_IT), ExecutionQueued)} == {B, B2}
-
-
-def test_with_rates_of_its_own_the_robot_of_the_second_team_is_slower_and_hears_the_first_in_time() -> None:
-    run = ran(BOTH_SENSE_IT, dials=Alliance(stagger_us=2 * HOP))
-    assert {event.robot for event in of(run, ExecutionQueued)} == {B}
     assert when(run, TaskCompleted)
 
 
