@@ -166,6 +166,11 @@ class Verifier:
         self.alone: set[str] = set()
         own = types["types"] if types is not None else {}
         self.concerns = {name: one["concern"] for name, one in own.items() if "concern" in one}
+        self.records = {
+            f"{tag.partition('.v')[0]}{field}"
+            for tag in self.concerns
+            for field in ("", *(f".{name}" for name in own[tag]["optional"]))
+        }
         self.stand_alone = {name for name, one in own.items() if one.get("alone")}
         self.remarks, self.is_sealed = list[str](), False
 
@@ -414,6 +419,7 @@ class Verifier:
     def check_rows(self, where: str, rows: list[Row], number: int | None) -> None:
         """Check each row as far as its block of rows tells."""
         observed: set[str] | None = None
+        recorded: set[str] = set()
         for at, row in enumerate(rows):
             is_new = at == 0 or rows[at - 1].get("run_id") != row.get("run_id")
             if not ENVELOPE.keys() - {"caused_by"} <= row.keys() or not isinstance(row["seq"], int):
@@ -425,11 +431,18 @@ class Verifier:
                 flaw = "type", "the only event of its run"
             if is_new:
                 observed = set(row["observes"]) if place == 0 and "observes" in row else None
+                recorded = set(row.get("records", [])) if place == 0 else set()
             if flaw is None and self.types is not None:
                 if not set(row.get("observes", [])) <= set(self.concerns.values()):
                     flaw = "observes", "concerns that there are"
-                elif observed is not None and self.concerns.get(row["type"]) not in {None, *observed}:
-                    flaw = "type", "an event of a concern that its run observes"
+                elif not set(row.get("records", [])) <= self.records:
+                    flaw = "records", "event types, and fields of them that may be NULL"
+                elif (
+                    observed is not None
+                    and self.concerns.get(row["type"]) not in {None, *observed}
+                    and row["type"].partition(".v")[0] not in recorded
+                ):
+                    flaw = "type", "an event of a concern that its run observes, or of a type that it records"
             if flaw is not None:
                 found = f"{flaw[0]} {row.get(flaw[0], 'NULL')!r}"
                 raise ProblemError(where, found, flaw[1], number, row["run_id"], row["seq"])
@@ -492,7 +505,9 @@ class Verifier:
                 elif run in seen and own[at - 1]["run_id"] != run:
                     flaw = "a second block of rows", "each run in one"
                 elif seq == 0 and "observes" in row:
-                    self.observed[run] = set(row["observes"])
+                    kinds = [name.partition(".")[0] for name in row.get("records", [])]
+                    admitted = {self.concerns[tag] for tag in self.concerns if tag.partition(".v")[0] in kinds}
+                    self.observed[run] = {*row["observes"], *admitted}
                 elif run in self.observed and self.concerns.get(row["type"]) not in {None, *self.observed[run]}:
                     flaw = f"type {row['type']}", "an event of a concern that its run observes"
                 if flaw is not None:

@@ -200,8 +200,8 @@ def flaw_of(row: Row, place: int, is_again: bool, types: Row | None) -> tuple[st
     if row["seq"] != place or is_again:
         return ("seq", place) if row["seq"] != place else ("run_id", "each run in one block of rows")
     cause = row.get("caused_by")
-    if (cause is None) != (place == 0) or (cause is not None and not 0 <= cause < place):
-        return "caused_by", "NULL at seq 0, else the seq of an earlier event"
+    if cause is not None and not 0 <= cause < place:
+        return "caused_by", "NULL, or the seq of an earlier event"
     large = [name for name, value in row.items() if type(value) is int and abs(value) > MAX_INTEGER]
     if large or types is None:
         return (large[0], "at most 2^53 - 1 in size") if large else None

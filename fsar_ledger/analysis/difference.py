@@ -272,11 +272,12 @@ class MetricPair(msgspec.Struct, frozen=True):
 class TaskPair(msgspec.Struct, frozen=True):
     """A task in both runs: `completed`, `abandoned`, `open`, or None where it did not arrive, and when that was.
 
-    Units: seconds of run time; `due_s` of the first run that has it. A task that is completed later than that is late.
+    Units: seconds of run time; `due_s` of the first run that has it, None where no budget is on record. A task that is
+    completed later than that is late.
     """
 
     task_id: str
-    due_s: float
+    due_s: float | None
     first: str | None
     first_s: float | None
     second: str | None
@@ -346,13 +347,13 @@ def _tasks(first: LedgerRun, second: LedgerRun) -> list[TaskPair]:
     ]
 
 
-def _ends(run: LedgerRun) -> dict[str, tuple[float, str, float | None]]:
+def _ends(run: LedgerRun) -> dict[str, tuple[float | None, str, float | None]]:
     """Return by task when it is due, what became of it, and when."""
-    found: dict[str, tuple[float, str, float | None]] = {}
+    found: dict[str, tuple[float | None, str, float | None]] = {}
     for time_us, event in zip(run.times_us, run.events, strict=True):
         match event:
             case TaskArrived():
-                found[event.task_id] = (event.due_us / 1e6, "open", None)
+                found[event.task_id] = (None if event.due_us is None else event.due_us / 1e6, "open", None)
             case TaskCompleted() | TaskAbandoned() if event.task_id in found:
                 word = "completed" if isinstance(event, TaskCompleted) else "abandoned"
                 found[event.task_id] = (found[event.task_id][0], word, time_us / 1e6)

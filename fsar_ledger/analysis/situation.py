@@ -70,7 +70,7 @@ class RobotNow(msgspec.Struct, frozen=True):
 
     robot: str
     role: str
-    team: int
+    team: int | None
     supervisor: str | None
     is_on: bool | None
     is_linked: bool | None
@@ -127,11 +127,12 @@ class CallNow(msgspec.Struct, frozen=True):
 class TaskNow(msgspec.Struct, frozen=True):
     """An open task: steps done of all, and the attempt at the present one. Units: `due_s` run time.
 
-    `steps` and `due_s` are None where its arrival is not on record.
+    `steps` and `due_s` are None where its arrival is not on record; so are `due_s` and `robot` where that does not say
+    them.
     """
 
     task_id: str
-    robot: str
+    robot: str | None
     steps_done: int
     steps: int | None
     step: str | None
@@ -221,19 +222,19 @@ def situation(record: LedgerRun, seq: int, state: State, robot: str | None = Non
 
 
 def _recovery(action: str, one: Recovery) -> RecoveryNow:
-    since_s = None if one.cause is None else one.detected_us / 1e6
+    since_s = one.detected_us / 1e6 or None
     return RecoveryNow(action, one.robot, one.cause, one.level, one.number, since_s)
 
 
 def _task(one: Task) -> TaskNow:
     return TaskNow(
         one.task_id,
-        one.robot,
+        one.robot or None,
         one.step,
         len(one.steps) if one.has_arrived else None,
         one.steps[one.step] if 0 <= one.step < len(one.steps) else None,
         one.attempt,
-        one.due_us / 1e6 if one.has_arrived else None,
+        one.due_us / 1e6 or None,
     )
 
 
@@ -262,11 +263,10 @@ def _robot(record: LedgerRun, seq: int, state: State, name: Robot, seen: Coverag
     for one in surface(state.registry, name):
         offers[one.availability] = (*offers.get(one.availability, ()), one.capability)
     work = _work(state, name)
-    work = seen.of("recovery" if work is not None and work.stage == "helping" else "execution", work)
     return RobotNow(
         name,
         member.role,
-        member.team,
+        member.team or None,
         member.supervisor,
         seen.of("world", name not in world.off),
         seen.of("world", name not in world.unlinked),

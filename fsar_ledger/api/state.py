@@ -150,7 +150,7 @@ def _robot(one: "RobotNow") -> Iterator[str]:
     signs += ["OFF"] if one.is_on is False else []
     signs += ["NOT LINKED"] if one.is_linked is False else []
     signs += [f"actuator {one.grade}"] if one.grade else []
-    yield f"{printable.value(one.robot)}  role {printable.value(one.role)}, team {one.team}; {', '.join(signs)}"
+    yield f"{printable.value(one.robot)}  role {printable.value(one.role)}, team {one.team or '?'}; {', '.join(signs)}"
     work = one.work
     if work is None:
         yield f"{BESIDE}{'idle' if one.is_idle else 'what it does is not observed'}"
@@ -177,11 +177,12 @@ def _lists(found: "Situation") -> Mapping[str, list[str]]:
     text = printable.value
     return {
         "tasks": [
-            f"{text(one.task_id)} of {text(one.robot)}: {one.steps_done}"
+            f"{text(one.task_id)} of {text(one.robot or '?')}: {one.steps_done}"
             + (" steps done" if one.steps is None else f" of {one.steps} steps done")
             + (f", now {text(one.step)}" if one.step else "")
             + (f", attempt {one.attempt}" if one.attempt > 1 else "")
-            + ("; its arrival is not on record" if one.due_s is None else f"; due {one.due_s:.3f} s")
+            + ("; its arrival is not on record" if one.steps is None else "")
+            + ("" if one.due_s is None else f"; due {one.due_s:.3f} s")
             for one in found.tasks or ()
         ],
         "requests": [
@@ -192,8 +193,9 @@ def _lists(found: "Situation") -> Mapping[str, list[str]]:
         ],
         "claims": [f"{text(one.action_id)} {one.dimension}: {text(one.claimant)}" for one in found.claims or ()],
         "recoveries": [
-            f"{text(one.action_id)} at {text(one.robot)}: {one.cause or 'cause not on record'}, level {one.level}, "
-            f"{one.attempts} attempts" + ("" if one.since_s is None else f", since {one.since_s:.3f} s")
+            f"{text(one.action_id)} at {text(one.robot)}: {text(one.cause or 'cause not on record')}, "
+            f"level {one.level}, {one.attempts} attempts"
+            + ("" if one.since_s is None else f", since {one.since_s:.3f} s")
             for one in found.recoveries or ()
         ],
         "calls": [

@@ -17,6 +17,7 @@ from . import (
     recovery,
     registry,
     request,
+    source,
     supervision,
     task,
     trust,
@@ -39,6 +40,7 @@ _MODULES = (
     supervision,
     knowledge,
     command,
+    source,
 )
 
 
@@ -93,6 +95,9 @@ CONCERNS: tuple[str, ...] = (
 BESIDE: Mapping[str, str | None] = {
     "RunStarted": None,
     "ExperimentPlanned": None,
+    "SourceOpened": None,
+    "Observed": None,
+    "SourceClosed": None,
     "TaskArrived": "task",
     "PolicyWindowOpened": "policy",
     "PolicyWindowClosed": "policy",

@@ -171,5 +171,6 @@ OverrideLevel = Literal["none", "soft-priority", "hard-preempt", "emergency-only
 Availability = Literal["ready", "busy", "degraded", "restricted", "offline"]
 Visibility = Literal["global", "domain", "trust-gated"]
 Result = Literal["success", "partial", "failure"]
-FailureCause = Literal["obstruction", "degradation"]
+FailureCause: TypeAlias = str  # one of FAILURE_CAUSES where our handlers decide, open text in other records
+FAILURE_CAUSES = ("obstruction", "degradation")
 Operation = Literal["motion", "sensing"]

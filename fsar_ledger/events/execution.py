@@ -71,14 +71,17 @@ class ExecutionHeld(Event, frozen=True):
 
 
 class ExecutionStarted(Event, frozen=True, kw_only=True):
-    """The robot has begun to execute. Units: `ends_us` microseconds of run time, the planned end."""
+    """The robot has begun to execute. Units: `ends_us` microseconds of run time, the planned end.
+
+    `on_behalf_of` and `ends_us` are None where the record of another system does not know them.
+    """
 
     subject: Subject[TaskId, ActionId]
     principals: Parties
     robot: Robot
-    on_behalf_of: Robot
+    on_behalf_of: Robot | None = None
     capability: str
-    ends_us: int
+    ends_us: int | None = None
 
 
 class ExecutionPaused(Event, frozen=True):
@@ -86,7 +89,7 @@ class ExecutionPaused(Event, frozen=True):
 
     subject: Subject[TaskId, ActionId]
     robot: Robot
-    remaining_us: int
+    remaining_us: int | None = None
 
 
 class ExecutionHalted(Event, frozen=True):
@@ -97,7 +100,7 @@ class ExecutionHalted(Event, frozen=True):
 
     subject: Subject[TaskId, ActionId]
     robot: Robot
-    remaining_us: int
+    remaining_us: int | None = None
 
 
 class ExecutionPreempted(Event, frozen=True):
@@ -124,11 +127,13 @@ class ExecutionResumed(Event, frozen=True):
 
     subject: Subject[TaskId, ActionId]
     robot: Robot
-    ends_us: int
+    ends_us: int | None = None
 
 
 class ExecutionFailed(Event, frozen=True, kw_only=True):
     """An attempt has failed and the failure has just been detected; `failure` counts from 1 within the action.
+
+    `cause` is open text: `obstruction` or `degradation` in runs of our own, whatever the source says in others.
 
     Units: `remaining_us` microseconds of execution left; `detected_us` run time.
     """
@@ -137,8 +142,8 @@ class ExecutionFailed(Event, frozen=True, kw_only=True):
     robot: Robot
     failure: int
     cause: FailureCause
-    remaining_us: int
-    detected_us: int
+    remaining_us: int | None = None
+    detected_us: int | None = None
 
 
 class ExecutionFinished(Event, frozen=True):

@@ -9,10 +9,12 @@ class RunStarted(Event, frozen=True, kw_only=True, tag="RunStarted.v2"):
     """A run has begun: event 0 of the run, with everything that distinguishes it from other runs.
 
     A run is simulated, live (commands from outside, decided by our handlers) or foreign (recorded by another system,
-    named by `source`). `observes` names the concerns, some of `CONCERNS`, that its source records; the absence of
-    events of any other concern means nothing. Architecture, configuration and scenario (or workflow) are open text,
-    checked before a run is simulated; None: the run has none. `parameters` is JSON, an object of groups of constants; a
-    group that the run does not have is left out.
+    named by `source`). `observes` names the concerns, some of `CONCERNS`, of which its source records everything.
+    `records` names what else it records: event types (`ExecutionStarted`), with what every event of the type has, and
+    further fields (`ExecutionStarted.requested_by`). Events of any other type are not in the run, and their absence
+    means nothing. `epoch` is the time in UTC (ISO 8601) of run time 0, None where there is none. Architecture,
+    configuration and scenario (or workflow) are open text, checked before a run is simulated; None: the run has none.
+    `parameters` is JSON, an object of groups of constants; a group that the run does not have is left out.
 
     A fork repeats the run `forked_from_run` of a ledger with the root `forked_from_root` (hex) up to the event
     `forked_from_seq`, and says in `changes` what is otherwise (`runtime/changes.py`). Its other fields are its own.
@@ -34,6 +36,8 @@ class RunStarted(Event, frozen=True, kw_only=True, tag="RunStarted.v2"):
     forked_from_run: str | None = None
     forked_from_seq: int | None = None
     changes: tuple[str, ...] | None = None
+    records: tuple[str, ...] | None = None
+    epoch: str | None = None
 
 
 class RobotJoined(Event, frozen=True, kw_only=True):
@@ -41,12 +45,12 @@ class RobotJoined(Event, frozen=True, kw_only=True):
 
     `domain` is the path of the registry in which the robot advertises (`hall/cell`); empty is the fleet's own. `place`
     is where it works (`floor/2`): only robots at one place meet or get in each other's way; None: the fleet has one
-    place.
+    place. `team` is None where its record has no teams.
     """
 
     robot: Robot
     role: str
-    team: int
+    team: int | None = None
     supervisor: Supervisor | None
     domain: str = ""
     place: str | None = None

@@ -208,7 +208,7 @@ class CommandIssued(Event, frozen=True):
     subject: RequestSubject[TaskId, ActionId, RequestId | None]
     principals: Principals
     robot: Robot
-    seen_busy: bool
+    seen_busy: bool | None
 
 
 class RequestAccepted(Event, frozen=True):

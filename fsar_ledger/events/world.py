@@ -130,17 +130,18 @@ class TaskArrived(Event, frozen=True, kw_only=True):
     """A task has arrived. `steps` are `ACTOR capability` (own) or `ACTOR capability TARGET` (delegated).
 
     Actors and targets are roles of `team`. Another robot can resume before each step whose number is in `checkpoints`
-    (None: before every step); a time-critical task competes for robots.
+    (None: before every step); a time-critical task competes for robots. A record of another system may know neither the
+    robot, nor a team, steps or a budget.
 
     Units: `budget_us` microseconds from arrival; `due_us` run time at which the budget ends.
     """
 
     task_id: TaskId
-    robot: Robot
-    team: int
-    steps: tuple[str, ...]
-    budget_us: int
-    due_us: int
+    robot: Robot | None = None
+    team: int | None = None
+    steps: tuple[str, ...] = ()
+    budget_us: int | None = None
+    due_us: int | None = None
     checkpoints: tuple[str, ...] | None = None
     is_time_critical: bool = False
 

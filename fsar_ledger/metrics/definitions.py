@@ -15,6 +15,7 @@ from fsar_ledger.base import printable
 from fsar_ledger.base.errors import UsageError
 from fsar_ledger.designs.files import Field, at_line, decoded
 from fsar_ledger.events import CONCERNS
+from fsar_ledger.ledger.rows.schema import RECORDS
 
 from .paths import written
 
@@ -57,6 +58,7 @@ class Metric(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     counts_routine: bool = False
     numerator_units: int = 1
     published_value: float | None = None
+    records: tuple[str, ...] = ()
     paper: Paper | None = None
 
     @property
@@ -100,6 +102,12 @@ def metrics_in(text: str, queries: Collection[str]) -> tuple[Metric, ...]:
             if concern not in CONCERNS:
                 expected = f"one of the concerns ({', '.join(CONCERNS)}){printable.did_you_mean(concern, CONCERNS)}"
                 raise _wrong(text, ("metric", at, "rests_on", number), concern, expected)
+        for number, record in enumerate(metric.records):
+            if record not in RECORDS:
+                expected = (
+                    f"an event type, or TYPE.FIELD of one that may be NULL{printable.did_you_mean(record, RECORDS)}"
+                )
+                raise _wrong(text, ("metric", at, "records", number), record, expected)
         names.append(metric.name)
     return tuple(sorted(found, key=lambda one: one.paper is None))
 
@@ -138,6 +146,13 @@ def concerns_sql(of: Sequence[Metric] | None = None) -> str:
     """Return the SELECT of what each metric (of these, or of all) rests on."""
     rows = [f"('{one.name}', '{concern}')" for one in of or metrics() for concern in one.rests_on]
     return _values("needed", "judge, concern", rows)
+
+
+def records_sql() -> str:
+    """Return the SELECT of the event types and fields that each metric rests on, where it lists them."""
+    return _values(
+        "needed", "judge, record", [f"('{one.name}', '{each}')" for one in metrics() for each in one.records]
+    )
 
 
 def measured_sql(of: Sequence[Metric] | None = None) -> str:

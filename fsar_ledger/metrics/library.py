@@ -287,6 +287,14 @@ def metric_queries() -> list[Query]:
             key="judge, concern",
         ),
         _generated(
+            "metrics/metric_records",
+            definitions.records_sql(),
+            "What each metric rests on in a run that says which event types and fields its source records; a metric "
+            "without a row needs all of its concerns",
+            grain="one row per metric and record (an event type, or TYPE.FIELD)",
+            key="judge, record",
+        ),
+        _generated(
             "metrics/metric_measurements",
             definitions.measured_sql(),
             "What every metric measures of each run",

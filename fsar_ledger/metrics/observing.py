@@ -35,7 +35,7 @@ class Unobserved(msgspec.Struct, frozen=True):
 def types_read(library: Library, query: Query) -> frozenset[str] | None:
     """Return the event types that the query reads; None if it reads events of every type."""
     found: set[str] = set()
-    for one in (*library.needs(query.sources() - {query.relation}), query):
+    for one in (*library.needs(query.sources() - {query.relation}, held={"unobservable"}), query):
         named = _TYPE.findall(_NOT_READ.sub("", one.sql))
         reads_all = not named and _WIDE >= one.sources() & {"events", *library.relations} > set()
         if (reads_all or one.relation in _OF_ANY_TYPE) and (one is query or one.relation not in _TIES):

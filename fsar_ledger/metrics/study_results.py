@@ -17,7 +17,7 @@ import msgspec
 from fsar_ledger.base.errors import FsarLedgerError, UsageError
 from fsar_ledger.base.parameters import read_parameters
 
-from .definitions import concerns_sql, definitions_sql, measured_sql, metrics, published_metrics
+from .definitions import definitions_sql, measured_sql, metrics, published_metrics
 from .library import Library, Query, library, plain_sql
 from .verdicts import Answer
 
@@ -329,10 +329,11 @@ def _line(part: object) -> str:
 def rules(*relations: str, of: Library | None = None) -> dict[str, str]:
     """Return a SHA-256 of the SQL of each query that these relations rest on, by name; comments and layout aside.
 
-    Left out are the views of event types and concerns, which judge nothing: they have the fields of the events. Of the
-    registry of metrics it has what concerns the paper's, since another metric changes no number of theirs.
+    Left out are the views of event types and concerns, which judge nothing: they have the fields of the events. So is
+    what a run does not observe: simulated runs observe everything, so that changes no number of theirs. Of the registry
+    of metrics it has what concerns the paper's, since another metric changes no number of theirs.
     """
-    others = {metric.name for metric in metrics() if metric.paper is None} - set(relations)
+    others = {metric.name for metric in metrics() if metric.paper is None} - set(relations) | {"unobservable"}
     every = (of or library()).needs(relations, held=others)
     return {one.name: _digest(one) for one in sorted(every, key=lambda one: one.name) if not one.tags}
 
@@ -346,7 +347,6 @@ def changed(recorded: Mapping[str, str], of: Library | None = None) -> list[str]
 def _digest(query: Query) -> str:
     made = {
         "metrics/metric_definitions": definitions_sql,
-        "metrics/metric_concerns": concerns_sql,
         "metrics/metric_measurements": measured_sql,
     }.get(query.name)
     sql = query.sql if made is None else made(published_metrics())

@@ -60,7 +60,7 @@ class Action(msgspec.Struct, frozen=True, gc=False):
     """One action at its robot. Units: `ends_us` run time of the planned end, `remaining_us` execution left.
 
     `has_begun` says whether a preempted action had begun to execute. `supervised_by` is the supervisor recorded when
-    the action was queued, if any. `capability` is empty where no event on record names it.
+    the action was queued, if any. `capability` is empty where no event on record names it; a time is 0 if unknown.
     """
 
     task_id: str
@@ -121,21 +121,21 @@ def evolve(state: Execution, event: HANDLES) -> Execution:
         case ApproachStarted():
             return _staged(state, event, "approaching")
         case ExecutionStarted():
-            return _staged(state, event, "running", ends_us=event.ends_us)
+            return _staged(state, event, "running", ends_us=event.ends_us or 0)
         case ExecutionFinished():
             return _ended(state, event.subject.action_id)
         case ExecutionHeld():
             return _held(state, event)
         case ExecutionPaused():
-            return _staged(state, event, "paused", remaining_us=event.remaining_us)
+            return _staged(state, event, "paused", remaining_us=event.remaining_us or 0)
         case ExecutionHalted():
-            return _staged(state, event, "halted", remaining_us=event.remaining_us)
+            return _staged(state, event, "halted", remaining_us=event.remaining_us or 0)
         case ExecutionPreempted():
             return _preempted(state, event)
         case ExecutionResumed():
-            return _staged(state, event, "running", ends_us=event.ends_us)
+            return _staged(state, event, "running", ends_us=event.ends_us or 0)
         case ExecutionFailed():
-            return _staged(state, event, "failed", remaining_us=event.remaining_us, failures=event.failure)
+            return _staged(state, event, "failed", remaining_us=event.remaining_us or 0, failures=event.failure)
         case ExecutionWithdrawn():
             return _withdrawn(state, event)
         case AssistanceAdmitted():
@@ -243,9 +243,10 @@ def _at_robot(state: Execution, event: AtRobot) -> tuple[Execution, Action]:
 def _coming(event: AtRobot, known: Action | None) -> ExecutionQueued:
     """Return the event that was not recorded, with what is on record of the action."""
     parties: Parties | Action | None = known
+    # Whose step it is, where nobody says so, is not known; it stands with the robot that does it.
     whose, capability = (known.on_behalf_of, known.capability) if known else (event.robot, "")
     if isinstance(event, ExecutionStarted):
-        parties, whose, capability = event.principals, event.on_behalf_of, event.capability
+        parties, whose, capability = event.principals, event.on_behalf_of or whose, event.capability
     return ExecutionQueued(
         subject=event.subject,
         principals=Parties(

@@ -21,7 +21,7 @@ _Key = TypeVar("_Key")
 
 
 class Member(msgspec.Struct, frozen=True, gc=False):
-    """One robot of the fleet."""
+    """One robot of the fleet. `team` is 0 where the record knows none."""
 
     name: Robot
     role: str
@@ -84,7 +84,7 @@ def evolve(state: Fleet, event: HANDLES) -> Fleet:
                 robots=state.robots,
             )
         case RobotJoined():
-            robot = Member(event.robot, event.role, event.team, event.supervisor, event.domain, event.place)
+            robot = Member(event.robot, event.role, event.team or 0, event.supervisor, event.domain, event.place)
             return msgspec.structs.replace(state, robots=put(state.robots, event.robot, robot))
         case _:
             assert_never(event)

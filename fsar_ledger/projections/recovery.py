@@ -35,7 +35,8 @@ HANDLES = (
 class Recovery(msgspec.Struct, frozen=True, gc=False):
     """The open failure of one action: its attempts, the helpers asked, the one awaited, and the supervisors called.
 
-    `cause` is None where the failure itself is not on record, only its recovery; then `detected_us` says nothing.
+    `cause` is None where the failure itself is not on record, only its recovery; then `detected_us` says nothing. It
+    is 0 where the record does not know it.
     Units: `detected_us` run time, `deadline_us` run time at which the local level's budget ends, `since_us` run time at
     which recovery turned to the robot last asked for help.
     """
@@ -62,7 +63,7 @@ def evolve(state: Recoveries, event: HANDLES) -> Recoveries:
     """Return the open failures after the event."""
     match event:
         case ExecutionFailed():
-            failed = Recovery(event.robot, event.failure, event.cause, event.detected_us)
+            failed = Recovery(event.robot, event.failure, event.cause, event.detected_us or 0)
             return put(state, event.subject.action_id, failed)
         case ExecutionWithdrawn():  # the robot gave the action up; else recovery goes on with another robot
             return state if event.failure is None else without(state, event.subject.action_id)

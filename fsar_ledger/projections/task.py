@@ -21,7 +21,8 @@ class Task(msgspec.Struct, frozen=True, gc=False):
 
     `step` counts the steps done, `attempt` the attempts at the present one, from 1; `checkpoints` as in `TaskArrived`.
     `action_id` is the last attempt, empty before the first. `has_arrived`: its arrival is on record; if not, nothing is
-    known of its team, steps and times. `plan` names one robot for each step, where a master has planned them all.
+    known of its team, steps and times. `robot` is empty, and a number 0, where the record does not know it. `plan`
+    names one robot for each step, where a master has planned them all.
     """
 
     task_id: str
@@ -62,8 +63,16 @@ def evolve(state: Tasks, event: HANDLES) -> Tasks:
                 else put(state, event.subject.task_id, replace(known, step=known.step + 1, attempt=0, action_id=""))
             )
         case TaskArrived():
-            about = (event.task_id, event.robot, event.team, event.steps, event.budget_us, event.due_us)
-            task = Task(*about, checkpoints=event.checkpoints, is_time_critical=event.is_time_critical)
+            task = Task(
+                event.task_id,
+                event.robot or Robot(""),
+                event.team or 0,
+                event.steps,
+                event.budget_us or 0,
+                event.due_us or 0,
+                checkpoints=event.checkpoints,
+                is_time_critical=event.is_time_critical,
+            )
             return put(state, event.task_id, task)
         case TaskPlanned():
             known = state.get(event.task_id)
@@ -80,7 +89,7 @@ def given_up_us(task: TaskArrived | Task, budgets: int) -> int:
 
     That is after this many budgets, or when the run ends if that is earlier.
     """
-    return min(task.due_us + (budgets - 1) * task.budget_us, END_US)
+    return min((task.due_us or 0) + (budgets - 1) * (task.budget_us or 0), END_US)
 
 
 def checkpoint(state: Tasks, task_id: str, step: int) -> str | None:

@@ -13,11 +13,13 @@ WITH told AS (
             'robot': robot, 'peer': peer, 'requester': requested_by, 'decider': decided_by, 'claimant': claimant,
             'issuer': issued_by, 'holder': holder, 'on_shift': supervisor, 'task': task_id,
             'robots': coalesce(robot, 'every robot'), 'role': 'role ' || role, 'peer_role': 'role ' || peer_role,
-            'registry': 'service/registry', 'coordinator': 'coordinator', 'run': 'run', 'experiment': 'experiment'
+            'registry': 'service/registry', 'coordinator': 'coordinator', 'run': 'run', 'experiment': 'experiment',
+            'source': source
         } AS parties,
         words.sender, words.receiver, words.detail,
         MAP {
-            'begins': coalesce(concat_ws(' ', architecture, configuration, scenario), source),
+            'begins': coalesce(nullif(concat_ws(' ', architecture, configuration, scenario), ''), source),
+            'format': format, 'kind': kind,
             'planned': run_count || ' runs of each architecture, configuration and scenario',
             'role': role, 'capability': capability, 'availability': availability, 'scope': scope, 'window': "window",
             'thresholds': promote_after || ' successes promote, ' || downgrade_after || ' failures downgrade',
@@ -43,7 +45,12 @@ WITH told AS (
             'left out: ' || nullif(array_to_string(
                 list_transform(list_zip(rejected, rejected_by), LAMBDA pair: pair[1] || ' by ' || pair[2]), ', '
             ), ''),
-            len(steps) || ' steps', 'budget ' || (budget_us / 1000000) || ' s', 'due ' || (due_us / 1000000) || ' s',
+            'about ' || nullif(array_to_string(objects, ', '), ''),
+            nullif(array_to_string(
+                list_transform(list_zip(names, texts), LAMBDA pair: pair[1] || ' ' || pair[2]), ', '
+            ), ''),
+            CASE WHEN len(steps) > 0 THEN len(steps) || ' steps' END,
+            'budget ' || (budget_us / 1000000) || ' s', 'due ' || (due_us / 1000000) || ' s',
             'step ' || step, 'attempt ' || attempt, 'with a robot of role ' || target_role,
             CASE WHEN robot <> on_behalf_of THEN 'for ' || on_behalf_of END,
             'as of ' || (as_of_us / 1000000) || ' s', 'until ' || (until_us / 1000000) || ' s',

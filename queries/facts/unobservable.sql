@@ -1,27 +1,64 @@
 -- Title: What cannot be judged of a run, because its source does not record what the judgement rests on
 -- Paper: sec:evaluation:metrics
--- Grain: one row per run and judge that rests on a concern that the run does not observe
+-- Grain: one row per run and judge that rests on what the run does not observe
 -- Key: run_id, judge
 -- Units: none
--- NULL: never; not_observed names the concerns, hides_offences tells whether not even an offence could be found
+-- NULL: never; not_observed names the concerns, or the event types and fields of a run that says which of them it
+--   records; hides_offences tells whether not even an offence could be found
 -- Example: fsar-ledger query facts/unobservable LEDGER
 -- Stored: every metric, invariant and grade reads it
 WITH sources AS (
     -- There are few kinds of source and many runs.
-    SELECT DISTINCT coalesce(observes, []) AS observes
-    FROM runs
+    SELECT DISTINCT coalesce(observes, []) AS observes, records
+    FROM run_started
+),
+
+recorded AS (
+    -- Of a concern that is observed every type is recorded, with all of its fields.
+    SELECT sources.observes, sources.records, split_part(concerns.type, '.', 1) AS kind, TRUE AS is_whole
+    FROM sources
+    INNER JOIN event_concerns AS concerns ON list_contains(sources.observes, concerns.concern)
+    UNION
+    SELECT observes, records, unnest(records) AS kind, FALSE AS is_whole
+    FROM sources
+),
+
+needed AS (
+    SELECT sources.observes, sources.records, concerns.judge, concerns.concern AS name, concerns.is_context
+    FROM sources
+    INNER JOIN judged_concerns AS concerns ON NOT list_contains(sources.observes, concerns.concern)
+    WHERE sources.records IS NULL OR concerns.judge NOT IN (SELECT judge FROM judged_records)
+    UNION ALL
+    SELECT sources.observes, sources.records, needs.judge, needs.record AS name, needs.is_context
+    FROM sources
+    INNER JOIN judged_records AS needs ON sources.records IS NOT NULL
+    WHERE
+        NOT EXISTS (
+            FROM recorded AS own
+            WHERE
+                own.observes = sources.observes AND own.records = sources.records
+                AND (own.kind = needs.record OR (own.is_whole AND starts_with(needs.record, own.kind || '.')))
+        )
+        AND (
+            needs.beside IS NULL
+            OR EXISTS (
+                FROM recorded AS other
+                WHERE
+                    other.observes = sources.observes AND other.records = sources.records AND other.kind = needs.beside
+            )
+        )
 ),
 
 lacking AS (
     SELECT
-        sources.observes, needed.judge,
-        string_agg(needed.concern, ', ' ORDER BY needed.concern) AS not_observed,
-        bool_or(needed.is_context) AS hides_offences
-    FROM sources
-    INNER JOIN judged_concerns AS needed ON NOT list_contains(sources.observes, needed.concern)
-    GROUP BY sources.observes, needed.judge
+        observes, records, judge,
+        string_agg(DISTINCT name, ', ' ORDER BY name) AS not_observed,
+        bool_or(is_context) AS hides_offences
+    FROM needed
+    GROUP BY observes, records, judge
 )
 
 SELECT runs.run_id, lacking.judge, lacking.not_observed, lacking.hides_offences
-FROM runs
-INNER JOIN lacking ON coalesce(runs.observes, []) = lacking.observes
+FROM run_started AS runs
+INNER JOIN lacking
+    ON coalesce(runs.observes, []) = lacking.observes AND runs.records IS NOT DISTINCT FROM lacking.records

@@ -60,6 +60,8 @@ def odd_run(run_id: str, size: int, draw: random.Random) -> LedgerRun:
     def value(field: Field) -> object:
         if field.name == "observes":
             return CONCERNS
+        if field.name == "records":
+            return draw.choice([None, (), ("ExecutionStarted", "RequestIssued.requested_by")])
         if field.is_nullable and draw.random() < 0.3:
             return None
         if field.values is not None:

@@ -218,7 +218,7 @@ def relabelled(run: LedgerRun, name: Callable[[str], str]) -> LedgerRun:
         free = [
             field
             for field in LAYOUTS[str(event.__struct_config__.tag)].fields
-            if field.values is None and field.name not in ("parameters", "observes")
+            if field.values is None and field.name not in ("parameters", "observes", "records")
         ]
         values = flat(event)
         changes: dict[str, object] = {

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from fsar_ledger.events import CONCERNS, Event
 from fsar_ledger.ledger.log.note import Signer
 from fsar_ledger.ledger.rows.codec import LedgerRun
-from fsar_ledger.ledger.rows.schema import LAYOUTS, MAX_INTEGER, STANDS_ALONE, Field, StoredType
+from fsar_ledger.ledger.rows.schema import LAYOUTS, MAX_INTEGER, RECORDS, STANDS_ALONE, Field, StoredType
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.ledger.store.view import Head
@@ -22,6 +22,8 @@ IN_RUNS = {tag: layout for tag, layout in LAYOUTS.items() if tag not in STANDS_A
 def _value(field: Field, draw: random.Random) -> object:
     if field.name == "observes":
         return CONCERNS
+    if field.name == "records":
+        return draw.choice([None, (), ("ExecutionStarted", "ExecutionStarted.requested_by")])
     if field.is_nullable and draw.random() < 0.2:
         return None
     if field.values is not None:
@@ -88,6 +90,8 @@ _INTEGERS = st.integers(-MAX_INTEGER, MAX_INTEGER)
 def _any_value(field: Field) -> st.SearchStrategy[object]:
     if field.name == "observes":
         return st.just(CONCERNS)
+    if field.name == "records":
+        return st.none() | st.lists(st.sampled_from(RECORDS), max_size=3).map(tuple)
     kinds: dict[str, st.SearchStrategy[object]] = {
         "string": st.sampled_from(sorted(field.values)) if field.values else _TEXT,
         "integer": _INTEGERS,

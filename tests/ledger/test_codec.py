@@ -179,7 +179,6 @@ def test_encode_refuses_what_could_not_be_verified() -> None:
         msgspec.structs.replace(run, times_us=[0]),
         msgspec.structs.replace(run, events=[], times_us=[], caused_by=[]),
         msgspec.structs.replace(run, caused_by=[None, 0, 2, 0]),
-        msgspec.structs.replace(run, caused_by=[None, 0, None, 0]),
         msgspec.structs.replace(run, caused_by=[0, 0, 0, 0]),
         msgspec.structs.replace(run, caused_by=[-1, 0, 0, 0]),
         msgspec.structs.replace(run, caused_by=[None, 0, 0, -1]),
@@ -286,7 +285,7 @@ def test_envelope_flaws_are_named() -> None:
     assert flaw_of(table_with("seq", 0, 1)) == (0, "seq")
     assert flaw_of(table_with("caused_by", 5, 5)) == (5, "caused_by")
     assert flaw_of(table_with("caused_by", 5, -1)) == (5, "caused_by")
-    assert flaw_of(table_with("caused_by", 5, None)) == (5, "caused_by")
+    assert first_flaw(table_with("caused_by", 5, None)) is None  # what led to it is not known
     assert flaw_of(table_with("caused_by", 400, 0)) == (400, "caused_by")
     assert flaw_of(table_with("time_us", 5, 2**53)) == (5, "time_us")
     assert flaw_of(table_with("time_us", 5, -(2**53))) == (5, "time_us")

@@ -36,7 +36,7 @@ def test_a_name_that_is_not_printed_is_refused_before_anything_is_written(tmp_pa
 
 
 def test_the_field_is_named_and_not_an_earlier_one_that_is_printed(tmp_path: Path) -> None:
-    for field, value in (("robot", "robot-0\x1b"), ("achieved", ("robot/A1\x1b",))):
+    for field, value in (("robot", "robot-0\x1b"), ("path", ("robot/A1\x1b",))):
         first, *_, at = (at for at, event in enumerate(RUN.events) if flat(event).get(field))
         assert first < at
         events = [*RUN.events[:at], with_columns(RUN.events[at], **{field: value}), *RUN.events[at + 1 :]]

@@ -157,7 +157,7 @@ def test_an_altered_row_is_found_by_the_tree(path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("field", "row", "value"),
-    [("seq", 5, 7), ("caused_by", 14, None), ("type", 5, "RobotFlew.v1"), ("time_us", 5, 2**60)],
+    [("seq", 5, 7), ("caused_by", 14, 14), ("type", 5, "RobotFlew.v1"), ("time_us", 5, 2**60)],
 )
 def test_a_row_that_cannot_be_is_named(path: Path, field: str, row: int, value: object) -> None:
     forge_segment(path, 1, changed(table_of(path, 1), field, row, value))

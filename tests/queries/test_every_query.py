@@ -18,7 +18,13 @@ from tests.queries.keys import required
 FILES = sorted(Path(str(files("fsar_ledger.queries"))).rglob("*.sql"))
 GENERATED = {query.name for query in generated()}
 CONSTANT = {
-    *("facts/event_classes", "facts/judged_concerns", "facts/message_words", "facts/occurrence_words"),
+    *(
+        "facts/event_classes",
+        "facts/judged_concerns",
+        "facts/judged_records",
+        "facts/message_words",
+        "facts/occurrence_words",
+    ),
     "facts/refusal_reasons",
     *("statistics/comparisons", "cases/case_definitions", "readings/denials_are_records"),
     *("readings/failures_by_run", "readings/published_convention", "readings/tasks_are_pooled"),

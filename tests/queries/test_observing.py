@@ -21,8 +21,8 @@ from tests.queries.histories import answer, event, run
 from tests.recycled import from_rows, from_table
 from tests.runtime.pinned import PINNED
 
-OF_NO_CONCERN = {"RunStarted", "ExperimentPlanned"}
-"""They say what a run is."""
+OF_NO_CONCERN = {"RunStarted", "ExperimentPlanned", "SourceOpened", "Observed", "SourceClosed"}
+"""They say what a run is, and where it comes from."""
 
 _JUDGED = answer("facts/judged_concerns")
 NEEDED = {judge: {one[1] for one in _JUDGED if one[0] == judge} for judge, _, _ in _JUDGED}

@@ -46,7 +46,7 @@ def failed(state: State, level: RecoveryLevel = "local", cause: str = "obstructi
             subject=Subject("A1-1", ACTION),
             robot=action.robot,
             failure=1,
-            cause=cause,  # type: ignore[arg-type]
+            cause=cause,
             remaining_us=1_000_000,
             detected_us=2_000_000,
         ),

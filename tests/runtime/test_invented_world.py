@@ -121,7 +121,7 @@ def patient(facts: Sequence[Fact]) -> Sequence[Fact]:
     return [
         (
             at,
-            msgspec.structs.replace(one, budget_us=2 * one.budget_us, due_us=at + 2 * one.budget_us)
+            msgspec.structs.replace(one, budget_us=2 * (one.budget_us or 0), due_us=at + 2 * (one.budget_us or 0))
             if isinstance(one, TaskArrived)
             else one,
         )

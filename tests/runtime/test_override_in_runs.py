@@ -117,7 +117,7 @@ def lifetimes(events: list[tuple[int, Any]], action_id: str) -> tuple[list[int],
             continue
         if isinstance(event, ExecutionStarted | ExecutionResumed):
             if isinstance(event, ExecutionStarted):
-                planned.append(event.ends_us - time_us)
+                planned.append((event.ends_us or 0) - time_us)
             assert since is None, "started twice"
             since = time_us
         elif since is not None:

@@ -200,7 +200,7 @@ def test_what_a_robot_was_at_goes_on_after_it_is_back_and_takes_no_less_time(arc
                 case ExecutionStarted() | ExecutionResumed():
                     since[event.subject.action_id] = time_us
                     left[event.subject.action_id] = (
-                        event.ends_us - time_us
+                        (event.ends_us or 0) - time_us
                         if isinstance(event, ExecutionStarted)
                         else left[event.subject.action_id]
                     )

@@ -168,7 +168,7 @@ def test_every_length_counts() -> None:
     seq = seq_of(ExecutionStarted)
     started = HONEST.events[seq]
     assert isinstance(started, ExecutionStarted)
-    longer = changed(HONEST, seq, with_columns(started, ends_us=started.ends_us + 1))
+    longer = changed(HONEST, seq, with_columns(started, ends_us=(started.ends_us or 0) + 1))
     assert replay_run(longer, is_recorded=True) is not None
 
 

@@ -104,8 +104,8 @@ def test_recovery_of_the_slipping_grip_goes_through_all_four_levels(seed: int) -
     assert (failure.robot, failure.cause) == (D, "degradation")
     budget = Constants().structure
     assert [(event.number, event.deadline_us) for event in every(events, RecoveryAttempted)] == [
-        (1, failure.detected_us + budget.local_budget_us),
-        (2, failure.detected_us + budget.local_budget_us),
+        (1, (failure.detected_us or 0) + budget.local_budget_us),
+        (2, (failure.detected_us or 0) + budget.local_budget_us),
     ]
     assert (budget.local_budget_us, budget.local_attempts) == (30_000_000, 2)
     found = [(event.result, event.achieved) for event in every(events, RecoveryAttemptFailed)]

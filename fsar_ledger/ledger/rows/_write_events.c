@@ -185,8 +185,7 @@ static int put_column(Written *out, const Column *column, PyObject *event, const
     if (is_value && value == NULL) return PyErr_Clear(), NOT_PLAIN;
     int how = WRITTEN;
     if (is_value ? value == Py_None : column->kind == CAUSED_BY && place->cause == Py_None) {
-        int is_allowed = is_value ? column->is_nullable : place->seq == 0;
-        how = is_allowed ? WRITTEN : NOT_PLAIN;
+        how = !is_value || column->is_nullable ? WRITTEN : NOT_PLAIN;
     } else {
         how = put(out, before, 1);
         *before = ',';

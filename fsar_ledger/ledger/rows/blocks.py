@@ -15,15 +15,15 @@ import pyarrow as pa
 from fsar_ledger.ledger.rows.arrow import coded, numbers, places, whole
 from fsar_ledger.ledger.rows.check import run_starts
 from fsar_ledger.ledger.rows.runs import Flaw
-from fsar_ledger.ledger.rows.schema import CONCERNED, STANDS_ALONE
+from fsar_ledger.ledger.rows.schema import CONCERNED, STANDS_ALONE, concerns_admitted
 
 
 class Block(msgspec.Struct, frozen=True, omit_defaults=True):
     """Rows of one run that follow one another: the seq of the first, how many, and the times of the first and the last.
 
-    `observes` is what the run's event 0 says, None if that is elsewhere or says nothing; `concerns` are those of the
-    block's events, left out where event 0 is in the block, because the table alone shows whether they fit. `is_alone`
-    is true for a single event that stands alone.
+    `observes` are the concerns that the run's events may have, as event 0 says; None if that is elsewhere or says
+    nothing. `concerns` are those of the block's events, left out where event 0 is in the block, because the table alone
+    shows whether they fit. `is_alone` is true for a single event that stands alone.
     """
 
     run: str
@@ -65,26 +65,27 @@ def blocks_of(table: pa.Table) -> Iterator[Block]:
     starts = run_starts(runs).tolist()
     seqs, times = (numbers(whole(table.column(name))) for name in ("seq", "time_us"))
     types, observes = coded(whole(table.column("type"))), whole(table.column("observes"))
+    records = whole(table.column("records"))
     tags, codes = types.dictionary.to_pylist(), places(types)
     for start, end in pairwise([*starts, table.num_rows]):
         first = int(seqs[start])
         concerns: set[str] = set()
         if first:
             concerns = {CONCERNED.get(tags[code], "") for code in np.unique(codes[start:end]).tolist()} - {""}
-        observed = None if first else observes[start].as_py()
+        observed = None if first else concerns_admitted(observes[start].as_py(), records[start].as_py())
         yield Block(
             runs[start].as_py(),
             first,
             end - start,
             int(times[start]),
             int(times[end - 1]),
-            None if observed is None else tuple(observed),
+            observed,
             tuple(sorted(concerns)),
             tags[codes[start]] in STANDS_ALONE,
         )
 
 
-BLOCK_COLUMNS = ["run_id", "seq", "time_us", "type", "observes"]
+BLOCK_COLUMNS = ["run_id", "seq", "time_us", "type", "observes", "records"]
 """What `blocks_of` reads of a table."""
 
 

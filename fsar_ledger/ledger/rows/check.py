@@ -17,6 +17,7 @@ from fsar_ledger.ledger.rows.schema import (
     MAX_INTEGER,
     OPENINGS,
     PAYLOAD,
+    RECORDS,
     SCHEMA,
     STANDS_ALONE,
     STORED,
@@ -121,7 +122,7 @@ def disordered(table: pa.Table) -> Flaw | None:
     alone in a longer run, or one of a concern that its run does not observe. The rows have the columns of
     `CODED_SCHEMA`, each run in one block.
     """
-    columns = {name: whole(table.column(name)) for name in ("run_id", "type", "time_us", "observes")}
+    columns = {name: whole(table.column(name)) for name in ("run_id", "type", "time_us", "observes", "records")}
     starts = run_starts(columns["run_id"])
     is_first, begins = np.zeros(len(table), bool), np.zeros(len(table), bool)
     is_first[starts] = True
@@ -194,7 +195,7 @@ def _envelope(columns: dict[str, pa.Array], valid: dict[str, Mask], *, is_whole:
             break
         seen.add(run)
     causes = columns["caused_by"].fill_null(-1).to_numpy()
-    suspects += _first(valid["caused_by"] != (expected_seqs > 0), "caused_by", "NULL at seq 0 and only there")
+    suspects += _first(valid["caused_by"] & (expected_seqs == 0), "caused_by", "NULL at seq 0")
     suspects += _first(
         valid["caused_by"] & ((causes < 0) | (causes >= expected_seqs)) & (expected_seqs > 0),
         "caused_by",
@@ -219,16 +220,16 @@ def _company(columns: dict[str, pa.Array]) -> list[tuple[int, str, str]]:
 
 
 def _unobserved(columns: dict[str, pa.Array]) -> list[tuple[int, str, str]]:
-    """Find rows that name an unknown concern, and rows of a concern that their run, by its seq 0, does not observe."""
+    """Find rows that name what is unknown, and rows of what their run, by its seq 0, neither observes nor records."""
     observes, types = columns["observes"], coded(columns["type"])
     if observes.null_count == len(observes):
         return []
-    sizes: Integers = observes.value_lengths().fill_null(0).to_numpy().astype(np.int64)
-    names: Integers = (
-        pc.index_in(observes.flatten(), pa.array(CONCERNS, pa.string())).fill_null(-1).to_numpy().astype(np.int64)
-    )
-    rows = np.repeat(np.arange(len(observes)), sizes)
+    rows, names = _named(observes, CONCERNS)
     suspects = [(int(rows[np.argmax(names < 0)]), "observes", f"some of {list(CONCERNS)}")] if (names < 0).any() else []
+    if columns["records"].null_count < len(observes):
+        at, known = _named(columns["records"], RECORDS)
+        expected = "event types, and fields of them that may be NULL, as in ExecutionStarted.requested_by"
+        suspects += [(int(at[np.argmax(known < 0)]), "records", expected)] if (known < 0).any() else []
     starts = run_starts(columns["run_id"])
     run_of: Integers = np.repeat(np.arange(len(starts)), np.diff(starts, append=len(observes)))
     is_first = np.zeros(len(observes), bool)
@@ -242,7 +243,26 @@ def _unobserved(columns: dict[str, pa.Array]) -> list[tuple[int, str, str]]:
         return suspects
     concerns = [CONCERNS.index(CONCERNED[tag]) if tag in CONCERNED else -1 for tag in types.dictionary.to_pylist()]
     is_bad = ~is_observed[run_of, np.array([*concerns, -1])[places(types)]]
-    return [*suspects, *_first(is_bad, "type", "an event of a concern that its run observes, as event 0 says")]
+    for number in np.flatnonzero(validity(columns["records"])[starts]).tolist():
+        kinds = {f"{name}.v" for name in columns["records"][int(starts[number])].as_py()}
+        of_run = run_of == number
+        is_recorded = np.array([tag.rstrip("0123456789") in kinds for tag in types.dictionary.to_pylist()] + [False])
+        is_bad[of_run] &= ~is_recorded[places(types)[of_run]]
+    return [
+        *suspects,
+        *_first(
+            is_bad, "type", "an event of a concern that its run observes, or of a type that it records, as event 0 says"
+        ),
+    ]
+
+
+def _named(lists: pa.Array, known: tuple[str, ...]) -> tuple[Integers, Integers]:
+    """Return the row of each name in these lists, and its place among the known ones, -1 for another."""
+    sizes: Integers = lists.value_lengths().fill_null(0).to_numpy().astype(np.int64)
+    found: Integers = (
+        pc.index_in(lists.flatten(), pa.array(known, pa.string())).fill_null(-1).to_numpy().astype(np.int64)
+    )
+    return np.repeat(np.arange(len(lists)), sizes), found
 
 
 def _payload(columns: Columns) -> list[tuple[int, str, str]]:

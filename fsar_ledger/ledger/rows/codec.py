@@ -123,13 +123,13 @@ class _Rows:
     def _integers(self) -> dict[str, pa.Array]:
         """Return the integers of the envelope.
 
-        Raises: ValueError unless every event but the first of a run was caused by an earlier one.
+        Raises: ValueError unless the cause of every event is an earlier one, or not known.
         """
         times_us, causes = pa.array(self.times_us, pa.int64()), pa.array(self.causes, pa.int64())
         numbers = causes.fill_null(-1).to_numpy()
         require_exact("time_us", times_us.to_numpy())
-        if np.where(self.seqs == 0, np.asarray(causes.is_valid()), (numbers < 0) | (numbers >= self.seqs)).any():
-            raise ValueError("found causes that are no earlier events, expected None at seq 0, else an earlier seq")
+        if (np.asarray(causes.is_valid()) & ((numbers < 0) | (numbers >= self.seqs))).any():
+            raise ValueError("found causes that are no earlier events, expected an earlier seq, or None")
         return {"seq": pa.array(self.seqs), "time_us": times_us, "caused_by": causes}
 
     def _strings(self, columns: dict[str, list[_Part]]) -> dict[str, pa.DictionaryArray]:
@@ -200,8 +200,8 @@ class _Rows:
         Raises: ValueError for an integer beyond 2^53 - 1, or a cause that is not an earlier event.
         """
         for seq, cause in zip(self.seqs.tolist(), self.causes, strict=True):
-            if (cause is None) != (seq == 0) or not -1 < (cause or 0) < max(seq, 1):
-                raise ValueError("found causes that are no earlier events, expected None at seq 0, else an earlier seq")
+            if cause is not None and not -1 < cause < seq:
+                raise ValueError("found causes that are no earlier events, expected an earlier seq, or None")
         integers = [self.times_us]
         for layout, _, values in self.blocks:
             pairs = zip(layout.fields, values, strict=True)

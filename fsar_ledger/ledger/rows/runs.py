@@ -174,8 +174,8 @@ def _unfit(run: LedgerRun, at: int) -> Iterator[tuple[str, str, str]]:
     cause, event, seq = run.caused_by[at], run.events[at], run.first + at
     if cause is not None and seq == 0:
         yield "caused_by", f"{cause!r:.80}", "None, as nothing came before"
-    if seq > 0 and (cause is None or not 0 <= cause < seq):
-        yield "caused_by", f"{cause!r:.80}", "the seq of an earlier event"
+    if cause is not None and seq > 0 and not 0 <= cause < seq:
+        yield "caused_by", f"{cause!r:.80}", "the seq of an earlier event, or None if that is not known"
     tag = str(event.__struct_config__.tag) if isinstance(event, Event) else ""
     if tag not in LAYOUTS or type(event) is not LAYOUTS[tag].cls:
         yield "type", f"{type(event).__name__} {tag}".strip(), "an event of a type that is written today"

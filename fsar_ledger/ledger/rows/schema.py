@@ -5,7 +5,7 @@
 | `run_id` | string | never |
 | `seq` | int64, from 0 within the run without gaps | never |
 | `time_us` | int64, microseconds of run time | never |
-| `caused_by` | int64, seq of the event that led to this one | for seq 0 |
+| `caused_by` | int64, seq of the event that led to this one | for seq 0, and where that is not known |
 | `type` | string, name and version of the event type | never |
 | every field of any event type, A to Z | string, int64, bool or list of string | the type has no such field, or None |
 """
@@ -206,6 +206,24 @@ OPENINGS: frozenset[str] = STANDS_ALONE.union(tag for tag in STORED if tag.parti
 
 CONCERNED: dict[str, str] = {tag: CONCERN_OF[name] for tag in STORED if (name := tag.partition(".v")[0]) in CONCERN_OF}
 """The concern of each event type, by tag. Events of types without one may be in every run."""
+
+RECORDS: tuple[str, ...] = tuple(
+    name
+    for layout in LAYOUTS.values()
+    for kind in [layout.tag.partition(".v")[0]]
+    if kind in CONCERN_OF
+    for name in (kind, *(f"{kind}.{field.name}" for field in layout.fields if field.is_nullable))
+)
+"""What a run can say that its source records: event types, and those of their fields that may be NULL."""
+
+
+def concerns_admitted(observes: Sequence[str] | None, records: Sequence[str] | None) -> tuple[str, ...] | None:
+    """Return the concerns of which a run may have events, by what its event 0 says; None if that says nothing."""
+    if observes is None:
+        return None
+    kinds = (record.partition(".")[0] for record in records or ())
+    return (*observes, *(CONCERN_OF[kind] for kind in kinds if kind in CONCERN_OF))
+
 
 COLUMNS: dict[str, Kind] = columns(tuple(STORED.values()))
 """The kind of every column, in stored order. Columns that only retired types have remain."""

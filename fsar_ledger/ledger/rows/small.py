@@ -5,12 +5,13 @@ from functools import lru_cache
 
 from fsar_ledger.base.errors import InvalidRun
 from fsar_ledger.events import CONCERNS
+from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.ledger.rows.blocks import Block
 from fsar_ledger.ledger.rows.check import disordered, unprintable
 from fsar_ledger.ledger.rows.codec import encode_coded, encode_lines
 from fsar_ledger.ledger.rows.encoding import MARK_OF, OPENING, Plain, marks_of, plain_lines, plain_rows
 from fsar_ledger.ledger.rows.runs import LedgerRun, overlong, refusal, require_runs, unreadable
-from fsar_ledger.ledger.rows.schema import LAYOUTS, OPENINGS, STANDS_ALONE
+from fsar_ledger.ledger.rows.schema import LAYOUTS, OPENINGS, STANDS_ALONE, concerns_admitted
 
 _TAG_OF: dict[type, str] = {layout.cls: tag for tag, layout in LAYOUTS.items()}
 
@@ -72,6 +73,7 @@ def _is_in_order(run: LedgerRun, marks: int) -> bool:
     first, observes = _TAG_OF[type(run.events[0])], _observes(run)
     return (
         first in OPENINGS
+        and getattr(run.events[0], "records", None) is None
         and (first not in STANDS_ALONE or len(run.events) == 1)
         and (observes is None or (set(observes) <= set(CONCERNS) and set(_concerns(marks)) <= set(observes)))
     )
@@ -91,6 +93,7 @@ def _block(run: LedgerRun, marks: int) -> Block:
 
 
 def _observes(run: LedgerRun) -> tuple[str, ...] | None:
-    """Return what the run's event 0 says that it observes; None if that says nothing, or is not here."""
-    observes: tuple[str, ...] | None = None if run.first else getattr(run.events[0], "observes", None)
-    return observes
+    """Return the concerns that the run's events may have, as event 0 says; None if it is not here or says nothing."""
+    if run.first or not isinstance(started := run.events[0], RunStarted):
+        return None
+    return concerns_admitted(started.observes, started.records)

@@ -16,6 +16,7 @@ from fsar_ledger.base.errors import LedgerCorrupted
 from fsar_ledger.ledger.rows import segment
 from fsar_ledger.ledger.rows.blocks import BLOCK_COLUMNS, Block, Runs, blocks_of
 from fsar_ledger.ledger.rows.runs import Flaw
+from fsar_ledger.ledger.rows.schema import concerns_admitted
 from fsar_ledger.ledger.store.index import Index, require_lines
 from fsar_ledger.ledger.store.read import View
 
@@ -158,8 +159,11 @@ class ExistingRuns:
     def _read_beginning(self, run: str, view: View) -> None:
         """Read what the run observes. Raises: LedgerCorrupted."""
         view.believe_index()
-        observes = event_at(view, place_of(view, run, 0)).get("observes")
-        names = tuple(map(str, observes)) if isinstance(observes, list) else None
+        started = event_at(view, place_of(view, run, 0))
+        observes, records = started.get("observes"), started.get("records")
+        names = concerns_admitted(
+            observes if isinstance(observes, list) else None, records if isinstance(records, list) else None
+        )
         self._runs.known[run] = self._runs.known[run]._replace(observes=names)
         self._indexed.remove(run)
 

@@ -204,7 +204,8 @@ def _on_queue(
 def _on_running(state: State, event: ExecutionStarted | ExecutionResumed, now_us: int) -> tuple[Scheduled, ...]:
     segment = state.execution.actions[event.subject.action_id].segments
     ask = holds(f"{event.subject.action_id}/{segment}")
-    finish = Scheduled(FinishAttempt(event.subject.action_id, event.ends_us), max(1, event.ends_us - now_us), ask=ask)
+    ends_us = event.ends_us or now_us
+    finish = Scheduled(FinishAttempt(event.subject.action_id, ends_us), max(1, ends_us - now_us), ask=ask)
     if state.world.obstructions.get(event.robot):
         return (Scheduled(DetectObstruction(event.subject.action_id)), finish)
     return (finish,)

@@ -6,7 +6,15 @@ Paper: sec:model:recovery.
 from typing import get_args
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import FailureCause, Principals, RecoveryLevel, Result, Robot, Supervisor
+from fsar_ledger.events.envelope import (
+    FAILURE_CAUSES,
+    FailureCause,
+    Principals,
+    RecoveryLevel,
+    Result,
+    Robot,
+    Supervisor,
+)
 from fsar_ledger.events.execution import ExecutionFailed
 from fsar_ledger.events.recovery import RecoveryAttempted, RecoveryAttemptFailed, RecoveryBudgetSet
 from fsar_ledger.projections.budget import Budget, Budgets
@@ -112,9 +120,9 @@ def report_failure(state: State, command: ReportFailure) -> tuple[Event, ...]:
         refused = f"{command.action_id} is executed by {action.robot}, expected its report"
     if refused is None and action is not None and action.stage != "running":
         refused = f"{command.action_id} is {action.stage}, expected running"
-    cause = next((cause for cause in get_args(FailureCause) if cause == command.cause), None)
+    cause = command.cause if command.cause in FAILURE_CAUSES else None
     if refused is None and cause is None:
-        refused = f"cause {command.cause}, expected one of {', '.join(get_args(FailureCause))}"
+        refused = f"cause {command.cause}, expected one of {', '.join(FAILURE_CAUSES)}"
     if refused is not None or action is None or cause is None:
         return rejected(command, command.action_id, refused or "", command.robot)
     return (failed(action, cause, command.now_us),)

@@ -135,8 +135,7 @@ def test_each_error_has_its_checklist() -> None:
 def test_manual_help_is_in_the_checklist_of_an_obstruction_in_all_or_in_none() -> None:
     both = ("obstruction", "degradation")
     asks = [
-        tuple("manual help" in checklist(given(manual_help=dial).fleet, cause) for cause in both)  # type: ignore[arg-type]
-        for dial in (0, 1, 2)
+        tuple("manual help" in checklist(given(manual_help=dial).fleet, cause) for cause in both) for dial in (0, 1, 2)
     ]
     assert asks == [(False, False), (True, False), (True, True)]
     assert checklist(given(manual_help=2, worn_error=303).fleet, "degradation")[-2:] == ("manual help", "brain")
