@@ -2,70 +2,71 @@
 -- Paper: sec:evaluation:metrics, sec:model:invariants, sec:architecture:invariants
 -- Grain: one row per judge and record (an event type without its version, or TYPE.FIELD), and per record beside it
 -- Key: judge, record, beside?
--- Units: none; context is what would make an offence by its absence (A>B: B, where A is recorded)
+-- Units: none; context would make an offence by its absence, a case (*) is what is judged; A>B: B, where A is recorded
 -- NULL: beside where the record is needed always; else it is needed only beside that one, as a field is beside its type
 -- Example: fsar-ledger query facts/judged_records LEDGER
-WITH judges (judges, judged, context) AS (
+WITH judges (judges, entries) AS (
     VALUES
-    ('i1_local_agent_coherence', '', 'RobotJoined'),
+    ('i1_local_agent_coherence', 'RobotJoined'),
     (
-        'i2_local_execution_ownership', 'ExecutionStarted',
-        'RequestAccepted RequestAccepted.decided_by RequestAccepted.executed_by ExecutionStarted.executed_by
-        ExecutionStarted.on_behalf_of AuthorityRevoked>AuthorityGranted'
+        'i2_local_execution_ownership',
+        'ExecutionStarted* RequestAccepted RequestAccepted.decided_by RequestAccepted.executed_by
+        ExecutionStarted.executed_by ExecutionStarted.on_behalf_of AuthorityRevoked>AuthorityGranted'
     ),
-    (
-        'i4_outward_recovery', 'FailureResolved',
-        'ExecutionFailed RecoveryAttempted RecoveryEscalated AssistanceRequested AssistanceAdmitted AssistanceEnded
-        ReassignmentDecided SupervisorResponded'
-    ),
-    (
-        'i5_audit_attributability', 'ExecutionStarted',
-        'RobotJoined RobotJoined.supervisor SupervisorLeft SupervisorReturned GapDetected>RequestAccepted
-        RegistryQueried>RequestAccepted RequestIssued>RequestAccepted RequestIssued>RequestClosed'
-    ),
-    (
-        'a1_local_runtime_self_sufficiency', 'ExecutionStarted',
-        'OwnStepDecided OwnStepDecided.decided_by OwnStepDecided.executed_by RoutinePerformed.decided_by
-        RoutineWithheld.decided_by ExecutionStarted.on_behalf_of'
-    ),
-    ('a2_coordination_only_federation', 'ExecutionStarted', ''),
     (
         'i3_jointly_composed_policy a3_no_silent_policy_override',
-        'ExecutionStarted PolicyWindowOpened RequestDenied FleetRuleLearned',
-        'RequestDenied>RequestAdmitted RequestDenied>SupervisorResponded PolicyWindowOpened>PolicyWindowClosed
-        PolicyRuleSet>PolicyConflictEscalated ExecutionHeld>SupervisorResponded ExecutionHeld>PolicyWindowClosed
-        ExecutionHeld>FleetRuleLearned ExecutionHeld>PolicyRuleSet ExecutionHeld>RolePolicyRuleSet'
+        'ExecutionStarted* PolicyWindowOpened* RequestDenied* FleetRuleLearned* RequestDenied>RequestAdmitted
+        RequestDenied>SupervisorResponded PolicyWindowOpened>PolicyWindowClosed ExecutionHeld>SupervisorResponded
+        ExecutionHeld>PolicyWindowClosed ExecutionHeld>FleetRuleLearned ExecutionHeld>PolicyRuleSet
+        ExecutionHeld>RolePolicyRuleSet'
+    ),
+    ('a3_no_silent_policy_override', 'PolicyRuleSet>PolicyConflictEscalated'),
+    (
+        'i4_outward_recovery',
+        'FailureResolved* ExecutionFailed RecoveryAttempted RecoveryEscalated AssistanceRequested AssistanceAdmitted
+        AssistanceEnded ReassignmentDecided SupervisorResponded'
     ),
     (
-        'a4_thin_federation_interface', 'RequestAccepted',
-        'RequestAccepted.decided_by RequestAccepted.executed_by RequestAdmitted.decided_by
+        'i5_audit_attributability audit_attributability',
+        'ExecutionStarted* RobotJoined RobotJoined.supervisor SupervisorLeft SupervisorReturned GapDetected.action_id
+        GapDetected>RequestAccepted RegistryQueried>RequestAccepted RequestIssued>RequestAccepted
+        RequestIssued>RequestClosed'
+    ),
+    (
+        'a1_local_runtime_self_sufficiency',
+        'ExecutionStarted* OwnStepDecided OwnStepDecided.decided_by OwnStepDecided.executed_by
+        RoutinePerformed.decided_by RoutineWithheld.decided_by ExecutionStarted.on_behalf_of'
+    ),
+    ('a2_coordination_only_federation', 'ExecutionStarted*'),
+    (
+        'a4_thin_federation_interface',
+        'RequestAccepted* RequestAccepted.decided_by RequestAccepted.executed_by RequestAdmitted.decided_by
         RequestAdmitted.executed_by OwnStepDecided.decided_by OwnStepDecided.executed_by RoutinePerformed.decided_by
         RoutineWithheld.decided_by ExecutionHeld.decided_by ReplanOrdered.decided_by ReplanOrdered.executed_by
         AssistanceAdmitted.decided_by RecoveryAttempted.decided_by'
     ),
     (
-        'a5_audit_completeness', 'ExecutionStarted ExecutionFinished',
-        'RequestIssued RequestAdmitted RequestAccepted RequestClosed ReassignmentDecided RobotJoined
-        RobotJoined.supervisor SupervisorLeft SupervisorReturned ExecutionStarted.on_behalf_of
-        ExecutionStarted.requested_by ExecutionStarted.executed_by ExecutionStarted.supervised_by
-        ExecutionFinished.requested_by ExecutionFinished.executed_by ExecutionFinished.supervised_by
-        AssistanceAdmitted.requested_by AssistanceAdmitted.executed_by AssistanceAdmitted.supervised_by'
+        'a5_audit_completeness',
+        'ExecutionFinished* ExecutionStarted ExecutionStarted.on_behalf_of RequestIssued RequestIssued.action_id
+        RequestAdmitted RequestAdmitted.action_id RequestAccepted RequestClosed ReassignmentDecided RobotJoined
+        RobotJoined.supervisor SupervisorLeft SupervisorReturned ExecutionStarted.requested_by
+        ExecutionStarted.executed_by ExecutionStarted.supervised_by ExecutionFinished.requested_by
+        ExecutionFinished.executed_by ExecutionFinished.supervised_by AssistanceAdmitted.requested_by
+        AssistanceAdmitted.executed_by AssistanceAdmitted.supervised_by'
     )
 ),
 
 listed AS (
-    SELECT judges, FALSE AS is_context, unnest(string_split(judged, ' ')) AS entry
+    SELECT
+        judges, unnest(regexp_split_to_array(entries, '\s+')) AS entry
     FROM judges
     UNION ALL
-    SELECT judges, TRUE AS is_context, unnest(regexp_split_to_array(context, '\s+')) AS entry
-    FROM judges
-    UNION ALL
-    SELECT judge AS judges, TRUE AS is_context, record AS entry
+    SELECT judge AS judges, record AS entry
     FROM metric_records
     UNION ALL
     -- The principals of a record are judged wherever its type is recorded.
     SELECT
-        'i5_audit_attributability audit_attributability' AS judges, TRUE AS is_context,
+        'i5_audit_attributability audit_attributability' AS judges,
         split_part(type, '.', 1) || '.' || unnest(['requested_by', 'executed_by', 'supervised_by']) AS entry
     FROM event_classes
     WHERE record_kind IS NOT NULL
@@ -73,8 +74,7 @@ listed AS (
 
 SELECT DISTINCT
     unnest(string_split(judges, ' ')) AS judge,
-    string_split(entry, '>')[-1] AS record,
+    rtrim(string_split(entry, '>')[-1], '*') AS record,
     nullif(if(contains(entry, '>'), string_split(entry, '>')[1], regexp_extract(entry, '^(\w+)\.', 1)), '') AS beside,
-    is_context
+    NOT ends_with(entry, '*') AS is_context
 FROM listed
-WHERE entry <> ''

@@ -45,7 +45,14 @@ SELECT
     named.principal || ' acts, which is neither a robot of the fleet nor one of its supervisors or services' AS found
 FROM named
 LEFT JOIN known ON named.run_id = known.run_id AND named.principal = known.principal
-WHERE known.principal IS NULL
+LEFT JOIN run_started AS runs ON named.run_id = runs.run_id
+WHERE
+    known.principal IS NULL
+    -- Nothing is said of a supervisor where the source does not record whose it is.
+    AND (
+        NOT starts_with(named.principal, 'supervisor/') OR runs.records IS NULL OR list_contains(runs.observes, 'fleet')
+        OR list_contains(runs.records, 'RobotJoined.supervisor')
+    )
 UNION ALL
 SELECT
     run_id, seq, time_us,
