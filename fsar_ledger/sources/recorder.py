@@ -1,0 +1,313 @@
+"""Record a fleet of one's own as it happens: each event is on disk when the call returns.
+
+A lock makes the calls of several threads follow one another. What is wrong with an event is said before anything of it
+is written, and the record goes on.
+"""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from pathlib import Path
+from threading import RLock
+from types import TracebackType
+
+import msgspec
+
+from fsar_ledger.base.errors import InvalidRun, UsageError
+from fsar_ledger.base.printable import escaped, value
+from fsar_ledger.events import CONCERN_OF, Event
+from fsar_ledger.events.envelope import Robot, flat
+from fsar_ledger.events.fleet import RobotJoined, RunStarted
+from fsar_ledger.events.source import Observed, SourceClosed, SourceOpened
+from fsar_ledger.ledger.log.note import Signer
+from fsar_ledger.ledger.opening import open_ledger
+from fsar_ledger.ledger.rows.runs import LedgerRun, first_unfit, refusal
+from fsar_ledger.ledger.store.append import SEAL_ROWS, Writer
+from fsar_ledger.ledger.store.locations import place_of
+from fsar_ledger.ledger.store.manifest import parse_manifest, read_manifest
+from fsar_ledger.ledger.store.paths import MANIFEST
+
+from .declared import Declared, declared
+
+ORIGIN = "fsar-ledger/recorded"
+FORMAT = "fsar-ledger/1"
+"""The format of what is recorded without a file: the events themselves."""
+
+Fleet = Mapping[str, str] | Iterable[RobotJoined]
+"""The robots: role by name, without supervisors and teams, or what is known of their joining."""
+
+
+class Stored(msgspec.Struct, frozen=True):
+    """A run as the ledger holds it: its beginning, how many events it has, and the time of the last."""
+
+    started: RunStarted
+    size: int
+    last_us: int
+
+
+class Recorder:
+    """Appends events to one run of a ledger. Use it as a context manager, or call `close`.
+
+    Args:
+        path: The ledger; made if there is none.
+        fleet: The robots, by name (`carrier-1` is `robot/carrier-1`) with their role, or events of their joining. They
+            join when the run begins; a run that goes on has its robots.
+        observes: What is recorded completely: concerns (`task`), event types (`ExecutionStarted`) and fields of them
+            that may be unknown (`ExecutionStarted.requested_by`). The absence of anything else means nothing.
+        run: The name of the run; one that is there goes on. None: the time at which it begins.
+        source: Who records, by a name.
+        epoch: The time of run time 0; None: now.
+        origin: The name under which a new ledger is published.
+        signer: The key that signs.
+
+    Raises:
+        UsageError: A name in `observes` is none, or the run is there and was declared otherwise.
+        NotALedger, LedgerCorrupted, WriteFailed: As `Writer`.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        *,
+        fleet: Fleet = (),
+        observes: Iterable[str] = (),
+        run: str | None = None,
+        source: str = "recorder",
+        epoch: datetime | None = None,
+        origin: str | None = None,
+        signer: Signer | None = None,
+        opened: SourceOpened | None = None,
+    ):
+        self.declared, self.source, self._lock = declared(observes), source, RLock()
+        begins = (epoch or datetime.now(UTC)).astimezone(UTC)
+        self.run = run or begins.isoformat(timespec="seconds")
+        name = origin or (signer.verifier.name if signer is not None else ORIGIN)
+        self._writer, self._is_open = Writer(path, kept_origin(path) or name, signer), True
+        self._batch: list[tuple[int, int | None, Event]] | None = None
+        self._count = 0
+        try:
+            stored = stored_run(path, self.run)
+            if stored is None:
+                self._next, self._last_us, self._epoch = 0, 0, begins
+                self._begin(fleet, opened)
+            else:
+                self._next, self._last_us = stored.size, stored.last_us
+                self._epoch = self._continued(stored.started)
+        except BaseException:
+            self._writer.close()
+            raise
+
+    def event(self, event: Event, *, at: datetime | None = None, caused_by: int | None = None) -> int:
+        """Record an event, and return its number within the run.
+
+        Args:
+            event: The event, of a type that the run records.
+            at: When it happened; None: now.
+            caused_by: The number of the event that led to it; None: not known.
+
+        Raises:
+            InvalidRun: A field has a value that it cannot have, or the type is not one that the run records. Nothing
+                was written; the record goes on.
+            UsageError: `at` lies before the event before it.
+            WriteFailed: The disk refused.
+        """
+        with self._lock:
+            self._require_recordable(event)
+            return self._put(self._time_us(at), caused_by, event)
+
+    def observed(
+        self,
+        kind: str,
+        values: Mapping[str, object] | None = None,
+        *,
+        objects: Mapping[str, str] | None = None,
+        source_time: datetime | None = None,
+        body: str | None = None,
+    ) -> int:
+        """Record what was seen, in the words of its source, and return its number within the run.
+
+        Whatever has no type of its own goes here: it is kept, shown, searched and proven, and nothing is concluded
+        from it. Text that cannot be printed is escaped.
+
+        Args:
+            kind: What the source calls it (`battery/low`).
+            values: What it says, by name.
+            objects: What it is about, by name, each with the part that it plays (`{"robot/A1": "robot"}`).
+            source_time: The time that the source gives, whatever its clock is worth.
+            body: The whole record, if it is to be kept.
+
+        Raises: As `event`.
+        """
+        said, about = values or {}, objects or {}
+        seen = Observed(
+            source=self.source,
+            kind=escaped(kind),
+            names=tuple(map(escaped, said)),
+            texts=tuple(escaped(str(one)) for one in said.values()),
+            objects=tuple(map(escaped, about)),
+            qualifiers=tuple(map(escaped, about.values())),
+            source_time_us=None if source_time is None else self.run_time_us(source_time),
+            body=None if body is None else escaped(body),
+        )
+        return self.event(seen)
+
+    @contextmanager
+    def batch(self) -> Iterator[None]:
+        """Commit everything that is recorded within it at once, at its end; nothing of it where it ends in an error."""
+        with self._lock:
+            if self._batch is not None:
+                raise UsageError("batch: found a batch within a batch, expected one at a time")
+            before, self._batch = (self._next, self._last_us, self._count), []
+            try:
+                yield
+                self._commit(self._batch)
+            except BaseException:
+                self._next, self._last_us, self._count = before
+                raise
+            finally:
+                self._batch = None
+
+    def run_time_us(self, when: datetime) -> int:
+        """Return the run time of a moment. Units: microseconds."""
+        return round((when.astimezone(UTC) - self._epoch).total_seconds() * 1e6)
+
+    def close(self) -> None:
+        """Say until when the source was observed, and close the ledger. A recorder of the same run continues it."""
+        with self._lock:
+            if not self._is_open:
+                return
+            self._is_open = False
+            try:
+                now_us = self._time_us(None)
+                closed = SourceClosed(source=self.source, until_us=now_us, record_count=self._count)
+                self._put(now_us, None, closed)
+            finally:
+                self._writer.close()
+
+    def __enter__(self) -> "Recorder":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _begin(self, fleet: Fleet, opened: SourceOpened | None) -> None:
+        joined = list(_members(fleet)) if isinstance(fleet, Mapping) else list(fleet)
+        if joined and "RobotJoined" not in self.declared.kinds:
+            self.declared = declared((*self.declared.observes, *self.declared.records, "RobotJoined"))
+        started = RunStarted(
+            kind="foreign",
+            observes=self.declared.observes,
+            records=self.declared.records,
+            epoch=self._epoch.isoformat().replace("+00:00", "Z"),
+            source=self.source,
+        )
+        opening = opened or SourceOpened(source=self.source, format=FORMAT, adapter=FORMAT, clock="arrival")
+        events: list[Event] = [started, *joined, opening]
+        self._commit([(0, None if at == 0 else 0, event) for at, event in enumerate(events)])
+        self._next = len(events)
+
+    def _continued(self, started: RunStarted) -> datetime:
+        """Check that the run was declared as this recorder, and return its epoch."""
+        kept = Declared(started.observes, started.records or ())
+        asked = self.declared
+        if not {*asked.observes, *asked.records} <= {*kept.observes, *kept.records}:
+            raise UsageError(
+                f"run {value(self.run)}: found a run that records {_shown(kept)}, expected {_shown(asked)}; declare "
+                "the same, or give the run another name"
+            )
+        if started.epoch is None:
+            raise UsageError(
+                f"run {value(self.run)}: found a run without an epoch, expected one that a recorder began; give "
+                "another name"
+            )
+        self.declared = kept
+        return datetime.fromisoformat(started.epoch)
+
+    def _time_us(self, at: datetime | None) -> int:
+        if at is None:
+            return max(self._last_us, self.run_time_us(datetime.now(UTC)))
+        found = self.run_time_us(at)
+        if found < self._last_us:
+            raise UsageError(
+                f"at: found {at.isoformat()}, {(self._last_us - found) / 1e6:.6f} s before the event before it, "
+                "expected no earlier time; the order of a run is that of arrival: leave `at` out, and keep the time of "
+                "the source in an observation (`source_time`)"
+            )
+        return found
+
+    def _require_recordable(self, event: Event) -> None:
+        kind = type(event).__name__
+        if kind in CONCERN_OF and kind not in self.declared.kinds:
+            raise InvalidRun(
+                f"run {value(self.run)}, seq {self._next}, field type: found {kind}, expected an event that the run "
+                f"records ({', '.join(sorted(self.declared.kinds)) or 'none'}); nothing was written: declare it in "
+                "`observes` of a new run"
+            )
+        alone = LedgerRun(self.run, [0], [None], [event], self._next)
+        if (flaw := first_unfit([alone])) is not None:
+            raise refusal(flaw)
+        for name, found in flat(event).items():
+            texts: Sequence[object] = found if isinstance(found, tuple) else (found,)
+            if any(isinstance(text, str) and not text.isprintable() for text in texts):
+                raise InvalidRun(
+                    f"run {value(self.run)}, seq {self._next}, field {name}: found {found!r:.80}, expected characters "
+                    "that can be printed; nothing was written"
+                )
+
+    def _put(self, time_us: int, caused_by: int | None, event: Event) -> int:
+        number = self._next
+        if caused_by is not None and not 0 <= caused_by < number:
+            raise InvalidRun(
+                f"run {value(self.run)}, seq {number}, field caused_by: found {caused_by}, expected the number of an "
+                "earlier event; nothing was written"
+            )
+        if self._batch is None:
+            self._commit([(time_us, caused_by, event)])
+        else:
+            self._batch.append((time_us, caused_by, event))
+        self._next, self._last_us = number + 1, time_us
+        self._count += isinstance(event, Observed)
+        return number
+
+    def _commit(self, rows: Sequence[tuple[int, int | None, Event]]) -> None:
+        first = self._next if self._batch is None else self._next - len(rows)
+        for at in range(0, len(rows), SEAL_ROWS):
+            part = rows[at : at + SEAL_ROWS]
+            times, causes, events = (list(column) for column in zip(*part, strict=True))
+            self._writer.add([LedgerRun(self.run, times, causes, events, first + at, goes_on=True)])
+
+
+def stored_run(path: Path, run: str) -> Stored | None:
+    """Return the run as the ledger holds it, None if it does not.
+
+    Raises: LedgerCorrupted; UsageError if another run has this name than one that a recorder or an import began.
+    """
+    view = open_ledger(path)
+    if not view.has_run(run):
+        return None
+    parts = view.parts(run)
+    row = msgspec.json.decode(view.event(place_of(view, run, 0)), type=dict[str, object])
+    if row["type"] != RunStarted.__struct_config__.tag or row.get("kind") != "foreign":
+        raise UsageError(
+            f"run {value(run)}: found a run that was not recorded from outside, expected a new name or one that was"
+        )
+    own = {name: row[name] for name in ("type", *RunStarted.__struct_fields__) if name in row}
+    started = msgspec.convert(own, RunStarted)
+    return Stored(started, sum(part.block.rows for part in parts), parts[-1].block.last_us)
+
+
+def kept_origin(path: Path) -> str | None:
+    """Return the origin of the ledger at this path, None if there is none. Raises: NotALedger."""
+    return parse_manifest(path / MANIFEST, read_manifest(path)).origin if (path / MANIFEST).exists() else None
+
+
+def _members(fleet: Mapping[str, str]) -> Iterator[RobotJoined]:
+    for name, role in fleet.items():
+        robot = name if name.startswith("robot/") else f"robot/{name}"
+        yield RobotJoined(robot=Robot(robot), role=role, supervisor=None)
+
+
+def _shown(one: Declared) -> str:
+    return ", ".join((*one.observes, *one.records)) or "nothing"
