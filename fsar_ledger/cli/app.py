@@ -27,7 +27,7 @@ from .terminal import OutputClosed, say, show
 
 INTERRUPTED = 130
 GROUPS = {
-    "Record": ("simulate",),
+    "Record": ("simulate", "record", "import"),
     "Ask": (
         *("info", "metrics", "statistics", "compare"),
         *("query", "sql", "export", "open", "explain", "log"),
@@ -46,7 +46,10 @@ FAMILIES = {
     "witness": "Check that ledgers only grow, or have your own checked.",
 }
 """What the commands do whose names begin with the same words."""
-HOMES = {"study": ("fsar_ledger.studies.verbs", "fsar_ledger.api.multiverse")}
+HOMES = {
+    "study": ("fsar_ledger.studies.verbs", "fsar_ledger.api.multiverse"),
+    "import": ("fsar_ledger.api.imports",),
+}
 """The modules of verbs that are not those of the same name in the API."""
 
 
@@ -118,9 +121,11 @@ def _summary(name: str) -> str:
     """
     if name in FAMILIES:
         return FAMILIES[name]
-    module = _module(name)
+    module = HOMES.get(name, (f"fsar_ledger.api.{_module(name)}",))[0].rpartition(".")[2]
     source = (Path(__file__).parents[1] / f"api/{module}.py").read_text("utf-8")
-    found = re.search(rf'^def {module}\(.*?"""(.*?)$', source, re.DOTALL | re.MULTILINE)
+    own = rf'^def {module}\(.*?"""(.*?)$'
+    named = rf'^    name="{name}",$.*?^def \w+\(.*?"""(.*?)$'
+    found = re.search(named, source, re.DOTALL | re.MULTILINE) or re.search(own, source, re.DOTALL | re.MULTILINE)
     assert found is not None  # a test reads the help
     return found[1].removesuffix('"""')
 

@@ -1,0 +1,78 @@
+"""What an import is given: its inputs, its adapter, and the fleet."""
+
+import sys
+import tomllib
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from hashlib import sha256
+from pathlib import Path
+
+from fsar_ledger.base.errors import UsageError
+from fsar_ledger.base.printable import value
+
+from .adapter import Adapter, Input, adapter_named
+
+STDIN = "-"
+
+
+@contextmanager
+def opened(logs: Sequence[str]) -> Iterator[list[Input]]:
+    """Open these files; `-` is standard input.
+
+    Raises: UsageError for none, or one that cannot be read.
+    """
+    if not logs:
+        raise UsageError("import: found no file, expected at least one, or - for standard input")
+    with ExitStack() as stack:
+        found: list[Input] = []
+        for log in logs:
+            path = Path(log)
+            try:
+                file = sys.stdin.buffer if log == STDIN else stack.enter_context(path.open("rb"))
+            except OSError as error:
+                raise UsageError(
+                    f"{value(log)}: cannot be read ({error.strerror}); name a file, or - for standard input"
+                ) from error
+            found.append(Input("stdin" if log == STDIN else path.stem, None if log == STDIN else path, file))
+        yield found
+
+
+def adapter_of(name: str | None, mapping: Path | None) -> tuple[Adapter, str | None]:
+    """Return the adapter of this name, or that of a mapping, and the SHA-256 of the mapping.
+
+    Raises: UsageError unless there is one of both; or as `adapter_named`.
+    """
+    if (name is None) == (mapping is None):
+        raise UsageError("import: expected either the name of a format (--as) or a mapping (--with)")
+    if name is not None:
+        return adapter_named(name), None
+    assert mapping is not None
+    from .mapping import mapped
+
+    data = read(mapping)
+    return mapped(mapping, data), sha256(data).hexdigest()
+
+
+def read(path: Path) -> bytes:
+    """Return the bytes of a file that a user named. Raises: UsageError if it cannot be read."""
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise UsageError(f"{value(str(path))}: cannot be read ({error.strerror})") from error
+
+
+def named_robots(path: Path) -> dict[str, str]:
+    """Return the role of each robot that a TOML file names under [robots].
+
+    Raises: UsageError for a file that is no such table of texts.
+    """
+    try:
+        found = tomllib.loads(read(path).decode())
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise UsageError(f"{value(str(path))}: {error}; expected TOML with a table [robots]") from error
+    robots = found.get("robots")
+    if not isinstance(robots, dict) or not all(isinstance(role, str) for role in robots.values()):
+        raise UsageError(
+            f'{value(str(path))}: expected a table [robots] with a role for each name, as in `KIT.0001 = "agv"`'
+        )
+    return robots

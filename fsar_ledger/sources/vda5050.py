@@ -1,0 +1,252 @@
+"""VDA 5050 2.1 and 3.0: orders, states, instant actions and connections, as a broker recorded them.
+
+One message a line: the message itself, or an object with `topic`, `payload` and perhaps `received` (ISO 8601), the time
+at which the recorder got it. A state is told from time to time, so what follows from it is what has changed since the
+last one of the same vehicle; an action that began and ended between two states has no start on record.
+
+| message | becomes |
+|---|---|
+| an order that begins | `TaskArrived`, `RequestIssued` by the coordinator |
+| the first state with that order | `RequestAccepted`, decided by the vehicle |
+| an error that names the order before that | `RequestDenied`, decided by the vehicle |
+| an action that runs, pauses, runs on, ends, fails | `ExecutionStarted`, `Paused`, `Resumed`, `Finished`, `Failed` |
+| an order whose nodes, edges and actions are all done | `TaskCompleted` |
+| a connection that breaks, comes back | `LinkWentDown`, `LinkCameUp` |
+| anything else | an observation |
+"""
+
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any, Literal
+
+import msgspec
+
+from fsar_ledger.events import Event
+from fsar_ledger.events.envelope import COORDINATOR, Parties, Principals, RequestSubject, Robot, Subject
+from fsar_ledger.events.execution import (
+    ExecutionFailed,
+    ExecutionFinished,
+    ExecutionPaused,
+    ExecutionResumed,
+    ExecutionStarted,
+)
+from fsar_ledger.events.request import RequestAccepted, RequestDenied, RequestIssued
+from fsar_ledger.events.task import TaskCompleted
+from fsar_ledger.events.world import LinkCameUp, LinkWentDown, TaskArrived
+
+from .adapter import Derived, Input, Record
+from .json_lines import objects, shown, utc_us
+
+KINDS: Mapping[str, tuple[str, ...]] = {
+    "state": ("operatingMode",),
+    "connection": ("connectionState",),
+    "order": ("orderId", "nodes"),
+    "instantActions": ("actions",),
+    "factsheet": ("typeSpecification",),
+    "responses": ("responses",),
+    "zoneSet": ("zoneSet",),
+    "visualization": ("agvPosition",),
+}
+"""The fields by which a message without a topic is known. Visualization comes last: a state has its fields, too."""
+
+SHOWN = ("orderId", "orderUpdateId", "lastNodeId", "operatingMode", "connectionState", "headerId", "paused", "driving")
+ENDED = ("FINISHED", "FAILED")
+
+
+class Vehicle(msgspec.Struct):
+    """What the last messages of a vehicle said. `ended` are orders whose end has been told."""
+
+    order: str = ""
+    asked: dict[str, None] = {}
+    statuses: dict[str, str] = {}
+    failures: dict[str, int] = {}
+    connection: str = ""
+    ended: dict[str, None] = {}
+
+
+class Vda5050:
+    """Reads a recording of VDA 5050 messages."""
+
+    name = "vda5050"
+    version = "1"
+    clock: Literal["arrival", "source"] = "arrival"
+    is_sampled = True
+
+    def __init__(self) -> None:
+        self._version = "unknown"
+        self._vehicles: dict[Robot, Vehicle] = {}
+
+    @property
+    def format(self) -> str:
+        """The version that the first message names."""
+        return f"vda5050/{self._version}"
+
+    def declares(self) -> Iterable[str]:
+        """Name what a complete recording of all topics has; a start may be missed between two states."""
+        principals = ("decided_by", "requested_by", "executed_by", "task_id", "action_id")
+        return (
+            "TaskArrived",
+            "TaskArrived.robot",
+            "TaskCompleted",
+            *("RequestIssued", *(f"RequestIssued.{name}" for name in principals)),
+            *("RequestAccepted", *(f"RequestAccepted.{name}" for name in principals[:3])),
+            *("RequestDenied", *(f"RequestDenied.{name}" for name in principals)),
+            *("ExecutionStarted", "ExecutionStarted.executed_by"),
+            *("ExecutionFinished", "ExecutionFinished.executed_by"),
+            *("ExecutionPaused", "ExecutionResumed", "ExecutionFailed", "LinkWentDown", "LinkCameUp"),
+        )
+
+    def read(self, inputs: Iterable[Input]) -> Iterator[Record]:
+        """Yield every message."""
+        for one in objects(inputs):
+            yield one if isinstance(one, Record) else self._record(*one)
+
+    def _record(self, raw: bytes, line: dict[str, Any]) -> Record:
+        message = line["payload"] if isinstance(line.get("payload"), dict) else line
+        kind = _kind(line.get("topic"), message)
+        if self._version == "unknown" and isinstance(message.get("version"), str):
+            self._version = message["version"]
+        vehicle = _robot(line.get("topic"), message)
+        about = {} if vehicle is None else {str(vehicle): "vehicle"}
+        if isinstance(order := message.get("orderId"), str) and order:
+            about[f"task/{order}"] = "order"
+        values = {name: shown(message[name]) for name in SHOWN if name in message}
+        values |= {f"error/{error.get('errorType')}": shown(error) for error in _listed(message, "errors")}
+        arrived = next((line[name] for name in ("received", "arrival", "time") if name in line), None)
+        return Record(
+            kind if kind != "state" else f"state/{message.get('operatingMode')}",
+            raw,
+            (kind, vehicle, message),
+            values,
+            about,
+            utc_us(message.get("timestamp")),
+            utc_us(arrived),
+        )
+
+    def derive(self, record: Record) -> Iterable[Derived] | None:
+        """Return what has changed since the vehicle's last message."""
+        if record.data is None:
+            return None
+        kind, robot, message = record.data
+        if robot is None or kind == "unknown":
+            return None
+        vehicle = self._vehicles.setdefault(robot, Vehicle())
+        match kind:
+            case "order":
+                events = _ordered(vehicle, robot, message)
+            case "state":
+                events = _changed(vehicle, robot, message)
+            case "connection":
+                events = _connected(vehicle, robot, message)
+            case "instantActions" | "visualization" | "factsheet" | "responses" | "zoneSet":
+                return ()
+            case _:
+                return None
+        return [Derived(event) for event in events]
+
+
+def _kind(topic: object, message: Mapping[str, Any]) -> str:
+    last = topic.rpartition("/")[2] if isinstance(topic, str) else ""
+    if last in KINDS:
+        return last
+    return next((kind for kind, fields in KINDS.items() if all(name in message for name in fields)), "unknown")
+
+
+def _robot(topic: object, message: Mapping[str, Any]) -> Robot | None:
+    """Return the vehicle by manufacturer and serial number, as its header or the topic names them."""
+    parts = topic.split("/") if isinstance(topic, str) else []
+    maker, serial = message.get("manufacturer"), message.get("serialNumber")
+    if not (isinstance(maker, str) and isinstance(serial, str)) and len(parts) >= 3:
+        maker, serial = parts[-3], parts[-2]
+    return Robot(f"robot/{maker}.{serial}") if isinstance(maker, str) and isinstance(serial, str) else None
+
+
+def _listed(message: Mapping[str, Any], name: str) -> list[dict[str, Any]]:
+    found = message.get(name)
+    return [one for one in found if isinstance(one, dict)] if isinstance(found, list) else []
+
+
+def _order(message: Mapping[str, Any]) -> str:
+    found = message.get("orderId")
+    return found if isinstance(found, str) else ""
+
+
+def _subject(order: str) -> RequestSubject[str, str, str | None]:
+    return RequestSubject(order, order, None)
+
+
+def _principals(robot: Robot, decided_by: Any) -> Principals:
+    asked = Parties(requested_by=COORDINATOR, executed_by=robot, supervised_by=None)
+    return asked.decided(decided_by)
+
+
+def _ordered(vehicle: Vehicle, robot: Robot, message: Mapping[str, Any]) -> Iterator[Event]:
+    """Yield that a task arrives and its vehicle is asked; an update of an order that is known says nothing new."""
+    order = _order(message)
+    if not order or order in vehicle.asked:
+        return
+    vehicle.asked[order] = None
+    yield TaskArrived(task_id=order, robot=robot)
+    yield RequestIssued(subject=_subject(order), principals=_principals(robot, COORDINATOR), capability="order")
+
+
+def _changed(vehicle: Vehicle, robot: Robot, message: Mapping[str, Any]) -> Iterator[Event]:
+    """Yield what a state says that the one before it did not."""
+    order = _order(message)
+    if order and order != vehicle.order:
+        vehicle.order = order
+        yield RequestAccepted(_subject(order), _principals(robot, robot))
+    yield from _refused(vehicle, robot, message)
+    states = _listed(message, "actionStates")
+    for state in states:
+        yield from _acted(vehicle, robot, order, state)
+    moving = _listed(message, "nodeStates") or _listed(message, "edgeStates")
+    statuses = {str(state.get("actionStatus")) for state in states}
+    if order and not moving and statuses <= {"FINISHED"} and order not in vehicle.ended and order in vehicle.asked:
+        vehicle.ended[order] = None
+        yield TaskCompleted(order)
+
+
+def _refused(vehicle: Vehicle, robot: Robot, message: Mapping[str, Any]) -> Iterator[Event]:
+    """Yield that the vehicle refuses an order that it was asked and has not accepted: an error refers to it."""
+    for error in _listed(message, "errors"):
+        for reference in _listed(error, "errorReferences"):
+            order = reference.get("referenceValue")
+            is_order = reference.get("referenceKey") == "orderId" and isinstance(order, str)
+            if not is_order or order == vehicle.order or order not in vehicle.asked or order in vehicle.ended:
+                continue
+            vehicle.ended[order] = None
+            yield RequestDenied(_subject(order), _principals(robot, robot), f"{error.get('errorType')}")
+
+
+def _acted(vehicle: Vehicle, robot: Robot, order: str, state: Mapping[str, Any]) -> Iterator[Event]:
+    """Yield what has become of one action since the last state."""
+    action, status = str(state.get("actionId")), str(state.get("actionStatus"))
+    before = vehicle.statuses.get(action)
+    if status == before:
+        return
+    vehicle.statuses[action] = status
+    subject = Subject(order, action)
+    parties = Parties(requested_by=None, executed_by=robot, supervised_by=None)
+    if status == "RUNNING":
+        if before in ("PAUSED", "RETRIABLE"):
+            yield ExecutionResumed(subject, robot)
+        else:
+            capability = str(state.get("actionType") or "action")
+            yield ExecutionStarted(subject=subject, principals=parties, robot=robot, capability=capability)
+    elif status == "PAUSED":
+        yield ExecutionPaused(subject, robot)
+    elif status == "FINISHED":
+        yield ExecutionFinished(subject, parties, robot)
+    elif status in ("FAILED", "RETRIABLE"):
+        vehicle.failures[action] = vehicle.failures.get(action, 0) + 1
+        cause = str(state.get("actionResult") or state.get("resultDescription") or status)
+        yield ExecutionFailed(subject=subject, robot=robot, failure=vehicle.failures[action], cause=cause)
+
+
+def _connected(vehicle: Vehicle, robot: Robot, message: Mapping[str, Any]) -> Iterator[Event]:
+    state = str(message.get("connectionState"))
+    was, vehicle.connection = vehicle.connection, state
+    if state == "CONNECTIONBROKEN" and was != state:
+        yield LinkWentDown(robot)
+    elif state == "ONLINE" and was == "CONNECTIONBROKEN":
+        yield LinkCameUp(robot)
