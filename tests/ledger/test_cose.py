@@ -235,6 +235,15 @@ def _text_of_event(outer: list[Any], _: list[Any]) -> None:
     outer[2] = outer[2].decode()
 
 
+def _text_as_hash(_: list[Any], inner: list[Any]) -> None:
+    size, index, hashes = path_of(inner)
+    with_path(inner, size, index, [*hashes[:-1], "h" * 32])
+
+
+def _huge_index(_: list[Any], inner: list[Any]) -> None:
+    with_path(inner, 360, 10**5_000, path_of(inner)[2])
+
+
 def _true_as_index(outer: list[Any], inner: list[Any]) -> None:
     at_place(outer, inner, 360, 1)
     with_path(inner, 360, True, path_of(inner)[2])
@@ -262,6 +271,8 @@ def _true_as_index(outer: list[Any], inner: list[Any]) -> None:
         (_structure, ANOTHER_FORM),
         (_attached_root, ANOTHER_FORM),
         (_text_of_event, ANOTHER_FORM),
+        (_text_as_hash, ANOTHER_FORM),
+        (_huge_index, ANOTHER_FORM),
         (_true_as_index, ANOTHER_FORM),
     ],
 )

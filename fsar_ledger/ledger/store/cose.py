@@ -131,8 +131,8 @@ def _parsed(cbor: Any, where: str, data: bytes) -> Statement:
                 statement = Statement(proof, key_id, of_event, of_root)
                 if _encoded(cbor, statement) == data:
                     return statement
-    except (cbor.CBORDecodeError, LookupError, TypeError, ValueError, AttributeError, RecursionError, MemoryError):
-        pass
+    except (cbor.CBORDecodeError, LookupError, TypeError, ValueError, AttributeError, RecursionError):
+        pass  # cbor2 5 has no limit of depth
     raise LedgerCorrupted(
         f"{where}: found COSE of another form, or a part of it, expected what `fsar-ledger prove --as cose` wrote; get "
         "it again"
