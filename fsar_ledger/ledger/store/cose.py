@@ -58,7 +58,8 @@ def library(where: str) -> ModuleType:
             f"{where}: found no library cbor2, expected it for COSE; install it (`pip install cbor2`, or the extra "
             "`cose` of this package)"
         ) from error
-    return cbor2
+    found: ModuleType = cbor2
+    return found
 
 
 def signed_statement(where: str, proof: Proof, signer: Signer) -> bytes:
