@@ -1,24 +1,28 @@
 """The verb `prove`: find the event that a user means, and prove it."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal, get_args
 
 from fsar_ledger.base import printable
 from fsar_ledger.base.errors import UsageError, option
 
 from .answers import Answer, Lines, Plain
+from .key import signer_of
 from .names import MAX_DIGITS, Place
 from .verbs import argument, declare, verb
 
 if TYPE_CHECKING:
+    from fsar_ledger.ledger.log.note import Signer
     from fsar_ledger.ledger.store.proof import Proof
     from fsar_ledger.ledger.store.read import View
 
     from .ledger import Ledger
 
+Form = Literal["tlog-proof", "cose"]
 
-def _proved(ledger: "Ledger", event: str, out: Path | None) -> Answer:
-    proof = prove(ledger, event, out)
+
+def _proved(ledger: "Ledger", event: str, out: Path | None, as_: Form, key: Path | None) -> Answer:
+    proof = prove(ledger, event, out, as_=as_, key=key)
     if out is None:
         return Plain(str(proof))
     tree = proof.note.checkpoint
@@ -28,6 +32,7 @@ def _proved(ledger: "Ledger", event: str, out: Path | None) -> Answer:
 @verb(
     "prove out/ledger 1234 --out out/event-1234.tlog-proof",
     "prove out/ledger 1:12",
+    "prove out/ledger 1:12 --as cose --key out/fleet.key --out out/event-12.cose",
     takes=("verified",),
     call=_proved,
 )
@@ -41,25 +46,35 @@ def prove(
             "number is the event's place in the ledger, from 0.",
         ),
     ],
-    out: Place | None = declare("FILE", "A new file, .tlog-proof by convention; never replaced.", "print it"),
+    out: Place | None = declare("FILE", "A new file, .tlog-proof or .cose by convention; never replaced.", "print it"),
+    *,
+    as_: Form = declare(
+        "FORM", "`tlog-proof`, or `cose`, which needs --key and --out.", flag="--as", value="tlog-proof"
+    ),
+    key: Place | None = declare(
+        "FILE", "Sign a receipt with this key, which signed the ledger.", environment="FSAR_LEDGER_KEY"
+    ),
 ) -> "Proof":
     """Prove that one event is in a ledger.
 
     The proof is one small text, a C2SP tlog-proof: the event, the hashes from it to the root, and the newest
-    checkpoint. `verify-proof` checks it without the ledger.
+    checkpoint. Or (`cose`) it is a COSE transparent statement in CBOR: the event and a receipt of RFC 9942 with the
+    same hashes, both signed now with the key of the ledger. `verify-proof` checks both without the ledger.
 
     Raises:
-        UsageError: There is no such event, more than one such run, or `out` exists or lies inside a ledger.
+        UsageError: There is no such event, more than one such run, `out` exists or lies inside a ledger; for `cose`,
+            `out` or the key is missing, the key did not sign the newest checkpoint, or there is no cbor2.
         NotALedger, FormatVersionMismatch, LedgerCorrupted: As `open_for_answers`, and where hashes do not agree.
     """
     import os
 
     from fsar_ledger.ledger.opening import open_for_answers
-    from fsar_ledger.ledger.store import proof
+    from fsar_ledger.ledger.store import cose, proof
     from fsar_ledger.ledger.store.paths import require_outside
 
-    from .files import write_text
+    from .files import whole_file
 
+    signer = _signer(as_, out, key)
     if out is not None:
         if os.path.lexists(out):
             raise UsageError(f"{option('out', out)}: found a file, expected a free name; a proof is never overwritten")
@@ -67,9 +82,30 @@ def prove(
     view = open_for_answers(ledger.path)
     run, seq = asked_event(view, str(event), ledger.demanded)
     found = proof.prove(view, _index_of(view, run, seq, ledger.demanded))
+    data = str(found).encode()
+    if signer is not None:
+        data = cose.signed_statement(str(ledger.path), found, signer.under(found.note.checkpoint.origin))
     if out is not None:
-        write_text(Path(out), str(found))
+        with whole_file(Path(out)) as temporary:
+            temporary.write_bytes(data)
     return found
+
+
+def _signer(form: str, out: Place | None, key: Place | None) -> "Signer | None":
+    """Return the key of a receipt; None for a form without. Raises: UsageError if the form is unknown or lacks that."""
+    from fsar_ledger.ledger.store.cose import library
+
+    if form not in get_args(Form):
+        raise UsageError(f"{option('as_', printable.value(form))}: expected tlog-proof or cose")
+    if form != "cose":
+        return None
+    where = option("as_", form)
+    for name, given in (("out", out), ("key", key)):
+        if given is None:
+            what = "a new file, since CBOR is no text" if name == "out" else "the secret key that signed the ledger"
+            raise UsageError(f"{where}: found no {option(name)}, expected {what}")
+    library(where)
+    return signer_of(key)
 
 
 def asked_event(view: "View", event: str, demanded: str | None) -> tuple[str | None, str]:

@@ -115,14 +115,20 @@ def verify_proof(
 
     Raises:
         LedgerCorrupted: It proves nothing, the trusted key did not sign it, or it leads to another root.
-        UsageError: There is no such file, the anchor is none or is of another size, or the root is no hash.
+        UsageError: There is no such file, the anchor is none or is of another size, the root is no hash, or the file
+            is COSE and there is no cbor2.
     """
-    from fsar_ledger.ledger.store.proof import check_proof, read_proof, require_root, require_tree
+    from fsar_ledger.ledger.store.cose import check_statement, is_statement
+    from fsar_ledger.ledger.store.proof import check_proof, proof_of, read_given, require_root, require_tree
 
     kept, expected = checkpoint_of(anchor), root_of(root)
-    proven = check_proof(str(file), read_proof(Path(file)), trusted_of(trusted_key))
+    trusted, where, data = trusted_of(trusted_key), str(file), read_given(Path(file))
+    if is_statement(data):
+        proven = check_statement(where, data, trusted)
+    else:
+        proven = check_proof(where, proof_of(where, data), trusted)
     if kept is not None:
-        require_tree(str(file), proven, kept, str(anchor))
+        require_tree(where, proven, kept, str(anchor))
     if expected is not None:
-        require_root(str(file), proven, expected, option("root"))
+        require_root(where, proven, expected, option("root"))
     return proven

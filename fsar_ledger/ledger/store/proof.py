@@ -116,15 +116,32 @@ def read_proof(path: Path) -> Proof:
 
     Raises: UsageError if there is no such file, LedgerCorrupted if it is no proof.
     """
+    return proof_of(str(path), read_given(path))
+
+
+def read_given(path: Path) -> bytes:
+    """Read a proof of any form in this file or pipe. Raises: As `read_proof`."""
     try:
-        return parse_proof(str(path), disk.read_given(path).decode().replace("\r\n", "\n"))
+        return disk.read_given(path)
     except FileNotFoundError as error:
         raise UsageError(f"{path}: found no file, expected a proof that `fsar-ledger prove` wrote") from error
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8"
-        raise LedgerCorrupted(
-            f"{path}: the proof cannot be read ({reason}), expected what `fsar-ledger prove` wrote; get it again"
-        ) from error
+    except OSError as error:
+        raise _unreadable(str(path), str(error.strerror)) from error
+
+
+def proof_of(where: str, data: bytes) -> Proof:
+    """Parse what a file of this name holds, as `read_proof` does. Raises: LedgerCorrupted if it is no proof."""
+    try:
+        text = data.decode()
+    except UnicodeDecodeError as error:
+        raise _unreadable(where, "it is not UTF-8") from error
+    return parse_proof(where, text.replace("\r\n", "\n"))
+
+
+def _unreadable(where: str, reason: str) -> LedgerCorrupted:
+    return LedgerCorrupted(
+        f"{where}: the proof cannot be read ({reason}), expected what `fsar-ledger prove` wrote; get it again"
+    )
 
 
 def parse_proof(where: str, text: str) -> Proof:
