@@ -13,6 +13,7 @@ from fsar_ledger.events.envelope import Robot
 from fsar_ledger.events.world import PolicyWindowOpened
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.projections.execution import Action
+from fsar_ledger.projections.fleet import Member
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.recovery import Recovery
 from fsar_ledger.projections.registry import surface
@@ -34,8 +35,12 @@ class Coverage:
         return None if concern in self.lacking else value
 
     def all(self, concern: str, values: Iterable[_T]) -> tuple[_T, ...] | None:
-        """Return the values, as `of`."""
-        return self.of(concern, tuple(values))
+        """Return the values; None where there are none and the run does not observe the concern.
+
+        What is on record is told, whatever else is not.
+        """
+        found = tuple(values)
+        return found or self.of(concern, found)
 
 
 class Window(msgspec.Struct, frozen=True):
@@ -69,7 +74,7 @@ class RobotNow(msgspec.Struct, frozen=True):
     """
 
     robot: str
-    role: str
+    role: str | None
     team: int | None
     supervisor: str | None
     is_on: bool | None
@@ -177,7 +182,8 @@ class Situation(msgspec.Struct, frozen=True, kw_only=True):
 
 def situation(record: LedgerRun, seq: int, state: State, robot: str | None = None) -> Situation:
     """Return how things stand after this event; with `robot`, only what that robot has a part in."""
-    robots = [name for name in state.fleet.robots if robot in (None, name)]
+    known = dict.fromkeys((*state.fleet.robots, *state.execution.current))  # one that acts need not have joined
+    robots = [name for name in known if robot in (None, name)]
     requests = [
         RequestNow(one.action_id, one.requester, one.capability, one.target, _phase(one))
         for one in state.request.open.values()
@@ -258,14 +264,14 @@ def _rules(state: State, robot: str | None) -> Iterator[RuleNow]:
 
 
 def _robot(record: LedgerRun, seq: int, state: State, name: Robot, seen: Coverage) -> RobotNow:
-    world, member = state.world, state.fleet.robots[name]
+    world, member = state.world, state.fleet.robots.get(name, Member(name, "", 0, None))
     offers: dict[str, tuple[str, ...]] = {}
     for one in surface(state.registry, name):
         offers[one.availability] = (*offers.get(one.availability, ()), one.capability)
     work = _work(state, name)
     return RobotNow(
         name,
-        member.role,
+        member.role or None,
         member.team or None,
         member.supervisor,
         seen.of("world", name not in world.off),

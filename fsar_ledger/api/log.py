@@ -91,7 +91,10 @@ def log(
     ledger: "Ledger",
     run: Run | None = declare("RUN", "A run, or a part of its name; all: every run.", "the first run"),
     since: Time = declare(
-        "TIME", "Only from this time on, within the run: 46.6, 46.6s or 46600ms.", "0", flag="--from"
+        "TIME",
+        "Only from this time on, within the run: 46.6, 46.6s or 46600ms, or 2026-03-01T10:00Z if it has an epoch.",
+        "0",
+        flag="--from",
     ),
     until: Time = declare(
         "TIME", "Only before this time, which may be after the end of the run.", "the end", flag="--to"
@@ -176,7 +179,8 @@ class Lines:
                 self.run = row["run_id"]
                 yield self._screen.run_text(self.run)
                 yield ""
-            yield f"{row['seq']:>6} {row['time_s']:>10.3f} s  {action:<{of_action}}  {names:<{of_names}}  {words}"
+            when = f"{row['time_s']:>10.3f} s" if row["clock"] is None else row["clock"]
+            yield f"{row['seq']:>6} {when}  {action:<{of_action}}  {names:<{of_names}}  {words}"
 
 
 def _shown(row: dict[str, Any]) -> tuple[str, str, str]:

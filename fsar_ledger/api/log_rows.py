@@ -23,7 +23,7 @@ from fsar_ledger.metrics.verified import is_verified
 
 from .events import span
 from .log import ALL
-from .lookup import resting_on_rows, robot_of, run_of
+from .lookup import resting_on_rows, robot_of, run_of, run_time
 from .names import Run, Time, names_of
 from .provenance import Provenance, of_rows
 from .table import Table
@@ -58,9 +58,12 @@ def asked_of(
         UsageError: There is no such run, robot or concern, or no such time in these runs. If the ledger is growing, any
             time may come.
     """
-    since_us, until_us = span(since, until)
     concerns = concerns_of(about)
     name = None if run == ALL else run_of(database, run, ledger)
+    since, until = (
+        run_time(database, option(side), asked, name) for side, asked in (("since", since), ("until", until))
+    )
+    since_us, until_us = span(since, until)
     if since_us is not None and not is_growing:
         with resting_on_rows(database.rows_verified):
             _require_in_run(database, name, since, since_us)

@@ -1,7 +1,9 @@
 """Look up what a question names, as the ledger names it: runs, robots, actions, times and the rest of parameters."""
 
+import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -34,6 +36,7 @@ _NUMBERS = """
 _PLANS = "SELECT run_id FROM experiment_planned ORDER BY run_id"
 _EXTENT = "SELECT max(time_us) AS time_us, max(seq) AS seq FROM events WHERE $run IS NULL OR run_id = $run"
 _WORDS = {"record": "kind of record", "case": "case number"}
+_CLOCK = re.compile(r"\d{4}-\d\d-\d\d.*")
 
 
 NOT_COMPARED = (
@@ -143,13 +146,45 @@ def robot_of(database: "Database", asked: str, run: str | None) -> str:
     return _named(database, "robot", asked, run)
 
 
+def clock(started: object, time_us: int) -> str | None:
+    """Return the time of day of a time in the run that this event begins, None where it does not know its epoch."""
+    epoch = getattr(started, "epoch", None)
+    if epoch is None:
+        return None
+    when = datetime.fromisoformat(epoch) + timedelta(microseconds=time_us)
+    return when.astimezone(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+
+
+def run_time(database: "Database", what: str, asked: Time, run: str | None) -> Time:
+    """Return a time of day, such as `2026-03-01T10:00Z`, as seconds of run time; any other time as it is.
+
+    Raises: UsageError if the run does not know when it began, or began later.
+    """
+    if not isinstance(asked, str) or not _CLOCK.fullmatch(asked.strip()):
+        return asked
+    shown = printable.value(asked, 80)
+    try:
+        when = datetime.fromisoformat(asked.strip())
+    except ValueError as error:
+        raise UsageError(f"{what}: found {shown}, expected a time such as 2026-03-01T10:00Z") from error
+    rows = database.rows("SELECT epoch FROM run_epochs WHERE run_id = $run", {"run": run})
+    if not rows:
+        of = "several runs" if run is None else f"run {printable.value(run)}, which does not know when it began"
+        raise UsageError(f"{what}: found the time of day {shown} in {of}; expected seconds of run time, as 46.6s")
+    epoch = rows[0]["epoch"].replace(tzinfo=UTC)
+    seconds = ((when if when.tzinfo else when.replace(tzinfo=UTC)) - epoch) / timedelta(seconds=1)
+    if seconds < 0:
+        raise UsageError(f"{what}: found {shown}, expected a time after the run began, {epoch.isoformat()}")
+    return f"{seconds:.6f}"
+
+
 def time_of(database: "Database", what: str, asked: Time, run: str | None) -> int | None:
     """Return a time in the run, or in the longest of all, in microseconds; None stays None.
 
     Raises:
         UsageError: It is not a time, or later than the last event.
     """
-    time_us = microseconds(what, asked)
+    time_us = microseconds(what, run_time(database, what, asked, run))
     (extent,) = database.rows(_EXTENT, {"run": run})
     if time_us is not None and extent["time_us"] is not None and time_us > extent["time_us"]:
         of = "the longest run" if run is None else f"run {printable.value(run)}"

@@ -29,8 +29,9 @@ class Moment(Answer, msgspec.Struct, frozen=True, kw_only=True):
     """How things stood in a run at a time.
 
     `seq` is the last event that had happened by then, and `event_s` its time; `ends_s` that of the last of the run.
-    `commit` is the commit of the ledger, from 1, that recorded the run. `beliefs` are what a decider had been told,
-    None unless asked for. `state` are the projections themselves. Units: seconds of run time.
+    `clock` is the time in UTC, None where the run does not know when it began. `commit` is the commit of the ledger,
+    from 1, that recorded the run. `beliefs` are what a decider had been told, None unless asked for. `state` are the
+    projections themselves. Units: seconds of run time.
     """
 
     run: str
@@ -38,6 +39,7 @@ class Moment(Answer, msgspec.Struct, frozen=True, kw_only=True):
     seq: int
     event_s: float
     ends_s: float
+    clock: str | None
     commit: int
     standing: "Situation"
     beliefs: "list[Belief] | None"
@@ -52,6 +54,7 @@ class Moment(Answer, msgspec.Struct, frozen=True, kw_only=True):
         """Yield how things stood, and what was believed."""
         yield printable.lines(
             screen.run_text(self.run),
+            *([] if self.clock is None else [f"at {self.clock}"]),
             f"at {self.at_s:.3f} s of {self.ends_s:.3f} s, after event {self.seq} at {self.event_s:.3f} s",
             f"recorded with commit {self.commit}",
             *standing_lines(self.standing),
@@ -70,7 +73,9 @@ class Moment(Answer, msgspec.Struct, frozen=True, kw_only=True):
 def state(
     ledger: "Ledger",
     run: OneRunOption,
-    at: Time = declare("TIME", "Within the run: 46.6, 46.6s or 46600ms.", "its end"),
+    at: Time = declare(
+        "TIME", "Within the run: 46.6, 46.6s or 46600ms, or 2026-03-01T10:00Z if it has an epoch.", "its end"
+    ),
     *,
     robot: str | None = declare("ROBOT", "Only what this robot has a part in.", "all"),
     as_known_by: str | None = declare(
@@ -92,7 +97,7 @@ def state(
     from fsar_ledger.analysis.situation import situation
     from fsar_ledger.analysis.timeline import Timeline
 
-    from .lookup import about_run, present, robot_of, time_of
+    from .lookup import about_run, clock, present, robot_of, time_of
     from .provenance import of_run
 
     view, provenance = present(ledger)
@@ -122,6 +127,7 @@ def state(
         seq=seq,
         event_s=times_us[seq] / 1e6,
         ends_s=times_us[-1] / 1e6,
+        clock=clock(timeline.record.events[0], at_us),
         commit=found[bisect_right(found, seq, key=itemgetter(0)) - 1][1] + 1,
         standing=stands,
         beliefs=known,
@@ -150,7 +156,8 @@ def _robot(one: "RobotNow") -> Iterator[str]:
     signs += ["OFF"] if one.is_on is False else []
     signs += ["NOT LINKED"] if one.is_linked is False else []
     signs += [f"actuator {one.grade}"] if one.grade else []
-    yield f"{printable.value(one.robot)}  role {printable.value(one.role)}, team {one.team or '?'}; {', '.join(signs)}"
+    role, team = printable.value(one.role or "?"), one.team or "?"
+    yield f"{printable.value(one.robot)}  role {role}, team {team}; {', '.join(signs)}"
     work = one.work
     if work is None:
         yield f"{BESIDE}{'idle' if one.is_idle else 'what it does is not observed'}"

@@ -2,8 +2,8 @@
 -- Paper: sec:evaluation:metrics (audit attributability)
 -- Grain: one row per event
 -- Key: run_id, seq
--- Units: time_s seconds of run time
--- NULL: concern of an event that says what a run or an experiment is; action_id when the record names none; sender,
+-- Units: time_s seconds of run time; clock the time in UTC
+-- NULL: clock of a run that does not know when it began; concern of an event that says what a run or an experiment is; action_id when the record names none; sender,
 --   receiver when the record does not say; note when there is nothing to add
 -- Example: fsar-ledger query facts/log_lines LEDGER
 -- A robot's own deed, or what befalls it, has the robot as sender and receiver. A registry's answer is in the note of
@@ -30,7 +30,9 @@ lines AS (
 SELECT
     lines.run_id, lines.seq,
     lines.time_us / 1000000 AS time_s,
+    strftime(begun.epoch + to_microseconds(lines.time_us), '%Y-%m-%dT%H:%M:%S.%gZ') AS clock,
     lines.type, event_concerns.concern, lines.sender, lines.receiver, lines.message,
     lines.note, lines.action_id
 FROM lines
 LEFT JOIN event_concerns ON lines.type = event_concerns.type
+LEFT JOIN run_epochs AS begun ON lines.run_id = begun.run_id
