@@ -26,7 +26,14 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 
-_NAMED_IN_PYTHON = {"memory_mib": "memory", "settings": "set", "since": "from", "until": "to", "second": "with"}
+_NAMED_IN_PYTHON = {
+    "memory_mib": "memory",
+    "settings": "set",
+    "since": "from",
+    "until": "to",
+    "second": "with",
+    "format": "as",
+}
 _is_command_line = ContextVar("is_command_line", default=False)
 
 
