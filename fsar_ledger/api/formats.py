@@ -50,8 +50,8 @@ def write_as(
         require_picture(file, SUFFIXES[format], "out")
     elif file.suffix:
         raise UsageError(
-            f"{option('out', file)}: found a name that ends in {file.suffix!r}, expected that of a new folder, without a "
-            "suffix; choose another name"
+            f"{option('out', file)}: found a name that ends in {file.suffix!r}, expected that of a new folder, without "
+            "a suffix; choose another name"
         )
     if format == "delta" and run is not None:
         raise UsageError(
@@ -111,7 +111,7 @@ def _only_run(view: "View") -> str | None:
     names = view.run_names.runs
     if len(names) > 1:
         raise UsageError(
-            f"{option('format', 'perfetto')}: found {len(names):,} runs and none that is asked for, expected one, since "
-            f"a trace shows one; name it with {option('run')}"
+            f"{option('format', 'perfetto')}: found {len(names):,} runs and none that is asked for, expected one, as a "
+            f"trace shows one; name it with {option('run')}"
         )
     return names[0] if names else None

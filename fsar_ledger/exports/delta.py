@@ -66,9 +66,8 @@ def _make_log(work: Path, out: Path, root: str) -> None:
     from deltalake import convert_to_deltalake
     from deltalake.exceptions import DeltaError
 
-    place = work.absolute().as_uri()  # a path would be read as an address, in which some characters mean others
     try:
-        convert_to_deltalake(place, name="events", description=f"The events of the ledger with the root {root}")
+        convert_to_deltalake(work, name="events", description=f"The events of the ledger with the root {root}")
     except (DeltaError, OSError) as error:
         raise WriteFailed(
             f"{out}: cannot be written ({error}); nothing was left there: choose another place"
