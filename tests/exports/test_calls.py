@@ -75,7 +75,7 @@ def test_an_absent_library_is_named_with_how_to_install_it(
     extra: str,
 ) -> None:
     for module in (library, f"{library}.writer", f"{library}.exceptions"):
-        monkeypatch.setitem(sys.modules, module, None)  # type: ignore[arg-type]
+        monkeypatch.setitem(sys.modules, module, None)
     said = call("export", ledger.path, "--as", format, "--out", tmp_path / name)
     one_message(said, 2, f"--as {format}", f"no library {library}", f'pip install "fsar-ledger[{extra}]"')
     assert list(tmp_path.iterdir()) == []

@@ -13,6 +13,7 @@ from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.rows.schema import SCHEMA
 from fsar_ledger.metrics.database import from_table
 from fsar_ledger.metrics.results import metric_rows
+from tests.sure import known
 
 deltalake = pytest.importorskip("deltalake", reason="make test-all installs it")
 
@@ -30,9 +31,12 @@ def files_of(out: Path) -> list[str]:
 def test_every_reader_counts_the_rows_of_the_ledger(table: tuple[Path, Any], growing: fsar_ledger.Ledger) -> None:
     size = growing.head.size
     rows = deltalake.DeltaTable(table[0]).to_pyarrow_table()
-    (counted,) = duckdb.sql("SELECT count(DISTINCT (run_id, seq)) FROM rows").fetchall()
-    by_files = duckdb.sql(f"SELECT count(*) FROM read_parquet({files_of(table[0])}, union_by_name := true)").fetchall()
-    found = (rows.num_rows, counted[0], by_files[0][0], polars.read_delta(str(table[0])).height, table[1].row_count)
+    with duckdb.connect() as database:
+        database.register("rows", rows)
+        (counted,) = known(database.execute("SELECT count(DISTINCT (run_id, seq)) FROM rows").fetchone())
+        by_files = f"SELECT count(*) FROM read_parquet({files_of(table[0])}, union_by_name := true)"
+        (in_files,) = known(database.execute(by_files).fetchone())
+    found = (rows.num_rows, counted, in_files, polars.read_delta(str(table[0])).height, table[1].row_count)
     assert found == (size,) * 5
 
 
@@ -73,7 +77,7 @@ def test_where_there_can_be_no_links_there_are_copies_and_the_answer_says_so(
 def test_the_metrics_of_the_table_are_those_of_the_ledger(table: tuple[Path, Any], growing: fsar_ledger.Ledger) -> None:
     rows = deltalake.DeltaTable(table[0]).to_pyarrow_table().select(SCHEMA.names).cast(SCHEMA)
     with from_table(rows.sort_by([("run_id", "ascending"), ("seq", "ascending")])) as database:
-        found = {(row.architecture, row.metric): row.mean for row in metric_rows(database)}
+        found = {(row.architecture, row.metric): row.mean for row in metric_rows(database)}  # SQL, in DuckDB
     stored = {(row["architecture"], row["metric"]): row["mean"] for row in growing.metrics().rows()}
     assert len({metric for _, metric in stored}) >= 8
     assert found == pytest.approx(stored, nan_ok=True)
