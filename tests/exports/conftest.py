@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 import fsar_ledger
+from fsar_ledger.events.envelope import flat
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.rows.codec import LedgerRun
@@ -64,8 +65,11 @@ class StartedAtNoon(RunStarted, frozen=True, kw_only=True, tag="StartedAtNoon.v1
 
 @pytest.fixture
 def at_noon(runs: list[LedgerRun]) -> LedgerRun:
-    """A run that began at noon, up to its first start of an execution."""
+    """A run that began at noon, up to the first event after the first start of an execution that is not about it."""
     run = runs[0]
-    end = [type(event).__name__ for event in run.events].index("ExecutionStarted") + 1
+    start = [type(event).__name__ for event in run.events].index("ExecutionStarted")
+    beside = (seq for seq in range(start, len(run.events)) if flat(run.events[seq]).get("action_id") is None)
+    end = next(seq for seq in beside if run.times_us[seq] > run.times_us[start]) + 1
+    assert "ExecutionFinished" not in [type(event).__name__ for event in run.events[:end]]
     noon = StartedAtNoon(kind="live", observes=())
     return LedgerRun(run.run_id, run.times_us[:end], run.caused_by[:end], [noon, *run.events[1:end]])

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 import fsar_ledger
+from fsar_ledger.events.envelope import flat
 from fsar_ledger.exports import otlp
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from tests.exports.conftest import Asked
@@ -145,6 +146,20 @@ def test_what_was_refused_has_the_status_of_an_error(data: Any, asked: Asked) ->
     refused = [span for span in spans_of(data) if values_of(span.attributes).get("error.type") == "RequestDenied"]
     assert 0 < len(refused) <= stored["n"]
     assert {span.status.code for span in refused} == {trace_pb2.Status.STATUS_CODE_ERROR}
+
+
+def test_what_an_event_ended_is_not_open(runs: list[LedgerRun], tmp_path: Path) -> None:
+    """A run up to the end of its first execution, whose step is not yet complete."""
+    run = runs[0]
+    kinds = [type(event).__name__ for event in run.events]
+    end = kinds.index("ExecutionFinished") + 1
+    assert "StepCompleted" not in kinds[:end]
+    cut = LedgerRun(run.run_id, run.times_us[:end], run.caused_by[:end], run.events[:end])
+    otlp.write(tmp_path / "ended.json", [cut])
+    spans = [values_of(span.attributes) for span in spans_of(read(tmp_path / "ended.json"))]
+    finished = flat(run.events[end - 1])["action_id"]
+    assert [span["fsar.open"] for span in spans if span.get("fsar.action_id") == finished] == [False]
+    assert [span["fsar.open"] for span in spans if span["gen_ai.operation.name"] == "invoke_agent"] == [True]
 
 
 def test_an_execution_that_has_not_ended_is_open_until_the_last_event(at_noon: LedgerRun, tmp_path: Path) -> None:
