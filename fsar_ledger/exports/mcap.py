@@ -66,7 +66,7 @@ def write(out: Path, view: View, tables: Iterable[pa.Table]) -> Written:
         if note is not None:
             writer.add_attachment(0, 0, "checkpoint", "text/plain", str(note).encode())
         about = {"root": view.head.root, "size": f"{view.head.size}", "origin": view.manifest.origin}
-        runs = msgspec.json.encode(list(written.epochs_us)).decode()
+        runs = msgspec.json.encode([run for run in view.run_names.runs if run in written.epochs_us]).decode()
         writer.add_metadata("fsar_ledger", {**about, "runs": runs})
         writer.finish()
     told = f"{written.logs:,} log messages in {len(written.channels):,} channels of principals"

@@ -49,6 +49,9 @@ def test_a_run_is_in_order_of_time_too(growing: fsar_ledger.Ledger, tmp_path: Pa
 def test_a_principal_has_a_log_message_for_each_event_that_names_it(ledger: fsar_ledger.Ledger, asked: Asked) -> None:
     out = ledger.path.parent / "whole.mcap"
     ledger.export(out, format="mcap")
+    with out.open("rb") as file:
+        (about,) = reader.make_reader(file).iter_metadata()
+    assert json.loads(about.metadata["runs"]) == list(ledger.numbers())  # and no plan
     found = messages(out, "/fsar/supervisor/fleet")
     rows = asked(
         "SELECT run_id, seq, type FROM events WHERE 'supervisor/fleet' IN (decided_by, requested_by, supervised_by, "
