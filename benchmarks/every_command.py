@@ -67,6 +67,7 @@ COMMANDS: dict[str, str] = {
     "prove": "{ledger} 1:12 --out {out}.tlog-proof",
     "export": "{ledger} --out {out}.parquet",
     "export --tiles": "{ledger} --out {out}",
+    "export --as": "otlp {ledger} --out {out}.json",
     "open": "{ledger} --memory 10240 --out {out}.duckdb",
     "report": "{ledger} --memory 10240 --out {out}.pdf",
     "maintain compact": "{copy}",

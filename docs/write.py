@@ -53,7 +53,10 @@ from fsar_ledger.report.printing import flat
 DOCS = Path(__file__).resolve().parent
 PAGES = (
     DOCS.parent / "README.md",
-    *(DOCS / f"{name}.md" for name in ("auditors-hour", "open", "audit-example", "model", "recovery", "replay")),
+    *(
+        DOCS / f"{name}.md"
+        for name in ("auditors-hour", "open", "exports", "audit-example", "model", "recovery", "replay")
+    ),
 )
 FORMAT = DOCS / "ledger-format.md"
 NEEDS_NO_SHELL = re.compile(r"fsar-ledger(?: (?:[\w./-]+|\"[^\"$`\\\\]*\"))+")

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 Form = Literal["tlog-proof", "cose"]
 
 
-def _proved(ledger: "Ledger", event: str, out: Path | None, as_: Form, key: Path | None) -> Answer:
-    proof = prove(ledger, event, out, as_=as_, key=key)
+def _proved(ledger: "Ledger", event: str, out: Path | None, format: Form, key: Path | None) -> Answer:
+    proof = prove(ledger, event, out, format=format, key=key)
     if out is None:
         return Plain(str(proof))
     tree = proof.note.checkpoint
@@ -48,7 +48,7 @@ def prove(
     ],
     out: Place | None = declare("FILE", "A new file, .tlog-proof or .cose by convention; never replaced.", "print it"),
     *,
-    as_: Form = declare(
+    format: Form = declare(
         "FORM", "`tlog-proof`, or `cose`, which needs --key and --out.", flag="--as", value="tlog-proof"
     ),
     key: Place | None = declare(
@@ -74,7 +74,7 @@ def prove(
 
     from .files import whole_file
 
-    signer = _signer(as_, out, key)
+    signer = _signer(format, out, key)
     if out is not None:
         if os.path.lexists(out):
             raise UsageError(f"{option('out', out)}: found a file, expected a free name; a proof is never overwritten")
@@ -96,10 +96,10 @@ def _signer(form: str, out: Place | None, key: Place | None) -> "Signer | None":
     from fsar_ledger.ledger.store.cose import library
 
     if form not in get_args(Form):
-        raise UsageError(f"{option('as_', printable.value(form))}: expected tlog-proof or cose")
+        raise UsageError(f"{option('format', printable.value(form))}: expected tlog-proof or cose")
     if form != "cose":
         return None
-    where = option("as_", form)
+    where = option("format", form)
     for name, given in (("out", out), ("key", key)):
         if given is None:
             what = "a new file, since CBOR is no text" if name == "out" else "the secret key that signed the ledger"

@@ -32,7 +32,7 @@ _NAMED_IN_PYTHON = {
     "since": "from",
     "until": "to",
     "second": "with",
-    "as_": "as",
+    "format": "as",
 }
 _is_command_line = ContextVar("is_command_line", default=False)
 

@@ -83,13 +83,13 @@ def test_a_statement_needs_no_ledger_and_comes_through_a_pipe(folder: Path, stat
 
 def test_python_takes_the_same_parameters(folder: Path, statement: Path, tmp_path: Path) -> None:
     ledger, out = Ledger(folder / "ledger"), tmp_path / "event.cose"
-    proof = ledger.prove("1:12", out, as_="cose", key=folder / "fleet.key")
+    proof = ledger.prove("1:12", out, format="cose", key=folder / "fleet.key")
     assert str(proof) == str(ledger.prove("1:12"))
     assert out.read_bytes() == statement.read_bytes()  # Ed25519 is deterministic
     proven = fsar_ledger.verify_proof(out, (folder / "fleet.key.pub").read_text().strip())
     assert (proven.signature, proven.index) == ("signed", proof.index)
-    with pytest.raises(UsageError, match=r"^as_=cose: found no out, expected a new file"):
-        ledger.prove("1:12", as_="cose", key=folder / "fleet.key")
+    with pytest.raises(UsageError, match=r"^format=cose: found no out, expected a new file"):
+        ledger.prove("1:12", format="cose", key=folder / "fleet.key")
 
 
 def test_a_statement_leaves_the_ledger_as_it_is_and_replaces_nothing(

@@ -71,6 +71,8 @@ def calls(ledger: Path, call: Call, place: Path) -> Iterator[tuple[object, ...]]
     yield "sql", ledger, "SELECT CAST(run_id AS INTEGER) FROM events"
     yield from (
         ("export", ledger, "--out", out / "events.csv"),
+        *(("export", ledger, "--as", name, "--out", out / f"{name}.json") for name in ("ocel", "otlp", "perfetto")),
+        ("export", ledger, "--as", EVIL, "--run", EVIL, "--out", out / "evil.json"),
         ("open", ledger, "--out", out / "events.duckdb"),
         ("prove", ledger, f"{run}:1", "--out", proof),
         ("verify-proof", proof),

@@ -151,9 +151,14 @@ def test_an_interrupted_whatif_keeps_whole_pairs_and_the_same_call_goes_on(call:
     assert json.loads(call("info", out, "--json").out)["runs"] == 200
 
 
-@pytest.mark.parametrize("name", ["events.csv", "events.parquet"])
-def test_a_full_disk_leaves_no_half_of_an_export(ledger: Path, tmp_path: Path, name: str) -> None:
-    called = limited_disk("export", ledger, "--out", tmp_path / name, file_bytes_max=2048)
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [("events.csv", ()), ("events.parquet", ()), *((f"{form}.json", ("--as", form)) for form in ("ocel", "otlp"))],
+)
+def test_a_full_disk_leaves_no_half_of_an_export(
+    ledger: Path, tmp_path: Path, name: str, options: tuple[str, ...]
+) -> None:
+    called = limited_disk("export", ledger, *options, "--out", tmp_path / name, file_bytes_max=2048)
     assert called.returncode == 1
     assert called.stderr.startswith(f"fsar-ledger: {tmp_path / name}: cannot be written")
     assert list(tmp_path.iterdir()) == []

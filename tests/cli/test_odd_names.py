@@ -56,6 +56,7 @@ WRITTEN = (
     (("export", "{ledger}", "--query", "runs", "--out", "{out}"), ".csv"),
     (("export", "{ledger}", "--query", "runs", "--out", "{out}"), ".ndjson"),
     (("export", "{ledger}", "--tiles", "--out", "{out}"), ".tiles"),
+    (("export", "{ledger}", "--as", "ocel", "--out", "{out}"), ".json"),
     (("prove", "{ledger}", "3", "--out", "{out}"), ".tlog-proof"),
     (("view", "{ledger}", "--run", "1", "--out", "{out}"), ".html"),
     (("report", "{ledger}", "--out", "{out}"), ".pdf"),

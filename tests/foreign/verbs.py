@@ -26,7 +26,14 @@ VERBS: dict[str, tuple[set[int], tuple[str, ...]]] = {
     "compare": (REFUSED, ("{ledger}", "{ledger} --first open-rmf --second fsar")),
     "query": (ANSWERED, ()),  # every packaged query, below
     "sql": (ANSWERED, ("{ledger} SELECT|type,|count(*)|AS|n|FROM|events|GROUP|BY|type",)),
-    "export": (ANSWERED, ("{ledger} --out {out}.parquet", "{ledger} --out {out}.csv", "{ledger} --out {out}.ndjson")),
+    "export": (
+        ANSWERED,
+        (
+            *(f"{{ledger}} --out {{out}}.{suffix}" for suffix in ("parquet", "csv", "ndjson")),
+            *(f"{{ledger}} --as {format} --out {{out}}.json" for format in ("ocel", "otlp")),
+            "{ledger} --as perfetto --run {run} --out {out}.json",
+        ),
+    ),
     "explain": (ANSWERED, ("{ledger} --run {run}", "{ledger} --run {run} --request {action}")),
     "log": (ANSWERED, ("{ledger}", "{ledger} --run {run} --json")),
     "state": (

@@ -1,0 +1,1 @@
+"""Each format is read by a reader that others wrote."""
