@@ -30,6 +30,8 @@ ANSWERS = (0, 1)
 
 LEFT_OUT = {
     "simulate": "it makes the ledger",
+    "record": "it makes the ledger",
+    "import": "it makes the ledger",
     "maintain upgrade": "it takes a ledger of format 1",
     "verify-proof": "it reads a proof, not a ledger",
     "reproduce": "it takes no ledger",

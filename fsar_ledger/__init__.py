@@ -15,8 +15,10 @@ if TYPE_CHECKING:
     from fsar_ledger.api.audit import Audit
     from fsar_ledger.api.events import Events, LoggedEvent
     from fsar_ledger.api.explain import Account
+    from fsar_ledger.api.imports import import_records
     from fsar_ledger.api.key import key_new, key_public
     from fsar_ledger.api.ledger import Ledger, open_ledger
+    from fsar_ledger.api.record import record
     from fsar_ledger.api.reproduce import Reproduced, reproduce
     from fsar_ledger.api.simulate import Simulated, simulate
     from fsar_ledger.api.table import Table
@@ -50,6 +52,7 @@ __all__ = [
     "calibrate",
     "ensemble",
     "errors",
+    "import_records",
     "judge",
     "key_new",
     "key_public",
@@ -57,6 +60,7 @@ __all__ = [
     "placebo",
     "predict",
     "ranking",
+    "record",
     "reproduce",
     "sensitivity",
     "simulate",
@@ -69,8 +73,10 @@ _HOMES = {
     "api.audit": ("Audit",),
     "api.events": ("Events", "LoggedEvent"),
     "api.explain": ("Account",),
+    "api.imports": ("import_records",),
     "api.key": ("key_new", "key_public"),
     "api.ledger": ("Ledger", "open_ledger"),
+    "api.record": ("record",),
     "api.reproduce": ("Reproduced", "reproduce"),
     "api.simulate": ("Simulated", "simulate"),
     "api.table": ("Table",),

@@ -170,6 +170,10 @@ def _footer(rows: "Sequence[AuditRow]", ledger: Path) -> Iterator[str]:
         judged.setdefault(" ".join(filter(None, name)) or "runs of no architecture", []).append(row)
     for named, of_it in judged.items():
         yield from (f"{named}: {line}" if len(judged) > 1 else line for line in _verdict(of_it))
+    if any(row.invariant.startswith("i5") and row.runs_not_observed for row in rows):
+        place = printable.word(ledger)
+        yield f"`fsar-ledger query attributability_by_field {place}` tells requester, executor and supervisor apart"
+        yield f"`fsar-ledger query record_gaps {place}` tells what the record would need for each invariant"
     if broken := [row.invariant for row in rows if row.holds is False]:
         yield (
             f"`fsar-ledger query {broken[0]} {printable.word(ledger)}` lists every offending event of the first that "

@@ -24,8 +24,12 @@ _OF_ANY_TYPE = frozenset({"evidence_of_principals", "keyed_events", "revocations
 """Queries that read events of every type, although they also name some."""
 
 
+IN_PART = " in part"
+"""Behind the name of a concern of which a run records some types and not others."""
+
+
 class Unobserved(msgspec.Struct, frozen=True):
-    """A concern that some runs do not observe, and how many of how many."""
+    """A concern, or a part of it, that some runs do not observe, and how many of how many."""
 
     concern: str
     runs: int
@@ -46,44 +50,68 @@ def types_read(library: Library, query: Query) -> frozenset[str] | None:
 
 # See docs/decisions/unobserved-is-null.md.
 def unobserved(database: Database, query: Query, run: str | None = None) -> list[Unobserved]:
-    """Return the concerns that the query rests on and that not all runs observe (or this one does not), by name.
+    """Return what the query rests on and not all runs observe (or this one does not), by name.
 
-    A judge rests on what `judged_concerns` says, any other query on the concerns of the events that it reads. Raises:
-    as `Database.rows`.
+    A judge rests on what `unobservable` says, any other query on the concerns of the events that it reads; of a run
+    that records some types of a concern, the rest of it. Raises: as `Database.rows`.
     """
     types = types_read(database.library, query)
     named = "" if types is None else f"WHERE type IN ({listed(sorted(types)) or 'NULL'})"
-    needed = f"""
-        SELECT concern FROM judged_concerns WHERE judge = '{query.relation}'
-        UNION
-        SELECT concern FROM event_concerns {named}
-        {"WHERE" if types is None else "AND"} NOT EXISTS (FROM judged_concerns WHERE judge = '{query.relation}')
-    """
-    return _lacking(database, needed, run)
+    return _lacking(database, named, run, query.relation)
 
 
 def never_observed(database: Database) -> list[Unobserved]:
-    """Return the concerns that not all runs observe, by name. Raises: as `Database.rows`."""
-    return _lacking(database, "SELECT DISTINCT concern FROM event_concerns")
+    """Return the concerns of which not all runs observe anything, by name. Raises: as `Database.rows`."""
+    return [one for one in _lacking(database) if not one.concern.endswith(IN_PART)]
 
 
-def _lacking(database: Database, needed: str, run: str | None = None) -> list[Unobserved]:
-    """Return those of the needed concerns that not all runs (or not this one) observe."""
+def _lacking(database: Database, named: str = "", run: str | None = None, judge: str | None = None) -> list[Unobserved]:
+    """Return what not all runs (or not this one) observe, of the types that this condition takes."""
     rows = database.rows(
         f"""
+        WITH needed AS (
+            SELECT concern, split_part(type, '.', 1) AS kind, count(*) OVER (PARTITION BY concern) AS kinds
+            FROM event_concerns {named}
+        ),
+
+        lacking AS (
+            SELECT
+                started.run_id, needed.concern,
+                started.records IS NULL
+                OR count(*) OVER (PARTITION BY started.run_id, needed.concern) = needed.kinds AS is_whole
+            FROM run_started AS started
+            INNER JOIN needed
+                ON
+                    NOT list_contains(coalesce(started.observes, []), needed.concern)
+                    AND NOT list_contains(coalesce(started.records, []), needed.kind)
+        ),
+
+        judged AS (
+            SELECT run_id, unnest(string_split(not_observed, ', ')) AS name
+            FROM unobservable
+            WHERE judge = $judge
+        ),
+
+        named AS (
+            SELECT run_id, if(is_whole, concern, concern || '{IN_PART}') AS name
+            FROM lacking
+            WHERE $judge IS DISTINCT FROM (SELECT any_value(judge) FROM judged_concerns WHERE judge = $judge)
+            UNION
+            SELECT run_id, name
+            FROM judged
+        )
+
         SELECT
-            needed.concern,
-            count(*) FILTER (NOT list_contains(coalesce(runs.observes, []), needed.concern)) AS runs,
-            count(*) AS of_runs
-        FROM ({needed}) AS needed
-        CROSS JOIN runs
-        WHERE $run IS NULL OR runs.run_id = $run
-        GROUP BY needed.concern
-        ORDER BY needed.concern
+            name AS concern, count(*) AS runs,
+            (SELECT count(*) FROM runs WHERE $run IS NULL OR run_id = $run) AS of_runs
+        FROM named
+        WHERE $run IS NULL OR run_id = $run
+        GROUP BY name
+        ORDER BY name
         """,
-        {"run": run},
+        {"run": run, "judge": judge},
     )
-    return [Unobserved(**row) for row in rows if row["runs"]]
+    return [Unobserved(**row) for row in rows]
 
 
 def told(found: Iterable[Unobserved]) -> str | None:

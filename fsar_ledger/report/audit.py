@@ -44,12 +44,17 @@ RUNS = """
     SELECT
         runs.number, runs.run_id, runs.kind, runs.source, runs.architecture, runs.configuration, runs.scenario,
         runs.fleet_size, settings.kind AS made_as, sizes.events, sizes.last_us,
-        list_contains(coalesce(runs.observes, []), 'request') AS observes_requests,
-        list_contains(coalesce(runs.observes, []), 'supervision') AS observes_supervision,
+        list_contains(coalesce(runs.observes, []), 'request')
+        OR list_contains(coalesce(started.records, []), 'RequestIssued') AS observes_requests,
+        list_contains(coalesce(runs.observes, []), 'supervision')
+        OR list_contains(coalesce(started.records, []), 'SupervisorCalled') AS observes_supervision,
+        strftime(begun.epoch, '%Y-%m-%d %H:%M:%S UTC') AS begins,
         if(runs.kind = 'simulated', coalesce(named.fleet, 'paper'), NULL) AS fleet
     FROM runs
     INNER JOIN run_settings AS settings ON runs.run_id = settings.run_id
     INNER JOIN sizes ON runs.run_id = sizes.run_id
+    INNER JOIN run_started AS started ON runs.run_id = started.run_id
+    LEFT JOIN run_epochs AS begun ON runs.run_id = begun.run_id
     LEFT JOIN named ON settings.parameter_set = named.parameter_set
     ORDER BY runs.number, runs.run_id
 """
@@ -59,6 +64,8 @@ ASKED: Mapping[str, str] = {
     "grounds": "audit/grounds_of_denials",
     "interventions": "audit/interventions",
     "supervisor_decisions": "audit/supervisor_decisions",
+    "recordings": "audit/recordings",
+    "by_field": "audit/attributability_by_field",
 }
 """The queries whose whole answers the sections select from, by the name of the relation."""
 SELECTED: Mapping[str, tuple[str, str]] = {

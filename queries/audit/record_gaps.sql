@@ -4,7 +4,7 @@
 -- Key: run_id, judge
 -- Units: missing_count event types, fields or concerns
 -- NULL: missing where nothing is; not_even_offences where it is observable
--- Example: fsar-ledger query audit/record_gaps LEDGER
+-- Example: fsar-ledger query audit/record_gaps LEDGER answers what a source would have to record for each judgement
 -- Without not_even_offences an offence that is on record counts, although nothing can be said to hold.
 WITH judges AS (
     SELECT DISTINCT judge, 'invariant' AS kind
@@ -16,12 +16,12 @@ WITH judges AS (
 )
 
 SELECT
-    runs.run_id, judges.kind, judges.judge,
-    hidden.judge IS NULL AS is_observable,
+    runs.run_id,
     coalesce(len(string_split(hidden.not_observed, ', ')), 0) AS missing_count,
+    judges.kind, judges.judge,
+    hidden.judge IS NULL AS is_observable,
     hidden.not_observed AS missing,
     hidden.hides_offences AS not_even_offences
 FROM runs
 CROSS JOIN judges
 LEFT JOIN unobservable AS hidden ON runs.run_id = hidden.run_id AND judges.judge = hidden.judge
-ORDER BY runs.number, missing_count, judges.kind, judges.judge

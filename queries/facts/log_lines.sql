@@ -3,8 +3,9 @@
 -- Grain: one row per event
 -- Key: run_id, seq
 -- Units: time_s seconds of run time; clock the time in UTC
--- NULL: clock of a run that does not know when it began; concern of an event that says what a run or an experiment is; action_id when the record names none; sender,
---   receiver when the record does not say; note when there is nothing to add
+-- NULL: clock of a run that does not know when it began; concern of an event that says what a run or an experiment is;
+--   action_id when the record names none; sender, receiver when the record does not say; note when there is nothing to
+--   add
 -- Example: fsar-ledger query facts/log_lines LEDGER
 -- A robot's own deed, or what befalls it, has the robot as sender and receiver. A registry's answer is in the note of
 -- the question.

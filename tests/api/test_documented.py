@@ -21,8 +21,8 @@ NOTEBOOKS = {"tour.ipynb": ["out/tour.svg"], "auditors-hour.ipynb": ["out/denial
 """The notebooks, and the file that the last cells of each make."""
 WITHOUT_FUNCTION = {"witness serve", "study show"}
 """The first runs until it is interrupted; the second prints a file that Python reads as JSON or Parquet."""
-FUNCTIONS = {"calibration": "calibrate", "predictions": "predict", "comparison": "judge"}
-"""The functions of the studies that have another name in Python."""
+FUNCTIONS = {"import": "import_records", "calibration": "calibrate", "predictions": "predict", "comparison": "judge"}
+"""The functions that have another name in Python."""
 
 
 def methods() -> set[str]:

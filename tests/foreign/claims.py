@@ -18,7 +18,7 @@ from tests.queries.keys import required
 
 Row = dict[str, Any]
 
-OF_GAPS = {"facts/unobservable"}
+OF_GAPS = {"facts/unobservable", "audit/record_gaps"}
 """Queries that are themselves about what is not observed: they have rows only for that."""
 GAPS = {"observes", "not_observed", "runs_not_observed"}
 """Columns that are themselves about what is not observed."""

@@ -1,0 +1,38 @@
+-- Title: The recordings that runs were imported from: their format, clock and hash, and what became of their records
+-- Paper: none
+-- Grain: one row per run and opening of a source; one that was continued was opened again
+-- Key: run_id, seq
+-- Units: record_count records on file of the source in the run; underived_count those from which no event follows
+-- NULL: input_sha256 of what was no file, mapping_sha256 without a mapping; until_us while the source is open
+-- Example: fsar-ledger query audit/recordings LEDGER answers which recordings a ledger rests on, and how much of them says something
+WITH derived AS (
+    SELECT DISTINCT run_id, caused_by AS seq
+    FROM events
+    WHERE caused_by IS NOT NULL AND run_id IN (SELECT run_id FROM source_opened)
+),
+
+records AS (
+    SELECT
+        observed.run_id, observed.source,
+        count(*) AS record_count,
+        count(*) FILTER (derived.seq IS NULL) AS underived_count
+    FROM observed
+    LEFT JOIN derived ON observed.run_id = derived.run_id AND observed.seq = derived.seq
+    GROUP BY observed.run_id, observed.source
+),
+
+closings AS (
+    SELECT run_id, source, max(until_us) AS until_us
+    FROM source_closed
+    GROUP BY run_id, source
+)
+
+SELECT
+    opened.run_id, opened.seq, opened.source, opened.format, opened.adapter, opened.clock, opened.is_sampled,
+    opened.input_sha256, opened.mapping_sha256,
+    coalesce(records.record_count, 0) AS record_count,
+    coalesce(records.underived_count, 0) AS underived_count,
+    closings.until_us
+FROM source_opened AS opened
+LEFT JOIN records ON opened.run_id = records.run_id AND opened.source = records.source
+LEFT JOIN closings ON opened.run_id = closings.run_id AND opened.source = closings.source
