@@ -55,7 +55,16 @@ PAGES = (
     DOCS.parent / "README.md",
     *(
         DOCS / f"{name}.md"
-        for name in ("auditors-hour", "open", "exports", "audit-example", "model", "recovery", "replay")
+        for name in (
+            "auditors-hour",
+            "open",
+            "record-your-fleet",
+            "exports",
+            "audit-example",
+            "model",
+            "recovery",
+            "replay",
+        )
     ),
 )
 FORMAT = DOCS / "ledger-format.md"

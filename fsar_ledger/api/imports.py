@@ -55,9 +55,12 @@ class ImportResult(Answer, msgspec.Struct, frozen=True):
     def _judged(self) -> Iterator[str]:
         can = [_short(one["judge"]) for one in self.gaps if one["is_observable"]]
         yield f"can be judged: {', '.join(can) or 'nothing'}"
-        for one in self.gaps:
-            if not one["is_observable"]:
-                yield f"not observable: {_short(one['judge'])}, for want of {one['missing']}"
+        hidden = [one for one in self.gaps if not one["is_observable"]]
+        for one in hidden[: printable.NAMED]:
+            yield f"not observable: {_short(one['judge'])}, for want of {one['missing']}"
+        if more := hidden[printable.NAMED :]:
+            place = printable.word(self.ledger.path)
+            yield f"and {len(more)} more, for want of more; `fsar-ledger query record_gaps {place}` lists all"
 
 
 @verb(

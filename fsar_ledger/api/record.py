@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import msgspec
 
 from fsar_ledger.base import printable
+from fsar_ledger.base.errors import UsageError, option
 from fsar_ledger.base.printable import SafeText, counted
 
 from .answers import Answer, Screen
@@ -105,6 +106,7 @@ def record_lines(
         "nothing: whatever is recorded counts, and its absence means nothing",
     ),
     fleet: Place | None = declare("FILE", "A .toml file that names the robots: [robots], NAME = ROLE."),
+    epoch: str | None = declare("TIME", "When the run begins, as 2026-03-01T10:00Z.", "now"),
     origin: str | None = declare("NAME", "Publish a new ledger under this name.", "the key's name, else a general one"),
     key: KeyOption = None,
 ) -> RecordResult:
@@ -121,6 +123,17 @@ def record_lines(
     from fsar_ledger.sources.telling import tell
 
     robots = named_robots(Path(fleet)) if fleet is not None else {}
-    with record(out, fleet=robots, observes=observes, run=run, source=source, origin=origin, key=key) as recorder:
+    begins = None if epoch is None else _time(epoch)
+    with record(
+        out, fleet=robots, observes=observes, run=run, source=source, epoch=begins, origin=origin, key=key
+    ) as recorder:
         events, refused = tell(recorder, sys.stdin.buffer)
         return RecordResult(Path(out), recorder.run, events, refused)
+
+
+def _time(text: str) -> datetime:
+    try:
+        return datetime.fromisoformat(text)
+    except ValueError as error:
+        found = printable.value(text)
+        raise UsageError(f"{option('epoch')}: found {found}, expected a time such as 2026-03-01T10:00Z") from error

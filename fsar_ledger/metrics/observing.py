@@ -95,7 +95,7 @@ def _lacking(database: Database, named: str = "", run: str | None = None, judge:
         named AS (
             SELECT run_id, if(is_whole, concern, concern || '{IN_PART}') AS name
             FROM lacking
-            WHERE $judge IS DISTINCT FROM (SELECT any_value(judge) FROM judged_concerns WHERE judge = $judge)
+            WHERE NOT EXISTS (FROM judged_concerns WHERE judge = $judge)
             UNION
             SELECT run_id, name
             FROM judged

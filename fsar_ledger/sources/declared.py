@@ -10,6 +10,7 @@ from fsar_ledger.events import CONCERN_OF, CONCERNS
 from fsar_ledger.ledger.rows.schema import RECORDS
 
 
+# See docs/decisions/sources-are-judged-by-types.md.
 class Declared(msgspec.Struct, frozen=True):
     """What a source records: everything of the concerns it `observes`, and of others the `records` it names.
 
@@ -29,11 +30,16 @@ class Declared(msgspec.Struct, frozen=True):
 def declared(names: Iterable[str]) -> Declared:
     """Return what these names declare: concerns, event types, and fields such as `RequestIssued.requested_by`.
 
-    Each is named once, in the order of `CONCERNS` and of the event types. Naming a field names its type.
+    `RequestIssued.*` is the type with all of its fields. Each is named once, in the order of `CONCERNS` and of the
+    event types. Naming a field names its type.
 
     Raises: UsageError for a name that is none of these.
     """
-    asked = set(names)
+    asked = {
+        one
+        for name in names
+        for one in ([each for each in RECORDS if each.startswith(name[:-1])] if name.endswith(".*") else [name])
+    }
     asked |= {name.partition(".")[0] for name in asked if "." in name}
     known: Collection[str] = (*CONCERNS, *RECORDS)
     for name in sorted(asked - set(known)):

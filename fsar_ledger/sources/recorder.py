@@ -123,6 +123,7 @@ class Recorder:
         objects: Mapping[str, str] | None = None,
         source_time: datetime | None = None,
         body: str | None = None,
+        at: datetime | None = None,
     ) -> int:
         """Record what was seen, in the words of its source, and return its number within the run.
 
@@ -135,6 +136,7 @@ class Recorder:
             objects: What it is about, by name, each with the part that it plays (`{"robot/A1": "robot"}`).
             source_time: The time that the source gives, whatever its clock is worth.
             body: The whole record, if it is to be kept.
+            at: When it was seen; None: now.
 
         Raises: As `event`.
         """
@@ -149,7 +151,7 @@ class Recorder:
             source_time_us=None if source_time is None else self.run_time_us(source_time),
             body=None if body is None else escaped(body),
         )
-        return self.event(seen)
+        return self.event(seen, at=at)
 
     @contextmanager
     def batch(self) -> Iterator[None]:

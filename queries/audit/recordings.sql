@@ -4,10 +4,10 @@
 -- Key: run_id, seq
 -- Units: record_count records on file of the source in the run; underived_count those from which no event follows
 -- NULL: input_sha256 of what was no file, mapping_sha256 without a mapping; until_us while the source is open
--- Example: fsar-ledger query audit/recordings LEDGER answers which recordings a ledger rests on, and how much of them says something
+-- Example: fsar-ledger query audit/recordings LEDGER answers which recordings the runs were imported from
 WITH derived AS (
     SELECT DISTINCT run_id, caused_by AS seq
-    FROM events
+    FROM keyed_events
     WHERE caused_by IS NOT NULL AND run_id IN (SELECT run_id FROM source_opened)
 ),
 
