@@ -51,21 +51,11 @@ from fsar_ledger.metrics.multiverse import readings
 from fsar_ledger.report.printing import flat
 
 DOCS = Path(__file__).resolve().parent
+WITH_OUTPUT = "auditors-hour open record-your-fleet exports audit-example model recovery replay"
 PAGES = (
     DOCS.parent / "README.md",
-    *(
-        DOCS / f"{name}.md"
-        for name in (
-            "auditors-hour",
-            "open",
-            "record-your-fleet",
-            "exports",
-            "audit-example",
-            "model",
-            "recovery",
-            "replay",
-        )
-    ),
+    *(DOCS / f"{name}.md" for name in WITH_OUTPUT.split()),
+    *sorted((DOCS / "sources").glob("*.md")),
 )
 FORMAT = DOCS / "ledger-format.md"
 NEEDS_NO_SHELL = re.compile(r"fsar-ledger(?: (?:[\w./-]+|\"[^\"$`\\\\]*\"))+")

@@ -9,6 +9,7 @@ import sys
 import tomllib
 from collections.abc import Iterator
 from importlib.resources import files
+from io import BytesIO, TextIOWrapper
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,7 @@ from fsar_ledger.witness.cosignature import Cosigner
 from tests.cli.conftest import SMALL
 from tests.ledger.keep_release import LEDGERS
 from tests.running import ran
+from tests.sources.vda import honest_night, written
 
 ROOT = Path(__file__).resolve().parent.parent
 README = (ROOT / "README.md").read_text("utf-8")
@@ -303,6 +305,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     SELECT, out/old one of format 1, and what was kept before."""
     path = tmp_path_factory.mktemp("examples")
     (path / "question.sql").write_text("SELECT count(*) AS events FROM events\n")
+    (path / "night.jsonl").write_bytes(written(honest_night()))
+    (path / "fleet.toml").write_text('[robots]\n"KIT.0001" = "agv"\n"KIT.0002" = "agv"\n')
     shutil.copytree(LEDGERS / "0.8.1" / "ledger", path / "out" / "old")
     key, ledger = str(path / "out" / "fleet.key"), path / "out" / "ledger"
     assert run(["key", "new", key]) == 0
@@ -343,6 +347,9 @@ ELSEWHERE = (
 do."""
 
 
+LINE = b'{"type": "Observed", "source": "site", "kind": "door"}\n'
+"""What standard input holds for an example that reads it."""
+
 MADE = {shlex.split(example)[2]: example for name, example in examples() if name == "simulate"}
 """The example that makes each ledger that other examples read."""
 
@@ -364,6 +371,7 @@ def test_every_quick_example_runs(
         if MADE.get(word, example) != example and not Path(word).exists():  # another process runs what makes it
             assert run(shlex.split(MADE[word], comments=True)[1:]) == 0
     capsys.readouterr()
+    monkeypatch.setattr(sys, "stdin", TextIOWrapper(BytesIO(LINE)))
     assert run(words) == 0
     assert capsys.readouterr().err == ""
     for report in re.findall(r"--out (\S+\.pdf)", example):

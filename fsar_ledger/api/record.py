@@ -90,7 +90,7 @@ class RecordResult(Answer, msgspec.Struct, frozen=True):
 
 
 @verb(
-    "record out/site --run night --observes ExecutionStarted < events.ndjson",
+    "record out/site --run night --observes ExecutionStarted    # reads standard input",
     name="record",
     takes=("json",),
     after_interruption=CONTINUES,

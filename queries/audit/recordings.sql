@@ -1,5 +1,5 @@
 -- Title: The recordings that runs were imported from: their format, clock and hash, and what became of their records
--- Paper: none
+-- Paper: sec:evaluation:metrics
 -- Grain: one row per run and opening of a source; one that was continued was opened again
 -- Key: run_id, seq
 -- Units: record_count records on file of the source in the run; underived_count those from which no event follows

@@ -1,5 +1,5 @@
 -- Title: Runs that know when they began
--- Paper: none
+-- Paper: eq:runtime
 -- Grain: one row per run with an epoch
 -- Key: run_id
 -- Units: epoch the time in UTC of run time 0
