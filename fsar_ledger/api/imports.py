@@ -65,7 +65,7 @@ class ImportResult(Answer, msgspec.Struct, frozen=True):
 
 @verb(
     "import out/hall night.jsonl --as vda5050",
-    "import out/hall night.jsonl --as vda5050 --run night --fleet fleet.toml",
+    "import out/yard night.jsonl --as vda5050 --run yard --fleet fleet.toml",
     name="import",
     takes=("json",),
     after_interruption=CONTINUES,

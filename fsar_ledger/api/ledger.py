@@ -1,7 +1,7 @@
 """A ledger in Python: a method for every command that reads one, under the same name."""
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -153,14 +153,24 @@ class Ledger:
             UnknownQuery: There is no query or parameter of this name.
             UsageError: A parameter names nothing that there is, or is no time of the run.
         """
+        from fsar_ledger.metrics.library import library
+
         from .provenance import of_rows
         from .table import Table
 
-        with self.database() as database:
-            query = database.library.find(name)
+        query = library().find(name)
+        runs = {one.name: one.default for one in query.parameters.values() if one.kind == "run"}
+        asked = {one: parameters[one] for one in runs if parameters.get(one) not in (None, runs[one])}
+        with ExitStack() as stack:
+            if asked:  # a question about one run reads that run
+                [(parameter, run)] = asked.items()
+                database, full, _ = stack.enter_context(self.about_run(run))  # type: ignore[arg-type]
+                parameters = {**parameters, parameter: full}
+            else:
+                database = stack.enter_context(self.database())
             given = parameters_of(database, query, parameters, self.path)
             rows = database.query(name, given)
-            return Table(rows, of_rows(database, query))
+            return Table(rows, of_rows(database, query, full if asked else None))
 
     def queries(self, *, all: bool = False) -> "Table":
         """Return the packaged queries by group, each with its title and its parameters.
