@@ -1,0 +1,81 @@
+"""Names of people stand outside the ledger: with their table they can be told, and without it they cannot."""
+
+import stat
+from pathlib import Path
+
+import pytest
+
+from fsar_ledger.base.errors import UsageError, WriteFailed
+from fsar_ledger.events.envelope import Parties, RequestSubject, flat
+from fsar_ledger.events.fleet import RobotJoined
+from fsar_ledger.events.request import RequestAccepted
+from fsar_ledger.events.source import Observed
+from fsar_ledger.sources.names import NamedPerson, PrivateNames, committed
+
+ANN = "supervisor/ann"
+
+
+def joined(supervisor: str) -> RobotJoined:
+    return RobotJoined(robot="robot/A1", role="A", supervisor=supervisor)  # type: ignore[arg-type]
+
+
+def test_a_supervisor_has_one_commitment_wherever_it_is_named(tmp_path: Path) -> None:
+    names = PrivateNames(tmp_path / "names")
+    who = Parties(requested_by=None, executed_by=None, supervised_by=ANN)  # type: ignore[arg-type]
+    told = names.event(RequestAccepted(RequestSubject("t", "t/1", None), who.decided(ANN)))  # type: ignore[arg-type]
+    hidden = names.event(joined(ANN)).supervisor  # type: ignore[attr-defined]
+    assert flat(told)["supervised_by"] == flat(told)["decided_by"] == hidden != ANN
+    assert flat(told)["path"] == (hidden,)
+    assert "ann" not in str(told)
+
+
+def test_a_person_that_is_observed_is_hidden_and_other_objects_are_not(tmp_path: Path) -> None:
+    seen = Observed(source="s", kind="k", objects=("ann", "robot/A1"), qualifiers=("person", "robot"))
+    told = PrivateNames(tmp_path / "names").event(seen)
+    assert isinstance(told, Observed)
+    assert told.objects[0].startswith("~")
+    assert told.objects[1] == "robot/A1"
+
+
+def test_robots_and_the_supervisor_of_the_fleet_keep_their_names(tmp_path: Path) -> None:
+    names = PrivateNames(tmp_path / "names")
+    event = joined("supervisor/fleet")
+    assert names.event(event) is event
+    assert (tmp_path / "names").read_bytes() == b""
+
+
+def test_the_table_is_read_again_and_only_its_owner_may_read_it(tmp_path: Path) -> None:
+    first = PrivateNames(tmp_path / "names").hidden("ann")
+    assert PrivateNames(tmp_path / "names").hidden("ann") == first
+    assert stat.S_IMODE((tmp_path / "names").stat().st_mode) == 0o600
+    assert first == committed("ann", bytes.fromhex(line(tmp_path).key))
+
+
+def line(folder: Path) -> NamedPerson:
+    import msgspec
+
+    return msgspec.json.decode((folder / "names").read_bytes().splitlines()[0], type=NamedPerson)
+
+
+def test_after_its_line_is_erased_the_same_name_is_somebody_else(tmp_path: Path) -> None:
+    first = PrivateNames(tmp_path / "names").hidden("ann")
+    (tmp_path / "names").write_bytes(b"")
+    assert PrivateNames(tmp_path / "names").hidden("ann") != first
+
+
+def test_a_commitment_cannot_be_hidden_twice(tmp_path: Path) -> None:
+    names = PrivateNames(tmp_path / "names")
+    once = names.event(joined(ANN))
+    assert names.event(once) is once
+
+
+@pytest.mark.parametrize("text", [b"no line\n", b'{"name":"ann","key":"00","commitment":"~x"}\n', b'{"name":"ann"}\n'])
+def test_a_file_that_is_no_table_of_names_is_refused_with_its_line(tmp_path: Path, text: bytes) -> None:
+    (tmp_path / "names").write_bytes(text)
+    with pytest.raises(UsageError, match=r"names:1: "):
+        PrivateNames(tmp_path / "names")
+
+
+def test_a_table_that_cannot_be_opened_is_an_error_of_the_disk(tmp_path: Path) -> None:
+    with pytest.raises(WriteFailed, match="cannot be opened"):
+        PrivateNames(tmp_path / "no" / "names")
