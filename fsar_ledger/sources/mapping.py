@@ -21,6 +21,7 @@ A record that lacks a value, or has it of another kind than the field, is not un
 
 import re
 from collections.abc import Iterable, Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any, Literal
 
@@ -196,8 +197,7 @@ def _is_pointer(text: str) -> bool:
 
 def _at(pointer: str, data: Any) -> Any:
     """Return the value at a JSON pointer, `_MISSING` where there is none."""
-    for part in pointer.split("/")[1:]:
-        name = part.replace("~1", "/").replace("~0", "~")
+    for name in _names(pointer):
         if isinstance(data, dict) and name in data:
             data = data[name]
         elif isinstance(data, list) and _INDEX.fullmatch(name) and int(name) < len(data):
@@ -205,6 +205,12 @@ def _at(pointer: str, data: Any) -> Any:
         else:
             return _MISSING
     return data
+
+
+@cache
+def _names(pointer: str) -> tuple[str, ...]:
+    """Return the names of a JSON pointer. A mapping has few; what a record says is never one."""
+    return tuple(part.replace("~1", "/").replace("~0", "~") for part in pointer.split("/")[1:])
 
 
 def _filled(text: Plain | list[str], data: Any) -> Any:
@@ -216,17 +222,27 @@ def _filled(text: Plain | list[str], data: Any) -> Any:
         return text
     if text.startswith("/"):
         return _at(text, data)
-    parts = {pointer: _at(pointer, data) for pointer in _IN_TEXT.findall(text)}
-    if any(one is _MISSING or one is None for one in parts.values()):
-        return _MISSING
-    return _IN_TEXT.sub(lambda found: shown(parts[found[1]]), text)
+    pieces = list(_pieces(text))
+    for at in range(1, len(pieces), 2):
+        found = _at(pieces[at], data)
+        if found is _MISSING or found is None:
+            return _MISSING
+        pieces[at] = shown(found)
+    return "".join(pieces)
+
+
+@cache
+def _pieces(text: str) -> tuple[str, ...]:
+    """Return the pieces of a text of the mapping: every other one is a pointer."""
+    return tuple(_IN_TEXT.split(text))
 
 
 def _matches(rule: MappedEvent, data: Any) -> bool:
-    return all(
-        any(_is_same(_at(pointer, data), one) for one in (wanted if isinstance(wanted, list) else [wanted]))
-        for pointer, wanted in rule.match.items()
-    )
+    for pointer, wanted in rule.match.items():
+        found = _at(pointer, data)
+        if not any(_is_same(found, one) for one in (wanted if isinstance(wanted, list) else [wanted])):
+            return False
+    return True
 
 
 def _is_same(found: object, wanted: Plain) -> bool:
