@@ -5,7 +5,8 @@ by its fields. Beside `type` a line may have `received` (ISO 8601), the time at 
 are those of https://github.com/open-rmf/rmf_api_msgs, version 0.3; no message names a version.
 
 A task state is told from time to time, so what follows from it is what has changed since the last one of that task. A
-state that comes after the end of its task is an observation and no more.
+state that comes after the end of its task is an observation and no more; one of another task with the same name, which
+a dispatcher that was started again may give, is not understood.
 
 | message | becomes |
 |---|---|
@@ -71,10 +72,6 @@ class Task(msgspec.Struct):
     error: str = ""
 
 
-ENDED = Task(is_known=True, has_ended=True)
-"""Stands for every task that has ended, which keeps the memory of a long import small."""
-
-
 class Rmf:
     """Reads a recording of Open-RMF messages."""
 
@@ -86,6 +83,7 @@ class Rmf:
 
     def __init__(self) -> None:
         self._tasks: dict[str, Task] = {}
+        self._ended: dict[str, object] = {}  # when each task that has ended was booked: all that is kept of it
 
     def declares(self) -> Iterable[str]:
         """Name what a complete recording has: a state once reached is seen in the next one, or its end is."""
@@ -116,7 +114,7 @@ class Rmf:
         yield from chain(first, records)
 
     def derive(self, record: Record) -> Iterable[Derived] | None:
-        """Return what has changed since the last state of the task."""
+        """Return what has changed since the last state of the task; None if another task of its name has ended."""
         if record.data is None:
             return None
         kind, data = record.data
@@ -129,21 +127,22 @@ class Rmf:
             return ()
         if not (name := task_id(data)):
             return ()
+        booked = table(data, "booking").get("unix_millis_request_time")
+        if name in self._ended:
+            return () if booked is None or booked == self._ended[name] else None
         task = self._tasks.setdefault(name, Task())
-        if task.has_ended:
-            return ()
         events = [Derived(event) for event in _changed(task, name, data)]
         if task.has_ended:
-            self._tasks[name] = ENDED
+            del self._tasks[name]
+            self._ended[name] = booked
         return events
 
     def _logged(self, log: Mapping[str, Any]) -> None:
         """Remember the last error of the log of a task: it is why it fails, if it fails."""
         name = text(log, "task_id")
-        task = self._tasks.setdefault(name, Task())
         errors = [str(entry.get("text")) for _, entry in entries(log) if entry.get("tier") == "error"]
-        if errors and not task.has_ended:
-            task.error = escaped(errors[-1])
+        if errors and name not in self._ended:
+            self._tasks.setdefault(name, Task()).error = escaped(errors[-1])
 
 
 def _changed(task: Task, name: str, state: Mapping[str, Any]) -> Iterator[Event]:
@@ -158,7 +157,9 @@ def _changed(task: Task, name: str, state: Mapping[str, Any]) -> Iterator[Event]
     if task.robot is not None and robot is not None and robot != task.robot:
         yield ExecutionWithdrawn(subject, task.robot)
         task.robot, task.is_paused = None, False
-    has_begun = status in BEGUN or (status in GIVEN_UP and (bool(state.get("completed")) or "active" in state))
+    has_begun = status in BEGUN or (
+        status in GIVEN_UP and (bool(state.get("completed")) or state.get("active") is not None)
+    )
     if has_begun and task.robot is None and robot is not None:
         task.robot = robot
         yield ExecutionStarted(subject=subject, principals=_by(robot), robot=robot, capability=escaped(category))

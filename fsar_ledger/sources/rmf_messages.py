@@ -107,7 +107,7 @@ def _state_values(state: Mapping[str, Any], about: dict[str, str]) -> dict[str, 
     _label(about, table(state, "cancellation"), "cancellation label")
     _label(about, table(state, "killed"), "kill label")
     values = {f"booking/{name}": shown(one) for name, one in booking.items()}
-    values |= {name: shown(state[name]) for name in OF_TASK if state.get(name) not in (None, "", [], {})}
+    values |= {name: shown(one) for name in OF_TASK if (one := state.get(name)) or one == 0}
     for one in tables(table(state, "interruptions")).values():
         _label(about, one, "interruption label")
         _label(about, table(one, "resumed_by"), "resume label")
@@ -163,8 +163,9 @@ def _time_us(kind: str, data: Mapping[str, Any]) -> int | None:
     match kind:
         case "task_state":
             status = text(data, "status")
-            found = [table(data, one).get("unix_millis_request_time") for one in ("booking", "cancellation", "killed")]
-            found += [one.get("unix_millis_request_time") for one in tables(table(data, "interruptions")).values()]
+            parts = [data.get(name) for name in ("booking", "cancellation", "killed")]
+            parts += table(data, "interruptions").values()
+            found = [one.get("unix_millis_request_time") for one in parts if isinstance(one, dict)]
             found += [data.get("unix_millis_start_time")] if status in BEGUN else []
             found += [data.get("unix_millis_finish_time")] if status == "completed" else []
         case "task_log":
@@ -214,7 +215,7 @@ def task_id(state: Mapping[str, Any]) -> str:
 
 def _label(about: dict[str, str], data: Mapping[str, Any], part: str) -> None:
     """Name each label as an object: labels tell who asked, in the words of whatever program sent the request."""
-    for label in texts(data, "labels"):
+    for label in texts(data, "labels") if data else ():
         _add(about, label, part)
 
 

@@ -152,6 +152,14 @@ def test_what_comes_late_or_twice_changes_nothing() -> None:
     assert kinds([*lines, *lines]) == kinds(lines)
 
 
+def test_a_second_task_of_the_same_name_is_not_understood() -> None:
+    again = state(9, "t", "queued")
+    again["data"]["booking"]["unix_millis_request_time"] = millis(8)
+    adapter = Rmf()
+    made = [adapter.derive(one) for one in adapter.read(given(written([state(5, "t", "completed"), again])))]
+    assert (len(list(made[0] or ())), made[1]) == (2, None)
+
+
 def test_who_asked_who_cancelled_and_which_robot_are_in_the_observation() -> None:
     cancelled = {"unix_millis_request_time": millis(5), "labels": ["carol", "reason=spill"]}
     record = observed(state(5, "t", "canceled", robot="r1", cancellation=cancelled))
