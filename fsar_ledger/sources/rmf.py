@@ -31,7 +31,7 @@ from typing import Any, Literal
 import msgspec
 
 from fsar_ledger.base.errors import UsageError
-from fsar_ledger.base.printable import escaped, value
+from fsar_ledger.base.printable import counted, escaped, value
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import COORDINATOR, Parties, RequestSubject, Robot, Subject
 from fsar_ledger.events.execution import (
@@ -107,9 +107,9 @@ class Rmf:
                 break
         if first and first[-1].data is None:
             raise UsageError(
-                f"{', '.join(value(one.name) for one in given)}: found {len(first):,} records, the first of them "
+                f"{', '.join(value(one.name) for one in given)}: found {counted(len(first), 'record')}, the first of them "
                 f"{value(first[0].raw[:80].decode('utf-8', 'replace'))}, and none is a message of rmf_api_msgs; "
-                'expected lines such as {"type": "task_state_update", "data": {...}}: name the format that it is (--as)'
+                'expected one message a line, such as {"type": "task_state_update", "data": {...}}: name the format that it is (--as)'
             )
         yield from chain(first, records)
 

@@ -5,6 +5,7 @@ import json
 import random
 import re
 import shlex
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
@@ -252,6 +253,19 @@ def test_a_name_of_a_service_is_still_that_of_a_robot(tmp_path: Path) -> None:
     assert offences(tmp_path, "a2_coordination_only_federation") == []
 
 
+def test_a_recording_that_has_grown_gives_the_events_of_the_whole(tmp_path: Path) -> None:
+    lines = written(honest_day()).splitlines(keepends=True)
+    (tmp_path / "whole").mkdir()
+    whole = imported(tmp_path / "whole", b"".join(lines), ROBOTS)
+    made = Counter[str]()
+    for end in range(1, len(lines) + 1, 4):
+        imported(tmp_path, b"".join(lines[:end]), ROBOTS)
+    imported(tmp_path, b"".join(lines) + b"\n", ROBOTS)
+    made.update(type(one).__name__ for one in Ledger(tmp_path / "out").record("day").events)
+    assert {kind: made[kind] for kind in whole.events} == whole.events
+    assert made["Observed"] == len(lines)
+
+
 def test_a_broken_recording_loses_no_record(tmp_path: Path) -> None:
     lines = written(honest_day()).splitlines(keepends=True)
     broken = [lines[0], lines[1][:40] + b"\n", b"\xff\xfe{}\n", b"[1]\n", b'{"type": "alert_update"}\n', *lines[2:]]
@@ -302,7 +316,9 @@ def test_no_order_and_no_damage_of_the_lines_stops_an_import() -> None:
 
 @pytest.mark.parametrize("data", [b"\x89PNG\r\n\x1a\n", b'{"topic": "a"}\n' * (SEARCHED + 5), b"a,b\n1,2\n"])
 def test_what_is_no_recording_of_rmf_is_refused_with_what_was_expected(data: bytes) -> None:
-    with pytest.raises(UsageError, match=r"day: found [\d,]+ records?, the first of them .*expected lines such as"):
+    with pytest.raises(
+        UsageError, match=r"day: found [\d,]+ records?, the first of them .*expected one message a line, such as"
+    ):
         records(data)
 
 
