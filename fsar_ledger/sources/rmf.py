@@ -106,10 +106,11 @@ class Rmf:
             if record.data is not None or len(first) == SEARCHED:
                 break
         if first and first[-1].data is None:
+            names, begins = ", ".join(value(one.name) for one in given), first[0].raw[:80].decode("utf-8", "replace")
             raise UsageError(
-                f"{', '.join(value(one.name) for one in given)}: found {counted(len(first), 'record')}, the first of them "
-                f"{value(first[0].raw[:80].decode('utf-8', 'replace'))}, and none is a message of rmf_api_msgs; "
-                'expected one message a line, such as {"type": "task_state_update", "data": {...}}: name the format that it is (--as)'
+                f"{names}: found {counted(len(first), 'record')}, the first of them {value(begins)}, and none is a "
+                'message of rmf_api_msgs; expected one message a line, such as {"type": "task_state_update", "data": '
+                "{...}}; if it is another format, name that (--as)"
             )
         yield from chain(first, records)
 
