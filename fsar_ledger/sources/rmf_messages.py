@@ -1,0 +1,251 @@
+"""Messages of Open-RMF as records: their kinds, what they say, what they are about, and when.
+
+The schemas are those of https://github.com/open-rmf/rmf_api_msgs, version 0.3. Every field is looked for and none is
+relied on: what a message lacks, or has of another kind, is not there.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from datetime import datetime
+from typing import Any
+
+from fsar_ledger.base.printable import escaped
+from fsar_ledger.events.envelope import Robot
+
+from .adapter import Record
+from .json_lines import shown, utc_us
+
+UNKNOWN = "unknown"
+RESPONSE = "response"
+REQUESTS = frozenset(
+    f"{name}_request"
+    for name in (
+        *("dispatch_task", "robot_task", "cancel_task", "kill_task", "interrupt_task", "resume_task", "rewind_task"),
+        *("skip_phase", "undo_skip_phase", "robot_commission"),
+    )
+)
+UPDATES = ("task_state", "task_log", "fleet_log", "fleet_state")
+"""In the order in which a message without a type is tried."""
+
+TIERS = ("uninitialized", "info", "warning", "error")
+OF_TASK = (
+    *("status", "category", "detail", "unix_millis_start_time", "unix_millis_finish_time", "assigned_to", "dispatch"),
+    *("active", "completed", "cancellation", "killed", "interruptions"),
+)
+BEGUN = frozenset(("underway", "delayed", "blocked", "error", "completed"))
+TROUBLED = frozenset(("failed", "error", "blocked", "skipped", "canceled", "killed"))
+"""The statuses of an event within a phase that are told beside the status of the task."""
+LAST_MS = int(datetime.fromisoformat("9999-12-31T00:00:00+00:00").timestamp() * 1000)
+
+
+def record_of(raw: bytes, line: dict[str, Any]) -> Record:
+    """Return a message as a record; its data are its kind and content, or None if it is none of RMF."""
+    kind, data = _message(line)
+    arrival_us = utc_us(line.get("received"))
+    if kind == UNKNOWN:
+        values = {name: shown(one) for name, one in line.items()}
+        return Record(text(line, "type") or UNKNOWN, raw, None, values, {}, None, arrival_us)
+    about: dict[str, str] = {}
+    match kind:
+        case "task_state":
+            values, kind_of = _state_values(data, about), f"task_state/{text(data, 'status') or UNKNOWN}"
+        case "task_log":
+            told = list(entries(data))
+            values = {at: f"{one.get('tier')}: {one.get('text')}" for at, one in told}
+            worst = max((_tier(one) for _, one in told), default=0)
+            kind_of = f"task_log/{TIERS[worst]}"
+            _add(about, f"task/{data['task_id']}", "task")
+        case "fleet_state":
+            values, kind_of = _fleet_values(data, about), kind
+        case "fleet_log":
+            values, kind_of = {name: shown(one) for name, one in data.items()}, kind
+            _add(about, f"fleet/{data['name']}", "fleet")
+        case _:
+            values = _request_values(data, about)
+            kind_of = kind if kind != RESPONSE else f"{RESPONSE}/{'accepted' if data['success'] else 'refused'}"
+    return Record(kind_of, raw, (kind, data), values, about, _time_us(kind, data), arrival_us)
+
+
+def _message(line: dict[str, Any]) -> tuple[str, dict[str, Any]]:
+    """Return the kind of a message by its type or its fields, and its content."""
+    named = text(line, "type")
+    if named in REQUESTS:
+        return named, line
+    if named.endswith("_update"):
+        kind, data = named.removesuffix("_update"), table(line, "data")
+        return (kind, data) if _is_of(kind, data) else (UNKNOWN, line)
+    if isinstance(line.get("success"), bool):
+        return RESPONSE, line
+    return next(((kind, line) for kind in UPDATES if _is_of(kind, line)), (UNKNOWN, line))
+
+
+def _is_of(kind: str, data: Mapping[str, Any]) -> bool:
+    """Return whether the data are a message of this kind: they say what they are about, as its schema demands."""
+    match kind:
+        case "task_state":
+            return bool(task_id(data))
+        case "task_log":
+            return bool(text(data, "task_id")) and ("log" in data or "phases" in data)
+        case "fleet_log":
+            return bool(text(data, "name")) and "log" in data
+        case "fleet_state":
+            return bool(text(data, "name")) and isinstance(data.get("robots"), dict)
+    return False
+
+
+def _state_values(state: Mapping[str, Any], about: dict[str, str]) -> dict[str, str]:
+    """Return what a task state says of the task and its booking, and of what went wrong in its phases."""
+    booking = table(state, "booking")
+    _add(about, f"task/{booking['id']}", "task")
+    if (robot := assigned_robot(state)) is not None:
+        _add(about, robot, "assigned robot")
+    assignment = table(table(state, "dispatch"), "assignment")
+    if fleet := text(assignment, "fleet_name"):
+        _add(about, f"fleet/{fleet}", "dispatched to")
+    if requester := text(booking, "requester"):
+        _add(about, requester, "requester")
+    _label(about, booking, "booking label")
+    _label(about, table(state, "cancellation"), "cancellation label")
+    _label(about, table(state, "killed"), "kill label")
+    values = {f"booking/{name}": shown(one) for name, one in booking.items()}
+    values |= {name: shown(one) for name in OF_TASK if (one := state.get(name)) or one == 0}
+    for one in tables(table(state, "interruptions")).values():
+        _label(about, one, "interruption label")
+        _label(about, table(one, "resumed_by"), "resume label")
+    for number, phase in tables(table(state, "phases")).items():
+        if phase.get("skip_requests"):
+            values[f"phase/{number}/skip_requests"] = shown(phase["skip_requests"])
+        for at, event in tables(table(phase, "events")).items():
+            if text(event, "status") in TROUBLED:
+                values[f"phase/{number}/event/{at}"] = shown(event)
+    return values
+
+
+def _fleet_values(fleet: Mapping[str, Any], about: dict[str, str]) -> dict[str, str]:
+    """Return the state of each robot of a fleet."""
+    _add(about, f"fleet/{fleet['name']}", "fleet")
+    values = {}
+    for name, state in tables(table(fleet, "robots")).items():
+        robot = f"robot/{fleet['name']}.{name}"
+        values[robot] = shown(state)
+        _add(about, robot, "robot")
+        if task := text(state, "task_id"):
+            _add(about, f"task/{task}", "task")
+    return values
+
+
+def _request_values(message: Mapping[str, Any], about: dict[str, str]) -> dict[str, str]:
+    """Return what a request or a response says, and who made it as far as it tells."""
+    request = table(message, "request")
+    for task in (text(message, "task_id"), text(message, "for_task"), task_id(table(message, "state"))):
+        if task:
+            _add(about, f"task/{task}", "task")
+    if requester := text(request, "requester"):
+        _add(about, requester, "requester")
+    _label(about, request, "request label")
+    _label(about, message, "request label")
+    fleet, robot = text(message, "fleet"), text(message, "robot")
+    if robot:
+        _add(about, f"robot/{fleet}.{robot}" if fleet else f"robot/{robot}", "asked robot")
+    values = {name: shown(one) for name, one in message.items() if name not in ("request", "type", "state")}
+    values |= {f"request/{name}": shown(one) for name, one in request.items()}
+    state = table(message, "state")
+    return values | (
+        {f"state/{name}": one for name, one in _state_values(state, about).items()} if task_id(state) else {}
+    )
+
+
+def _time_us(kind: str, data: Mapping[str, Any]) -> int | None:
+    """Return the latest time that a message gives of what has happened, which is its own where it has none.
+
+    The start and the finish of a task are plans until it has begun and ended.
+    """
+    found: list[object] = []
+    match kind:
+        case "task_state":
+            status = text(data, "status")
+            parts = [data.get(name) for name in ("booking", "cancellation", "killed")]
+            parts += table(data, "interruptions").values()
+            found = [one.get("unix_millis_request_time") for one in parts if isinstance(one, dict)]
+            found += [data.get("unix_millis_start_time")] if status in BEGUN else []
+            found += [data.get("unix_millis_finish_time")] if status == "completed" else []
+        case "task_log":
+            found = [entry.get("unix_millis_time") for _, entry in entries(data)]
+        case "fleet_state":
+            found = [one.get("unix_millis_time") for one in tables(table(data, "robots")).values()]
+        case "response":
+            return _time_us("task_state", table(data, "state")) if data.get("state") else None
+        case _:
+            found = [table(data, "request").get("unix_millis_request_time")]
+    times = [one for one in found if type(one) is int and 0 < one < LAST_MS]
+    return max(times) * 1000 if times else None
+
+
+def entries(log: Mapping[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield each entry of the log of a task and where it stands: of the task, of a phase, of an event of a phase."""
+    yield from _listed("log", log.get("log"))
+    for number, phase in tables(table(log, "phases")).items():
+        yield from _listed(f"phase/{number}/log", phase.get("log"))
+        for event, entries in table(phase, "events").items():
+            yield from _listed(f"phase/{number}/event/{event}", entries)
+
+
+def _listed(where: str, entries: object) -> Iterator[tuple[str, dict[str, Any]]]:
+    listed: Sequence[object] = entries if isinstance(entries, list) else ()
+    for at, entry in enumerate(listed):
+        if isinstance(entry, dict):
+            yield f"{where}/{at}", entry
+
+
+def _tier(entry: Mapping[str, Any]) -> int:
+    tier = entry.get("tier")
+    return TIERS.index(tier) if tier in TIERS else 0
+
+
+def assigned_robot(state: Mapping[str, Any]) -> Robot | None:
+    """Return the robot that a task is assigned to, by its fleet and name."""
+    assigned = table(state, "assigned_to")
+    fleet, name = text(assigned, "group"), text(assigned, "name")
+    return Robot(escaped(f"robot/{fleet}.{name}" if fleet else f"robot/{name}")) if name else None
+
+
+def task_id(state: Mapping[str, Any]) -> str:
+    """Return the name of the task of a state, empty where there is none."""
+    return text(table(state, "booking"), "id")
+
+
+def _label(about: dict[str, str], data: Mapping[str, Any], part: str) -> None:
+    """Name each label as an object: labels tell who asked, in the words of whatever program sent the request."""
+    for label in texts(data, "labels") if data else ():
+        _add(about, label, part)
+
+
+def _add(about: dict[str, str], name: str, part: str) -> None:
+    """Name an object with its part; one that plays several parts has all of them."""
+    parts = about.get(name)
+    if parts is None:
+        about[name] = part
+    elif part not in parts.split(", "):
+        about[name] = f"{parts}, {part}"
+
+
+def table(data: Mapping[str, Any], name: str) -> dict[str, Any]:
+    """Return the object of this name, empty where there is none."""
+    found = data.get(name)
+    return found if isinstance(found, dict) else {}
+
+
+def tables(data: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """Return those that are objects, by name."""
+    return {name: one for name, one in data.items() if isinstance(one, dict)}
+
+
+def text(data: Mapping[str, Any], name: str) -> str:
+    """Return the text of this name, empty where there is none."""
+    found = data.get(name)
+    return found if isinstance(found, str) else ""
+
+
+def texts(data: Mapping[str, Any], name: str) -> list[str]:
+    """Return the texts in the list of this name, but for empty ones."""
+    found = data.get(name)
+    return [one for one in found if isinstance(one, str) and one] if isinstance(found, list) else []
