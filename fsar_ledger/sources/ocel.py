@@ -65,8 +65,8 @@ class Ocel:
     def look(self, inputs: Sequence[Input]) -> None:
         """Open the logs, and find what they record: before that nothing is declared, and nothing is derived.
 
-        A type of ours is recorded if the log has it and every event of it can come back; a field of it if every such
-        event has it. Nothing is recorded by a log of several runs.
+        A type of ours is recorded if the log declares it and every event of it can come back; a field of it if every
+        such event has it. Nothing is recorded by a log of several runs.
 
         Raises: UsageError as `read`.
         """
@@ -86,7 +86,12 @@ class Ocel:
             if _event(item.kind, row) is None:
                 unfit.add(item.kind)
         names = [kind for kind in fields if kind not in unfit] if len(runs) <= 1 else []
-        columns = (f"{kind}.{column}" for kind in names for column in fields[kind] or ())
+        columns = (
+            f"{kind}.{field.name}"
+            for kind in names
+            for field in OWN[kind].fields
+            if (known := fields[kind]) is None or field.name in known  # of a type without events no field is missing
+        )
         self._declared = (*names, *(name for name in columns if name in RECORDS))
 
     def declares(self) -> Iterable[str]:

@@ -20,6 +20,8 @@ from .json_lines import utc_us
 SQLITE = b"SQLite format 3\0"
 TABLES = ("event", "event_map_type", "event_object", "object", "object_map_type", "object_object")
 ENVELOPE = ("ocel_id", "ocel_time", "ocel_changed_field")
+MAX_US = 4_000_000_000_000_000
+"""More than a century around 1970: times further apart are no whole numbers that every reader of JSON keeps."""
 _BROKEN = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)
 _RAW_OBJECT = msgspec.json.Decoder(dict[str, msgspec.Raw])
 _RAW_LIST = msgspec.json.Decoder(list[msgspec.Raw])
@@ -108,9 +110,15 @@ class JsonLog:
         return (_item(self._events[at], is_event=True) for at in sorted(range(len(times)), key=times.__getitem__))
 
 
+def time_us(text: object) -> int | None:
+    """Return a time in microseconds since 1970, None for what is none, or no time at which anything was recorded."""
+    found = utc_us(text)
+    return found if found is not None and abs(found) < MAX_US else None
+
+
 def _time(raw: msgspec.Raw) -> int | None:
     try:
-        return utc_us(_OBJECT.decode(raw).get("time"))
+        return time_us(_OBJECT.decode(raw).get("time"))
     except _BROKEN:
         return None
 
@@ -128,7 +136,7 @@ def _item(raw: msgspec.Raw, *, is_event: bool) -> Item | Record:
         return unreadable(bytes(raw), f"{type(error).__name__}: {error}")
     if not all(isinstance(one, str) for one in (name, kind, *(each for each, _ in (*attributes, *related)))):
         return unreadable(bytes(raw), "expected texts as id, type, and names of attributes and objects")
-    return Item(name, kind, utc_us(found.get("time")) if is_event else None, attributes, related, bytes(raw))
+    return Item(name, kind, time_us(found.get("time")) if is_event else None, attributes, related, bytes(raw))
 
 
 def _is_change(attribute: Any) -> bool:
@@ -186,7 +194,7 @@ class SqliteLog:
             _index(database, "event_object", "ocel_event_id", "ocel_object_id")
             tables = [_events(database, kind, table) for kind, table in _types(database, "event")]
             for text, _, name, kind, values in heapq.merge(*tables, key=lambda one: one[:2]):
-                yield _made(database, name, kind, text or None, utc_us(text), tuple(values.items()))
+                yield _made(database, name, kind, text or None, time_us(text), tuple(values.items()))
 
 
 _Event = tuple[str, int, str, str, dict[str, Any]]
@@ -204,8 +212,8 @@ def _quoted(name: str) -> str:
 def _types(database: sqlite3.Connection, part: str) -> list[tuple[str, str | None]]:
     """Return each type of events or objects with its table; None where the log names none."""
     found = database.execute(
-        f"SELECT DISTINCT one.ocel_type, map.ocel_type_map FROM {part} AS one "
-        f"LEFT JOIN {part}_map_type AS map ON one.ocel_type = map.ocel_type ORDER BY 1"
+        f"SELECT kinds.ocel_type, map.ocel_type_map FROM (SELECT ocel_type FROM {part} UNION SELECT ocel_type "
+        f"FROM {part}_map_type) AS kinds LEFT JOIN {part}_map_type AS map USING (ocel_type) ORDER BY 1"
     )
     return [(str(kind), None if name is None else _quoted(f"{part}_{name}")) for kind, name in found.fetchall()]
 
