@@ -13,6 +13,7 @@ from fsar_ledger.base.errors import UsageError
 from fsar_ledger.sources.adapter import Input
 from fsar_ledger.sources.ocel import COLUMNS, OWN, Ocel
 from tests.sources.ocel import CONTEXT, Log, database, event, honest_events, log, orders, written
+from tests.sources.pages import printed_otherwise
 
 Import = Callable[[Log | bytes | Path], ImportResult]
 Change = Callable[[list[Log]], list[Log]]
@@ -279,3 +280,11 @@ def test_standard_input_may_hold_json_and_no_database(tmp_path: Path) -> None:
 
 def read(adapter: Ocel, texts: Sequence[bytes]) -> list[object]:
     return list(adapter.read([Input("stdin", None, BytesIO(text)) for text in texts]))
+
+
+def test_the_command_of_the_page_prints_what_the_page_shows(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "run.json").write_bytes(written(log(honest_events(), also=CONTEXT)))
+    assert printed_otherwise("ocel.md", capsys) == []

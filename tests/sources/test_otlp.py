@@ -13,6 +13,7 @@ from fsar_ledger.base.errors import UsageError
 from fsar_ledger.sources import otlp
 from fsar_ledger.sources.adapter import Input, Record
 from tests.sources.otel import Line, batch, honest_day, snake, span, written
+from tests.sources.pages import printed_otherwise
 
 FLEET = '[robots]\nplanner = "planner"\npicker = "picker"\n'
 Import = Callable[..., ImportResult]
@@ -200,3 +201,12 @@ def test_memory_of_spans_is_bounded_and_who_waits_too_long_was_asked_by_nobody_k
 
 def read(adapter: otlp.Otlp, lines: Iterable[Line]) -> list[Record]:
     return list(adapter.read([Input("day", None, BytesIO(written(lines)))]))
+
+
+def test_the_command_of_the_page_prints_what_the_page_shows(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "day.jsonl").write_bytes(written(honest_day()))
+    (tmp_path / "fleet.toml").write_text(FLEET)
+    assert printed_otherwise("otlp.md", capsys) == []
