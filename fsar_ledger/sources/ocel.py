@@ -22,8 +22,9 @@ from typing import Any, Literal
 import msgspec
 
 from fsar_ledger.base.errors import UsageError
+from fsar_ledger.base.printable import escaped
 from fsar_ledger.events import CONCERN_OF, Event
-from fsar_ledger.ledger.rows.schema import RECORDS, Field
+from fsar_ledger.ledger.rows.schema import MAX_INTEGER, RECORDS, Field
 
 from .adapter import Derived, Input, Record
 from .json_lines import shown
@@ -157,7 +158,7 @@ def _columns(item: Item) -> dict[str, Any]:
             column = COLUMNS.get(qualifier, "")
             field = known.get(column) or known.get(qualifier.replace(" ", "_"))
             if field is not None:
-                one = label[3] or label[2]
+                one = escaped(label[3] or label[2])
                 row[field.name] = [*row.get(field.name, ()), one] if field.kind == "strings" else one
     path, decider = row.get("path"), row.get("decided_by")
     if path is not None and decider in path:  # an object comes once, with all of its parts; the decider is last
@@ -174,14 +175,18 @@ def _value(field: Field, found: Any) -> Any:
             case "boolean" if not isinstance(found, bool):
                 return {"true": True, "1": True, "false": False, "0": False}.get(str(found).lower(), found)
             case "strings" if isinstance(found, str):
-                return _LIST.decode(found)
+                return list(map(escaped, _LIST.decode(found)))
+            case "string" if isinstance(found, str):
+                return escaped(found)
     except (ValueError, OverflowError, TypeError, msgspec.DecodeError):
         return found
     return found
 
 
 def _event(kind: str, row: dict[str, Any]) -> Event | None:
-    """Return the event of ours with these columns, None if it lacks one or has it of another kind."""
+    """Return the event of ours with these columns, None if it lacks one or has one that a ledger cannot hold."""
+    if any(isinstance(one, int) and abs(one) > MAX_INTEGER for one in row.values()):
+        return None
     try:
         return event_of(OWN[kind], row)
     except UsageError:

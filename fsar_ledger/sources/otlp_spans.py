@@ -5,6 +5,7 @@ from typing import Any
 
 import msgspec
 
+from fsar_ledger.base.printable import escaped
 from fsar_ledger.events.envelope import Robot
 
 from .adapter import Input, Record, unreadable
@@ -150,14 +151,15 @@ def _attributes(found: object) -> dict[str, Any]:
 
 
 def _text(found: object) -> str | None:
-    return found if isinstance(found, str) and found else None
+    """Return a text as an event can hold it, None for none."""
+    return escaped(found) if isinstance(found, str) and found else None
 
 
 def _id(found: object) -> str | None:
     """Return an id: hexadecimal in any case, or base64 as the JSON mapping of protobuf has it; None for zeros."""
     if not isinstance(found, str) or not found.strip("0"):
         return None
-    return found.lower() if len(found) in (16, 32) else found
+    return escaped(found.lower() if len(found) in (16, 32) else found)
 
 
 def _span(raw: msgspec.Raw, service: str | None) -> Record:

@@ -185,6 +185,14 @@ def test_numbers_and_lists_that_another_writer_made_texts_of_come_back(imported:
     assert (arrived["steps"], arrived["budget_us"], arrived["is_time_critical"]) == (["A go"], 5, True)
 
 
+def test_an_integer_that_no_ledger_holds_is_not_declared_and_odd_names_are_escaped(imported: Import) -> None:
+    odd: dict[str, Any] = {"robot": "robot/A\x00\n", "steps": '["\\u202e"]', "budget_us": 1}
+    (arrived,) = rows(imported(log([event("1", "TaskArrived", 1, task="T", **odd)])), "TaskArrived")
+    assert arrived["robot"] == "robot/A\\x00\\n"
+    found = imported(log([event("1", "TaskArrived", 1, task="T", robot="robot/A", budget_us=2**60)])).made
+    assert (found.events, found.declared.records, found.records) == ({}, (), 3)
+
+
 @pytest.mark.parametrize("kind", OWN)
 def test_no_qualifier_names_two_columns_of_a_type(kind: str) -> None:
     names = {field.name for field in OWN[kind].fields}

@@ -12,7 +12,7 @@ from fsar_ledger.api.ledger import Ledger
 from fsar_ledger.base.errors import UsageError
 from fsar_ledger.sources import otlp
 from fsar_ledger.sources.adapter import Input, Record
-from tests.sources.otel import Line, batch, honest_day, snake, span, written
+from tests.sources.otel import Line, attributes, batch, honest_day, snake, span, written
 from tests.sources.pages import printed_otherwise
 
 FLEET = '[robots]\nplanner = "planner"\npicker = "picker"\n'
@@ -129,6 +129,14 @@ def test_a_span_that_is_sent_again_is_told_once(imported: Import) -> None:
     assert again.made.records == 10
 
 
+def test_a_recording_that_has_grown_says_what_it_says_at_once(imported: Import) -> None:
+    lines = list(honest_day())
+    imported(lines[:3])
+    grown = imported(lines)
+    assert (grown.made.before, grown.made.records) == (5, 10)
+    assert said(grown) == said(imported(lines, "other"))
+
+
 def test_an_honest_fleet_offends_nothing_and_what_is_not_recorded_is_named(imported: Import) -> None:
     holding, broken, lacking = verdicts(imported(honest_day()).ledger)
     assert (holding, broken) == ({"i1", "a2"}, set())
@@ -168,6 +176,7 @@ def test_what_cannot_be_read_is_on_record_and_the_rest_is_read(imported: Import)
         {"endTimeUnixNano": 1.5},
         {"parentSpanId": "b" * 15 + "1"},
         {"name": "\x00\n\x1b[31m"},
+        {"attributes": attributes({"gen_ai.operation.name": "invoke_agent", "gen_ai.agent.name": "\x00\n\u202e"})},
     ],
 )
 def test_a_span_with_odd_fields_is_a_record(imported: Import, odd: Line) -> None:
