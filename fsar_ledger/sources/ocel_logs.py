@@ -164,7 +164,7 @@ class SqliteLog:
                 database.text_factory = lambda text: text.decode(errors="backslashreplace")
                 database.execute("PRAGMA trusted_schema = OFF")
                 yield database
-        except (sqlite3.Error, UnicodeEncodeError) as error:
+        except (sqlite3.Error, UnicodeError) as error:
             raise UsageError(
                 f"{value(str(self._path))}: {error!s:.200}; expected a whole SQLite database with the tables of "
                 "OCEL 2.0; write it again, or copy it whole"

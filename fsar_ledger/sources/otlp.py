@@ -69,26 +69,20 @@ class Otlp:
             "ExecutionFailed",
         )
 
+    def look(self, inputs: Iterable[Input]) -> None:
+        """Raise what `read` would of files that are not of the format, before there is a run."""
+        for one in inputs:
+            if one.path is not None:
+                next(_read(one), None)
+                one.file.seek(0)
+
     def read(self, inputs: Iterable[Input]) -> Iterator[Record]:
         """Yield every span, and a record for each line of metrics or logs.
 
         Raises: UsageError for an input that begins with something else.
         """
         for one in inputs:
-            strange: list[Record] = []
-            is_known = False
-            for text in texts(one):
-                found = list(records(text))
-                if not is_known and all(record.kind == UNREADABLE for record in found):
-                    strange += found
-                    if len(strange) > MAX_STRANGE:
-                        raise _not_otlp(one, strange[0])
-                    continue
-                yield from strange
-                strange, is_known = [], True
-                yield from found
-            if strange:
-                raise _not_otlp(one, strange[0])
+            yield from _read(one)
 
     def derive(self, record: Record) -> Iterable[Derived] | None:
         """Return what is known now: of this span, and of those that waited for it."""
@@ -183,6 +177,23 @@ def _executed(span: Span, agent: Robot | None, by: Robot | None, action: Key) ->
         yield ExecutionFinished(subject, parties, agent)
     else:
         yield ExecutionFailed(subject=subject, robot=agent, failure=1, cause=span.failure)
+
+
+def _read(one: Input) -> Iterator[Record]:
+    strange: list[Record] = []
+    is_known = False
+    for text in texts(one):
+        found = list(records(text))
+        if not is_known and all(record.kind == UNREADABLE for record in found):
+            strange += found
+            if len(strange) > MAX_STRANGE:
+                raise _not_otlp(one, strange[0])
+            continue
+        yield from strange
+        strange, is_known = [], True
+        yield from found
+    if strange:
+        raise _not_otlp(one, strange[0])
 
 
 def _not_otlp(one: Input, first: Record) -> UsageError:

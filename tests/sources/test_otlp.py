@@ -110,6 +110,13 @@ def test_a_call_of_a_remote_agent_and_what_that_agent_tells_are_one_request(impo
     ]
 
 
+def test_a_tool_below_a_call_is_executed_by_the_agent_that_was_called(imported: Import) -> None:
+    tool = span("3", "2", "execute_tool", tool="grasp")
+    call = span("2", "1", "invoke_agent", agent="picker", kind=3)
+    told = said(imported([batch(tool, call, span("1", None, "invoke_agent", agent="planner"))]))
+    assert told[:2] == [("ExecutionStarted", "3", "picker", "picker"), ("ExecutionFinished", "3", "picker", "picker")]
+
+
 def test_nobody_knows_whether_an_agent_took_up_a_call_that_only_the_caller_saw(imported: Import) -> None:
     lines = [
         batch(span("2", "1", "invoke_agent", agent="picker", kind=3), span("1", None, "invoke_agent", agent="planner"))
@@ -190,9 +197,12 @@ def test_metrics_and_logs_are_on_record_as_not_understood(imported: Import) -> N
 
 
 @pytest.mark.parametrize("text", [b"hello\n", b'{"a": 1}\n', b"\x89PNG\r\n", b"[]\n" * 200])
-def test_another_format_is_refused_with_what_was_found(imported: Import, text: bytes) -> None:
+def test_another_format_is_refused_with_what_was_found_and_no_run_is_begun(
+    imported: Import, tmp_path: Path, text: bytes
+) -> None:
     with pytest.raises(UsageError, match=r"day\.jsonl.*: found .*, expected lines of OTLP JSON"):
         imported(text)
+    assert not (tmp_path / "ledger").exists()
 
 
 def test_memory_of_spans_is_bounded_and_who_waits_too_long_was_asked_by_nobody_known(
