@@ -96,7 +96,7 @@ def import_records(
     """
     from fsar_ledger.ledger.store.keys import read_signer
     from fsar_ledger.sources.importing import import_files
-    from fsar_ledger.sources.opening import adapter_of, named_robots, opened
+    from fsar_ledger.sources.opening import adapter_of, looked, named_robots, opened
 
     from .ledger import Ledger
 
@@ -105,7 +105,7 @@ def import_records(
         made = import_files(
             Path(out),
             inputs,
-            adapter,
+            looked(adapter, inputs),
             run=run or inputs[0].name,
             fleet=None if fleet is None else named_robots(Path(fleet)),
             mapping_sha256=mapping_sha256,

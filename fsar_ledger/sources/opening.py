@@ -53,6 +53,16 @@ def adapter_of(name: str | None, mapping: Path | None) -> tuple[Adapter, str | N
     return mapped(mapping, data), sha256(data).hexdigest()
 
 
+def looked(adapter: Adapter, inputs: Sequence[Input]) -> Adapter:
+    """Let the adapter look at its inputs before it declares anything, if what it declares depends on them.
+
+    Such an adapter has a method `look`, which leaves every file at its beginning.
+    """
+    if (look := getattr(adapter, "look", None)) is not None:
+        look(inputs)
+    return adapter
+
+
 def read(path: Path) -> bytes:
     """Return the bytes of a file that a user named. Raises: UsageError if it cannot be read."""
     try:

@@ -1,0 +1,203 @@
+"""OpenTelemetry traces as OTLP JSON (opentelemetry-proto 1.x), one `TracesData` a line: a fleet of agents and its work.
+
+As the file exporter of the collector writes it; one document over several lines is read, too. Attributes are those of
+the conventions for generative AI 1.41. A span arrives when it has ended, a parent after its children: the run is in
+order of arrival, at the ends of the spans, and their starts stand beside it. Whose a span is, its own attributes say,
+else its parent's. What follows from a span is told once it is known whose its parent is.
+
+| span | becomes |
+|---|---|
+| `invoke_agent` under a span of another agent | `RequestIssued`, `RequestClosed` by that agent |
+| the same, unless its kind is CLIENT: only the caller saw it | `RequestAccepted`; `ExecutionStarted` for that agent |
+| `invoke_agent` of nobody, or under a span of the same agent | `ExecutionStarted` |
+| `execute_tool` | `ExecutionStarted` by the agent whose span it is, of the tool |
+| each of these executions, as it ended | `ExecutionFinished`; `ExecutionFailed` with the status ERROR |
+| any other, and one whose parent is not in the recording | an observation |
+"""
+
+from collections.abc import Iterable, Iterator
+from typing import Literal
+
+from fsar_ledger.base.errors import UsageError
+from fsar_ledger.base.printable import value
+from fsar_ledger.events import Event
+from fsar_ledger.events.envelope import Parties, RequestSubject, Robot, Subject
+from fsar_ledger.events.execution import ExecutionFailed, ExecutionFinished, ExecutionStarted
+from fsar_ledger.events.request import RequestAccepted, RequestClosed, RequestIssued
+
+from .adapter import UNREADABLE, Derived, Input, Record
+from .otlp_spans import Key, Span, records, texts
+
+KEPT_SPANS = 1 << 16
+"""Spans of which the owner, or the parent, is remembered: a child that comes later than that has an unknown parent."""
+WAITING_SPANS = 1 << 16
+"""Spans that wait for their parents at most; those that wait longest are told then, as asked by nobody known."""
+MAX_HOPS = 256
+"""Spans between a span and the one that says whose it is: more, or a circle, is nobody's."""
+MAX_STRANGE = 100
+"""Lines at the beginning that are not of the format, before the input is taken to be none of it."""
+
+
+class Otlp:
+    """Reads OTLP JSON."""
+
+    name = "otlp"
+    version = "1"
+    format = "otlp-json/1"
+    clock: Literal["arrival", "source"] = "arrival"
+    is_sampled = False
+
+    def __init__(self) -> None:
+        self._owners: dict[Key, Robot | Key | None] = {}
+        self._calls: dict[Key, Robot | None] = {}
+        self._waiting: dict[Key, list[Span]] = {}
+        self._waiting_spans = 0
+
+    def declares(self) -> Iterable[str]:
+        """Name what a complete recording of instrumented agents has.
+
+        That a span began shows that its agent took the request up, not who decided that: `RequestAccepted.decided_by`
+        is not among them.
+        """
+        parties = ("requested_by", "executed_by")
+        return (
+            *(f"RequestIssued.{name}" for name in ("task_id", "action_id", "decided_by", *parties)),
+            *(f"RequestAccepted.{name}" for name in parties),
+            *(f"RequestClosed.{name}" for name in ("decided_by", *parties)),
+            *(f"ExecutionStarted.{name}" for name in ("on_behalf_of", *parties)),
+            *(f"ExecutionFinished.{name}" for name in parties),
+            "ExecutionFailed",
+        )
+
+    def look(self, inputs: Iterable[Input]) -> None:
+        """Raise what `read` would of files that are not of the format, before there is a run."""
+        for one in inputs:
+            if one.path is not None:
+                next(_read(one), None)
+                one.file.seek(0)
+
+    def read(self, inputs: Iterable[Input]) -> Iterator[Record]:
+        """Yield every span, and a record for each line of metrics or logs.
+
+        Raises: UsageError for an input that begins with something else.
+        """
+        for one in inputs:
+            yield from _read(one)
+
+    def derive(self, record: Record) -> Iterable[Derived] | None:
+        """Return what is known now: of this span, and of those that waited for it."""
+        span = record.data
+        if span is None:
+            return None
+        if span.key in self._owners:  # sent again
+            return ()
+        self._remember(span)
+        children = self._waiting.pop(span.key, [])
+        self._waiting_spans -= len(children)
+        events: list[Event] = []
+        # A child ended before its parent did, but what is called acts after the call.
+        for group in ([span, *children],) if span.key in self._calls else (children, [span]):
+            closings: list[Event] = []
+            for one in group:
+                if one.operation in ("invoke_agent", "execute_tool"):
+                    self._tell(one, events, closings)
+            events += closings
+        while self._waiting_spans > WAITING_SPANS:
+            late = self._waiting.pop(next(iter(self._waiting)))
+            self._waiting_spans -= len(late)
+            for one in late:
+                events += _executed(one, one.agent, None, one.key)
+        return [Derived(event) for event in events]
+
+    def _remember(self, span: Span) -> None:
+        """Note whose the span is, or whose child; that of a call, or of a creation, is not whose name it has."""
+        is_call = span.is_client and span.operation == "invoke_agent"
+        names_another = is_call or span.operation == "create_agent"
+        self._owners[span.key] = span.parent if span.agent is None or names_another else span.agent
+        if is_call:
+            self._calls[span.key] = span.agent
+        if len(self._owners) > KEPT_SPANS:
+            oldest = next(iter(self._owners))
+            del self._owners[oldest]
+            self._calls.pop(oldest, None)
+
+    def _tell(self, span: Span, events: list[Event], closings: list[Event]) -> None:
+        """Add what follows from the span, or let it wait for the span that it is not known without."""
+        asker: Robot | Key | None = span.parent
+        call: Key | None = None
+        for _ in range(MAX_HOPS):
+            if not isinstance(asker, tuple):
+                break
+            if asker not in self._owners:
+                self._waiting.setdefault(asker, []).append(span)
+                self._waiting_spans += 1
+                return
+            called = self._calls.get(asker)
+            if called is not None and called == span.agent and span.operation == "invoke_agent":
+                call, asker = asker, self._owners[asker]
+            else:
+                asker = called or self._owners[asker]
+        by = None if isinstance(asker, tuple) else asker
+        is_tool = span.operation == "execute_tool"
+        agent = span.agent or (by if is_tool else None)
+        if not is_tool and agent is not None and by is not None and agent != by:
+            self._request(span, agent, by, call, events, closings)
+        elif is_tool or not span.is_client:
+            events += _executed(span, agent, by, span.key)
+
+    def _request(
+        self, span: Span, agent: Robot, by: Robot, call: Key | None, events: list[Event], closings: list[Event]
+    ) -> None:
+        """Add that `by` asked the agent, and what the agent did; the caller told of a `call` itself."""
+        action = call or span.key
+        subject = RequestSubject(span.key[0], "/".join(action), None)
+        parties = Parties(requested_by=by, executed_by=agent, supervised_by=None)
+        if call is None:
+            events.append(RequestIssued(subject=subject, principals=parties.decided(by), capability=span.capability))
+        if not span.is_client:
+            events.append(RequestAccepted(subject, parties.decided(agent)))
+            events += _executed(span, agent, by, action)
+        if call is None:
+            result: Literal["success", "failure"] = "success" if span.failure is None else "failure"
+            closings.append(RequestClosed(subject, parties.decided(by), result))
+
+
+def _executed(span: Span, agent: Robot | None, by: Robot | None, action: Key) -> Iterator[Event]:
+    """Yield that the agent executed the span; nothing where nobody knows who did."""
+    if agent is None:
+        return
+    subject, parties = (
+        Subject(span.key[0], "/".join(action)),
+        Parties(requested_by=by, executed_by=agent, supervised_by=None),
+    )
+    yield ExecutionStarted(
+        subject=subject, principals=parties, robot=agent, on_behalf_of=by, capability=span.capability
+    )
+    if span.failure is None:
+        yield ExecutionFinished(subject, parties, agent)
+    else:
+        yield ExecutionFailed(subject=subject, robot=agent, failure=1, cause=span.failure)
+
+
+def _read(one: Input) -> Iterator[Record]:
+    strange: list[Record] = []
+    is_known = False
+    for text in texts(one):
+        found = list(records(text))
+        if not is_known and all(record.kind == UNREADABLE for record in found):
+            strange += found
+            if len(strange) > MAX_STRANGE:
+                raise _not_otlp(one, strange[0])
+            continue
+        yield from strange
+        strange, is_known = [], True
+        yield from found
+    if strange:
+        raise _not_otlp(one, strange[0])
+
+
+def _not_otlp(one: Input, first: Record) -> UsageError:
+    return UsageError(
+        f"{value(str(one.path or one.name))}: found {value(first.raw[:60].decode(errors='backslashreplace'))}, "
+        "expected lines of OTLP JSON with resourceSpans; write them with the collector's file exporter (format: json)"
+    )
