@@ -7,7 +7,7 @@ import msgspec
 from msgspec.structs import replace
 
 from fsar_ledger.designs.constants import END_US
-from fsar_ledger.events.envelope import Robot
+from fsar_ledger.events.envelope import Robot, recorded_robot
 from fsar_ledger.events.task import StepBegan, StepCompleted, TaskAbandoned, TaskCompleted, TaskPlanned
 from fsar_ledger.events.world import TaskArrived
 
@@ -65,7 +65,7 @@ def evolve(state: Tasks, event: HANDLES) -> Tasks:
         case TaskArrived():
             task = Task(
                 event.task_id,
-                event.robot or Robot(""),
+                event.robot or recorded_robot(""),
                 event.team or 0,
                 event.steps,
                 event.budget_us or 0,

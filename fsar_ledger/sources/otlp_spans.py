@@ -6,7 +6,7 @@ from typing import Any
 import msgspec
 
 from fsar_ledger.base.printable import escaped
-from fsar_ledger.events.envelope import Robot
+from fsar_ledger.events.envelope import Robot, recorded_robot
 
 from .adapter import Input, Record, unreadable
 from .json_lines import lines, shown
@@ -212,7 +212,7 @@ def _robot(about: Mapping[str, Any]) -> Robot | None:
     name = _text(about.get("gen_ai.agent.name")) or _text(about.get("gen_ai.agent.id"))
     if name is None:
         return None
-    return Robot(name if name.startswith(("robot/", "service/")) else f"robot/{name}")
+    return recorded_robot(name if name.startswith(("robot/", "service/")) else f"robot/{name}")
 
 
 def _kind(found: object) -> str:

@@ -33,7 +33,7 @@ import msgspec
 from fsar_ledger.base.errors import UsageError
 from fsar_ledger.base.printable import counted, escaped, value
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import COORDINATOR, Parties, RequestSubject, Robot, Subject
+from fsar_ledger.events.envelope import COORDINATOR, Parties, RequestSubject, Robot, Subject, recorded_robot
 from fsar_ledger.events.execution import (
     ExecutionFailed,
     ExecutionFinished,
@@ -179,7 +179,7 @@ def _asked(task: Task, subject: Subject[str, str], dispatch: Mapping[str, Any], 
     if f"{fleet}/{expected}" in task.asked:
         return
     task.asked = (*task.asked, f"{fleet}/{expected}")
-    robot = Robot(escaped(f"robot/{fleet}.{expected}")) if expected else None
+    robot = recorded_robot(escaped(f"robot/{fleet}.{expected}")) if expected else None
     parties = Parties(requested_by=COORDINATOR, executed_by=robot, supervised_by=None)
     yield RequestIssued(
         subject=RequestSubject(subject.task_id, subject.action_id, None),

@@ -9,7 +9,7 @@ from datetime import datetime
 from typing import Any
 
 from fsar_ledger.base.printable import escaped
-from fsar_ledger.events.envelope import Robot
+from fsar_ledger.events.envelope import Robot, recorded_robot
 
 from .adapter import Record
 from .json_lines import shown, utc_us
@@ -205,7 +205,7 @@ def assigned_robot(state: Mapping[str, Any]) -> Robot | None:
     """Return the robot that a task is assigned to, by its fleet and name."""
     assigned = table(state, "assigned_to")
     fleet, name = text(assigned, "group"), text(assigned, "name")
-    return Robot(escaped(f"robot/{fleet}.{name}" if fleet else f"robot/{name}")) if name else None
+    return recorded_robot(escaped(f"robot/{fleet}.{name}" if fleet else f"robot/{name}")) if name else None
 
 
 def task_id(state: Mapping[str, Any]) -> str:
