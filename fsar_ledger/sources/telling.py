@@ -1,6 +1,7 @@
 """Events as lines of JSON, as a program in any language can write them."""
 
-from datetime import datetime
+from datetime import UTC, datetime
+from functools import partial
 from typing import Any, BinaryIO
 
 import msgspec
@@ -10,6 +11,7 @@ from fsar_ledger.base.printable import did_you_mean, value
 from fsar_ledger.events import Event
 from fsar_ledger.ledger.rows.schema import LAYOUTS, OPENINGS, StoredType
 
+from .json_lines import BOM, MAX_LINE
 from .recorder import Recorder
 
 LAYOUT_OF: dict[str, StoredType] = {
@@ -21,13 +23,16 @@ BESIDE = ("type", "time", "caused_by")
 
 
 def tell(recorder: Recorder, file: BinaryIO) -> tuple[int, dict[int, str]]:
-    """Record each line as it comes; return how many events there were, and what was wrong with which line."""
+    """Record each line as it comes; return how many events there were, and what was wrong with which line.
+
+    A time without a zone is UTC.
+    """
     events, refused = 0, dict[int, str]()
-    for number, line in enumerate(iter(file.readline, b""), 1):
+    for number, line in enumerate(iter(partial(file.readline, MAX_LINE), b""), 1):
         if not line.strip():
             continue
         try:
-            event, at, caused_by = told(line)
+            event, at, caused_by = told(line.removeprefix(BOM) if number == 1 else line)
             recorder.event(event, at=at, caused_by=caused_by)
             events += 1
         except (UsageError, InvalidRun) as error:
@@ -83,7 +88,8 @@ def _when(text: object) -> datetime | None:
     if text is None:
         return None
     try:
-        return datetime.fromisoformat(str(text))
+        found = datetime.fromisoformat(str(text))
+        return found if found.tzinfo is not None else found.replace(tzinfo=UTC)
     except ValueError as error:
         raise UsageError(
             f"field time: found {value(str(text))}, expected a time such as 2026-03-01T10:00:00Z"

@@ -33,8 +33,8 @@ from fsar_ledger.events.request import RequestAccepted, RequestDenied, RequestIs
 from fsar_ledger.events.task import TaskCompleted
 from fsar_ledger.events.world import LinkCameUp, LinkWentDown, TaskArrived
 
-from .adapter import Derived, Input, Record
-from .json_lines import objects, shown, utc_us
+from .adapter import UNREADABLE, Derived, Input, Record
+from .json_lines import known, objects, shown, utc_us
 
 KINDS: Mapping[str, tuple[str, ...]] = {
     "state": ("operatingMode",),
@@ -53,10 +53,14 @@ ENDED = ("FINISHED", "FAILED")
 
 
 class Vehicle(msgspec.Struct):
-    """What the last messages of a vehicle said. `ended` are orders whose end has been told."""
+    """What the messages of a vehicle said so far. `ended` are orders whose end has been told.
 
-    order: str = ""
+    `newest` is the number and time of the newest message by kind.
+    """
+
+    newest: dict[str, tuple[int, int]] = {}
     asked: dict[str, None] = {}
+    accepted: dict[str, None] = {}
     statuses: dict[str, str] = {}
     failures: dict[str, int] = {}
     connection: str = ""
@@ -96,9 +100,11 @@ class Vda5050:
         )
 
     def read(self, inputs: Iterable[Input]) -> Iterator[Record]:
-        """Yield every message."""
-        for one in objects(inputs):
-            yield one if isinstance(one, Record) else self._record(*one)
+        """Yield every message. Raises: UsageError if the first ones are none."""
+        files = list(inputs)
+        found = (one if isinstance(one, Record) else self._record(*one) for one in objects(files))
+        unlike = (UNREADABLE, "unknown")
+        return known(found, files, lambda one: one.kind not in unlike, "messages of VDA 5050, one a line")
 
     def _record(self, raw: bytes, line: dict[str, Any]) -> Record:
         message = line["payload"] if isinstance(line.get("payload"), dict) else line
@@ -130,6 +136,8 @@ class Vda5050:
         if robot is None or kind == "unknown":
             return None
         vehicle = self._vehicles.setdefault(robot, Vehicle())
+        if kind in ("state", "connection") and _is_late(vehicle, kind, record, message):
+            return ()
         match kind:
             case "order":
                 events = _ordered(vehicle, robot, message)
@@ -142,6 +150,22 @@ class Vda5050:
             case _:
                 return None
         return [Derived(event) for event in events]
+
+
+def _is_late(vehicle: Vehicle, kind: str, record: Record, message: Mapping[str, Any]) -> bool:
+    """Return whether a message of that kind came before that was sent later, or this one: it says nothing new.
+
+    A clock that was set back does not make a message late, since its number goes on; nor does a number that begins
+    anew, since its time goes on.
+    """
+    number, sent_us = message.get("headerId"), record.source_us
+    if type(number) is not int or sent_us is None:
+        return False
+    before = vehicle.newest.get(kind)
+    if before is not None and number <= before[0] and sent_us <= before[1]:
+        return True
+    vehicle.newest[kind] = (number, sent_us)
+    return False
 
 
 def _kind(topic: object, message: Mapping[str, Any]) -> str:
@@ -192,16 +216,16 @@ def _ordered(vehicle: Vehicle, robot: Robot, message: Mapping[str, Any]) -> Iter
 def _changed(vehicle: Vehicle, robot: Robot, message: Mapping[str, Any]) -> Iterator[Event]:
     """Yield what a state says that the one before it did not."""
     order = _order(message)
-    if order and order != vehicle.order:
-        vehicle.order = order
+    if order and order not in vehicle.accepted:
+        vehicle.accepted[order] = None
         yield RequestAccepted(_subject(order), _principals(robot, robot))
     yield from _refused(vehicle, robot, message)
     states = _listed(message, "actionStates")
     for state in states:
         yield from _acted(vehicle, robot, order, state)
-    moving = _listed(message, "nodeStates") or _listed(message, "edgeStates")
+    is_there = message.get("nodeStates") == [] and message.get("edgeStates") == []
     statuses = {str(state.get("actionStatus")) for state in states}
-    if order and not moving and statuses <= {"FINISHED"} and order not in vehicle.ended and order in vehicle.asked:
+    if is_there and statuses <= {"FINISHED"} and order in vehicle.asked and order not in vehicle.ended:
         vehicle.ended[order] = None
         yield TaskCompleted(order)
 
@@ -212,7 +236,7 @@ def _refused(vehicle: Vehicle, robot: Robot, message: Mapping[str, Any]) -> Iter
         for reference in _listed(error, "errorReferences"):
             order = reference.get("referenceValue")
             is_order = reference.get("referenceKey") == "orderId" and isinstance(order, str)
-            if not is_order or order == vehicle.order or order not in vehicle.asked or order in vehicle.ended:
+            if not is_order or order in vehicle.accepted or order not in vehicle.asked or order in vehicle.ended:
                 continue
             vehicle.ended[order] = None
             yield RequestDenied(_subject(order), _principals(robot, robot), f"{error.get('errorType')}")
@@ -222,7 +246,7 @@ def _acted(vehicle: Vehicle, robot: Robot, order: str, state: Mapping[str, Any])
     """Yield what has become of one action since the last state."""
     action, status = str(state.get("actionId")), str(state.get("actionStatus"))
     before = vehicle.statuses.get(action)
-    if status == before:
+    if status == before or before == "FINISHED" or (status, before) == ("FAILED", "RETRIABLE"):
         return
     vehicle.statuses[action] = status
     subject = Subject(order, action)
