@@ -102,7 +102,7 @@ def record_lines(
     observes: Names = declare(
         "NAME",
         "What is recorded completely: a concern, an event type, or TYPE.FIELD; may be repeated.",
-        "nothing: whatever is recorded counts, and its absence means nothing",
+        "nothing: only observations (`Observed`) are taken",
     ),
     fleet: Place | None = declare("FILE", "A .toml file that names the robots: [robots], NAME = ROLE."),
     origin: str | None = declare("NAME", "Publish a new ledger under this name.", "the key's name, else a general one"),

@@ -77,8 +77,8 @@ def known(
     if waiting:
         raw = waiting[0].raw if isinstance(waiting[0], Record) else b""
         raise UsageError(
-            f"{value(inputs[0].name)}: found {raw[:40]!r} and no such record in the first {len(waiting):,}, expected {expected}; "
-            "nothing was recorded: give the format that it has (--as, --with)"
+            f"{value(inputs[0].name)}: found {raw[:40]!r} and no such record in the first {len(waiting):,}, expected "
+            f"{expected}; nothing was recorded: give the format that it has (--as, --with)"
         )
 
 

@@ -1,3 +1,3 @@
-from tests.cli.conftest import call
+from tests.cli.conftest import call, ledger
 
-__all__ = ["call"]
+__all__ = ["call", "ledger"]

@@ -186,7 +186,7 @@ def test_bodies_of_any_number_are_kept_whole(tmp_path: Path) -> None:
 
 
 def test_a_record_of_which_more_follows_than_a_journal_takes_is_committed_whole(tmp_path: Path) -> None:
-    many = {f"p{number}": "RUNNING" for number in range(17_000)}
+    many: dict[str, Any] = {f"p{number}": "RUNNING" for number in range(17_000)}
     imported(tmp_path / "ledger", filed(tmp_path, [order(0, "0001", "a"), state(1, "0001", "a", **many)]))
     assert kinds(tmp_path / "ledger").count("ExecutionStarted") == 17_000
 
@@ -391,7 +391,7 @@ def test_an_import_that_is_killed_and_called_again_until_done_is_as_one_that_was
             _, said = process.communicate()
             code, killed = process.returncode, killed + (process.returncode == -signal.SIGKILL)
         assert code in (0, -signal.SIGKILL), said
-    assert killed
+    assert killed == kills
     assert record_numbers(tmp_path / "ledger") == list(range(1, 24_001))
     assert recorded(tmp_path / "ledger") == recorded(tmp_path / "once")
     assert is_good(tmp_path / "ledger")
