@@ -20,7 +20,7 @@ from fsar_ledger.base.errors import UsageError
 from fsar_ledger.base.printable import value
 from fsar_ledger.base.progress import Progress
 from fsar_ledger.events import CONCERN_OF, Event
-from fsar_ledger.events.envelope import Robot, flat
+from fsar_ledger.events.envelope import Robot
 from fsar_ledger.events.fleet import RobotJoined, RunStarted
 from fsar_ledger.events.source import Observed, SourceClosed, SourceOpened
 from fsar_ledger.ledger.log.note import Signer
@@ -31,7 +31,8 @@ from fsar_ledger.ledger.store.append import Writer
 from .adapter import UNREADABLE, Adapter, Derived, Input, Record
 from .declared import Declared, declared
 from .held import BYTES, EPOCH, Held, held
-from .recorder import commit, kept_origin, storable_text
+from .recorder import commit, kept_origin
+from .storable import storable, storable_text, text_of
 
 ORIGIN = "fsar-ledger/imported"
 COMMIT_EVENTS, COMMIT_BYTES = 4_096, 1 << 21
@@ -253,9 +254,9 @@ class _Import:
     def _add(self, record: Record, derived: Iterable[Derived]) -> None:
         """Add a record, and what follows from it."""
         when_us = self._when_us(record)
-        if when_us is not None and self.epoch_us is not None:
-            self.last_us = max(self.last_us, when_us - self.epoch_us)
-        at = self._put(self.last_us, None, self._observed(record))
+        if when_us is not None and self.epoch_us is not None and when_us - self.epoch_us > self.last_us:
+            self.last_us = when_us - self.epoch_us
+        at = self._put(self.last_us, None, self._observed(record) if self.is_new else None)
         for one in derived:
             kind = type(one.event).__name__
             if kind in CONCERN_OF and kind not in self.kinds:
@@ -278,32 +279,40 @@ class _Import:
         values, objects = record.values, record.objects
         if record.kind == UNREADABLE:
             values = {**values, BYTES: f"{len(record.raw)}"}
+        said = tuple(values), tuple(values.values()), tuple(objects), tuple(objects.values())
+        texts = "".join(chain(*said))
+        if not texts.isprintable():
+            names, told, about, parts = (tuple(map(storable_text, some)) for some in said)
+        else:
+            names, told, about, parts = said
+        body = text_of(record.raw) if self.keeps_bodies else None
+        self.bytes += len(texts) + len(body or "")
         return Observed(
             source=self.adapter.name,
             kind=storable_text(record.kind),
-            names=tuple(map(storable_text, values)),
-            texts=tuple(map(storable_text, values.values())),
-            objects=tuple(map(storable_text, objects)),
-            qualifiers=tuple(map(storable_text, objects.values())),
+            names=names,
+            texts=told,
+            objects=about,
+            qualifiers=parts,
             source_time_us=source_us,
             record_number=self.count,
             record_sha256=hashlib.sha256(record.raw).hexdigest(),
-            body=_text(record.raw) if self.keeps_bodies else None,
+            body=body,
         )
 
     def _when_us(self, record: Record) -> int | None:
-        source_us, arrival_us = _told(record.source_us), _told(record.arrival_us)
-        first, second = (source_us, arrival_us) if self.adapter.clock == "source" else (arrival_us, source_us)
-        return first if first is not None else second
+        first, second = record.arrival_us, record.source_us
+        if self.adapter.clock == "source":
+            first, second = second, first
+        first_us = _told(first)
+        return first_us if first_us is not None else _told(second)
 
-    def _put(self, time_us: int, caused_by: int | None, event: Event) -> int:
+    def _put(self, time_us: int, caused_by: int | None, event: Event | None) -> int:
         """Add an event to the next commit, unless it is on file; return its number within the run."""
-        if self.is_new:
+        if event is not None and self.is_new:
             if not self.rows:
                 self.first = self.seq
             self.rows.append((time_us, caused_by, event))
-            if isinstance(event, Observed):
-                self.bytes += sum(map(len, event.texts)) + len(event.body or "")
         else:
             self._pass_beside()
         self.seq += 1
@@ -351,25 +360,9 @@ class _Stream(io.RawIOBase):
         return len(found)
 
 
-def storable(event: Event) -> Event:
-    """Return the event with what cannot be printed in its texts escaped."""
-    texts = chain.from_iterable(one if isinstance(one, tuple) else (one,) for one in flat(event).values())
-    if all(not isinstance(text, str) or text.isprintable() for text in texts):
-        return event
-    return msgspec.convert(_escaped(msgspec.to_builtins(event)), type(event))
-
-
 def _told(time_us: int | None) -> int | None:
     """Return the time; None for one so far from 1970 that a run could not hold its distance from another."""
     return time_us if time_us is not None and abs(time_us) <= FARTHEST_US else None
-
-
-def _escaped(found: Any) -> Any:
-    if isinstance(found, str):
-        return storable_text(found)
-    if isinstance(found, dict):
-        return {name: _escaped(one) for name, one in found.items()}
-    return [_escaped(one) for one in found] if isinstance(found, (list, tuple)) else found
 
 
 def _digest(inputs: Sequence[Input]) -> str | None:
@@ -387,10 +380,3 @@ def _digest(inputs: Sequence[Input]) -> str | None:
 def _blocks(one: Input) -> Iterator[bytes]:
     while block := one.file.read(1 << 20):
         yield block
-
-
-def _text(raw: bytes) -> str:
-    try:
-        return storable_text(raw.decode())
-    except UnicodeDecodeError:
-        return raw.hex()

@@ -96,4 +96,6 @@ def utc_us(text: object) -> int | None:
 
 def shown(found: object) -> str:
     """Return a value of JSON as text: a string as it is."""
-    return found if isinstance(found, str) else msgspec.json.encode(found).decode()
+    if isinstance(found, str):
+        return found
+    return f"{found}" if type(found) is int else msgspec.json.encode(found).decode()

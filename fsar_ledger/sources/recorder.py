@@ -14,7 +14,7 @@ from types import TracebackType
 import msgspec
 
 from fsar_ledger.base.errors import CommitTooLarge, FsarLedgerError, InvalidRun, UsageError
-from fsar_ledger.base.printable import counted, escaped, value
+from fsar_ledger.base.printable import counted, value
 from fsar_ledger.events import CONCERN_OF, Event
 from fsar_ledger.events.envelope import Robot, flat
 from fsar_ledger.events.fleet import RobotJoined, RunStarted
@@ -29,6 +29,7 @@ from fsar_ledger.ledger.store.paths import MANIFEST
 from fsar_ledger.ledger.store.staging import stage
 
 from .declared import Declared, declared
+from .storable import storable_text
 
 ORIGIN = "fsar-ledger/recorded"
 FORMAT = "fsar-ledger/1"
@@ -307,11 +308,6 @@ def commit(writer: Writer, path: Path, run: LedgerRun) -> None:
             f"run {value(run.run_id)}: found {counted(size, 'event')} on file, expected {run.first:,}; another process "
             "adds to this run: let one end before the other begins"
         ) from error
-
-
-def storable_text(text: str) -> str:
-    """Return the text as an event may hold it: escaped if it has characters that cannot be printed."""
-    return text if text.isprintable() else escaped(text)
 
 
 def stored_run(path: Path, run: str) -> Stored | None:

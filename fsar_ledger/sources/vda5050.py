@@ -116,10 +116,11 @@ class Vda5050:
         if isinstance(order := message.get("orderId"), str) and order:
             about[f"task/{order}"] = "order"
         values = {name: shown(message[name]) for name in SHOWN if name in message}
-        values |= {f"error/{error.get('errorType')}": shown(error) for error in _listed(message, "errors")}
+        for error in _listed(message, "errors"):
+            values[f"error/{error.get('errorType')}"] = shown(error)
         arrived = next((line[name] for name in ("received", "arrival", "time") if name in line), None)
         return Record(
-            kind if kind != "state" else f"state/{message.get('operatingMode')}",
+            kind if kind != "state" else f"state/{values.get('operatingMode')}",
             raw,
             (kind, vehicle, message),
             values,
@@ -186,7 +187,7 @@ def _robot(topic: object, message: Mapping[str, Any]) -> Robot | None:
 
 def _listed(message: Mapping[str, Any], name: str) -> list[dict[str, Any]]:
     found = message.get(name)
-    return [one for one in found if isinstance(one, dict)] if isinstance(found, list) else []
+    return [one for one in found if isinstance(one, dict)] if found and isinstance(found, list) else []
 
 
 def _order(message: Mapping[str, Any]) -> str:

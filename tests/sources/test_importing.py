@@ -26,8 +26,9 @@ from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.store.paths import MANIFEST
 from fsar_ledger.sources import importing
 from fsar_ledger.sources.adapter import Input
-from fsar_ledger.sources.importing import import_files, storable
+from fsar_ledger.sources.importing import import_files
 from fsar_ledger.sources.opening import adapter_of
+from fsar_ledger.sources.storable import storable
 from tests.cli.conftest import Call, one_message
 from tests.running import ran
 from tests.sources import vda

@@ -26,6 +26,7 @@ from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.store.append import SEAL_ROWS
 from fsar_ledger.sources import recorder as recorders
 from fsar_ledger.sources.recorder import Recorder
+from fsar_ledger.sources.storable import storable_text
 from tests.cli.conftest import Called
 from tests.sources.importing import is_good, kinds, rows
 
@@ -295,7 +296,7 @@ def test_any_calls_leave_what_was_taken_and_nothing_else(
     ledger = tmp_path_factory.mktemp("any") / "ledger"
     one, taken = recorder(ledger), list[str]()
     for what, text in calls:
-        name = recorders.storable_text(text)
+        name = storable_text(text)
         if what == "reopen":
             one.close()
             one = recorder(ledger)
