@@ -1,16 +1,7 @@
 """An import keeps every record once, in order, whatever the input holds and however often it was interrupted."""
 
-import io
 import json
-import os
-import random
-import resource
-import signal
-import subprocess
 import sys
-import threading
-import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -23,17 +14,14 @@ from fsar_ledger.events.source import Observed
 from fsar_ledger.events.task import TaskCompleted
 from fsar_ledger.events.world import LinkWentDown
 from fsar_ledger.ledger.opening import open_ledger
-from fsar_ledger.ledger.store.paths import MANIFEST
-from fsar_ledger.sources import importing
 from fsar_ledger.sources.adapter import Input
 from fsar_ledger.sources.importing import import_files
 from fsar_ledger.sources.opening import adapter_of
 from fsar_ledger.sources.storable import storable
 from tests.cli.conftest import Call, one_message
-from tests.running import ran
 from tests.sources import vda
 from tests.sources.importing import filed, imported, is_good, kinds, record_numbers, recorded, rows
-from tests.sources.vda import Line, message, order, state
+from tests.sources.vda import message, order, state
 
 COMMAND = (sys.executable, "-m", "fsar_ledger")
 ONE = message(0, "0001", "connection", connectionState="ONLINE")
@@ -54,17 +42,12 @@ fields = { task_id = "/task" }
 """
 
 
-def long_night(vehicles: int) -> list[Line]:
-    """A night of so many vehicles, 8 messages each."""
-    return list(vda.honest_night([f"{number:04}" for number in range(vehicles)]))
-
-
 def without_input(found: list[dict[str, Any]]) -> list[dict[str, Any]]:
     return [row for row in found if row["type"] != "SourceOpened.v1"]
 
 
 def test_the_same_input_is_refused_and_nothing_is_added(tmp_path: Path) -> None:
-    night, ledger = filed(tmp_path, long_night(2)), tmp_path / "ledger"
+    night, ledger = filed(tmp_path, vda.long_night(2)), tmp_path / "ledger"
     imported(ledger, night)
     before = rows(ledger)
     with pytest.raises(UsageError, match=r"found the same input .* 16 records"):
@@ -73,7 +56,7 @@ def test_the_same_input_is_refused_and_nothing_is_added(tmp_path: Path) -> None:
 
 
 def test_an_input_that_grows_twice_is_as_one_that_was_whole(tmp_path: Path) -> None:
-    whole = long_night(9)
+    whole = vda.long_night(9)
     for end in (11, 40, len(whole)):
         made = imported(tmp_path / "ledger", filed(tmp_path, whole[:end]))
         assert made.records == end
@@ -102,7 +85,7 @@ def test_causes_are_the_same_when_an_input_grew_twice(tmp_path: Path) -> None:
 
 
 def test_a_last_line_that_was_not_whole_yet_is_kept_and_read_again_when_it_is(tmp_path: Path) -> None:
-    whole = vda.written(long_night(3))
+    whole = vda.written(vda.long_night(3))
     for end in (4000, 4100, 9000, len(whole)):
         imported(tmp_path / "ledger", filed(tmp_path, whole[:end]))
     good = [row for row in recorded(tmp_path / "ledger") if row.get("kind") != "unreadable"]
@@ -116,19 +99,19 @@ def test_a_last_line_that_was_not_whole_yet_is_kept_and_read_again_when_it_is(tm
 
 
 def test_another_input_under_the_same_name_is_refused(tmp_path: Path) -> None:
-    imported(tmp_path / "ledger", filed(tmp_path, long_night(2)))
+    imported(tmp_path / "ledger", filed(tmp_path, vda.long_night(2)))
     with pytest.raises(UsageError, match="found another record 16 in the input"):
-        imported(tmp_path / "ledger", filed(tmp_path, list(reversed(long_night(2)))))
+        imported(tmp_path / "ledger", filed(tmp_path, list(reversed(vda.long_night(2)))))
 
 
 def test_an_input_that_was_cut_short_is_refused(tmp_path: Path) -> None:
-    imported(tmp_path / "ledger", filed(tmp_path, long_night(2)))
+    imported(tmp_path / "ledger", filed(tmp_path, vda.long_night(2)))
     with pytest.raises(UsageError, match=r"found 5 records in the input, expected the 16 on file and more"):
-        imported(tmp_path / "ledger", filed(tmp_path, long_night(2)[:5]))
+        imported(tmp_path / "ledger", filed(tmp_path, vda.long_night(2)[:5]))
 
 
 def test_a_run_goes_on_only_with_the_fleet_that_it_began_with(tmp_path: Path) -> None:
-    whole = long_night(2)
+    whole = vda.long_night(2)
     imported(tmp_path / "ledger", filed(tmp_path, whole[:9]), fleet={"KIT.0001": "agv"})
     with pytest.raises(UsageError, match="expected the fleet with which it began"):
         imported(tmp_path / "ledger", filed(tmp_path, whole), fleet={"KIT.0001": "agv", "KIT.0002": "agv"})
@@ -148,7 +131,7 @@ def test_a_run_goes_on_only_with_the_mapping_that_it_began_with(tmp_path: Path) 
 
 
 def test_blank_lines_other_line_ends_and_a_byte_order_mark_make_no_difference(tmp_path: Path) -> None:
-    lines = vda.written(long_night(2)).splitlines()
+    lines = vda.written(vda.long_night(2)).splitlines()
     imported(tmp_path / "plain", filed(tmp_path, b"\n".join(lines)))
     imported(tmp_path / "odd", filed(tmp_path, b"\xef\xbb\xbf" + b"\r\n\r\n  \n".join(lines) + b"\r\n\n"))
     assert without_input(rows(tmp_path / "plain")) == without_input(rows(tmp_path / "odd"))
@@ -242,160 +225,6 @@ def test_text_that_can_be_printed_stays_as_it_is() -> None:
     assert storable(event) is event
     assert storable(LinkWentDown(Robot("robot/a\tb"))) == LinkWentDown(Robot("robot/a\\tb"))
     assert storable(Observed(source="s", kind="k", names=("a\n",), texts=("b",))).names == ("a\\n",)  # type: ignore[attr-defined]
-
-
-def test_each_record_of_a_stream_is_on_disk_before_the_next_is_awaited(tmp_path: Path) -> None:
-    ledger, seen = tmp_path / "ledger", []
-
-    class Slow(io.RawIOBase):
-        """Gives a line at a time, and notes what is on file when it is asked."""
-
-        def __init__(self) -> None:
-            self.lines: Iterator[bytes] = iter(vda.written(long_night(1)).splitlines(keepends=True))
-
-        def readable(self) -> bool:
-            return True
-
-        def readinto(self, buffer: Any) -> int:
-            seen.append(held(ledger))
-            line = next(self.lines, b"")
-            buffer[: len(line)] = line
-            return len(line)
-
-    adapter, _ = adapter_of("vda5050", None)
-    stream = Input("stdin", None, io.BufferedReader(Slow()))
-    assert import_files(ledger, [stream], adapter, run="night").records == 8
-    assert seen[:9] == list(range(9))
-
-
-def test_a_pipe_is_read_as_standard_input_is(tmp_path: Path) -> None:
-    whole = vda.written(long_night(3))
-    called = subprocess.run(
-        [*COMMAND, "import", tmp_path / "ledger", "-", "--as", "vda5050", "--run", "night"],
-        input=whole,
-        capture_output=True,
-        check=True,
-    )
-    assert b"24 records" in called.stdout
-    fifo = tmp_path / "fifo"
-    os.mkfifo(fifo)
-    writer = threading.Thread(target=lambda: fifo.write_bytes(whole))
-    writer.start()
-    imported(tmp_path / "ledger", fifo, run="fifo")
-    writer.join()
-    assert record_numbers(tmp_path / "ledger", "fifo") == list(range(1, 25))
-
-
-def test_two_imports_of_two_runs_at_once_are_both_whole(tmp_path: Path) -> None:
-    night, failures = filed(tmp_path, long_night(900)), list[BaseException]()
-    imported(tmp_path / "ledger", filed(tmp_path, [ONE], "first.jsonl"), run="first")
-
-    def one(run: str) -> None:
-        try:
-            imported(tmp_path / "ledger", night, run=run)
-        except BaseException as error:
-            failures.append(error)
-
-    threads = [threading.Thread(target=one, args=(run,)) for run in ("a", "b")]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert not failures
-    for run in ("a", "b"):
-        assert record_numbers(tmp_path / "ledger", run) == list(range(1, 7_201))
-    assert is_good(tmp_path / "ledger")
-
-
-def test_two_imports_of_one_run_at_once_lose_and_double_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    night = filed(tmp_path, long_night(4))
-    monkeypatch.setattr(importing, "COMMIT_EVENTS", 10)
-    others = iter([True])
-
-    def also(*_: object) -> None:
-        if next(others, False):
-            monkeypatch.undo()
-            imported(tmp_path / "ledger", night)
-
-    with pytest.raises(UsageError, match="another process adds to this run"):
-        imported(tmp_path / "ledger", night, progress=also)
-    assert record_numbers(tmp_path / "ledger") == list(range(1, 33))
-    assert is_good(tmp_path / "ledger")
-
-
-def test_a_full_disk_ends_an_import_which_goes_on_later(call: Call, tmp_path: Path) -> None:
-    night = filed(tmp_path, long_night(900))
-
-    def limit() -> None:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (3_000_000, 3_000_000))
-
-    arguments = ("import", str(tmp_path / "ledger"), str(night), "--as", "vda5050")
-    called = ran([*COMMAND, *arguments], preexec_fn=limit)
-    assert (called.returncode, called.stderr.count("\n"), "Traceback" in called.stderr) == (1, 1, False), called.stderr
-    call(*arguments).good()
-    assert record_numbers(tmp_path / "ledger") == list(range(1, 7_201))
-
-
-def test_ctrl_c_ends_an_import_quietly_and_it_goes_on(call: Call, tmp_path: Path) -> None:
-    lines = vda.written(long_night(2)).splitlines(keepends=True)
-    arguments = ("import", str(tmp_path / "ledger"), "-", "--as", "vda5050", "--run", "night")
-    with subprocess.Popen(
-        [*COMMAND, *arguments], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE
-    ) as process:
-        assert process.stdin is not None
-        process.stdin.write(b"".join(lines[:5]))
-        process.stdin.flush()
-        wait_for(tmp_path / "ledger", 5)
-        process.send_signal(signal.SIGINT)
-        _, said = process.communicate(timeout=60)
-    assert (process.returncode, b"Traceback" in said, b"continues there" in said) == (130, False, True), said
-    imported(tmp_path / "ledger", filed(tmp_path, b"".join(lines)))
-    assert record_numbers(tmp_path / "ledger") == list(range(1, 17))
-
-
-def held(ledger: Path) -> int:
-    """Return how many records are on disk."""
-    has_run = (ledger / MANIFEST).exists() and open_ledger(ledger).has_run("night")
-    return len(record_numbers(ledger)) if has_run else 0
-
-
-def wait_for(ledger: Path, records: int) -> None:
-    for _ in range(300):
-        if held(ledger) >= records:
-            return
-        time.sleep(0.1)
-    raise AssertionError(f"found fewer than {records} records on disk after 30 s")
-
-
-@pytest.mark.parametrize(
-    "kills",
-    [3, pytest.param(30, marks=pytest.mark.slow), pytest.param(200, marks=pytest.mark.soak)],
-)
-def test_an_import_that_is_killed_and_called_again_until_done_is_as_one_that_was_not(
-    tmp_path: Path, kills: int
-) -> None:
-    night, moments = filed(tmp_path, long_night(3_000)), random.Random(kills)
-    imported(tmp_path / "once", night)
-    command = [sys.executable, "-m", "tests.sources.killed", str(tmp_path / "ledger"), str(night)]
-    code, killed = 1, 0
-    while code:
-        with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
-            assert process.stdout is not None
-            process.stdout.readline()  # it begins
-            if killed < kills:
-                try:
-                    process.wait(moments.uniform(0, 0.02 + 0.5 * killed / kills))
-                except subprocess.TimeoutExpired:
-                    process.kill()
-            _, said = process.communicate()
-            code, killed = process.returncode, killed + (process.returncode == -signal.SIGKILL)
-        assert code in (0, -signal.SIGKILL), said
-    assert killed == kills
-    assert record_numbers(tmp_path / "ledger") == list(range(1, 24_001))
-    assert recorded(tmp_path / "ledger") == recorded(tmp_path / "once")
-    assert is_good(tmp_path / "ledger")
 
 
 def importing_by(ledger: Path, night: Path, mapping: Path) -> None:

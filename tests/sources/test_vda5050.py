@@ -63,6 +63,12 @@ def test_without_a_fleet_nothing_is_said_of_who_belongs_to_it(call: Call, tmp_pa
     assert audited(call, tmp_path / "ledger")["i1"]["holds"] is None
 
 
+def test_a_recording_that_begins_in_the_midst_of_an_order_accuses_nobody(call: Call, tmp_path: Path) -> None:
+    night = list(vda.honest_night(["0001"]))[3:]
+    assert derived(tmp_path, night)[:2] == ["RequestAccepted", "ExecutionStarted"]
+    assert [name for name, row in audited(call, tmp_path / "ledger").items() if row["holds"] is False] == []
+
+
 def test_each_step_of_an_order_is_told_once(tmp_path: Path) -> None:
     assert derived(tmp_path, list(vda.honest_night(["0001"]))) == [
         "TaskArrived",
@@ -193,3 +199,13 @@ def test_a_file_of_another_format_is_refused_and_nothing_is_recorded(call: Call,
     said = call("import", tmp_path / "ledger", other, "--as", "vda5050")
     assert (said.code, "expected messages of VDA 5050" in said.err) == (2, True), said.err
     assert not open_ledger(tmp_path / "ledger").has_run("other")
+
+
+def test_the_command_of_the_page_does_what_it_says(call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    page = (Path(__file__).parents[2] / "docs" / "sources" / "vda5050.md").read_text("utf-8")
+    command = next(line for line in page.splitlines() if line.startswith("fsar-ledger import"))
+    monkeypatch.chdir(tmp_path)
+    filed(tmp_path, vda.honest_night())
+    (tmp_path / "fleet.toml").write_text(page.split("```toml\n")[1].split("```")[0])
+    said = call(*command.split()[1:]).good()
+    assert "can be judged: A2, A4, I1\n" in said.out

@@ -86,5 +86,10 @@ def honest_night(vehicles: Iterable[str] = ("0001", "0002")) -> Iterator[Line]:
         yield state(begins + 6, serial, name, nodes=0, **ends)
 
 
+def long_night(vehicles: int) -> list[Line]:
+    """A night of so many vehicles, 8 messages each."""
+    return list(honest_night([f"{number:04}" for number in range(vehicles)]))
+
+
 def written(lines: Iterable[Line]) -> bytes:
     return b"".join(msgspec.json.encode(line) + b"\n" for line in lines)
