@@ -23,6 +23,8 @@ from pathlib import Path
 
 import msgspec
 
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
 from benchmarks.table import note
 from fsar_ledger.events.world import TaskArrived
 from fsar_ledger.ledger.opening import open_ledger
