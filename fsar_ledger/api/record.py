@@ -111,7 +111,7 @@ def record_lines(
     """Record events from standard input as they come, one JSON object a line, each on disk before the next is read.
 
     A line has `type` (`ExecutionStarted`) and the columns of that type (`docs/event-types.json`), and perhaps `time`
-    (ISO 8601) and `caused_by`. A line that is wrong is refused, and the record goes on.
+    (ISO 8601; UTC if it has no zone) and `caused_by`. A line that is wrong is refused, and the record goes on.
 
     Raises:
         UsageError: A name in --observes is none, or the run is there and was declared otherwise.

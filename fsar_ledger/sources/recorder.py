@@ -88,15 +88,16 @@ class Recorder:
         self._writer, self._is_open = Writer(path, kept_origin(path) or name, signer), True
         self._batch: list[tuple[int, int | None, Event]] | None = None
         self._count = 0
+        self._is_live = epoch is None  # what is told now happens now, so the run ends now; else where it came to
         try:
             stored = stored_run(path, self.run)
             if stored is None:
                 self._next, self._last_us, self._epoch = 0, 0, begins
                 self._begin(fleet, opened)
             else:
-                self._next, self._last_us = stored.size, stored.last_us
+                self._next, self._last_us, self._is_live = stored.size, stored.last_us, False
                 self._epoch = self._continued(stored.started)
-                self._put(self._time_us(None), None, opened or self._opening())
+                self._put(self._last_us, None, opened or self._opening())
         except BaseException:
             self._writer.close()
             raise
@@ -117,7 +118,9 @@ class Recorder:
         """
         with self._lock:
             self._require_recordable(event)
-            return self._put(self._time_us(at), caused_by, event)
+            number = self._put(self._time_us(at), caused_by, event)
+            self._is_live = at is None
+            return number
 
     def observed(
         self,
@@ -183,9 +186,9 @@ class Recorder:
                 return
             self._is_open = False
             try:
-                now_us = self._time_us(None)
-                closed = SourceClosed(source=self.source, until_us=now_us, record_count=self._count)
-                self._put(now_us, None, closed)
+                until_us = self._time_us(None) if self._is_live else self._last_us
+                closed = SourceClosed(source=self.source, until_us=until_us, record_count=self._count)
+                self._put(until_us, None, closed)
             finally:
                 self._writer.close()
 
