@@ -118,7 +118,7 @@ class Vda5050:
         values = {name: shown(message[name]) for name in SHOWN if name in message}
         for error in _listed(message, "errors"):
             values[f"error/{error.get('errorType')}"] = shown(error)
-        arrived = next((line[name] for name in ("received", "arrival", "time") if name in line), None)
+        arrived = line.get("received", line.get("arrival", line.get("time")))
         return Record(
             kind if kind != "state" else f"state/{values.get('operatingMode')}",
             raw,
@@ -178,11 +178,11 @@ def _kind(topic: object, message: Mapping[str, Any]) -> str:
 
 def _robot(topic: object, message: Mapping[str, Any]) -> Robot | None:
     """Return the vehicle by manufacturer and serial number, as its header or the topic names them."""
-    parts = topic.split("/") if isinstance(topic, str) else []
     maker, serial = message.get("manufacturer"), message.get("serialNumber")
-    if not (isinstance(maker, str) and isinstance(serial, str)) and len(parts) >= 3:
-        maker, serial = parts[-3], parts[-2]
-    return Robot(f"robot/{maker}.{serial}") if isinstance(maker, str) and isinstance(serial, str) else None
+    if isinstance(maker, str) and isinstance(serial, str):
+        return Robot(f"robot/{maker}.{serial}")
+    parts = topic.split("/") if isinstance(topic, str) else []
+    return Robot(f"robot/{parts[-3]}.{parts[-2]}") if len(parts) >= 3 else None
 
 
 def _listed(message: Mapping[str, Any], name: str) -> list[dict[str, Any]]:
@@ -220,13 +220,16 @@ def _changed(vehicle: Vehicle, robot: Robot, message: Mapping[str, Any]) -> Iter
     if order and order not in vehicle.accepted:
         vehicle.accepted[order] = None
         yield RequestAccepted(_subject(order), _principals(robot, robot))
-    yield from _refused(vehicle, robot, message)
+    if message.get("errors"):
+        yield from _refused(vehicle, robot, message)
     states = _listed(message, "actionStates")
     for state in states:
-        yield from _acted(vehicle, robot, order, state)
+        if vehicle.statuses.get(str(state.get("actionId"))) != state.get("actionStatus"):
+            yield from _acted(vehicle, robot, order, state)
     is_there = message.get("nodeStates") == [] and message.get("edgeStates") == []
-    statuses = {str(state.get("actionStatus")) for state in states}
-    if is_there and statuses <= {"FINISHED"} and order in vehicle.asked and order not in vehicle.ended:
+    if not is_there or order in vehicle.ended or order not in vehicle.asked:
+        return
+    if all(state.get("actionStatus") == "FINISHED" for state in states):
         vehicle.ended[order] = None
         yield TaskCompleted(order)
 
