@@ -98,6 +98,19 @@ def test_a_last_line_that_was_not_whole_yet_is_kept_and_read_again_when_it_is(tm
     assert any(row.get("kind") == "unreadable" for row in rows(tmp_path / "ledger"))
 
 
+def test_a_line_that_was_not_whole_moves_no_cause(tmp_path: Path) -> None:
+    mapping, night = tmp_path / "own.toml", tmp_path / "own.jsonl"
+    mapping.write_text(KEYED)
+    whole = b'{"what": "arrived", "task": "a"}\n{"what": "tick"}\n{"what": "tick"}\n{"what": "done", "task": "a"}\n'
+    for end in (40, 55, 70, len(whole)):
+        night.write_bytes(whole[:end])
+        importing_by(tmp_path / "ledger", night, mapping)
+    run = rows(tmp_path / "ledger")
+    assert [row["type"] for row in run if row.get("kind") == "unreadable"] == ["Observed.v1"] * 3
+    done = next(row for row in run if row["type"] == "TaskCompleted.v1")
+    assert run[done["caused_by"]]["type"] == "TaskArrived.v1"
+
+
 def test_another_input_under_the_same_name_is_refused(tmp_path: Path) -> None:
     imported(tmp_path / "ledger", filed(tmp_path, vda.long_night(2)))
     with pytest.raises(UsageError, match="found another record 16 in the input"):
