@@ -182,6 +182,7 @@ bench: $(READY_TEST)
 	$(BIN)/python benchmarks/kernel.py
 	$(BIN)/python benchmarks/journal.py
 	$(BIN)/python benchmarks/small_commits.py
+	$(BIN)/python benchmarks/door.py
 	$(BIN)/python benchmarks/one_run.py
 	$(BIN)/python benchmarks/verify.py
 	$(BIN)/python benchmarks/metrics.py

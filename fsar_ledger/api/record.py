@@ -103,7 +103,7 @@ def record_lines(
     observes: Names = declare(
         "NAME",
         "What is recorded completely: a concern, an event type, or TYPE.FIELD; may be repeated.",
-        "nothing: whatever is recorded counts, and its absence means nothing",
+        "nothing: only observations (`Observed`) are taken",
     ),
     fleet: Place | None = declare("FILE", "A .toml file that names the robots: [robots], NAME = ROLE."),
     epoch: str | None = declare("TIME", "When the run begins, as 2026-03-01T10:00Z.", "now"),
@@ -113,7 +113,7 @@ def record_lines(
     """Record events from standard input as they come, one JSON object a line, each on disk before the next is read.
 
     A line has `type` (`ExecutionStarted`) and the columns of that type (`docs/event-types.json`), and perhaps `time`
-    (ISO 8601) and `caused_by`. A line that is wrong is refused, and the record goes on.
+    (ISO 8601; UTC if it has no zone) and `caused_by`. A line that is wrong is refused, and the record goes on.
 
     Raises:
         UsageError: A name in --observes is none, or the run is there and was declared otherwise.

@@ -152,7 +152,7 @@ def as_robot(principal: Principal) -> Robot:
     return Robot(principal)
 
 
-def recorded_robot(principal: Principal) -> Robot:
+def recorded_robot(principal: str) -> Robot:
     """Return the principal as a robot, unchecked: the record of another system may name anything in its place."""
     return Robot(principal)
 

@@ -4,6 +4,7 @@
 recorder    appends events to a run as they happen, durably, and resumes it
 declared    what a run says that its source records
 adapter     what reads a format: records of a source, and the events that follow from them
+held        how far an import came
 importing   files of a source -> a run: every record once, however often it was interrupted
 mapping     an adapter from a file that says which record means which event
 vda5050, rmf, ocel, otlp, mcap    the formats that come with the package

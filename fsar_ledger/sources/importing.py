@@ -6,34 +6,39 @@ goes on after the last record on file.
 """
 
 import hashlib
+import io
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from datetime import UTC, datetime, timedelta
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from datetime import timedelta
+from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import msgspec
 
 from fsar_ledger.base.errors import UsageError
-from fsar_ledger.base.printable import escaped, value
+from fsar_ledger.base.printable import value
 from fsar_ledger.base.progress import Progress
 from fsar_ledger.events import CONCERN_OF, Event
-from fsar_ledger.events.envelope import Robot
+from fsar_ledger.events.envelope import recorded_robot
 from fsar_ledger.events.fleet import RobotJoined, RunStarted
 from fsar_ledger.events.source import Observed, SourceClosed, SourceOpened
 from fsar_ledger.ledger.log.note import Signer
-from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows.runs import LedgerRun
+from fsar_ledger.ledger.rows.schema import MAX_INTEGER
 from fsar_ledger.ledger.store.append import Writer
-from fsar_ledger.ledger.store.view import Part
 
-from .adapter import Adapter, Derived, Input, Record
+from .adapter import UNREADABLE, Adapter, Derived, Input, Record
 from .declared import Declared, declared
-from .recorder import kept_origin, stored_run
+from .held import BYTES, EPOCH, Held, held
+from .recorder import commit, kept_origin
+from .storable import storable, storable_text, text_of
 
 ORIGIN = "fsar-ledger/imported"
-COMMIT_EVENTS = 4_096
-EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+COMMIT_EVENTS, COMMIT_BYTES = 4_096, 1 << 21
+"""A commit is made when it has so many events, or so many bytes of text."""
+FARTHEST_US = MAX_INTEGER // 2
+"""Units: microseconds, before and after 1970; 142 years."""
 
 
 class Misunderstood(msgspec.Struct, frozen=True):
@@ -58,19 +63,6 @@ class Imported(msgspec.Struct, frozen=True):
     not_understood: tuple[Misunderstood, ...]
     declared: Declared
     robots: tuple[str, ...]
-
-
-class _Held(msgspec.Struct, frozen=True):
-    """How far the run on file came: its events, where the first record is, and the last record of the input."""
-
-    size: int
-    first_record: int
-    last_us: int
-    epoch_us: int | None
-    records: int
-    record_sha256: str | None
-    opened: SourceOpened | None
-    is_closed: bool
 
 
 def import_files(
@@ -100,18 +92,17 @@ def import_files(
     names = [*adapter.declares(), *(["RobotJoined"] if fleet is not None else [])]
     with Writer(path, kept_origin(path) or name, signer) as writer:
         one = _Import(writer, path, adapter, run, declared(names), keeps_bodies)
-        digest = _digest(inputs)
-        one.resume(digest)
-        one.opened = SourceOpened(
+        opened = SourceOpened(
             source=adapter.name,
             format=adapter.format,
             adapter=f"{adapter.name}/{adapter.version}",
             clock=adapter.clock,
             is_sampled=adapter.is_sampled,
-            input_sha256=digest,
+            input_sha256=_digest(inputs),
             mapping_sha256=mapping_sha256,
         )
-        one.fleet = fleet or {}
+        one.resume(opened, fleet or {})
+        one.kinds = one.declared.kinds
         one.read(inputs, progress)
         return one.result()
 
@@ -124,10 +115,11 @@ class _Import:
     ) -> None:
         self.writer, self.path, self.adapter, self.run = writer, path, adapter, run
         self.declared, self.keeps_bodies = says, keeps_bodies
-        self.held: _Held | None = None
+        self.kinds = says.kinds
+        self.held: Held | None = None
         self.opened: SourceOpened | None = None
-        self.fleet: Mapping[str, str] = {}
-        self.seq, self.last_us, self.count = 0, 0, 0
+        self.robots_of_fleet: Mapping[str, str] = {}
+        self.seq, self.last_us, self.count, self.bytes = 0, 0, 0, 0
         self.epoch_us: int | None = None
         self.rows: list[tuple[int, int | None, Event]] = []
         self.first = 0
@@ -137,55 +129,82 @@ class _Import:
         self.robots: dict[str, None] = {}
         self.is_new = False
 
-    def resume(self, digest: str | None) -> None:
-        """Look at what the ledger holds of the run. Raises: UsageError if the same input is on file whole."""
-        self.held = _held(self.path, self.run)
-        if self.held is None:
+    def resume(self, opened: SourceOpened, fleet: Mapping[str, str]) -> None:
+        """Look at what the ledger holds of the run. Raises: UsageError if this import cannot go on with it."""
+        self.opened = opened
+        self.robots_of_fleet = {name if name.startswith("robot/") else f"robot/{name}": fleet[name] for name in fleet}
+        self.held = before = held(self.path, self.run)
+        if before is None:
             return
-        opened = self.held.opened
-        if opened is None or opened.adapter.partition("/")[0] != self.adapter.name:
-            raise UsageError(
-                f"run {value(self.run)}: found a run of {value(opened.adapter if opened else 'a recorder')}, expected "
-                f"one that was imported as {self.adapter.name}; give the import another name (--run)"
+        if before.opened is None or before.opened.adapter.partition("/")[0] != self.adapter.name:
+            raise self._refused(
+                f"a run of {value(before.opened.adapter if before.opened else 'a recorder')}",
+                f"one that was imported as {self.adapter.name}; give the import another name (--run)",
             )
-        if self.held.is_closed and digest is not None and opened.input_sha256 == digest:
-            raise UsageError(
-                f"run {value(self.run)}: found the same input (SHA-256 {digest[:16]}...), with {self.held.records:,} "
-                "records, expected one that is not on file; it is all there"
+        digest = opened.input_sha256
+        if before.is_closed and digest is not None and before.opened.input_sha256 == digest:
+            raise self._refused(
+                f"the same input (SHA-256 {digest[:16]}...), with {before.records:,} records",
+                "one that is not on file; it is all there",
             )
-        self.epoch_us, self.seq = self.held.epoch_us, self.held.first_record
+        if before.opened.mapping_sha256 != opened.mapping_sha256:
+            raise self._refused(
+                f"a run that was imported with another mapping (SHA-256 {before.opened.mapping_sha256})",
+                f"the same one ({opened.mapping_sha256}); give the import another name (--run)",
+            )
+        if self.robots_of_fleet and before.robots != self.robots_of_fleet:
+            raise self._refused(
+                f"a run with {len(before.robots):,} robots in its fleet, of other names or roles",
+                "the fleet with which it began (--fleet); give the import another name (--run)",
+            )
+        self.declared = before.declared
+        self.epoch_us, self.seq = before.epoch_us, before.first
 
     def read(self, inputs: Sequence[Input], progress: Progress | None) -> None:
         """Read every record, commit those that are not on file, and close the source."""
-        held = self.held.records if self.held is not None else 0
-        is_live = any(one.path is None for one in inputs)
-        for record in self.adapter.read(inputs):
+        before = self.held.records if self.held is not None else 0
+        for record in self.adapter.read([self._committing(one) for one in inputs]):
             self.count += 1
-            if self.epoch_us is None:
-                self.epoch_us = self._when_us(record)
-            if self.count == held + 1:
+            if self.count == before and self._is_whole_now(record):
+                before -= 1
+            if self.count == before + 1:
                 self._begin()
+            if self.epoch_us is None:
+                self._set_epoch(self._when_us(record))
             derived = self.adapter.derive(record)
             if derived is None:
                 number, first = self.missed.get(record.kind, (0, self.count))
                 self.missed[record.kind] = (number + 1, first)
             self._add(record, derived or ())
-            if self.count == held:
+            if self.count == before:
                 self._require_same(record)
-            if len(self.rows) >= COMMIT_EVENTS or is_live:
+            if len(self.rows) >= COMMIT_EVENTS or self.bytes >= COMMIT_BYTES:
                 self._commit()
                 if progress is not None:
                     progress(self.count, 0)
-        if self.count < held:
-            raise UsageError(
-                f"run {value(self.run)}: found {self.count:,} records in the input, expected the {held:,} on file and "
-                "more; it is not the input that was imported, or it was cut short"
+        if not self.count:
+            raise UsageError(f"{value(inputs[0].name)}: found no record, expected at least one; import it when it has")
+        if self.count < before:
+            raise self._refused(
+                f"{self.count:,} records in the input",
+                f"the {before:,} on file and more; it is not the input that was imported, or it was cut short",
             )
-        if self.count == held:
+        if self.count == before:
             self._begin()
         closed = SourceClosed(source=self.adapter.name, until_us=self.last_us, record_count=self.count)
         self._put(self.last_us, None, closed)
         self._commit()
+
+    def _committing(self, one: Input) -> Input:
+        """Return the input so that what was read of a stream is on disk before more of it is awaited."""
+        return one if one.path is not None else one._replace(file=io.BufferedReader(_Stream(one.file, self._commit)))
+
+    def _is_whole_now(self, record: Record) -> bool:
+        assert self.held is not None
+        if self.held.last is None or not self.held.last.is_begun_by(record.raw):
+            return False
+        self.held.beside.add(self.held.last_seq)
+        return True
 
     def result(self) -> Imported:
         """Return what became of the input."""
@@ -207,134 +226,143 @@ class _Import:
         self.is_new = True
         opened = msgspec.structs.replace(self.opened, format=self.adapter.format)
         if self.held is not None:
-            if self.seq + self.held.is_closed != self.held.size:
-                self.keys.clear()  # it was continued before, so the numbers of what came later are others
+            self._pass_beside()
+            if self.seq != self.held.size:
+                self.keys.clear()  # this adapter makes other events of the records on file, so their numbers are others
             self.seq, self.last_us = self.held.size, max(self.last_us, self.held.last_us)
             self._put(self.last_us, None, opened)
             return
-        epoch = None if self.epoch_us is None else (EPOCH + timedelta(microseconds=self.epoch_us)).isoformat()
         started = RunStarted(
             kind="foreign",
             observes=self.declared.observes,
             records=self.declared.records,
-            epoch=epoch and epoch.replace("+00:00", "Z"),
+            epoch=None,
             source=self.adapter.name,
         )
         self._put(0, None, started)
-        for robot, role in self.fleet.items():
-            name = robot if robot.startswith("robot/") else f"robot/{robot}"
-            self._put(0, 0, RobotJoined(robot=Robot(name), role=role, supervisor=None))
+        for robot, role in self.robots_of_fleet.items():
+            self._put(0, 0, RobotJoined(robot=recorded_robot(robot), role=role, supervisor=None))
         self._put(0, 0, opened)
+
+    def _set_epoch(self, when_us: int | None) -> None:
+        """Take the first time of the input as run time 0, and say so if the beginning is not committed yet."""
+        self.epoch_us = when_us
+        if when_us is not None and self.rows and isinstance(started := self.rows[0][2], RunStarted):
+            epoch = (EPOCH + timedelta(microseconds=when_us)).isoformat().replace("+00:00", "Z")
+            self.rows[0] = (0, None, msgspec.structs.replace(started, epoch=epoch))
 
     def _add(self, record: Record, derived: Iterable[Derived]) -> None:
         """Add a record, and what follows from it."""
         when_us = self._when_us(record)
-        if when_us is not None and self.epoch_us is not None:
-            self.last_us = max(self.last_us, when_us - self.epoch_us)
-        at = self._put(self.last_us, None, self._observed(record))
+        if when_us is not None and self.epoch_us is not None and when_us - self.epoch_us > self.last_us:
+            self.last_us = when_us - self.epoch_us
+        at = self._put(self.last_us, None, self._observed(record) if self.is_new else None)
         for one in derived:
             kind = type(one.event).__name__
-            if kind in CONCERN_OF and kind not in self.declared.kinds:
+            if kind in CONCERN_OF and kind not in self.kinds:
                 raise UsageError(
                     f"record {self.count}: found {kind}, expected an event that {self.adapter.name} declares; mend the "
                     "adapter"
                 )
             cause = at if one.cause is None else self.keys.get(one.cause, at)
-            seq = self._put(self.last_us, cause, one.event)
+            event = storable(one.event)
+            seq = self._put(self.last_us, cause, event)
             if one.key is not None:
                 self.keys[one.key] = seq
             self.made[kind] += 1
-            if (robot := getattr(one.event, "robot", None)) is not None:
+            if (robot := getattr(event, "robot", None)) is not None:
                 self.robots[robot] = None
 
     def _observed(self, record: Record) -> Observed:
-        source_us = None if record.source_us is None or self.epoch_us is None else record.source_us - self.epoch_us
+        told_us = _told(record.source_us)
+        source_us = None if told_us is None or self.epoch_us is None else told_us - self.epoch_us
+        values, objects = record.values, record.objects
+        if record.kind == UNREADABLE:
+            values = {**values, BYTES: f"{len(record.raw)}"}
+        said = tuple(values), tuple(values.values()), tuple(objects), tuple(objects.values())
+        texts = "".join(chain(*said))
+        if not texts.isprintable():
+            names, told, about, parts = (tuple(map(storable_text, some)) for some in said)
+        else:
+            names, told, about, parts = said
+        body = text_of(record.raw) if self.keeps_bodies else None
+        self.bytes += len(texts) + len(body or "")
         return Observed(
             source=self.adapter.name,
-            kind=escaped(record.kind),
-            names=tuple(map(escaped, record.values)),
-            texts=tuple(map(escaped, record.values.values())),
-            objects=tuple(map(escaped, record.objects)),
-            qualifiers=tuple(map(escaped, record.objects.values())),
+            kind=storable_text(record.kind),
+            names=names,
+            texts=told,
+            objects=about,
+            qualifiers=parts,
             source_time_us=source_us,
             record_number=self.count,
             record_sha256=hashlib.sha256(record.raw).hexdigest(),
-            body=_text(record.raw) if self.keeps_bodies else None,
+            body=body,
         )
 
     def _when_us(self, record: Record) -> int | None:
+        first, second = record.arrival_us, record.source_us
         if self.adapter.clock == "source":
-            return record.source_us if record.source_us is not None else record.arrival_us
-        return record.arrival_us if record.arrival_us is not None else record.source_us
+            first, second = second, first
+        first_us = _told(first)
+        return first_us if first_us is not None else _told(second)
 
-    def _put(self, time_us: int, caused_by: int | None, event: Event) -> int:
+    def _put(self, time_us: int, caused_by: int | None, event: Event | None) -> int:
         """Add an event to the next commit, unless it is on file; return its number within the run."""
-        if self.is_new:
+        if event is not None and self.is_new:
             if not self.rows:
                 self.first = self.seq
             self.rows.append((time_us, caused_by, event))
+        else:
+            self._pass_beside()
         self.seq += 1
         return self.seq - 1
 
+    def _pass_beside(self) -> None:
+        while self.held is not None and self.seq in self.held.beside:
+            self.seq += 1
+
+    def _refused(self, found: str, expected: str) -> UsageError:
+        return UsageError(f"run {value(self.run)}: found {found}, expected {expected}")
+
     def _require_same(self, record: Record) -> None:
         assert self.held is not None
-        found = hashlib.sha256(record.raw).hexdigest()
-        if found != self.held.record_sha256:
-            raise UsageError(
-                f"run {value(self.run)}: found another record {self.count:,} in the input (SHA-256 {found[:16]}...) "
-                f"than on file ({(self.held.record_sha256 or 'none')[:16]}...), expected the input that was imported, "
-                "perhaps with more at its end; give another input another name (--run)"
+        assert self.held.last is not None
+        found, known = hashlib.sha256(record.raw).hexdigest(), self.held.last.record_sha256 or "none"
+        if found != known:
+            raise self._refused(
+                f"another record {self.count:,} in the input (SHA-256 {found[:16]}...) than on file ({known[:16]}...)",
+                "the input that was imported, perhaps with more at its end; give another input another name (--run)",
             )
 
     def _commit(self) -> None:
         if not self.rows:
             return
         times, causes, events = (list(column) for column in zip(*self.rows, strict=True))
-        self.writer.add([LedgerRun(self.run, times, causes, events, self.first, goes_on=True)])
-        self.rows = []
+        commit(self.writer, self.path, LedgerRun(self.run, times, causes, events, self.first, goes_on=True))
+        self.rows, self.bytes = [], 0
 
 
-def _held(path: Path, run: str) -> _Held | None:
-    """Return how far the run on file came, None if there is none."""
-    stored = stored_run(path, run)
-    if stored is None:
-        return None
-    opened, first, records, sha256, is_closed = None, stored.size, 0, None, False
-    for row in _beginning_and_end(path, run):
-        match row["type"]:
-            case "SourceOpened.v1":
-                opened = msgspec.convert(
-                    {name: row[name] for name in ("type", *SourceOpened.__struct_fields__) if name in row}, SourceOpened
-                )
-            case "Observed.v1":
-                first, records, sha256 = min(first, row["seq"]), row["record_number"], row["record_sha256"]
-        is_closed = row["type"] == "SourceClosed.v1"
-    epoch = stored.started.epoch
-    epoch_us = None if epoch is None else (datetime.fromisoformat(epoch) - EPOCH) // timedelta(microseconds=1)
-    return _Held(stored.size, first, stored.last_us, epoch_us, records, sha256, opened, is_closed)
+class _Stream(io.RawIOBase):
+    """A stream that calls `before_wait` whenever more of it is asked for, which may take any time."""
+
+    def __init__(self, file: BinaryIO, before_wait: Callable[[], None]) -> None:
+        self._file, self._before_wait = file, before_wait
+
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: Any) -> int:
+        self._before_wait()
+        read = getattr(self._file, "read1", self._file.read)
+        found: bytes = read(len(buffer))
+        buffer[: len(found)] = found
+        return len(found)
 
 
-def _beginning_and_end(path: Path, run: str) -> Iterator[dict[str, Any]]:
-    """Yield the events of the run up to its first record, and those from the last commit that has one."""
-    view = open_ledger(path)
-    parts = view.parts(run)
-
-    def rows(part: Part) -> list[dict[str, Any]]:
-        found = [msgspec.json.decode(line, type=dict[str, Any]) for line in view.rows(part.first, part.end)]
-        return [row for row in found if row["run_id"] == run]
-
-    ends: list[list[dict[str, Any]]] = []
-    for part in reversed(parts):
-        ends.append(rows(part))
-        if any(row["type"] == "Observed.v1" for row in ends[-1]):
-            break
-    for part in parts[: len(parts) - len(ends)]:
-        begins = rows(part)
-        yield from begins
-        if any(row["type"] == "Observed.v1" for row in begins):
-            break
-    for end in reversed(ends):
-        yield from end
+def _told(time_us: int | None) -> int | None:
+    """Return the time; None for one so far from 1970 that a run could not hold its distance from another."""
+    return time_us if time_us is not None and abs(time_us) <= FARTHEST_US else None
 
 
 def _digest(inputs: Sequence[Input]) -> str | None:
@@ -352,10 +380,3 @@ def _digest(inputs: Sequence[Input]) -> str | None:
 def _blocks(one: Input) -> Iterator[bytes]:
     while block := one.file.read(1 << 20):
         yield block
-
-
-def _text(raw: bytes) -> str:
-    try:
-        return escaped(raw.decode())
-    except UnicodeDecodeError:
-        return raw.hex()

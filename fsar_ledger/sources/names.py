@@ -1,8 +1,8 @@
 """Commitments in place of the names of people, whose table lies outside the ledger and can be erased.
 
 A name becomes `supervisor/~` and 26 letters, the SHA-256 of the name and a random key of its own, which stands beside
-it in the table. The ledger proves the same with and without the table; without a line of it nobody can tell the name, nor
-test a guess. What stays is the pattern: that it is one person, when, and about what.
+it in the table. The ledger proves the same with and without the table; without a line of it nobody can tell the name,
+nor test a guess. What stays is the pattern: that it is one person, when, and about what.
 """
 
 import base64

@@ -2,10 +2,11 @@
 
 import sys
 import tomllib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from hashlib import sha256
 from pathlib import Path
+from typing import Any
 
 from fsar_ledger.base.errors import UsageError
 from fsar_ledger.base.printable import value
@@ -33,7 +34,8 @@ def opened(logs: Sequence[str]) -> Iterator[list[Input]]:
                 raise UsageError(
                     f"{value(log)}: cannot be read ({error.strerror}); name a file, or - for standard input"
                 ) from error
-            found.append(Input("stdin" if log == STDIN else path.stem, None if log == STDIN else path, file))
+            is_file = log != STDIN and file.seekable()  # a pipe cannot be read twice
+            found.append(Input("stdin" if log == STDIN else path.stem, path if is_file else None, file))
         yield found
 
 
@@ -80,9 +82,18 @@ def named_robots(path: Path) -> dict[str, str]:
         found = tomllib.loads(read(path).decode())
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise UsageError(f"{value(str(path))}: {error}; expected TOML with a table [robots]") from error
-    robots = found.get("robots")
-    if not isinstance(robots, dict) or not all(isinstance(role, str) for role in robots.values()):
+    robots = dict(_flat(found["robots"])) if isinstance(found.get("robots"), dict) else None
+    if robots is None or not all(isinstance(role, str) for role in robots.values()):
         raise UsageError(
             f'{value(str(path))}: expected a table [robots] with a role for each name, as in `KIT.0001 = "agv"`'
         )
     return robots
+
+
+def _flat(table: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    """Yield the values by name: TOML takes `KIT.0001 = "agv"` for a table KIT with a key 0001."""
+    for name, found in table.items():
+        if isinstance(found, dict):
+            yield from ((f"{name}.{rest}", one) for rest, one in _flat(found))
+        else:
+            yield name, found

@@ -5,29 +5,31 @@ is written, and the record goes on.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from datetime import UTC, datetime
+from contextlib import contextmanager, suppress
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from threading import RLock
 from types import TracebackType
 
 import msgspec
 
-from fsar_ledger.base.errors import InvalidRun, UsageError
-from fsar_ledger.base.printable import escaped, value
+from fsar_ledger.base.errors import CommitTooLarge, FsarLedgerError, InvalidRun, UsageError
+from fsar_ledger.base.printable import counted, value
 from fsar_ledger.events import CONCERN_OF, Event
-from fsar_ledger.events.envelope import Robot, flat
+from fsar_ledger.events.envelope import flat, recorded_robot
 from fsar_ledger.events.fleet import RobotJoined, RunStarted
 from fsar_ledger.events.source import Observed, SourceClosed, SourceOpened
 from fsar_ledger.ledger.log.note import Signer
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows.runs import LedgerRun, first_unfit, refusal
-from fsar_ledger.ledger.store.append import SEAL_ROWS, Writer
+from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.locations import place_of
 from fsar_ledger.ledger.store.manifest import parse_manifest, read_manifest
 from fsar_ledger.ledger.store.paths import MANIFEST
+from fsar_ledger.ledger.store.staging import stage
 
 from .declared import Declared, declared
+from .storable import storable_text
 
 ORIGIN = "fsar-ledger/recorded"
 FORMAT = "fsar-ledger/1"
@@ -82,17 +84,20 @@ class Recorder:
         begins = (epoch or datetime.now(UTC)).astimezone(UTC)
         self.run = run or begins.isoformat(timespec="seconds")
         name = origin or (signer.verifier.name if signer is not None else ORIGIN)
+        self._path = path
         self._writer, self._is_open = Writer(path, kept_origin(path) or name, signer), True
         self._batch: list[tuple[int, int | None, Event]] | None = None
         self._count = 0
+        self._is_live = epoch is None  # what is told now happens now, so the run ends now; else where it came to
         try:
             stored = stored_run(path, self.run)
             if stored is None:
                 self._next, self._last_us, self._epoch = 0, 0, begins
                 self._begin(fleet, opened)
             else:
-                self._next, self._last_us = stored.size, stored.last_us
+                self._next, self._last_us, self._is_live = stored.size, stored.last_us, False
                 self._epoch = self._continued(stored.started)
+                self._put(self._last_us, None, opened or self._opening())
         except BaseException:
             self._writer.close()
             raise
@@ -113,7 +118,9 @@ class Recorder:
         """
         with self._lock:
             self._require_recordable(event)
-            return self._put(self._time_us(at), caused_by, event)
+            number = self._put(self._time_us(at), caused_by, event)
+            self._is_live = at is None
+            return number
 
     def observed(
         self,
@@ -143,13 +150,13 @@ class Recorder:
         said, about = values or {}, objects or {}
         seen = Observed(
             source=self.source,
-            kind=escaped(kind),
-            names=tuple(map(escaped, said)),
-            texts=tuple(escaped(str(one)) for one in said.values()),
-            objects=tuple(map(escaped, about)),
-            qualifiers=tuple(map(escaped, about.values())),
+            kind=storable_text(kind),
+            names=tuple(map(storable_text, said)),
+            texts=tuple(storable_text(str(one)) for one in said.values()),
+            objects=tuple(map(storable_text, about)),
+            qualifiers=tuple(map(storable_text, about.values())),
             source_time_us=None if source_time is None else self.run_time_us(source_time),
-            body=None if body is None else escaped(body),
+            body=None if body is None else storable_text(body),
         )
         return self.event(seen, at=at)
 
@@ -170,8 +177,9 @@ class Recorder:
                 self._batch = None
 
     def run_time_us(self, when: datetime) -> int:
-        """Return the run time of a moment. Units: microseconds."""
-        return round((when.astimezone(UTC) - self._epoch).total_seconds() * 1e6)
+        """Return the run time of a moment; one without a zone is local time. Units: microseconds."""
+        aware = when if when.tzinfo is not None else when.astimezone()
+        return (aware - self._epoch) // timedelta(microseconds=1)
 
     def close(self) -> None:
         """Say until when the source was observed, and close the ledger. A recorder of the same run continues it."""
@@ -180,9 +188,9 @@ class Recorder:
                 return
             self._is_open = False
             try:
-                now_us = self._time_us(None)
-                closed = SourceClosed(source=self.source, until_us=now_us, record_count=self._count)
-                self._put(now_us, None, closed)
+                until_us = self._time_us(None) if self._is_live else self._last_us
+                closed = SourceClosed(source=self.source, until_us=until_us, record_count=self._count)
+                self._put(until_us, None, closed)
             finally:
                 self._writer.close()
 
@@ -192,7 +200,11 @@ class Recorder:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self.close()
+        if error is None:
+            self.close()
+            return
+        with suppress(FsarLedgerError):  # what went wrong first is what is told
+            self.close()
 
     def _begin(self, fleet: Fleet, opened: SourceOpened | None) -> None:
         joined = list(_members(fleet)) if isinstance(fleet, Mapping) else list(fleet)
@@ -205,10 +217,12 @@ class Recorder:
             epoch=self._epoch.isoformat().replace("+00:00", "Z"),
             source=self.source,
         )
-        opening = opened or SourceOpened(source=self.source, format=FORMAT, adapter=FORMAT, clock="arrival")
-        events: list[Event] = [started, *joined, opening]
+        events: list[Event] = [started, *joined, opened or self._opening()]
         self._commit([(0, None if at == 0 else 0, event) for at, event in enumerate(events)])
         self._next = len(events)
+
+    def _opening(self) -> SourceOpened:
+        return SourceOpened(source=self.source, format=FORMAT, adapter=FORMAT, clock="arrival")
 
     def _continued(self, started: RunStarted) -> datetime:
         """Check that the run was declared as this recorder, and return its epoch."""
@@ -274,11 +288,31 @@ class Recorder:
         return number
 
     def _commit(self, rows: Sequence[tuple[int, int | None, Event]]) -> None:
+        if not rows:
+            return
         first = self._next if self._batch is None else self._next - len(rows)
-        for at in range(0, len(rows), SEAL_ROWS):
-            part = rows[at : at + SEAL_ROWS]
-            times, causes, events = (list(column) for column in zip(*part, strict=True))
-            self._writer.add([LedgerRun(self.run, times, causes, events, first + at, goes_on=True)])
+        times, causes, events = (list(column) for column in zip(*rows, strict=True))
+        commit(self._writer, self._path, LedgerRun(self.run, times, causes, events, first, goes_on=True))
+
+
+def commit(writer: Writer, path: Path, run: LedgerRun) -> None:
+    """Commit this part of a run whole, durably: to the journal, or as a segment if it is more than a journal takes.
+
+    Raises: UsageError if the run has other events than those before it, since somebody else adds to it; as `Writer`.
+    """
+    try:
+        try:
+            writer.add([run])
+        except CommitTooLarge:
+            writer.append(stage(path, [run]))
+    except InvalidRun as error:
+        stored = stored_run(path, run.run_id)
+        if (size := stored.size if stored is not None else 0) == run.first:
+            raise
+        raise UsageError(
+            f"run {value(run.run_id)}: found {counted(size, 'event')} on file, expected {run.first:,}; another process "
+            "adds to this run: let one end before the other begins"
+        ) from error
 
 
 def stored_run(path: Path, run: str) -> Stored | None:
@@ -308,7 +342,7 @@ def kept_origin(path: Path) -> str | None:
 def _members(fleet: Mapping[str, str]) -> Iterator[RobotJoined]:
     for name, role in fleet.items():
         robot = name if name.startswith("robot/") else f"robot/{name}"
-        yield RobotJoined(robot=Robot(robot), role=role, supervisor=None)
+        yield RobotJoined(robot=recorded_robot(robot), role=role, supervisor=None)
 
 
 def _shown(one: Declared) -> str:

@@ -13,7 +13,7 @@ from fsar_ledger.events import Event
 from fsar_ledger.events.source import Observed
 from fsar_ledger.ledger.rows.schema import LAYOUTS, OPENINGS, StoredType
 
-from .json_lines import MAX_LINE
+from .json_lines import BOM, MAX_LINE
 from .recorder import Recorder
 
 BY_ITSELF = ("SourceOpened", "SourceClosed")
@@ -32,7 +32,10 @@ _FLAW = re.compile(r"(?P<what>.*?)(?: - at `\$(?P<at>.*)`)?", re.DOTALL)
 
 
 def tell(recorder: Recorder, file: BinaryIO) -> tuple[int, dict[int, str]]:
-    """Record each line as it comes; return how many events there were, and what was wrong with which line."""
+    """Record each line as it comes; return how many events there were, and what was wrong with which line.
+
+    A time without a zone is UTC.
+    """
     events, refused = 0, dict[int, str]()
     for number, line in enumerate(_lines(file), 1):
         if not line.strip():
@@ -40,7 +43,7 @@ def tell(recorder: Recorder, file: BinaryIO) -> tuple[int, dict[int, str]]:
         try:
             if len(line) > MAX_LINE:
                 raise UsageError(f"found more than {MAX_LINE:,} bytes, expected one event a line")
-            event, at, caused_by = told(line)
+            event, at, caused_by = told(line.removeprefix(BOM) if number == 1 else line)
             _record(recorder, event, at, caused_by)
             events += 1
         except (UsageError, InvalidRun) as error:

@@ -21,7 +21,15 @@ from typing import Any, Literal
 import msgspec
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import COORDINATOR, Parties, Principals, RequestSubject, Robot, Subject
+from fsar_ledger.events.envelope import (
+    COORDINATOR,
+    Parties,
+    Principals,
+    RequestSubject,
+    Robot,
+    Subject,
+    recorded_robot,
+)
 from fsar_ledger.events.execution import (
     ExecutionFailed,
     ExecutionFinished,
@@ -33,8 +41,8 @@ from fsar_ledger.events.request import RequestAccepted, RequestDenied, RequestIs
 from fsar_ledger.events.task import TaskCompleted
 from fsar_ledger.events.world import LinkCameUp, LinkWentDown, TaskArrived
 
-from .adapter import Derived, Input, Record
-from .json_lines import objects, shown, utc_us
+from .adapter import UNREADABLE, Derived, Input, Record
+from .json_lines import known, objects, shown, utc_us
 
 KINDS: Mapping[str, tuple[str, ...]] = {
     "state": ("operatingMode",),
@@ -53,10 +61,14 @@ ENDED = ("FINISHED", "FAILED")
 
 
 class Vehicle(msgspec.Struct):
-    """What the last messages of a vehicle said. `ended` are orders whose end has been told."""
+    """What the messages of a vehicle said so far. `ended` are orders whose end has been told.
 
-    order: str = ""
+    `newest` is the number and time of the newest message by kind.
+    """
+
+    newest: dict[str, tuple[int, int]] = {}
     asked: dict[str, None] = {}
+    accepted: dict[str, None] = {}
     statuses: dict[str, str] = {}
     failures: dict[str, int] = {}
     connection: str = ""
@@ -96,9 +108,11 @@ class Vda5050:
         )
 
     def read(self, inputs: Iterable[Input]) -> Iterator[Record]:
-        """Yield every message."""
-        for one in objects(inputs):
-            yield one if isinstance(one, Record) else self._record(*one)
+        """Yield every message. Raises: UsageError if the first ones are none."""
+        files = list(inputs)
+        found = (one if isinstance(one, Record) else self._record(*one) for one in objects(files))
+        unlike = (UNREADABLE, "unknown")
+        return known(found, files, lambda one: one.kind not in unlike, "messages of VDA 5050, one a line")
 
     def _record(self, raw: bytes, line: dict[str, Any]) -> Record:
         message = line["payload"] if isinstance(line.get("payload"), dict) else line
@@ -110,10 +124,11 @@ class Vda5050:
         if isinstance(order := message.get("orderId"), str) and order:
             about[f"task/{order}"] = "order"
         values = {name: shown(message[name]) for name in SHOWN if name in message}
-        values |= {f"error/{error.get('errorType')}": shown(error) for error in _listed(message, "errors")}
-        arrived = next((line[name] for name in ("received", "arrival", "time") if name in line), None)
+        for error in _listed(message, "errors"):
+            values[f"error/{error.get('errorType')}"] = shown(error)
+        arrived = line.get("received", line.get("arrival", line.get("time")))
         return Record(
-            kind if kind != "state" else f"state/{message.get('operatingMode')}",
+            kind if kind != "state" else f"state/{values.get('operatingMode')}",
             raw,
             (kind, vehicle, message),
             values,
@@ -130,6 +145,8 @@ class Vda5050:
         if robot is None or kind == "unknown":
             return None
         vehicle = self._vehicles.setdefault(robot, Vehicle())
+        if kind in ("state", "connection") and _is_late(vehicle, kind, record, message):
+            return ()
         match kind:
             case "order":
                 events = _ordered(vehicle, robot, message)
@@ -144,6 +161,22 @@ class Vda5050:
         return [Derived(event) for event in events]
 
 
+def _is_late(vehicle: Vehicle, kind: str, record: Record, message: Mapping[str, Any]) -> bool:
+    """Return whether a message of that kind came before that was sent later, or this one: it says nothing new.
+
+    A clock that was set back does not make a message late, since its number goes on; nor does a number that begins
+    anew, since its time goes on.
+    """
+    number, sent_us = message.get("headerId"), record.source_us
+    if type(number) is not int or sent_us is None:
+        return False
+    before = vehicle.newest.get(kind)
+    if before is not None and number <= before[0] and sent_us <= before[1]:
+        return True
+    vehicle.newest[kind] = (number, sent_us)
+    return False
+
+
 def _kind(topic: object, message: Mapping[str, Any]) -> str:
     last = topic.rpartition("/")[2] if isinstance(topic, str) else ""
     if last in KINDS:
@@ -153,16 +186,16 @@ def _kind(topic: object, message: Mapping[str, Any]) -> str:
 
 def _robot(topic: object, message: Mapping[str, Any]) -> Robot | None:
     """Return the vehicle by manufacturer and serial number, as its header or the topic names them."""
-    parts = topic.split("/") if isinstance(topic, str) else []
     maker, serial = message.get("manufacturer"), message.get("serialNumber")
-    if not (isinstance(maker, str) and isinstance(serial, str)) and len(parts) >= 3:
-        maker, serial = parts[-3], parts[-2]
-    return Robot(f"robot/{maker}.{serial}") if isinstance(maker, str) and isinstance(serial, str) else None
+    if isinstance(maker, str) and isinstance(serial, str):
+        return recorded_robot(f"robot/{maker}.{serial}")
+    parts = topic.split("/") if isinstance(topic, str) else []
+    return recorded_robot(f"robot/{parts[-3]}.{parts[-2]}") if len(parts) >= 3 else None
 
 
 def _listed(message: Mapping[str, Any], name: str) -> list[dict[str, Any]]:
     found = message.get(name)
-    return [one for one in found if isinstance(one, dict)] if isinstance(found, list) else []
+    return [one for one in found if isinstance(one, dict)] if found and isinstance(found, list) else []
 
 
 def _order(message: Mapping[str, Any]) -> str:
@@ -192,16 +225,19 @@ def _ordered(vehicle: Vehicle, robot: Robot, message: Mapping[str, Any]) -> Iter
 def _changed(vehicle: Vehicle, robot: Robot, message: Mapping[str, Any]) -> Iterator[Event]:
     """Yield what a state says that the one before it did not."""
     order = _order(message)
-    if order and order != vehicle.order:
-        vehicle.order = order
+    if order and order not in vehicle.accepted:
+        vehicle.accepted[order] = None
         yield RequestAccepted(_subject(order), _principals(robot, robot))
-    yield from _refused(vehicle, robot, message)
+    if message.get("errors"):
+        yield from _refused(vehicle, robot, message)
     states = _listed(message, "actionStates")
     for state in states:
-        yield from _acted(vehicle, robot, order, state)
-    moving = _listed(message, "nodeStates") or _listed(message, "edgeStates")
-    statuses = {str(state.get("actionStatus")) for state in states}
-    if order and not moving and statuses <= {"FINISHED"} and order not in vehicle.ended and order in vehicle.asked:
+        if vehicle.statuses.get(str(state.get("actionId"))) != state.get("actionStatus"):
+            yield from _acted(vehicle, robot, order, state)
+    is_there = message.get("nodeStates") == [] and message.get("edgeStates") == []
+    if not is_there or order in vehicle.ended or order not in vehicle.asked:
+        return
+    if all(state.get("actionStatus") == "FINISHED" for state in states):
         vehicle.ended[order] = None
         yield TaskCompleted(order)
 
@@ -212,7 +248,7 @@ def _refused(vehicle: Vehicle, robot: Robot, message: Mapping[str, Any]) -> Iter
         for reference in _listed(error, "errorReferences"):
             order = reference.get("referenceValue")
             is_order = reference.get("referenceKey") == "orderId" and isinstance(order, str)
-            if not is_order or order == vehicle.order or order not in vehicle.asked or order in vehicle.ended:
+            if not is_order or order in vehicle.accepted or order not in vehicle.asked or order in vehicle.ended:
                 continue
             vehicle.ended[order] = None
             yield RequestDenied(_subject(order), _principals(robot, robot), f"{error.get('errorType')}")
@@ -222,7 +258,7 @@ def _acted(vehicle: Vehicle, robot: Robot, order: str, state: Mapping[str, Any])
     """Yield what has become of one action since the last state."""
     action, status = str(state.get("actionId")), str(state.get("actionStatus"))
     before = vehicle.statuses.get(action)
-    if status == before:
+    if status == before or before == "FINISHED" or (status, before) == ("FAILED", "RETRIABLE"):
         return
     vehicle.statuses[action] = status
     subject = Subject(order, action)

@@ -47,7 +47,7 @@ def state(
     nodes: int = 1,
     mode: str = "AUTOMATIC",
     errors: Iterable[Line] = (),
-    **statuses: str,
+    **statuses: Any,
 ) -> Line:
     return message(
         at_s,
@@ -74,14 +74,21 @@ def honest_night(vehicles: Iterable[str] = ("0001", "0002")) -> Iterator[Line]:
     for at, serial in enumerate(vehicles):
         begins = 10.0 * at
         name, pick = f"order-{serial}", f"pick{serial}"
+        states: list[dict[str, Any]] = [{pick: one} for one in ("WAITING", "RUNNING", "PAUSED", "FINISHED")]
+        waits, runs, halts, ends = states
         yield message(begins, serial, "connection", connectionState="ONLINE")
         yield order(begins + 1, serial, name, pick)
-        yield state(begins + 2, serial, name, **{pick: "WAITING"})
-        yield state(begins + 3, serial, name, **{pick: "RUNNING"})
-        yield state(begins + 4, serial, name, **{pick: "PAUSED"})
-        yield state(begins + 5, serial, name, **{pick: "RUNNING"})
+        yield state(begins + 2, serial, name, **waits)
+        yield state(begins + 3, serial, name, **runs)
+        yield state(begins + 4, serial, name, **halts)
+        yield state(begins + 5, serial, name, **runs)
         yield message(begins + 5.5, serial, "visualization", agvPosition={"x": 1.0, "y": 2.0})
-        yield state(begins + 6, serial, name, nodes=0, **{pick: "FINISHED"})
+        yield state(begins + 6, serial, name, nodes=0, **ends)
+
+
+def long_night(vehicles: int) -> list[Line]:
+    """A night of so many vehicles, 8 messages each."""
+    return list(honest_night([f"{number:04}" for number in range(vehicles)]))
 
 
 def written(lines: Iterable[Line]) -> bytes:

@@ -21,7 +21,7 @@ from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 
-from fsar_ledger.base.errors import InvalidRun, NotALedger, WriteFailed, option
+from fsar_ledger.base.errors import CommitTooLarge, NotALedger, WriteFailed, option
 from fsar_ledger.ledger.log import pack
 from fsar_ledger.ledger.log.hashing import HASH_BYTES, sha256_hex
 from fsar_ledger.ledger.log.merkle import Frontier
@@ -200,8 +200,8 @@ class Writer:
         """Commit these runs, or parts of runs, to the journal, durably: for a few events at a time.
 
         Raises:
-            InvalidRun: As `stage`, or as `append`; or they are more than a journal holds, 16,384 events or
-                8 MiB. The ledger is unchanged.
+            InvalidRun: As `stage`, or as `append`. The ledger is unchanged.
+            CommitTooLarge: They are more than a journal holds, 16,384 events or 8 MiB. The ledger is unchanged.
             LedgerCorrupted: Another writer made the ledger contradict itself.
             WriteFailed: The disk refused. The ledger is unchanged, unless the message says otherwise.
         """
@@ -209,7 +209,7 @@ class Writer:
         rows, blocks = rows_of(runs)
         count = sum([block.rows for block in blocks])
         if count > SEAL_ROWS or len(rows) > SEAL_BYTES:
-            raise InvalidRun(
+            raise CommitTooLarge(
                 f"found {count} events of {len(rows)} bytes, expected at most {SEAL_ROWS} events and {SEAL_BYTES} "
                 "bytes in one commit of a journal; stage them and append them as a segment"
             )

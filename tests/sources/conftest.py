@@ -1,0 +1,3 @@
+from tests.cli.conftest import call, ledger
+
+__all__ = ["call", "ledger"]

@@ -1,0 +1,120 @@
+"""What becomes of an MCAP file, whole or damaged, and what can be judged then."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("mcap", reason="needs the extra mcap")
+
+from fsar_ledger.base.errors import UsageError
+from fsar_ledger.sources.importing import Imported, import_files
+from fsar_ledger.sources.opening import adapter_of, opened
+from tests.cli.conftest import Call
+from tests.sources import bags
+from tests.sources.importing import filed, is_good, kinds, record_numbers, rows
+
+NIGHT = [
+    *("RequestAccepted", "ExecutionStarted", "ExecutionFinished"),
+    *("RequestAccepted", "ExecutionStarted", "ExecutionFailed"),
+]
+
+
+def imported(folder: Path, content: bytes) -> Imported:
+    adapter, _ = adapter_of("mcap", None)
+    with opened([str(filed(folder, content, "night.mcap"))]) as inputs:
+        return import_files(folder / "ledger", inputs, adapter, run="night")
+
+
+def seen(folder: Path) -> list[dict[str, Any]]:
+    return [row for row in rows(folder / "ledger") if row["type"] == "Observed.v1"]
+
+
+@pytest.mark.parametrize("compression", ["ZSTD", "LZ4", "NONE"])
+@pytest.mark.parametrize("chunks", [True, False])
+def test_every_message_is_kept_and_goals_are_told_once(tmp_path: Path, compression: str, chunks: bool) -> None:
+    made = imported(tmp_path, bags.written(bags.honest_night(), compression=compression, chunks=chunks))
+    assert (made.records, kinds(tmp_path / "ledger")) == (8, NIGHT)
+    assert is_good(tmp_path / "ledger")
+
+
+def test_what_is_not_json_is_an_observation_with_kind_topic_time_and_hash(tmp_path: Path) -> None:
+    made = imported(tmp_path, bags.written(bags.honest_night()))
+    assert [(one.kind, one.count) for one in made.not_understood] == [("sensor_msgs/msg/LaserScan", 1)]
+    scan = next(row for row in seen(tmp_path) if row["kind"] == "sensor_msgs/msg/LaserScan")
+    assert (scan["names"], scan["texts"]) == (["topic", "encoding"], ["/r1/scan", "cdr"])
+    assert (scan["time_us"], scan["source_time_us"]) == (4_000_000, 3_999_000)
+
+
+def test_logs_and_service_events_say_what_they_are(tmp_path: Path) -> None:
+    imported(tmp_path, bags.written(bags.honest_night()))
+    found = {row["kind"] for row in seen(tmp_path)}
+    assert {"foxglove.Log/ERROR", "nav_msgs/action/Dock_SendGoal_Event/REQUEST_RECEIVED"} <= found
+
+
+def test_an_honest_night_has_no_offence_and_a_stranger_breaks_i1(call: Call, tmp_path: Path) -> None:
+    night = filed(tmp_path, bags.written([*bags.honest_night(), bags.statuses("r2", (3, 1))]), "night.mcap")
+    for run, robots in (("honest", 'r1 = "agv"\nr2 = "agv"'), ("stranger", 'r1 = "agv"')):
+        (tmp_path / "fleet.toml").write_text(f"[robots]\n{robots}\n")
+        fleet = ("--fleet", tmp_path / "fleet.toml")
+        call("import", tmp_path / run, night, "--as", "mcap", *fleet).good()
+        answer = json.loads(call("audit", tmp_path / run, "--json").out)
+        holds = {row["invariant"][:2]: row["holds"] for row in answer["rows"] if row["holds"] is not None}
+        assert holds == {"i1": run == "honest", "a2": True, "a4": True}
+
+
+def test_a_status_that_comes_twice_or_late_doubles_nothing(tmp_path: Path) -> None:
+    night = bags.honest_night()
+    imported(tmp_path, bags.written([*night, *reversed(night), *night]))
+    assert kinds(tmp_path / "ledger") == NIGHT
+
+
+@pytest.mark.parametrize(("compression", "chunks"), [("ZSTD", True), ("LZ4", True), ("NONE", True), ("NONE", False)])
+def test_a_file_that_was_cut_anywhere_keeps_what_can_be_read_and_says_so(
+    tmp_path: Path, compression: str, chunks: bool
+) -> None:
+    whole = bags.written(bags.honest_night(), compression=compression, chunks=chunks)
+    imported(tmp_path, whole)
+    hashes = [row["record_sha256"] for row in seen(tmp_path)]
+    for end in range(len(bags.written([])) // 2, len(whole), 97):
+        folder = tmp_path / f"{end}"
+        folder.mkdir()
+        imported(folder, whole[:end])
+        found = seen(folder)
+        good = [row["record_sha256"] for row in found if row["kind"] != "unreadable"]
+        assert good == hashes[: len(good)]
+        assert len(good) == len(hashes) or found[-1]["kind"] == "unreadable"
+        assert record_numbers(folder / "ledger") == list(range(1, len(found) + 1))
+
+
+def test_flipped_bytes_are_never_a_traceback(tmp_path: Path) -> None:
+    whole = bags.written(bags.honest_night(), compression="NONE")
+    for at in range(8, len(whole), 131):
+        folder = tmp_path / f"{at}"
+        folder.mkdir()
+        flipped = whole[:at] + bytes([whole[at] ^ 0xFF]) + whole[at + 1 :]
+        imported(folder, flipped)
+        assert record_numbers(folder / "ledger")
+
+
+def test_a_damaged_chunk_does_not_hide_the_next(tmp_path: Path) -> None:
+    whole = bytearray(bags.written(bags.honest_night()))
+    place = whole.index(b"\x28\xb5\x2f\xfd")  # the first frame of Zstandard
+    whole[place : place + 4] = b"\x00\x00\x00\x00"
+    made = imported(tmp_path, bytes(whole))
+    assert seen(tmp_path)[0]["kind"] == "unreadable"
+    assert 1 < made.records < 9
+
+
+def test_another_file_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="expected a file of MCAP"):
+        imported(tmp_path, b"#ROSBAG V2.0\n")
+
+
+def test_the_command_of_the_page_does_what_it_says(call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    page = (Path(__file__).parents[2] / "docs" / "sources" / "mcap.md").read_text("utf-8")
+    command = next(line for line in page.splitlines() if line.startswith("fsar-ledger import"))
+    monkeypatch.chdir(tmp_path)
+    filed(tmp_path, bags.written(bags.honest_night()), "night.mcap")
+    assert "can be judged: A2, A4\n" in call(*command.split()[1:]).good().out

@@ -1,0 +1,79 @@
+"""Lines from standard input: each is on disk before the next is read, and a wrong one is refused by its number."""
+
+import json
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+from fsar_ledger.ledger.opening import open_ledger
+from tests.cli.conftest import Called
+from tests.sources.importing import rows
+from tests.sources.test_recorder import COMMAND, tasks
+
+
+def told(ledger: Path, lines: bytes, *options: object) -> Called:
+    command = [*COMMAND, "record", ledger, "--run", "night", *options]
+    done = subprocess.run([*map(str, command)], input=lines, capture_output=True, check=False)
+    return Called(done.returncode, done.stdout.decode(), done.stderr.decode())
+
+
+LINE = b'{"type": "TaskArrived", "task_id": "%s", "time": "2090-01-01T00:00:0%d"}\n'
+
+
+def test_lines_that_are_wrong_are_refused_by_number_and_the_others_are_recorded(tmp_path: Path) -> None:
+    wrong = [
+        b"\xff\n",
+        b"[]\n",
+        b"{" * 9 + b"\n",
+        b'{"type": "TaskArived"}\n',
+        b'{"type": "TaskArrived", "task_id": "x", "sped": 1}\n',
+        b'{"type": "TaskArrived", "task_id": "x", "time": "0001-01-01T00:00:00+14:00"}\n',
+        b'{"type": "TaskArrived", "task_id": "x", "time": "9999-12-31T23:59:59-14:00"}\n',
+        b'{"type": "TaskArrived", "task_id": "x", "caused_by": 99}\n',
+        b'{"type": "TaskArrived", "task_id": "x\\u001b"}\n',
+        b'{"type": "RunStarted"}\n',
+        b'{"type": {}}\n',
+    ]
+    lines = b"\xef\xbb\xbf" + LINE % (b"a", 1) + b"\r\n" + b"".join(wrong) + (LINE % (b"b", 2)).replace(b"\n", b"\r\n")
+    said = told(tmp_path / "ledger", lines, "--observes", "TaskArrived", "--json")
+    assert (said.code, "Traceback" in said.err) == (1, False), said.err
+    answer = json.loads(said.out)
+    assert list(map(int, answer["refused"])) == list(range(3, 3 + len(wrong))), answer
+    assert tasks(tmp_path / "ledger") == ["a", "b"]
+
+
+def test_a_time_without_a_zone_is_utc(tmp_path: Path) -> None:
+    lines = LINE % (b"a", 1) + (LINE % (b"b", 1)).replace(b'0:01"', b'0:01Z"')
+    told(tmp_path / "ledger", lines, "--observes", "TaskArrived").good()
+    first, second = (row["time_us"] for row in rows(tmp_path / "ledger") if row["type"] == "TaskArrived.v1")
+    assert first == second
+
+
+def test_each_line_is_on_disk_before_the_next_is_read_and_ctrl_c_is_quiet(tmp_path: Path) -> None:
+    command = [*COMMAND, "record", str(tmp_path / "ledger"), "--run", "night", "--observes", "TaskArrived"]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        assert process.stdin is not None
+        for number, name in enumerate((b"a", b"b"), 1):
+            process.stdin.write(LINE % (name, number))
+            process.stdin.flush()
+            deadline = time.monotonic() + 30
+            while not (is_begun(tmp_path / "ledger") and len(tasks(tmp_path / "ledger")) == number):
+                assert time.monotonic() < deadline
+                time.sleep(0.05)
+        process.send_signal(signal.SIGINT)
+        _, said = process.communicate(timeout=30)
+    assert (process.returncode, b"Traceback" in said) == (130, False), said
+    told(tmp_path / "ledger", LINE % (b"c", 3), "--observes", "TaskArrived").good()
+    assert tasks(tmp_path / "ledger") == ["a", "b", "c"]
+
+
+def is_begun(ledger: Path) -> bool:
+    return (ledger / "segments").exists() and open_ledger(ledger).has_run("night")
+
+
+def test_the_fleet_of_a_file_may_have_dotted_names(tmp_path: Path) -> None:
+    (tmp_path / "fleet.toml").write_text('[robots]\nKIT.0001 = "agv"\n"KIT.0002" = "agv"\n')
+    told(tmp_path / "ledger", b"", "--fleet", tmp_path / "fleet.toml").good()
+    joined = [row["robot"] for row in rows(tmp_path / "ledger") if row["type"] == "RobotJoined.v1"]
+    assert joined == ["robot/KIT.0001", "robot/KIT.0002"]

@@ -1,0 +1,211 @@
+"""What becomes of VDA 5050 messages, and what can be judged then."""
+
+import json
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from fsar_ledger.ledger.opening import open_ledger
+from tests.cli.conftest import Call
+from tests.sources import vda
+from tests.sources.importing import filed, imported, is_good, kinds, record_numbers, rows
+from tests.sources.vda import Line, message, order, state
+
+FLEET = '[robots]\nKIT.0001 = "agv"\n"KIT.0002" = "agv"\n'
+
+
+def derived(folder: Path, lines: Sequence[Line]) -> list[str]:
+    imported(folder / "ledger", filed(folder, lines))
+    return kinds(folder / "ledger")
+
+
+def audited(call: Call, ledger: Path) -> dict[str, Any]:
+    answer = json.loads(call("audit", ledger, "--json").out)
+    return {row["invariant"][:2]: row for row in answer["rows"]}
+
+
+def refusal(name: str, **beside: Any) -> Line:
+    reference = {"referenceKey": "orderId", "referenceValue": name}
+    return {"errorType": "orderUpdateError", "errorLevel": "WARNING", "errorReferences": [reference], **beside}
+
+
+def test_an_honest_night_has_no_offence_and_its_fleet_is_judged(call: Call, tmp_path: Path) -> None:
+    night, fleet = filed(tmp_path, vda.honest_night()), tmp_path / "fleet.toml"
+    fleet.write_text(FLEET)
+    call("import", tmp_path / "ledger", night, "--as", "vda5050", "--fleet", fleet).good()
+    found = audited(call, tmp_path / "ledger")
+    assert {name: row["holds"] for name, row in found.items() if row["holds"] is not None} == {
+        "i1": True,
+        "a2": True,
+        "a4": True,
+    }
+    assert all(row["not_observed"] for row in found.values() if row["holds"] is None)
+
+
+def test_a_vehicle_that_is_not_of_the_fleet_breaks_i1(call: Call, tmp_path: Path) -> None:
+    night, fleet = filed(tmp_path, vda.honest_night()), tmp_path / "fleet.toml"
+    fleet.write_text('[robots]\n"KIT.0001" = "agv"\n')
+    call("import", tmp_path / "ledger", night, "--as", "vda5050", "--fleet", fleet).good()
+    offence = audited(call, tmp_path / "ledger")["i1"]
+    assert (offence["holds"], offence["first_type"]) == (False, "RequestIssued.v1")
+    assert offence["first_found"].startswith("robot/KIT.0002 acts")
+
+
+def test_without_a_fleet_nothing_is_said_of_who_belongs_to_it(call: Call, tmp_path: Path) -> None:
+    said = call("import", tmp_path / "ledger", filed(tmp_path, vda.honest_night()), "--as", "vda5050").good()
+    assert "not observable: I1, for want of RobotJoined" in said.out
+    assert audited(call, tmp_path / "ledger")["i1"]["holds"] is None
+
+
+def test_a_recording_that_begins_in_the_midst_of_an_order_accuses_nobody(call: Call, tmp_path: Path) -> None:
+    night = list(vda.honest_night(["0001"]))[3:]
+    assert derived(tmp_path, night)[:2] == ["RequestAccepted", "ExecutionStarted"]
+    assert [name for name, row in audited(call, tmp_path / "ledger").items() if row["holds"] is False] == []
+
+
+def test_each_step_of_an_order_is_told_once(tmp_path: Path) -> None:
+    assert derived(tmp_path, list(vda.honest_night(["0001"]))) == [
+        "TaskArrived",
+        "RequestIssued",
+        "RequestAccepted",
+        "ExecutionStarted",
+        "ExecutionPaused",
+        "ExecutionResumed",
+        "ExecutionFinished",
+        "TaskCompleted",
+    ]
+
+
+def test_every_derived_event_is_caused_by_its_message(tmp_path: Path) -> None:
+    derived(tmp_path, list(vda.honest_night()))
+    run = rows(tmp_path / "ledger")
+    said = [row for row in run if row["type"].startswith(("Task", "Request", "Execution"))]
+    assert said
+    assert {run[row["caused_by"]]["type"] for row in said} == {"Observed.v1"}
+
+
+def test_an_error_that_names_an_order_which_was_not_accepted_denies_it(tmp_path: Path) -> None:
+    lines = [order(0, "0001", "a"), state(1, "0001", "", errors=[refusal("a")]), state(2, "0001", "")]
+    assert derived(tmp_path, lines) == ["TaskArrived", "RequestIssued", "RequestDenied"]
+    (denied,) = [row for row in rows(tmp_path / "ledger") if row["type"] == "RequestDenied.v1"]
+    assert ("orderUpdateError" in denied.values(), denied["decided_by"]) == (True, "robot/KIT.0001")
+
+
+def test_an_error_of_an_order_on_its_way_denies_nothing(tmp_path: Path) -> None:
+    lines = [order(0, "0001", "a"), state(1, "0001", "a"), state(2, "0001", "a", errors=[refusal("a")])]
+    assert "RequestDenied" not in derived(tmp_path, lines)
+
+
+def test_a_retriable_action_has_failed_and_runs_on_when_it_is_tried_again(tmp_path: Path) -> None:
+    steps = ("RUNNING", "RETRIABLE", "RUNNING", "RETRIABLE", "FAILED")
+    lines = [order(0, "0001", "a", "p"), *(state(at, "0001", "a", p=step) for at, step in enumerate(steps, 1))]
+    found = [name for name in derived(tmp_path, lines) if name.startswith("Execution")]
+    assert found == ["ExecutionStarted", "ExecutionFailed", "ExecutionResumed", "ExecutionFailed"]
+    assert [row["failure"] for row in rows(tmp_path / "ledger") if "failure" in row] == [1, 2]
+
+
+def test_a_connection_that_breaks_and_comes_back_is_told_once(tmp_path: Path) -> None:
+    states = ("ONLINE", "CONNECTIONBROKEN", "CONNECTIONBROKEN", "ONLINE", "OFFLINE", "ONLINE")
+    lines = [message(at, "0001", "connection", connectionState=one) for at, one in enumerate(states)]
+    assert derived(tmp_path, lines) == ["LinkWentDown", "LinkCameUp"]
+
+
+def test_a_state_without_its_nodes_does_not_complete_an_order(tmp_path: Path) -> None:
+    short = state(1, "0001", "a", nodes=0)
+    del short["payload"]["nodeStates"]
+    assert "TaskCompleted" not in derived(tmp_path, [order(0, "0001", "a"), short])
+
+
+def test_a_state_that_was_sent_before_the_last_one_says_nothing_new(tmp_path: Path) -> None:
+    before, after = state(1, "0001", "a", p="RUNNING"), state(2, "0001", "a", p="PAUSED")
+    assert derived(tmp_path, [order(0, "0001", "a", "p"), before, after, before, after])[3:] == [
+        "ExecutionStarted",
+        "ExecutionPaused",
+    ]
+
+
+def test_a_clock_that_was_set_back_hides_nothing(tmp_path: Path) -> None:
+    later = state(-500, "0001", "a", p="FINISHED")
+    later["payload"]["headerId"] = 2
+    found = derived(tmp_path, [order(0, "0001", "a", "p"), state(1, "0001", "a", p="RUNNING"), later])
+    assert found[-1] == "ExecutionFinished"
+    times = [row["time_us"] for row in rows(tmp_path / "ledger")]
+    assert times == sorted(times)
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.data())
+def test_messages_that_come_twice_or_late_double_no_event(data: st.DataObject) -> None:
+    night = list(vda.honest_night())
+    again = data.draw(st.lists(st.sampled_from(night), max_size=20))
+    shuffled = data.draw(st.permutations([*night, *again]))
+    with tempfile.TemporaryDirectory() as folder:
+        imported(Path(folder) / "ledger", filed(Path(folder), shuffled))
+        once = [
+            (row["type"], row.get("task_id"), row.get("action_id"))
+            for row in rows(Path(folder) / "ledger")
+            if row["type"].startswith(("TaskA", "TaskC", "Request", "ExecutionFin"))
+        ]
+    assert len(once) == len(set(once))
+
+
+FIELDS = [*vda.state(0, "1", "a")["payload"], "connectionState", "topic", "payload", "received", "actions", "nodes"]
+VALUES: st.SearchStrategy[Any] = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.text(max_size=9) | st.sampled_from(["a", "RUNNING", vda.stamp(1)]),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.sampled_from(FIELDS) | st.text(), inner, max_size=4),
+    max_leaves=12,
+)
+LINES = (
+    st.dictionaries(st.sampled_from(FIELDS), VALUES).map(msgspec.json.encode)
+    | st.binary(max_size=60)
+    | st.sampled_from([msgspec.json.encode(line) for line in vda.honest_night()])
+    | st.builds(
+        lambda name, found: msgspec.json.encode(
+            state(1, "0001", "a", p="RUNNING") | {"payload": {**state(1, "0001", "a")["payload"], name: found}}
+        ),
+        st.sampled_from(FIELDS),
+        VALUES,
+    )
+)
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(st.lists(LINES, max_size=12))
+def test_any_lines_leave_a_ledger_that_verifies_and_has_each_of_them_once(lines: list[bytes]) -> None:
+    first = msgspec.json.encode(message(0, "0001", "connection", connectionState="ONLINE"))
+    whole = b"\n".join([first, *lines])
+    count = sum(1 for line in whole.split(b"\n") if line.strip())
+    with tempfile.TemporaryDirectory() as folder:
+        ledger = Path(folder) / "ledger"
+        assert imported(ledger, filed(Path(folder), whole)).records == count
+        assert record_numbers(ledger) == list(range(1, count + 1))
+        assert is_good(ledger)
+
+
+@pytest.mark.parametrize("topic", [None, 7, "", "a", "a/b/c/d/state"])
+def test_a_topic_of_any_form_is_no_failure(tmp_path: Path, topic: Any) -> None:
+    line = state(1, "0001", "a") | {"topic": topic}
+    assert "RequestAccepted" in derived(tmp_path, [order(0, "0001", "a"), line])
+
+
+def test_a_file_of_another_format_is_refused_and_nothing_is_recorded(call: Call, tmp_path: Path) -> None:
+    other = filed(tmp_path, [{"resourceSpans": []}] * 3, "other.jsonl")
+    said = call("import", tmp_path / "ledger", other, "--as", "vda5050")
+    assert (said.code, "expected messages of VDA 5050" in said.err) == (2, True), said.err
+    assert not open_ledger(tmp_path / "ledger").has_run("other")
+
+
+def test_the_command_of_the_page_does_what_it_says(call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    page = (Path(__file__).parents[2] / "docs" / "sources" / "vda5050.md").read_text("utf-8")
+    command = next(line for line in page.splitlines() if line.startswith("fsar-ledger import"))
+    monkeypatch.chdir(tmp_path)
+    filed(tmp_path, vda.honest_night())
+    (tmp_path / "fleet.toml").write_text(page.split("```toml\n")[1].split("```")[0])
+    said = call(*command.split()[1:]).good()
+    assert "can be judged: A2, A4, I1\n" in said.out
