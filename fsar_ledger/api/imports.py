@@ -23,10 +23,14 @@ CONTINUES = "what is committed stays, and the same command continues there"
 
 
 class ImportResult(Answer, msgspec.Struct, frozen=True):
-    """What became of the input, and what can be judged of the run now: `gaps` as `audit/record_gaps`."""
+    """What became of the input, and what can be judged of the run now: `gaps` as `audit/record_gaps`.
+
+    `unseen` are event types that the source is said to record, and of which the run has no event.
+    """
 
     ledger: "Ledger"
     made: "Imported"
+    unseen: tuple[str, ...]
     gaps: tuple[Mapping[str, Any], ...]
 
     def document(self, _: Screen) -> Mapping[str, object]:
@@ -34,6 +38,7 @@ class ImportResult(Answer, msgspec.Struct, frozen=True):
         return {
             "ledger": str(self.ledger.path),
             **msgspec.to_builtins(self.made),
+            "unseen": list(self.unseen),
             "gaps": [dict(one) for one in self.gaps],
         }
 
@@ -49,6 +54,7 @@ class ImportResult(Answer, msgspec.Struct, frozen=True):
                 f"not understood: {value(one.kind)}, {counted(one.count, 'record')}, the first of them {one.first:,}"
                 for one in made.not_understood[: printable.NAMED]
             ),
+            *([f"said to be recorded, and never seen: {', '.join(self.unseen)}"] if self.unseen else []),
             *self._judged(),
         )
 
@@ -115,8 +121,11 @@ def import_records(
             progress=progress,
         )
     ledger = Ledger(out)
-    rows = ledger.query("audit/record_gaps").rows()
-    return ImportResult(ledger, made, tuple(row for row in rows if row["run_id"] == made.run))
+    with ledger.about_run(made.run) as (database, _, _):
+        seen = {str(row["type"]).partition(".v")[0] for row in database.rows("SELECT DISTINCT type FROM events")}
+        gaps = database.rows("SELECT * FROM record_gaps ORDER BY missing_count, kind, judge")
+    unseen = tuple(name for name in made.declared.records if "." not in name and name not in seen)
+    return ImportResult(ledger, made, unseen, tuple(gaps))
 
 
 def _short(judge: str) -> str:

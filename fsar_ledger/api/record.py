@@ -32,6 +32,7 @@ def record(
     epoch: datetime | None = None,
     origin: str | None = None,
     key: Place | None = None,
+    private_names: Place | None = None,
 ) -> "Recorder":
     """Return a recorder, which appends what happens to a run of the ledger OUT.
 
@@ -44,12 +45,17 @@ def record(
         epoch: The time of run time 0; None: now.
         origin: Publish a new ledger under this name.
         key: The file of the key that signs.
+        private_names: A file outside the ledger that keeps the names of people, in whose place commitments are stored.
 
     Raises: As `Recorder`.
     """
     from fsar_ledger.ledger.store.keys import read_signer
+    from fsar_ledger.ledger.store.paths import require_outside
+    from fsar_ledger.sources.names import PrivateNames
     from fsar_ledger.sources.recorder import Recorder
 
+    if private_names is not None:
+        require_outside(Path(private_names), option("private_names", private_names))
     return Recorder(
         Path(out),
         fleet=fleet,
@@ -59,6 +65,7 @@ def record(
         epoch=epoch,
         origin=origin,
         signer=None if key is None else read_signer(Path(key)),
+        names=None if private_names is None else PrivateNames(Path(private_names)),
     )
 
 
@@ -109,6 +116,9 @@ def record_lines(
     epoch: str | None = declare("TIME", "When the run begins, as 2026-03-01T10:00Z.", "now"),
     origin: str | None = declare("NAME", "Publish a new ledger under this name.", "the key's name, else a general one"),
     key: KeyOption = None,
+    private_names: Place | None = declare(
+        "FILE", "Store commitments in place of the names of people, which this file outside the ledger keeps."
+    ),
 ) -> RecordResult:
     """Record events from standard input as they come, one JSON object a line, each on disk before the next is read.
 
@@ -125,7 +135,15 @@ def record_lines(
     robots = named_robots(Path(fleet)) if fleet is not None else {}
     begins = None if epoch is None else _time(epoch)
     with record(
-        out, fleet=robots, observes=observes, run=run, source=source, epoch=begins, origin=origin, key=key
+        out,
+        fleet=robots,
+        observes=observes,
+        run=run,
+        source=source,
+        epoch=begins,
+        origin=origin,
+        key=key,
+        private_names=private_names,
     ) as recorder:
         events, refused = tell(recorder, sys.stdin.buffer)
         return RecordResult(Path(out), recorder.run, events, refused)

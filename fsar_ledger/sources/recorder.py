@@ -29,6 +29,7 @@ from fsar_ledger.ledger.store.paths import MANIFEST
 from fsar_ledger.ledger.store.staging import stage
 
 from .declared import Declared, declared
+from .names import PrivateNames
 from .storable import storable_text
 
 ORIGIN = "fsar-ledger/recorded"
@@ -61,6 +62,7 @@ class Recorder:
         epoch: The time of run time 0; None: now.
         origin: The name under which a new ledger is published.
         signer: The key that signs.
+        names: The table of names in whose place commitments are stored.
 
     Raises:
         UsageError: A name in `observes` is none, or the run is there and was declared otherwise.
@@ -79,7 +81,9 @@ class Recorder:
         origin: str | None = None,
         signer: Signer | None = None,
         opened: SourceOpened | None = None,
+        names: PrivateNames | None = None,
     ):
+        self._names = names
         self.declared, self.source, self._lock = declared(observes), source, RLock()
         begins = (epoch or datetime.now(UTC)).astimezone(UTC)
         self.run = run or begins.isoformat(timespec="seconds")
@@ -117,6 +121,7 @@ class Recorder:
             WriteFailed: The disk refused.
         """
         with self._lock:
+            event = event if self._names is None else self._names.event(event)
             self._require_recordable(event)
             number = self._put(self._time_us(at), caused_by, event)
             self._is_live = at is None
@@ -207,7 +212,7 @@ class Recorder:
             self.close()
 
     def _begin(self, fleet: Fleet, opened: SourceOpened | None) -> None:
-        joined = list(_members(fleet)) if isinstance(fleet, Mapping) else list(fleet)
+        joined: list[Event] = list(_members(fleet)) if isinstance(fleet, Mapping) else list(fleet)
         if joined and "RobotJoined" not in self.declared.kinds:
             self.declared = declared((*self.declared.observes, *self.declared.records, "RobotJoined"))
         started = RunStarted(
@@ -217,6 +222,8 @@ class Recorder:
             epoch=self._epoch.isoformat().replace("+00:00", "Z"),
             source=self.source,
         )
+        if self._names is not None:
+            joined = [self._names.event(one) for one in joined]
         events: list[Event] = [started, *joined, opened or self._opening()]
         self._commit([(0, None if at == 0 else 0, event) for at, event in enumerate(events)])
         self._next = len(events)

@@ -3,8 +3,11 @@
 import stat
 from pathlib import Path
 
+import msgspec
 import pytest
 
+from fsar_ledger.api.ledger import open_ledger
+from fsar_ledger.api.record import record
 from fsar_ledger.base.errors import UsageError, WriteFailed
 from fsar_ledger.events.envelope import Parties, RequestSubject, flat
 from fsar_ledger.events.fleet import RobotJoined
@@ -52,9 +55,11 @@ def test_the_table_is_read_again_and_only_its_owner_may_read_it(tmp_path: Path) 
 
 
 def line(folder: Path) -> NamedPerson:
-    import msgspec
+    return decoded((folder / "names").read_bytes().splitlines()[0])
 
-    return msgspec.json.decode((folder / "names").read_bytes().splitlines()[0], type=NamedPerson)
+
+def decoded(text: bytes) -> NamedPerson:
+    return msgspec.json.decode(text, type=NamedPerson)
 
 
 def test_after_its_line_is_erased_the_same_name_is_somebody_else(tmp_path: Path) -> None:
@@ -79,3 +84,24 @@ def test_a_file_that_is_no_table_of_names_is_refused_with_its_line(tmp_path: Pat
 def test_a_table_that_cannot_be_opened_is_an_error_of_the_disk(tmp_path: Path) -> None:
     with pytest.raises(WriteFailed, match="cannot be opened"):
         PrivateNames(tmp_path / "no" / "names")
+
+
+def test_a_recorder_stores_commitments_and_the_ledger_proves_without_the_table(tmp_path: Path) -> None:
+    table = tmp_path / "names"
+    with record(tmp_path / "out", fleet=[joined(ANN)], run="n", private_names=table) as recorder:
+        recorder.observed("call", objects={"bob": "person"})
+    stored = b"".join(path.read_bytes() for path in (tmp_path / "out").rglob("*") if path.is_file())
+    assert b"ann" not in stored.replace(b"planned", b"")
+    assert b"bob" not in stored
+    assert {one.name for one in map(decoded, table.read_bytes().splitlines())} == {"ann", "bob"}
+    table.unlink()
+    ledger = open_ledger(tmp_path / "out")
+    assert ledger.verify().ok
+    [told] = ledger.sql("SELECT supervisor FROM robot_joined").rows()
+    assert told["supervisor"].startswith("supervisor/~")
+
+
+def test_the_table_is_never_within_the_ledger(tmp_path: Path) -> None:
+    record(tmp_path / "out", run="n").close()
+    with pytest.raises(UsageError, match="private_names"):
+        record(tmp_path / "out", run="n", private_names=tmp_path / "out" / "names")
