@@ -55,7 +55,6 @@ WITH_OUTPUT = "auditors-hour open record-your-fleet exports audit-example model 
 PAGES = (
     DOCS.parent / "README.md",
     *(DOCS / f"{name}.md" for name in WITH_OUTPUT.split()),
-    *sorted((DOCS / "sources").glob("*.md")),
 )
 FORMAT = DOCS / "ledger-format.md"
 NEEDS_NO_SHELL = re.compile(r"fsar-ledger(?: (?:[\w./-]+|\"[^\"$`\\\\]*\"))+")

@@ -24,23 +24,21 @@ _T = TypeVar("_T")
 
 
 class Coverage:
-    """What the source of a run observes. `lacking` are the concerns that it does not."""
+    """What the source of a run observes. `lacking` are the concerns that it does not, or (`is_in_part`) not whole."""
 
     def __init__(self, record: LedgerRun) -> None:
         observes = getattr(record.events[0], "observes", ())
         self.lacking = tuple(one for one in CONCERNS if one not in observes)
+        self.is_in_part = getattr(record.events[0], "records", None) is not None
 
     def of(self, concern: str, value: _T) -> _T | None:
         """Return the value, which rests on this concern; None where the run does not observe it."""
         return None if concern in self.lacking else value
 
     def all(self, concern: str, values: Iterable[_T]) -> tuple[_T, ...] | None:
-        """Return the values; None where there are none and the run does not observe the concern.
-
-        What is on record is told, whatever else is not.
-        """
+        """Return the values, as `of`; of a run that records concerns in part, those that are on record."""
         found = tuple(values)
-        return found or self.of(concern, found)
+        return found if found and self.is_in_part else self.of(concern, found)
 
 
 class Window(msgspec.Struct, frozen=True):

@@ -5,7 +5,7 @@ An adapter is made for one import and keeps what it has seen in it. Others publi
 """
 
 from collections.abc import Iterable, Iterator, Mapping
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any, BinaryIO, Literal, NamedTuple, Protocol
 
@@ -92,12 +92,19 @@ def unreadable(raw: bytes, why: object) -> Record:
     return Record(UNREADABLE, raw, values={"why": f"{why!s:.200}"})
 
 
+OWN = tuple(
+    EntryPoint(name, f"fsar_ledger.sources.{name}:{name.capitalize()}", ENTRY_POINTS)
+    for name in ("mcap", "ocel", "otlp", "rmf", "vda5050")
+)
+"""The adapters that come with the package; they need no installed metadata."""
+
+
 def adapter_named(name: str) -> Adapter:
     """Return a new adapter of this name.
 
     Raises: UsageError if there is none, or if what it needs is not installed.
     """
-    found = {one.name: one for one in entry_points(group=ENTRY_POINTS)}
+    found = {one.name: one for one in (*OWN, *entry_points(group=ENTRY_POINTS))}
     if name not in found:
         raise UsageError(
             f"--as {value(name)}: found no adapter of that name, expected one of {', '.join(sorted(found))}"

@@ -7,7 +7,7 @@ from pathlib import Path
 from fsar_ledger.events import CONCERN_OF, CONCERNS, Event
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.ledger.rows.codec import LedgerRun
-from fsar_ledger.ledger.rows.schema import LAYOUTS, STANDS_ALONE, Field
+from fsar_ledger.ledger.rows.schema import LAYOUTS, OPENINGS, RECORDS, STANDS_ALONE, Field
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.staging import stage
 from tests.ledger.samples import ORIGIN
@@ -43,15 +43,20 @@ _POOLS = {
 
 
 def foreign_run(run_id: str, size: int, draw: random.Random, observes: Sequence[str] | None = None) -> LedgerRun:
-    """Return a run of this many events, of the types of the concerns that it observes (by default, of some)."""
+    """Return a run of this many events, of the types of the concerns that it observes (by default, of some).
+
+    Some runs also say which other types and fields they record, and some say when they began.
+    """
     if observes is None:
         observes = [one for one in CONCERNS if draw.random() < draw.choice((0.3, 0.8, 1))]
+    records = draw.choice((None, None, tuple(draw.sample(RECORDS, draw.randrange(40)))))
     layouts = [
         layout
         for tag, layout in LAYOUTS.items()
-        if tag not in STANDS_ALONE and CONCERN_OF.get(tag.partition(".")[0]) in observes
+        if tag not in STANDS_ALONE | OPENINGS
+        and ((kind := tag.partition(".")[0]) in (records or ()) or CONCERN_OF.get(kind) in (None, *observes))
     ]
-    events: list[Event] = [_started(draw, observes)]
+    events: list[Event] = [_started(draw, observes, records)]
     # A few types come often, so that some runs have long stories of one kind.
     often = draw.sample(layouts, min(len(layouts), 12))
     while layouts and len(events) < size:
@@ -70,7 +75,7 @@ def append(ledger: Path, runs: Sequence[LedgerRun]) -> None:
         writer.append(stage(ledger, runs))
 
 
-def _started(draw: random.Random, observes: Sequence[str]) -> RunStarted:
+def _started(draw: random.Random, observes: Sequence[str], records: tuple[str, ...] | None) -> RunStarted:
     return RunStarted(
         kind=draw.choice(("live", "foreign")),
         observes=tuple(observes),
@@ -81,11 +86,13 @@ def _started(draw: random.Random, observes: Sequence[str]) -> RunStarted:
         fleet_size=draw.choice((None, 3)),
         run=draw.choice((None, 1)),
         source="example.org/site",
+        records=records,
+        epoch=draw.choice((None, "2026-03-01T10:00:00Z")),
     )
 
 
-def _cause(seq: int, draw: random.Random) -> int:
-    return draw.choice((0, seq - 1, draw.randrange(seq)))
+def _cause(seq: int, draw: random.Random) -> int | None:
+    return draw.choice((None, 0, seq - 1, draw.randrange(seq)))
 
 
 def _value(field: Field, draw: random.Random) -> object:
