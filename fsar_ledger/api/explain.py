@@ -302,7 +302,8 @@ def account_lines(
         if row["step"] <= 1:
             yield ""
         tie = " " if row["is_tied"] else "*"
-        yield f"{row['time_s']:>10.3f} s {row['seq']:>6} {tie} {names:<{width}}  {row['message']}{note}"
+        when = f"{row['time_s']:>10.3f} s" if row["clock"] is None else row["clock"]
+        yield f"{when} {row['seq']:>6} {tie} {names:<{width}}  {row['message']}{note}"
     if not all(row["is_tied"] for row in timeline):
         yield "* the record names no action; its cause does"
     yield ""

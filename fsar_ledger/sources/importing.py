@@ -119,6 +119,7 @@ class _Import:
         self.held: Held | None = None
         self.opened: SourceOpened | None = None
         self.robots_of_fleet: Mapping[str, str] = {}
+        self.joined_by_fleet: set[str] = set()
         self.seq, self.last_us, self.count, self.bytes = 0, 0, 0, 0
         self.epoch_us: int | None = None
         self.rows: list[tuple[int, int | None, Event]] = []
@@ -133,6 +134,7 @@ class _Import:
         """Look at what the ledger holds of the run. Raises: UsageError if this import cannot go on with it."""
         self.opened = opened
         self.robots_of_fleet = {name if name.startswith("robot/") else f"robot/{name}": fleet[name] for name in fleet}
+        self.joined_by_fleet = set(self.robots_of_fleet)
         self.held = before = held(self.path, self.run)
         if before is None:
             return
@@ -264,6 +266,9 @@ class _Import:
                     f"record {self.count}: found {kind}, expected an event that {self.adapter.name} declares; mend the "
                     "adapter"
                 )
+            if isinstance(one.event, RobotJoined) and one.event.robot in self.joined_by_fleet:
+                self.joined_by_fleet.remove(one.event.robot)  # the fleet's file has said so
+                continue
             cause = at if one.cause is None else self.keys.get(one.cause, at)
             event = storable(one.event)
             seq = self._put(self.last_us, cause, event)

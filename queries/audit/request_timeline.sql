@@ -2,9 +2,10 @@
 -- Paper: fig:wf1, sec:model:request, sec:architecture:fleet
 -- Grain: one row per message or deed of the action
 -- Key: run_id, action_id, seq, message
--- Units: step counts from 1 within the action; time_s seconds of run time
--- NULL: sender, receiver when the record does not say; note when there is nothing to add. Records that name no action
---   belong to the timeline when they caused, or were caused by, one that does; is_tied says which they are
+-- Units: step counts from 1 within the action; time_s seconds of run time; clock the time in UTC
+-- NULL: clock where a run does not know when it began; sender, receiver when the record does not say; note when there
+--   is nothing to add. Records that name no action belong to the timeline when they caused, or were caused by, one
+--   that does; is_tied says which they are
 -- Example: fsar-ledger query audit/request_timeline LEDGER --param run=RUN --param action=A1-1/4.1
 --   answers robot/A1 lacks door.open.secure, asks service/registry, requests it of robot/B1, which evaluates, accepts,
 --   executes: success
@@ -52,6 +53,7 @@ SELECT
     row_number() OVER (PARTITION BY chain.run_id, chain.action_id ORDER BY messages.seq, messages.part) AS step,
     messages.seq,
     messages.time_us / 1000000 AS time_s,
+    strftime(begun.epoch + to_microseconds(messages.time_us), '%Y-%m-%dT%H:%M:%S.%gZ') AS clock,
     messages.sender, messages.receiver,
     CASE
         WHEN messages.type = 'RequestAdmitted.v1' THEN 'evaluation'
@@ -61,3 +63,4 @@ SELECT
     messages.message, messages.note, chain.is_tied
 FROM chain
 INNER JOIN messages ON chain.run_id = messages.run_id AND chain.seq = messages.seq
+LEFT JOIN run_epochs AS begun ON chain.run_id = begun.run_id

@@ -1,13 +1,20 @@
 """An adapter is found by its name: those of the package, and those that others publish."""
 
+from collections.abc import Iterable, Iterator
 from importlib.metadata import EntryPoint
+from io import BytesIO
+from pathlib import Path
 
 import pytest
 
+from fsar_ledger.api.ledger import open_ledger
 from fsar_ledger.base.errors import UsageError
+from fsar_ledger.events.envelope import recorded_robot
+from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.sources import adapter
-from fsar_ledger.sources.adapter import ENTRY_POINTS, OWN, adapter_named
+from fsar_ledger.sources.adapter import ENTRY_POINTS, OWN, Derived, Input, Record, adapter_named
 from fsar_ledger.sources.declared import declared
+from fsar_ledger.sources.importing import import_files
 
 
 @pytest.mark.parametrize("name", [one.name for one in OWN if one.name != "mcap"])
@@ -25,7 +32,7 @@ def test_an_adapter_that_others_publish_is_found_by_its_entry_point(monkeypatch:
 
 
 def test_an_adapter_that_nobody_publishes_is_an_error_with_the_nearest_name() -> None:
-    with pytest.raises(UsageError, match="--as vda505: found no adapter of that name, .*did you mean vda5050"):
+    with pytest.raises(UsageError, match=r"--as vda505: found no adapter of that name, .*did you mean vda5050"):
         adapter_named("vda505")
 
 
@@ -34,3 +41,34 @@ def test_an_adapter_that_needs_what_is_not_installed_says_what_to_install(monkey
     monkeypatch.setattr(adapter, "OWN", (broken,))
     with pytest.raises(UsageError, match=r"no module no_such_library.*pip install 'fsar-ledger\[mcap\]'"):
         adapter_named("mcap")
+
+
+class Joining:
+    """An adapter whose records say which robot has joined."""
+
+    name, version, format, clock, is_sampled = "joining", "1", "joining/1", "arrival", False
+
+    def declares(self) -> Iterable[str]:
+        return ("RobotJoined",)
+
+    def read(self, inputs: Iterable[Input]) -> Iterator[Record]:
+        for one in inputs:
+            yield from (Record("joined", line, line.decode().strip()) for line in one.file)
+
+    def derive(self, record: Record) -> list[Derived]:
+        return [Derived(RobotJoined(robot=recorded_robot(f"robot/{record.data}"), role="agv", supervisor=None))]
+
+
+def joined(path: Path, lines: bytes, fleet: dict[str, str] | None) -> list[int]:
+    """How often each robot joins in the run, and how many events break I1."""
+    import_files(path, [Input("n", None, BytesIO(lines))], Joining(), run="n", fleet=fleet)  # type: ignore[arg-type]
+    ledger = open_ledger(path)
+    counted = ledger.sql("SELECT count(*) AS n FROM robot_joined GROUP BY robot ORDER BY robot").rows()
+    [broken] = ledger.sql("SELECT count(*) AS n FROM i1_local_agent_coherence").rows()
+    return [*(row["n"] for row in counted), broken["n"]]
+
+
+def test_a_robot_that_the_fleet_s_file_and_the_recording_name_joins_once(tmp_path: Path) -> None:
+    assert joined(tmp_path / "both", b"a\nb\n", {"a": "agv"}) == [1, 1, 0]
+    assert joined(tmp_path / "neither", b"a\nb\n", None) == [1, 1, 0]
+    assert joined(tmp_path / "again", b"a\na\n", {"a": "agv"}) == [2, 1]
