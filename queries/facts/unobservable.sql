@@ -4,7 +4,8 @@
 -- Key: run_id, judge
 -- Units: none
 -- NULL: never; not_observed names the concerns, or the event types and fields of a run that says which of them it
---   records; hides_offences tells whether not even an offence could be found
+--   records, or says that outcomes were open when its record ended; hides_offences tells whether not even an offence
+--   could be found
 -- Example: fsar-ledger query facts/unobservable LEDGER
 -- Stored: every metric, invariant and grade reads it
 WITH sources AS (
@@ -58,7 +59,12 @@ lacking AS (
     GROUP BY observes, records, judge
 )
 
-SELECT runs.run_id, lacking.judge, lacking.not_observed, lacking.hides_offences
+SELECT
+    coalesce(runs.run_id, censored.run_id) AS run_id,
+    coalesce(lacking.judge, censored.judge) AS judge,
+    coalesce(lacking.not_observed, 'the end of what was open') AS not_observed,
+    coalesce(lacking.hides_offences, FALSE) AS hides_offences
 FROM run_started AS runs
 INNER JOIN lacking
     ON coalesce(runs.observes, []) = lacking.observes AND runs.records IS NOT DISTINCT FROM lacking.records
+FULL JOIN censored ON runs.run_id = censored.run_id AND lacking.judge = censored.judge

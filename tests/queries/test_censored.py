@@ -1,0 +1,61 @@
+"""What is open when the record of another system ends has no outcome yet, which is no failure."""
+
+from typing import Any
+
+import pytest
+
+from tests.queries.histories import answer, event, run
+
+S = 1_000_000
+FOREIGN: dict[str, Any] = {"kind": "foreign", "seed": None, "scenario": None, "run": None, "architecture": None}
+ARRIVED = event("TaskArrived", 0, task_id="t", budget_us=10 * S)
+FAILED = event("ExecutionFailed", S, task_id="t", action_id="t/1", robot="robot/A1", failure=1, cause="worn")
+RESOLVED = event("FailureResolved", 2 * S, task_id="t", action_id="t/1", robot="robot/A1", failure=1, level="local")
+
+
+def seen_at(at_s: float) -> dict[str, Any]:
+    return event("Observed", int(at_s * S), source="s", kind="k")
+
+
+def success(*events: dict[str, Any], **started: Any) -> Any:
+    [[numerator, not_observed]] = answer(
+        "metrics/coordination_success", run(ARRIVED, *events, **started), columns=("numerator", "not_observed")
+    )
+    return not_observed or numerator
+
+
+OPEN = "the end of what was open"
+
+
+def test_a_task_within_its_budget_at_the_end_of_the_record_is_no_failure() -> None:
+    assert success(seen_at(9), **FOREIGN) == OPEN
+    assert success(seen_at(10), **FOREIGN) == 0
+    assert success(seen_at(9)) == 0  # a simulated run ends when nothing is left to happen
+
+
+def test_a_task_that_was_done_or_given_up_is_not_open() -> None:
+    assert success(event("TaskCompleted", 3 * S, task_id="t"), **FOREIGN) == 1
+    assert success(event("TaskAbandoned", 3 * S, task_id="t"), **FOREIGN) == 0
+
+
+def contained(*events: dict[str, Any], **started: Any) -> Any:
+    [[numerator, not_observed]] = answer(
+        "metrics/recovery_containment", run(FAILED, *events, **started), columns=("numerator", "not_observed")
+    )
+    return not_observed or numerator
+
+
+@pytest.mark.parametrize(
+    ("events", "found"),
+    [
+        ((), OPEN),
+        ((RESOLVED,), 1),
+        ((event("ExecutionWithdrawn", 2 * S, task_id="t", action_id="t/1", robot="robot/A1", failure=1),), 0),
+    ],
+)
+def test_a_failure_without_an_end_is_open(events: tuple[dict[str, Any], ...], found: Any) -> None:
+    assert contained(*events, **FOREIGN) == found
+
+
+def test_a_failure_of_a_simulated_run_that_nobody_resolves_is_not_contained() -> None:
+    assert contained() == 0
