@@ -247,6 +247,7 @@ def _document(shown: PageOptions) -> dict[str, Any]:
         "size": shown.size,
         "root": shown.root,
         "is_verified": shown.is_verified,
+        "epoch": about.get("epoch"),
         "not_observed": shown.not_observed,
         "about": [[name.replace("_", " "), f"{about[name]}"] for name in _ABOUT if about.get(name) is not None],
         "lanes": drawn.lanes,

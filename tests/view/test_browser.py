@@ -7,6 +7,8 @@ import pytest
 
 import fsar_ledger
 from fsar_ledger.view.spans import spans_of
+from tests.sources import vda
+from tests.sources.importing import filed, imported
 from tests.view.browser import (
     DESK,
     EVIL,
@@ -46,6 +48,16 @@ def test_it_loads_without_a_message_or_a_request(load: Open, name: str, size: di
 
 def test_a_page_of_ten_thousand_events_has_every_lane(load: Open) -> None:
     assert load("large").locator(".lane").count() >= 96
+
+
+def test_a_recorded_run_tells_the_time_of_day(load: Open, pages: Path) -> None:
+    imported(pages / "recorded", filed(pages, vda.honest_night()))
+    fsar_ledger.open_ledger(pages / "recorded").view(pages / "recorded.html", "night")
+    page = load("recorded")
+    assert page.inner_text("#facts").endswith(" · 2026-03-01T10:00:00.100Z")
+    press(page, "End")
+    assert page.inner_text("#moment").count("2026-03-01T10:00:") == 1
+    assert "2026-" not in load("one").inner_text("body")
 
 
 def test_hostile_text_is_shown_as_text(load: Open) -> None:

@@ -60,6 +60,8 @@ export interface Run {
   size: number;
   root: string;
   isVerified: boolean;
+  /** Milliseconds from 1970 to run time 0; null: the run does not know when it began. */
+  epoch: number | null;
   notObserved: string[];
   about: [string, string][];
   lanes: Lane[];
@@ -83,6 +85,7 @@ type Stored = {
   size: number;
   root: string;
   is_verified: boolean;
+  epoch: string | null;
   not_observed: string[];
   about: [string, string][];
   lanes: [string, string][];
@@ -157,6 +160,7 @@ function runOf(stored: Stored, index: number): Run {
     size: stored.size,
     root: stored.root,
     isVerified: stored.is_verified,
+    epoch: stored.epoch === null ? null : Date.parse(stored.epoch),
     notObserved: stored.not_observed,
     about: stored.about,
     lanes: stored.lanes.map(([name, about], at) => ({ index: at, name, about })),
@@ -187,6 +191,11 @@ export function taskOf(about: string): string {
 
 export function seconds(time: number, digits = 3): string {
   return `${(time / 1e6).toFixed(digits)} s`;
+}
+
+/** The time of day, in UTC, where the run knows when it began. */
+export function clock(run: Run, time: number): string[] {
+  return run.epoch === null ? [] : [new Date(run.epoch + time / 1e3).toISOString()];
 }
 
 /** The chain of causes of an event, from the event itself back to the first. */

@@ -1,7 +1,7 @@
 /** Start the page: read its data, draw it, and answer to mouse, touch and keys. */
 
 import { axis, draw, type Drawing, heading, scaleOf } from "./chart";
-import { load, said, seconds } from "./data";
+import { clock, load, said, seconds } from "./data";
 import { byId, element } from "./dom";
 import { isActive, showFilters } from "./filters";
 import { onKey } from "./keys";
@@ -105,7 +105,7 @@ function introduce(): void {
     ["architecture", "configuration", "scenario"].includes(label) ? value : `${label} ${value}`,
   );
   byId("facts").textContent = isOne
-    ? `${facts.join(" · ")} · ${run.events.length} events · ${seconds(run.end, 1)}`
+    ? [...facts, `${run.events.length} events`, seconds(run.end, 1), ...clock(run, 0)].join(" · ")
     : differenceText();
   byId("run-id").textContent = state.page.runs.map((one) => one.run).join("\n");
   for (const one of state.page.runs.filter((each, at) => at === 0 || each.root !== run.root)) {

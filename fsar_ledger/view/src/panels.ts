@@ -1,6 +1,6 @@
 /** The panels beside the picture: the state at the cursor, and the selected event. */
 
-import { chain, eventAt, heldAt, type LedgerEvent, type Run, said, seconds, type Span } from "./data";
+import { chain, clock, eventAt, heldAt, type LedgerEvent, type Run, said, seconds, type Span } from "./data";
 import { byId, element } from "./dom";
 import { showsLane, showsSpan } from "./filters";
 import { type State } from "./state";
@@ -40,6 +40,7 @@ function momentOf(state: State, run: Run, choose: Choose): HTMLElement {
   }
   const last = run.events[eventAt(run, state.cursor)];
   found.append(element("p", { class: "last" }, "last event ", link(run, last, choose)));
+  found.append(...clock(run, state.cursor).map((time) => element("p", { class: "note" }, time)));
   const order = Object.keys(WORDS);
   const held = heldAt(run, state.cursor).sort((one, other) => order.indexOf(one.track) - order.indexOf(other.track));
   const unseen = run.notObserved.filter((concern) => DOINGS.includes(concern));
@@ -88,7 +89,7 @@ export function showEvent(state: State, choose: Choose): void {
   place.replaceChildren(
     element("p", { class: "type" }, event.type, element("span", { class: "concern" }, event.concern)),
     element("p", { class: "words" }, said(event)),
-    element("p", { class: "note" }, seconds(event.time, 6)),
+    element("p", { class: "note" }, [seconds(event.time, 6), ...clock(run, event.time)].join(" · ")),
     ...why(run, event, choose),
     ...effects(run, event, choose),
     ...beside(state, run, event),
