@@ -4,8 +4,8 @@
 -- Key: run_id, field
 -- Units: record_count coordination events of the types whose field is recorded; named_count those from which the
 --   principal can be recovered; share of them
--- NULL: share where no record of the run has the field; every number of a run that tells only concerns, and not all that
---   I5 rests on
+-- NULL: share where no record of the run has the field; every number of a run that tells only concerns, and not all
+--   that I5 rests on
 -- Example: fsar-ledger query audit/attributability_by_field LEDGER answers which principals the records of a run name
 -- The whole is I5 and the metric; no real protocol names a supervisor, so that they are observable by parts.
 WITH recoverable AS (
