@@ -1,0 +1,46 @@
+-- Title: What happened on each day, of runs that know when they began, to hold one day or recording beside another
+-- Paper: sec:evaluation:metrics
+-- Grain: one row per run, UTC day with records of the run, and event type that the run records and any run has seen
+-- Key: run_id, day, type
+-- Units: event_count events; recorded_s seconds from the first to the last event of the run on that day
+-- NULL: never; a type that the run does not record has no row, since nobody knows how often it happened
+-- Example: fsar-ledger query audit/events_by_day LEDGER answers ExecutionFailed: 2 on 2026-03-01 and 0 on 2026-03-02
+WITH dated AS (
+    SELECT
+        events.run_id, split_part(events.type, '.', 1) AS type, events.time_us,
+        (begun.epoch + to_microseconds(events.time_us))::DATE AS day
+    FROM events
+    INNER JOIN run_epochs AS begun ON events.run_id = begun.run_id
+),
+
+days AS (
+    SELECT run_id, day, (max(time_us) - min(time_us)) / 1000000 AS recorded_s
+    FROM dated
+    GROUP BY run_id, day
+),
+
+counts AS (
+    SELECT run_id, day, type, count(*) AS event_count
+    FROM dated
+    GROUP BY run_id, day, type
+),
+
+recorded AS (
+    SELECT runs.run_id, split_part(concerns.type, '.', 1) AS type
+    FROM run_started AS runs
+    INNER JOIN event_concerns AS concerns
+        ON
+            list_contains(runs.observes, concerns.concern)
+            OR list_contains(runs.records, split_part(concerns.type, '.', 1))
+    WHERE split_part(concerns.type, '.', 1) IN (SELECT seen.type FROM counts AS seen)
+    UNION
+    SELECT run_id, type FROM counts
+)
+
+SELECT
+    days.run_id, days.day, recorded.type,
+    coalesce(counts.event_count, 0) AS event_count,
+    days.recorded_s
+FROM days
+INNER JOIN recorded ON days.run_id = recorded.run_id
+LEFT JOIN counts ON days.run_id = counts.run_id AND days.day = counts.day AND recorded.type = counts.type
