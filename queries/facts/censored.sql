@@ -19,7 +19,7 @@ tasks AS (
     INNER JOIN ends ON arrived.run_id = ends.run_id
     ANTI JOIN task_completed AS done ON arrived.run_id = done.run_id AND arrived.task_id = done.task_id
     ANTI JOIN task_abandoned AS given_up ON arrived.run_id = given_up.run_id AND arrived.task_id = given_up.task_id
-    WHERE arrived.time_us + arrived.budget_us > ends.end_us
+    WHERE arrived.budget_us > ends.end_us - arrived.time_us
     GROUP BY arrived.run_id
 ),
 

@@ -4,7 +4,7 @@
 -- Key: run_id, task_id
 -- Units: due_us, ended_us microseconds of run time; arrived_seq, ended_seq and held_up_seqs positions in the run, the
 --   last of the refusals, unanswered requests, holds and failures of the task's actions
--- NULL: ended_us, ended_seq, is_completed of a task that never ended
+-- NULL: ended_us, ended_seq, is_completed of a task that never ended; due_us of a budget longer than any run
 -- Example: fsar-ledger query facts/late_tasks LEDGER
 WITH ends AS (
     SELECT run_id, task_id, seq, time_us, TRUE AS is_completed FROM task_completed
@@ -44,7 +44,7 @@ held_up AS (
 SELECT
     arrived.run_id, arrived.task_id,
     arrived.seq AS arrived_seq,
-    arrived.time_us + arrived.budget_us AS due_us,
+    try(arrived.time_us + arrived.budget_us) AS due_us,
     first_ends.ended_seq, first_ends.ended_us, first_ends.is_completed,
     coalesce(held_up.held_up_seqs, []) AS held_up_seqs
 FROM task_arrived AS arrived

@@ -33,6 +33,12 @@ def test_a_task_within_its_budget_at_the_end_of_the_record_is_no_failure() -> No
     assert success(seen_at(9)) == 0  # a simulated run ends when nothing is left to happen
 
 
+def test_a_budget_longer_than_any_run_is_a_budget() -> None:
+    endless = event("TaskArrived", S, task_id="u", budget_us=2**63 - 1)
+    assert success(endless, seen_at(10), **FOREIGN) == OPEN
+    assert ("u", None) in answer("facts/late_tasks", run(ARRIVED, endless), columns=("task_id", "due_us"))
+
+
 def test_a_task_that_was_done_or_given_up_is_not_open() -> None:
     assert success(event("TaskCompleted", 3 * S, task_id="t"), **FOREIGN) == 1
     assert success(event("TaskAbandoned", 3 * S, task_id="t"), **FOREIGN) == 0
