@@ -28,10 +28,10 @@ WITH judges (judges, entries) AS (
     ),
     (
         'i5_audit_attributability audit_attributability',
-        'ExecutionStarted* RobotJoined RobotJoined.supervisor SupervisorLeft SupervisorReturned GapDetected.action_id
-        GapDetected>RequestAccepted RegistryQueried>RequestAccepted RequestIssued>RequestAccepted
-        RequestIssued>RequestClosed'
+        'RobotJoined RobotJoined.supervisor SupervisorLeft SupervisorReturned GapDetected.action_id
+        GapDetected>RequestAccepted RegistryQueried>RequestAccepted RequestIssued>RequestAccepted RequestIssued>RequestClosed'
     ),
+    ('i5_audit_attributability', 'ExecutionStarted*'),
     (
         'a1_local_runtime_self_sufficiency',
         'ExecutionStarted* OwnStepDecided OwnStepDecided.decided_by OwnStepDecided.executed_by

@@ -6,7 +6,8 @@
 -- NULL: detail when the words say everything; otherwise the field whose value follows them
 -- Example: fsar-ledger query facts/occurrence_words LEDGER
 -- A claim of authority that revokes nothing reads as here; one that does is in message_words.
-WITH words (type, sender, receiver, words, detail) AS (
+SELECT told.*
+FROM (
     VALUES
     ('RunStarted.v2', 'run', 'run', 'begins', 'begins'),
     ('ExperimentPlanned.v1', 'experiment', 'experiment', 'is planned', 'planned'),
@@ -74,7 +75,4 @@ WITH words (type, sender, receiver, words, detail) AS (
     ('CommandRejected.v1', 'issuer', 'issuer', 'command rejected', 'command'),
     ('SourceOpened.v1', 'source', 'source', 'opens', 'format'), ('Observed.v1', 'source', 'source', 'says', 'kind'),
     ('SourceClosed.v1', 'source', 'source', 'has no more records', NULL)
-)
-
-SELECT *
-FROM words
+) AS told (type, sender, receiver, words, detail)

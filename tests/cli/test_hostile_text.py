@@ -63,6 +63,7 @@ def calls(ledger: Path, call: Call, place: Path) -> Iterator[tuple[object, ...]]
     yield from (("log", ledger), ("log", ledger, "--json"), ("log", ledger, "--about", EVIL, "--from", EVIL))
     yield from (("compare", ledger), ("compare", ledger, "--first", EVIL), ("compare", ledger, ledger))
     yield from (("metrics", ledger), ("statistics", ledger), ("audit", ledger), ("query", "failures", ledger))
+    yield from (("import", out, place / EVIL[:9].replace("/", ""), "--as", EVIL), ("record", out, "--observes", EVIL))
     yield (
         "sql",
         ledger,
