@@ -3,11 +3,11 @@
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from fsar_ledger.base import printable
+from fsar_ledger.base import printable, utc
 from fsar_ledger.base.errors import UsageError
 from fsar_ledger.metrics.query_parameters import TIME, require_known
 from fsar_ledger.metrics.recorded_names import PRINCIPALS, RUNS, names_on_record
@@ -151,8 +151,8 @@ def clock(started: object, time_us: int) -> str | None:
     epoch = getattr(started, "epoch", None)
     if epoch is None:
         return None
-    when = datetime.fromisoformat(epoch) + timedelta(microseconds=time_us)
-    return when.astimezone(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+    when = utc.parsed(epoch) + timedelta(microseconds=time_us)
+    return utc.shown(when.astimezone(UTC), "milliseconds")
 
 
 def run_time(database: "Database", what: str, asked: Time, run: str | None) -> Time:
@@ -164,7 +164,7 @@ def run_time(database: "Database", what: str, asked: Time, run: str | None) -> T
         return asked
     shown = printable.value(asked, 80)
     try:
-        when = datetime.fromisoformat(asked.strip())
+        when = utc.parsed(asked.strip())
     except ValueError as error:
         raise UsageError(f"{what}: found {shown}, expected a time such as 2026-03-01T10:00Z") from error
     rows = database.rows("SELECT epoch FROM run_epochs WHERE run_id = $run", {"run": run})
@@ -172,7 +172,7 @@ def run_time(database: "Database", what: str, asked: Time, run: str | None) -> T
         of = "several runs" if run is None else f"run {printable.value(run)}, which does not know when it began"
         raise UsageError(f"{what}: found the time of day {shown} in {of}; expected seconds of run time, as 46.6s")
     epoch = rows[0]["epoch"].replace(tzinfo=UTC)
-    seconds = ((when if when.tzinfo else when.replace(tzinfo=UTC)) - epoch) / timedelta(seconds=1)
+    seconds = (when - epoch) / timedelta(seconds=1)
     if seconds < 0:
         raise UsageError(f"{what}: found {shown}, expected a time after the run began, {epoch.isoformat()}")
     return f"{seconds:.6f}"

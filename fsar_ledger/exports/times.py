@@ -2,10 +2,9 @@
 
 from datetime import UTC, datetime, timedelta
 
-from fsar_ledger.base import printable
+from fsar_ledger.base import printable, utc
 from fsar_ledger.base.errors import UsageError
 
-EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 LATEST_YEAR = 9000
 """Leaves room for the longest run, of 2^53 microseconds, before the last year that a date can have."""
 TOLD = "times count from 1970-01-01T00:00:00Z in runs whose first event names no epoch"
@@ -19,18 +18,17 @@ def epoch_us(run: str, epoch: str | None) -> int:
     if epoch is None:
         return 0
     try:
-        found = datetime.fromisoformat(epoch)
-        found = found if found.tzinfo else found.replace(tzinfo=UTC)
-        if not EPOCH <= found <= datetime(LATEST_YEAR, 1, 1, tzinfo=UTC):
+        found = utc.parsed(epoch)
+        if not utc.EPOCH <= found <= datetime(LATEST_YEAR, 1, 1, tzinfo=UTC):
             raise ValueError("too early or too late")
     except ValueError as error:
         raise UsageError(
             f"run {printable.value(run)}: found the epoch {printable.value(epoch)}, expected a time in ISO 8601 "
             f"between 1970 and {LATEST_YEAR}; name another run"
         ) from error
-    return (found - EPOCH) // timedelta(microseconds=1)
+    return (found - utc.EPOCH) // utc.MICROSECOND
 
 
 def rfc3339(time_us: int) -> str:
     """Return a time in UTC from its microseconds since 1970."""
-    return (EPOCH + timedelta(microseconds=time_us)).isoformat(timespec="microseconds").replace("+00:00", "Z")
+    return utc.shown(utc.EPOCH + timedelta(microseconds=time_us), "microseconds")

@@ -1,19 +1,18 @@
 """How far an import came: what the ledger holds of its run, read from the run alone."""
 
 from collections.abc import Iterator
-from datetime import UTC, datetime, timedelta
 from hashlib import sha256
 from pathlib import Path
 
 import msgspec
 
+from fsar_ledger.base import utc
 from fsar_ledger.ledger.opening import open_ledger
 
 from .adapter import UNREADABLE
 from .declared import Declared
 from .recorder import stored_run
 
-EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 BYTES = "bytes"
 """Under this name an unreadable record says its length: a line that was not whole yet is known by it again."""
 
@@ -98,11 +97,11 @@ def held(path: Path, run: str) -> Held | None:
             case "RobotJoined.v1" if not records:
                 robots[f"{row.robot}"] = f"{row.role}"
     started = stored.started
-    epoch = None if started.epoch is None else datetime.fromisoformat(started.epoch) - EPOCH
+    epoch = None if started.epoch is None else utc.parsed(started.epoch) - utc.EPOCH
     return Held(
         stored.size,
         stored.last_us,
-        None if epoch is None else epoch // timedelta(microseconds=1),
+        None if epoch is None else epoch // utc.MICROSECOND,
         Declared(started.observes, started.records or ()),
         first,
         records,

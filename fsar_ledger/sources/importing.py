@@ -16,6 +16,7 @@ from typing import Any, BinaryIO
 
 import msgspec
 
+from fsar_ledger.base import utc
 from fsar_ledger.base.errors import UsageError
 from fsar_ledger.base.printable import value
 from fsar_ledger.base.progress import Progress
@@ -23,6 +24,7 @@ from fsar_ledger.events import CONCERN_OF, Event
 from fsar_ledger.events.envelope import recorded_robot
 from fsar_ledger.events.fleet import RobotJoined, RunStarted
 from fsar_ledger.events.source import Observed, SourceClosed, SourceOpened
+from fsar_ledger.ledger.log.hashing import sha256_hex
 from fsar_ledger.ledger.log.note import Signer
 from fsar_ledger.ledger.rows.runs import LedgerRun
 from fsar_ledger.ledger.rows.schema import MAX_INTEGER
@@ -30,7 +32,7 @@ from fsar_ledger.ledger.store.append import Writer
 
 from .adapter import UNREADABLE, Adapter, Derived, Input, Record
 from .declared import Declared, declared
-from .held import BYTES, EPOCH, Held, held
+from .held import BYTES, Held, held
 from .recorder import commit, kept_origin
 from .storable import storable, storable_text, text_of
 
@@ -250,7 +252,7 @@ class _Import:
         """Take the first time of the input as run time 0, and say so if the beginning is not committed yet."""
         self.epoch_us = when_us
         if when_us is not None and self.rows and isinstance(started := self.rows[0][2], RunStarted):
-            epoch = (EPOCH + timedelta(microseconds=when_us)).isoformat().replace("+00:00", "Z")
+            epoch = utc.shown(utc.EPOCH + timedelta(microseconds=when_us))
             self.rows[0] = (0, None, msgspec.structs.replace(started, epoch=epoch))
 
     def _add(self, record: Record, derived: Iterable[Derived]) -> None:
@@ -301,7 +303,7 @@ class _Import:
             qualifiers=parts,
             source_time_us=source_us,
             record_number=self.count,
-            record_sha256=hashlib.sha256(record.raw).hexdigest(),
+            record_sha256=sha256_hex(record.raw),
             body=body,
         )
 
@@ -333,7 +335,7 @@ class _Import:
     def _require_same(self, record: Record) -> None:
         assert self.held is not None
         assert self.held.last is not None
-        found, known = hashlib.sha256(record.raw).hexdigest(), self.held.last.record_sha256 or "none"
+        found, known = sha256_hex(record.raw), self.held.last.record_sha256 or "none"
         if found != known:
             raise self._refused(
                 f"another record {self.count:,} in the input (SHA-256 {found[:16]}...) than on file ({known[:16]}...)",

@@ -1,11 +1,11 @@
 """Lines of JSON, read one at a time: what cannot be read is told, and the lines after it are read all the same."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from datetime import UTC, datetime, timedelta
 from typing import Any, TypeVar
 
 import msgspec
 
+from fsar_ledger.base import utc
 from fsar_ledger.base.errors import UsageError
 from fsar_ledger.base.printable import value
 
@@ -18,7 +18,6 @@ LOOKED_AT = 100
 """Records at the beginning of which one at least is known, where an input is of the format."""
 
 BOM = b"\xef\xbb\xbf"
-EPOCH, MICROSECOND = datetime(1970, 1, 1, tzinfo=UTC), timedelta(microseconds=1)
 
 One = TypeVar("One")
 _DECODER = msgspec.json.Decoder()
@@ -87,11 +86,9 @@ def utc_us(text: object) -> int | None:
     if not isinstance(text, str):
         return None
     try:
-        when = datetime.fromisoformat(text)
+        return (utc.parsed(text) - utc.EPOCH) // utc.MICROSECOND
     except ValueError:
         return None
-    utc = when if when.tzinfo is not None else when.replace(tzinfo=UTC)
-    return (utc - EPOCH) // MICROSECOND
 
 
 def shown(found: object) -> str:

@@ -13,6 +13,7 @@ from types import TracebackType
 
 import msgspec
 
+from fsar_ledger.base import utc
 from fsar_ledger.base.errors import CommitTooLarge, FsarLedgerError, InvalidRun, UsageError
 from fsar_ledger.base.printable import counted, value
 from fsar_ledger.events import CONCERN_OF, Event
@@ -219,7 +220,7 @@ class Recorder:
             kind="foreign",
             observes=self.declared.observes,
             records=self.declared.records,
-            epoch=self._epoch.isoformat().replace("+00:00", "Z"),
+            epoch=utc.shown(self._epoch),
             source=self.source,
         )
         if self._names is not None:
@@ -246,7 +247,7 @@ class Recorder:
                 "another name"
             )
         self.declared = kept
-        return datetime.fromisoformat(started.epoch)
+        return utc.parsed(started.epoch)
 
     def _time_us(self, at: datetime | None) -> int:
         if at is None:

@@ -7,6 +7,7 @@ from typing import Any, BinaryIO
 
 import msgspec
 
+from fsar_ledger.base import utc
 from fsar_ledger.base.errors import InvalidRun, UsageError
 from fsar_ledger.base.printable import did_you_mean, value
 from fsar_ledger.events import Event
@@ -142,8 +143,7 @@ def _when(text: object) -> datetime | None:
     try:
         if not isinstance(text, str):
             raise ValueError("no text")
-        when = datetime.fromisoformat(text)
-        return when.replace(tzinfo=UTC) if when.tzinfo is None else when.astimezone(UTC)
+        return utc.parsed(text).astimezone(UTC)
     except (ValueError, OverflowError) as error:
         raise UsageError(f"field time: found {_shown(text)}, expected a time such as 2026-03-01T10:00:00Z") from error
 

@@ -1,0 +1,17 @@
+"""Times of day in UTC: as text of ISO 8601, and as microseconds since 1970."""
+
+from datetime import UTC, datetime, timedelta
+
+EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+MICROSECOND = timedelta(microseconds=1)
+
+
+def parsed(text: str) -> datetime:
+    """Return a time of ISO 8601; without a zone it is UTC. Raises: ValueError for any other text."""
+    when = datetime.fromisoformat(text)
+    return when if when.tzinfo is not None else when.replace(tzinfo=UTC)
+
+
+def shown(when: datetime, timespec: str = "auto") -> str:
+    """Return a time in UTC as text that ends in Z; `timespec` as `datetime.isoformat` has it."""
+    return when.isoformat(timespec=timespec).replace("+00:00", "Z")
