@@ -86,7 +86,7 @@ def with_output(page: str) -> str:
 
 def answered(block: str, folder: Path) -> Iterator[str]:
     """Yield each command of the block, followed by what it prints."""
-    for command in re.findall(r"^\$ .*\n(?:> .*\n)*", block, flags=re.MULTILINE):
+    for command in re.findall(r"^\$ .*\n(?:>(?: .*)?\n)*", block, flags=re.MULTILINE):
         yield command
         text = "\n".join(line[2:] for line in command.splitlines())
         yield called(text, folder) if NEEDS_NO_SHELL.fullmatch(text) else said_in_a_shell(text, folder)

@@ -384,6 +384,17 @@ def test_the_output_in_the_pages_is_what_the_commands_print() -> None:
     assert done.returncode == 0, done.stdout + done.stderr
 
 
+def test_no_page_answers_that_a_ledger_is_missing() -> None:
+    pages = [README, *PAGES.values()]
+    assert not [page[:40] for page in pages if "found no such path" in page or "found no ledger there" in page]
+
+
+def test_a_here_document_keeps_its_empty_lines(tmp_path: Path) -> None:
+    write = runpy.run_path(str(ROOT / "docs" / "write.py"))
+    block = "$ cat > a << 'END'\n> one\n>\n> two\n> END\n$ wc -l < a\nold\n"
+    assert "".join(write["answered"](block, tmp_path)) == block.replace("old", "3")
+
+
 def test_a_page_is_out_of_date_when_a_reader_would_notice_not_when_a_digest_changes() -> None:
     noticed = runpy.run_path(str(ROOT / "docs" / "write.py"))["noticed"]
     first, second, third = ("0a" * 32, "1b" * 32, "2c" * 32)

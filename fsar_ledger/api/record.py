@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import msgspec
 
-from fsar_ledger.base import printable
+from fsar_ledger.base import printable, utc
 from fsar_ledger.base.errors import UsageError, option
 from fsar_ledger.base.printable import SafeText, counted
 
@@ -151,7 +151,7 @@ def record_lines(
 
 def _time(text: str) -> datetime:
     try:
-        return datetime.fromisoformat(text)
+        return utc.parsed(text)
     except ValueError as error:
         found = printable.value(text)
         raise UsageError(f"{option('epoch')}: found {found}, expected a time such as 2026-03-01T10:00Z") from error

@@ -8,7 +8,11 @@ MICROSECOND = timedelta(microseconds=1)
 
 def parsed(text: str) -> datetime:
     """Return a time of ISO 8601; without a zone it is UTC. Raises: ValueError for any other text."""
-    when = datetime.fromisoformat(text)
+    return zoned(datetime.fromisoformat(text))
+
+
+def zoned(when: datetime) -> datetime:
+    """Return a moment with its zone; without one it is UTC."""
     return when if when.tzinfo is not None else when.replace(tzinfo=UTC)
 
 

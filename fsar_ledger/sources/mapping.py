@@ -33,9 +33,9 @@ from fsar_ledger.designs.files import Field, at_line, decoded
 from fsar_ledger.events import CONCERN_OF
 
 from .adapter import Derived, Input, Record
+from .columns import LAYOUT_OF, laid_out
 from .declared import declared
 from .json_lines import objects, shown, utc_us
-from .telling import LAYOUT_OF, event_of
 
 _IN_TEXT = re.compile(r"\{(/[^{}]*)\}")
 _POINTER = re.compile(r"/([^~]|~[01])*")
@@ -255,7 +255,7 @@ def _derived(rule: MappedEvent, data: Any) -> Derived | None:
     filled = {name: _filled(text, data) for name, text in rule.fields.items()}
     given = {name: one for name, one in filled.items() if one is not _MISSING}
     try:
-        event = event_of(LAYOUT_OF[rule.type], given)
+        event = laid_out(LAYOUT_OF[rule.type], given)
     except UsageError:
         return None
     key, cause = (None if text is None else _filled(text, data) for text in (rule.key, rule.cause))

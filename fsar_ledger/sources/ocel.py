@@ -27,9 +27,9 @@ from fsar_ledger.events import CONCERN_OF, Event
 from fsar_ledger.ledger.rows.schema import MAX_INTEGER, RECORDS, Field
 
 from .adapter import Derived, Input, Record
+from .columns import LAYOUT_OF, laid_out
 from .json_lines import shown
 from .ocel_logs import Item, Log, opened_log
-from .telling import LAYOUT_OF, event_of
 
 OWN = {name: layout for name, layout in LAYOUT_OF.items() if name in CONCERN_OF}
 """The event types that can come back: those that describe a run or a source are of that run or source alone."""
@@ -188,6 +188,6 @@ def _event(kind: str, row: dict[str, Any]) -> Event | None:
     if any(isinstance(one, int) and abs(one) > MAX_INTEGER for one in row.values()):
         return None
     try:
-        return event_of(OWN[kind], row)
+        return laid_out(OWN[kind], row)
     except UsageError:
         return None

@@ -6,7 +6,7 @@ is written, and the record goes on.
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 from pathlib import Path
 from threading import RLock
 from types import TracebackType
@@ -29,6 +29,7 @@ from fsar_ledger.ledger.store.manifest import parse_manifest, read_manifest
 from fsar_ledger.ledger.store.paths import MANIFEST
 from fsar_ledger.ledger.store.staging import stage
 
+from .columns import event_of
 from .declared import Declared, declared
 from .names import PrivateNames
 from .storable import storable_text
@@ -86,7 +87,7 @@ class Recorder:
     ):
         self._names = names
         self.declared, self.source, self._lock = declared(observes), source, RLock()
-        begins = (epoch or datetime.now(UTC)).astimezone(UTC)
+        begins = utc.zoned(epoch or datetime.now(UTC)).astimezone(UTC)
         self.run = run or begins.isoformat(timespec="seconds")
         name = origin or (signer.verifier.name if signer is not None else ORIGIN)
         self._path = path
@@ -107,20 +108,27 @@ class Recorder:
             self._writer.close()
             raise
 
-    def event(self, event: Event, *, at: datetime | None = None, caused_by: int | None = None) -> int:
+    def event(
+        self, event: Event | str, *, at: datetime | None = None, caused_by: int | None = None, **columns: object
+    ) -> int:
         """Record an event, and return its number within the run.
 
         Args:
-            event: The event, of a type that the run records.
-            at: When it happened; None: now.
+            event: The event, or the name of its type, which is one that the run records.
+            at: When it happened (UTC if it has no zone); None: now.
             caused_by: The number of the event that led to it; None: not known.
+            columns: With the name of a type: its columns, as in `docs/event-types.json`. What is not known stays out.
 
         Raises:
             InvalidRun: A field has a value that it cannot have, or the type is not one that the run records. Nothing
                 was written; the record goes on.
-            UsageError: `at` lies before the event before it.
+            UsageError: There is no such type or column, or `at` lies before the event before it.
             WriteFailed: The disk refused.
         """
+        if isinstance(event, str):
+            event = event_of(event, columns)
+        elif columns:
+            raise UsageError(f"event: found {type(event).__name__} and columns of it, expected one or the other")
         with self._lock:
             event = event if self._names is None else self._names.event(event)
             self._require_recordable(event)
@@ -183,9 +191,8 @@ class Recorder:
                 self._batch = None
 
     def run_time_us(self, when: datetime) -> int:
-        """Return the run time of a moment; one without a zone is local time. Units: microseconds."""
-        aware = when if when.tzinfo is not None else when.astimezone()
-        return (aware - self._epoch) // timedelta(microseconds=1)
+        """Return the run time of a moment; one without a zone is UTC. Units: microseconds."""
+        return (utc.zoned(when) - self._epoch) // utc.MICROSECOND
 
     def close(self) -> None:
         """Say until when the source was observed, and close the ledger. A recorder of the same run continues it."""

@@ -1,6 +1,5 @@
 """Events as lines of JSON, as a program in any language can write them."""
 
-import re
 from collections.abc import Iterator
 from datetime import UTC, datetime
 from typing import Any, BinaryIO
@@ -9,27 +8,14 @@ import msgspec
 
 from fsar_ledger.base import utc
 from fsar_ledger.base.errors import InvalidRun, UsageError
-from fsar_ledger.base.printable import did_you_mean, value
 from fsar_ledger.events import Event
-from fsar_ledger.events.source import Observed
-from fsar_ledger.ledger.rows.schema import LAYOUTS, OPENINGS, StoredType
 
+from .columns import event_of, shown
 from .json_lines import BOM, MAX_LINE
 from .recorder import Recorder
 
-BY_ITSELF = ("SourceOpened", "SourceClosed")
-"""What a recorder says of its own accord."""
-LAYOUT_OF: dict[str, StoredType] = {
-    name: layout
-    for tag, layout in LAYOUTS.items()
-    if tag not in OPENINGS and (name := tag.partition(".v")[0]) not in BY_ITSELF
-}
-"""How the events are stored that a line can hold, by name without version."""
 BESIDE = ("type", "time", "caused_by")
 """What a line may have beside the columns of its type."""
-ALIGNED = (("names", "texts"), ("objects", "qualifiers"))
-"""Columns of an observation that go together."""
-_FLAW = re.compile(r"(?P<what>.*?)(?: - at `\$(?P<at>.*)`)?", re.DOTALL)
 
 
 def tell(recorder: Recorder, file: BinaryIO) -> tuple[int, dict[int, str]]:
@@ -78,62 +64,8 @@ def told(line: bytes) -> tuple[Event, datetime | None, int | None]:
         row = msgspec.json.decode(line, type=dict[str, Any])
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise UsageError(f"{error!s:.200}; expected a JSON object") from error
-    tag = row.get("type")
-    kind = tag.partition(".v")[0] if isinstance(tag, str) else ""
-    layout = LAYOUT_OF.get(kind)
-    if layout is None or tag not in (kind, layout.tag):
-        meant = did_you_mean(kind, [*LAYOUT_OF, *BY_ITSELF]) if layout is None else f", {kind} or {layout.tag}"
-        by_itself = " that is not said of its own accord" if kind in BY_ITSELF else meant
-        raise UsageError(f"field type: found {_shown(tag)}, expected an event type{by_itself}")
-    known = {field.name: field for field in layout.fields}
-    if unknown := sorted(row.keys() - known.keys() - set(BESIDE)):
-        raise UsageError(
-            f"field {value(unknown[0])}: found it in {kind}, which has no such field"
-            f"{did_you_mean(unknown[0], known)}; expected some of {', '.join(known)}"
-        )
-    event = event_of(layout, row)
-    for first, second in ALIGNED if isinstance(event, Observed) else ():
-        if len(getattr(event, first)) != len(getattr(event, second)):
-            raise UsageError(f"field {second}: found {_shown(row.get(second))}, expected one for each of `{first}`")
+    event = event_of(row.get("type"), {name: row[name] for name in row.keys() - set(BESIDE)})
     return event, _when(row.get("time")), _cause(row.get("caused_by"))
-
-
-def event_of(layout: StoredType, row: dict[str, Any]) -> Event:
-    """Return the event with these columns; what may be NULL and is not there is NULL.
-
-    A decision without a path has that of its decider alone.
-    """
-    given: dict[str, Any] = {"type": layout.tag}
-    for member in layout.members:
-        columns = {field.name: row.get(field.name) for field in member.fields if field.name in row or field.is_nullable}
-        if member.part is None:
-            given |= columns
-            continue
-        if "path" in {field.name for field in member.fields} and "path" not in row:
-            columns["path"] = [row["decided_by"]] if row.get("decided_by") is not None else []
-        given[member.name] = columns
-    try:
-        return msgspec.convert(given, layout.cls)
-    except msgspec.ValidationError as error:
-        raise UsageError(_flaw(layout, f"{error}")) from error
-
-
-def _flaw(layout: StoredType, message: str) -> str:
-    """Return what is wrong with the columns of an event, of which msgspec names the type and the path."""
-    kind, found = layout.tag.partition(".v")[0], _FLAW.fullmatch(message)
-    assert found is not None
-    lacks = re.search(r"missing required field `(\w+)`", found["what"])
-    path = re.findall(r"[a-z_]\w*", found["at"] or "")
-    name = lacks[1] if lacks else path[-1] if path else None
-    members = [member for member in layout.members if member.name == name and member.part is not None]
-    if members:
-        name = ", ".join(field.name for field in members[0].fields if not field.is_nullable)
-    words = f"found none, expected one in {kind}" if lacks else f"{found['what']:.200} in {kind}"
-    return f"field {name}: {words}" if name else f"{kind}: {words}"
-
-
-def _shown(found: object) -> str:
-    return value(found if isinstance(found, str) else msgspec.json.encode(found).decode())
 
 
 def _when(text: object) -> datetime | None:
@@ -145,10 +77,10 @@ def _when(text: object) -> datetime | None:
             raise ValueError("no text")
         return utc.parsed(text).astimezone(UTC)
     except (ValueError, OverflowError) as error:
-        raise UsageError(f"field time: found {_shown(text)}, expected a time such as 2026-03-01T10:00:00Z") from error
+        raise UsageError(f"field time: found {shown(text)}, expected a time such as 2026-03-01T10:00:00Z") from error
 
 
 def _cause(number: object) -> int | None:
     if number is not None and type(number) is not int:
-        raise UsageError(f"field caused_by: found {_shown(number)}, expected the number of an earlier event")
+        raise UsageError(f"field caused_by: found {shown(number)}, expected the number of an earlier event")
     return number

@@ -198,6 +198,38 @@ def test_a_time_before_the_last_event_is_refused_and_says_what_to_do(tmp_path: P
     assert tasks(tmp_path / "ledger") == ["a", "c"]
 
 
+def test_an_event_may_be_told_by_its_type_and_columns(tmp_path: Path) -> None:
+    with recorder(tmp_path / "ledger") as one:
+        one.event("TaskArrived", task_id="a", robot="robot/A1", caused_by=1)
+        for told, said in (
+            ({"event": "TaskArived"}, "found TaskArived, expected an event type; did you mean TaskArrived?"),
+            ({"event": "TaskArrived", "taskid": "b"}, "field taskid: .* did you mean task_id?"),
+            ({"event": "TaskArrived"}, "field task_id: found none, expected one in TaskArrived"),
+            ({"event": arrived("b"), "task_id": "c"}, "found TaskArrived and columns of it"),
+        ):
+            with pytest.raises(UsageError, match=said):
+                one.event(**told)
+        one.event("TaskCompleted", task_id="a")
+    assert [(row["type"], row.get("caused_by")) for row in rows(tmp_path / "ledger")[2:4]] == [
+        ("TaskArrived.v1", 1),
+        ("TaskCompleted.v1", None),
+    ]
+
+
+def test_a_moment_without_a_zone_is_utc(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TZ", "Asia/Tokyo")
+    time.tzset()
+    try:
+        with recorder(tmp_path / "ledger", epoch=BEGINS.replace(tzinfo=None)) as one:
+            one.event(arrived("a"), at=BEGINS + timedelta(seconds=5))
+            one.event(arrived("b"), at=(BEGINS + timedelta(seconds=7)).replace(tzinfo=None))
+    finally:
+        monkeypatch.undo()
+        time.tzset()
+    assert rows(tmp_path / "ledger")[0]["epoch"].startswith("2026-03-01T10:00:00")
+    assert [row["time_us"] for row in rows(tmp_path / "ledger")[2:4]] == [5_000_000, 7_000_000]
+
+
 def test_a_run_of_the_past_goes_on_in_the_past(tmp_path: Path) -> None:
     for at, name in enumerate("abc"):
         with recorder(tmp_path / "ledger", epoch=BEGINS) as one:
