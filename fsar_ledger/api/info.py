@@ -23,6 +23,14 @@ if TYPE_CHECKING:
     from .ledger import Ledger
     from .provenance import Provenance
 
+BEGINS = """
+SELECT
+    count(*) AS runs,
+    strftime(min(epoch), '%Y-%m-%dT%H:%M:%SZ') AS first,
+    strftime(max(epoch), '%Y-%m-%dT%H:%M:%SZ') AS last
+FROM run_epochs
+HAVING count(*) > 0
+"""
 # Grain: one row per model (kind of run, source, model version, constants), seed, fleet size, architecture,
 # configuration and changes of forks; NULL where runs have none.
 # A rectangle has, for each scenario of its model, seed and fleet size, all runs from 0 to the highest number there;
@@ -96,6 +104,8 @@ class Contents(Answer, msgspec.Struct, frozen=True):
 
     provenance: "Provenance"
     not_observed: tuple["Unobserved", ...] = ()
+    begins: Mapping[str, Any] | None = None
+    """How many runs know their time of day, and the first and last at which one begins; None if none does."""
 
     @property
     def run_count(self) -> int:
@@ -131,6 +141,7 @@ class Contents(Answer, msgspec.Struct, frozen=True):
             "is_complete": self.is_complete,
             "missing_count": self.missing,
             "not_observed": self.not_observed,
+            "begins": self.begins,
         }
 
     def text(self, screen: Screen) -> Iterator[printable.SafeText]:
@@ -155,6 +166,10 @@ class Contents(Answer, msgspec.Struct, frozen=True):
         if forks := sum(group["runs"] for group in self.groups if group["changes"] is not None):
             said = f"{counted(forks, 'fork')} among them" if forks < self.run_count else "all of them forks"
             yield f"{said}; the query forks says of which runs, and how far they repeat them"
+        if begins := self.begins:
+            dated, first, last = begins["runs"], begins["first"], begins["last"]
+            several = f"{counted(dated, 'run')} with a time of day begin from {first} to {last}"
+            yield several if dated > 1 else f"the run with a time of day begins {first}"
         for plan in self.plans:
             if plan["missing_count"] and not plan["larger_plans"]:
                 yield _unfinished(plan)
@@ -239,7 +254,8 @@ def info(ledger: "Ledger") -> Contents:
         named = [_of_model(one, letter) for one, letter in found]
         missing = completeness(database).missing
         provenance = Provenance(database.head, database.rows_verified)
-        return Contents(groups, named, planned, missing, provenance, tuple(never_observed(database)))
+        begins = next(iter(database.rows(BEGINS)), None)
+        return Contents(groups, named, planned, missing, provenance, tuple(never_observed(database)), begins)
 
 
 def _unfinished(plan: Mapping[str, Any]) -> str:

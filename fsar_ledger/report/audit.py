@@ -66,6 +66,7 @@ ASKED: Mapping[str, str] = {
     "supervisor_decisions": "audit/supervisor_decisions",
     "recordings": "audit/recordings",
     "by_field": "audit/attributability_by_field",
+    "by_day": "audit/events_by_day",
 }
 """The queries whose whole answers the sections select from, by the name of the relation."""
 SELECTED: Mapping[str, tuple[str, str]] = {

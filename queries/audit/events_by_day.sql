@@ -1,6 +1,6 @@
 -- Title: What happened on each day, of runs that know when they began, to hold one day or recording beside another
 -- Paper: sec:evaluation:metrics
--- Grain: one row per run, UTC day with records of the run, and event type that the run records and any run has seen
+-- Grain: one row per run, UTC day with records of the run, and event type that the run records, or has seen that day
 -- Key: run_id, day, type
 -- Units: event_count events; recorded_s seconds from the first to the last event of the run on that day
 -- NULL: never; a type that the run does not record has no row, since nobody knows how often it happened
@@ -26,21 +26,26 @@ counts AS (
 ),
 
 recorded AS (
-    SELECT runs.run_id, split_part(concerns.type, '.', 1) AS type
+    SELECT DISTINCT runs.run_id, split_part(concerns.type, '.', 1) AS type
     FROM run_started AS runs
     INNER JOIN event_concerns AS concerns
         ON
             list_contains(runs.observes, concerns.concern)
             OR list_contains(runs.records, split_part(concerns.type, '.', 1))
-    WHERE split_part(concerns.type, '.', 1) IN (SELECT seen.type FROM counts AS seen)
+),
+
+expected AS (
+    SELECT days.run_id, days.day, recorded.type
+    FROM days INNER JOIN recorded ON days.run_id = recorded.run_id
     UNION
-    SELECT run_id, type FROM counts
+    SELECT run_id, day, type FROM counts
 )
 
 SELECT
-    days.run_id, days.day, recorded.type,
+    expected.run_id, expected.day, expected.type,
     coalesce(counts.event_count, 0) AS event_count,
     days.recorded_s
-FROM days
-INNER JOIN recorded ON days.run_id = recorded.run_id
-LEFT JOIN counts ON days.run_id = counts.run_id AND days.day = counts.day AND recorded.type = counts.type
+FROM expected
+INNER JOIN days ON expected.run_id = days.run_id AND expected.day = days.day
+LEFT JOIN counts
+    ON expected.run_id = counts.run_id AND expected.day = counts.day AND expected.type = counts.type

@@ -266,6 +266,22 @@ def test_runs_of_another_system_have_no_model_and_no_rectangle(call: Call, tmp_p
     assert "rectangle:" not in text
 
 
+def test_runs_say_when_they_begin_where_they_know_it(call: Call, tmp_path: Path) -> None:
+    started = RunStarted(kind="foreign", observes=(), source="example.org")
+    dated = [msgspec.structs.replace(started, epoch=f"2026-03-0{day}T22:00:00Z") for day in (2, 1)]
+    said_of = {}
+    for count, runs in enumerate(([started], dated[:1], [started, *dated])):
+        path = tmp_path / f"{count}"
+        appended(path, *(LedgerRun(f"{number}", (0,), (None,), (one,)) for number, one in enumerate(runs)))
+        said_of[count] = info(call, path)["begins"], [line for line in said(call, path).splitlines() if "day" in line]
+    first, second = "2026-03-01T22:00:00Z", "2026-03-02T22:00:00Z"
+    assert said_of == {
+        0: (None, []),
+        1: ({"runs": 1, "first": second, "last": second}, [f"the run with a time of day begins {second}"]),
+        2: ({"runs": 2, "first": first, "last": second}, [f"2 runs with a time of day begin from {first} to {second}"]),
+    }
+
+
 @pytest.mark.parametrize(("numbers", "shape"), [((0, 1), "a rectangle"), ((0, 2), "not a rectangle: 1 run less")])
 def test_a_ledger_without_a_plan_is_never_complete(
     call: Call, tmp_path: Path, numbers: tuple[int, ...], shape: str

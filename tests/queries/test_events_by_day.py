@@ -41,6 +41,15 @@ def test_nothing_of_what_is_not_recorded_is_not_zero() -> None:
     assert {row[0] for row in days(*runs, kind="ExecutionFailed")} == {"a"}
 
 
+def test_what_is_recorded_and_never_seen_is_zero() -> None:
+    assert [row[2] for row in days(night("a", **RECORDS), kind="ExecutionFailed")] == [0, 0]
+
+
+def test_what_was_seen_on_one_day_and_is_not_said_to_be_recorded_is_not_zero_on_another() -> None:
+    found = days(night("a", LATE, **{**RECORDS, "records": ["Observed"]}), kind="ExecutionFailed")
+    assert found == [("a", "2026-03-01", 1)]
+
+
 def test_a_concern_that_is_observed_is_recorded_whole() -> None:
     runs = night("a", LATE, **RECORDS), night("b", observes=["recovery"])
     assert [row for row in days(*runs, kind="ExecutionFailed") if row[0] == "b"] == [

@@ -6,6 +6,7 @@ import random
 import re
 from collections import Counter
 from collections.abc import Callable
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ import numpy as np
 import pytest
 
 from fsar_ledger.api.ledger import open_ledger
+from fsar_ledger.api.record import record
 from fsar_ledger.api.report import report
 from fsar_ledger.api.simulate import simulate
 from fsar_ledger.base.errors import UsageError
@@ -222,6 +224,21 @@ def test_every_verdict_is_that_of_audit(foreign: Path, gates: dict[str, Path]) -
             assert (open_.value is not None) >= (row.holds is None)
         verdicts = {row.invariant.partition("_")[0].upper() for row in answer.rows if row.holds is False}
         assert {short for short, row in shown.items() if row[3].value is not None} == verdicts
+
+
+def test_one_day_stands_beside_another_and_what_is_not_recorded_is_a_dash(tmp_path: Path) -> None:
+    for day, types in ((1, ["TaskArrived", "TaskCompleted"]), (2, ["TaskArrived"])):
+        begins = datetime(2026, 3, day, 10, tzinfo=UTC)
+        with record(tmp_path / "ledger", run=f"day {day}", observes=types, epoch=begins) as recorder:
+            recorder.event("TaskArrived", task_id="t", robot="robot/A1", at=begins + timedelta(minutes=30 * day))
+        if day == 1:
+            assert "periods" not in names(audit_of(tmp_path / "ledger"), "table")
+    document = audit_of(tmp_path / "ledger")
+    named = ("number", "day", "minutes", "tasks", "completed", "denials")
+    assert list(zip(*(column(document, "periods", name) for name in named), strict=True)) == [
+        (1, "2026-03-01", 30, 1, 0, None),
+        (2, "2026-03-02", 60, 1, None, None),
+    ]
 
 
 def test_every_number_is_that_of_its_query(gates: dict[str, Path]) -> None:
