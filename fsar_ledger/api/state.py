@@ -165,7 +165,8 @@ def _robot(one: "RobotNow") -> Iterator[str]:
         what = f" {printable.value(work.capability)}" if work.capability else ""
         whose = f" for {printable.value(work.on_behalf_of)}" if work.on_behalf_of else ""
         until = "" if work.ends_s is None else f", until {work.ends_s:.3f} s"
-        yield f"{BESIDE}{work.stage} {printable.value(work.action_id)}{what}{whose}{until}"
+        late = "; its beginning is not on record" if work.capability is None and work.stage != "helping" else ""
+        yield f"{BESIDE}{work.stage} {printable.value(work.action_id)}{what}{whose}{until}{late}"
     if one.queue:
         yield f"{BESIDE}waiting: {printable.some(map(printable.value, one.queue))}"
     if one.obstructions:

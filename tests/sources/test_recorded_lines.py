@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 
 from fsar_ledger.ledger.opening import open_ledger
-from tests.cli.conftest import Called
+from tests.cli.conftest import Call, Called
 from tests.sources.importing import rows
 from tests.sources.test_recorder import COMMAND, tasks
 
@@ -77,3 +77,14 @@ def test_the_fleet_of_a_file_may_have_dotted_names(tmp_path: Path) -> None:
     told(tmp_path / "ledger", b"", "--fleet", tmp_path / "fleet.toml").good()
     joined = [row["robot"] for row in rows(tmp_path / "ledger") if row["type"] == "RobotJoined.v1"]
     assert joined == ["robot/KIT.0001", "robot/KIT.0002"]
+
+
+def test_an_action_whose_beginning_is_not_on_record_is_marked(tmp_path: Path, call: Call) -> None:
+    action = {"task_id": "t", "action_id": "t/1", "robot": "robot/door", "time": "2090-01-01T00:00:01"}
+    lines = json.dumps({"type": "ExecutionResumed", **action}).encode()
+    told(tmp_path / "ledger", lines, "--observes", "execution").good()
+    late = "running t/1; its beginning is not on record"
+    assert late in call("state", tmp_path / "ledger", "--run", "night").good().out
+    lines = json.dumps({"type": "ExecutionStarted", **action, "capability": "open", "robot": "robot/lift"}).encode()
+    told(tmp_path / "ledger", lines.replace(b"t/1", b"t/2"), "--observes", "execution").good()
+    assert "running t/2 open\n" in call("state", tmp_path / "ledger", "--run", "night").good().out
