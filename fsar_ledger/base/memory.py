@@ -46,7 +46,7 @@ def exceeded_message() -> str:
 
 @contextmanager
 def limited(most: int, excess: Callable[[], None]) -> Iterator[None]:
-    """Limit the memory that the process holds, with what it holds already, to `most` bytes.
+    """Limit the memory that the process takes from here on to `most` bytes.
 
     Beyond that, `excess` is called once, in a thread of its own, and must end the process. Where the operating system
     does not say what a process holds (macOS), its peak so far counts, without its children.
@@ -56,7 +56,7 @@ def limited(most: int, excess: Callable[[], None]) -> Iterator[None]:
     stopped = threading.Event()
     soft, hard = resource.getrlimit(resource.RLIMIT_DATA)
     # The watch first: a thread that finds no room for its stack never says that it began, and `start` waits for ever.
-    threading.Thread(target=_watch, args=(most, excess, stopped), name="memory", daemon=True).start()
+    threading.Thread(target=_watch, args=(bytes_held() + most, excess, stopped), name="memory", daemon=True).start()
     net = min([bytes_reserved() + most + NET_BYTES, *(one for one in (soft, hard) if one != resource.RLIM_INFINITY)])
     with suppress(OSError, ValueError):
         resource.setrlimit(resource.RLIMIT_DATA, (net, hard))
