@@ -1,7 +1,7 @@
 -- Title: Tasks that are not completed within their budget, and what held each up
 -- Paper: sec:evaluation:metrics (coordination success)
 -- Grain: one row per TaskArrived event whose task is completed later than its budget allows, given up, or never ended
--- Key: run_id, task_id
+-- Key: run_id, arrived_seq
 -- Units: due_us, ended_us microseconds of run time; arrived_seq, ended_seq and held_up_seqs positions in the run, the
 --   last of the refusals, unanswered requests, holds and failures of the task's actions
 -- NULL: ended_us, ended_seq, is_completed of a task that never ended; due_us of a budget longer than any run
