@@ -3,7 +3,8 @@
 ```
 recorder    appends events to a run as they happen, durably, and resumes it
 declared    what a run says that its source records
-adapter     what reads a format: records of a source, and the events that follow from them
+columns     events by type and columns, also as lines of JSON, and their texts as they are stored
+adapter     what reads a format: records of a source, the events that follow from them, and its input
 held        how far an import came
 importing   files of a source -> a run: every record once, however often it was interrupted
 mapping     an adapter from a file that says which record means which event

@@ -29,10 +29,9 @@ from fsar_ledger.ledger.store.manifest import parse_manifest, read_manifest
 from fsar_ledger.ledger.store.paths import MANIFEST
 from fsar_ledger.ledger.store.staging import stage
 
-from .columns import event_of
+from .columns import event_of, storable_text
 from .declared import Declared, declared
 from .names import PrivateNames
-from .storable import storable_text
 
 ORIGIN = "fsar-ledger/recorded"
 FORMAT = "fsar-ledger/1"
