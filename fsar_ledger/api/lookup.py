@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from fsar_ledger.base import printable, utc
 from fsar_ledger.base.errors import UsageError
-from fsar_ledger.metrics.query_parameters import TIME, require_known
-from fsar_ledger.metrics.recorded_names import PRINCIPALS, RUNS, names_on_record
+from fsar_ledger.metrics.query_parameters import PRINCIPALS, RUNS, TIME, names_on_record, require_known
 from fsar_ledger.metrics.verified import is_verified_for_runs, require_runs
 
 from .names import MAX_DIGITS, Time, microseconds, named, principal_named, run_named

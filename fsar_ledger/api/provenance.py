@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from fsar_ledger.ledger.store.view import Head
-from fsar_ledger.metrics.observing import Unobserved, unobserved
-from fsar_ledger.metrics.plans import Completeness, completeness
+from fsar_ledger.metrics.lacking import Completeness, Unobserved, completeness, unobserved
 
 if TYPE_CHECKING:
     from fsar_ledger.metrics.database import Database

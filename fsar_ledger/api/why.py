@@ -162,7 +162,7 @@ def verdicts(ledger: "Ledger", run: Run, kind: str) -> "Table":
     Raises:
         UsageError: There is no such run or kind.
     """
-    from fsar_ledger.metrics.verdict_events import verdict_rows
+    from fsar_ledger.metrics.invariants import verdict_rows
 
     from .lookup import about_run, present
     from .provenance import of_rows

@@ -182,7 +182,7 @@ def opened(ledger: Path, *, verified: bool) -> "Ledger":
 
 def warn(ledger: Path, provenance: "Provenance") -> None:
     """Warn, a line each, of what runs do not observe, of missing planned runs, and of rows that were not compared."""
-    from fsar_ledger.metrics.observing import told
+    from fsar_ledger.metrics.lacking import told
 
     if (line := told(provenance.not_observed)) is not None:
         say(line)

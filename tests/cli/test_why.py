@@ -18,7 +18,7 @@ from fsar_ledger.events.envelope import Robot, Supervisor
 from fsar_ledger.events.fleet import RobotJoined, RunStarted
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.rows.codec import LedgerRun
-from fsar_ledger.metrics.verdict_events import JUDGES, kinds
+from fsar_ledger.metrics.invariants import JUDGES, verdict_kinds
 from fsar_ledger.view.why import figure
 from tests.analysis.conftest import OUTAGES, simulated
 from tests.cli.conftest import Call, one_message
@@ -209,7 +209,9 @@ def test_no_verdict_is_said_in_words(call: Call, ledger: Path) -> None:
 
 def test_an_unknown_kind_of_verdict_is_answered_with_all_kinds(call: Call, ledger: Path) -> None:
     called = call("why", ledger, "--run", "1", "--verdict", "conflicts")
-    one_message(called, 2, "--verdict conflicts: there is no such kind of verdict; did you mean conflict?", *kinds())
+    one_message(
+        called, 2, "--verdict conflicts: there is no such kind of verdict; did you mean conflict?", *verdict_kinds()
+    )
 
 
 @pytest.mark.parametrize(
