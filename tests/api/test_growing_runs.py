@@ -13,7 +13,7 @@ from fsar_ledger.designs.constants import Constants
 from fsar_ledger.ledger.log.merkle import tree_root
 from fsar_ledger.ledger.log.tiles import Tile, node_of
 from fsar_ledger.ledger.opening import open_for_answers
-from fsar_ledger.ledger.rows.run_slices import piece
+from fsar_ledger.ledger.rows.runs import piece
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.metrics.event_filter import Filter

@@ -18,8 +18,7 @@ from fsar_ledger.ledger.log.merkle import Frontier, inclusion_proof, leaf_hash, 
 from fsar_ledger.ledger.log.note import Signer
 from fsar_ledger.ledger.opening import open_for_answers, open_ledger
 from fsar_ledger.ledger.rows import canonical
-from fsar_ledger.ledger.rows.run_slices import piece
-from fsar_ledger.ledger.rows.runs import LedgerRun
+from fsar_ledger.ledger.rows.runs import LedgerRun, piece
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.locations import place_of
 from fsar_ledger.ledger.store.paths import CHAIN, INDEX, JOURNAL, NODES

@@ -30,7 +30,6 @@ from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.rows.blocks import Block
 from fsar_ledger.ledger.rows.releases import RELEASE
 from fsar_ledger.ledger.rows.runs import LedgerRun, refusal
-from fsar_ledger.ledger.rows.small import rows_of
 from fsar_ledger.ledger.store import disk, growing, paths
 from fsar_ledger.ledger.store.derived import append_derived
 from fsar_ledger.ledger.store.index import index_line
@@ -50,7 +49,7 @@ from fsar_ledger.ledger.store.prepare import (
 )
 from fsar_ledger.ledger.store.read import View, open_chain
 from fsar_ledger.ledger.store.record import Commit, Placement, segment_of
-from fsar_ledger.ledger.store.staging import Staged
+from fsar_ledger.ledger.store.staging import Staged, rows_of
 from fsar_ledger.ledger.store.tables import require_staged, stage_made
 from fsar_ledger.ledger.store.view import Head
 

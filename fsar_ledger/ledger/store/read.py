@@ -23,7 +23,7 @@ from fsar_ledger.ledger.rows.blocks import BLOCK_COLUMNS
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.rows.layout import Layout, check_layout
 from fsar_ledger.ledger.rows.releases import RELEASE
-from fsar_ledger.ledger.rows.run_slices import gathered
+from fsar_ledger.ledger.rows.runs import gathered
 from fsar_ledger.ledger.rows.schema import SCHEMA
 from fsar_ledger.ledger.store import growing
 from fsar_ledger.ledger.store.derived import holds_nodes, node_reader

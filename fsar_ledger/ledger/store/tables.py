@@ -13,7 +13,7 @@ import pyarrow.json
 from fsar_ledger.base.errors import LedgerCorrupted, WriteFailed
 from fsar_ledger.ledger.log.hashing import HASH_BYTES, sha256_hex
 from fsar_ledger.ledger.rows import canonical, segment
-from fsar_ledger.ledger.rows.parsing import plain_table
+from fsar_ledger.ledger.rows.compiled import plain_table
 from fsar_ledger.ledger.rows.schema import SCHEMA
 from fsar_ledger.ledger.store import disk
 from fsar_ledger.ledger.store.paths import staged_path
