@@ -91,7 +91,7 @@ def audit(
         UnknownQuery: An invariant is unknown.
         UsageError: The ledger has no run of these architectures.
     """
-    from fsar_ledger.designs.names import known
+    from fsar_ledger.designs.registered import known
     from fsar_ledger.events.configuration import ARCHITECTURES
     from fsar_ledger.ledger.opening import open_for_answers
     from fsar_ledger.metrics.database import Slices, connect_view

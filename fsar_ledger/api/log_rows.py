@@ -11,7 +11,7 @@ import pyarrow as pa
 
 from fsar_ledger.base import printable
 from fsar_ledger.base.errors import UsageError, option
-from fsar_ledger.designs.names import known
+from fsar_ledger.designs.registered import known
 from fsar_ledger.events import CONCERNS
 from fsar_ledger.ledger.opening import Pause, growth
 from fsar_ledger.ledger.store.read import View

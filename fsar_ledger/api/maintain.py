@@ -18,7 +18,6 @@ from .verbs import Option, Shows, TrustedKeyOption, WorkersOption, declare, verb
 from .workload import readers_of
 
 if TYPE_CHECKING:
-    from fsar_ledger.ledger.compacting import Compacted
     from fsar_ledger.ledger.store.view import Head
     from fsar_ledger.ledger.verify.recover import Recovery, Step
     from fsar_ledger.ledger.verify.report import VerifyOptions
@@ -211,6 +210,14 @@ def upgrade(
     return upgrade(ledger.path, Path(into), progress)
 
 
+class Compacted(msgspec.Struct, frozen=True):
+    """What `compact` did: the head, and the number of segments before and after; a journal counts as one before."""
+
+    head: "Head"
+    before: int
+    after: int
+
+
 def _compacted(ledger: "Ledger") -> Lines:
     found = compact(ledger)
     done = (
@@ -236,7 +243,7 @@ def _compacted(ledger: "Ledger") -> Lines:
     call=_compacted,
     after_interruption="nothing is lost; run it again to go on",
 )
-def compact(ledger: "Ledger") -> "Compacted":
+def compact(ledger: "Ledger") -> Compacted:
     """Put small segments together, and what is in the journal into one.
 
     Answers from few large segments are quicker than from many small ones. No event, root, commit or proof changes.
@@ -245,9 +252,14 @@ def compact(ledger: "Ledger") -> "Compacted":
         LedgerCorrupted: A segment is not as placed.
         WriteFailed: A write failed.
     """
-    from fsar_ledger.ledger.compacting import compact
+    from fsar_ledger.ledger.opening import open_ledger
+    from fsar_ledger.ledger.store.append import Writer
 
-    return compact(ledger.path)
+    view = open_ledger(ledger.path)
+    with Writer(ledger.path, view.manifest.origin) as writer:
+        before = len(view.releases)
+        writer.compact()
+        return Compacted(writer.head, before, len(open_ledger(ledger.path).releases))
 
 
 def _done(steps: "Sequence[Step]") -> Iterator[str]:

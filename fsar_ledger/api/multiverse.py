@@ -49,9 +49,9 @@ class MultiverseResult(Answer, Multiverse, frozen=True, kw_only=True):
         Raises: WriteFailed if the file cannot be written.
         """
         from fsar_ledger.base.publishing import publish
-        from fsar_ledger.report import readings_chart
+        from fsar_ledger.report import study_charts
 
-        publish(Path(file), readings_chart.curves(self))
+        publish(Path(file), study_charts.curves(self))
 
     def text(self, screen: Screen) -> Iterator[SafeText]:
         """Yield the ranges, the rankings and the readings as tables."""
@@ -95,7 +95,7 @@ def multiverse(
     Raises:
         InvalidExperiment: There is no such metric.
     """
-    from fsar_ledger.designs.names import known
+    from fsar_ledger.designs.registered import known
     from fsar_ledger.metrics.multiverse import multiverse as read
 
     from .provenance import of_judgement

@@ -88,7 +88,7 @@ def reproduce(
     """
     from fsar_ledger.base.progress import unseen
     from fsar_ledger.base.workers import WorkerPool
-    from fsar_ledger.designs.names import known
+    from fsar_ledger.designs.registered import known
     from fsar_ledger.ledger.store.paths import require_outside
     from fsar_ledger.metrics.database import connect
     from fsar_ledger.metrics.results import MetricRow, StatisticRow, metric_rows, statistic_rows

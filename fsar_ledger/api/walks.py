@@ -2,9 +2,9 @@
 
 from collections.abc import Iterator
 
+from fsar_ledger.analysis.moments import Timeline, Walk
 from fsar_ledger.analysis.records import lines_of
 from fsar_ledger.analysis.situation import Coverage, Situation, situation
-from fsar_ledger.analysis.timeline import Timeline, Walk
 from fsar_ledger.base.errors import UsageError
 from fsar_ledger.events.envelope import flat
 from fsar_ledger.ledger.rows.codec import LedgerRun
@@ -41,7 +41,7 @@ class Steps:
         return self._record.times_us[seq] / 1e6
 
     def move(self, name: str, about: str = "") -> str | None:
-        """Make a move (`analysis/timeline.py: MOVES`); return why it leads nowhere, or None.
+        """Make a move (`analysis/moments.py: MOVES`); return why it leads nowhere, or None.
 
         Raises:
             UsageError: There is no such move, it lacks what it needs, or a time is none.

@@ -15,9 +15,8 @@ from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.rows.schema import COLUMNS, ENVELOPE
 from fsar_ledger.ledger.store.read import View
 
-from .arrays import Written
 from .objects import OTHER, PRINCIPALS, named_in
-from .times import TOLD, epoch_us
+from .written import TOLD, Written, epoch_us
 
 if TYPE_CHECKING:
     from mcap.writer import Writer

@@ -16,9 +16,8 @@ import msgspec
 from fsar_ledger.events.envelope import flat
 from fsar_ledger.ledger.rows.codec import LedgerRun
 
-from .arrays import Written, elements
 from .objects import NAMING, named_in
-from .times import TOLD, epoch_us, rfc3339
+from .written import TOLD, Written, elements, epoch_us, rfc3339
 
 RUN = [{"name": "run_id", "type": "string"}]
 """The attributes of every type of object."""

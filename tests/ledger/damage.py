@@ -23,12 +23,12 @@ from fsar_ledger.ledger.rows.runs import LedgerRun
 from fsar_ledger.ledger.rows.runs import piece as piece_of
 from fsar_ledger.ledger.store import journal
 from fsar_ledger.ledger.store.append import Writer
-from fsar_ledger.ledger.store.checkpoint import behind
 from fsar_ledger.ledger.store.journal import size_of
 from fsar_ledger.ledger.store.paths import CHAIN, CHECKPOINT, INDEX, JOURNAL, MANIFEST, NODES, SEALING
 from fsar_ledger.ledger.store.problem import Problem
 from fsar_ledger.ledger.store.read import View
 from fsar_ledger.ledger.store.record import segment_of
+from fsar_ledger.ledger.store.snapshot import behind
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.ledger.verify.report import VerifyOptions, VerifyReport
 from fsar_ledger.ledger.verify.verify import verify

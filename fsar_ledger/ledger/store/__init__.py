@@ -16,12 +16,11 @@ journal    commits whose rows are not in a segment yet
 tables     rows of a journal as columns
 derived    the pack of the tree, and the index, on disk
 index      which runs are where, and which segments share runs
-snapshot   what readers keep between openings
+snapshot   what is committed at one moment, and how far the file `checkpoint` is behind
 read       View: what is committed
-checkpoint the file `checkpoint`, which may be behind
 locations  where the events of a run are
 tiles      the hashes of the tree as C2SP tlog-tiles
-proof      proof that one event is in a ledger
+proof      proof that one event is in a ledger; cose: such a proof as a COSE receipt
 prepare    create and lock a ledger; finish what an interrupted writer left
 append     Writer
 ```

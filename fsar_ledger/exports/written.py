@@ -1,9 +1,29 @@
-"""Run time as the time of day that other formats ask for."""
+"""What the formats share: JSON arrays written element by element, run time as time of day, and what was written."""
 
+from collections.abc import Iterable, Iterator
 from datetime import UTC, datetime, timedelta
+from typing import NamedTuple
+
+import msgspec
 
 from fsar_ledger.base import printable, utc
 from fsar_ledger.base.errors import UsageError
+
+
+class Written(NamedTuple):
+    """The number of events in a file, and what else is to be told about it, a line each."""
+
+    events: int
+    notes: tuple[str, ...]
+
+
+def elements(documents: Iterable[object]) -> Iterator[bytes]:
+    """Yield each document as an element of a JSON array, on a line of its own, without the brackets."""
+    between = b"\n"
+    for one in documents:
+        yield between + msgspec.json.encode(one)
+        between = b",\n"
+
 
 LATEST_YEAR = 9000
 """Leaves room for the longest run, of 2^53 microseconds, before the last year that a date can have."""
