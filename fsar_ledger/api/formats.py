@@ -12,7 +12,7 @@ from fsar_ledger.analysis.records import record_of
 from fsar_ledger.base.errors import UsageError, option
 from fsar_ledger.base.progress import Progress, each
 from fsar_ledger.exports import delta, mcap, ocel, otlp
-from fsar_ledger.exports.written import Written
+from fsar_ledger.exports.shared import Written
 
 from .files import whole_file
 from .lookup import present, run_in

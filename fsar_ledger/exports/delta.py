@@ -13,7 +13,7 @@ from fsar_ledger.ledger.store import disk
 from fsar_ledger.ledger.store.paths import require_outside, segment_name
 from fsar_ledger.ledger.store.read import View
 
-from .written import Written
+from .shared import Written
 
 DOING = "writing a Delta table"
 

@@ -11,7 +11,7 @@ from fsar_ledger.metrics.multiverse import Multiverse, ReadingNames, Universe, c
 from fsar_ledger.metrics.results import CONDITIONS
 from fsar_ledger.metrics.verdicts import published
 from fsar_ledger.report import study_charts
-from fsar_ledger.report.document import Document
+from fsar_ledger.report.build import Document
 from fsar_ledger.report.findings import Findings
 from fsar_ledger.report.read import gather, multiverse_of, relations_of
 from tests.report.made import column, made, names, said

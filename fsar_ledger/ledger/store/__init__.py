@@ -14,8 +14,7 @@ staging    stage: segments that wait for a writer; rows for a journal
 links      follow a chain line by line
 journal    commits whose rows are not in a segment yet
 tables     rows of a journal as columns
-derived    the pack of the tree, and the index, on disk
-index      which runs are where, and which segments share runs
+derived    the pack of the tree, and the index: which runs are where, and which segments share runs
 snapshot   what is committed at one moment, and how far the file `checkpoint` is behind
 read       View: what is committed
 locations  where the events of a run are

@@ -31,8 +31,7 @@ from fsar_ledger.ledger.rows.blocks import Block
 from fsar_ledger.ledger.rows.releases import RELEASE
 from fsar_ledger.ledger.rows.runs import LedgerRun, refusal
 from fsar_ledger.ledger.store import disk, growing, paths
-from fsar_ledger.ledger.store.derived import append_derived
-from fsar_ledger.ledger.store.index import index_line
+from fsar_ledger.ledger.store.derived import append_derived, index_line
 from fsar_ledger.ledger.store.journal import Frame, JournalFile
 from fsar_ledger.ledger.store.locations import ExistingRuns, RunsAndPlans, continued
 from fsar_ledger.ledger.store.manifest import read_manifest

@@ -25,9 +25,8 @@ from fsar_ledger.ledger.rows.layout import Layout, check_layout
 from fsar_ledger.ledger.rows.releases import RELEASE
 from fsar_ledger.ledger.rows.runs import gathered
 from fsar_ledger.ledger.rows.schema import SCHEMA
-from fsar_ledger.ledger.store import growing
-from fsar_ledger.ledger.store.derived import holds_nodes, node_reader
-from fsar_ledger.ledger.store.index import Index, extents_of, groups_of, line_of, read_index, require_lines
+from fsar_ledger.ledger.store import derived, growing
+from fsar_ledger.ledger.store.derived import Index, extents_of, groups_of, line_of, read_index, require_lines
 from fsar_ledger.ledger.store.journal import Journal, leaves_in, lines_of
 from fsar_ledger.ledger.store.links import Chain, Followed
 from fsar_ledger.ledger.store.manifest import Manifest, parse_manifest
@@ -362,10 +361,10 @@ class View(msgspec.Struct, frozen=True, dict=True):
         where more is missing. Raises: As `segment`.
         """
         tree, leaves = self.chain.tree(), leaves_in(self.journal.frames)
-        if not holds_nodes(self.path, tree.size):
+        if not derived.holds_nodes(self.path, tree.size):
             tree = self.chain.tree_at(self.chain.settled)
             leaves = leaves_of(self.rows(tree.size, self.chain.placed_size)) + leaves
-        return node_reader(self.path, tree, leaves, self.rows)
+        return derived.node_reader(self.path, tree, leaves, self.rows)
 
     def tree(self) -> Frontier:
         """Return the tree of all events."""

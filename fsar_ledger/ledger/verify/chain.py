@@ -15,8 +15,7 @@ from fsar_ledger.ledger.log.note import VerifierKey
 from fsar_ledger.ledger.rows.blocks import Block, Runs, blocks_of
 from fsar_ledger.ledger.rows.check import first_flaw
 from fsar_ledger.ledger.store import growing
-from fsar_ledger.ledger.store.derived import derived_sizes
-from fsar_ledger.ledger.store.index import index_line, line_doubt
+from fsar_ledger.ledger.store.derived import derived_sizes, index_line, line_doubt
 from fsar_ledger.ledger.store.journal import Frame
 from fsar_ledger.ledger.store.links import Chain
 from fsar_ledger.ledger.store.paths import (

@@ -21,8 +21,7 @@ from fsar_ledger.ledger.log.note import Checkpoint, Note, VerifierKey, doubt, pa
 from fsar_ledger.ledger.rows import canonical, segment
 from fsar_ledger.ledger.store import disk, growing
 from fsar_ledger.ledger.store.append import Writer
-from fsar_ledger.ledger.store.derived import derived_sizes
-from fsar_ledger.ledger.store.index import line_of
+from fsar_ledger.ledger.store.derived import derived_sizes, line_of
 from fsar_ledger.ledger.store.links import Chain
 from fsar_ledger.ledger.store.manifest import FORMAT, VERSION, Manifest
 from fsar_ledger.ledger.store.paths import CHAIN, CHECKPOINT, INDEX, MANIFEST, NODES, SEGMENTS, STAGING
