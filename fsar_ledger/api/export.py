@@ -91,7 +91,7 @@ def export(
                 f"{option('format', format)}: found a query, parameters, raw text or tiles beside it, expected none of "
                 "them; leave one out"
             )
-        from .formats import write_as
+        from .files import write_as
 
         written, provenance = write_as(ledger, file, format, run, progress)
         return ExportResult(written.events, provenance, file, "events", written.notes)

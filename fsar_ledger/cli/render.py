@@ -30,8 +30,8 @@ if TYPE_CHECKING:
 
     from fsar_ledger.api.ledger import Ledger
     from fsar_ledger.api.provenance import Provenance
+    from fsar_ledger.api.step import Steps
     from fsar_ledger.api.table import Rows
-    from fsar_ledger.api.walks import Steps
 
 KEPT_BYTES = 16 << 20
 """Longer text waits in an unnamed file, not in memory, until it is complete."""
