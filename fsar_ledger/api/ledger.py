@@ -102,9 +102,7 @@ class Ledger:
         Raises:
             UsageError: There is no such run or robot, `since` is after the last event, or `until` not after `since`.
         """
-        from fsar_ledger.metrics.event_filter import Filter
-
-        from .events import Events, span
+        from .events import Events, Filter, span
 
         since_us, until_us = span(since, until)
         name = None

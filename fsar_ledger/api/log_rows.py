@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import pyarrow as pa
 
+from fsar_ledger.api.events import Filter
 from fsar_ledger.base import printable
 from fsar_ledger.base.errors import UsageError, option
 from fsar_ledger.designs.registered import known
@@ -18,7 +19,6 @@ from fsar_ledger.ledger.store.read import View
 from fsar_ledger.metrics import relation
 from fsar_ledger.metrics.connection import Value
 from fsar_ledger.metrics.database import Database
-from fsar_ledger.metrics.event_filter import Filter
 from fsar_ledger.metrics.verified import is_verified
 
 from .events import span

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from fsar_ledger.api.events import Filter
 from fsar_ledger.api.ledger import Ledger
 from fsar_ledger.api.log_rows import LogRequest, stream
 from fsar_ledger.api.provenance import Provenance
@@ -16,7 +17,6 @@ from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.rows.runs import piece
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.staging import stage
-from fsar_ledger.metrics.event_filter import Filter
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
 from tests.ledger.keep_release import LEDGERS
 from tests.ledger.samples import contents

@@ -36,7 +36,7 @@ CHECKED: dict[str, tuple[str, ...] | None] = {
     ),
     "store/links.py": ("adds", "doubt", "_of_commit", "_of_runs", "_of_placement", "_starts", "root_at", "follow"),
     "store/journal.py": ("read_frames", "is_whole", "finish", "_is_sealed", "_commit"),
-    "store/tables.py": ("table_of",),
+    "store/staging.py": ("table_of",),
     "store/derived.py": ("read_node",),
     "store/read.py": ("_placed", "_coded", "open_chain"),
     "store/snapshot.py": (

@@ -16,7 +16,7 @@ from fsar_ledger.ledger.rows import canonical, codec, compiled, segment
 from fsar_ledger.ledger.rows.codec import LedgerRun, encode_coded, encode_hashed, encode_lines
 from fsar_ledger.ledger.rows.compiled import IS_COMPILED, plain_table
 from fsar_ledger.ledger.rows.schema import COLUMNS, SCHEMA
-from fsar_ledger.ledger.store.tables import table_of
+from fsar_ledger.ledger.store.staging import table_of
 from tests.ledger.samples import any_runs, made_up_batches, run_of_every_type
 from tests.ledger.test_joining import NAMES, rows
 

@@ -4,7 +4,7 @@
 |---|---|---|---|
 | `write_events` | the events of a run | rows, lines of canonical JSON | `codec.encode_lines` |
 | `write_rows` | columns | rows | `canonical.from_table` |
-| `read_rows` | rows | columns | `codec.encode_coded`, `tables.table_of` |
+| `read_rows` | rows | columns | `codec.encode_coded`, `staging.table_of` |
 """
 
 from collections.abc import Sequence

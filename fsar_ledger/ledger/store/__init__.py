@@ -10,10 +10,9 @@ keys       key files
 view       Head, and what else every reader sees
 record     the lines of a chain: commits, and placements of their rows
 segments   find and read segments
-staging    stage: segments that wait for a writer; rows for a journal
+staging    stage: segments that wait for a writer; rows for a journal, and as columns
 links      follow a chain line by line
 journal    commits whose rows are not in a segment yet
-tables     rows of a journal as columns
 derived    the pack of the tree, and the index: which runs are where, and which segments share runs
 snapshot   what is committed at one moment, and how far the file `checkpoint` is behind
 read       View: what is committed

@@ -48,8 +48,7 @@ from fsar_ledger.ledger.store.prepare import (
 )
 from fsar_ledger.ledger.store.read import View, open_chain
 from fsar_ledger.ledger.store.record import Commit, Placement, segment_of
-from fsar_ledger.ledger.store.staging import Staged, rows_of
-from fsar_ledger.ledger.store.tables import require_staged, stage_made
+from fsar_ledger.ledger.store.staging import Staged, require_staged, rows_of, stage_made
 from fsar_ledger.ledger.store.view import Head
 
 # See docs/decisions/commits-hold-16384-events.md.

@@ -43,8 +43,7 @@ from fsar_ledger.ledger.store.paths import (
 from fsar_ledger.ledger.store.read import View, open_chain
 from fsar_ledger.ledger.store.record import Placement, segment_of
 from fsar_ledger.ledger.store.snapshot import behind
-from fsar_ledger.ledger.store.staging import Staged
-from fsar_ledger.ledger.store.tables import UnstagedSegment, made_of, stage_made, table_of
+from fsar_ledger.ledger.store.staging import Staged, UnstagedSegment, made_of, stage_made, table_of
 
 
 def lock(ledger: Path) -> tuple[int, bool]:

@@ -35,7 +35,7 @@ from fsar_ledger.ledger.store.problem import Problem
 from fsar_ledger.ledger.store.record import Commit, Placement, parse_line, segment_of
 from fsar_ledger.ledger.store.segments import Names, find_segment, read_segment
 from fsar_ledger.ledger.store.snapshot import take_snapshot
-from fsar_ledger.ledger.store.tables import materialized, table_of
+from fsar_ledger.ledger.store.staging import materialized, table_of
 from fsar_ledger.ledger.store.view import EMPTY_HEAD, Extent, Head, Part, RunNames
 
 _TRIES = 10

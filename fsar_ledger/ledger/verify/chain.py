@@ -34,7 +34,7 @@ from fsar_ledger.ledger.store.read import View, open_chain
 from fsar_ledger.ledger.store.record import Commit, Placement, segment_of
 from fsar_ledger.ledger.store.segments import MISSING, Names, check_manifest, names_in
 from fsar_ledger.ledger.store.snapshot import behind, covered
-from fsar_ledger.ledger.store.tables import table_of
+from fsar_ledger.ledger.store.staging import table_of
 from fsar_ledger.ledger.verify.notes import (
     Anchor,
     ByHashes,
