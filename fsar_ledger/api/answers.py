@@ -10,7 +10,7 @@ from fsar_ledger.base.errors import FsarLedgerError, UsageError
 from fsar_ledger.base.printable import SafeText
 
 if TYPE_CHECKING:
-    from fsar_ledger.ledger.store.view import Head
+    from fsar_ledger.ledger.store.record import Head
 
     from .ledger import Ledger
     from .names import Place

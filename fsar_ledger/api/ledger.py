@@ -39,7 +39,7 @@ from .workload import readers_of
 
 if TYPE_CHECKING:
     from fsar_ledger.ledger.rows.codec import LedgerRun
-    from fsar_ledger.ledger.store.view import Head
+    from fsar_ledger.ledger.store.record import Head
     from fsar_ledger.metrics.database import Database
 
     from .events import Events

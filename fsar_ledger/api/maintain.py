@@ -18,7 +18,7 @@ from .verbs import Option, Shows, TrustedKeyOption, WorkersOption, declare, verb
 from .workload import readers_of
 
 if TYPE_CHECKING:
-    from fsar_ledger.ledger.store.view import Head
+    from fsar_ledger.ledger.store.record import Head
     from fsar_ledger.ledger.verify.recover import Recovery, Step
     from fsar_ledger.ledger.verify.report import VerifyOptions
     from fsar_ledger.ledger.verify.trusted import Later

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from fsar_ledger.ledger.store.view import Head
+from fsar_ledger.ledger.store.record import Head
 from fsar_ledger.metrics.lacking import Completeness, Unobserved, completeness, unobserved
 
 if TYPE_CHECKING:

@@ -19,7 +19,7 @@ from .verbs import ArchitectureOption, Option, Shows, declare, switch, verb
 if TYPE_CHECKING:
     from fsar_ledger.analysis.whatif import Divergence, Effects
     from fsar_ledger.ledger.rows.codec import LedgerRun
-    from fsar_ledger.ledger.store.view import Head
+    from fsar_ledger.ledger.store.record import Head
 
     from .ledger import Ledger
     from .provenance import Provenance

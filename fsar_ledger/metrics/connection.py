@@ -18,7 +18,7 @@ from fsar_ledger.base import memory
 from fsar_ledger.base.errors import FsarLedgerError, LedgerCorrupted, LimitReached, QueryFailed
 from fsar_ledger.ledger.rows.schema import SCHEMA
 from fsar_ledger.ledger.rows.segment import read_table
-from fsar_ledger.ledger.store.view import Head
+from fsar_ledger.ledger.store.record import Head
 
 from .library import Library, Query, library
 from .own_sql import FOR_OLDER, FUNCTIONS, SHOWN, check_columns, register, statements

@@ -26,7 +26,7 @@ from fsar_ledger.runtime.simulation import MODEL_VERSION
 from .calibration import weighted_slopes
 from .evaluations import CELLS, Answer, Evaluate, evaluate, evaluating, question_at
 from .factor_effects import Matrix, Vector
-from .points import FREE, point_of, sobol, with_values
+from .factors import FREE, point_of, sobol, with_values
 from .ranking import ranks
 from .result import RESUME_ADVICE, grounds, write
 

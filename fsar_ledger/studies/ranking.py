@@ -19,7 +19,7 @@ from fsar_ledger.metrics.robustness import RankCounts, Ranking
 from fsar_ledger.metrics.verdicts import MARGINS, published
 
 from .evaluations import CELLS, Answer, Evaluate, evaluate, evaluating, question_at
-from .points import points_over_ranges
+from .factors import points_over_ranges
 from .result import RESUME_ADVICE, grounds, ranges, write
 
 ALL = "all eight"

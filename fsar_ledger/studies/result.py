@@ -25,7 +25,7 @@ from fsar_ledger.metrics.study_results import (
 )
 from fsar_ledger.runtime.simulation import MODEL_VERSION
 
-from .points import FREE, at
+from .factors import FREE, at
 
 KINDS: dict[str, type[Result]] = {
     "ranking": Ranking,

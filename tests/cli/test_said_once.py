@@ -16,7 +16,7 @@ import pytest
 from fsar_ledger.api.provenance import Provenance
 from fsar_ledger.api.table import Rows
 from fsar_ledger.cli.render import Form
-from fsar_ledger.ledger.store.view import Head
+from fsar_ledger.ledger.store.record import Head
 
 ABOUT = Provenance(Head(3, 1000, "ab" * 32), rows_verified=False)
 RUNS = ("fsar.full.door.n4.s42.r0001-abc", "cfc.full.relay.n4.s42.r0002-abc")

@@ -47,9 +47,8 @@ from fsar_ledger.ledger.store.prepare import (
     require_own,
 )
 from fsar_ledger.ledger.store.read import View, open_chain
-from fsar_ledger.ledger.store.record import Commit, Placement, segment_of
+from fsar_ledger.ledger.store.record import Commit, Head, Placement, segment_of
 from fsar_ledger.ledger.store.staging import Staged, require_staged, rows_of, stage_made
-from fsar_ledger.ledger.store.view import Head
 
 # See docs/decisions/commits-hold-16384-events.md.
 SEAL_ROWS, SEAL_BYTES = 1 << 14, 1 << 23

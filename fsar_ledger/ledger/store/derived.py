@@ -27,7 +27,6 @@ from fsar_ledger.ledger.store.links import Chain
 from fsar_ledger.ledger.store.paths import CHAIN, INDEX, NODES
 from fsar_ledger.ledger.store.problem import Problem
 from fsar_ledger.ledger.store.record import Count, Placement
-from fsar_ledger.ledger.store.view import Extent, Part, RunNames
 
 _READ = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK
 
@@ -112,6 +111,38 @@ def append_derived(ledger: Path, name: str, data: bytes, start: int) -> None:
 def derived_sizes(chain: Chain) -> dict[str, int]:
     """Return the bytes that each derived file has when it has all."""
     return {NODES: pack.count(chain.placed_size) * HASH_BYTES, INDEX: chain.index_bytes}
+
+
+class Part(msgspec.Struct, frozen=True):
+    """A part of a run: those of the events from index `first` to `end` of the ledger that are its own.
+
+    Events of other runs may be among them. The block has neither `observes` nor `concerns`.
+    """
+
+    first: int
+    end: int
+    block: Block
+
+
+class Extent(msgspec.Struct, frozen=True):
+    """How many events a run or plan has, and between which indexes of the ledger they are, perhaps among others."""
+
+    run: str
+    rows: int
+    first: int
+    end: int
+
+
+class RunNames(msgspec.Struct, frozen=True):
+    """The names of a ledger's runs, and of its plans, each in the order of their first events."""
+
+    runs: tuple[str, ...] = ()
+    plans: tuple[str, ...] = ()
+
+    def numbers(self) -> dict[str, int]:
+        """Return the number that names each run, from 1; none that is itself the name of a run or a plan."""
+        names = {*self.runs, *self.plans}
+        return {name: number for number, name in enumerate(self.runs, start=1) if f"{number}" not in names}
 
 
 class IndexLine(msgspec.Struct, frozen=True):

@@ -28,10 +28,9 @@ from fsar_ledger.ledger.store.paths import CHAIN, CHECKPOINT, INDEX, MANIFEST, N
 from fsar_ledger.ledger.store.prepare import repair
 from fsar_ledger.ledger.store.problem import Problem
 from fsar_ledger.ledger.store.read import View, open_chain
-from fsar_ledger.ledger.store.record import Placement, Record, segment_of
+from fsar_ledger.ledger.store.record import EMPTY_HEAD, Head, Placement, Record, segment_of
 from fsar_ledger.ledger.store.segments import check_manifest, names_in
 from fsar_ledger.ledger.store.snapshot import behind, read_checkpoint
-from fsar_ledger.ledger.store.view import EMPTY_HEAD, Head
 from fsar_ledger.ledger.verify.chain import FILES, FOLDERS, Verification, unplaced
 from fsar_ledger.ledger.verify.notes import Nodes, check_anchor
 from fsar_ledger.ledger.verify.report import VerifyOptions, VerifyReport
