@@ -21,7 +21,8 @@ from fsar_ledger.analysis.records import record_of
 from fsar_ledger.base.errors import UsageError, WriteFailed, option
 from fsar_ledger.base.memory import unfinished
 from fsar_ledger.base.progress import Progress, each
-from fsar_ledger.exports import delta, mcap, ocel, otlp
+from fsar_ledger.exports import mcap, ocel, otlp
+from fsar_ledger.exports.folders import write_delta
 from fsar_ledger.exports.shared import Written
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.rows.schema import SCHEMA
@@ -262,7 +263,7 @@ def write_as(
 
 def _written(view: "View", file: Path, format: str, run: str | None, progress: Progress | None) -> Written:
     if format == "delta":
-        return delta.write(file, view)
+        return write_delta(file, view)
     with whole_file(file) as temporary:
         if format == "mcap":
             return mcap.write(temporary, view, _tables(view, run, progress))

@@ -16,7 +16,6 @@ derived    the pack of the tree, and the index: which runs are where, and which 
 snapshot   what is committed at one moment, and how far the file `checkpoint` is behind
 read       View: what is committed
 locations  where the events of a run are
-tiles      the hashes of the tree as C2SP tlog-tiles
 proof      proof that one event is in a ledger; cose: such a proof as a COSE receipt
 prepare    create and lock a ledger; finish what an interrupted writer left
 append     Writer
