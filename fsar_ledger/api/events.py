@@ -14,10 +14,10 @@ from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.rows import codec
 from fsar_ledger.ledger.rows.schema import COLUMNS, ENVELOPE, SCHEMA
 from fsar_ledger.metrics.database import connect
+from fsar_ledger.metrics.provenance import of_rows
 from fsar_ledger.metrics.verified import is_verified
 
 from .names import Time, microseconds
-from .provenance import of_rows
 from .table import Table
 
 if TYPE_CHECKING:

@@ -15,8 +15,9 @@ from .names import Place, Run
 from .verbs import Option, ParameterOption, RawOption, Shows, declare, switch, verb
 
 if TYPE_CHECKING:
+    from fsar_ledger.metrics.provenance import Provenance
+
     from .ledger import Ledger
-    from .provenance import Provenance
 
 
 class ExportResult(Answer, msgspec.Struct, frozen=True):

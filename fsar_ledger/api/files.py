@@ -27,12 +27,12 @@ from fsar_ledger.exports.shared import Written
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.rows.schema import SCHEMA
 from fsar_ledger.ledger.store.paths import require_outside
+from fsar_ledger.metrics.provenance import Provenance
 from fsar_ledger.metrics.sandbox import SENT_BYTES, slices
 from fsar_ledger.metrics.verified import is_verified
 
 from .lookup import present, run_in
 from .names import Run
-from .provenance import Provenance
 from .table import Table
 from .texts import csv_header, csv_lines, harmless, in_turn, json_lines, json_texts
 from .verbs import either

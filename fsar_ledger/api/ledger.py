@@ -152,8 +152,8 @@ class Ledger:
             UsageError: A parameter names nothing that there is, or is no time of the run.
         """
         from fsar_ledger.metrics.library import library
+        from fsar_ledger.metrics.provenance import of_rows
 
-        from .provenance import of_rows
         from .table import Table
 
         query = library().find(name)

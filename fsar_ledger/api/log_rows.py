@@ -19,13 +19,13 @@ from fsar_ledger.ledger.store.read import View
 from fsar_ledger.metrics import relation
 from fsar_ledger.metrics.connection import Value
 from fsar_ledger.metrics.database import Database
+from fsar_ledger.metrics.provenance import Provenance, of_rows
 from fsar_ledger.metrics.verified import is_verified
 
 from .events import span
 from .log import ALL
 from .lookup import resting_on_rows, robot_of, run_of, run_time
 from .names import Run, Time, names_of
-from .provenance import Provenance, of_rows
 from .table import Table
 
 _QUERY = "facts/log_lines"

@@ -16,8 +16,9 @@ from .names import Names, Place, names_of, pools_seeds
 from .verbs import PoolOption, Shows, declare, verb
 
 if TYPE_CHECKING:
+    from fsar_ledger.metrics.provenance import Provenance
+
     from .ledger import Ledger
-    from .provenance import Provenance
     from .table import Table
 
 OURS = "our reading"
@@ -97,8 +98,7 @@ def multiverse(
     """
     from fsar_ledger.designs.registered import known
     from fsar_ledger.metrics.multiverse import multiverse as read
-
-    from .provenance import of_judgement
+    from fsar_ledger.metrics.provenance import of_judgement
 
     pooled = pools_seeds(pool)
     with ledger.database() as database:

@@ -91,6 +91,7 @@ def reproduce(
     from fsar_ledger.designs.registered import known
     from fsar_ledger.ledger.store.paths import require_outside
     from fsar_ledger.metrics.database import connect
+    from fsar_ledger.metrics.provenance import of_judgement
     from fsar_ledger.metrics.results import MetricRow, StatisticRow, metric_rows, statistic_rows
     from fsar_ledger.metrics.verified import ensure_verified
     from fsar_ledger.report.build import write_report
@@ -98,7 +99,6 @@ def reproduce(
 
     from .files import write_csv
     from .key import signer_of
-    from .provenance import of_judgement
     from .table import Table, of_structs
 
     folder, processes, signer, show = Path(out), workers_of(workers), signer_of(key, adopts=adopt), showing or unseen

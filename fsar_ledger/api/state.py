@@ -17,10 +17,10 @@ from .verbs import JSON, OneRunOption, declare, verb
 if TYPE_CHECKING:
     from fsar_ledger.analysis.moments import Belief
     from fsar_ledger.analysis.situation import RobotNow, RuleNow, Situation, TrustNow
+    from fsar_ledger.metrics.provenance import Provenance
     from fsar_ledger.projections.fold import State
 
     from .ledger import Ledger
-    from .provenance import Provenance
 
 BESIDE = "    "
 
@@ -95,9 +95,9 @@ def state(
     from fsar_ledger.analysis.moments import Timeline, beliefs
     from fsar_ledger.analysis.records import commits_of, record_of
     from fsar_ledger.analysis.situation import situation
+    from fsar_ledger.metrics.provenance import of_run
 
     from .lookup import about_run, clock, present, robot_of, time_of
-    from .provenance import of_run
 
     view, provenance = present(ledger)
     with about_run(view, run, ledger.demanded) as (database, name, _):

@@ -14,9 +14,9 @@ from .verbs import Gives, OneRunOption, declare, verb
 if TYPE_CHECKING:
     from fsar_ledger.analysis.situation import Situation
     from fsar_ledger.ledger.rows.codec import LedgerRun
+    from fsar_ledger.metrics.provenance import Provenance
 
     from .ledger import Ledger
-    from .provenance import Provenance
 
 
 class Steps:
@@ -27,8 +27,7 @@ class Steps:
         from fsar_ledger.analysis.moments import Timeline, Walk
         from fsar_ledger.analysis.records import lines_of
         from fsar_ledger.analysis.situation import Coverage
-
-        from .provenance import of_run
+        from fsar_ledger.metrics.provenance import of_run
 
         self.run = record.run_id
         self.provenance = of_run(provenance, Coverage(record).lacking)

@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from fsar_ledger.analysis.whatif import Divergence, Effects
     from fsar_ledger.ledger.rows.codec import LedgerRun
     from fsar_ledger.ledger.store.record import Head
+    from fsar_ledger.metrics.provenance import Provenance
 
     from .ledger import Ledger
-    from .provenance import Provenance
     from .table import Table
 
 NAMES = {"base_mean": "base", "fork_mean": "fork"}

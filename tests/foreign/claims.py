@@ -12,8 +12,8 @@ from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.ledger.rows.codec import LedgerRun, encode
 from fsar_ledger.ledger.rows.schema import LAYOUTS
 from fsar_ledger.metrics.database import Database
-from fsar_ledger.metrics.lacking import unobserved
 from fsar_ledger.metrics.library import Query, library
+from fsar_ledger.metrics.provenance import unobserved
 from tests.queries.keys import required
 
 Row = dict[str, Any]
