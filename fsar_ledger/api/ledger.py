@@ -35,7 +35,7 @@ from . import why as _why
 from . import witness as _witness
 from .lookup import AboutRun, about_run, numbers_of, parameters_of, recorded, robot_of, run_of, time_of
 from .names import Place, Run, Time
-from .workload import readers_of
+from .verbs import readers_of
 
 if TYPE_CHECKING:
     from fsar_ledger.ledger.rows.codec import LedgerRun

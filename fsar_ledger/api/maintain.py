@@ -14,8 +14,7 @@ from fsar_ledger.base.progress import Progress
 from .answers import Answer, Lines, Screen, head_json
 from .key import anchor_of, signature_text, trusted_of
 from .names import Place
-from .verbs import Option, Shows, TrustedKeyOption, WorkersOption, declare, verb
-from .workload import readers_of
+from .verbs import Option, Shows, TrustedKeyOption, WorkersOption, declare, readers_of, verb
 
 if TYPE_CHECKING:
     from fsar_ledger.ledger.store.record import Head

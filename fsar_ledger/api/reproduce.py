@@ -13,8 +13,7 @@ from fsar_ledger.base.printable import SafeText, counted
 from .answers import Answer, Screen
 from .names import Names, Place, names_of
 from .simulate import CONTINUES
-from .verbs import AdoptOption, Gives, KeyOption, WorkersOption, declare, verb
-from .workload import workers_of
+from .verbs import AdoptOption, Gives, KeyOption, WorkersOption, declare, verb, workers_of
 
 if TYPE_CHECKING:
     from fsar_ledger.base.progress import Showing

@@ -18,8 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, get_args
 import typer
 from typer.core import TyperCommand, TyperOption
 
-from fsar_ledger.api.verbs import RAW, Option, Verb, argument, declared
-from fsar_ledger.api.workload import stored, workers_of
+from fsar_ledger.api.verbs import RAW, Option, Verb, argument, declared, stored, workers_of
 from fsar_ledger.base import memory, printable
 from fsar_ledger.base.errors import FsarLedgerError, LimitReached, QueryFailed, UsageError
 

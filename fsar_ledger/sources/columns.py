@@ -1,10 +1,11 @@
-"""Events as a program in any language can write them: by their type's name and their stored columns, in lines of JSON.
+"""What a program in any language says by the names of event types and columns: what it records, and each event.
 
-What cannot be printed in their texts is escaped.
+Events come by their type's name and their stored columns, in lines of JSON. What cannot be printed in their texts is
+escaped.
 """
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from datetime import UTC, datetime
 from itertools import chain
 from typing import TYPE_CHECKING, Any, BinaryIO
@@ -14,10 +15,10 @@ import msgspec
 from fsar_ledger.base import utc
 from fsar_ledger.base.errors import InvalidRun, UsageError
 from fsar_ledger.base.printable import did_you_mean, escaped, value
-from fsar_ledger.events import Event
+from fsar_ledger.events import CONCERN_OF, CONCERNS, Event
 from fsar_ledger.events.envelope import flat
 from fsar_ledger.events.source import Observed
-from fsar_ledger.ledger.rows.schema import LAYOUTS, OPENINGS, StoredType
+from fsar_ledger.ledger.rows.schema import LAYOUTS, OPENINGS, RECORDS, StoredType
 
 from .json_lines import BOM, MAX_LINE
 
@@ -198,3 +199,43 @@ def text_of(raw: bytes) -> str:
         return storable_text(raw.decode())
     except UnicodeDecodeError:
         return raw.hex()
+
+
+# See docs/decisions/sources-are-judged-by-types.md.
+class Declared(msgspec.Struct, frozen=True):
+    """What a source records: everything of the concerns it `observes`, and of others the `records` it names.
+
+    `kinds` are the event types that the run may have.
+    """
+
+    observes: tuple[str, ...]
+    records: tuple[str, ...]
+
+    @property
+    def kinds(self) -> frozenset[str]:
+        """The event types, by name without version, that the run may have beside those that say what it is."""
+        whole = {kind for kind, concern in CONCERN_OF.items() if concern in self.observes}
+        return frozenset(whole | {name for name in self.records if "." not in name})
+
+
+def declared(names: Iterable[str]) -> Declared:
+    """Return what these names declare: concerns, event types, and fields such as `RequestIssued.requested_by`.
+
+    `RequestIssued.*` is the type with all of its fields. Each is named once, in the order of `CONCERNS` and of the
+    event types. Naming a field names its type.
+
+    Raises: UsageError for a name that is none of these.
+    """
+    asked = {
+        one
+        for name in names
+        for one in ([each for each in RECORDS if each.startswith(name[:-1])] if name.endswith(".*") else [name])
+    }
+    asked |= {name.partition(".")[0] for name in asked if "." in name}
+    known: Collection[str] = (*CONCERNS, *RECORDS)
+    for name in sorted(asked - set(known)):
+        raise UsageError(
+            f"observes: found {value(name)}, expected concerns ({', '.join(CONCERNS)}), event types, or fields of them "
+            f"that may be NULL, as in ExecutionStarted.requested_by{did_you_mean(name, known)}"
+        )
+    return Declared(tuple(name for name in CONCERNS if name in asked), tuple(name for name in RECORDS if name in asked))

@@ -31,8 +31,7 @@ from fsar_ledger.ledger.rows.schema import MAX_INTEGER
 from fsar_ledger.ledger.store.append import Writer
 
 from .adapter import UNREADABLE, Adapter, Derived, Input, Record
-from .columns import storable, storable_text, text_of
-from .declared import Declared, declared
+from .columns import Declared, declared, storable, storable_text, text_of
 from .held import BYTES, Held, held
 from .recorder import commit, kept_origin
 

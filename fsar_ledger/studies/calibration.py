@@ -19,7 +19,7 @@ import msgspec
 import numpy as np
 
 from fsar_ledger.api.names import Place
-from fsar_ledger.api.workload import workers_of
+from fsar_ledger.api.verbs import workers_of
 from fsar_ledger.base.progress import Progress
 from fsar_ledger.designs.constants import Constants
 from fsar_ledger.events.configuration import PAPER_ARCHITECTURES

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from fsar_ledger.api.names import Place
-from fsar_ledger.api.workload import workers_of
+from fsar_ledger.api.verbs import workers_of
 from fsar_ledger.base.progress import Progress
 from fsar_ledger.base.wilson import wilson
 from fsar_ledger.events.configuration import PAPER_ARCHITECTURES

@@ -12,7 +12,7 @@ from typing import Literal
 import msgspec
 
 from fsar_ledger.api.names import Place
-from fsar_ledger.api.workload import workers_of
+from fsar_ledger.api.verbs import workers_of
 from fsar_ledger.base.progress import Progress
 from fsar_ledger.designs.constants import Constants, write_constants
 from fsar_ledger.designs.dials import TRIED
