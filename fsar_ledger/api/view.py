@@ -135,12 +135,12 @@ def trace(ledger: "Ledger", out: Place, run: Run | None = None) -> Picture:
         UsageError: There is no such run, or `out` has another suffix or lies inside a ledger.
         WriteFailed: The file cannot be written.
     """
-    from fsar_ledger.view import perfetto
+    from fsar_ledger.view import drawn
 
     file = Path(out)
     require_picture(file, TRACE, "out")
     shown, provenance = _shown(ledger, run)
-    content = perfetto.trace(shown.drawn)
+    content = drawn.trace(shown.drawn)
     _write(file, content)
     return Picture(file, len(content), (shown.drawn.run.run_id,), None, provenance)
 
