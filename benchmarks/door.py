@@ -28,8 +28,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from benchmarks.table import note
 from fsar_ledger.events.world import TaskArrived
 from fsar_ledger.ledger.opening import open_ledger
+from fsar_ledger.sources.adapter import adapter_of, opened
 from fsar_ledger.sources.importing import import_files
-from fsar_ledger.sources.opening import adapter_of, opened
 from fsar_ledger.sources.recorder import Recorder
 
 LINES, EVENTS, TURN = (50_000, 200_000), 2_000, 100

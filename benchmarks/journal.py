@@ -24,10 +24,9 @@ from typing import NamedTuple
 from fsar_ledger.designs.constants import Constants
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows.codec import encode_lines
-from fsar_ledger.ledger.rows.run_slices import piece
-from fsar_ledger.ledger.rows.runs import LedgerRun
-from fsar_ledger.ledger.rows.small import rows_of
+from fsar_ledger.ledger.rows.runs import LedgerRun, piece
 from fsar_ledger.ledger.store.append import Writer
+from fsar_ledger.ledger.store.staging import rows_of
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
 
 GROUPS = {1: 1_000, 10: 1_000, 100: 4_800, 1_000: 480}

@@ -11,7 +11,7 @@ import statistics
 import time
 from random import Random
 
-from fsar_ledger.analysis.timeline import EVERY, Timeline
+from fsar_ledger.analysis.moments import EVERY, Timeline
 from fsar_ledger.designs.constants import Constants
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.projections.fold import fold

@@ -21,8 +21,7 @@ from typing import NamedTuple
 
 from fsar_ledger.designs.constants import Constants
 from fsar_ledger.ledger.opening import open_for_answers
-from fsar_ledger.ledger.rows.run_slices import piece
-from fsar_ledger.ledger.rows.runs import LedgerRun
+from fsar_ledger.ledger.rows.runs import LedgerRun, piece
 from fsar_ledger.ledger.store.append import SEAL_ROWS, Writer
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.ledger.verify.verify import verify

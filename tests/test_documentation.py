@@ -70,12 +70,8 @@ def wrong_readings(text: str, known: set[str]) -> list[str]:
 
 
 def readings() -> set[str]:
-    return {
-        passage["id"]
-        for passage in tomllib.loads(files("fsar_ledger.reports").joinpath("readings.toml").read_text("utf-8"))[
-            "passage"
-        ]
-    }
+    text = files("fsar_ledger.reports").joinpath("readings.toml").read_text("utf-8")
+    return {passage["id"] for passage in tomllib.loads(text)["passage"]}
 
 
 def examples() -> Iterator[tuple[str, str]]:
@@ -87,12 +83,8 @@ def examples() -> Iterator[tuple[str, str]]:
 
 
 def test_every_label_of_the_paper_exists() -> None:
-    found = {
-        str(path.relative_to(ROOT)): wrong_labels(path.read_text("utf-8"))
-        for path in sources()
-        if path.name != "library.py"
-    }
-    assert {name: wrong for name, wrong in found.items() if wrong} == {}
+    texts = {f"{path}": path.read_text("utf-8") for path in sources() if path.name != "library.py"}
+    assert {name: wrong for name, text in texts.items() if (wrong := wrong_labels(text))} == {}
 
 
 def test_a_wrong_or_missing_label_is_found() -> None:

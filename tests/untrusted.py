@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from fsar_ledger.api.table import rows_of
-from fsar_ledger.ledger.store.view import Head
+from fsar_ledger.ledger.store.record import Head
 from fsar_ledger.metrics.sandbox import Limits
 from fsar_ledger.metrics.untrusted import stream_untrusted
 

@@ -11,7 +11,7 @@ from fsar_ledger.base.errors import UsageError
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.ledger.rows import codec, segment
 from fsar_ledger.ledger.rows.codec import LedgerRun, encode_coded
-from fsar_ledger.ledger.rows.run_slices import whole
+from fsar_ledger.ledger.rows.runs import whole
 from fsar_ledger.ledger.store.read import View
 from fsar_ledger.metrics.database import Database, from_table
 from fsar_ledger.metrics.results import typed

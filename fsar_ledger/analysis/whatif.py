@@ -14,8 +14,8 @@ from fsar_ledger.base.memory import without_collection
 from fsar_ledger.ledger.rows.codec import LedgerRun, encode_coded
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.read import View
+from fsar_ledger.ledger.store.record import Head
 from fsar_ledger.ledger.store.staging import stage
-from fsar_ledger.ledger.store.view import Head
 from fsar_ledger.metrics.comparison_sides import beside
 from fsar_ledger.metrics.database import from_table, parts_of
 from fsar_ledger.metrics.results import typed

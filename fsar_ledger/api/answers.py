@@ -10,11 +10,11 @@ from fsar_ledger.base.errors import FsarLedgerError, UsageError
 from fsar_ledger.base.printable import SafeText
 
 if TYPE_CHECKING:
-    from fsar_ledger.ledger.store.view import Head
+    from fsar_ledger.ledger.store.record import Head
+    from fsar_ledger.metrics.provenance import Provenance
 
     from .ledger import Ledger
     from .names import Place
-    from .provenance import Provenance
     from .table import Rows, Table
 
 Row = Mapping[str, Any]

@@ -15,9 +15,9 @@ from .verbs import ArchitectureOption, InvariantOption, Shows, verb
 
 if TYPE_CHECKING:
     from fsar_ledger.metrics.invariants import AuditRow
+    from fsar_ledger.metrics.provenance import Provenance
 
     from .ledger import Ledger
-    from .provenance import Provenance
     from .table import Table
 
 _ARCHITECTURES = "SELECT DISTINCT architecture FROM runs WHERE architecture IS NOT NULL ORDER BY ALL"
@@ -91,14 +91,13 @@ def audit(
         UnknownQuery: An invariant is unknown.
         UsageError: The ledger has no run of these architectures.
     """
-    from fsar_ledger.designs.names import known
+    from fsar_ledger.designs.registered import known
     from fsar_ledger.events.configuration import ARCHITECTURES
     from fsar_ledger.ledger.opening import open_for_answers
     from fsar_ledger.metrics.database import Slices, connect_view
     from fsar_ledger.metrics.invariants import all_shown, audit_rows, chosen
+    from fsar_ledger.metrics.provenance import of_judgement
     from fsar_ledger.metrics.results import models
-
-    from .provenance import of_judgement
 
     view = open_for_answers(ledger.path)
     queries = chosen(names_of(invariant) or ())

@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from fsar_ledger.analysis.causes import Outcome
     from fsar_ledger.metrics.comparison_sides import Side
     from fsar_ledger.metrics.database import Database
+    from fsar_ledger.metrics.provenance import Provenance
 
     from .ledger import Ledger
-    from .provenance import Provenance
 
 PAIRS = """
     SELECT run_id, run_number, seed, scenario, run FROM (

@@ -16,9 +16,9 @@ from .verbs import OneRunOption, Option, Shows, declare, switch, verb
 if TYPE_CHECKING:
     from fsar_ledger.analysis.avoidability import Chance
     from fsar_ledger.analysis.causes import Element
+    from fsar_ledger.metrics.provenance import Provenance
 
     from .ledger import Ledger
-    from .provenance import Provenance
     from .table import Table
 
 MOST_FUTURES = 10_000

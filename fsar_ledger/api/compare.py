@@ -16,8 +16,9 @@ from .names import by_scenario, pools_seeds
 from .verbs import ROWS, ByOption, FirstOption, OtherArgument, PoolOption, SecondOption, verb
 
 if TYPE_CHECKING:
+    from fsar_ledger.metrics.provenance import Provenance
+
     from .ledger import Ledger
-    from .provenance import Provenance
     from .table import Table
 
 LEFT_OUT = {
@@ -118,8 +119,9 @@ def compare(
     Raises:
         UsageError: A side does not exist, or both are the same events.
     """
+    from fsar_ledger.metrics.provenance import of_judgement
+
     from .lookup import ledgers_of
-    from .provenance import of_judgement
 
     divides, pooled = by_scenario(by), pools_seeds(pool)
     ledgers = ledgers_of(ledger, other)

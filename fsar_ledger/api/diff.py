@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from fsar_ledger.analysis.difference_text import DifferenceLine, FirstDifference, Parameter
     from fsar_ledger.analysis.records import Line
     from fsar_ledger.ledger.rows.codec import LedgerRun
+    from fsar_ledger.metrics.provenance import Provenance
 
     from .ledger import Ledger
-    from .provenance import Provenance
     from .table import Table
 
 CHAIN = 6

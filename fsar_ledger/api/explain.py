@@ -19,10 +19,10 @@ from .verbs import WIDE, declare, verb
 
 if TYPE_CHECKING:
     from fsar_ledger.metrics.database import Database
+    from fsar_ledger.metrics.provenance import Provenance
 
     from .ledger import Ledger
     from .lookup import AboutRun
-    from .provenance import Provenance
     from .table import Table
 
 Rows = list[dict[str, Any]]
@@ -182,7 +182,8 @@ def requests(ledger: "Ledger", run: Run | None = None) -> "Table":
 
 
 def _requests(ledger: "Ledger", run: Run | None) -> "tuple[str, Table]":
-    from .provenance import of_rows
+    from fsar_ledger.metrics.provenance import of_rows
+
     from .table import Table
 
     with ledger.about_run(run) as (database, name, _):
@@ -196,8 +197,9 @@ def _account(about: "AboutRun", ledger: Path, request: str | None, failure: str 
     Raises:
         UsageError: The run has no such action, the action has not failed, or both or neither are named.
     """
+    from fsar_ledger.metrics.provenance import of_rows
+
     from .lookup import resting_on_rows
-    from .provenance import of_rows
 
     database, run, number = about
     if "" in (request, failure):
@@ -262,7 +264,7 @@ def _rows(database: "Database", query: str, run: str, action: str) -> Rows:
 
 def _no_action(database: "Database", ledger: Path, run: str | None, asked: str, number: int | None = None) -> str:
     """Say that the run, or with None every run, lacks the action; name the nearest, and how to list those there are."""
-    from fsar_ledger.metrics.recorded_names import names_on_record
+    from fsar_ledger.metrics.query_parameters import names_on_record
 
     place = "any run" if run is None else f"run {printable.value(run)}"
     hint = printable.did_you_mean(asked, names_on_record(database, "action", run)) or ";"

@@ -15,8 +15,9 @@ from .names import Place, Run
 from .verbs import Option, ParameterOption, RawOption, Shows, declare, switch, verb
 
 if TYPE_CHECKING:
+    from fsar_ledger.metrics.provenance import Provenance
+
     from .ledger import Ledger
-    from .provenance import Provenance
 
 
 class ExportResult(Answer, msgspec.Struct, frozen=True):
@@ -91,7 +92,7 @@ def export(
                 f"{option('format', format)}: found a query, parameters, raw text or tiles beside it, expected none of "
                 "them; leave one out"
             )
-        from .formats import write_as
+        from .files import write_as
 
         written, provenance = write_as(ledger, file, format, run, progress)
         return ExportResult(written.events, provenance, file, "events", written.notes)
@@ -103,7 +104,7 @@ def export(
     if tiles:
         if query is not None or parameters or raw:
             raise UsageError("export: found tiles and a query, parameters or raw text, expected tiles alone")
-        from fsar_ledger.ledger.store.tiles import write_tiles
+        from fsar_ledger.exports.folders import write_tiles
 
         from .lookup import present
 

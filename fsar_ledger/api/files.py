@@ -1,32 +1,48 @@
-"""Write answers to CSV, Parquet and JSON files, each whole or not at all.
+"""Write answers to CSV, Parquet and JSON files, and ledgers in the formats of other systems, each whole or not at all.
 
 A file is written under a temporary name beside its place and renamed when it is complete, so that neither Ctrl-C nor a
 full disk leaves half of one.
 """
 
 import os
-from collections.abc import Iterable, Iterator
+from bisect import bisect_right
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.csv as pa_csv
 import pyarrow.parquet as pq
 
+from fsar_ledger.analysis.records import record_of
 from fsar_ledger.base.errors import UsageError, WriteFailed, option
 from fsar_ledger.base.memory import unfinished
 from fsar_ledger.base.progress import Progress, each
+from fsar_ledger.exports import mcap, ocel, otlp
+from fsar_ledger.exports.folders import write_delta
+from fsar_ledger.exports.shared import Written
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.rows.schema import SCHEMA
 from fsar_ledger.ledger.store.paths import require_outside
+from fsar_ledger.metrics.provenance import Provenance
 from fsar_ledger.metrics.sandbox import SENT_BYTES, slices
 from fsar_ledger.metrics.verified import is_verified
 
-from .provenance import Provenance
+from .lookup import present, run_in
+from .names import Run
 from .table import Table
 from .texts import csv_header, csv_lines, harmless, in_turn, json_lines, json_texts
+from .verbs import either
+from .view import require_picture, trace
+
+if TYPE_CHECKING:
+    from fsar_ledger.ledger.rows.codec import LedgerRun
+    from fsar_ledger.ledger.store.read import View
+
+    from .ledger import Ledger
 
 LINES = (".ndjson", ".jsonl")
 SUFFIXES = (".csv", ".parquet", *LINES)
@@ -194,3 +210,93 @@ def whole_file(out: Path) -> Iterator[Path]:
         with suppress(OSError):  # it may never have been made
             temporary.unlink(missing_ok=True)
         unfinished.discard(temporary)
+
+
+FORMATS: Mapping[str, str] = {"ocel": ".json", "otlp": ".json", "mcap": ".mcap", "perfetto": ".json", "delta": ""}
+"""By format, how the name of its file ends; the last is a folder."""
+EXTRAS = {"mcap": "mcap", "deltalake": "lake"}
+"""By library that only one format needs, the extra of the package that has it."""
+
+
+def write_as(
+    ledger: "Ledger", file: Path, format: str, run: Run | None, progress: Progress | None
+) -> "tuple[Written, Provenance]":
+    """Write a run, or without one all of them, in a format of `FORMATS`; return what was written, and its provenance.
+
+    Raises:
+        UsageError: There is no such format or run; the file has another suffix or lies inside a ledger; the format
+            needs a library that is not installed, one run and no other, or all of them.
+        LedgerCorrupted: A segment is not as committed.
+        WriteFailed: The file cannot be written.
+    """
+    if format not in FORMATS:
+        raise UsageError(f"{option('format', format)}: found no such format, expected {either(FORMATS)}; choose one")
+    if format != "delta":
+        require_picture(file, FORMATS[format], "out")
+    elif file.suffix:
+        raise UsageError(
+            f"{option('out', file)}: found a name that ends in {file.suffix!r}, expected that of a new folder, without "
+            "a suffix; choose another name"
+        )
+    if format == "delta" and run is not None:
+        raise UsageError(
+            f"{option('run', run)} and {option('format', format)}: a Delta table has whole segments, which hold other "
+            "runs, too; expected one of them: leave the run out, and select it in the table"
+        )
+    view, provenance = present(ledger)
+    name = None if run is None else run_in(view, run, ledger.demanded)
+    if format == "perfetto":
+        name = name or _only_run(view)
+        trace(ledger, file, name)
+        return Written(sum(one.rows for one in view.extents() if one.run == name), ()), provenance
+    try:
+        return _written(view, file, format, name, progress), provenance
+    except ImportError as error:
+        library = (error.name or "").partition(".")[0]
+        if library not in EXTRAS:
+            raise
+        raise UsageError(
+            f"{option('format', format)}: found no library {library}, expected it; install it with "
+            f'`pip install "fsar-ledger[{EXTRAS[library]}]"`'
+        ) from error
+
+
+def _written(view: "View", file: Path, format: str, run: str | None, progress: Progress | None) -> Written:
+    if format == "delta":
+        return write_delta(file, view)
+    with whole_file(file) as temporary:
+        if format == "mcap":
+            return mcap.write(temporary, view, _tables(view, run, progress))
+        runs = _runs(view, progress) if run is None else [record_of(view, run)]
+        if format == "otlp":
+            return otlp.write(temporary, runs)
+        return ocel.write(temporary, runs, {name: at for at, name in enumerate(view.run_names.runs, start=1)})
+
+
+def _runs(view: "View", progress: Progress | None) -> "Iterator[LedgerRun]":
+    """Yield every run, and report progress in commits."""
+    ends, done = [commit.tree_size for commit in view.commits], 0
+    for run in view.runs():
+        yield run
+        done += len(run.events)
+        if progress is not None:
+            progress(bisect_right(ends, done), len(ends))
+
+
+def _tables(view: "View", run: str | None, progress: Progress | None) -> Iterable[pa.Table]:
+    """Yield the stored rows, or those of one run, a table for each segment that has any."""
+    numbers = range(len(view.releases)) if run is None else view.segments_of(view.parts(run))
+    for number in each(numbers, progress):
+        table = view.table(number)
+        yield table if run is None else table.filter(pc.equal(table.column("run_id"), run))
+
+
+def _only_run(view: "View") -> str | None:
+    """Return the only run; None if there is none at all. Raises: UsageError if there are several."""
+    names = view.run_names.runs
+    if len(names) > 1:
+        raise UsageError(
+            f"{option('format', 'perfetto')}: found {len(names):,} runs and none that is asked for, expected one, as a "
+            f"trace shows one; name it with {option('run')}"
+        )
+    return names[0] if names else None

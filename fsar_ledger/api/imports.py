@@ -101,8 +101,8 @@ def import_records(
         WriteFailed: A write failed; what is committed stays.
     """
     from fsar_ledger.ledger.store.keys import read_signer
+    from fsar_ledger.sources.adapter import adapter_of, looked, named_robots, opened
     from fsar_ledger.sources.importing import import_files
-    from fsar_ledger.sources.opening import adapter_of, looked, named_robots, opened
 
     from .ledger import Ledger
 

@@ -17,11 +17,10 @@ from .answers import Answer, Screen
 from .verbs import verb
 
 if TYPE_CHECKING:
-    from fsar_ledger.metrics.observing import Unobserved
+    from fsar_ledger.metrics.provenance import Provenance, Unobserved
     from fsar_ledger.metrics.results import Model
 
     from .ledger import Ledger
-    from .provenance import Provenance
 
 BEGINS = """
 SELECT
@@ -160,7 +159,7 @@ class Contents(Answer, msgspec.Struct, frozen=True):
 
     def summary(self) -> Iterator[str]:
         """Yield lines on the runs, the plans and the models."""
-        from fsar_ledger.metrics.observing import shown
+        from fsar_ledger.metrics.provenance import shown
 
         yield from self._standing()
         if forks := sum(group["runs"] for group in self.groups if group["changes"] is not None):
@@ -236,12 +235,9 @@ def info(ledger: "Ledger") -> Contents:
         NotALedger, FormatVersionMismatch, LedgerCorrupted: As `connect`, and `models`.
     """
     from fsar_ledger.ledger.opening import open_ledger
-    from fsar_ledger.metrics.observing import never_observed
-    from fsar_ledger.metrics.plans import completeness
+    from fsar_ledger.metrics.provenance import Provenance, completeness, never_observed
     from fsar_ledger.metrics.results import lettered, models
     from fsar_ledger.runtime.plan_rows import PlanRow, plans
-
-    from .provenance import Provenance
 
     with ledger.database() as database:
         found = lettered(models(database))

@@ -35,11 +35,11 @@ from . import why as _why
 from . import witness as _witness
 from .lookup import AboutRun, about_run, numbers_of, parameters_of, recorded, robot_of, run_of, time_of
 from .names import Place, Run, Time
-from .workload import readers_of
+from .verbs import readers_of
 
 if TYPE_CHECKING:
     from fsar_ledger.ledger.rows.codec import LedgerRun
-    from fsar_ledger.ledger.store.view import Head
+    from fsar_ledger.ledger.store.record import Head
     from fsar_ledger.metrics.database import Database
 
     from .events import Events
@@ -102,9 +102,7 @@ class Ledger:
         Raises:
             UsageError: There is no such run or robot, `since` is after the last event, or `until` not after `since`.
         """
-        from fsar_ledger.metrics.event_filter import Filter
-
-        from .events import Events, span
+        from .events import Events, Filter, span
 
         since_us, until_us = span(since, until)
         name = None
@@ -154,8 +152,8 @@ class Ledger:
             UsageError: A parameter names nothing that there is, or is no time of the run.
         """
         from fsar_ledger.metrics.library import library
+        from fsar_ledger.metrics.provenance import of_rows
 
-        from .provenance import of_rows
         from .table import Table
 
         query = library().find(name)

@@ -14,8 +14,9 @@ from .names import Names, Run, Time
 from .verbs import Gives, declare, switch, verb
 
 if TYPE_CHECKING:
+    from fsar_ledger.metrics.provenance import Provenance
+
     from .ledger import Ledger
-    from .provenance import Provenance
     from .table import Table
 
 ALL = "all"

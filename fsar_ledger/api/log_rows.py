@@ -9,23 +9,23 @@ from typing import NamedTuple
 
 import pyarrow as pa
 
+from fsar_ledger.api.events import Filter
 from fsar_ledger.base import printable
 from fsar_ledger.base.errors import UsageError, option
-from fsar_ledger.designs.names import known
+from fsar_ledger.designs.registered import known
 from fsar_ledger.events import CONCERNS
 from fsar_ledger.ledger.opening import Pause, growth
 from fsar_ledger.ledger.store.read import View
 from fsar_ledger.metrics import relation
 from fsar_ledger.metrics.connection import Value
 from fsar_ledger.metrics.database import Database
-from fsar_ledger.metrics.event_filter import Filter
+from fsar_ledger.metrics.provenance import Provenance, of_rows
 from fsar_ledger.metrics.verified import is_verified
 
 from .events import span
 from .log import ALL
 from .lookup import resting_on_rows, robot_of, run_of, run_time
 from .names import Run, Time, names_of
-from .provenance import Provenance, of_rows
 from .table import Table
 
 _QUERY = "facts/log_lines"

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from fsar_ledger.base import printable, utc
 from fsar_ledger.base.errors import UsageError
-from fsar_ledger.metrics.query_parameters import TIME, require_known
-from fsar_ledger.metrics.recorded_names import PRINCIPALS, RUNS, names_on_record
+from fsar_ledger.metrics.query_parameters import PRINCIPALS, RUNS, TIME, names_on_record, require_known
 from fsar_ledger.metrics.verified import is_verified_for_runs, require_runs
 
 from .names import MAX_DIGITS, Time, microseconds, named, principal_named, run_named
@@ -20,11 +19,11 @@ if TYPE_CHECKING:
     from fsar_ledger.ledger.store.read import View
     from fsar_ledger.metrics.database import Database
     from fsar_ledger.metrics.library import Query
+    from fsar_ledger.metrics.provenance import Provenance
     from fsar_ledger.metrics.query_parameters import Parameter
 
     from .ledger import Ledger
     from .names import Place, Run
-    from .provenance import Provenance
 
 _RUN = "SELECT run_id FROM run_numbers WHERE run_id = $run"
 _NUMBERS = """
@@ -248,9 +247,8 @@ def _seq(database: "Database", text: str, run: str | None) -> str:
 def present(ledger: "Ledger") -> "tuple[View, Provenance]":
     """Return the ledger at its present head, and the provenance of an answer about it. Raises: As `open_ledger`."""
     from fsar_ledger.ledger.opening import open_for_answers
+    from fsar_ledger.metrics.provenance import Provenance
     from fsar_ledger.metrics.verified import is_verified
-
-    from .provenance import Provenance
 
     view = open_for_answers(ledger.path)
     return view, Provenance(view.head, is_verified(view, ledger.demanded))

@@ -14,12 +14,10 @@ from fsar_ledger.base.progress import Progress
 from .answers import Answer, Lines, Screen, head_json
 from .key import anchor_of, signature_text, trusted_of
 from .names import Place
-from .verbs import Option, Shows, TrustedKeyOption, WorkersOption, declare, verb
-from .workload import readers_of
+from .verbs import Option, Shows, TrustedKeyOption, WorkersOption, declare, readers_of, verb
 
 if TYPE_CHECKING:
-    from fsar_ledger.ledger.compacting import Compacted
-    from fsar_ledger.ledger.store.view import Head
+    from fsar_ledger.ledger.store.record import Head
     from fsar_ledger.ledger.verify.recover import Recovery, Step
     from fsar_ledger.ledger.verify.report import VerifyOptions
     from fsar_ledger.ledger.verify.trusted import Later
@@ -211,6 +209,14 @@ def upgrade(
     return upgrade(ledger.path, Path(into), progress)
 
 
+class Compacted(msgspec.Struct, frozen=True):
+    """What `compact` did: the head, and the number of segments before and after; a journal counts as one before."""
+
+    head: "Head"
+    before: int
+    after: int
+
+
 def _compacted(ledger: "Ledger") -> Lines:
     found = compact(ledger)
     done = (
@@ -236,7 +242,7 @@ def _compacted(ledger: "Ledger") -> Lines:
     call=_compacted,
     after_interruption="nothing is lost; run it again to go on",
 )
-def compact(ledger: "Ledger") -> "Compacted":
+def compact(ledger: "Ledger") -> Compacted:
     """Put small segments together, and what is in the journal into one.
 
     Answers from few large segments are quicker than from many small ones. No event, root, commit or proof changes.
@@ -245,9 +251,14 @@ def compact(ledger: "Ledger") -> "Compacted":
         LedgerCorrupted: A segment is not as placed.
         WriteFailed: A write failed.
     """
-    from fsar_ledger.ledger.compacting import compact
+    from fsar_ledger.ledger.opening import open_ledger
+    from fsar_ledger.ledger.store.append import Writer
 
-    return compact(ledger.path)
+    view = open_ledger(ledger.path)
+    with Writer(ledger.path, view.manifest.origin) as writer:
+        before = len(view.releases)
+        writer.compact()
+        return Compacted(writer.head, before, len(open_ledger(ledger.path).releases))
 
 
 def _done(steps: "Sequence[Step]") -> Iterator[str]:

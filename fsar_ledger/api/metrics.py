@@ -24,9 +24,9 @@ def metrics(ledger: "Ledger", by: ByOption = None, pool: PoolOption = None) -> "
     seeds, constants, models or kinds have rows of their own. Shares are in [0,1], latency is in seconds. Where a metric
     is not defined, a table shows `-` and JSON null.
     """
+    from fsar_ledger.metrics.provenance import of_judgement
     from fsar_ledger.metrics.results import MetricRow, metric_rows
 
-    from .provenance import of_judgement
     from .table import MetricTable, of_structs
 
     per_scenario, pooled = by_scenario(by), pools_seeds(pool)

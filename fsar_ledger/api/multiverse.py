@@ -16,8 +16,9 @@ from .names import Names, Place, names_of, pools_seeds
 from .verbs import PoolOption, Shows, declare, verb
 
 if TYPE_CHECKING:
+    from fsar_ledger.metrics.provenance import Provenance
+
     from .ledger import Ledger
-    from .provenance import Provenance
     from .table import Table
 
 OURS = "our reading"
@@ -49,9 +50,9 @@ class MultiverseResult(Answer, Multiverse, frozen=True, kw_only=True):
         Raises: WriteFailed if the file cannot be written.
         """
         from fsar_ledger.base.publishing import publish
-        from fsar_ledger.report import readings_chart
+        from fsar_ledger.report import study_charts
 
-        publish(Path(file), readings_chart.curves(self))
+        publish(Path(file), study_charts.curves(self))
 
     def text(self, screen: Screen) -> Iterator[SafeText]:
         """Yield the ranges, the rankings and the readings as tables."""
@@ -95,10 +96,9 @@ def multiverse(
     Raises:
         InvalidExperiment: There is no such metric.
     """
-    from fsar_ledger.designs.names import known
+    from fsar_ledger.designs.registered import known
     from fsar_ledger.metrics.multiverse import multiverse as read
-
-    from .provenance import of_judgement
+    from fsar_ledger.metrics.provenance import of_judgement
 
     pooled = pools_seeds(pool)
     with ledger.database() as database:

@@ -17,9 +17,9 @@ from .verbs import Shows, declare, verb
 
 if TYPE_CHECKING:
     from fsar_ledger.metrics.database import Database
+    from fsar_ledger.metrics.provenance import Provenance
 
     from .ledger import Ledger
-    from .provenance import Provenance
 
 SUFFIX = ".duckdb"
 HEAD = "ledger_head"
@@ -93,8 +93,7 @@ def _fill(database: "Database", ledger: Path, file: Path, progress: Progress | N
     import pyarrow as pa
 
     from fsar_ledger.base.progress import each
-
-    from .provenance import Provenance
+    from fsar_ledger.metrics.provenance import Provenance
 
     found = sorted(database.library.queries.values(), key=lambda query: bool(query.parameters))
     left_out = []

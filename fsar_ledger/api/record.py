@@ -129,8 +129,8 @@ def record_lines(
         UsageError: A name in --observes is none, or the run is there and was declared otherwise.
         WriteFailed: A write failed; what is committed stays.
     """
-    from fsar_ledger.sources.opening import named_robots
-    from fsar_ledger.sources.telling import tell
+    from fsar_ledger.sources.adapter import named_robots
+    from fsar_ledger.sources.columns import tell
 
     robots = named_robots(Path(fleet)) if fleet is not None else {}
     begins = None if epoch is None else _time(epoch)

@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from .answers import Lines
 from .names import KindOfReport, Place
-from .verbs import Gives, Option, WorkersOption, declare, verb
-from .workload import readers_of
+from .verbs import Gives, Option, WorkersOption, declare, readers_of, verb
 
 if TYPE_CHECKING:
     from fsar_ledger.base.progress import Showing

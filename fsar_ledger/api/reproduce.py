@@ -13,8 +13,7 @@ from fsar_ledger.base.printable import SafeText, counted
 from .answers import Answer, Screen
 from .names import Names, Place, names_of
 from .simulate import CONTINUES
-from .verbs import AdoptOption, Gives, KeyOption, WorkersOption, declare, verb
-from .workload import workers_of
+from .verbs import AdoptOption, Gives, KeyOption, WorkersOption, declare, verb, workers_of
 
 if TYPE_CHECKING:
     from fsar_ledger.base.progress import Showing
@@ -88,9 +87,10 @@ def reproduce(
     """
     from fsar_ledger.base.progress import unseen
     from fsar_ledger.base.workers import WorkerPool
-    from fsar_ledger.designs.names import known
+    from fsar_ledger.designs.registered import known
     from fsar_ledger.ledger.store.paths import require_outside
     from fsar_ledger.metrics.database import connect
+    from fsar_ledger.metrics.provenance import of_judgement
     from fsar_ledger.metrics.results import MetricRow, StatisticRow, metric_rows, statistic_rows
     from fsar_ledger.metrics.verified import ensure_verified
     from fsar_ledger.report.build import write_report
@@ -98,7 +98,6 @@ def reproduce(
 
     from .files import write_csv
     from .key import signer_of
-    from .provenance import of_judgement
     from .table import Table, of_structs
 
     folder, processes, signer, show = Path(out), workers_of(workers), signer_of(key, adopts=adopt), showing or unseen

@@ -14,6 +14,7 @@ from .names import Names, Place, names_of
 from .verbs import (
     ONE_ARCHITECTURE,
     RUNTIME,
+    WORTH_ROBOTS,
     AdoptOption,
     KeyOption,
     Shows,
@@ -22,8 +23,8 @@ from .verbs import (
     declare,
     either,
     verb,
+    workers_of,
 )
-from .workload import WORTH_ROBOTS, workers_of
 
 if TYPE_CHECKING:
     from fsar_ledger.runtime.experiment import SimulationResult

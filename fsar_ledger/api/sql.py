@@ -45,9 +45,9 @@ def limits_of(seconds: int | None = None, memory_mib: int | None = None) -> "Lim
 @contextmanager
 def rows_of_select(ledger: "Ledger", select: str, seconds: int | None, memory_mib: int | None) -> "Iterator[Rows]":
     """Yield the answer of a SELECT; the time limit covers all of it. Raises: As `sql`."""
+    from fsar_ledger.metrics.provenance import Provenance
     from fsar_ledger.metrics.untrusted import stream_untrusted
 
-    from .provenance import Provenance
     from .table import Rows
 
     limits = limits_of(seconds, memory_mib)
@@ -82,9 +82,9 @@ def sql(
     Raises:
         QueryFailed: It is not one SELECT, fails, needs something outside the ledger, or meets a limit.
     """
+    from fsar_ledger.metrics.provenance import Provenance
     from fsar_ledger.metrics.untrusted import table_untrusted
 
-    from .provenance import Provenance
     from .table import Table
 
     rows, head, rows_verified = table_untrusted(ledger.path, select, limits_of(seconds, memory_mib), ledger.demanded)

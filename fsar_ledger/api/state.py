@@ -15,12 +15,12 @@ from .names import Time
 from .verbs import JSON, OneRunOption, declare, verb
 
 if TYPE_CHECKING:
-    from fsar_ledger.analysis.beliefs import Belief
+    from fsar_ledger.analysis.moments import Belief
     from fsar_ledger.analysis.situation import RobotNow, RuleNow, Situation, TrustNow
+    from fsar_ledger.metrics.provenance import Provenance
     from fsar_ledger.projections.fold import State
 
     from .ledger import Ledger
-    from .provenance import Provenance
 
 BESIDE = "    "
 
@@ -92,13 +92,12 @@ def state(
     Raises:
         UsageError: There is no such run, robot or decider, `at` is no time of the run, or the run came later.
     """
-    from fsar_ledger.analysis.beliefs import beliefs
+    from fsar_ledger.analysis.moments import Timeline, beliefs
     from fsar_ledger.analysis.records import commits_of, record_of
     from fsar_ledger.analysis.situation import situation
-    from fsar_ledger.analysis.timeline import Timeline
+    from fsar_ledger.metrics.provenance import of_run
 
     from .lookup import about_run, clock, present, robot_of, time_of
-    from .provenance import of_run
 
     view, provenance = present(ledger)
     with about_run(view, run, ledger.demanded) as (database, name, _):

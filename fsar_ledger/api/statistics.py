@@ -14,10 +14,10 @@ from .verbs import ROWS, PoolOption, verb
 
 if TYPE_CHECKING:
     from fsar_ledger.metrics.comparability import DifferingWorlds
+    from fsar_ledger.metrics.provenance import Provenance
     from fsar_ledger.metrics.results import StatisticRow
 
     from .ledger import Ledger
-    from .provenance import Provenance
     from .table import Table
 
 NOTHING = (
@@ -115,9 +115,8 @@ def statistics(ledger: "Ledger", pool: PoolOption = None) -> Statistics:
         remarks_on,
         too_few,
     )
+    from fsar_ledger.metrics.provenance import of_judgement
     from fsar_ledger.metrics.results import StatisticRow, statistic_rows
-
-    from .provenance import of_judgement
 
     pooled = pools_seeds(pool)
     with ledger.database() as database:

@@ -11,11 +11,11 @@ from fsar_ledger.base import printable
 from fsar_ledger.base.errors import UsageError
 from fsar_ledger.base.printable import SafeText
 from fsar_ledger.metrics.database import plain_rows
+from fsar_ledger.metrics.provenance import Provenance
 from fsar_ledger.metrics.sandbox import SENT_BYTES, slices
 
 from .answers import Answer, Row, Screen
 from .names import Place
-from .provenance import Provenance
 from .tables import Constant, fitted, more_text
 from .texts import as_python
 

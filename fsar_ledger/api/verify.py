@@ -14,8 +14,7 @@ from fsar_ledger.base.progress import Progress
 from .answers import Answer, Screen
 from .key import anchor_of, signature_text, trusted_of
 from .names import Place
-from .verbs import Gives, Shows, TrustedKeyOption, WorkersOption, declare, switch, verb
-from .workload import readers_of
+from .verbs import Gives, Shows, TrustedKeyOption, WorkersOption, declare, readers_of, switch, verb
 
 if TYPE_CHECKING:
     from fsar_ledger.ledger.store.problem import Problem

@@ -13,10 +13,10 @@ from .names import Place, Run
 from .verbs import Option, declare, verb
 
 if TYPE_CHECKING:
+    from fsar_ledger.metrics.provenance import Provenance
     from fsar_ledger.view.drawn import PageOptions
 
     from .ledger import Ledger
-    from .provenance import Provenance
 
 PAGE, TRACE = ".html", ".json"
 
@@ -135,12 +135,12 @@ def trace(ledger: "Ledger", out: Place, run: Run | None = None) -> Picture:
         UsageError: There is no such run, or `out` has another suffix or lies inside a ledger.
         WriteFailed: The file cannot be written.
     """
-    from fsar_ledger.view import perfetto
+    from fsar_ledger.view import drawn
 
     file = Path(out)
     require_picture(file, TRACE, "out")
     shown, provenance = _shown(ledger, run)
-    content = perfetto.trace(shown.drawn)
+    content = drawn.trace(shown.drawn)
     _write(file, content)
     return Picture(file, len(content), (shown.drawn.run.run_id,), None, provenance)
 
@@ -203,7 +203,7 @@ def _shown(ledger: "Ledger", asked: Run | None) -> "tuple[PageOptions, Provenanc
 
 def _together(found: "list[Provenance]") -> "Provenance":
     """Return what holds for runs of one ledger: its head, and each gap once."""
-    from .provenance import Provenance
+    from fsar_ledger.metrics.provenance import Provenance
 
     gaps = {one.concern: one for each in found for one in each.not_observed}
     verified = all(each.rows_verified for each in found)

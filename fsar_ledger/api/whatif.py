@@ -19,10 +19,10 @@ from .verbs import ArchitectureOption, Option, Shows, declare, switch, verb
 if TYPE_CHECKING:
     from fsar_ledger.analysis.whatif import Divergence, Effects
     from fsar_ledger.ledger.rows.codec import LedgerRun
-    from fsar_ledger.ledger.store.view import Head
+    from fsar_ledger.ledger.store.record import Head
+    from fsar_ledger.metrics.provenance import Provenance
 
     from .ledger import Ledger
-    from .provenance import Provenance
     from .table import Table
 
 NAMES = {"base_mean": "base", "fork_mean": "fork"}

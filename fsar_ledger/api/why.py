@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from fsar_ledger.analysis.records import Line
     from fsar_ledger.analysis.why import DecisionTrace, Read
     from fsar_ledger.ledger.rows.codec import LedgerRun
+    from fsar_ledger.metrics.provenance import Provenance
 
     from .ledger import Ledger
-    from .provenance import Provenance
     from .table import Table
 
 MAX_WORDS = 1_000
@@ -162,10 +162,10 @@ def verdicts(ledger: "Ledger", run: Run, kind: str) -> "Table":
     Raises:
         UsageError: There is no such run or kind.
     """
-    from fsar_ledger.metrics.verdict_events import verdict_rows
+    from fsar_ledger.metrics.invariants import verdict_rows
+    from fsar_ledger.metrics.provenance import of_rows
 
     from .lookup import about_run, present
-    from .provenance import of_rows
     from .table import Table
 
     with about_run(present(ledger)[0], run, ledger.demanded) as (database, name, _):

@@ -18,8 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, get_args
 import typer
 from typer.core import TyperCommand, TyperOption
 
-from fsar_ledger.api.verbs import RAW, Option, Verb, argument, declared
-from fsar_ledger.api.workload import stored, workers_of
+from fsar_ledger.api.verbs import RAW, Option, Verb, argument, declared, stored, workers_of
 from fsar_ledger.base import memory, printable
 from fsar_ledger.base.errors import FsarLedgerError, LimitReached, QueryFailed, UsageError
 
@@ -304,7 +303,7 @@ def _on_record(line: Line, kind: str, run: str | None) -> list[str]:
     """Return the names of this kind in the ledger that the line names, of one run or of all. Raises: As `connect`."""
     from fsar_ledger.api.lookup import run_of
     from fsar_ledger.metrics.database import connect
-    from fsar_ledger.metrics.recorded_names import names_on_record
+    from fsar_ledger.metrics.query_parameters import names_on_record
 
     with connect(Path(str(line.given.get("ledger") or ""))) as database:
         return names_on_record(database, kind, None if run in (None, "all") else run_of(database, run))

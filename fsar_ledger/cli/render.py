@@ -29,9 +29,9 @@ if TYPE_CHECKING:
     from rich.progress import Progress as Bar
 
     from fsar_ledger.api.ledger import Ledger
-    from fsar_ledger.api.provenance import Provenance
+    from fsar_ledger.api.step import Steps
     from fsar_ledger.api.table import Rows
-    from fsar_ledger.api.walks import Steps
+    from fsar_ledger.metrics.provenance import Provenance
 
 KEPT_BYTES = 16 << 20
 """Longer text waits in an unnamed file, not in memory, until it is complete."""
@@ -182,7 +182,7 @@ def opened(ledger: Path, *, verified: bool) -> "Ledger":
 
 def warn(ledger: Path, provenance: "Provenance") -> None:
     """Warn, a line each, of what runs do not observe, of missing planned runs, and of rows that were not compared."""
-    from fsar_ledger.metrics.observing import told
+    from fsar_ledger.metrics.provenance import told
 
     if (line := told(provenance.not_observed)) is not None:
         say(line)

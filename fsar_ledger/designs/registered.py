@@ -1,20 +1,22 @@
 """The fleets, scenarios and workflows that come with the package, one file each.
 
 Adding a file, named after what is in it, registers another one; nothing else changes. Each is read once, when first
-used.
+used. An error about a name that is unknown suggests the nearest.
 """
 
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 from typing import TypeVar
 
 from fsar_ledger.base import printable
-from fsar_ledger.base.errors import UsageError
+from fsar_ledger.base.errors import InvalidExperiment, UsageError
 
 from . import Fleet, Scenario, Workflow
 from .files import Field, at_line, decoded
 
 _T = TypeVar("_T", Fleet, Scenario, Workflow)
+_Name = TypeVar("_Name", bound=str)
 
 PAPER_FLEET = "paper"
 PAPER_SCENARIOS = (
@@ -87,3 +89,16 @@ def _read(folder: str, name: str, kind: type[_T]) -> _T:
 
 def _folder(name: str) -> Path:
     return Path(__file__).parents[1] / "runtime" / "world" / name
+
+
+def known(what: str, asked: Sequence[str] | None, names: tuple[_Name, ...]) -> tuple[_Name, ...]:
+    """Return the names asked for, each once, in the order of `names`.
+
+    Raises:
+        InvalidExperiment: A name is unknown; the message suggests the nearest.
+    """
+    for name in asked or ():
+        if name not in names:
+            hint = printable.did_you_mean(name.lower(), names)
+            raise InvalidExperiment(f"unknown {what} {name!r}{hint or ';'} expected one of {', '.join(names)}")
+    return tuple(name for name in names if name in (asked or ()))

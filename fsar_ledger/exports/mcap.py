@@ -15,9 +15,7 @@ from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.rows.schema import COLUMNS, ENVELOPE
 from fsar_ledger.ledger.store.read import View
 
-from .arrays import Written
-from .objects import OTHER, PRINCIPALS, named_in
-from .times import TOLD, epoch_us
+from .shared import OTHER, PRINCIPALS, TOLD, Written, epoch_us, named_in
 
 if TYPE_CHECKING:
     from mcap.writer import Writer

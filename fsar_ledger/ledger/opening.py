@@ -11,10 +11,10 @@ from pathlib import Path
 
 from fsar_ledger.base.errors import LedgerCorrupted
 from fsar_ledger.ledger.store import disk
-from fsar_ledger.ledger.store.checkpoint import check_chain_checkpoint
 from fsar_ledger.ledger.store.manifest import read_manifest
 from fsar_ledger.ledger.store.paths import CHAIN, CHECKPOINT, JOURNAL, MANIFEST, SEGMENTS
 from fsar_ledger.ledger.store.read import View, open_chain
+from fsar_ledger.ledger.store.snapshot import check_chain_checkpoint
 
 Pause = Callable[[], None]
 """Waits a moment; what it raises ends the waiting."""

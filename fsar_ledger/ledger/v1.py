@@ -27,9 +27,9 @@ from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.manifest import FORMAT, VERSION_1, Manifest, parse_document, read_manifest, version_of
 from fsar_ledger.ledger.store.paths import CHECKPOINT, COMMITS, MANIFEST, SEGMENTS, STAGING, staged_path
 from fsar_ledger.ledger.store.problem import Problem
+from fsar_ledger.ledger.store.record import Head
 from fsar_ledger.ledger.store.segments import Names, names_in
 from fsar_ledger.ledger.store.staging import Staged
-from fsar_ledger.ledger.store.view import Head
 from fsar_ledger.ledger.verify.segment import SegmentFacts, examine_all
 
 _NAMES = frozenset({MANIFEST, COMMITS, SEGMENTS, STAGING, TILE, CHECKPOINT})

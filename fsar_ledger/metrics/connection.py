@@ -18,11 +18,10 @@ from fsar_ledger.base import memory
 from fsar_ledger.base.errors import FsarLedgerError, LedgerCorrupted, LimitReached, QueryFailed
 from fsar_ledger.ledger.rows.schema import SCHEMA
 from fsar_ledger.ledger.rows.segment import read_table
-from fsar_ledger.ledger.store.view import Head
+from fsar_ledger.ledger.store.record import Head
 
-from .functions import NAMES, register
 from .library import Library, Query, library
-from .own_sql import FOR_OLDER, SHOWN, check_columns, statements
+from .own_sql import FOR_OLDER, FUNCTIONS, SHOWN, check_columns, register, statements
 from .paths import literal, quoted
 from .query_parameters import values
 
@@ -207,7 +206,7 @@ class Database:
         """Tell whether a query becomes a table here; in a file also one that calls our functions, which others lack."""
         if self.keeps_events and (query.relation in _READ_OFTEN or (query.tags and not query.wider)):
             return True
-        return query.is_stored or (self.is_for_others and not NAMES.isdisjoint(_CALL.findall(query.sql)))
+        return query.is_stored or (self.is_for_others and not FUNCTIONS.isdisjoint(_CALL.findall(query.sql)))
 
     def macro(self, query: Query) -> bool:
         """Make a query with parameters a table macro that takes them by name; False if it calls our functions."""

@@ -9,9 +9,9 @@ import pyarrow as pa
 
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.rows.schema import SCHEMA
+from fsar_ledger.ledger.store.derived import Extent
 from fsar_ledger.ledger.store.paths import SEGMENTS, segment_bytes
 from fsar_ledger.ledger.store.read import View
-from fsar_ledger.ledger.store.view import Extent
 
 from . import relation
 from .connection import NULLABLE, Database, Value, plain_rows, with_all_columns

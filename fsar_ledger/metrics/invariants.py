@@ -1,12 +1,15 @@
-"""Check the ten invariants: what each query of `queries/invariants/` finds, by architecture and configuration."""
+"""Check the ten invariants: what each query of `queries/invariants/` finds, by architecture and configuration.
+
+And the single verdicts on a run, of invariants and of metrics, each with the events that made it.
+"""
 
 from collections.abc import Sequence
 
 import msgspec
 import pyarrow as pa
 
-from fsar_ledger.base.errors import UnknownQuery, UsageError
-from fsar_ledger.base.printable import did_you_mean
+from fsar_ledger.base import printable
+from fsar_ledger.base.errors import UnknownQuery, UsageError, option
 from fsar_ledger.base.progress import Progress
 
 from .database import Database, Slices, from_rows
@@ -68,7 +71,10 @@ def chosen(names: Sequence[str]) -> list[Query]:
     }
     for name in names:
         if name.lower() not in known:
-            hint = did_you_mean(name.lower(), known) or f"; expected one of {', '.join(one.relation for one in every)}"
+            hint = (
+                printable.did_you_mean(name.lower(), known)
+                or f"; expected one of {', '.join(one.relation for one in every)}"
+            )
             raise UnknownQuery(f"invariant {name}: there is no invariant of that name{hint}")
     asked = {known[name.lower()].relation for name in names}
     return [query for query in every if not asked or query.relation in asked]
@@ -194,3 +200,49 @@ _JUDGED = """
         list_position($invariants, invariant), list_position(['fsar', 'cfc', 'dhma'], architecture), architecture,
         configuration <> 'full', configuration
 """
+
+
+JUDGES = {
+    "violation": "policy_violations",
+    "conflict": "authority_conflicts",
+    "late": "coordination_success",
+    "unattributed": "audit_attributability",
+}
+"""By kind of verdict, the metric that counts such verdicts."""
+
+_OF_METRICS = """
+    SELECT seq, time_us / 1e6 AS time_s, action_id, about, found, made_by
+    FROM verdict_events
+    WHERE run_id = $run AND verdict = $kind
+    ORDER BY seq, action_id, about
+"""
+_OF_INVARIANT = """
+    SELECT seq, time_us / 1e6 AS time_s, action_id, type AS about, found, [seq] AS made_by
+    FROM {relation}
+    WHERE run_id = $run
+    ORDER BY seq
+"""
+
+
+def verdict_kinds() -> dict[str, str]:
+    """Return the kinds of verdicts, each with the metric or invariant that judges."""
+    return JUDGES | {query.relation.partition("_")[0]: query.relation for query in invariants()}
+
+
+def verdict_rows(database: Database, run: str, kind: str) -> tuple[pa.Table, Query]:
+    """Return the verdicts of this kind on a run, with the events that made each, and the query that judges.
+
+    Raises:
+        UsageError: There is no such kind.
+    """
+    judges = verdict_kinds()
+    if kind not in judges:
+        hint = printable.did_you_mean(kind, judges) or ";"
+        raise UsageError(
+            f"{option('verdict', printable.value(kind))}: there is no such kind of verdict{hint} expected one of "
+            f"{', '.join(judges)}"
+        )
+    judge = database.library.find(judges[kind])
+    if kind in JUDGES:
+        return database.table(_OF_METRICS, {"run": run, "kind": kind}), judge
+    return database.table(_OF_INVARIANT.format(relation=judge.relation), {"run": run}), judge

@@ -23,7 +23,7 @@ import pyarrow as pa
 
 from fsar_ledger.base.errors import QueryFailed
 from fsar_ledger.ledger.opening import open_for_answers
-from fsar_ledger.ledger.store.view import Head
+from fsar_ledger.ledger.store.record import Head
 
 from .connection import first_damage
 from .own_sql import SHOWN

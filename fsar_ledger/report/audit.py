@@ -19,7 +19,7 @@ from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.store.read import View
 from fsar_ledger.metrics.database import connect_view
 from fsar_ledger.metrics.invariants import AuditRow, audit_rows, invariants
-from fsar_ledger.metrics.observing import Unobserved, never_observed
+from fsar_ledger.metrics.provenance import Unobserved, never_observed
 from fsar_ledger.report import printing, specs
 from fsar_ledger.report.experiments import ledger_head
 from fsar_ledger.report.findings import Head, Source, arrow, sources_of

@@ -16,7 +16,7 @@ from fsar_ledger.designs.registered import PAPER_WORKFLOWS
 from fsar_ledger.events.configuration import CONFIGURATIONS, EVERY_MECHANISM, FULL, PAPER_ARCHITECTURES, without
 from fsar_ledger.metrics.database import Database, Value, connect
 from fsar_ledger.metrics.paper_numbers import Table
-from fsar_ledger.metrics.plans import completeness
+from fsar_ledger.metrics.provenance import completeness
 from fsar_ledger.metrics.results import DialledRow, dialled_rows, measure_the_printed
 from fsar_ledger.report import judge
 from fsar_ledger.report.findings import Head, arrow

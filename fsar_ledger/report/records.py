@@ -11,9 +11,20 @@ from fsar_ledger.base.parameters import read_parameters
 from fsar_ledger.designs.constants import Constants, with_all_groups, write_constants
 from fsar_ledger.designs.dials import TRIED
 from fsar_ledger.metrics.effects import MADE_BY, Sensitivity, dozen, reach
-from fsar_ledger.metrics.robustness import CellSpread, Ensemble, Placebo, RankCounts, Ranking, Rejections, SignCount
+from fsar_ledger.metrics.robustness import (
+    CellSpread,
+    Ensemble,
+    HeldRank,
+    Placebo,
+    RankCounts,
+    Ranking,
+    Rejections,
+    SignCount,
+    SystemGrade,
+    SystemNumber,
+    Systems,
+)
 from fsar_ledger.metrics.study_results import Calibration, Comparison, changed, packaged
-from fsar_ledger.metrics.systems import HeldRank, SystemGrade, SystemNumber, Systems
 from fsar_ledger.report.findings import Findings, arrow
 from fsar_ledger.report.printing import flat, words
 

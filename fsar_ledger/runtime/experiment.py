@@ -25,8 +25,8 @@ from fsar_ledger.events.configuration import (
 from fsar_ledger.events.fleet import ExperimentPlanned
 from fsar_ledger.ledger.log.note import Signer
 from fsar_ledger.ledger.store.append import Writer
+from fsar_ledger.ledger.store.record import Head
 from fsar_ledger.ledger.store.staging import stage
-from fsar_ledger.ledger.store.view import Head
 
 from .simulation import MODEL_VERSION, RunSpec, plan_record, run_id, run_started
 from .staging import COMMIT_EVENTS, Batch, Staging

@@ -8,7 +8,7 @@ from fsar_ledger.base import printable
 from fsar_ledger.base.errors import InvalidExperiment, UsageError, option
 from fsar_ledger.designs import registered
 from fsar_ledger.designs.constants import Constants, Load
-from fsar_ledger.designs.names import known
+from fsar_ledger.designs.registered import known
 from fsar_ledger.events.configuration import (
     ARCHITECTURES,
     EVERY_MECHANISM,

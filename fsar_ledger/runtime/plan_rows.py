@@ -12,7 +12,7 @@ from fsar_ledger.designs.registered import PAPER_SCENARIOS, workflows
 from fsar_ledger.events.configuration import PAPER_ARCHITECTURES
 from fsar_ledger.ledger.store.read import View
 from fsar_ledger.metrics.database import Database
-from fsar_ledger.metrics.plans import EXPERIMENTS
+from fsar_ledger.metrics.provenance import EXPERIMENTS
 from fsar_ledger.runtime.experiment import ORIGIN
 from fsar_ledger.runtime.experiment_arguments import RUNS, experiment_of
 from fsar_ledger.runtime.paper import NAMES, paper_ledger, whole_of

@@ -40,7 +40,7 @@ from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows import segment
 from fsar_ledger.ledger.rows.codec import LedgerRun, decode
-from fsar_ledger.ledger.rows.run_slices import joined
+from fsar_ledger.ledger.rows.runs import joined
 from fsar_ledger.ledger.verify.report import MAX_PROBLEMS
 from fsar_ledger.projections.fold import State
 

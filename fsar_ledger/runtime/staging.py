@@ -14,7 +14,7 @@ from fsar_ledger.base.memory import without_collection
 from fsar_ledger.base.workers import WorkerPool
 from fsar_ledger.designs.constants import Constants
 from fsar_ledger.ledger.rows.codec import LedgerRun
-from fsar_ledger.ledger.rows.run_slices import joined, piece
+from fsar_ledger.ledger.rows.runs import joined, piece
 from fsar_ledger.ledger.store.staging import Staged, stage
 from fsar_ledger.runtime.simulation import RunSpec, simulate_slices
 

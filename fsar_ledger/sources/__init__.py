@@ -2,8 +2,8 @@
 
 ```
 recorder    appends events to a run as they happen, durably, and resumes it
-declared    what a run says that its source records
-adapter     what reads a format: records of a source, and the events that follow from them
+columns     what a source records, by types and columns: declared, told in lines of JSON, and as it is stored
+adapter     what reads a format: records of a source, the events that follow from them, and its input
 held        how far an import came
 importing   files of a source -> a run: every record once, however often it was interrupted
 mapping     an adapter from a file that says which record means which event

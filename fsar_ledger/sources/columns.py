@@ -1,16 +1,29 @@
-"""Events by their type's name and their stored columns, as a program can write them without our classes."""
+"""What a program in any language says by the names of event types and columns: what it records, and each event.
+
+Events come by their type's name and their stored columns, in lines of JSON. What cannot be printed in their texts is
+escaped.
+"""
 
 import re
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from datetime import UTC, datetime
+from itertools import chain
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import msgspec
 
-from fsar_ledger.base.errors import UsageError
-from fsar_ledger.base.printable import did_you_mean, value
-from fsar_ledger.events import Event
+from fsar_ledger.base import utc
+from fsar_ledger.base.errors import InvalidRun, UsageError
+from fsar_ledger.base.printable import did_you_mean, escaped, value
+from fsar_ledger.events import CONCERN_OF, CONCERNS, Event
+from fsar_ledger.events.envelope import flat
 from fsar_ledger.events.source import Observed
-from fsar_ledger.ledger.rows.schema import LAYOUTS, OPENINGS, StoredType
+from fsar_ledger.ledger.rows.schema import LAYOUTS, OPENINGS, RECORDS, StoredType
+
+from .json_lines import BOM, MAX_LINE
+
+if TYPE_CHECKING:
+    from .recorder import Recorder
 
 BY_ITSELF = ("SourceOpened", "SourceClosed")
 """What a recorder says of its own accord."""
@@ -85,3 +98,144 @@ def _flaw(layout: StoredType, message: str) -> str:
 def shown(found: object) -> str:
     """Return a value of a message."""
     return value(found if isinstance(found, str) else msgspec.json.encode(found).decode())
+
+
+BESIDE = ("type", "time", "caused_by")
+"""What a line may have beside the columns of its type."""
+
+
+def tell(recorder: "Recorder", file: BinaryIO) -> tuple[int, dict[int, str]]:
+    """Record each line as it comes; return how many events there were, and what was wrong with which line.
+
+    A time without a zone is UTC.
+    """
+    events, refused = 0, dict[int, str]()
+    for number, line in enumerate(_lines(file), 1):
+        if not line.strip():
+            continue
+        try:
+            if len(line) > MAX_LINE:
+                raise UsageError(f"found more than {MAX_LINE:,} bytes, expected one event a line")
+            event, at, caused_by = told(line.removeprefix(BOM) if number == 1 else line)
+            _record(recorder, event, at, caused_by)
+            events += 1
+        except (UsageError, InvalidRun) as error:
+            refused[number] = f"{error}"
+    return events, refused
+
+
+def _record(recorder: "Recorder", event: Event, at: datetime | None, caused_by: int | None) -> None:
+    try:
+        recorder.event(event, at=at, caused_by=caused_by)
+    except UsageError as error:
+        if not f"{error}".startswith("at: "):  # the name that the time has in Python
+            raise
+        raise UsageError(f"field time: {f'{error}'.removeprefix('at: ')}".replace("`at`", "`time`")) from error
+
+
+def _lines(file: BinaryIO) -> Iterator[bytes]:
+    """Yield each line as it comes; of one that is too long its beginning, which is too long as well."""
+    while line := file.readline(MAX_LINE + 1):
+        yield line
+        while line and len(line) > MAX_LINE and not line.endswith(b"\n"):
+            line = file.readline(MAX_LINE + 1)
+
+
+def told(line: bytes) -> tuple[Event, datetime | None, int | None]:
+    """Return the event of a line, when it happened and what caused it; None where the line does not say.
+
+    Raises: UsageError for what is no such line; it names the field.
+    """
+    try:
+        row = msgspec.json.decode(line, type=dict[str, Any])
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise UsageError(f"{error!s:.200}; expected a JSON object") from error
+    event = event_of(row.get("type"), {name: row[name] for name in row.keys() - set(BESIDE)})
+    return event, _when(row.get("time")), _cause(row.get("caused_by"))
+
+
+def _when(text: object) -> datetime | None:
+    """Return a time of ISO 8601; without a zone it is UTC."""
+    if text is None:
+        return None
+    try:
+        if not isinstance(text, str):
+            raise ValueError("no text")
+        return utc.parsed(text).astimezone(UTC)
+    except (ValueError, OverflowError) as error:
+        raise UsageError(f"field time: found {shown(text)}, expected a time such as 2026-03-01T10:00:00Z") from error
+
+
+def _cause(number: object) -> int | None:
+    if number is not None and type(number) is not int:
+        raise UsageError(f"field caused_by: found {shown(number)}, expected the number of an earlier event")
+    return number
+
+
+def storable_text(text: str) -> str:
+    """Return the text as an event may hold it: escaped if it has characters that cannot be printed."""
+    return text if text.isprintable() else escaped(text)
+
+
+def storable(event: Event) -> Event:
+    """Return the event with what cannot be printed in its texts escaped."""
+    texts = chain.from_iterable(one if isinstance(one, tuple) else (one,) for one in flat(event).values())
+    if all(not isinstance(text, str) or text.isprintable() for text in texts):
+        return event
+    return msgspec.convert(_escaped(msgspec.to_builtins(event)), type(event))
+
+
+def _escaped(found: Any) -> Any:
+    if isinstance(found, str):
+        return storable_text(found)
+    if isinstance(found, dict):
+        return {name: _escaped(one) for name, one in found.items()}
+    return [_escaped(one) for one in found] if isinstance(found, (list, tuple)) else found
+
+
+def text_of(raw: bytes) -> str:
+    """Return what the bytes say as an event may hold it; in hexadecimal if they are no text."""
+    try:
+        return storable_text(raw.decode())
+    except UnicodeDecodeError:
+        return raw.hex()
+
+
+# See docs/decisions/sources-are-judged-by-types.md.
+class Declared(msgspec.Struct, frozen=True):
+    """What a source records: everything of the concerns it `observes`, and of others the `records` it names.
+
+    `kinds` are the event types that the run may have.
+    """
+
+    observes: tuple[str, ...]
+    records: tuple[str, ...]
+
+    @property
+    def kinds(self) -> frozenset[str]:
+        """The event types, by name without version, that the run may have beside those that say what it is."""
+        whole = {kind for kind, concern in CONCERN_OF.items() if concern in self.observes}
+        return frozenset(whole | {name for name in self.records if "." not in name})
+
+
+def declared(names: Iterable[str]) -> Declared:
+    """Return what these names declare: concerns, event types, and fields such as `RequestIssued.requested_by`.
+
+    `RequestIssued.*` is the type with all of its fields. Each is named once, in the order of `CONCERNS` and of the
+    event types. Naming a field names its type.
+
+    Raises: UsageError for a name that is none of these.
+    """
+    asked = {
+        one
+        for name in names
+        for one in ([each for each in RECORDS if each.startswith(name[:-1])] if name.endswith(".*") else [name])
+    }
+    asked |= {name.partition(".")[0] for name in asked if "." in name}
+    known: Collection[str] = (*CONCERNS, *RECORDS)
+    for name in sorted(asked - set(known)):
+        raise UsageError(
+            f"observes: found {value(name)}, expected concerns ({', '.join(CONCERNS)}), event types, or fields of them "
+            f"that may be NULL, as in ExecutionStarted.requested_by{did_you_mean(name, known)}"
+        )
+    return Declared(tuple(name for name in CONCERNS if name in asked), tuple(name for name in RECORDS if name in asked))

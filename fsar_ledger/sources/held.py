@@ -10,7 +10,7 @@ from fsar_ledger.base import utc
 from fsar_ledger.ledger.opening import open_ledger
 
 from .adapter import UNREADABLE
-from .declared import Declared
+from .columns import Declared
 from .recorder import stored_run
 
 BYTES = "bytes"

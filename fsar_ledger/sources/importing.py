@@ -31,10 +31,9 @@ from fsar_ledger.ledger.rows.schema import MAX_INTEGER
 from fsar_ledger.ledger.store.append import Writer
 
 from .adapter import UNREADABLE, Adapter, Derived, Input, Record
-from .declared import Declared, declared
+from .columns import Declared, declared, storable, storable_text, text_of
 from .held import BYTES, Held, held
 from .recorder import commit, kept_origin
-from .storable import storable, storable_text, text_of
 
 ORIGIN = "fsar-ledger/imported"
 COMMIT_EVENTS, COMMIT_BYTES = 4_096, 1 << 21

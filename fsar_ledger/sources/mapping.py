@@ -33,8 +33,7 @@ from fsar_ledger.designs.files import Field, at_line, decoded
 from fsar_ledger.events import CONCERN_OF
 
 from .adapter import Derived, Input, Record
-from .columns import LAYOUT_OF, laid_out
-from .declared import declared
+from .columns import LAYOUT_OF, declared, laid_out
 from .json_lines import objects, shown, utc_us
 
 _IN_TEXT = re.compile(r"\{(/[^{}]*)\}")

@@ -29,10 +29,8 @@ from fsar_ledger.ledger.store.manifest import parse_manifest, read_manifest
 from fsar_ledger.ledger.store.paths import MANIFEST
 from fsar_ledger.ledger.store.staging import stage
 
-from .columns import event_of
-from .declared import Declared, declared
+from .columns import Declared, declared, event_of, storable_text
 from .names import PrivateNames
-from .storable import storable_text
 
 ORIGIN = "fsar-ledger/recorded"
 FORMAT = "fsar-ledger/1"

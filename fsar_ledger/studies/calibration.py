@@ -19,7 +19,7 @@ import msgspec
 import numpy as np
 
 from fsar_ledger.api.names import Place
-from fsar_ledger.api.workload import workers_of
+from fsar_ledger.api.verbs import workers_of
 from fsar_ledger.base.progress import Progress
 from fsar_ledger.designs.constants import Constants
 from fsar_ledger.events.configuration import PAPER_ARCHITECTURES
@@ -33,7 +33,7 @@ from fsar_ledger.runtime.simulation import MODEL_VERSION, SCENARIOS
 
 from .evaluations import CELLS, Answer, Evaluate, Evaluations, evaluate, evaluating, means_of, question_at, simulated
 from .factor_effects import Matrix, Vector
-from .points import FREE, at, points_over_ranges, value_of
+from .factors import FREE, at, points_over_ranges, value_of
 from .result import RESUME_ADVICE, write
 
 PLAN = registration().fit

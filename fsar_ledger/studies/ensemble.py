@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from fsar_ledger.api.names import Place
-from fsar_ledger.api.workload import workers_of
+from fsar_ledger.api.verbs import workers_of
 from fsar_ledger.base.errors import UsageError
 from fsar_ledger.base.progress import Progress
 from fsar_ledger.designs.constants import write_constants
@@ -26,7 +26,7 @@ from fsar_ledger.runtime.simulation import MODEL_VERSION
 from .calibration import weighted_slopes
 from .evaluations import CELLS, Answer, Evaluate, evaluate, evaluating, question_at
 from .factor_effects import Matrix, Vector
-from .points import FREE, point_of, sobol, with_values
+from .factors import FREE, point_of, sobol, with_values
 from .ranking import ranks
 from .result import RESUME_ADVICE, grounds, write
 

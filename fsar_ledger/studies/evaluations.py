@@ -33,8 +33,7 @@ from fsar_ledger.runtime.experiment import Experiment, run_experiment
 from fsar_ledger.runtime.simulation import MODEL_VERSION, SCENARIOS, RunSpec, simulate_run
 
 from .factor_effects import Vector
-from .factors import Setting
-from .points import at
+from .factors import Setting, at
 from .result import require_out
 
 CELLS: tuple[tuple[str, str], ...] = tuple(

@@ -1,20 +1,27 @@
-"""Define what is varied, and how far: every number of the world and the structure, the load, and the fleet size.
+"""Define what is varied, and how far: factors, and points in the registered ranges of the free constants.
 
-One rule holds for all, whether the paper prints a constant, the fit found it or we chose it: a length, a rate or a
-range is halved to doubled; a share or a probability has its odds halved to doubled, so that it stays between 0 and 1; a
-count takes every integer from half to double. Load and fleet size have two settings each, the first of which is the
-base.
+Factors are every number of the world and the structure, the load, and the fleet size. One rule holds for all, whether
+the paper prints a constant, the fit found it or we chose it: a length, a rate or a range is halved to doubled; a share
+or a probability has its odds halved to doubled, so that it stays between 0 and 1; a count takes every integer from half
+to double. Load and fleet size have two settings each, the first of which is the base. Outages are not factors: their
+rates are 0 by default, and twice nothing is nothing.
 
-Outages are not factors: their rates are 0 by default, and twice nothing is nothing.
+A point has a coordinate for each free constant, in the order of the registration: 0 is the middle of its range, -1 and
+1 are its ends, on a logarithmic scale.
 """
 
-from collections.abc import Iterable, Mapping
-from typing import Any, Literal
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Literal
 
 import msgspec
+import numpy as np
 
 from fsar_ledger.base import printable
 from fsar_ledger.designs.constants import Constants, Load, Range, origins
+from fsar_ledger.metrics.registration import Free, registration
+
+if TYPE_CHECKING:
+    from .factor_effects import Matrix, Vector
 
 SHARES = (
     "world.context_window_share",
@@ -165,3 +172,60 @@ def _without_unused(constants: Constants, fleet_size: int) -> Constants:
     interval_s = Load().interval_s if load.task_sets == 1 else load.interval_s
     used = Load(teams, load.task_sets, interval_s)
     return msgspec.structs.replace(constants, load=None if used == Load() else used)
+
+
+FREE = registration().free
+
+
+def sobol(size: int, seed: int) -> "Matrix":
+    """Return so many points of a scrambled Sobol sequence over the unit cube, one coordinate a free constant."""
+    from scipy.stats.qmc import Sobol
+
+    return np.asarray(Sobol(len(FREE), rng=seed).random_base2((size - 1).bit_length())[:size])
+
+
+def points_over_ranges(size: int, seed: int) -> "list[Vector]":
+    """Return so many points that cover the ranges evenly."""
+    return [np.asarray(2.0 * one - 1.0) for one in sobol(size, seed)]
+
+
+def at(point: "Vector") -> Constants:
+    """Return the constants at a point."""
+    return with_values(
+        [
+            one.range.middle * (one.range.high / one.range.middle) ** float(place)
+            for one, place in zip(FREE, point, strict=True)
+        ]
+    )
+
+
+def point_of(values: Sequence[float]) -> "Vector":
+    """Return the point at which the free constants have these values; the inverse of `at`, but for its digits."""
+    return np.array(
+        [
+            np.log(value / one.range.middle) / np.log(one.range.high / one.range.middle)
+            for one, value in zip(FREE, values, strict=True)
+        ]
+    )
+
+
+def with_values(values: Sequence[float]) -> Constants:
+    """Return the constants with these values for the free ones, in the order of the registration."""
+    changes: dict[str, dict[str, Any]] = {"world": {}, "structure": {}}
+    for one, value in zip(FREE, values, strict=True):
+        part, _, name = one.name.partition(".")
+        changes[part][name] = rounded(value) if part == "world" else int(rounded(value))
+    base = Constants()
+    replace = msgspec.structs.replace
+    return Constants(replace(base.world, **changes["world"]), replace(base.structure, **changes["structure"]))
+
+
+def value_of(constants: Constants, free: Free) -> float:
+    """Return the value of a free constant."""
+    part, _, name = free.name.partition(".")
+    return getattr(getattr(constants, part), name)  # type: ignore[no-any-return]
+
+
+def rounded(value: float) -> float:
+    """Return the value with three significant digits; the data do not determine more."""
+    return float(f"{value:.3g}")

@@ -13,7 +13,7 @@ from typing import Any
 import msgspec
 
 from fsar_ledger.api.names import Place
-from fsar_ledger.api.workload import workers_of
+from fsar_ledger.api.verbs import workers_of
 from fsar_ledger.base.progress import Progress, each
 from fsar_ledger.designs.constants import Constants, Load
 from fsar_ledger.events.configuration import CONFIGURATIONS, MECHANISMS, PAPER_ARCHITECTURES, Configuration, without

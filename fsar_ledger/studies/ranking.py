@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from fsar_ledger.api.names import Place
-from fsar_ledger.api.workload import workers_of
+from fsar_ledger.api.verbs import workers_of
 from fsar_ledger.base.progress import Progress
 from fsar_ledger.base.wilson import wilson
 from fsar_ledger.events.configuration import PAPER_ARCHITECTURES
@@ -19,7 +19,7 @@ from fsar_ledger.metrics.robustness import RankCounts, Ranking
 from fsar_ledger.metrics.verdicts import MARGINS, published
 
 from .evaluations import CELLS, Answer, Evaluate, evaluate, evaluating, question_at
-from .points import points_over_ranges
+from .factors import points_over_ranges
 from .result import RESUME_ADVICE, grounds, ranges, write
 
 ALL = "all eight"

@@ -12,7 +12,7 @@ from fsar_ledger.designs.constants import Constants, write_constants
 from fsar_ledger.ledger.store.paths import require_outside
 from fsar_ledger.metrics.effects import Sensitivity
 from fsar_ledger.metrics.registration import Sample, registration
-from fsar_ledger.metrics.robustness import Ensemble, Placebo, Ranking
+from fsar_ledger.metrics.robustness import Ensemble, Placebo, Ranking, Systems
 from fsar_ledger.metrics.study_results import (
     Calibration,
     Comparison,
@@ -23,10 +23,9 @@ from fsar_ledger.metrics.study_results import (
     encoded,
     rules,
 )
-from fsar_ledger.metrics.systems import Systems
 from fsar_ledger.runtime.simulation import MODEL_VERSION
 
-from .points import FREE, at
+from .factors import FREE, at
 
 KINDS: dict[str, type[Result]] = {
     "ranking": Ranking,

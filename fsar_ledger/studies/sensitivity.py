@@ -13,7 +13,7 @@ import msgspec
 import numpy as np
 
 from fsar_ledger.api.names import Place
-from fsar_ledger.api.workload import workers_of
+from fsar_ledger.api.verbs import workers_of
 from fsar_ledger.base.errors import UsageError
 from fsar_ledger.base.progress import Progress
 from fsar_ledger.metrics.effects import Sensitivity, VariedCell, VariedFactor, that_matter

@@ -12,7 +12,7 @@ from typing import Literal
 import msgspec
 
 from fsar_ledger.api.names import Place
-from fsar_ledger.api.workload import workers_of
+from fsar_ledger.api.verbs import workers_of
 from fsar_ledger.base.progress import Progress
 from fsar_ledger.designs.constants import Constants, write_constants
 from fsar_ledger.designs.dials import TRIED
@@ -21,7 +21,7 @@ from fsar_ledger.metrics.definitions import metrics
 from fsar_ledger.metrics.paper_numbers import features
 from fsar_ledger.metrics.registration import registration
 from fsar_ledger.metrics.results import metric_rows, take_seeds_together
-from fsar_ledger.metrics.systems import HeldRank, NamedShares, SystemGrade, SystemNumber, Systems
+from fsar_ledger.metrics.robustness import HeldRank, NamedShares, SystemGrade, SystemNumber, Systems
 from fsar_ledger.runtime.experiment import Experiment
 from fsar_ledger.runtime.own import with_values
 from fsar_ledger.runtime.simulation import SCENARIOS

@@ -59,7 +59,7 @@ def study_show(
         UsageError: The file cannot be read, or none is given and the package has none.
         FsarLedgerError: It holds something else.
     """
-    from fsar_ledger.designs.names import known
+    from fsar_ledger.designs.registered import known
     from fsar_ledger.metrics.study_results import packaged, read
 
     from .result import KINDS, stale
@@ -200,7 +200,7 @@ def sensitivity(
     """
     from fsar_ledger.base.publishing import publish
     from fsar_ledger.ledger.store.paths import require_outside
-    from fsar_ledger.report.sensitivity import heat_map
+    from fsar_ledger.report.study_charts import heat_map
 
     from .sensitivity import sensitivity as study
 

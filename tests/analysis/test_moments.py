@@ -2,7 +2,7 @@
 
 import pytest
 
-from fsar_ledger.analysis.timeline import EVERY, Timeline
+from fsar_ledger.analysis.moments import EVERY, Timeline
 from fsar_ledger.designs.constants import Constants
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.projections.fold import fold

@@ -5,18 +5,18 @@ from pathlib import Path
 
 import pytest
 
+from fsar_ledger.api.events import Filter
 from fsar_ledger.api.ledger import Ledger
 from fsar_ledger.api.log_rows import LogRequest, stream
-from fsar_ledger.api.provenance import Provenance
 from fsar_ledger.base.errors import UsageError
 from fsar_ledger.designs.constants import Constants
 from fsar_ledger.ledger.log.merkle import tree_root
 from fsar_ledger.ledger.log.tiles import Tile, node_of
 from fsar_ledger.ledger.opening import open_for_answers
-from fsar_ledger.ledger.rows.run_slices import piece
+from fsar_ledger.ledger.rows.runs import piece
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.staging import stage
-from fsar_ledger.metrics.event_filter import Filter
+from fsar_ledger.metrics.provenance import Provenance
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
 from tests.ledger.keep_release import LEDGERS
 from tests.ledger.samples import contents

@@ -9,12 +9,12 @@ import pytest
 
 import fsar_ledger
 from fsar_ledger import Ledger
+from fsar_ledger.api.events import Filter
 from fsar_ledger.api.log_rows import LogRequest, about_of
 from fsar_ledger.api.table import Table
 from fsar_ledger.base.errors import LedgerCorrupted, UsageError
 from fsar_ledger.events import CONCERNS
 from fsar_ledger.ledger.rows.schema import CONCERNED
-from fsar_ledger.metrics.event_filter import Filter
 from tests.api.conftest import RUN
 from tests.queries.histories import run
 from tests.quick import few

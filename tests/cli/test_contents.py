@@ -17,8 +17,8 @@ from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.keys import read_signer
+from fsar_ledger.ledger.store.record import EMPTY_HEAD
 from fsar_ledger.ledger.store.staging import stage
-from fsar_ledger.ledger.store.view import EMPTY_HEAD
 from fsar_ledger.runtime import experiment as module
 from fsar_ledger.runtime import plan_rows
 from fsar_ledger.runtime.experiment import ORIGIN, Experiment, SimulationResult, run_experiment

@@ -16,10 +16,9 @@ import pytest
 from fsar_ledger.designs.constants import Constants
 from fsar_ledger.ledger.log.hashing import sha256_hex
 from fsar_ledger.ledger.rows import canonical
-from fsar_ledger.ledger.rows.run_slices import piece
-from fsar_ledger.ledger.rows.runs import LedgerRun
+from fsar_ledger.ledger.rows.runs import LedgerRun, piece
 from fsar_ledger.ledger.store.append import Writer
-from fsar_ledger.ledger.store.index import line_doubt
+from fsar_ledger.ledger.store.derived import line_doubt
 from fsar_ledger.ledger.store.paths import INDEX, NODES
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from fsar_ledger.api.workload import WORTH_BYTES, readers_of, workers_of
+from fsar_ledger.api.verbs import WORTH_BYTES, readers_of, workers_of
 from fsar_ledger.base import memory
 from fsar_ledger.base.errors import LimitReached, UsageError
 from fsar_ledger.cli.building import BASE_BYTES, PER_BYTE, PER_WORKER_BYTES, bounded, default_bytes

@@ -9,13 +9,13 @@ import pyarrow as pa
 import pytest
 
 from fsar_ledger.api.answers import Row
-from fsar_ledger.api.provenance import Provenance
 from fsar_ledger.api.table import Rows
 from fsar_ledger.api.tables import more_text, table_text
 from fsar_ledger.base.errors import UsageError
 from fsar_ledger.base.printable import SafeText, ascii_json
 from fsar_ledger.cli.render import KEPT_BYTES, Form, Kept, answer_json
-from fsar_ledger.ledger.store.view import Head
+from fsar_ledger.ledger.store.record import Head
+from fsar_ledger.metrics.provenance import Provenance
 from tests.one_by_one import csv_text
 
 ABOUT = Provenance(Head(3, 1000, "ab" * 32), rows_verified=False)

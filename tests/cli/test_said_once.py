@@ -13,10 +13,10 @@ from itertools import pairwise, product
 import pyarrow as pa
 import pytest
 
-from fsar_ledger.api.provenance import Provenance
 from fsar_ledger.api.table import Rows
 from fsar_ledger.cli.render import Form
-from fsar_ledger.ledger.store.view import Head
+from fsar_ledger.ledger.store.record import Head
+from fsar_ledger.metrics.provenance import Provenance
 
 ABOUT = Provenance(Head(3, 1000, "ab" * 32), rows_verified=False)
 RUNS = ("fsar.full.door.n4.s42.r0001-abc", "cfc.full.relay.n4.s42.r0002-abc")

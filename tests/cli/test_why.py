@@ -11,14 +11,14 @@ import pytest
 from fsar_ledger import Ledger
 from fsar_ledger.analysis.records import Line, record_of
 from fsar_ledger.analysis.why import DecisionTrace, Read, decisions, first_of, reasons
-from fsar_ledger.api.provenance import Provenance
 from fsar_ledger.api.why import Tree, why_of
 from fsar_ledger.base.errors import UsageError
 from fsar_ledger.events.envelope import Robot, Supervisor
 from fsar_ledger.events.fleet import RobotJoined, RunStarted
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.rows.codec import LedgerRun
-from fsar_ledger.metrics.verdict_events import JUDGES, kinds
+from fsar_ledger.metrics.invariants import JUDGES, verdict_kinds
+from fsar_ledger.metrics.provenance import Provenance
 from fsar_ledger.view.why import figure
 from tests.analysis.conftest import OUTAGES, simulated
 from tests.cli.conftest import Call, one_message
@@ -209,7 +209,9 @@ def test_no_verdict_is_said_in_words(call: Call, ledger: Path) -> None:
 
 def test_an_unknown_kind_of_verdict_is_answered_with_all_kinds(call: Call, ledger: Path) -> None:
     called = call("why", ledger, "--run", "1", "--verdict", "conflicts")
-    one_message(called, 2, "--verdict conflicts: there is no such kind of verdict; did you mean conflict?", *kinds())
+    one_message(
+        called, 2, "--verdict conflicts: there is no such kind of verdict; did you mean conflict?", *verdict_kinds()
+    )
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ import fsar_ledger
 from fsar_ledger.exports import ocel
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from tests.exports.conftest import Asked
-from tests.exports.test_objects import NAMES
+from tests.exports.test_shared import NAMES
 
 pm4py = pytest.importorskip("pm4py", reason="make test-all installs it")
 LISTS = {"busy", "candidates", "degraded", "fleet_deny", "fleet_review", "local_deny", "local_review", "path", "robots"}

@@ -13,7 +13,7 @@ from fsar_ledger.ledger.rows.codec import LedgerRun, encode
 from fsar_ledger.ledger.rows.schema import LAYOUTS
 from fsar_ledger.metrics.database import Database
 from fsar_ledger.metrics.library import Query, library
-from fsar_ledger.metrics.observing import unobserved
+from fsar_ledger.metrics.provenance import unobserved
 from tests.queries.keys import required
 
 Row = dict[str, Any]

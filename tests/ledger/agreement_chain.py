@@ -19,7 +19,7 @@ from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows import canonical, segment
 from fsar_ledger.ledger.rows.runs import LedgerRun
 from fsar_ledger.ledger.store.append import Writer
-from fsar_ledger.ledger.store.index import line_of
+from fsar_ledger.ledger.store.derived import line_of
 from fsar_ledger.ledger.store.paths import CHAIN, INDEX, JOURNAL, NODES, SEALING
 from fsar_ledger.ledger.store.read import View
 from fsar_ledger.ledger.store.record import Commit, Placement

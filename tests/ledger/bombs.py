@@ -18,7 +18,7 @@ from fsar_ledger.ledger.log.merkle import Frontier
 from fsar_ledger.ledger.log.note import Note, checkpoint_of
 from fsar_ledger.ledger.rows import canonical, segment
 from fsar_ledger.ledger.rows.schema import CODED_SCHEMA, MAX_INTEGER
-from fsar_ledger.ledger.store.index import line_of
+from fsar_ledger.ledger.store.derived import line_of
 from fsar_ledger.ledger.store.paths import CHAIN, INDEX, NODES, segment_name
 from tests.ledger.forgery import records_in
 from tests.ledger.hostile import documents, written

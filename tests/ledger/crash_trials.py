@@ -12,9 +12,9 @@ from unittest.mock import patch
 
 from fsar_ledger.base.errors import FsarLedgerError
 from fsar_ledger.ledger.opening import open_ledger
-from fsar_ledger.ledger.rows import run_slices
 from fsar_ledger.ledger.rows.codec import encode_lines
 from fsar_ledger.ledger.rows.runs import LedgerRun
+from fsar_ledger.ledger.rows.runs import piece as piece_of
 from fsar_ledger.ledger.store import append, growing
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.journal import ALLOTTED
@@ -34,7 +34,7 @@ MOST_ROWS = 30
 
 def piece(run: int, first: int, end: int) -> LedgerRun:
     """Return these events of a run; it goes on unless they are its last."""
-    return run_slices.piece(RUNS[run], first, end)
+    return piece_of(RUNS[run], first, end)
 
 
 Step = tuple[str, Sequence[LedgerRun]]

@@ -15,8 +15,7 @@ import msgspec
 from fsar_ledger.base.errors import FsarLedgerError, NotALedger, WriteFailed
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.rows.codec import encode_lines
-from fsar_ledger.ledger.rows.run_slices import piece
-from fsar_ledger.ledger.rows.runs import LedgerRun
+from fsar_ledger.ledger.rows.runs import LedgerRun, piece
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.paths import MANIFEST
 from fsar_ledger.ledger.store.read import View

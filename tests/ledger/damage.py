@@ -19,16 +19,16 @@ from unittest.mock import patch
 
 from fsar_ledger.ledger.log.note import Signer
 from fsar_ledger.ledger.opening import open_ledger
-from fsar_ledger.ledger.rows import run_slices
 from fsar_ledger.ledger.rows.runs import LedgerRun
+from fsar_ledger.ledger.rows.runs import piece as piece_of
 from fsar_ledger.ledger.store import journal
 from fsar_ledger.ledger.store.append import Writer
-from fsar_ledger.ledger.store.checkpoint import behind
 from fsar_ledger.ledger.store.journal import size_of
 from fsar_ledger.ledger.store.paths import CHAIN, CHECKPOINT, INDEX, JOURNAL, MANIFEST, NODES, SEALING
 from fsar_ledger.ledger.store.problem import Problem
 from fsar_ledger.ledger.store.read import View
 from fsar_ledger.ledger.store.record import segment_of
+from fsar_ledger.ledger.store.snapshot import behind
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.ledger.verify.report import VerifyOptions, VerifyReport
 from fsar_ledger.ledger.verify.verify import verify
@@ -134,7 +134,7 @@ ROOM = 64
 
 def piece(number: int, first: int, end: int) -> LedgerRun:
     """Return these events of a run, which goes on unless they are its last."""
-    return run_slices.piece(RUNS[number], first, end)
+    return piece_of(RUNS[number], first, end)
 
 
 def keep(path: Path, snapshots: Path | None) -> None:

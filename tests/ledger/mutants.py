@@ -36,11 +36,13 @@ CHECKED: dict[str, tuple[str, ...] | None] = {
     ),
     "store/links.py": ("adds", "doubt", "_of_commit", "_of_runs", "_of_placement", "_starts", "root_at", "follow"),
     "store/journal.py": ("read_frames", "is_whole", "finish", "_is_sealed", "_commit"),
-    "store/checkpoint.py": None,
-    "store/tables.py": ("table_of",),
+    "store/staging.py": ("table_of",),
     "store/derived.py": ("read_node",),
     "store/read.py": ("_placed", "_coded", "open_chain"),
-    "store/snapshot.py": ("_settled", "look", "_follow", "_end_of_hidden"),
+    "store/snapshot.py": (
+        *("_settled", "look", "_follow", "_end_of_hidden"),
+        *("behind", "covered", "check_chain_checkpoint"),
+    ),
     "rows/blocks.py": ("flaw",),
 }
 """The files that make checks, and the functions in them, None: all."""

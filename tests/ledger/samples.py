@@ -11,8 +11,8 @@ from fsar_ledger.ledger.log.note import Signer
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.rows.schema import LAYOUTS, MAX_INTEGER, RECORDS, STANDS_ALONE, Field, StoredType
 from fsar_ledger.ledger.store.append import Writer
+from fsar_ledger.ledger.store.record import Head
 from fsar_ledger.ledger.store.staging import stage
-from fsar_ledger.ledger.store.view import Head
 
 ORIGIN = "example.org/fsar-test"
 IN_RUNS = {tag: layout for tag, layout in LAYOUTS.items() if tag not in STANDS_ALONE}

@@ -8,8 +8,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from fsar_ledger.ledger.rows.run_slices import piece
-from fsar_ledger.ledger.rows.runs import LedgerRun
+from fsar_ledger.ledger.rows.runs import LedgerRun, piece
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.locations import ExistingRuns
 from fsar_ledger.ledger.store.paths import CHAIN, JOURNAL

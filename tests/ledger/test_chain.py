@@ -18,15 +18,14 @@ from fsar_ledger.ledger.log.merkle import Frontier, inclusion_proof, leaf_hash, 
 from fsar_ledger.ledger.log.note import Signer
 from fsar_ledger.ledger.opening import open_for_answers, open_ledger
 from fsar_ledger.ledger.rows import canonical
-from fsar_ledger.ledger.rows.run_slices import piece
-from fsar_ledger.ledger.rows.runs import LedgerRun
+from fsar_ledger.ledger.rows.runs import LedgerRun, piece
 from fsar_ledger.ledger.store.append import Writer
+from fsar_ledger.ledger.store.derived import RunNames
 from fsar_ledger.ledger.store.locations import place_of
 from fsar_ledger.ledger.store.paths import CHAIN, INDEX, JOURNAL, NODES
 from fsar_ledger.ledger.store.proof import check_proof, prove
 from fsar_ledger.ledger.store.read import View
 from fsar_ledger.ledger.store.staging import stage
-from fsar_ledger.ledger.store.view import RunNames
 from fsar_ledger.ledger.verify.notes import read_anchor
 from fsar_ledger.ledger.verify.recover import recover
 from fsar_ledger.ledger.verify.report import VerifyOptions

@@ -9,7 +9,7 @@ import pytest
 
 from fsar_ledger.ledger.log.hashing import sha256_hex
 from fsar_ledger.ledger.rows import canonical
-from fsar_ledger.ledger.rows.run_slices import piece
+from fsar_ledger.ledger.rows.runs import piece
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.links import Chain, Followed, follow
 from fsar_ledger.ledger.store.paths import CHAIN

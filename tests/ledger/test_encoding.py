@@ -14,17 +14,16 @@ from hypothesis import strategies as st
 from fsar_ledger.base.errors import InvalidRun
 from fsar_ledger.events import CONCERN_OF
 from fsar_ledger.events.envelope import with_columns
-from fsar_ledger.ledger.rows import encoding
+from fsar_ledger.ledger.rows import compiled
 from fsar_ledger.ledger.rows.codec import LedgerRun, encode_lines
-from fsar_ledger.ledger.rows.compiled import IS_COMPILED
-from fsar_ledger.ledger.rows.encoding import MARK_OF, OPENING, marks_of, plain_lines
-from fsar_ledger.ledger.rows.run_slices import piece
+from fsar_ledger.ledger.rows.compiled import IS_COMPILED, MARK_OF, OPENING, marks_of, plain_lines
+from fsar_ledger.ledger.rows.runs import piece
 from fsar_ledger.ledger.rows.schema import LAYOUTS
-from fsar_ledger.ledger.rows.small import rows_of
+from fsar_ledger.ledger.store.staging import rows_of
 from tests.ledger.samples import IN_RUNS, any_runs, made_up_batches, made_up_run, run_of_every_type
 from tests.ledger.test_writer_property import batches, with_event
 
-compiled = pytest.mark.skipif(not IS_COMPILED, reason="no compiler was there")
+in_c = pytest.mark.skipif(not IS_COMPILED, reason="no compiler was there")
 
 
 def is_plain(rows: bytes) -> bool:
@@ -46,7 +45,7 @@ def in_python(run: LedgerRun) -> tuple[bytes, int]:
     return b"\n".join((*encode_lines([run]), b"")), marks_of(run)
 
 
-@compiled
+@in_c
 @pytest.mark.parametrize("seed", range(5))
 def test_plain_events_of_every_type_are_written_in_c_as_in_python(seed: int) -> None:
     run = run_of_every_type("run-1", seed)
@@ -54,7 +53,7 @@ def test_plain_events_of_every_type_are_written_in_c_as_in_python(seed: int) -> 
     assert plain_lines(run) == in_python(run)
 
 
-@compiled
+@in_c
 def test_a_part_of_a_run_is_written_in_c_as_in_python() -> None:
     run = made_up_run("run-1", 200, 1)
     for first in (0, 1, 7, 199):
@@ -62,7 +61,7 @@ def test_a_part_of_a_run_is_written_in_c_as_in_python() -> None:
         assert plain_lines(part) == in_python(part)
 
 
-@compiled
+@in_c
 @given(any_runs())
 def test_any_events_are_written_in_c_as_in_python_or_not_at_all(runs: list[LedgerRun]) -> None:
     for run in runs:
@@ -70,7 +69,7 @@ def test_any_events_are_written_in_c_as_in_python_or_not_at_all(runs: list[Ledge
         assert plain_lines(run) == (expected if is_plain(expected[0]) else None)
 
 
-@compiled
+@in_c
 @given(batches())
 def test_what_no_row_can_hold_is_not_written_in_c(runs: list[LedgerRun]) -> None:
     for run in runs:
@@ -82,7 +81,7 @@ def test_what_no_row_can_hold_is_not_written_in_c(runs: list[LedgerRun]) -> None
             assert plain_lines(run) in (None, expected)
 
 
-@compiled
+@in_c
 @pytest.mark.parametrize("text", ["\x1f", "\n", "\x7f", "é", "東", "\u2028", "\ud800"])
 def test_text_that_is_not_plain_is_left_to_python(text: str) -> None:
     run = made_up_run("run-1", 8, 1)
@@ -97,7 +96,7 @@ def test_text_that_is_not_plain_is_left_to_python(text: str) -> None:
     assert plain_lines(LedgerRun(text, run.times_us, run.caused_by, run.events)) is None
 
 
-@compiled
+@in_c
 @pytest.mark.parametrize("changed", [{"times_us": [0]}, {"caused_by": [None]}, {"events": []}, {"events": [None] * 8}])
 def test_a_run_that_does_not_hold_together_is_left_to_python(changed: dict[str, Any]) -> None:
     run = made_up_run("run-1", 8, 1)
@@ -110,7 +109,7 @@ def test_a_run_that_does_not_hold_together_is_left_to_python(changed: dict[str, 
     assert plain_lines(LedgerRun("run-1", **parts)) is None
 
 
-@compiled
+@in_c
 def test_a_call_with_other_things_is_an_error() -> None:
     from fsar_ledger.ledger.rows._codec import event_types, write_events
 
@@ -158,7 +157,7 @@ class Larger(Refuses, frozen=True, weakref=True):
     """A struct whose objects hold more than their fields."""
 
 
-@compiled
+@in_c
 @pytest.mark.parametrize("kind", [Plain, Refuses, Larger])
 def test_a_field_is_read_by_its_name_where_its_place_is_not_known(kind: type[Any]) -> None:
     from fsar_ledger.ledger.rows._codec import event_types, write_events
@@ -180,7 +179,7 @@ def test_the_marks_of_a_run_are_those_of_its_events_but_the_one_that_begins_it(s
     assert marks_of(LedgerRun("run-1", [0, 0], [None, 0], [run.events[0], run.events[0]])) & OPENING
 
 
-@compiled
+@in_c
 def test_writing_rows_keeps_nothing() -> None:
     run, odd = (made_up_run("run-1", 30, seed) for seed in (1, 2))
     odd = msgspec.structs.replace(odd, run_id="é")
@@ -199,7 +198,7 @@ def test_writing_rows_keeps_nothing() -> None:
 def test_rows_are_the_same_without_the_compiled_function(monkeypatch: pytest.MonkeyPatch) -> None:
     batches = made_up_batches(3, size=50)
     found = list(map(rows_of, batches))
-    monkeypatch.setattr(encoding, "codec", None)
+    monkeypatch.setattr(compiled, "codec", None)
     assert plain_lines(batches[0][0]) is None
     assert list(map(rows_of, batches)) == found
 
@@ -208,7 +207,7 @@ def test_rows_are_the_same_without_the_compiled_function(monkeypatch: pytest.Mon
 def test_what_is_refused_does_not_depend_on_the_compiled_function(offered: list[list[LedgerRun]]) -> None:
     with pytest.MonkeyPatch.context() as patch:
         found = [_said(batch) for batch in offered]
-        patch.setattr(encoding, "codec", None)
+        patch.setattr(compiled, "codec", None)
         assert [_said(batch) for batch in offered] == found
 
 

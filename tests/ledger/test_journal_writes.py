@@ -7,7 +7,7 @@ import pytest
 
 from fsar_ledger.base.errors import WriteFailed
 from fsar_ledger.ledger.opening import open_for_answers
-from fsar_ledger.ledger.rows.run_slices import piece
+from fsar_ledger.ledger.rows.runs import piece
 from fsar_ledger.ledger.store import growing, journal
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.paths import JOURNAL

@@ -12,16 +12,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fsar_ledger.base.errors import LedgerCorrupted
-from fsar_ledger.ledger.rows import canonical, codec, parsing, segment
+from fsar_ledger.ledger.rows import canonical, codec, compiled, segment
 from fsar_ledger.ledger.rows.codec import LedgerRun, encode_coded, encode_hashed, encode_lines
-from fsar_ledger.ledger.rows.compiled import IS_COMPILED
-from fsar_ledger.ledger.rows.parsing import plain_table
+from fsar_ledger.ledger.rows.compiled import IS_COMPILED, plain_table
 from fsar_ledger.ledger.rows.schema import COLUMNS, SCHEMA
-from fsar_ledger.ledger.store.tables import table_of
+from fsar_ledger.ledger.store.staging import table_of
 from tests.ledger.samples import any_runs, made_up_batches, run_of_every_type
 from tests.ledger.test_joining import NAMES, rows
 
-compiled = pytest.mark.skipif(not IS_COMPILED, reason="no compiler was there")
+in_c = pytest.mark.skipif(not IS_COMPILED, reason="no compiler was there")
 
 ROW = {"caused_by": 3, "run_id": "run", "seq": 4, "time_us": -5, "type": "T"}
 
@@ -35,7 +34,7 @@ def plain(text: str) -> str:
     return "".join(character for character in text if " " <= character <= "~")
 
 
-@compiled
+@in_c
 @pytest.mark.parametrize("seed", range(5))
 def test_events_of_every_type_are_taken_apart_in_c_as_in_python(seed: int) -> None:
     run = run_of_every_type("run-1", seed)
@@ -46,7 +45,7 @@ def test_events_of_every_type_are_taken_apart_in_c_as_in_python(seed: int) -> No
     assert segment.to_parquet(found).equals(segment.to_parquet(expected))
 
 
-@compiled
+@in_c
 @given(rows(NAMES))
 def test_any_rows_are_taken_apart_in_c_as_in_python_or_not_at_all(values: list[dict[str, object]]) -> None:
     schema = pa.schema([SCHEMA.field(name).with_nullable(True) for name in dict.fromkeys([*NAMES, "time_us", "type"])])
@@ -65,7 +64,7 @@ def _texts(row: dict[str, object]) -> list[str]:
     return [value for value in values if isinstance(value, str)]
 
 
-@compiled
+@in_c
 @given(any_runs())
 def test_any_events_become_the_same_columns_and_leaves(runs: list[LedgerRun]) -> None:
     table, leaves = encode_hashed(runs)
@@ -75,7 +74,7 @@ def test_any_events_become_the_same_columns_and_leaves(runs: list[LedgerRun]) ->
     assert leaves == again
 
 
-@compiled
+@in_c
 @pytest.mark.parametrize("escaped", ['"', "\\", '\\"', '"\\', '""', "\\\\", 'a"b\\c', '\\\\"', '{"name":"value"}'])
 def test_what_json_escapes_is_unescaped(escaped: str) -> None:
     found = plain_table(canonical.document(ROW | {"run_id": escaped}) + b"\n")
@@ -87,7 +86,7 @@ def row(**changed: object) -> str:
     return json.dumps(ROW | changed, separators=(",", ":"), sort_keys=True)
 
 
-@compiled
+@in_c
 @pytest.mark.parametrize(
     "line",
     [
@@ -144,13 +143,13 @@ def test_what_is_not_canonical_is_left_to_python(line: str) -> None:
         assert plain_table(lines.encode()) is None
 
 
-@compiled
+@in_c
 def test_a_last_line_without_end_is_left_to_python() -> None:
     assert plain_table(row().encode()) is None
     assert plain_table(f"{row()}\n{row()}".encode()) is None
 
 
-@compiled
+@in_c
 @given(st.binary(max_size=60), st.integers(0, 200))
 def test_rubbish_is_left_to_python(rubbish: bytes, at: int) -> None:
     good = row().encode() + b"\n"
@@ -163,7 +162,7 @@ def test_rubbish_is_left_to_python(rubbish: bytes, at: int) -> None:
 @pytest.mark.parametrize("batch", made_up_batches(3, size=300))
 def test_a_journal_has_the_same_rows_without_the_compiled_function(batch: list[LedgerRun]) -> None:
     found = table_of(Path("journal.jsonl"), lines_of(*batch))
-    with patch.object(parsing, "codec", None):
+    with patch.object(compiled, "codec", None):
         assert table_of(Path("journal.jsonl"), lines_of(*batch)).equals(found.cast(SCHEMA))
 
 
@@ -173,7 +172,7 @@ def test_rows_that_are_no_events_are_an_error_either_way() -> None:
             table_of(Path("journal.jsonl"), line.encode() + b"\n")
 
 
-@compiled
+@in_c
 def test_many_columns_and_other_things_are_errors() -> None:
     from fsar_ledger.ledger.rows._codec import read_rows
 
@@ -197,7 +196,7 @@ def texts_of_one_hash() -> list[str]:
     return [bytes(text).decode() for text in np.hstack([first, second])[is_plain]]
 
 
-@compiled
+@in_c
 def test_a_few_hundred_texts_of_one_hash_are_left_to_python() -> None:
     """Whoever forges a journal cannot make it slow: looking for one text among others of its hash has a bound."""
     texts = texts_of_one_hash()
@@ -211,7 +210,7 @@ def test_a_few_hundred_texts_of_one_hash_are_left_to_python() -> None:
     assert plain_table("\n".join([*others[:300], ""]).encode()) is not None
 
 
-@compiled
+@in_c
 def test_taking_rows_apart_keeps_nothing() -> None:
     lines = lines_of(*made_up_batches(1, size=30)[0])
     before = sys.getrefcount(lines)

@@ -11,9 +11,9 @@ from fsar_ledger.ledger.log.merkle import leaf_hash
 from fsar_ledger.ledger.log.note import Checkpoint, Note, Signer
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows import canonical, codec
+from fsar_ledger.ledger.store.derived import RunNames
 from fsar_ledger.ledger.store.locations import place_of
 from fsar_ledger.ledger.store.proof import Proof, Value, check_proof, parse_proof, prove, prove_inclusion, read_proof
-from fsar_ledger.ledger.store.view import RunNames
 from tests.ledger.forgery import changed, forge_segment, segment_at, table_of
 from tests.ledger.samples import ORIGIN, append_all, made_up_batches
 

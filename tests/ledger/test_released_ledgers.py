@@ -14,7 +14,6 @@ from fsar_ledger.base.errors import LedgerCorrupted
 from fsar_ledger.cli.app import run
 from fsar_ledger.events import ALONE, EVENT_TYPES
 from fsar_ledger.events.fleet import RunStarted
-from fsar_ledger.ledger.compacting import compact
 from fsar_ledger.ledger.log.hashing import leaves_of
 from fsar_ledger.ledger.opening import open_for_answers, open_ledger
 from fsar_ledger.ledger.rows.codec import LedgerRun, decode, encode, encode_hashed
@@ -244,7 +243,7 @@ def continued(path: Path, kept: Kept, copy: Path) -> None:
     report = verify(copy, asked=VerifyOptions(anchor=read_anchor(path / "checkpoint")))
     assert (report.problems, report.events, report.anchored) == ((), kept.events + 24, kept.events)
     assert report.root == root
-    compact(copy)
+    fsar_ledger.open_ledger(copy).compact()
     assert judged(Case("compacted", copy, True, anchor=path / "checkpoint")).difference == ""
 
 

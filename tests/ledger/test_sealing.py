@@ -11,8 +11,8 @@ import pytest
 
 from fsar_ledger.base.errors import LedgerCorrupted
 from fsar_ledger.ledger.opening import open_for_answers
-from fsar_ledger.ledger.rows import run_slices
 from fsar_ledger.ledger.rows.codec import encode_lines
+from fsar_ledger.ledger.rows.runs import piece as piece_of
 from fsar_ledger.ledger.store import append, growing, prepare
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.paths import CHAIN, JOURNAL, SEALING, SEGMENTS
@@ -189,7 +189,7 @@ def test_a_journal_that_is_renamed_between_two_looks_is_read_once(tmp_path: Path
 def test_a_reader_beside_a_writer_that_never_rests_gets_an_answer(tmp_path: Path) -> None:
     path = tmp_path / "ledger"
     run = made_up_run("never-rests", 40, 3)
-    parts = iter([run_slices.piece(run, at, at + 1) for at in range(40)])
+    parts = iter([piece_of(run, at, at + 1) for at in range(40)])
     with Writer(path, ORIGIN) as writer:
         writer.add([next(parts)])
         real = growing.read_whole

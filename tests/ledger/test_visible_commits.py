@@ -11,7 +11,7 @@ import pytest
 
 from fsar_ledger.base.errors import NotALedger, WriteFailed
 from fsar_ledger.ledger.opening import open_for_answers
-from fsar_ledger.ledger.rows.run_slices import piece
+from fsar_ledger.ledger.rows.runs import piece
 from fsar_ledger.ledger.store import disk, snapshot
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.paths import CHAIN, JOURNAL, SEGMENTS

@@ -14,7 +14,7 @@ from fsar_ledger.events.configuration import PAPER_ARCHITECTURES
 from fsar_ledger.ledger.rows.codec import encode
 from fsar_ledger.metrics.database import from_rows, from_table
 from fsar_ledger.metrics.library import library
-from fsar_ledger.metrics.observing import types_read
+from fsar_ledger.metrics.provenance import types_read
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
 from tests.queries.histories import answer, run
 from tests.queries.test_cases import (

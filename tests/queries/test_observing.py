@@ -14,7 +14,7 @@ from fsar_ledger.ledger.rows.schema import LAYOUTS
 from fsar_ledger.metrics.database import Database
 from fsar_ledger.metrics.invariants import audit_rows, invariants
 from fsar_ledger.metrics.library import library
-from fsar_ledger.metrics.observing import types_read
+from fsar_ledger.metrics.provenance import types_read
 from fsar_ledger.metrics.results import metric_rows
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
 from tests.queries.histories import answer, event, run

@@ -3,7 +3,7 @@
 from typing import Any
 
 from fsar_ledger.metrics.database import from_rows
-from fsar_ledger.metrics.plans import completeness
+from fsar_ledger.metrics.provenance import completeness
 from tests.queries.histories import answer, run
 
 

@@ -13,7 +13,7 @@ from fsar_ledger.ledger.rows.schema import CONCERNED, LAYOUTS, RECORDS
 from fsar_ledger.metrics.definitions import metrics
 from fsar_ledger.metrics.invariants import invariants
 from fsar_ledger.metrics.library import library
-from fsar_ledger.metrics.observing import types_read
+from fsar_ledger.metrics.provenance import types_read
 from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, simulate_run
 from tests.queries.histories import answer
 from tests.recycled import from_table

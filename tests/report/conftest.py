@@ -29,8 +29,7 @@ from fsar_ledger.events.world import PolicyWindowOpened
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.staging import stage
-from fsar_ledger.report.build import write_report
-from fsar_ledger.report.document import Document
+from fsar_ledger.report.build import Document, write_report
 from fsar_ledger.report.findings import Findings
 from fsar_ledger.report.read import gather
 from fsar_ledger.runtime.experiment import run_experiment, workflow_experiment

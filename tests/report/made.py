@@ -11,8 +11,20 @@ from fsar_ledger.metrics.definitions import metrics
 from fsar_ledger.metrics.paper_numbers import Table, printed
 from fsar_ledger.metrics.registration import Sample, SampleAround
 from fsar_ledger.metrics.results import StatisticRow
-from fsar_ledger.metrics.robustness import CellSpread, Ensemble, Placebo, RankCounts, Ranking, Rejections, SignCount
-from fsar_ledger.metrics.systems import HeldRank, NamedShares, SystemGrade, SystemNumber, Systems
+from fsar_ledger.metrics.robustness import (
+    CellSpread,
+    Ensemble,
+    HeldRank,
+    NamedShares,
+    Placebo,
+    RankCounts,
+    Ranking,
+    Rejections,
+    SignCount,
+    SystemGrade,
+    SystemNumber,
+    Systems,
+)
 from fsar_ledger.metrics.verdicts import MARGINS, ComparedEffect
 from fsar_ledger.report.findings import Findings, Head, arrow
 from fsar_ledger.report.judge import Number

@@ -13,7 +13,7 @@ from fsar_ledger.metrics.robustness import CellSpread
 from fsar_ledger.metrics.study_results import METRICS, Calibration, encoded, packaged, rules
 from fsar_ledger.metrics.verdicts import Answer, ComparedEffect
 from fsar_ledger.report import specs
-from fsar_ledger.report.document import Document
+from fsar_ledger.report.build import Document
 from fsar_ledger.report.findings import Findings, arrow
 from fsar_ledger.report.judge import OPEN, STANDS, UNDECIDED, Number, outcome_of
 from fsar_ledger.report.records import robustness, robustness_relations

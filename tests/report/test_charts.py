@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from fsar_ledger.report import charts, specs
-from fsar_ledger.report.document import Document
+from fsar_ledger.report.build import Document
 from fsar_ledger.report.judge import OPEN
 from tests.report.made import made, number, pairs_of, results
 

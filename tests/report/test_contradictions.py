@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from fsar_ledger.report import specs
-from fsar_ledger.report.document import Document
+from fsar_ledger.report.build import Document
 from tests.report.made import column, made, part, said
 
 LABELS = (Path(__file__).parent.parent / "paper_labels.txt").read_text("utf-8").split()
@@ -88,7 +88,7 @@ def test_implied_variances_give_the_published_effect_sizes_again(paper: Document
 
 
 def _metrics() -> list[dict[str, str]]:
-    from fsar_ledger.report.document import _metrics as metrics
+    from fsar_ledger.report.build import _metrics as metrics
 
     return list(metrics().to_pylist())
 

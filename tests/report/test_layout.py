@@ -18,7 +18,7 @@ from fsar_ledger.metrics.results import DialledRow
 from fsar_ledger.metrics.study_results import Calibration, packaged
 from fsar_ledger.report import build, specs
 from fsar_ledger.report.audit import AuditDocument
-from fsar_ledger.report.document import Document
+from fsar_ledger.report.build import Document
 from fsar_ledger.report.findings import Findings, arrow
 from fsar_ledger.report.read import gather, relations_of
 from fsar_ledger.report.records import robustness_relations

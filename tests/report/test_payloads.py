@@ -18,7 +18,7 @@ from fsar_ledger.api.files import _write_tables
 from fsar_ledger.api.tables import table_text
 from fsar_ledger.cli.render import answer_json
 from fsar_ledger.report import build, printing, sequence
-from fsar_ledger.report.document import Document
+from fsar_ledger.report.build import Document
 from fsar_ledger.report.findings import Findings
 from tests.one_by_one import csv_text
 from tests.report.made import replaced

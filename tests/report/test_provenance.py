@@ -21,7 +21,7 @@ from fsar_ledger.designs.constants import (
 from fsar_ledger.events.configuration import PAPER_ARCHITECTURES
 from fsar_ledger.events.envelope import Architecture
 from fsar_ledger.metrics.results import MetricRow
-from fsar_ledger.report.document import Document
+from fsar_ledger.report.build import Document
 from fsar_ledger.report.printing import flat
 from fsar_ledger.report.records import own_constants
 from fsar_ledger.studies.calibration import PLAN

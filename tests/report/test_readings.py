@@ -10,8 +10,8 @@ from fsar_ledger.metrics.definitions import metric_named, metrics
 from fsar_ledger.metrics.multiverse import Multiverse, ReadingNames, Universe, cells, rankings, readings
 from fsar_ledger.metrics.results import CONDITIONS
 from fsar_ledger.metrics.verdicts import published
-from fsar_ledger.report import readings_chart
-from fsar_ledger.report.document import Document
+from fsar_ledger.report import study_charts
+from fsar_ledger.report.build import Document
 from fsar_ledger.report.findings import Findings
 from fsar_ledger.report.read import gather, multiverse_of, relations_of
 from tests.report.made import column, made, names, said
@@ -146,7 +146,7 @@ def found(
 
 
 def test_combinations_stand_in_the_order_of_fsars_lead_over_the_better_of_the_others() -> None:
-    columns = readings_chart.ordered(found().universes, metric_named("human_intervention"))
+    columns = study_charts.ordered(found().universes, metric_named("human_intervention"))
     assert [chosen for chosen, _ in columns] == [
         ("level_four_is_fleet",),
         ("level_four_is_fleet", "reviews_are_no_interventions"),
@@ -159,12 +159,12 @@ def test_combinations_stand_in_the_order_of_fsars_lead_over_the_better_of_the_ot
 
 @pytest.mark.parametrize(("better", "lead"), [("higher", -0.3), ("lower", 0.1)])
 def test_the_lead_is_over_the_better_one(better: str, lead: float) -> None:
-    assert readings_chart.lead({"fsar": 0.5, "cfc": 0.6, "dhma": 0.8}, better) == pytest.approx(lead)
-    assert readings_chart.lead({"cfc": 0.6}, better) == readings_chart.lead({"fsar": 0.6}, better) == 0.0
+    assert study_charts.lead({"fsar": 0.5, "cfc": 0.6, "dhma": 0.8}, better) == pytest.approx(lead)
+    assert study_charts.lead({"cfc": 0.6}, better) == study_charts.lead({"fsar": 0.6}, better) == 0.0
 
 
 def test_the_figure_says_how_often_fsar_is_best_and_names_the_readings() -> None:
-    drawn = words(readings_chart.curves(found()))
+    drawn = words(study_charts.curves(found()))
     assert "Human interventions (%): FSAR best under 2 of 4" in drawn
     assert {
         *("level four is fleet (R9)", "reviews are no interventions (R37)", "FSAR"),
@@ -173,21 +173,21 @@ def test_the_figure_says_how_often_fsar_is_best_and_names_the_readings() -> None
 
 
 def test_the_papers_numbers_stand_on_the_line_of_our_reading() -> None:
-    assert readings_chart.printed(found().cells, metric_named("human_intervention")) == pytest.approx(
+    assert study_charts.printed(found().cells, metric_named("human_intervention")) == pytest.approx(
         {"fsar": 14, "cfc": 32, "dhma": 19}
     )
-    assert readings_chart.printed(found(metric="policy_violations").cells, metric_named("human_intervention")) == {}
+    assert study_charts.printed(found(metric="policy_violations").cells, metric_named("human_intervention")) == {}
 
 
 def test_the_figure_is_the_same_bytes_twice_and_shows_its_rows() -> None:
-    plain = readings_chart.curves(found())
-    assert readings_chart.curves(found()) == plain
+    plain = study_charts.curves(found())
+    assert study_charts.curves(found()) == plain
     assert b"dc:date" not in plain
-    assert readings_chart.curves(found(MEANS | {(): (0.08, 0.29, 0.2)})) != plain
+    assert study_charts.curves(found(MEANS | {(): (0.08, 0.29, 0.2)})) != plain
 
 
 def test_nothing_to_draw_is_a_figure_without_panels() -> None:
-    assert not re.findall(r'id="axes_\d+"', readings_chart.curves(Multiverse((), (), (), ())).decode())
+    assert not re.findall(r'id="axes_\d+"', study_charts.curves(Multiverse((), (), (), ())).decode())
 
 
 def test_which_way_is_better_is_the_same_in_the_queries_and_in_the_report() -> None:

@@ -24,7 +24,7 @@ from fsar_ledger.metrics.study_results import (
 )
 from fsar_ledger.report import build, specs
 from fsar_ledger.report import records as laid_out
-from fsar_ledger.report.document import Document
+from fsar_ledger.report.build import Document
 from fsar_ledger.report.findings import Findings
 from fsar_ledger.report.printing import flat
 from fsar_ledger.studies.comparison import judge

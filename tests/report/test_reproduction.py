@@ -9,8 +9,7 @@ import pytest
 
 from fsar_ledger.base.errors import UsageError
 from fsar_ledger.metrics.study_results import Calibration, packaged
-from fsar_ledger.report.build import write_report
-from fsar_ledger.report.document import Document
+from fsar_ledger.report.build import Document, write_report
 from fsar_ledger.report.findings import Findings
 from tests.report.test_readings import found
 

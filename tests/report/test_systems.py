@@ -2,8 +2,8 @@
 
 import re
 
-from fsar_ledger.metrics.systems import SystemNumber
-from fsar_ledger.report.document import Document
+from fsar_ledger.metrics.robustness import SystemNumber
+from fsar_ledger.report.build import Document
 from fsar_ledger.report.records import robustness_relations
 from tests.report.made import column, made, said, system_number, systems
 

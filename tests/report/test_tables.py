@@ -20,7 +20,7 @@ from fsar_ledger.metrics.database import connect, plain_rows
 from fsar_ledger.metrics.definitions import published_metrics
 from fsar_ledger.metrics.results import metric_rows, statistic_rows
 from fsar_ledger.report import judge, printing, specs
-from fsar_ledger.report.document import Document
+from fsar_ledger.report.build import Document
 from fsar_ledger.report.findings import Findings
 from fsar_ledger.report.read import gather
 from fsar_ledger.runtime.experiment import run_experiment, workflow_experiment

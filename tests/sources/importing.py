@@ -7,8 +7,8 @@ from typing import Any
 
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.verify.verify import verify
+from fsar_ledger.sources.adapter import adapter_of, opened
 from fsar_ledger.sources.importing import Imported, import_files
-from fsar_ledger.sources.opening import adapter_of, opened
 from tests.sources.vda import Line, written
 
 Row = dict[str, Any]

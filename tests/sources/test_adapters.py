@@ -13,7 +13,7 @@ from fsar_ledger.events.envelope import recorded_robot
 from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.sources import adapter
 from fsar_ledger.sources.adapter import ENTRY_POINTS, OWN, Derived, Input, Record, adapter_named
-from fsar_ledger.sources.declared import declared
+from fsar_ledger.sources.columns import declared
 from fsar_ledger.sources.importing import import_files
 
 

@@ -14,10 +14,9 @@ from fsar_ledger.events.source import Observed
 from fsar_ledger.events.task import TaskCompleted
 from fsar_ledger.events.world import LinkWentDown
 from fsar_ledger.ledger.opening import open_ledger
-from fsar_ledger.sources.adapter import Input
+from fsar_ledger.sources.adapter import Input, adapter_of
+from fsar_ledger.sources.columns import storable
 from fsar_ledger.sources.importing import import_files
-from fsar_ledger.sources.opening import adapter_of
-from fsar_ledger.sources.storable import storable
 from tests.cli.conftest import Call, one_message
 from tests.sources import vda
 from tests.sources.importing import filed, imported, is_good, kinds, record_numbers, recorded, rows

@@ -19,9 +19,8 @@ from fsar_ledger.base.errors import UsageError
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.store.paths import MANIFEST
 from fsar_ledger.sources import importing
-from fsar_ledger.sources.adapter import Input
+from fsar_ledger.sources.adapter import Input, adapter_of
 from fsar_ledger.sources.importing import import_files
-from fsar_ledger.sources.opening import adapter_of
 from tests.cli.conftest import Call
 from tests.running import ran
 from tests.sources import vda

@@ -9,8 +9,8 @@ import pytest
 pytest.importorskip("mcap", reason="needs the extra mcap")
 
 from fsar_ledger.base.errors import UsageError
+from fsar_ledger.sources.adapter import adapter_of, opened
 from fsar_ledger.sources.importing import Imported, import_files
-from fsar_ledger.sources.opening import adapter_of, opened
 from tests.cli.conftest import Call
 from tests.sources import bags
 from tests.sources.importing import filed, is_good, kinds, record_numbers, rows

@@ -69,7 +69,7 @@ def test_each_line_is_on_disk_before_the_next_is_read_and_ctrl_c_is_quiet(tmp_pa
 
 
 def is_begun(ledger: Path) -> bool:
-    return (ledger / "segments").exists() and open_ledger(ledger).has_run("night")
+    return (ledger / "ledger.json").exists() and open_ledger(ledger).has_run("night")
 
 
 def test_the_fleet_of_a_file_may_have_dotted_names(tmp_path: Path) -> None:

@@ -25,8 +25,8 @@ from fsar_ledger.events.world import LinkWentDown, TaskArrived
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.store.append import SEAL_ROWS
 from fsar_ledger.sources import recorder as recorders
+from fsar_ledger.sources.columns import storable_text
 from fsar_ledger.sources.recorder import Recorder
-from fsar_ledger.sources.storable import storable_text
 from tests.sources.importing import is_good, kinds, rows
 
 TASKS = ("TaskArrived", "TaskCompleted")

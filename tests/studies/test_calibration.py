@@ -30,7 +30,7 @@ from fsar_ledger.studies.calibration import (
 )
 from fsar_ledger.studies.evaluations import CELLS, Answer, Question, evaluate, question_at
 from fsar_ledger.studies.factor_effects import Vector
-from fsar_ledger.studies.points import FREE, at, point_of, rounded, value_of, with_values
+from fsar_ledger.studies.factors import FREE, at, point_of, rounded, value_of, with_values
 from fsar_ledger.studies.predictions import SEEDS
 from tests.running import ran
 

@@ -13,7 +13,7 @@ from fsar_ledger.metrics.study_results import read
 from fsar_ledger.metrics.verdicts import MARGINS, published
 from fsar_ledger.studies import ranking as study
 from fsar_ledger.studies.evaluations import CELLS, Answer, Question
-from fsar_ledger.studies.points import FREE, point_of, points_over_ranges, value_of
+from fsar_ledger.studies.factors import FREE, point_of, points_over_ranges, value_of
 from fsar_ledger.studies.ranking import ALL, IN_PAPER, ranking, ranks
 from fsar_ledger.studies.result import grounds, stale
 

@@ -13,9 +13,9 @@ from fsar_ledger.designs.constants import Constants, write_constants
 from fsar_ledger.events.configuration import PAPER_ARCHITECTURES
 from fsar_ledger.metrics.effects import Sensitivity, dozen, reach
 from fsar_ledger.metrics.study_results import METRICS, encoded, read, rules
-from fsar_ledger.report.document import Document
+from fsar_ledger.report.build import Document
 from fsar_ledger.report.printing import flat
-from fsar_ledger.report.sensitivity import heat_map
+from fsar_ledger.report.study_charts import heat_map
 from fsar_ledger.runtime.simulation import MODEL_VERSION
 from fsar_ledger.studies.evaluations import CELLS, evaluate
 from fsar_ledger.studies.factors import factors, setting

@@ -9,8 +9,8 @@ from fsar_ledger.designs.constants import Constants, with_all_groups
 from fsar_ledger.designs.dials import TRIED
 from fsar_ledger.events.configuration import ARCHITECTURES, PAPER_ARCHITECTURES
 from fsar_ledger.metrics.definitions import metrics
+from fsar_ledger.metrics.robustness import Systems
 from fsar_ledger.metrics.study_results import packaged, read
-from fsar_ledger.metrics.systems import Systems
 from fsar_ledger.report import specs
 from fsar_ledger.runtime.own import with_values
 from fsar_ledger.studies import systems as study

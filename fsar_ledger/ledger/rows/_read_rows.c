@@ -2,7 +2,7 @@
  *
  * Only what is plain is taken: members that are columns, in order, with values as they are written, and text of printable
  * ASCII. For anything else the answer is None, and Python code reads it, or says what is wrong
- * (`parsing.py`). Tests require both to agree. No object of Python is touched meanwhile, so other threads run.
+ * (`compiled.py`). Tests require both to agree. No object of Python is touched meanwhile, so other threads run.
  */
 
 #include "_codec.h"
@@ -13,7 +13,7 @@
 #define MAX_NAMES (NAME_SLOTS / 2)
 #define MAX_PROBES 256 /* more, and someone chose texts of one hash */
 
-/* What a column holds. As in `parsing.py`. */
+/* What a column holds. As in `compiled.py`. */
 enum { STRING, INTEGER, BOOLEAN, STRINGS };
 
 /* How reading went on. */

@@ -2,12 +2,12 @@
  *
  * Only what is plain is written: events of types that are known, with values of the classes, sizes and lists that their
  * fields allow, and text of printable ASCII. For anything else the answer is None, and Python code says what is wrong, or
- * writes it (`encoding.py`). Tests require both to agree.
+ * writes it (`compiled.py`). Tests require both to agree.
  */
 
 #include "_codec.h"
 
-/* What a column holds: a value of the event, or one that every row has. As in `encoding.py`. */
+/* What a column holds: a value of the event, or one that every row has. As in `compiled.py`. */
 enum { STRING, INTEGER, BOOLEAN, STRINGS, RUN_ID, SEQ, TIME_US, CAUSED_BY, TYPE };
 
 /* How writing went on. */

@@ -20,8 +20,7 @@ from fsar_ledger.ledger.log.hashing import HASH_BYTES
 from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.rows.arrow import Codes, Positions, Texts, Values, array_of, bits, require_exact
 from fsar_ledger.ledger.rows.check import first_flaw, run_starts
-from fsar_ledger.ledger.rows.encoding import plain_rows
-from fsar_ledger.ledger.rows.parsing import plain_table
+from fsar_ledger.ledger.rows.compiled import plain_rows, plain_table
 from fsar_ledger.ledger.rows.runs import (
     ALLOWED,
     CAUSE,

@@ -4,8 +4,29 @@
 |---|---|---|---|
 | `write_events` | the events of a run | rows, lines of canonical JSON | `codec.encode_lines` |
 | `write_rows` | columns | rows | `canonical.from_table` |
-| `read_rows` | rows | columns | `codec.encode_coded`, `tables.table_of` |
+| `read_rows` | rows | columns | `codec.encode_coded`, `staging.table_of` |
 """
+
+from collections.abc import Sequence
+from functools import reduce
+from operator import or_
+from typing import Any, NamedTuple, TypeAlias
+
+import pyarrow as pa
+
+from fsar_ledger.events import CONCERNS
+from fsar_ledger.ledger.rows.runs import LedgerRun
+from fsar_ledger.ledger.rows.schema import (
+    ARROW_TYPES,
+    CODED_SCHEMA,
+    COLUMNS,
+    CONCERNED,
+    ENVELOPE,
+    LAYOUTS,
+    OPENINGS,
+    Kind,
+    StoredType,
+)
 
 # See docs/decisions/c-is-optional.md.
 try:
@@ -16,3 +37,124 @@ except ImportError:  # it was not built, as without a compiler
 codec = _codec
 """The functions of the table; None where they were not built."""
 IS_COMPILED = codec is not None
+
+
+Columns: TypeAlias = tuple[tuple[Any, ...], ...]
+
+OPENING = 1
+"""Marks a type that only the event that begins a run has."""
+MARK_OF = {concern: 2 << place for place, concern in enumerate(CONCERNS)}
+_WRITTEN_AS = {
+    kind: code
+    for code, kind in enumerate(
+        ("string", "integer", "boolean", "strings", "run_id", "seq", "time_us", "caused_by", "type")
+    )
+}
+"""As in `_write_events.c`: the kinds of fields, then the columns that every row has."""
+
+
+def _columns(layout: StoredType) -> Columns:
+    """Return the columns of this event type as `write_events` wants them, in the order of a row."""
+    columns: dict[str, tuple[Any, ...]] = {
+        field.name: (_WRITTEN_AS[field.name], None, None, layout.tag, False, None) for field in ENVELOPE
+    }
+    for member in layout.members:
+        for field in member.fields:
+            source = (_WRITTEN_AS[field.kind], member.name, member.part, field.name)
+            columns[field.name] = (*source, field.is_nullable, field.values)
+    return tuple((kind, f'"{name}":'.encode(), *rest) for name, (kind, *rest) in sorted(columns.items()))
+
+
+def _marks(tag: str) -> int:
+    concern = CONCERNED.get(tag)
+    return (OPENING if tag in OPENINGS else 0) | (0 if concern is None else MARK_OF[concern])
+
+
+MARKS: dict[type, int] = {layout.cls: _marks(tag) for tag, layout in LAYOUTS.items()}
+"""What is told of a run by the types of its events: `OPENING`, and `MARK_OF` each of their concerns."""
+_TYPES: dict[type, tuple[int, Columns]] = {
+    layout.cls: (MARKS[layout.cls], _columns(layout)) for layout in LAYOUTS.values()
+}
+
+
+_IN_C = codec.event_types(_TYPES) if codec is not None else None
+
+
+class Plain(NamedTuple):
+    """The rows of some runs, the canonical bytes of each with a line feed after it, and what `MARKS` say of each run.
+
+    The event that begins a run does not count for its marks.
+    """
+
+    rows: bytes
+    marks: tuple[int, ...]
+
+
+def plain_lines(run: LedgerRun) -> tuple[bytes, int] | None:
+    """Return the rows and the marks of this run, as `Plain` has those of several, if that is quick and plain.
+
+    None says nothing about them: it was not built, or a row has text that is not plain ASCII, or no row can hold it.
+    """
+    if codec is None:
+        return None
+    times, causes, events = run.times_us, run.caused_by, run.events
+    if not (type(times) is list and type(causes) is list and type(events) is list):
+        times, causes, events = list(times), list(causes), list(events)
+    return codec.write_events(_IN_C, run.run_id, run.first, times, causes, events)
+
+
+def plain_rows(runs: Sequence[LedgerRun]) -> Plain | None:
+    """Return the rows of these runs; None if those of one are not plain, as `plain_lines` says."""
+    if len(runs) == 1:
+        return None if (lines := plain_lines(runs[0])) is None else Plain(lines[0], (lines[1],))
+    rows: list[bytes] = []
+    marks: list[int] = []
+    for run in runs:
+        if (lines := plain_lines(run)) is None:
+            return None
+        rows.append(lines[0])
+        marks.append(lines[1])
+    return Plain(b"".join(rows), tuple(marks))
+
+
+def marks_of(run: LedgerRun) -> int:
+    """Return the marks of this run, as `Plain` has them."""
+    return reduce(or_, map(MARKS.__getitem__, set(map(type, run.events if run.first else run.events[1:]))), 0)
+
+
+_READ_AS: dict[Kind, int] = {"string": 0, "integer": 1, "boolean": 2, "strings": 3}
+"""As in `_read_rows.c`."""
+_READ_NAMES = tuple((name.encode(), _READ_AS[COLUMNS[name]]) for name in sorted(COLUMNS))
+_READ_REQUIRED = tuple(field.name for field in CODED_SCHEMA if not field.nullable)
+
+
+# See docs/decisions/columns-come-from-canonical-rows.md.
+def plain_table(lines: bytes) -> pa.Table | None:
+    """Return rows, the canonical bytes of each with a line feed after it, with the columns of `CODED_SCHEMA`.
+
+    None says nothing about them: it was not built, or a row is not canonical or has text that is not plain ASCII. Nor
+    does a table say that a row has the columns of its type.
+    """
+    if codec is None or (taken := codec.read_rows(lines, _READ_NAMES)) is None:
+        return None
+    parts = dict(zip(sorted(COLUMNS), taken, strict=True))
+    if any(parts[name] is None for name in _READ_REQUIRED):
+        return None
+    rows = lines.count(b"\n")
+    arrays = [_array(name, parts[name], rows) for name in COLUMNS]
+    if any(array.null_count for array, field in zip(arrays, CODED_SCHEMA, strict=True) if not field.nullable):
+        return None
+    return pa.Table.from_arrays(arrays, schema=CODED_SCHEMA)
+
+
+def _array(name: str, parts: tuple[bytes, ...] | None, rows: int) -> pa.Array:
+    kind = CODED_SCHEMA.field(name).type
+    if parts is None:
+        return pa.nulls(rows, kind)
+    is_there, values, *words = map(pa.py_buffer, parts)
+    if not words:
+        return pa.Array.from_buffers(kind, rows, [is_there, values])
+    texts = pa.Array.from_buffers(pa.string(), words[0].size // 4 - 1, [None, *words])
+    if COLUMNS[name] == "strings":
+        return pa.Array.from_buffers(ARROW_TYPES["strings"], rows, [is_there, values], children=[texts])
+    return pa.DictionaryArray.from_buffers(kind, rows, [is_there, values], texts)

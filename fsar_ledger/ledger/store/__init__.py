@@ -6,27 +6,17 @@ growing    files that grow, or change at a place
 paths      where the files are, and where other commands must not write
 manifest   what ledger.json holds
 problem    one finding, with its place
-locks      locks by which writers take turns
 keys       key files
-view       Head, and what else every reader sees
-record     the lines of a chain: commits, and placements of their rows
-torn       what is torn, and what is damaged
+record     the lines of a chain: commits, and placements of their rows; Head, how far a ledger goes
 segments   find and read segments
-staging    stage: segments that wait for a writer
+staging    stage: segments that wait for a writer; rows for a journal, and as columns
 links      follow a chain line by line
 journal    commits whose rows are not in a segment yet
-sealing    put a full journal into a segment beside the writer
-tables     rows of a journal as columns
-derived    the pack of the tree, and the index, on disk
-index      which runs are where, and which segments share runs
-snapshot   what readers keep between openings
+derived    the pack of the tree, and the index: which runs are where, and which segments share runs
+snapshot   what is committed at one moment, and how far the file `checkpoint` is behind
 read       View: what is committed
-checkpoint the file `checkpoint`, which may be behind
-existing_runs   which runs a ledger holds, and how far
-compact    which segments are put together
 locations  where the events of a run are
-tiles      the hashes of the tree as C2SP tlog-tiles
-proof      proof that one event is in a ledger
+proof      proof that one event is in a ledger; cose: such a proof as a COSE receipt
 prepare    create and lock a ledger; finish what an interrupted writer left
 append     Writer
 ```

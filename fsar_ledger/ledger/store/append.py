@@ -30,10 +30,8 @@ from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.rows.blocks import Block
 from fsar_ledger.ledger.rows.releases import RELEASE
 from fsar_ledger.ledger.rows.runs import LedgerRun, refusal
-from fsar_ledger.ledger.rows.small import rows_of
 from fsar_ledger.ledger.store import disk, growing, paths
-from fsar_ledger.ledger.store.derived import append_derived
-from fsar_ledger.ledger.store.index import index_line
+from fsar_ledger.ledger.store.derived import append_derived, index_line
 from fsar_ledger.ledger.store.journal import Frame, JournalFile
 from fsar_ledger.ledger.store.locations import ExistingRuns, RunsAndPlans, continued
 from fsar_ledger.ledger.store.manifest import read_manifest
@@ -49,10 +47,8 @@ from fsar_ledger.ledger.store.prepare import (
     require_own,
 )
 from fsar_ledger.ledger.store.read import View, open_chain
-from fsar_ledger.ledger.store.record import Commit, Placement, segment_of
-from fsar_ledger.ledger.store.staging import Staged
-from fsar_ledger.ledger.store.tables import require_staged, stage_made
-from fsar_ledger.ledger.store.view import Head
+from fsar_ledger.ledger.store.record import Commit, Head, Placement, segment_of
+from fsar_ledger.ledger.store.staging import Staged, require_staged, rows_of, stage_made
 
 # See docs/decisions/commits-hold-16384-events.md.
 SEAL_ROWS, SEAL_BYTES = 1 << 14, 1 << 23

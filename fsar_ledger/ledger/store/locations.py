@@ -17,7 +17,7 @@ from fsar_ledger.ledger.rows import segment
 from fsar_ledger.ledger.rows.blocks import BLOCK_COLUMNS, Block, Runs, blocks_of
 from fsar_ledger.ledger.rows.runs import Flaw
 from fsar_ledger.ledger.rows.schema import concerns_admitted
-from fsar_ledger.ledger.store.index import Index, require_lines
+from fsar_ledger.ledger.store.derived import Index, require_lines
 from fsar_ledger.ledger.store.read import View
 
 

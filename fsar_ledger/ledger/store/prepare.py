@@ -24,7 +24,6 @@ from fsar_ledger.ledger.rows import canonical, segment
 from fsar_ledger.ledger.rows.blocks import Block, blocks_of
 from fsar_ledger.ledger.rows.bounds import MAX_NAME_BYTES
 from fsar_ledger.ledger.store import disk, growing
-from fsar_ledger.ledger.store.checkpoint import behind
 from fsar_ledger.ledger.store.derived import append_derived, derived_sizes
 from fsar_ledger.ledger.store.journal import FIRST, Frame, leaves_in, lines_of
 from fsar_ledger.ledger.store.manifest import FORMAT, VERSION, Manifest, parse_manifest, read_manifest
@@ -43,8 +42,8 @@ from fsar_ledger.ledger.store.paths import (
 )
 from fsar_ledger.ledger.store.read import View, open_chain
 from fsar_ledger.ledger.store.record import Placement, segment_of
-from fsar_ledger.ledger.store.staging import Staged
-from fsar_ledger.ledger.store.tables import UnstagedSegment, made_of, stage_made, table_of
+from fsar_ledger.ledger.store.snapshot import behind
+from fsar_ledger.ledger.store.staging import Staged, UnstagedSegment, made_of, stage_made, table_of
 
 
 def lock(ledger: Path) -> tuple[int, bool]:

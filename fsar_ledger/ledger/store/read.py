@@ -23,21 +23,19 @@ from fsar_ledger.ledger.rows.blocks import BLOCK_COLUMNS
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.rows.layout import Layout, check_layout
 from fsar_ledger.ledger.rows.releases import RELEASE
-from fsar_ledger.ledger.rows.run_slices import gathered
+from fsar_ledger.ledger.rows.runs import gathered
 from fsar_ledger.ledger.rows.schema import SCHEMA
-from fsar_ledger.ledger.store import growing
-from fsar_ledger.ledger.store.derived import holds_nodes, node_reader
-from fsar_ledger.ledger.store.index import Index, extents_of, groups_of, line_of, read_index, require_lines
+from fsar_ledger.ledger.store import derived, growing
+from fsar_ledger.ledger.store.derived import Extent, Index, Part, RunNames
 from fsar_ledger.ledger.store.journal import Journal, leaves_in, lines_of
 from fsar_ledger.ledger.store.links import Chain, Followed
 from fsar_ledger.ledger.store.manifest import Manifest, parse_manifest
 from fsar_ledger.ledger.store.paths import CHAIN, JOURNAL, MANIFEST, SEALING, SEGMENTS, STAGING
 from fsar_ledger.ledger.store.problem import Problem
-from fsar_ledger.ledger.store.record import Commit, Placement, parse_line, segment_of
+from fsar_ledger.ledger.store.record import EMPTY_HEAD, Commit, Head, Placement, parse_line, segment_of
 from fsar_ledger.ledger.store.segments import Names, find_segment, read_segment
 from fsar_ledger.ledger.store.snapshot import take_snapshot
-from fsar_ledger.ledger.store.tables import materialized, table_of
-from fsar_ledger.ledger.store.view import EMPTY_HEAD, Extent, Head, Part, RunNames
+from fsar_ledger.ledger.store.staging import materialized, table_of
 
 _TRIES = 10
 
@@ -287,9 +285,9 @@ class View(msgspec.Struct, frozen=True, dict=True):
 
         Raises: LedgerCorrupted if rows are needed and are no events, or other than the chain says.
         """
-        lines = read_index(self.path, self.chain, self.index_lines)
+        lines = derived.read_index(self.path, self.chain, self.index_lines)
         if self.journal.frames:
-            lines.append(line_of(self.chain.placed_size, self.journal_table()))
+            lines.append(derived.line_of(self.chain.placed_size, self.journal_table()))
         return Index(lines)
 
     def believe_index(self, placement: int | None = None) -> None:
@@ -304,7 +302,7 @@ class View(msgspec.Struct, frozen=True, dict=True):
         Raises: LedgerCorrupted if it has others, or as `segment`.
         """
         for number in {*segments}.intersection(range(len(self.chain.placed))) - self.believed:
-            require_lines(self.path, self.chain.placed_in(number), self.index_lines(number))
+            derived.require_lines(self.path, self.chain.placed_in(number), self.index_lines(number))
             self.believed.add(number)
 
     def index_lines(self, number: int) -> list[bytes]:
@@ -312,7 +310,10 @@ class View(msgspec.Struct, frozen=True, dict=True):
         start = self.chain.placed[number].first
         table = self._read(number, BLOCK_COLUMNS).combine_chunks()
         added = self.chain.placed_in(number)
-        return [line_of(placement.first, table.slice(placement.first - start, placement.rows)) for placement in added]
+        return [
+            derived.line_of(placement.first, table.slice(placement.first - start, placement.rows))
+            for placement in added
+        ]
 
     @cached_property
     def run_names(self) -> RunNames:
@@ -329,7 +330,9 @@ class View(msgspec.Struct, frozen=True, dict=True):
 
     def extents(self) -> list[Extent]:
         """Return where each run and plan is, in the order of their first events. Raises: As `index`."""
-        return extents_of(Part(*self.chain.span_of_line(number), block) for number, block in self.index.by_line())
+        return derived.extents_of(
+            Part(*self.chain.span_of_line(number), block) for number, block in self.index.by_line()
+        )
 
     def parts(self, run: str) -> list[Part]:
         """Return where the run of this name is. Raises: As `require_index`."""
@@ -349,7 +352,7 @@ class View(msgspec.Struct, frozen=True, dict=True):
 
     def groups(self) -> list[tuple[int, ...]]:
         """Return the segments in groups that share no run, each of neighbours."""
-        return groups_of(list(table.column("run_id").unique().to_pylist()) for table in self.tables(["run_id"]))
+        return derived.groups_of(list(table.column("run_id").unique().to_pylist()) for table in self.tables(["run_id"]))
 
     def note(self) -> Note | None:
         """Return the note of the newest commit; None if there is none."""
@@ -362,10 +365,10 @@ class View(msgspec.Struct, frozen=True, dict=True):
         where more is missing. Raises: As `segment`.
         """
         tree, leaves = self.chain.tree(), leaves_in(self.journal.frames)
-        if not holds_nodes(self.path, tree.size):
+        if not derived.holds_nodes(self.path, tree.size):
             tree = self.chain.tree_at(self.chain.settled)
             leaves = leaves_of(self.rows(tree.size, self.chain.placed_size)) + leaves
-        return node_reader(self.path, tree, leaves, self.rows)
+        return derived.node_reader(self.path, tree, leaves, self.rows)
 
     def tree(self) -> Frontier:
         """Return the tree of all events."""

@@ -22,7 +22,7 @@ from typing import Annotated, TypeAlias, TypeVar
 import msgspec
 
 from fsar_ledger.ledger.log.hashing import HASH_BYTES
-from fsar_ledger.ledger.log.merkle import Frontier
+from fsar_ledger.ledger.log.merkle import EMPTY_ROOT, Frontier
 from fsar_ledger.ledger.log.note import Checkpoint, Note, Signature
 from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.rows.bounds import MAX_ROWS, MAX_SEGMENT_BYTES
@@ -279,3 +279,15 @@ def _record(text: bytes, first: int, end: int) -> Record | None:
         return parse_line(line_at(text, first, end))
     except ValueError:
         return None
+
+
+class Head(msgspec.Struct, frozen=True):
+    """How far a ledger goes: commits, events, the Merkle root over them in hex, and the last run."""
+
+    commits: int
+    size: int
+    root: str
+    last_run: str | None = None
+
+
+EMPTY_HEAD = Head(0, 0, EMPTY_ROOT.hex())

@@ -1,17 +1,27 @@
-"""Stage batches of runs: write each as a segment, from which a writer commits it.
+"""What goes into a ledger, on its way: runs as a staged segment, or as rows of a journal, and these as columns.
 
-Any number of workers may stage; needs no lock and no order, and what is staged is not yet part of the ledger.
+Runs are checked as they are handed over. Any number of workers may stage; that needs no lock and no order, and what is
+staged is not yet part of the ledger. The rows of a journal are made from a few events at once, without columns.
 """
 
+import atexit
+import shutil
+import tempfile
 from collections.abc import Sequence
+from functools import lru_cache
+from io import BytesIO
 from pathlib import Path
+from typing import NamedTuple
 
 import msgspec
 import pyarrow as pa
+import pyarrow.json
 
-from fsar_ledger.base.errors import CommitTooLarge, InvalidRun
-from fsar_ledger.ledger.log.hashing import sha256_hex
-from fsar_ledger.ledger.rows import segment
+from fsar_ledger.base.errors import CommitTooLarge, InvalidRun, LedgerCorrupted, WriteFailed
+from fsar_ledger.events import CONCERNS
+from fsar_ledger.events.fleet import RunStarted
+from fsar_ledger.ledger.log.hashing import HASH_BYTES, sha256_hex
+from fsar_ledger.ledger.rows import canonical, segment
 from fsar_ledger.ledger.rows.blocks import Block, blocks_of
 from fsar_ledger.ledger.rows.bounds import (
     MAX_ROWS,
@@ -21,11 +31,12 @@ from fsar_ledger.ledger.rows.bounds import (
     text_bytes,
 )
 from fsar_ledger.ledger.rows.check import disordered, unprintable
-from fsar_ledger.ledger.rows.codec import LedgerRun, encode_hashed
+from fsar_ledger.ledger.rows.codec import encode_coded, encode_hashed, encode_lines
+from fsar_ledger.ledger.rows.compiled import MARK_OF, OPENING, Plain, marks_of, plain_lines, plain_rows, plain_table
 from fsar_ledger.ledger.rows.layout import read_layout
 from fsar_ledger.ledger.rows.releases import RELEASE
-from fsar_ledger.ledger.rows.runs import overlong, refusal, unreadable
-from fsar_ledger.ledger.rows.schema import FINGERPRINT
+from fsar_ledger.ledger.rows.runs import LedgerRun, overlong, refusal, require_runs, unreadable
+from fsar_ledger.ledger.rows.schema import FINGERPRINT, LAYOUTS, OPENINGS, SCHEMA, STANDS_ALONE, concerns_admitted
 from fsar_ledger.ledger.store import disk
 from fsar_ledger.ledger.store.paths import staged_path
 
@@ -103,3 +114,174 @@ def stage_rows(ledger: Path, runs: Sequence[LedgerRun], table: pa.Table, leaves:
     with disk.refusals(path, "writing a segment"):
         disk.write_durably(path, memoryview(data))
     return staged
+
+
+_TAG_OF: dict[type, str] = {layout.cls: tag for tag, layout in LAYOUTS.items()}
+
+
+def rows_of(runs: Sequence[LedgerRun]) -> tuple[bytes, tuple[Block, ...]]:
+    """Return the rows of these runs, the canonical bytes of each with a line feed after it, and their blocks.
+
+    Raises: InvalidRun for whatever `stage` refuses, but for its bounds on a segment.
+    """
+    if not runs:
+        raise InvalidRun("found no runs to commit, expected at least 1")
+    if len(runs) == 1 and (going_on := _going_on(runs[0])) is not None:
+        return going_on
+    plain = plain_rows(runs)
+    if plain is None or not plain.rows or len(runs) > 1:
+        require_runs(runs)
+    rows, marks = plain or Plain(b"\n".join((*encode_lines(runs), b"")), tuple(map(marks_of, runs)))
+    if (plain is None and not _is_printable(rows)) or not all(map(_is_in_order, runs, marks)):
+        table = encode_coded(runs)
+        if flaw := unprintable(table):
+            raise InvalidRun(f"{flaw}; give it another name")
+        if flaw := disordered(table):
+            raise refusal(flaw)
+    begun = [run for run in runs if not run.first]
+    if begun and (flaw := unreadable(begun) or overlong(begun)):  # of the others, the ledger holds the name
+        raise refusal(flaw)
+    return rows, tuple(map(_block, runs, marks))
+
+
+def _going_on(run: LedgerRun) -> tuple[bytes, tuple[Block]] | None:
+    """Return, as `rows_of`, what follows of a run that has begun; None unless it is plain that nothing is wrong."""
+    if not run.first or (lines := plain_lines(run)) is None:
+        return None
+    rows, marks = lines
+    return (rows, (_block(run, marks),)) if rows and _is_in_order(run, marks) else None
+
+
+def _is_printable(rows: bytes) -> bool:
+    """Return whether it is plain that all text in these rows, canonical JSON, is printable.
+
+    JSON escapes other ASCII than DEL by a backslash. Looking at bytes takes a tenth of the time of looking at text.
+    """
+    text = rows.replace(b"\n", b"")
+    return b"\\" not in text and b"\x7f" not in text and (text.isascii() or text.decode().isprintable())
+
+
+@lru_cache
+def _concerns(marks: int) -> tuple[str, ...]:
+    return tuple(sorted(concern for concern, mark in MARK_OF.items() if marks & mark))
+
+
+def _is_in_order(run: LedgerRun, marks: int) -> bool:
+    """Return whether it is plain that nothing is wrong with the order of these events and the run's beginning."""
+    times = run.times_us
+    if marks & OPENING or (len(times) > 1 and list(times) != sorted(times)):
+        return False
+    if run.first:
+        return True
+    first, observes = _TAG_OF[type(run.events[0])], _observes(run)
+    return (
+        first in OPENINGS
+        and getattr(run.events[0], "records", None) is None
+        and (first not in STANDS_ALONE or len(run.events) == 1)
+        and (observes is None or (set(observes) <= set(CONCERNS) and set(_concerns(marks)) <= set(observes)))
+    )
+
+
+def _block(run: LedgerRun, marks: int) -> Block:
+    return Block(
+        run.run_id,
+        run.first,
+        len(run.events),
+        run.times_us[0],
+        run.times_us[-1],
+        _observes(run),
+        _concerns(marks) if run.first else (),
+        not run.first and _TAG_OF[type(run.events[0])] in STANDS_ALONE,
+    )
+
+
+def _observes(run: LedgerRun) -> tuple[str, ...] | None:
+    """Return the concerns that the run's events may have, as event 0 says; None if it is not here or says nothing."""
+    if run.first or not isinstance(started := run.events[0], RunStarted):
+        return None
+    return concerns_admitted(started.observes, started.records)
+
+
+_PARSE = pyarrow.json.ParseOptions(
+    explicit_schema=pa.schema([field.with_nullable(True) for field in SCHEMA]),
+    unexpected_field_behavior="error",
+    newlines_in_values=False,
+)
+_BLOCK_BYTES = 1 << 24
+_folders: list[str] = []  # of this process, for rows of journals
+
+
+def table_of(path: Path, lines: bytes) -> pa.Table:
+    """Return these rows of the journal at this path, the canonical bytes of each and a line feed, as a table.
+
+    It has the columns of `SCHEMA`, or of `CODED_SCHEMA`.
+
+    Raises: LedgerCorrupted if a row is not the canonical JSON of such columns.
+    """
+    if not lines:
+        return SCHEMA.empty_table()
+    if (plain := plain_table(lines)) is not None:
+        return plain
+    rows = lines.split(b"\n")[:-1]
+    try:
+        table = pyarrow.json.read_json(
+            BytesIO(lines),
+            pyarrow.json.ReadOptions(use_threads=False, block_size=max(_BLOCK_BYTES, *map(len, rows)) + 1),
+            _PARSE,
+        ).cast(SCHEMA)
+        again = canonical.from_table(table.combine_chunks())
+    except (pa.ArrowException, ValueError) as error:
+        raise LedgerCorrupted(
+            f"{path}: found rows that are no events ({error!s:.200}); run fsar-ledger verify, and restore the file"
+        ) from error
+    for number, (row, line) in enumerate(zip(rows, again, strict=True)):
+        if line != row:
+            raise LedgerCorrupted(
+                f"{path}: row {number}: found {row!r:.200}, expected canonical JSON of the columns of events; restore "
+                "the file"
+            )
+    return table.combine_chunks()
+
+
+class UnstagedSegment(NamedTuple):
+    """A segment in memory, which is not staged yet: its bytes, and what a writer must know of it."""
+
+    data: pa.Buffer
+    staged: Staged
+
+
+def made_of(table: pa.Table, leaves: bytes) -> UnstagedSegment:
+    """Make a segment of these rows, of runs that a ledger holds, with these packed leaf hashes."""
+    data = segment.to_parquet(table)
+    return UnstagedSegment(data, Staged(sha256_hex(data), data.size, table.num_rows, leaves))
+
+
+def stage_made(ledger: Path, made: UnstagedSegment) -> None:
+    """Write a segment durably to the staging folder. Raises: WriteFailed if the disk refused."""
+    path = staged_path(ledger, made.staged.segment_sha256)
+    with disk.refusals(path, "writing a segment"):
+        disk.write_durably(path, memoryview(made.data))
+
+
+def require_staged(ledger: Path, staged: Staged) -> None:
+    """Require that the staging folder has this segment. Raises: WriteFailed if not, or if the disk refused."""
+    path = staged_path(ledger, staged.segment_sha256)
+    with disk.refusals(path, "reading what was staged"):
+        data = disk.read_large(path, staged.segment_bytes)
+    if sha256_hex(data) != staged.segment_sha256 or staged.rows * HASH_BYTES != len(staged.leaves):
+        raise WriteFailed(
+            f"{path}: found another file than was staged, expected {staged.segment_bytes} bytes of that SHA-256; "
+            "stage it again"
+        )
+
+
+def materialized(table: pa.Table) -> Path:
+    """Write these rows as a segment into a folder of this process, and return it."""
+    if not _folders:
+        _folders.append(tempfile.mkdtemp(prefix="fsar-ledger-"))
+        atexit.register(shutil.rmtree, _folders[0], ignore_errors=True)
+    data = segment.to_parquet(table)
+    path = Path(_folders[0]) / f"{sha256_hex(data)}.parquet"
+    if not path.exists():
+        path.write_bytes(data)
+    return path

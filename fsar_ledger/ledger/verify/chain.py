@@ -15,9 +15,7 @@ from fsar_ledger.ledger.log.note import VerifierKey
 from fsar_ledger.ledger.rows.blocks import Block, Runs, blocks_of
 from fsar_ledger.ledger.rows.check import first_flaw
 from fsar_ledger.ledger.store import growing
-from fsar_ledger.ledger.store.checkpoint import behind, covered
-from fsar_ledger.ledger.store.derived import derived_sizes
-from fsar_ledger.ledger.store.index import index_line, line_doubt
+from fsar_ledger.ledger.store.derived import derived_sizes, index_line, line_doubt
 from fsar_ledger.ledger.store.journal import Frame
 from fsar_ledger.ledger.store.links import Chain
 from fsar_ledger.ledger.store.paths import (
@@ -35,7 +33,8 @@ from fsar_ledger.ledger.store.problem import Problem, refusal
 from fsar_ledger.ledger.store.read import View, open_chain
 from fsar_ledger.ledger.store.record import Commit, Placement, segment_of
 from fsar_ledger.ledger.store.segments import MISSING, Names, check_manifest, names_in
-from fsar_ledger.ledger.store.tables import table_of
+from fsar_ledger.ledger.store.snapshot import behind, covered
+from fsar_ledger.ledger.store.staging import table_of
 from fsar_ledger.ledger.verify.notes import (
     Anchor,
     ByHashes,

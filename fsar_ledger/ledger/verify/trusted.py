@@ -21,19 +21,16 @@ from fsar_ledger.ledger.log.note import Checkpoint, Note, VerifierKey, doubt, pa
 from fsar_ledger.ledger.rows import canonical, segment
 from fsar_ledger.ledger.store import disk, growing
 from fsar_ledger.ledger.store.append import Writer
-from fsar_ledger.ledger.store.checkpoint import behind
-from fsar_ledger.ledger.store.derived import derived_sizes
-from fsar_ledger.ledger.store.index import line_of
+from fsar_ledger.ledger.store.derived import derived_sizes, line_of
 from fsar_ledger.ledger.store.links import Chain
 from fsar_ledger.ledger.store.manifest import FORMAT, VERSION, Manifest
 from fsar_ledger.ledger.store.paths import CHAIN, CHECKPOINT, INDEX, MANIFEST, NODES, SEGMENTS, STAGING
 from fsar_ledger.ledger.store.prepare import repair
 from fsar_ledger.ledger.store.problem import Problem
 from fsar_ledger.ledger.store.read import View, open_chain
-from fsar_ledger.ledger.store.record import Placement, Record, segment_of
+from fsar_ledger.ledger.store.record import EMPTY_HEAD, Head, Placement, Record, segment_of
 from fsar_ledger.ledger.store.segments import check_manifest, names_in
-from fsar_ledger.ledger.store.snapshot import read_checkpoint
-from fsar_ledger.ledger.store.view import EMPTY_HEAD, Head
+from fsar_ledger.ledger.store.snapshot import behind, read_checkpoint
 from fsar_ledger.ledger.verify.chain import FILES, FOLDERS, Verification, unplaced
 from fsar_ledger.ledger.verify.notes import Nodes, check_anchor
 from fsar_ledger.ledger.verify.report import VerifyOptions, VerifyReport

@@ -3,8 +3,7 @@
 import pytest
 
 from fsar_ledger.base.errors import UsageError
-from fsar_ledger.exports.objects import NAMING, Named, named_in
-from fsar_ledger.exports.times import epoch_us, rfc3339
+from fsar_ledger.exports.shared import NAMING, Named, epoch_us, named_in, rfc3339
 
 NAMES = {
     *(

@@ -15,9 +15,9 @@ from fsar_ledger.api.ledger import Ledger
 from fsar_ledger.base.errors import UsageError
 from fsar_ledger.cli.app import run
 from fsar_ledger.events.source import Observed
-from fsar_ledger.sources import telling
+from fsar_ledger.sources import columns
+from fsar_ledger.sources.columns import tell, told
 from fsar_ledger.sources.recorder import Recorder
-from fsar_ledger.sources.telling import tell, told
 
 STARTED = {"type": "ExecutionStarted", "task_id": "t", "action_id": "t/1", "robot": "robot/A1", "capability": "pick"}
 ACCEPTED = {"type": "RequestAccepted", "task_id": "t", "action_id": "t/1", "decided_by": "robot/A1"}
@@ -100,7 +100,7 @@ def test_a_wrong_line_is_refused_by_number_and_field_and_the_record_goes_on(
 
 
 def test_a_line_that_is_too_long_is_one_line(recorder: Recorder, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(telling, "MAX_LINE", 200)
+    monkeypatch.setattr(columns, "MAX_LINE", 200)
     for size in (201, 202, 401, 402, 1_000):
         assert refused(recorder, b"x" * size) == "found more than 200 bytes, expected one event a line"
     assert tell(recorder, io.BytesIO(b"x" * 1_000)) == (0, {1: "found more than 200 bytes, expected one event a line"})

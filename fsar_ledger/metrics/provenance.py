@@ -1,0 +1,235 @@
+"""The provenance of an answer: what it holds for, and what it leaves open.
+
+Numbers rest on runs that were planned and may be missing; an empty answer about events that runs do not observe says
+nothing. Both are told beside every answer.
+"""
+
+import re
+from collections.abc import Iterable
+from typing import Any
+
+import msgspec
+
+from fsar_ledger.ledger.store.record import Head
+
+from .database import Database
+from .library import Library, Query
+from .paths import listed
+
+EXPERIMENTS = "SELECT * FROM experiments ORDER BY planned_count DESC, plan"
+MISSING = "SELECT missing_count FROM missing_runs"
+MAX_COMBINATIONS = 10_000
+"""The most combinations of architecture, configuration and scenario in a plan that `missing_runs` reads."""
+
+UNPLANNED = "SELECT count(*) AS runs FROM unplanned_runs"
+
+
+class Completeness(msgspec.Struct, frozen=True):
+    """What the plans of a ledger say about its runs: `unfinished` plans lack some, and no larger plan covers them.
+
+    `unplanned` counts runs that no plan names.
+    """
+
+    plans: int
+    unfinished: tuple[dict[str, Any], ...]
+    unplanned: int
+    missing: int | None
+    """How many runs of these plans are missing, each counted once, however many plans name it.
+
+    None if plans name too many to tell.
+    """
+
+    def warning(self) -> str | None:
+        """Say what is missing; None if nothing is, as far as plans say."""
+        if not self.unfinished:
+            return None
+        first, *others = self.unfinished
+        more = f"; {len(others):,} more plans lack runs" if others else ""
+        return (
+            f"not complete: {first['missing_count']:,} of the {first['planned_count']:,} runs of a plan are "
+            f"missing{more}"
+        )
+
+    def answer(self) -> dict[str, object]:
+        """Return the same for programs: `complete` is None without a plan, or if some runs are in none.
+
+        `missing_count` counts each run once.
+        """
+        told = None if not self.plans or self.unplanned else True
+        return {"complete": False if self.unfinished else told, "missing_count": self.missing}
+
+    def sentence(self) -> str:
+        """Say what the plans say, in any case."""
+        if not self.plans:
+            return "no plan is on record, so nothing says whether these are all the runs that were meant"
+        found = self.warning() or "all runs that were planned are there"
+        return f"{found}; {self.unplanned:,} runs are in no plan" if self.unplanned else found
+
+
+def completeness(database: Database) -> Completeness:
+    """Return what the plans of this ledger say about its runs. Raises: as `Database.rows`."""
+    rows = database.rows(EXPERIMENTS)
+    [counted] = database.rows(UNPLANNED)
+    unfinished = tuple(row for row in rows if row["missing_count"] and not row["larger_plans"])
+    return Completeness(len(rows), unfinished, counted["runs"], _missing(database, unfinished))
+
+
+def _missing(database: Database, unfinished: tuple[dict[str, Any], ...]) -> int | None:
+    lacking: list[int] = [plan["missing_count"] for plan in unfinished]
+    if len(unfinished) < 2:
+        return sum(lacking)
+    if any(
+        len(plan["architectures"]) * len(plan["configurations"]) * len(plan["scenarios"]) > MAX_COMBINATIONS
+        for plan in unfinished
+    ):
+        return None
+    lacking = [row["missing_count"] for row in database.rows(MISSING)]
+    return sum(lacking)
+
+
+_TYPE = re.compile(r"'([A-Z][A-Za-z]+\.v\d+)'")
+_NOT_READ = re.compile(r"--[^\n]*|\btype NOT IN \([^)]*\)")
+_WIDE = frozenset({"events", "event_principals"})
+"""Relations that hold every event, whatever its type."""
+_TIES = frozenset({"event_principals", "keyed_events", "naming_events"})
+"""Relations that read all events only to tell which belong together; the query names what it is about beside them."""
+
+
+_OF_ANY_TYPE = frozenset({"evidence_of_principals", "keyed_events", "revocations"})
+"""Queries that read events of every type, although they also name some."""
+
+
+IN_PART = " in part"
+"""Behind the name of a concern of which a run records some types and not others."""
+
+
+class Unobserved(msgspec.Struct, frozen=True):
+    """A concern, or a part of it, that some runs do not observe, and how many of how many."""
+
+    concern: str
+    runs: int
+    of_runs: int
+
+
+def types_read(library: Library, query: Query) -> frozenset[str] | None:
+    """Return the event types that the query reads; None if it reads events of every type."""
+    found: set[str] = set()
+    for one in (*library.needs(query.sources() - {query.relation}, held={"unobservable"}), query):
+        named = _TYPE.findall(_NOT_READ.sub("", one.sql))
+        reads_all = not named and _WIDE >= one.sources() & {"events", *library.relations} > set()
+        if (reads_all or one.relation in _OF_ANY_TYPE) and (one is query or one.relation not in _TIES):
+            return None
+        found.update(named)
+    return frozenset(found)
+
+
+# See docs/decisions/unobserved-is-null.md.
+def unobserved(database: Database, query: Query, run: str | None = None) -> list[Unobserved]:
+    """Return what the query rests on and not all runs observe (or this one does not), by name.
+
+    A judge rests on what `unobservable` says, any other query on the concerns of the events that it reads; of a run
+    that records some types of a concern, the rest of it. Raises: as `Database.rows`.
+    """
+    types = types_read(database.library, query)
+    named = "" if types is None else f"WHERE type IN ({listed(sorted(types)) or 'NULL'})"
+    return _lacking(database, named, run, query.relation)
+
+
+def never_observed(database: Database) -> list[Unobserved]:
+    """Return the concerns of which not all runs observe anything, by name. Raises: as `Database.rows`."""
+    return [one for one in _lacking(database) if not one.concern.endswith(IN_PART)]
+
+
+def _lacking(database: Database, named: str = "", run: str | None = None, judge: str | None = None) -> list[Unobserved]:
+    """Return what not all runs (or not this one) observe, of the types that this condition takes."""
+    rows = database.rows(
+        f"""
+        WITH needed AS (
+            SELECT concern, split_part(type, '.', 1) AS kind, count(*) OVER (PARTITION BY concern) AS kinds
+            FROM event_concerns {named}
+        ),
+
+        lacking AS (
+            SELECT
+                started.run_id, needed.concern,
+                started.records IS NULL
+                OR count(*) OVER (PARTITION BY started.run_id, needed.concern) = needed.kinds AS is_whole
+            FROM run_started AS started
+            INNER JOIN needed
+                ON
+                    NOT list_contains(coalesce(started.observes, []), needed.concern)
+                    AND NOT list_contains(coalesce(started.records, []), needed.kind)
+        ),
+
+        judged AS (
+            SELECT run_id, unnest(string_split(not_observed, ', ')) AS name
+            FROM unobservable
+            WHERE judge = $judge
+        ),
+
+        named AS (
+            SELECT run_id, if(is_whole, concern, concern || '{IN_PART}') AS name
+            FROM lacking
+            WHERE NOT EXISTS (FROM judged_concerns WHERE judge = $judge)
+            UNION
+            SELECT run_id, name
+            FROM judged
+        )
+
+        SELECT
+            name AS concern, count(*) AS runs,
+            (SELECT count(*) FROM runs WHERE $run IS NULL OR run_id = $run) AS of_runs
+        FROM named
+        WHERE $run IS NULL OR run_id = $run
+        GROUP BY name
+        ORDER BY name
+        """,
+        {"run": run, "judge": judge},
+    )
+    return [Unobserved(**row) for row in rows]
+
+
+def told(found: Iterable[Unobserved]) -> str | None:
+    """Return one line for people; None if every run observes everything."""
+    parts = shown(found)
+    return f"not observed, so that the answer says nothing about it: {parts}" if parts else None
+
+
+def shown(found: Iterable[Unobserved]) -> str:
+    """Return the concerns, and how many runs do not observe each."""
+    return ", ".join(f"{one.concern} ({one.runs:,} of {one.of_runs:,} runs)" for one in found)
+
+
+class Provenance(msgspec.Struct, frozen=True):
+    """The head that an answer holds for, and whether the rows that it was read from were compared with its root.
+
+    `plans` says which planned runs are there; None where the answer does not depend on that. `not_observed` names the
+    concerns that runs do not observe, and about which the answer says nothing there.
+    """
+
+    head: Head | None = None
+    rows_verified: bool | None = None
+    plans: Completeness | None = None
+    not_observed: tuple[Unobserved, ...] = ()
+
+    def answer(self) -> dict[str, object]:
+        """Return what JSON answers say of this besides the head."""
+        missing: dict[str, object] = {"not_observed": self.not_observed} if self.not_observed else {}
+        return missing if self.plans is None else {**self.plans.answer(), **missing}
+
+
+def of_run(provenance: Provenance, lacking: Iterable[str]) -> Provenance:
+    """Return the provenance of an answer about all of one run, which does not observe these concerns."""
+    return msgspec.structs.replace(provenance, not_observed=tuple(Unobserved(one, 1, 1) for one in lacking))
+
+
+def of_rows(database: Database, query: Query | str | None = None, run: str | None = None) -> Provenance:
+    """Return the provenance of the rows of a query, for one run or for all."""
+    found = database.library.find(query) if isinstance(query, str) else query
+    missing = () if found is None else tuple(unobserved(database, found, run))
+    return Provenance(database.head, database.rows_verified, None, missing)
+
+
+def of_judgement(database: Database) -> Provenance:
+    """Return the provenance of an answer that judges all planned runs."""
+    return Provenance(database.head, database.rows_verified, completeness(database))
