@@ -48,7 +48,7 @@ from .handlers.public import PublicCommand
 from .handlers.recovery import SetRecoveryBudget
 from .handlers.supervision import SetSupervisionDensity
 from .handlers.trust import SetTrust
-from .kernel import NEVER_US, Kernel
+from .kernel import Kernel
 from .ports import Ask, Fact, World
 from .recipes import Recipe, base_of, constants_by_time, require_possible, started_of, with_changes
 from .simulation import environment_of, founding_of, handler_table_of, run_id, run_started
@@ -266,7 +266,7 @@ def run_to_end(kernel: Kernel, edited: EditedEnvironment, recipe: Recipe) -> Non
         kernel.run(from_us - 1)
         edited.use_environment(environment)
         kernel.set_environment(edited)
-    kernel.run(NEVER_US)
+    kernel.run()
 
 
 def fork(base: Recipe, record: LedgerRun, root: str, changes: Changes) -> Fork:

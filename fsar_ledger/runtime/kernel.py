@@ -29,6 +29,7 @@ from fsar_ledger.events import EVENT_TYPES, Event
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.events.world import LinkCameUp, RobotCameBack, RobotWentOff
 from fsar_ledger.ledger.rows.runs import LedgerRun
+from fsar_ledger.projections.fleet import NEVER_US
 from fsar_ledger.projections.fold import ROUTES, State, apply
 from fsar_ledger.projections.world import is_linked
 
@@ -40,8 +41,6 @@ from .ports import Environment
 _Plan = dict[type[Event], tuple[tuple[tuple[str, Callable[[Any, Any], Any]], ...], tuple[React, ...]]]
 _TURNS = frozenset({RobotWentOff, RobotCameBack, LinkCameUp})
 """Facts that stop commands, or bring back those that were kept."""
-NEVER_US = 2**63 - 1
-"""Later than any time that can be stored."""
 MOMENT_US = 60_000_000
 """A run that is still busy when it should have ended, with no longer moments between commands, does not end."""
 

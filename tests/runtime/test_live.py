@@ -16,7 +16,7 @@ from fsar_ledger.events.execution import ExecutionFailed, ExecutionFinished, Exe
 from fsar_ledger.events.recovery import AssistanceAdmitted, FailureResolved, RecoveryAttempted, RecoveryEscalated
 from fsar_ledger.events.request import RequestAdmitted, RequestDenied, RequestIssued, RequestUnanswered
 from fsar_ledger.events.supervision import SupervisorCalled, SupervisorResponded
-from fsar_ledger.events.task import TaskCompleted
+from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
 from fsar_ledger.ledger.rows.runs import LedgerRun
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.staging import stage
@@ -172,6 +172,12 @@ def test_a_supervisor_answers_the_call_by_command() -> None:
     called = play.of(SupervisorCalled)[-1]
     play.does(RespondToCall(supervisor=called.supervisor, action_id=OPENING, approves=True))
     assert [event.level for event in play.of(FailureResolved)] == ["human"]
+
+
+def test_a_task_of_the_second_hour_is_given_up_after_its_own_budgets_and_not_at_once() -> None:
+    play = Play().wait(7_200).does(SubmitTask(robot=A, task_id="late", steps=STEPS, budget_us=600 * S)).wait(500)
+    assert not play.of(TaskAbandoned)
+    assert play.wait(7_200).of(TaskAbandoned)
 
 
 def test_a_robot_that_goes_off_is_halted_and_goes_on_when_it_is_back() -> None:
