@@ -18,7 +18,7 @@ from fsar_ledger.projections.fold import State
 
 from .forks import EditedEnvironment, command, edited_environment, last_shared, run_to_end
 from .handlers.commands import Command, Decide
-from .live import ARCHITECTURE, live_started
+from .live import ARCHITECTURE, commands_of, live_started
 from .ports import Environment, LiveEnvironment
 from .recipes import (
     CannotReplay,
@@ -245,11 +245,9 @@ class _LiveReplay(_Replay):
     """The replay of a live run from the commands on its record, until the last of its events."""
 
     def __init__(self, record: LedgerRun, started: RunStarted, constants: Constants) -> None:
-        pairs = zip(record.times_us, record.events, strict=True)
-        commands = tuple((time_us, event) for time_us, event in pairs if isinstance(event, CommandGiven))
         events, founded = fleet_founding(started.fleet_size or 0, constants)
         made = live_started(constants, started.fleet_size or 0, started.epoch)
-        super().__init__(record, (ARCHITECTURE, FULL), LiveEnvironment(commands), (made, *events), founded)
+        super().__init__(record, (ARCHITECTURE, FULL), LiveEnvironment(commands_of(record)), (made, *events), founded)
 
     def run_to_end(self) -> None:
         self.run(self._stored.times_us[-1])

@@ -286,8 +286,9 @@ def given(command: PublicCommand, issued_by: str, **about: object) -> CommandGiv
 def read(kind: type[PublicCommand], parameters: str) -> PublicCommand:
     """Return the command with these fields, as JSON. Raises: msgspec.ValidationError for what it cannot have."""
     found = msgspec.json.decode(parameters, type=dict[str, object])
-    if stamped := found.keys() & set(Command.__struct_fields__):
-        raise msgspec.ValidationError(f"found {min(stamped)}, which the run stamps itself")
+    known = [name for name in kind.__struct_fields__ if name not in Command.__struct_fields__]
+    if unknown := sorted(found.keys() - set(known)):
+        raise msgspec.ValidationError(f"found {unknown[0]!s:.80}, expected some of {', '.join(known)}")
     return msgspec.convert(found, kind)
 
 
