@@ -21,7 +21,7 @@ from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.projections.fold import State
 
-from .live import Decision, LiveRun, command_given, commands_of, decisions_by_key, live_started
+from .live import SOURCE, Decision, LiveRun, command_given, decisions_by_key, live_started
 from .recipes import recorded_constants
 from .run_replay import replay_run
 
@@ -147,9 +147,9 @@ class Federation:
 
     def _resume(self, record: LedgerRun) -> None:
         started = record.events[0]
-        if not isinstance(started, RunStarted) or started.kind != "live" or started.epoch is None:
+        if not isinstance(started, RunStarted) or started.source != SOURCE or started.epoch is None:
             raise UsageError(f"run {value(self.run)}: found a run that is not live, expected a new name or one that is")
-        if commands_of(record) and (difference := replay_run(record)) is not None:
+        if (difference := replay_run(record)) is not None:
             raise UsageError(f"run {value(self.run)} cannot go on, since it would go on otherwise: {difference}")
         self._live = LiveRun(started, recorded_constants(started, len(record.events)), record)
         self._live.take(self.run)  # it is on disk

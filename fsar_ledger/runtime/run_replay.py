@@ -9,7 +9,6 @@ import msgspec
 
 from fsar_ledger.designs.constants import Constants
 from fsar_ledger.events import ALONE, Event
-from fsar_ledger.events.command import CommandGiven
 from fsar_ledger.events.configuration import FULL, Configuration
 from fsar_ledger.events.envelope import flat
 from fsar_ledger.events.fleet import RunStarted
@@ -18,7 +17,7 @@ from fsar_ledger.projections.fold import State
 
 from .forks import EditedEnvironment, command, edited_environment, last_shared, run_to_end
 from .handlers.commands import Command, Decide
-from .live import ARCHITECTURE, commands_of, live_started
+from .live import ARCHITECTURE, SOURCE, commands_of, live_started
 from .ports import Environment, LiveEnvironment
 from .recipes import (
     CannotReplay,
@@ -269,7 +268,7 @@ def _start_replay(record: LedgerRun, is_recorded: bool) -> _Replay:
     if not isinstance(started, RunStarted):
         raise _Mismatch(record.run_id, 0, "type", None, "RunStarted.v2", _at(started, record.times_us[0]))
     try:
-        if started.kind == "live" and any(isinstance(event, CommandGiven) for event in record.events):
+        if started.kind == "live" and started.source == SOURCE:
             return _LiveReplay(record, started, recorded_constants(started, len(record.events)))
         recipe = recorded_recipe(started, len(record.events))
     except CannotReplay as found:
