@@ -37,8 +37,8 @@ class Fleet(msgspec.Struct, frozen=True, dict=True):
     """The run's structure, the mechanisms that its configuration lacks, and its robots in order of joining.
 
     `bodies` are the roles whose robots can clear an obstruction; `substitutes` maps a capability to the one that can
-    replace it. Units: `answer_us` microseconds that a robot waits for an answer; `ends_us` run time after which no task
-    is open.
+    replace it. `is_live`: the robots are really there. Units: `answer_us` microseconds that a robot waits for an
+    answer.
     """
 
     without: frozenset[str] = frozenset()
@@ -46,12 +46,17 @@ class Fleet(msgspec.Struct, frozen=True, dict=True):
     structure: Structure = Structure()
     robots: Mapping[Robot, Member] = {}
     answer_us: int = round(Outages().answer_s * 1e6)
-    ends_us: int = END_US
+    is_live: bool = False
     bodies: tuple[str, ...] = ()
     substitutes: dict[str, str] = {}
     jade: Jade = Jade()
     alliance: Alliance = Alliance()
     roboos: Roboos = Roboos()
+
+    @property
+    def ends_us(self) -> int:
+        """The run time after which no task is open. Units: microseconds."""
+        return NEVER_US if self.is_live else END_US
 
     @cached_property
     def teams(self) -> dict[int, frozenset[Robot]]:
@@ -85,7 +90,7 @@ def evolve(state: Fleet, event: HANDLES) -> Fleet:
                 made,
                 without=removed_mechanisms(event.configuration or ""),
                 size=event.fleet_size or 0,
-                ends_us=NEVER_US if event.kind == "live" else END_US,
+                is_live=event.kind == "live",
                 robots=state.robots,
             )
         case RobotJoined():

@@ -27,6 +27,8 @@ the order of the fleet puts first, resolve the failure); no to a review; the oth
 """
 
 
+ANSWERS_LATER = 3
+"""What is answered for a robot that is asked to help and says so itself: it is asked, and nothing is admitted yet."""
 UNKNOWN_US = -1
 """The length of an execution of which nobody knows how long it takes: the robot reports when it has finished."""
 
@@ -84,5 +86,7 @@ class LiveEnvironment:
         self.latest_us: int | None = None
 
     def answer(self, ask: Ask) -> int | None:
-        """Return no time for a message, and no answer to anything else."""
-        return 0 if ask.port == "network" else None
+        """Return no time for a message; who is asked to help answers later; no answer to anything else."""
+        if ask.port == "network":
+            return 0
+        return ANSWERS_LATER if ask.what == "help" else None

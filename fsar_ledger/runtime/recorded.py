@@ -35,6 +35,7 @@ _MOST_WAITS = 20
 _POSSIBLE_ANSWERS = {
     "verdict": (AS_USUAL, DISAPPROVES, PREFERS_OTHER),
     "admission": (AS_USUAL,),
+    "help": (AS_USUAL,),
     "reliability": (1, 0),
 }
 """What can be answered, in words, to what a command asks when it is due, the usual first; all else are lengths."""

@@ -13,7 +13,13 @@ from fsar_ledger.events import Event
 from fsar_ledger.events.command import CommandGiven, CommandRejected
 from fsar_ledger.events.envelope import FLEET_SUPERVISOR, Robot
 from fsar_ledger.events.execution import ExecutionFailed, ExecutionFinished, ExecutionHalted, ExecutionStarted
-from fsar_ledger.events.recovery import AssistanceAdmitted, FailureResolved, RecoveryAttempted, RecoveryEscalated
+from fsar_ledger.events.recovery import (
+    AssistanceAdmitted,
+    AssistanceRequested,
+    FailureResolved,
+    RecoveryAttempted,
+    RecoveryEscalated,
+)
 from fsar_ledger.events.request import RequestAdmitted, RequestDenied, RequestIssued, RequestUnanswered
 from fsar_ledger.events.supervision import SupervisorCalled, SupervisorResponded
 from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
@@ -21,6 +27,7 @@ from fsar_ledger.ledger.rows.runs import LedgerRun
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.runtime.architectures.fsar.reports import (
+    JudgeAssistance,
     JudgeRequest,
     ReportAssistance,
     ReportAttempt,
@@ -156,18 +163,43 @@ def test_a_reported_failure_is_over_when_the_robot_says_so_and_not_before() -> N
     assert OPENING in {event.subject.action_id for event in play.of(ExecutionFinished)}
 
 
+def at_the_peers(cause: str = "obstruction") -> Play:
+    """The door's own attempts have failed; a peer is asked, if any can help with this."""
+    play = opening().does(ReportFailure(robot=B, action_id=OPENING, cause=cause))
+    while not play.of(RecoveryEscalated):
+        play.does(ReportAttempt(robot=B, action_id=OPENING, succeeded=False))
+    return play.wait(1)
+
+
+def test_a_peer_helps_by_its_own_word_and_says_when_it_has() -> None:
+    play = at_the_peers()
+    assert not play.of(AssistanceAdmitted)
+    helper = play.of(AssistanceRequested)[-1].helper
+    play.does(JudgeAssistance(robot=helper, action_id=OPENING, accepts=True)).wait(60)
+    assert [event.helper for event in play.of(AssistanceAdmitted)] == [helper]
+    assert not play.of(FailureResolved)
+    play.does(ReportAssistance(robot=helper, action_id=OPENING, succeeded=True))
+    assert [event.level for event in play.of(FailureResolved)] == ["peer"]
+    assert replay_run(play.record) is None
+
+
+def test_a_peer_that_declines_or_does_not_answer_is_passed_over() -> None:
+    for answers in (True, False):
+        play = at_the_peers()
+        helper = play.of(AssistanceRequested)[-1].helper
+        if answers:
+            play.does(JudgeAssistance(robot=helper, action_id=OPENING, accepts=False)).wait(1)
+        else:
+            play.wait(60)
+            assert play.give(JudgeAssistance(robot=helper, action_id=OPENING, accepts=True)) is not None
+        assert not play.of(AssistanceAdmitted)
+        levels = {event.to_level for event in play.of(RecoveryEscalated)}
+        assert len(play.of(AssistanceRequested)) > 1 or "fleet" in levels
+        assert replay_run(play.record) is None
+
+
 def test_a_supervisor_answers_the_call_by_command() -> None:
-    play = opening().does(ReportFailure(robot=B, action_id=OPENING, cause="hinge jammed"))
-    while not play.of(SupervisorCalled):
-        if play.of(AssistanceAdmitted) and not play.of(FailureResolved):
-            helper = play.of(AssistanceAdmitted)[-1].helper
-            refused = play.give(ReportAssistance(robot=helper, action_id=OPENING, succeeded=False))
-            if refused is None:
-                continue
-        if play.give(ReportAttempt(robot=B, action_id=OPENING, succeeded=False)) is not None:
-            play.wait(30)
-        assert play.now_s < 600
-    assert play.of(RecoveryEscalated)
+    play = at_the_peers("hinge jammed").wait(60)
     assert not play.wait(5).of(SupervisorResponded)
     called = play.of(SupervisorCalled)[-1]
     play.does(RespondToCall(supervisor=called.supervisor, action_id=OPENING, approves=True))
@@ -198,6 +230,7 @@ def test_a_robot_that_goes_off_is_halted_and_goes_on_when_it_is_back() -> None:
         (ReportAttempt(robot=B, action_id=OPENING, succeeded=True), "unknown or finished action t/2.1"),
         (ReportAssistance(robot=D, action_id=OPENING, succeeded=True), "robot/D1 does not help with t/2.1"),
         (ReportPresence(robot=B, is_on=True), "robot/B1 is on already"),
+        (JudgeAssistance(robot=D, action_id=OPENING, accepts=True), "robot/D1 is not asked about t/2.1"),
     ],
 )
 def test_what_a_robot_cannot_say_is_rejected_on_record_and_changes_nothing(command: PublicCommand, said: str) -> None:
@@ -252,6 +285,7 @@ def test_commands_at_random_replay_and_every_kind_of_command_is_read_as_it_was_w
                 ReportStart(robot=robot, action_id=action, lasts_us=draw.choice((None, 5 * S))),
                 ReportFailure(robot=robot, action_id=action, cause=draw.choice(("obstruction", "degradation", "rust"))),
                 ReportAttempt(robot=robot, action_id=action, succeeded=draw.random() < 0.3),
+                JudgeAssistance(robot=robot, action_id=action, accepts=draw.random() < 0.6),
                 ReportAssistance(robot=robot, action_id=action, succeeded=draw.random() < 0.3),
                 ReportPresence(robot=robot, is_on=draw.random() < 0.5),
                 ReportWindow(robot=robot, scope="local", window="w", outcome=draw.choice((None, "deny", "review"))),

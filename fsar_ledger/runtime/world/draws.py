@@ -79,7 +79,7 @@ class Draws:
         stream, share_ppm = ask.what, ask.share_ppm
         if not share_ppm:
             return 0
-        if stream in ("verdict", "admission"):  # the model's supervisors and robots answer alike
+        if stream in ("verdict", "admission", "help"):  # the model's supervisors and robots answer alike
             return AS_USUAL
         # See docs/decisions/draws-are-named.md.
         digest = self._begun[stream].copy()

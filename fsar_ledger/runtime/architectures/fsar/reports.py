@@ -12,7 +12,7 @@ import msgspec
 from fsar_ledger.events import Event
 from fsar_ledger.events.command import CommandGiven
 from fsar_ledger.events.envelope import PolicyOutcome, PolicyScope, Robot, Supervisor
-from fsar_ledger.events.recovery import AssistanceFailed
+from fsar_ledger.events.recovery import AssistanceDeclined, AssistanceFailed, AssistanceRequested
 from fsar_ledger.events.request import RequestDenied
 from fsar_ledger.events.supervision import ActuatorServiced
 from fsar_ledger.events.world import (
@@ -28,7 +28,15 @@ from fsar_ledger.events.world import (
 )
 from fsar_ledger.projections.fold import State
 from fsar_ledger.runtime.handlers.attribution import recorded_by
-from fsar_ledger.runtime.handlers.commands import Command, EndAssistance, EndAttempt, Handlers, Scheduled, StartAction
+from fsar_ledger.runtime.handlers.commands import (
+    Command,
+    EndAssistance,
+    EndAttempt,
+    Handlers,
+    Scheduled,
+    StartAction,
+    open_failure,
+)
 from fsar_ledger.runtime.handlers.public import (
     PublicCommand,
     carried_out,
@@ -37,10 +45,11 @@ from fsar_ledger.runtime.handlers.public import (
     unknown_supervisor,
     unknown_word,
 )
-from fsar_ledger.runtime.ports import UNKNOWN_US
+from fsar_ledger.runtime.ports import UNKNOWN_US, Ask
 
 from .execution import start
-from .recovery import end_assistance, end_attempt
+from .helpers import agreed_to_help
+from .recovery import AskPeers, end_assistance, end_attempt
 from .request import EvaluateRequest, evaluate_request
 
 HANDLERS = Handlers()
@@ -50,6 +59,14 @@ DECLINED = "declined"
 
 class JudgeRequest(PublicCommand):
     """Judge a request that came to the robot: it may refuse what all rules allow, and allows nothing that they deny."""
+
+    robot: Robot
+    action_id: str
+    accepts: bool
+
+
+class JudgeAssistance(PublicCommand):
+    """Answer whether the robot helps with the failure about which it was asked."""
 
     robot: Robot
     action_id: str
@@ -135,6 +152,21 @@ def judge_request(state: State, command: JudgeRequest) -> tuple[Event, ...]:
         return evaluate_request(state, EvaluateRequest(command.action_id, now_us=command.now_us))
     parties = recorded_by(state, command.robot, requested_by=request.requester, executed_by=command.robot)
     return (RequestDenied(request.request_subject, parties.decided(command.robot), DECLINED),)
+
+
+@HANDLERS.decide(JudgeAssistance)
+def judge_assistance(state: State, command: JudgeAssistance) -> tuple[Event, ...]:
+    """Admit or decline by the robot's own word. Paper: sec:model:recovery, level 2."""
+    refused = unknown_robot(state.fleet, command.robot)
+    failure = open_failure(state, command.action_id)
+    if refused is None and (failure is None or failure[1].awaited != command.robot):
+        refused = f"{command.robot} is not asked about {command.action_id}, expected the answer of who is"
+    if refused is not None or failure is None:
+        return rejected(command, command.action_id, refused or "", command.robot)
+    action, recovery = failure
+    if command.accepts:
+        return (agreed_to_help(state, action, recovery, command.robot),)
+    return (AssistanceDeclined(action.subject, action.robot, command.robot, recovery.failure),)
 
 
 def _not_its_own(state: State, robot: Robot, action_id: str) -> str | None:
@@ -253,6 +285,16 @@ def report_window(state: State, command: ReportWindow) -> tuple[Event, ...]:
             robot=command.robot, scope=command.scope, window=command.window, outcome=command.outcome
         )
     return carried_out(command, command.robot, refused, command.robot, made)
+
+
+@HANDLERS.react(AssistanceRequested)
+def _on_question(state: State, event: AssistanceRequested, _now_us: int) -> tuple[Scheduled, ...]:
+    """Schedule the end of the time in which a peer that is really there can answer."""
+    if not state.fleet.is_live:
+        return ()
+    asked, since_us = len(state.recovery[event.failed_action].tried), event.since_us or 0
+    late = AskPeers(event.failed_action, since_us, asked, event.failure, is_last=True)
+    return (Scheduled(late, state.fleet.answer_us, ask=Ask("decision", "help", f"{event.failed_action}/late")),)
 
 
 @HANDLERS.react(CommandGiven)
