@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from fsar_ledger.api.audit import Audit
     from fsar_ledger.api.events import Events, LoggedEvent
     from fsar_ledger.api.explain import Account
+    from fsar_ledger.api.federate import federate
     from fsar_ledger.api.imports import import_records
     from fsar_ledger.api.key import key_new, key_public
     from fsar_ledger.api.ledger import Ledger, open_ledger
@@ -52,6 +53,7 @@ __all__ = [
     "calibrate",
     "ensemble",
     "errors",
+    "federate",
     "import_records",
     "judge",
     "key_new",
@@ -73,6 +75,7 @@ _HOMES = {
     "api.audit": ("Audit",),
     "api.events": ("Events", "LoggedEvent"),
     "api.explain": ("Account",),
+    "api.federate": ("federate",),
     "api.imports": ("import_records",),
     "api.key": ("key_new", "key_public"),
     "api.ledger": ("Ledger", "open_ledger"),

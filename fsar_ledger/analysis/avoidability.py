@@ -17,7 +17,7 @@ from fsar_ledger.designs.constants import END_US
 from fsar_ledger.events.world import OutsiderRequestInjected, TaskArrived
 from fsar_ledger.runtime.changeable import facts_by_name
 from fsar_ledger.runtime.forks import kernel_of
-from fsar_ledger.runtime.ports import Environment, Fact
+from fsar_ledger.runtime.ports import Fact, World
 from fsar_ledger.runtime.simulation import environment_of
 
 MOMENTS = 24
@@ -124,15 +124,13 @@ class _Chances:
         self.found |= {at_us: _chance(at_us, one) for at_us, one in avoided.items()}
 
 
-def _other_world(repeated: Rerun, number: int) -> Environment:
+def _other_world(repeated: Rerun, number: int) -> World:
     """Return the world of another seed, under the same constants."""
     recipe = repeated.base.recipe
     return environment_of(msgspec.structs.replace(recipe.spec, seed=recipe.spec.seed + 1 + number), recipe.constants)
 
 
-def _played(
-    repeated: Rerun, at_us: int, world: Environment
-) -> tuple[Sequence[int], Sequence[int | None], Sequence[object]]:
+def _played(repeated: Rerun, at_us: int, world: World) -> tuple[Sequence[int], Sequence[int | None], Sequence[object]]:
     """Play one future from this moment on."""
     recipe = repeated.base.recipe
     own = environment_of(recipe.spec, recipe.constants)

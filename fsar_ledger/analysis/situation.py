@@ -291,7 +291,8 @@ def _work(state: State, name: Robot) -> Work | None:
     action = state.execution.actions.get(current)
     if action is None:
         return Work(current.partition(":")[2], None, "helping", None, None)
-    return Work(action.action_id, action.capability or None, action.stage, _other(action), action.ends_us / 1e6 or None)
+    ends_s = action.ends_us / 1e6 if action.ends_us else None
+    return Work(action.action_id, action.capability or None, action.stage, _other(action), ends_s)
 
 
 def _other(action: Action) -> str | None:

@@ -96,7 +96,7 @@ class _ObservedKernel(Kernel):
         self._seqs = frozenset(seqs)
         self._causes = frozenset(record.caused_by[seq] for seq in seqs)
         self._scheduled: dict[int, tuple[Scheduled, str, ReadValues]] = {}
-        self._answers: dict[int, tuple[Ask, int]] = {}
+        self._answers: dict[int, tuple[Ask, int | None]] = {}
         self._released: dict[int, tuple[Command, list[int]]] = {}
         events, founded = founding_of(recipe.spec, recipe.constants)
         founding = (started_of(recipe, started), *events[1:])
@@ -113,7 +113,7 @@ class _ObservedKernel(Kernel):
     def set_environment(self, environment: Environment) -> None:
         """From now on, let this environment answer, and note its answers."""
 
-        def answer(ask: Ask) -> int:
+        def answer(ask: Ask) -> int | None:
             found = environment.answer(ask)
             self._answers[id(ask)] = ask, found
             return found
@@ -159,7 +159,8 @@ class _ObservedKernel(Kernel):
             return None
         scheduled, handler, reads = self._scheduled[id(command)]
         asked = scheduled.waits if scheduled.ask is None else (*scheduled.waits, scheduled.ask)
-        return Reaction(handler, reads, tuple(self._answers[id(ask)] for ask in asked))
+        answers = (self._answers[id(ask)] for ask in asked)
+        return Reaction(handler, reads, tuple((ask, answer) for ask, answer in answers if answer is not None))
 
 
 def _name(function: Callable[..., object]) -> str:

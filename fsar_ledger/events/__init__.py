@@ -87,7 +87,7 @@ CONCERNS: tuple[str, ...] = (
     "supervision",  # supervisors: calls, answers, absences
     "knowledge",  # what a decider has been told
     "message",  # what the agents of one robot tell each other
-    "command",  # commands from outside that were rejected
+    "command",  # commands from outside: given to a live run, and rejected
     "world",  # what happens to robots: obstructions, wear, outages, encounters, injected attempts
 )
 """Every concern, in the order in which runs store them. Runs of our own handlers observe all of them."""

@@ -1,6 +1,22 @@
-"""Commands that could not be carried out: bad input is recorded and changes nothing."""
+"""Commands from outside: what was given to a live run, and what could not be carried out."""
 
 from .envelope import Event, Principal
+
+
+class CommandGiven(Event, frozen=True, kw_only=True):
+    """A command came to a live run; what it leads to is caused by this event. A live run is its commands.
+
+    `issued_by` is who gave it, as the door knows them; `key` the name by which they tell whether it is the same one
+    again; `parameters` its fields, as JSON. Units: `source_time_us` run time at which they say that they gave it.
+
+    Paper: sec:architecture:overview.
+    """
+
+    command: str
+    issued_by: Principal
+    parameters: str
+    key: str | None = None
+    source_time_us: int | None = None
 
 
 class CommandRejected(Event, frozen=True, kw_only=True):

@@ -3,15 +3,20 @@
 Paper: sec:model:authority (context expiration).
 """
 
+from collections.abc import Mapping
+
 from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
+
+from .maps import put
 
 HANDLES = TaskCompleted | TaskAbandoned
 
-Over = frozenset[str]
+Over = Mapping[str, bool]
+"""Whether the task was completed, by its name; a set would be copied with every task of a run that lasts."""
 
-INITIAL: Over = frozenset()
+INITIAL: Over = {}
 
 
 def evolve(state: Over, event: HANDLES) -> Over:
     """Return the contexts that are over after the event."""
-    return state | {event.task_id}
+    return put(state, event.task_id, isinstance(event, TaskCompleted))

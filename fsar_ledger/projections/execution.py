@@ -59,8 +59,10 @@ INTERRUPTING = rank("hard-preempt")  # from this level up, a request interrupts 
 class Action(msgspec.Struct, frozen=True, gc=False):
     """One action at its robot. Units: `ends_us` run time of the planned end, `remaining_us` execution left.
 
+    Both are None where nobody knows them, as of a robot that reports when it has finished, and 0 while there is none.
+
     `has_begun` says whether a preempted action had begun to execute. `supervised_by` is the supervisor recorded when
-    the action was queued, if any. `capability` is empty where no event on record names it; a time is 0 if unknown.
+    the action was queued, if any. `capability` is empty where no event on record names it.
     """
 
     task_id: str
@@ -76,8 +78,8 @@ class Action(msgspec.Struct, frozen=True, gc=False):
     has_approach: bool
     is_supervised: bool
     stage: Stage = "queued"
-    ends_us: int = 0
-    remaining_us: int = 0
+    ends_us: int | None = 0
+    remaining_us: int | None = 0
     failures: int = 0
     segments: int = 0
     was_denied: bool = False
@@ -85,6 +87,10 @@ class Action(msgspec.Struct, frozen=True, gc=False):
     preemptions: int = 0
     has_begun: bool = False
     supervised_by: Supervisor | None = None
+
+    def left_us(self, now_us: int) -> int | None:
+        """Return how much of a running execution is left, None where nobody knows. Units: microseconds."""
+        return None if self.ends_us is None else max(0, self.ends_us - now_us)
 
     @property
     def subject(self) -> Subject[TaskId, ActionId]:
@@ -121,21 +127,21 @@ def evolve(state: Execution, event: HANDLES) -> Execution:
         case ApproachStarted():
             return _staged(state, event, "approaching")
         case ExecutionStarted():
-            return _staged(state, event, "running", ends_us=event.ends_us or 0)
+            return _staged(state, event, "running", ends_us=event.ends_us)
         case ExecutionFinished():
             return _ended(state, event.subject.action_id)
         case ExecutionHeld():
             return _held(state, event)
         case ExecutionPaused():
-            return _staged(state, event, "paused", remaining_us=event.remaining_us or 0)
+            return _staged(state, event, "paused", remaining_us=event.remaining_us)
         case ExecutionHalted():
-            return _staged(state, event, "halted", remaining_us=event.remaining_us or 0)
+            return _staged(state, event, "halted", remaining_us=event.remaining_us)
         case ExecutionPreempted():
             return _preempted(state, event)
         case ExecutionResumed():
-            return _staged(state, event, "running", ends_us=event.ends_us or 0)
+            return _staged(state, event, "running", ends_us=event.ends_us)
         case ExecutionFailed():
-            return _staged(state, event, "failed", remaining_us=event.remaining_us or 0, failures=event.failure)
+            return _staged(state, event, "failed", remaining_us=event.remaining_us, failures=event.failure)
         case ExecutionWithdrawn():
             return _withdrawn(state, event)
         case AssistanceAdmitted():
@@ -285,9 +291,9 @@ def _preempted(state: Execution, event: ExecutionPreempted) -> Execution:
         known,
         stage="preempted",
         ends_us=0,
-        remaining_us=event.remaining_us or 0,
+        remaining_us=event.remaining_us,
         preemptions=known.preemptions + 1,
-        has_begun=event.remaining_us is not None,
+        has_begun=event.remaining_us is not None or known.stage in ("running", "paused"),
     )
     held = state.current.get(event.robot) == action_id
     current = without(state.current, event.robot) if held else state.current
@@ -308,7 +314,12 @@ def _held(state: Execution, event: ExecutionHeld) -> Execution:
 
 
 def _staged(
-    state: Execution, event: AtRobot, stage: Stage, ends_us: int = 0, remaining_us: int = 0, failures: int | None = None
+    state: Execution,
+    event: AtRobot,
+    stage: Stage,
+    ends_us: int | None = 0,
+    remaining_us: int | None = 0,
+    failures: int | None = None,
 ) -> Execution:
     state, action = _at_robot(state, event)
     changed = msgspec.structs.replace(

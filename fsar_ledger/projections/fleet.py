@@ -7,7 +7,7 @@ from typing import TypeVar, assert_never
 import msgspec
 
 from fsar_ledger.designs import registered
-from fsar_ledger.designs.constants import Constants, Outages, Structure, read_constants
+from fsar_ledger.designs.constants import END_US, Constants, Outages, Structure, read_constants
 from fsar_ledger.designs.dials import Alliance, Jade, Roboos
 from fsar_ledger.events.configuration import removed_mechanisms
 from fsar_ledger.events.envelope import Robot, Supervisor
@@ -16,6 +16,8 @@ from fsar_ledger.events.fleet import RobotJoined, RunStarted
 from .maps import put
 
 HANDLES = RunStarted | RobotJoined
+NEVER_US = 2**63 - 1
+"""Later than any time that can be stored."""
 
 _Key = TypeVar("_Key")
 
@@ -35,7 +37,8 @@ class Fleet(msgspec.Struct, frozen=True, dict=True):
     """The run's structure, the mechanisms that its configuration lacks, and its robots in order of joining.
 
     `bodies` are the roles whose robots can clear an obstruction; `substitutes` maps a capability to the one that can
-    replace it. Units: `answer_us` microseconds that a robot waits for an answer.
+    replace it. `is_live`: the robots are really there. Units: `answer_us` microseconds that a robot waits for an
+    answer.
     """
 
     without: frozenset[str] = frozenset()
@@ -43,11 +46,17 @@ class Fleet(msgspec.Struct, frozen=True, dict=True):
     structure: Structure = Structure()
     robots: Mapping[Robot, Member] = {}
     answer_us: int = round(Outages().answer_s * 1e6)
+    is_live: bool = False
     bodies: tuple[str, ...] = ()
     substitutes: dict[str, str] = {}
     jade: Jade = Jade()
     alliance: Alliance = Alliance()
     roboos: Roboos = Roboos()
+
+    @property
+    def ends_us(self) -> int:
+        """The run time after which no task is open. Units: microseconds."""
+        return NEVER_US if self.is_live else END_US
 
     @cached_property
     def teams(self) -> dict[int, frozenset[Robot]]:
@@ -81,6 +90,7 @@ def evolve(state: Fleet, event: HANDLES) -> Fleet:
                 made,
                 without=removed_mechanisms(event.configuration or ""),
                 size=event.fleet_size or 0,
+                is_live=event.kind == "live",
                 robots=state.robots,
             )
         case RobotJoined():

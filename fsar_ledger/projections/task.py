@@ -6,11 +6,11 @@ from typing import assert_never
 import msgspec
 from msgspec.structs import replace
 
-from fsar_ledger.designs.constants import END_US
 from fsar_ledger.events.envelope import Robot, recorded_robot
 from fsar_ledger.events.task import StepBegan, StepCompleted, TaskAbandoned, TaskCompleted, TaskPlanned
 from fsar_ledger.events.world import TaskArrived
 
+from .fleet import Fleet
 from .maps import put, without
 
 HANDLES = TaskArrived | TaskPlanned | StepBegan | StepCompleted | TaskCompleted | TaskAbandoned
@@ -84,12 +84,13 @@ def evolve(state: Tasks, event: HANDLES) -> Tasks:
 
 
 # See docs/decisions/late-tasks-are-given-up.md.
-def given_up_us(task: TaskArrived | Task, budgets: int) -> int:
+def given_up_us(task: TaskArrived | Task, fleet: Fleet) -> int:
     """Return the run time at which the task is given up, even while it waits.
 
-    That is after this many budgets, or when the run ends if that is earlier.
+    That is after so many budgets, or when the run ends if that is earlier.
     """
-    return min((task.due_us or 0) + (budgets - 1) * (task.budget_us or 0), END_US)
+    budgets = fleet.structure.expiry_budgets
+    return min((task.due_us or 0) + (budgets - 1) * (task.budget_us or 0), fleet.ends_us)
 
 
 def checkpoint(state: Tasks, task_id: str, step: int) -> str | None:

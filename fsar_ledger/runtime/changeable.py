@@ -44,7 +44,7 @@ from fsar_ledger.events.world import (
     TaskArrived,
 )
 from fsar_ledger.runtime.changes import NEVER, seconds_text
-from fsar_ledger.runtime.ports import AS_USUAL, DISAPPROVES, PREFERS_OTHER, Ask, Environment, Fact
+from fsar_ledger.runtime.ports import AS_USUAL, DISAPPROVES, PREFERS_OTHER, Ask, Fact, World
 from fsar_ledger.runtime.world.draws import FOREVER_US
 
 FactPositions = dict[str, tuple[int, ...]]
@@ -174,7 +174,7 @@ def answer_of(kind: str, text: str) -> int | None:
 class QuestionRecorder:
     """An environment that notes what is asked and answered, in order."""
 
-    def __init__(self, environment: Environment) -> None:
+    def __init__(self, environment: World) -> None:
         self.facts: tuple[Fact, ...] = tuple(environment.facts)
         self.latest_us = environment.latest_us
         self.asked: list[Question] = []

@@ -48,8 +48,8 @@ from .handlers.public import PublicCommand
 from .handlers.recovery import SetRecoveryBudget
 from .handlers.supervision import SetSupervisionDensity
 from .handlers.trust import SetTrust
-from .kernel import NEVER_US, Kernel
-from .ports import Ask, Environment, Fact
+from .kernel import Kernel
+from .ports import Ask, Fact, World
 from .recipes import Recipe, base_of, constants_by_time, require_possible, started_of, with_changes
 from .simulation import environment_of, founding_of, handler_table_of, run_id, run_started
 
@@ -61,7 +61,7 @@ class EditedEnvironment:
     that the run puts before a supervisor, counted when it asks how long the answer takes.
     """
 
-    def __init__(self, environment: Environment, facts: Sequence[Fact], answers: Sequence[Answer]) -> None:
+    def __init__(self, environment: World, facts: Sequence[Fact], answers: Sequence[Answer]) -> None:
         self.facts = facts
         self.latest_us = environment.latest_us
         self.used: set[str] = set()
@@ -72,7 +72,7 @@ class EditedEnvironment:
         self._asked_as: dict[str, str] = {}
         self.answer = self._edited if answers else environment.answer
 
-    def use_environment(self, environment: Environment) -> None:
+    def use_environment(self, environment: World) -> None:
         """From now on, all else is answered by this environment."""
         self._environment = environment
         if not self._exact and not self._patterns:
@@ -163,7 +163,7 @@ class Fork(NamedTuple):
     used: frozenset[str]
 
 
-def kernel_of(recipe: Recipe, edited: Environment) -> Kernel:
+def kernel_of(recipe: Recipe, edited: World) -> Kernel:
     """Return the run at its founding in this environment, with all commands that are to come."""
     table = handler_table_of(recipe.spec.architecture, recipe.spec.configuration)
     founding, founded = founding_of(recipe.spec, recipe.constants)
@@ -182,7 +182,7 @@ def edited_environment(recipe: Recipe) -> EditedEnvironment:
     return EditedEnvironment(usual, facts, [one for one in recipe.changes if isinstance(one, Answer)])
 
 
-def eras(recipe: Recipe) -> list[tuple[int, Environment]]:
+def eras(recipe: Recipe) -> list[tuple[int, World]]:
     """Return from when on the world has other constants, and that world, in order of time. Units: microseconds."""
     return [
         (from_us, environment_of(recipe.spec, constants)) for from_us, constants in constants_by_time(recipe).items()
@@ -266,7 +266,7 @@ def run_to_end(kernel: Kernel, edited: EditedEnvironment, recipe: Recipe) -> Non
         kernel.run(from_us - 1)
         edited.use_environment(environment)
         kernel.set_environment(edited)
-    kernel.run(NEVER_US)
+    kernel.run()
 
 
 def fork(base: Recipe, record: LedgerRun, root: str, changes: Changes) -> Fork:

@@ -11,21 +11,25 @@ whatever happens to the sender or the receiver meanwhile, and waits at the recei
 world constrains every architecture alike; which robot carries out a command is data of the handler table.
 
 What a reaction asks at a port is answered by the run's environment, which also has what happens by itself. The clock is
-the kernel's: a command without a wait is due at a fixed time.
+the kernel's: a command without a wait is due at a fixed time. A command that waits for what has no answer is dropped:
+a robot or a human who is really there reports, and the report is a command from outside, on record as `CommandGiven`.
 """
 
 import sys
 from array import array
+from bisect import bisect_left
 from collections import deque
 from collections.abc import Callable, Sequence
 from functools import lru_cache
 from heapq import heappop, heappush
+from operator import itemgetter
 from typing import Any
 
 from fsar_ledger.events import EVENT_TYPES, Event
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.events.world import LinkCameUp, RobotCameBack, RobotWentOff
 from fsar_ledger.ledger.rows.runs import LedgerRun
+from fsar_ledger.projections.fleet import NEVER_US
 from fsar_ledger.projections.fold import ROUTES, State, apply
 from fsar_ledger.projections.world import is_linked
 
@@ -37,8 +41,6 @@ from .ports import Environment
 _Plan = dict[type[Event], tuple[tuple[tuple[str, Callable[[Any, Any], Any]], ...], tuple[React, ...]]]
 _TURNS = frozenset({RobotWentOff, RobotCameBack, LinkCameUp})
 """Facts that stop commands, or bring back those that were kept."""
-NEVER_US = 2**63 - 1
-"""Later than any time that can be stored."""
 MOMENT_US = 60_000_000
 """A run that is still busy when it should have ended, with no longer moments between commands, does not end."""
 
@@ -82,6 +84,7 @@ class Kernel:
         self._pending = Agenda((isinstance(begun, RunStarted) and begun.fleet_size) or 1)
         self._held_back: list[Pending] = []
         self._serial = 0
+        self._submitted_us: list[int] = []  # a heap: when commands from outside are due
         self._taken: deque[tuple[int, array[int]]] = deque()  # first seq and times of what was taken out in a moment
         if founded is None:
             self._batch(founding, 0, None)
@@ -110,15 +113,34 @@ class Kernel:
         Raises:
             ValueError: The time is not after what has happened.
         """
-        if time_us <= self.times_us[-1]:
-            raise ValueError(f"found a command at {time_us} microseconds, expected it after {self.times_us[-1]}")
-        taken = {due_us for due_us, _, cause, _ in self._pending if cause == 0}
-        taken.update(fact_us for fact_us, _ in self._facts[self._next_fact :])
-        while time_us in taken:
+        if time_us <= self._last_us:
+            raise ValueError(f"found a command at {time_us} microseconds, expected it after {self._last_us}")
+        while self._submitted_us and self._submitted_us[0] <= self._last_us:
+            heappop(self._submitted_us)
+        while self._is_taken(time_us):
             time_us += 1
+        heappush(self._submitted_us, time_us)
         self._serial += 1
         self._pending.put((time_us, self._serial, 0, Scheduled(command)))
         return time_us
+
+    def happen(self, time_us: int, fact: Event) -> int:
+        """Let this happen then, or as soon as nothing else does, after all that is due until then; return its seq."""
+        self.run(time_us)
+        time_us = max(time_us, self._last_us + 1)
+        self._apply_fact(fact, time_us)
+        return self.first + len(self.events) - 1
+
+    def _is_taken(self, time_us: int) -> bool:
+        """Return whether a fact or another command from outside is due at this time."""
+        place = bisect_left(self._facts, time_us, self._next_fact, key=itemgetter(0))
+        has_fact = place < len(self._facts) and self._facts[place][0] == time_us
+        return has_fact or time_us in self._submitted_us
+
+    @property
+    def _last_us(self) -> int:
+        """When the last event happened."""
+        return self.times_us[-1] if self.times_us else self._taken[-1][1][-1]
 
     def take(self) -> LedgerRun:
         """Take out the events recorded so far, which have happened but need not be known for what follows."""
@@ -169,7 +191,10 @@ class Kernel:
                 command, ask = scheduled.command, scheduled.ask
                 command.now_us = time_us
                 if ask is not None:
-                    command.answer = self._answer(ask)
+                    given = self._answer(ask)
+                    if given is None:
+                        continue
+                    command.answer = given
                 events = decides[type(command)](state, command)
                 if events:
                     self._batch(events, time_us, cause)
@@ -224,6 +249,8 @@ class Kernel:
         first = self.first + len(self.events)
         for event in events:
             self._record(event, time_us, cause)
+            if type(event) in _TURNS:  # as a robot has reported
+                self._turn(event, time_us)
             cause = first
 
     def _record(self, event: Event, time_us: int, cause: int | None) -> None:
@@ -246,7 +273,14 @@ class Kernel:
             for scheduled in react(state, event, time_us):
                 due_us = time_us + scheduled.after_us
                 for ask in scheduled.waits:
-                    due_us += answer(ask)
+                    length_us = answer(ask)
+                    if length_us is None:
+                        break
+                    due_us += length_us
+                else:
+                    length_us = 0
+                if length_us is None:
+                    continue
                 if due_us <= time_us:
                     due_us = time_us + 1
                 # See docs/decisions/cause-and-time-name-a-command.md.
@@ -289,10 +323,13 @@ class Kernel:
         return None if actor is None else actor(self.state, scheduled.command)
 
     def _apply_fact(self, fact: Event, time_us: int) -> None:
-        """Apply a fact of the world: keep the commands it stops, and schedule again those it brings back."""
+        """Apply a fact of the world."""
         self._record(fact, time_us, 0)
-        if type(fact) not in _TURNS:
-            return
+        if type(fact) in _TURNS:
+            self._turn(fact, time_us)
+
+    def _turn(self, fact: Event, time_us: int) -> None:
+        """Keep the commands that the fact stops, and schedule again those that it brings back."""
         if isinstance(fact, RobotWentOff):
             stopped = [one for one in self._pending if self._actor(one[3]) == fact.robot and not _is_message(one[3])]
             self._held_back += [

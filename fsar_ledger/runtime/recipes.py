@@ -185,9 +185,7 @@ def recorded_recipe(started: RunStarted, event_count: int) -> Recipe:
     """Return what the run with this event 0 was made from. Raises: Unmade."""
     if started.kind != "simulated":
         raise CannotReplay("kind", "a simulated run", f"a {started.kind} run, whose commands are not stored")
-    if started.model_version != MODEL_VERSION:
-        maker = _MAKERS.get(started.model_version or "", "the version that wrote it")
-        raise CannotReplay("model_version", f"{MODEL_VERSION!r}; replay it with {maker}", repr(started.model_version))
+    _require_our_model(started)
     try:
         spec = msgspec.convert({name: getattr(started, name) for name in RunSpec.__struct_fields__}, RunSpec)
         if spec.fleet_size > event_count:  # each robot has joined: checked before any of them is made
@@ -208,6 +206,24 @@ def recorded_recipe(started: RunStarted, event_count: int) -> Recipe:
         raise CannotReplay("changes", "the changes of a fork, as they are written", str(error)) from error
     _require_own_words(started, recipe)
     return recipe
+
+
+def _require_our_model(started: RunStarted) -> None:
+    if started.model_version != MODEL_VERSION:
+        maker = _MAKERS.get(started.model_version or "", "the version that wrote it")
+        raise CannotReplay("model_version", f"{MODEL_VERSION!r}; replay it with {maker}", repr(started.model_version))
+
+
+def recorded_constants(started: RunStarted, event_count: int) -> Constants:
+    """Return the constants of the live run with this event 0. Raises: CannotReplay."""
+    _require_our_model(started)
+    size = started.fleet_size or 0
+    if not 0 < size <= event_count:
+        raise CannotReplay("fleet_size", f"1 to {event_count}, the events of the run", f"{started.fleet_size}")
+    try:
+        return _constants(started.parameters or "")
+    except BadParameters as error:
+        raise CannotReplay("parameters", "the constants of the model", str(error).removeprefix("found ")) from error
 
 
 def require_possible(recipe: Recipe) -> None:

@@ -32,7 +32,12 @@ _SPAN_US = 1 << 42
 """Longer than any run: what is due after some spans is due at a time to be found."""
 _MOST_WAITS = 20
 """More than what is asked in reaction to one event."""
-_POSSIBLE_ANSWERS = {"verdict": (AS_USUAL, DISAPPROVES, PREFERS_OTHER), "reliability": (1, 0)}
+_POSSIBLE_ANSWERS = {
+    "verdict": (AS_USUAL, DISAPPROVES, PREFERS_OTHER),
+    "admission": (AS_USUAL,),
+    "help": (AS_USUAL,),
+    "reliability": (1, 0),
+}
 """What can be answered, in words, to what a command asks when it is due, the usual first; all else are lengths."""
 
 

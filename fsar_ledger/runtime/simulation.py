@@ -38,7 +38,7 @@ class RunSpec(msgspec.Struct, frozen=True):
     run: int
 
 
-_parameters = lru_cache(maxsize=8)(write_constants)
+constants_text = lru_cache(maxsize=8)(write_constants)
 
 
 def run_started(spec: RunSpec, constants: Constants) -> RunStarted:
@@ -53,7 +53,7 @@ def run_started(spec: RunSpec, constants: Constants) -> RunStarted:
         fleet_size=spec.fleet_size,
         run=spec.run,
         model_version=MODEL_VERSION,
-        parameters=_parameters(constants),
+        parameters=constants_text(constants),
     )
 
 
@@ -88,8 +88,14 @@ def _world(world: WorldConstants, fleet: Fleet | None) -> WorldConstants:
 
 def founding_of(spec: RunSpec, constants: Constants) -> tuple[tuple[Event, ...], State]:
     """Return the events with which the run begins, and the state after all of them but the first."""
-    fleet = (spec.fleet_size, constants.world.floor_teams, constants.fleet)
-    return (run_started(spec, constants), *_founding(*fleet)), _founded(*fleet)
+    events, founded = fleet_founding(spec.fleet_size, constants)
+    return (run_started(spec, constants), *events), founded
+
+
+def fleet_founding(fleet_size: int, constants: Constants) -> tuple[tuple[Event, ...], State]:
+    """Return the events after event 0 with which a fleet of this size is founded, and the state after them."""
+    fleet = (fleet_size, constants.world.floor_teams, constants.fleet)
+    return _founding(*fleet), _founded(*fleet)
 
 
 _founding = lru_cache(maxsize=4)(founding)

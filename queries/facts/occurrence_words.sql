@@ -72,6 +72,7 @@ FROM (
     ('ActivityBroadcast.v1', 'robot', 'robot', 'says that it is active', NULL),
     ('ActivityHeard.v1', 'peer', 'robot', 'is heard to be active', NULL),
     ('NeedEnded.v1', 'peer', 'robot', 'is heard to be done', 'capability'),
+    ('CommandGiven.v1', 'issuer', 'issuer', 'gives the command', 'command'),
     ('CommandRejected.v1', 'issuer', 'issuer', 'command rejected', 'command'),
     ('SourceOpened.v1', 'source', 'source', 'opens', 'format'), ('Observed.v1', 'source', 'source', 'says', 'kind'),
     ('SourceClosed.v1', 'source', 'source', 'has no more records', NULL)

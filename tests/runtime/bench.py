@@ -52,7 +52,7 @@ class Bench(Kernel):
             self._batch(events, self.now_us, 0)
         return events
 
-    def happen(self, fact: Event) -> None:
+    def let_happen(self, fact: Event) -> None:
         """The world does this now."""
         self.now_us += 1
         self._record(fact, self.now_us, 0)
@@ -66,7 +66,9 @@ class Bench(Kernel):
         self.now_us = max(self.now_us + 1, due_us)
         command.now_us = self.now_us
         if ask is not None:
-            command.answer = self._answer(ask)
+            answer = self._answer(ask)
+            assert answer is not None
+            command.answer = answer
         events = self._decides[type(command)](self.state, command)
         if events:
             self._batch(events, self.now_us, cause)

@@ -102,7 +102,7 @@ class Federation(RuleBasedStateMachine):
             and isinstance(command, JoinFleet)
             and any(isinstance(event, RobotJoined) for event in events)
         ):
-            self.live.happen(past.trusted(HELPER, command.robot, "persistent"))
+            self.live.let_happen(past.trusted(HELPER, command.robot, "persistent"))
 
     @rule(data=st.data(), override=st.sampled_from(get_args(OverrideLevel)), urgent=st.booleans())
     def ask_whom_one_trusts(self, data: st.DataObject, override: OverrideLevel, urgent: bool) -> None:
@@ -194,7 +194,7 @@ class Federation(RuleBasedStateMachine):
 
     @rule(data=st.data(), scope=st.sampled_from(["local", "fleet"]), outcome=st.sampled_from(["deny", "review"]))
     def open_window(self, data: st.DataObject, scope: Any, outcome: Any) -> None:
-        self.live.happen(
+        self.live.let_happen(
             PolicyWindowOpened(robot=self.robot(data), scope=scope, window=self.new("window"), outcome=outcome)
         )
 
@@ -205,38 +205,38 @@ class Federation(RuleBasedStateMachine):
         opened += [(robot, "fleet", name) for robot, held in world.fleet.items() for name, _ in held]
         if opened:
             robot, scope, window = data.draw(st.sampled_from(opened))
-            self.live.happen(PolicyWindowClosed(robot, scope, window))  # type: ignore[arg-type]
+            self.live.let_happen(PolicyWindowClosed(robot, scope, window))  # type: ignore[arg-type]
 
     @rule(data=st.data())
     def change_context(self, data: st.DataObject) -> None:
-        self.live.happen(ContextChanged(self.robot(data)))
+        self.live.let_happen(ContextChanged(self.robot(data)))
 
     @rule(data=st.data(), grade=st.sampled_from(["unreliable", "slipping", "lost"]))
     def degrade(self, data: st.DataObject, grade: Any) -> None:
-        self.live.happen(ActuatorDegraded(self.robot(data), grade))
+        self.live.let_happen(ActuatorDegraded(self.robot(data), grade))
 
     @rule(data=st.data())
     def obstruct(self, data: st.DataObject) -> None:
-        self.live.happen(ObstructionAppeared(self.robot(data), self.new("obstruction")))
+        self.live.let_happen(ObstructionAppeared(self.robot(data), self.new("obstruction")))
 
     @rule(data=st.data())
     def clear(self, data: st.DataObject) -> None:
         inside = [(robot, name) for robot, names in self.live.state.world.obstructions.items() for name in names]
         if inside:
             robot, obstruction = data.draw(st.sampled_from(inside))
-            self.live.happen(ObstructionCleared(robot, obstruction))
+            self.live.let_happen(ObstructionCleared(robot, obstruction))
 
     @rule(data=st.data())
     def leave(self, data: st.DataObject) -> None:
         present = [robot.supervisor for robot in self.live.state.fleet.robots.values() if robot.supervisor]
         present = [name for name in present if name not in self.live.state.world.off_shift]
         if present:
-            self.live.happen(SupervisorLeft(data.draw(st.sampled_from(present))))
+            self.live.let_happen(SupervisorLeft(data.draw(st.sampled_from(present))))
 
     @precondition(lambda self: self.bench is not None and self.bench.state.world.off_shift)
     @rule(data=st.data())
     def come_back(self, data: st.DataObject) -> None:
-        self.live.happen(SupervisorReturned(data.draw(st.sampled_from(sorted(self.live.state.world.off_shift)))))
+        self.live.let_happen(SupervisorReturned(data.draw(st.sampled_from(sorted(self.live.state.world.off_shift)))))
 
     @invariant()
     def what_is_rebuilt_is_what_lives(self) -> None:

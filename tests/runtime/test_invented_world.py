@@ -32,7 +32,7 @@ from fsar_ledger.events.world import (
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.ports import Fact
-from fsar_ledger.runtime.replay import replay_run
+from fsar_ledger.runtime.run_replay import replay_run
 from fsar_ledger.runtime.simulation import (
     SCENARIOS,
     RunSpec,

@@ -23,7 +23,7 @@ from fsar_ledger.events.world import ContextChanged, ObstructionAppeared, Policy
 from fsar_ledger.metrics.constant_names import default_of, unlike_ours
 from fsar_ledger.runtime.experiment import Experiment
 from fsar_ledger.runtime.recipes import constants_used, remarks_on
-from fsar_ledger.runtime.replay import Difference, replay_run
+from fsar_ledger.runtime.run_replay import Difference, replay_run
 from fsar_ledger.runtime.simulation import RunSpec, run_started, simulate_run
 from fsar_ledger.runtime.world.schedule import arrivals_expected, schedule
 from tests.runtime.forgeries import changed, renamed

@@ -49,7 +49,7 @@ from fsar_ledger.runtime.handlers.commands import BeginStep, Command, Handlers, 
 from fsar_ledger.runtime.handlers.public import PublicCommand
 from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.ports import Ask, Fact
-from fsar_ledger.runtime.replay import replay_run
+from fsar_ledger.runtime.run_replay import replay_run
 from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, handler_table_of, simulate_run
 from fsar_ledger.runtime.world.draws import Draws, SimulatedEnvironment, Stream, run_key
 from fsar_ledger.runtime.world.schedule import schedule

@@ -21,7 +21,8 @@ from fsar_ledger.metrics.database import connect
 from fsar_ledger.metrics.results import metric_rows, statistic_rows
 from fsar_ledger.runtime import experiment as module
 from fsar_ledger.runtime.experiment import ORIGIN, Experiment, run_experiment
-from fsar_ledger.runtime.replay import replay, replay_run
+from fsar_ledger.runtime.replay import replay
+from fsar_ledger.runtime.run_replay import replay_run
 from fsar_ledger.runtime.simulation import plan_record
 from tests.sure import known
 

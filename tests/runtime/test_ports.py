@@ -11,7 +11,7 @@ from fsar_ledger.events.execution import ExecutionFinished, ExecutionStarted
 from fsar_ledger.events.supervision import SupervisionDensitySet, SupervisorCalled, SupervisorResponded
 from fsar_ledger.runtime.handlers.supervision import SetSupervisionDensity
 from fsar_ledger.runtime.kernel import Kernel
-from fsar_ledger.runtime.ports import AS_USUAL, DISAPPROVES, PREFERS_OTHER, Ask, Environment, Fact, Port
+from fsar_ledger.runtime.ports import AS_USUAL, DISAPPROVES, PREFERS_OTHER, Ask, Environment, Fact, Port, World
 from fsar_ledger.runtime.simulation import RunSpec, environment_of, founding_of, handler_table_of, kernel
 from tests.runtime.live import of
 from tests.runtime.pinned import PINNED
@@ -34,7 +34,7 @@ class Altered:
         length_us: int = S,
         constants: Constants = Constants(),  # noqa: B008
     ) -> None:
-        self._world: Environment = environment_of(spec, constants)
+        self._world: World = environment_of(spec, constants)
         self._port, self._length_us = port, length_us
         self.asked: set[Ask] = set()
         self.facts: tuple[Fact, ...] = tuple(self._world.facts)
@@ -77,8 +77,12 @@ def test_every_port_is_asked_and_each_question_names_its_port() -> None:
     ports = {what: {ask.port for ask in asked if ask.what == what} for what in {ask.what for ask in asked}}
     assert ports["message"] == {"network"}
     assert ports["response"] == ports["verdict"] == {"human"}
+    assert ports["admission"] == {"decision"}
     assert {
-        port for what, found in ports.items() if what not in ("message", "response", "verdict") for port in found
+        port
+        for what, found in ports.items()
+        if what not in ("message", "response", "verdict", "admission")
+        for port in found
     } == {"body"}
     assert {ask.port for ask in asked} == set(get_args(Port))
 

@@ -22,7 +22,7 @@ from fsar_ledger.runtime.forks import fork, parts_at, record_of
 from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.recipes import Recipe
 from fsar_ledger.runtime.recorded import RecordedKernel, recorded_environment
-from fsar_ledger.runtime.replay import replay_run
+from fsar_ledger.runtime.run_replay import replay_run
 from fsar_ledger.runtime.simulation import (
     SCENARIOS,
     RunSpec,

@@ -64,7 +64,8 @@ def test_a_reported_failure_is_recovered_like_any_other() -> None:
         (ReportFailure(Robot("robot/Z9"), ACTION, "obstruction"), "unknown robot robot/Z9"),
         (ReportFailure(A, "A1-9/1.1", "obstruction"), "unknown or finished action A1-9/1.1"),
         (ReportFailure(B, ACTION, "obstruction"), "executed by robot/A1"),
-        (ReportFailure(A, ACTION, "boredom"), "cause boredom"),
+        (ReportFailure(A, ACTION, ""), "cause '', expected what failed"),
+        (ReportFailure(A, ACTION, "a\x1b"), "expected what failed"),
     ],
 )
 def test_a_report_about_what_the_robot_does_not_execute_is_rejected(command: ReportFailure, reason: str) -> None:

@@ -28,7 +28,8 @@ from fsar_ledger.runtime.architectures.handler_table import HandlerTable
 from fsar_ledger.runtime.experiment import ORIGIN, Experiment, run_experiment, workflow_experiment
 from fsar_ledger.runtime.handlers.commands import Command, Decide
 from fsar_ledger.runtime.knockouts import KNOCKOUTS, Knockout
-from fsar_ledger.runtime.replay import ReplayReport, replay, replay_run
+from fsar_ledger.runtime.replay import ReplayReport, replay
+from fsar_ledger.runtime.run_replay import replay_run
 from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, handler_table_of, simulate_run
 from tests import past
 from tests.cli.conftest import Call, call, one_message  # noqa: F401

@@ -14,7 +14,8 @@ from fsar_ledger.events.configuration import PAPER_ARCHITECTURES
 from fsar_ledger.events.envelope import Architecture, Robot
 from fsar_ledger.events.world import RoutineDue
 from fsar_ledger.ledger.rows.codec import LedgerRun
-from fsar_ledger.runtime.replay import NOT_REPLAYED, ReplayReport, replay, replay_commit, replay_run
+from fsar_ledger.runtime.replay import NOT_REPLAYED, ReplayReport, replay, replay_commit
+from fsar_ledger.runtime.run_replay import replay_run
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
 from tests import past
 from tests.cli.conftest import Call, call, one_message  # noqa: F401

@@ -14,7 +14,7 @@ import pyarrow as pa
 
 from fsar_ledger.ledger.rows.schema import SCHEMA, described, fingerprint
 
-RELEASE = "0.12.0"
+RELEASE = "0.13.0"
 """The first release with the current event types. Any change to them makes this the next release."""
 
 

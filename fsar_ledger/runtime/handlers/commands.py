@@ -242,9 +242,13 @@ class Respond(Command):
 
 
 class EndAttempt(ActionCommand):
-    """End an attempt to recover; asks whether a degraded actuator holds (1) or not (0)."""
+    """End an attempt to recover; asks whether a degraded actuator holds (1) or not (0).
+
+    `succeeded` is the robot's own word; None: it is as the world has it.
+    """
 
     number: int
+    succeeded: bool | None = None
 
 
 class EndAssistance(HelpCommand):

@@ -19,7 +19,7 @@ from fsar_ledger.events.world import ContextChanged, ObstructionAppeared, RobotC
 from fsar_ledger.projections.execution import Action, Execution, Stage, in_hand
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.request import Request
-from fsar_ledger.runtime.ports import Ask
+from fsar_ledger.runtime.ports import UNKNOWN_US, Ask
 
 from .attribution import is_injected, parties
 from .commands import (
@@ -94,14 +94,14 @@ def waiting(execution: Execution, action_id: str) -> Action | None:
 
 def started(state: State, action: Action, command: StartAction) -> ExecutionStarted:
     """Return the fact that the action runs from now to its planned end."""
-    duration_us = state.fleet.structure.injected_execution_us if is_injected(action) else command.answer
+    lasts_us = state.fleet.structure.injected_execution_us if is_injected(action) else command.answer
     return ExecutionStarted(
         subject=action.subject,
         principals=parties(state, action),
         robot=action.robot,
         on_behalf_of=action.on_behalf_of,
         capability=action.capability,
-        ends_us=command.now_us + duration_us,
+        ends_us=None if lasts_us == UNKNOWN_US else command.now_us + lasts_us,
     )
 
 
@@ -134,9 +134,10 @@ def detect_obstruction(state: State, command: DetectObstruction, action: Action)
 @HANDLERS.decide_on(known_action, PauseAction, body)
 def pause_action(_state: State, command: PauseAction, action: Action) -> tuple[Event, ...]:
     """Stop the robot to replan, if it still executes."""
-    if action.stage != "running" or action.ends_us <= command.now_us:
+    left_us = action.left_us(command.now_us)
+    if action.stage != "running" or left_us == 0:
         return ()
-    return (ExecutionPaused(action.subject, action.robot, action.ends_us - command.now_us),)
+    return (ExecutionPaused(action.subject, action.robot, left_us),)
 
 
 @HANDLERS.decide_on(known_action, HaltAction, nobody)
@@ -147,7 +148,7 @@ def halt_action(state: State, command: HaltAction, action: Action) -> tuple[Even
     """
     if action.stage != "running" or action.robot not in state.world.off:
         return ()
-    return (ExecutionHalted(action.subject, action.robot, max(0, action.ends_us - command.now_us)),)
+    return (ExecutionHalted(action.subject, action.robot, action.left_us(command.now_us)),)
 
 
 @HANDLERS.decide_on(known_action, ResumeAction, body)
@@ -164,7 +165,8 @@ def resumed(state: State, command: ResumeAction, action: Action) -> tuple[Event,
         return ()
     if action.remaining_us == 0:
         return (_finished(state, action),)
-    return (ExecutionResumed(action.subject, action.robot, command.now_us + action.remaining_us),)
+    ends_us = None if action.remaining_us is None else command.now_us + action.remaining_us
+    return (ExecutionResumed(action.subject, action.robot, ends_us),)
 
 
 def _finished(state: State, action: Action) -> ExecutionFinished:
@@ -202,10 +204,12 @@ def _on_queue(
 
 @HANDLERS.react(ExecutionStarted, ExecutionResumed)
 def _on_running(state: State, event: ExecutionStarted | ExecutionResumed, now_us: int) -> tuple[Scheduled, ...]:
+    """Schedule the planned end; without one the robot reports when it has finished."""
+    if event.ends_us is None:
+        return ()
     segment = state.execution.actions[event.subject.action_id].segments
     ask = holds(f"{event.subject.action_id}/{segment}")
-    ends_us = event.ends_us or now_us
-    finish = Scheduled(FinishAttempt(event.subject.action_id, ends_us), max(1, ends_us - now_us), ask=ask)
+    finish = Scheduled(FinishAttempt(event.subject.action_id, event.ends_us), max(1, event.ends_us - now_us), ask=ask)
     if state.world.obstructions.get(event.robot):
         return (Scheduled(DetectObstruction(event.subject.action_id)), finish)
     return (finish,)

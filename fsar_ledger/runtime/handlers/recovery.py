@@ -104,7 +104,7 @@ def failed(action: Action, cause: FailureCause, now_us: int) -> ExecutionFailed:
         robot=action.robot,
         failure=action.failures + 1,
         cause=cause,
-        remaining_us=max(0, action.ends_us - now_us),
+        remaining_us=action.left_us(now_us),
         detected_us=now_us,
     )
 
@@ -120,12 +120,11 @@ def report_failure(state: State, command: ReportFailure) -> tuple[Event, ...]:
         refused = f"{command.action_id} is executed by {action.robot}, expected its report"
     if refused is None and action is not None and action.stage != "running":
         refused = f"{command.action_id} is {action.stage}, expected running"
-    cause = command.cause if command.cause in FAILURE_CAUSES else None
-    if refused is None and cause is None:
-        refused = f"cause {command.cause}, expected one of {', '.join(FAILURE_CAUSES)}"
-    if refused is not None or action is None or cause is None:
+    if refused is None and not (command.cause and command.cause.isprintable()):
+        refused = f"cause {command.cause!r}, expected what failed, as {FAILURE_CAUSES[0]}"
+    if refused is not None or action is None:
         return rejected(command, command.action_id, refused or "", command.robot)
-    return (failed(action, cause, command.now_us),)
+    return (failed(action, command.cause, command.now_us),)
 
 
 def actuator_holds(world: World, robot: Robot, answer: int) -> bool:
@@ -139,6 +138,8 @@ def actuator_holds(world: World, robot: Robot, answer: int) -> bool:
 
 def attempt_succeeds(world: World, recovery: Recovery, command: EndAttempt) -> bool:
     """Tell whether the way is clear, or the degraded actuator held this time."""
+    if command.succeeded is not None:
+        return command.succeeded
     if recovery.cause == "obstruction":
         return not world.obstructions.get(recovery.robot)
     return actuator_holds(world, recovery.robot, command.answer)

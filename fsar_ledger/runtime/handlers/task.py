@@ -117,7 +117,7 @@ def begin_step(state: State, command: BeginStep) -> tuple[Event, ...]:
         return ()
     if task.step == len(task.steps):
         return (TaskCompleted(task.task_id),)
-    if command.now_us > given_up_us(task, state.fleet.structure.expiry_budgets):
+    if command.now_us > given_up_us(task, state.fleet):
         return (TaskAbandoned(task.task_id),)
     actor, capability, *target = task.steps[task.step].split(" ")
     attempt = task.attempt + 1
@@ -227,7 +227,7 @@ def on_arrival(state: State, event: TaskArrived, now_us: int) -> tuple[Scheduled
 
     That is after so many budgets, and at the latest at the end of the run.
     """
-    left_us = max(1, given_up_us(event, state.fleet.structure.expiry_budgets) - now_us)
+    left_us = max(1, given_up_us(event, state.fleet) - now_us)
     return (Scheduled(BeginStep(event.task_id)), Scheduled(ExpireTask(event.task_id), left_us + 1))
 
 

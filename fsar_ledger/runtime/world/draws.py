@@ -79,7 +79,7 @@ class Draws:
         stream, share_ppm = ask.what, ask.share_ppm
         if not share_ppm:
             return 0
-        if stream == "verdict":  # the model's supervisors answer alike; only when they do is drawn
+        if stream in ("verdict", "admission", "help"):  # the model's supervisors and robots answer alike
             return AS_USUAL
         # See docs/decisions/draws-are-named.md.
         digest = self._begun[stream].copy()

@@ -22,7 +22,7 @@ from fsar_ledger.events.world import (
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.projections.fold import State, apply, fold
 from fsar_ledger.projections.motivation import action_of, execution_name
-from fsar_ledger.runtime.replay import replay_run
+from fsar_ledger.runtime.run_replay import replay_run
 from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, simulate_run
 
 DIALS = Alliance()

@@ -15,7 +15,7 @@ from fsar_ledger.events.world import (
     TaskArrived,
 )
 from fsar_ledger.projections.fold import fold
-from fsar_ledger.runtime.replay import replay_run
+from fsar_ledger.runtime.run_replay import replay_run
 from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, simulate_run
 from tests.cli.conftest import in_a_process
 from tests.runtime.architectures.jade_runs import TASK, A, S, ran, scenario

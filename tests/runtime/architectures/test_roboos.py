@@ -34,7 +34,7 @@ from fsar_ledger.events.world import (
 from fsar_ledger.projections.fold import fold
 from fsar_ledger.runtime.architectures.roboos import ROBOOS
 from fsar_ledger.runtime.architectures.roboos.master import PlanTask, SendSubtask
-from fsar_ledger.runtime.replay import replay_run
+from fsar_ledger.runtime.run_replay import replay_run
 from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, simulate_run
 from tests import past
 from tests.cli.conftest import in_a_process

@@ -36,7 +36,7 @@ class TryAgain(ActionCommand):
 class EndTry(EndAttempt):
     """End the attempt at this failure."""
 
-    failure: int
+    failure: int = 0
 
 
 def _is_current(failure: Failure, command: TryAgain | EndTry) -> bool:

@@ -167,9 +167,7 @@ def reach_coordinator(
     ready_us = max(state.knowledge.ready_us, command.now_us) + service_us
     task = state.task.get(task_id)
     # See docs/decisions/late-tasks-are-given-up.md.
-    is_hopeless = (
-        is_matching and task is not None and ready_us > given_up_us(task, state.fleet.structure.expiry_budgets)
-    )
+    is_hopeless = is_matching and task is not None and ready_us > given_up_us(task, state.fleet)
     queued: tuple[WorkQueued | RequestDenied | TaskAbandoned, ...] = (
         WorkQueued(Subject(task_id, command.action_id), command.item, ready_us),
     )

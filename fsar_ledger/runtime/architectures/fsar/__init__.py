@@ -6,7 +6,7 @@ Paper: eq:federation, eq:fleet-model.
 from fsar_ledger.runtime.architectures.handler_table import COMMON, PUBLIC, HandlerTable
 from fsar_ledger.runtime.handlers import assistance
 
-from . import authority, availability, discovery, execution, recovery, request
+from . import authority, availability, discovery, execution, recovery, reports, request
 
 FSAR: HandlerTable = HandlerTable.of(
     *COMMON,
@@ -17,5 +17,6 @@ FSAR: HandlerTable = HandlerTable.of(
     authority,
     recovery,
     availability,
+    reports,
     *PUBLIC,
 )

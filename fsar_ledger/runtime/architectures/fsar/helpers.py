@@ -17,9 +17,10 @@ from typing import NamedTuple
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityRevoked
 from fsar_ledger.events.envelope import PolicyOutcome, Robot
+from fsar_ledger.events.recovery import AssistanceAdmitted
 from fsar_ledger.events.registry import RegistryQueried
 from fsar_ledger.projections.authority import Authority, right_of
-from fsar_ledger.projections.execution import Action
+from fsar_ledger.projections.execution import HELPING, Action, Execution
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.recovery import Recovery
 from fsar_ledger.projections.registry import NO_ANSWER, Advertisement, offered_in
@@ -72,6 +73,24 @@ def peer(state: State, action: Action, recovery: Recovery) -> HelperChoice:
         return HelperChoice(None, "no shared registry")
     found = _bodies(state, action) if recovery.cause == "obstruction" else _stand_ins(state, action, action.robot)
     return _first(state, action, action.robot, (one for one in found if one.robot not in recovery.tried), "peer")
+
+
+def agreed_to_help(state: State, action: Action, recovery: Recovery, helper: Robot) -> AssistanceAdmitted:
+    """Return the fact that the helper has agreed."""
+    admitting = recorded_by(state, helper, requested_by=action.requested_by, executed_by=action.executed_by)
+    return AssistanceAdmitted(
+        subject=action.subject,
+        principals=admitting.decided(helper),
+        robot=action.robot,
+        helper=helper,
+        failure=recovery.failure,
+        level="peer",
+    )
+
+
+def is_helped(execution: Execution, recovery: Recovery, action_id: str) -> bool:
+    """Tell whether the peer that was asked last is helping."""
+    return bool(recovery.tried) and execution.current.get(recovery.tried[-1]) == HELPING + action_id
 
 
 def peer_query(state: State, action: Action, recovery: Recovery) -> tuple[Event, ...]:

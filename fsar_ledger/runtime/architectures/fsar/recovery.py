@@ -8,6 +8,7 @@ from fsar_ledger.events.envelope import FLEET_SUPERVISOR, RECOVERY, Principals, 
 from fsar_ledger.events.execution import ExecutionFailed, ExecutionQueued, ExecutionWithdrawn
 from fsar_ledger.events.recovery import (
     AssistanceAdmitted,
+    AssistanceDeclined,
     AssistanceFailed,
     AssistanceRequested,
     AttemptRolledBack,
@@ -45,10 +46,10 @@ from fsar_ledger.runtime.handlers.commands import (
 )
 from fsar_ledger.runtime.handlers.recovery import attempt_failed, attempt_succeeds, attempted, budget, end_of_attempt
 from fsar_ledger.runtime.handlers.supervision import supervisor_for
-from fsar_ledger.runtime.ports import Ask
+from fsar_ledger.runtime.ports import ANSWERS_LATER, Ask
 
 from .availability import found_silent
-from .helpers import HelperChoice, peer, peer_query, reassignee
+from .helpers import HelperChoice, agreed_to_help, is_helped, peer, peer_query, reassignee
 
 EXHAUSTED = "budget exhausted"
 
@@ -188,11 +189,15 @@ def _is_exhausted(
 
 @HANDLERS.decide_on(open_failure, AskPeers, nobody)
 def ask_peers(state: State, command: AskPeers, failure: Failure) -> tuple[Event, ...]:
-    """Let a trusted idle peer help, or turn to the fleet. Paper: sec:model:recovery, level 2."""
+    """Let a trusted idle peer help, or turn to the fleet. Paper: sec:model:recovery, level 2.
+
+    A peer that is really there is asked, and is admitted by its own word.
+    """
     action, recovery = failure
     if not (
         recovery.level == "peer"
         and not (command.is_last and (command.failure, command.asked) != (recovery.failure, len(recovery.tried)))
+        and not is_helped(state.execution, recovery, action.action_id)
     ):
         return ()
     named = parties(state, action)
@@ -209,29 +214,18 @@ def ask_peers(state: State, command: AskPeers, failure: Failure) -> tuple[Event,
             _escalated(action, recovery, by_service, "fleet", reason),
             *found_silent(state.fleet, state.registry, silent),
         )
-    admitting = recorded_by(state, helper, requested_by=action.requested_by, executed_by=action.executed_by)
-    return (
-        *query,
-        AssistanceRequested(
-            subject=action.subject,
-            principals=named.decided(action.robot),
-            robot=action.robot,
-            helper=helper,
-            failure=recovery.failure,
-            level="peer",
-            failed_action=action.action_id,
-            since_us=command.since_us,
-        ),
-        AssistanceAdmitted(
-            subject=action.subject,
-            principals=admitting.decided(helper),
-            robot=action.robot,
-            helper=helper,
-            failure=recovery.failure,
-            level="peer",
-        ),
-        *found_silent(state.fleet, state.registry, silent),
+    requested = AssistanceRequested(
+        subject=action.subject,
+        principals=named.decided(action.robot),
+        robot=action.robot,
+        helper=helper,
+        failure=recovery.failure,
+        level="peer",
+        failed_action=action.action_id,
+        since_us=command.since_us,
     )
+    agreed = () if command.answer == ANSWERS_LATER else (agreed_to_help(state, action, recovery, helper),)
+    return (*query, requested, *agreed, *found_silent(state.fleet, state.registry, silent))
 
 
 @HANDLERS.decide(EndAssistance, helping)
@@ -369,8 +363,9 @@ def _asking(
     """Schedule the question to the peers, and the end of the time for their answers."""
     recovery = recoveries[action_id]
     asked = len(recovery.tried)
-    last = Scheduled(AskPeers(action_id, since_us, asked, recovery.failure, is_last=True), fleet.answer_us, told)
-    return (Scheduled(AskPeers(action_id, since_us, asked), 0, told), last)
+    help_ = Ask("decision", "help", f"{action_id}/{recovery.failure}/{asked}")
+    last = Scheduled(AskPeers(action_id, since_us, asked, recovery.failure, is_last=True), fleet.answer_us, told, help_)
+    return (Scheduled(AskPeers(action_id, since_us, asked), 0, told, help_), last)
 
 
 @HANDLERS.react(AssistanceAdmitted)
@@ -379,8 +374,8 @@ def _on_assistance(state: State, event: AssistanceAdmitted, _now_us: int) -> tup
     return (assistance.end_of(event, state.fleet.structure.assistance_us, (answer, at_once(event.robot))),)
 
 
-@HANDLERS.react(AssistanceFailed)
-def _on_no_help(state: State, event: AssistanceFailed, _now_us: int) -> tuple[Scheduled, ...]:
+@HANDLERS.react(AssistanceFailed, AssistanceDeclined)
+def _on_no_help(state: State, event: AssistanceFailed | AssistanceDeclined, _now_us: int) -> tuple[Scheduled, ...]:
     """Tell the robot, which turns to the next peer while the level's budget lasts."""
     recovery, key = state.recovery[event.subject.action_id], f"{event.subject.action_id}/{event.failure}"
     told = (

@@ -28,7 +28,6 @@ from fsar_ledger.runtime.handlers.attribution import recorded_by
 from fsar_ledger.runtime.handlers.commands import (
     ActionCommand,
     CloseRequest,
-    Command,
     CompleteStep,
     Handlers,
     Scheduled,
@@ -45,6 +44,7 @@ from fsar_ledger.runtime.handlers.execution import queued
 from fsar_ledger.runtime.handlers.policy import conflict, own_policy
 from fsar_ledger.runtime.handlers.supervision import is_due_for_review
 from fsar_ledger.runtime.handlers.trust import trusts
+from fsar_ledger.runtime.ports import Ask
 
 from .availability import ReportBack, found_silent, report_back
 from .contention import held_up, in_order, put_in_order
@@ -63,6 +63,11 @@ class RelayRequest(ActionCommand):
 
 class EvaluateRequest(ActionCommand):
     """Deliver the request to the executor."""
+
+
+def judgement(action_id: str, after_us: int = 0, waits: tuple[Ask, ...] = ()) -> Scheduled:
+    """Ask the executor for its own judgement of the request; a simulated robot judges by the model's policy."""
+    return Scheduled(EvaluateRequest(action_id), after_us, waits, Ask("decision", "admission", action_id))
 
 
 class GoOnWithout(ActionCommand):
@@ -224,9 +229,7 @@ def _admitted(state: State, request: Request, found: Evaluation, now_us: int) ->
     interrupted = preemptible(state.execution, executor, found.override)
     if interrupted is None:
         return (admitted, waiting)
-    remaining_us = {"running": max(0, interrupted.ends_us - now_us), "paused": interrupted.remaining_us}.get(
-        interrupted.stage
-    )
+    remaining_us = {"running": interrupted.left_us(now_us), "paused": interrupted.remaining_us}.get(interrupted.stage)
     return (admitted, ExecutionPreempted(interrupted.subject, executor, request.action_id, remaining_us), waiting)
 
 
@@ -260,10 +263,12 @@ def _on_request(state: State, event: RequestIssued, _now_us: int) -> tuple[Sched
     request = state.request.open.get(event.subject.action_id)
     if request is None or not (request.is_adhoc or _is_step(state.task, request)):
         return ()
-    next_one: Command = (
-        RelayRequest(event.subject.action_id) if event.relay else EvaluateRequest(event.subject.action_id)
+    waits = (message(request.requester, event.subject.action_id, 2),)
+    asked = (
+        Scheduled(RelayRequest(event.subject.action_id), 0, waits)
+        if event.relay
+        else judgement(event.subject.action_id, 0, waits)
     )
-    asked = Scheduled(next_one, 0, (message(request.requester, event.subject.action_id, 2),))
     return (
         asked,
         Scheduled(GoOnWithout(event.subject.action_id), state.fleet.answer_us, (at_once(request.requester),)),
@@ -272,9 +277,7 @@ def _on_request(state: State, event: RequestIssued, _now_us: int) -> tuple[Sched
 
 @HANDLERS.react(RequestRelayed)
 def _on_relay(state: State, event: RequestRelayed, _now_us: int) -> tuple[Scheduled, ...]:
-    asked = Scheduled(
-        EvaluateRequest(event.subject.action_id), 0, (message(event.principals.decided_by, event.subject.action_id, 3),)
-    )
+    asked = judgement(event.subject.action_id, 0, (message(event.principals.decided_by, event.subject.action_id, 3),))
     late = GoOnWithout(event.subject.action_id, is_relayed=True)
     return (asked, Scheduled(late, state.fleet.answer_us, (at_once(event.principals.requested_by),)))
 
@@ -292,8 +295,7 @@ def _let_pass(
     if not state.contention.orders:
         return ()
     return tuple(
-        Scheduled(EvaluateRequest(name), place)
-        for place, name in enumerate(held_up(state.contention, event.subject.action_id), start=1)
+        judgement(name, place) for place, name in enumerate(held_up(state.contention, event.subject.action_id), start=1)
     )
 
 
@@ -303,13 +305,8 @@ def _on_offer(state: State, event: OfferAnswered, _now_us: int) -> tuple[Schedul
     assert event.subject.action_id is not None
     if event.override is None:
         return _again(state, event.subject.action_id)
-    return (
-        Scheduled(
-            EvaluateRequest(event.subject.action_id),
-            0,
-            (message(event.principals.requested_by, event.subject.action_id, f"offer{event.round}"),),
-        ),
-    )
+    told = (message(event.principals.requested_by, event.subject.action_id, f"offer{event.round}"),)
+    return (judgement(event.subject.action_id, 0, told),)
 
 
 def _again(state: State, action_id: str | None) -> tuple[Scheduled, ...]:
@@ -328,7 +325,7 @@ def _on_unanswered(state: State, event: RequestUnanswered | PeerSought, _now_us:
 def _on_response(state: State, event: SupervisorResponded, _now_us: int) -> tuple[Scheduled, ...]:
     if event.purpose == "ordering":
         waiting = in_order(state.contention, event.subject.action_id, event.preferred)
-        return tuple(Scheduled(EvaluateRequest(name), place) for place, name in enumerate(waiting, start=1))
+        return tuple(judgement(name, place) for place, name in enumerate(waiting, start=1))
     if event.purpose != "review":
         return ()
     return (

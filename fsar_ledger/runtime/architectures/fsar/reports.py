@@ -1,0 +1,346 @@
+"""What robots report of themselves: the answers of a fleet that is really there to what is asked at the ports.
+
+Each is a command from outside by the robot itself. A robot that judges, starts or ends says so, and nobody else says it
+for the robot: until then whatever waits for it waits, within the budgets of recovery and of answers.
+"""
+
+from collections.abc import Iterator
+from functools import cache
+
+import msgspec
+
+from fsar_ledger.events import Event
+from fsar_ledger.events.command import CommandGiven
+from fsar_ledger.events.envelope import PolicyOutcome, PolicyScope, Robot, Supervisor
+from fsar_ledger.events.recovery import AssistanceDeclined, AssistanceFailed, AssistanceRequested
+from fsar_ledger.events.request import RequestDenied
+from fsar_ledger.events.supervision import ActuatorServiced
+from fsar_ledger.events.world import (
+    ActuatorDegraded,
+    ContextChanged,
+    Grade,
+    PolicyWindowClosed,
+    PolicyWindowOpened,
+    RobotCameBack,
+    RobotWentOff,
+    SupervisorLeft,
+    SupervisorReturned,
+)
+from fsar_ledger.projections.fold import State
+from fsar_ledger.runtime.handlers.attribution import recorded_by
+from fsar_ledger.runtime.handlers.commands import (
+    Command,
+    EndAssistance,
+    EndAttempt,
+    Handlers,
+    Scheduled,
+    StartAction,
+    open_failure,
+)
+from fsar_ledger.runtime.handlers.public import (
+    PublicCommand,
+    carried_out,
+    rejected,
+    unknown_robot,
+    unknown_supervisor,
+    unknown_word,
+)
+from fsar_ledger.runtime.ports import UNKNOWN_US, Ask
+
+from .execution import start
+from .helpers import agreed_to_help
+from .recovery import AskPeers, end_assistance, end_attempt
+from .request import EvaluateRequest, evaluate_request
+
+HANDLERS = Handlers()
+DECLINED = "declined"
+"""The reason of a denial by a robot's own judgement, beyond what policy, trust and authority say."""
+
+
+class JudgeRequest(PublicCommand):
+    """Judge a request that came to the robot: it may refuse what all rules allow, and allows nothing that they deny."""
+
+    robot: Robot
+    action_id: str
+    accepts: bool
+
+
+class JudgeAssistance(PublicCommand):
+    """Answer whether the robot helps with the failure about which it was asked."""
+
+    robot: Robot
+    action_id: str
+    accepts: bool
+
+
+class ReportStart(PublicCommand):
+    """Begin to execute: the robot moves once this is not refused. Units: `lasts_us` microseconds; None: not known."""
+
+    robot: Robot
+    action_id: str
+    lasts_us: int | None = None
+
+
+class ReportAttempt(PublicCommand):
+    """Report how the robot's own attempt to recover ended."""
+
+    robot: Robot
+    action_id: str
+    succeeded: bool
+
+
+class ReportAssistance(PublicCommand):
+    """Report how the help with another robot's failure ended; where it did not help, by what cause."""
+
+    robot: Robot
+    action_id: str
+    succeeded: bool
+    cause: str = "degradation"
+
+
+class ReportPresence(PublicCommand):
+    """Report that the robot goes off, or is back."""
+
+    robot: Robot
+    is_on: bool
+
+
+class ReportShift(PublicCommand):
+    """Report that a supervisor leaves, or has returned."""
+
+    supervisor: Supervisor
+    is_on: bool
+
+
+class ReportActuator(PublicCommand):
+    """Report the grade to which the robot's actuator is degraded; None: it has been serviced."""
+
+    robot: Robot
+    grade: Grade | None
+
+
+class ReportContext(PublicCommand):
+    """Report that the context has changed in which the robot works."""
+
+    robot: Robot
+
+
+class ReportWindow(PublicCommand):
+    """Report that a time begins in which the robot's own policy, or the fleet's, is this; None: that it ends."""
+
+    robot: Robot
+    scope: PolicyScope
+    window: str
+    outcome: PolicyOutcome | None
+
+
+@HANDLERS.decide(JudgeRequest)
+def judge_request(state: State, command: JudgeRequest) -> tuple[Event, ...]:
+    """Evaluate the request as it is here and now, or deny it by the robot's own word. Paper: eq:admissible, phase 4."""
+    request = state.request.open.get(command.action_id)
+    executor = request.candidates[0] if request is not None and request.candidates else None
+    refused = unknown_robot(state.fleet, command.robot)
+    if refused is None and (request is None or request.is_over or request.is_accepted):
+        refused = f"unknown or settled request {command.action_id}, expected one that waits for {command.robot}"
+    if refused is None and executor != command.robot:
+        refused = f"the request goes to {executor or 'nobody'}, expected its judgement"
+    if refused is None and command.action_id in state.execution.actions:
+        refused = f"{command.action_id} is admitted already, expected one that waits for {command.robot}"
+    if refused is not None or request is None:
+        return rejected(command, command.action_id, refused or "", command.robot)
+    if command.accepts:
+        return evaluate_request(state, EvaluateRequest(command.action_id, now_us=command.now_us))
+    parties = recorded_by(state, command.robot, requested_by=request.requester, executed_by=command.robot)
+    return (RequestDenied(request.request_subject, parties.decided(command.robot), DECLINED),)
+
+
+@HANDLERS.decide(JudgeAssistance)
+def judge_assistance(state: State, command: JudgeAssistance) -> tuple[Event, ...]:
+    """Admit or decline by the robot's own word. Paper: sec:model:recovery, level 2."""
+    refused = unknown_robot(state.fleet, command.robot)
+    failure = open_failure(state, command.action_id)
+    if refused is None and (failure is None or failure[1].awaited != command.robot):
+        refused = f"{command.robot} is not asked about {command.action_id}, expected the answer of who is"
+    if refused is not None or failure is None:
+        return rejected(command, command.action_id, refused or "", command.robot)
+    action, recovery = failure
+    if command.accepts:
+        return (agreed_to_help(state, action, recovery, command.robot),)
+    return (AssistanceDeclined(action.subject, action.robot, command.robot, recovery.failure),)
+
+
+def _not_its_own(state: State, robot: Robot, action_id: str) -> str | None:
+    """Return why the robot cannot report about the action, or None."""
+    action = state.execution.actions.get(action_id)
+    refused = unknown_robot(state.fleet, robot)
+    if refused is None and action is None:
+        refused = f"unknown or finished action {action_id}, expected one of {robot}"
+    if refused is None and action is not None and action.robot != robot:
+        refused = f"{action.robot} executes {action_id}, expected its report"
+    return refused
+
+
+@HANDLERS.decide(ReportStart)
+def report_start(state: State, command: ReportStart) -> tuple[Event, ...]:
+    """Start the action, or hold it where policy, as the robot knows it now, says so. Paper: sec:model:invariants."""
+    refused = _not_its_own(state, command.robot, command.action_id)
+    if refused is None and command.lasts_us is not None and command.lasts_us < 1:
+        refused = f"a length of {command.lasts_us} microseconds, expected at least 1"
+    if refused is None:
+        lasts_us = UNKNOWN_US if command.lasts_us is None else command.lasts_us
+        if events := start(state, StartAction(command.action_id, now_us=command.now_us, answer=lasts_us)):
+            return events
+        stage = state.execution.actions[command.action_id].stage
+        refused = f"{command.action_id} is {stage}, expected one whose turn it is at {command.robot}"
+    return rejected(command, command.action_id, refused, command.robot)
+
+
+@HANDLERS.decide(ReportAttempt)
+def report_attempt(state: State, command: ReportAttempt) -> tuple[Event, ...]:
+    """Resolve the failure, or go on with the next attempt or level. Paper: sec:model:recovery, level 1."""
+    refused = _not_its_own(state, command.robot, command.action_id)
+    recovery = state.recovery.get(command.action_id)
+    if refused is None and (recovery is None or recovery.level != "local" or not recovery.number):
+        refused = f"no attempt of {command.robot} is under way, expected one"
+    if refused is not None or recovery is None:
+        return rejected(command, command.action_id, refused or "", command.robot)
+    ended = EndAttempt(command.action_id, recovery.number, now_us=command.now_us, succeeded=command.succeeded)
+    return end_attempt(state, ended)
+
+
+@HANDLERS.decide(ReportAssistance)
+def report_assistance(state: State, command: ReportAssistance) -> tuple[Event, ...]:
+    """Free the helper, which resolved the failure or could not. Paper: sec:model:recovery, level 2."""
+    recovery, refused = state.recovery.get(command.action_id), unknown_robot(state.fleet, command.robot)
+    if recovery is not None and refused is None:
+        if command.succeeded:
+            ended = EndAssistance(command.action_id, command.robot, recovery.failure, now_us=command.now_us, answer=1)
+            events = end_assistance(state, ended)
+        else:
+            events = _unhelped(state, command, recovery.failure)
+        if events:
+            return events
+    refused = refused or f"{command.robot} does not help with {command.action_id}, expected its helper"
+    return rejected(command, command.action_id, refused, command.robot)
+
+
+def _unhelped(state: State, command: ReportAssistance, failure: int) -> tuple[Event, ...]:
+    action = state.execution.actions.get(command.action_id)
+    if action is None or state.execution.current.get(command.robot) != f"assist:{command.action_id}":
+        return ()
+    return (
+        AssistanceFailed(
+            subject=action.subject, robot=action.robot, helper=command.robot, failure=failure, cause=command.cause
+        ),
+    )
+
+
+@HANDLERS.decide(ReportPresence)
+def report_presence(state: State, command: ReportPresence) -> tuple[Event, ...]:
+    """Record that the robot is off, or back."""
+    refused = unknown_robot(state.fleet, command.robot)
+    if refused is None and (command.robot in state.world.off) is not command.is_on:
+        refused = f"{command.robot} is {'on' if command.is_on else 'off'} already"
+    made = RobotCameBack(command.robot) if command.is_on else RobotWentOff(command.robot)
+    return carried_out(command, command.robot, refused, command.robot, made)
+
+
+@HANDLERS.decide(ReportShift)
+def report_shift(state: State, command: ReportShift) -> tuple[Event, ...]:
+    """Record that the supervisor has left, or returned."""
+    refused = unknown_supervisor(state.fleet, command.supervisor)
+    if refused is None and (command.supervisor in state.world.off_shift) is not command.is_on:
+        refused = f"{command.supervisor} is {'on' if command.is_on else 'off'} shift already"
+    made = SupervisorReturned(command.supervisor) if command.is_on else SupervisorLeft(command.supervisor)
+    return carried_out(command, command.supervisor, refused, command.supervisor, made)
+
+
+@HANDLERS.decide(ReportActuator)
+def report_actuator(state: State, command: ReportActuator) -> tuple[Event, ...]:
+    """Record how far the robot's actuator is degraded, or that it has been serviced."""
+    refused = unknown_robot(state.fleet, command.robot)
+    if refused is None and command.grade is None and command.robot not in state.world.degraded:
+        refused = f"the actuator of {command.robot} is sound already"
+    made = ActuatorServiced(command.robot) if command.grade is None else ActuatorDegraded(command.robot, command.grade)
+    return carried_out(command, command.robot, refused, command.robot, made)
+
+
+@HANDLERS.decide(ReportContext)
+def report_context(state: State, command: ReportContext) -> tuple[Event, ...]:
+    """Record that the context has changed."""
+    refused = unknown_robot(state.fleet, command.robot)
+    return carried_out(command, command.robot, refused, command.robot, ContextChanged(command.robot))
+
+
+@HANDLERS.decide(ReportWindow)
+def report_window(state: State, command: ReportWindow) -> tuple[Event, ...]:
+    """Record that the window opens, or closes."""
+    refused = unknown_robot(state.fleet, command.robot)
+    if refused is None and not command.window:
+        refused = "the window has no name, expected one"
+    made: Event = PolicyWindowClosed(command.robot, command.scope, command.window)
+    if command.outcome is not None:
+        refused = refused or unknown_word("outcome", command.outcome, ("review", "deny"))
+        made = PolicyWindowOpened(
+            robot=command.robot, scope=command.scope, window=command.window, outcome=command.outcome
+        )
+    return carried_out(command, command.robot, refused, command.robot, made)
+
+
+@HANDLERS.react(AssistanceRequested)
+def _on_question(state: State, event: AssistanceRequested, _now_us: int) -> tuple[Scheduled, ...]:
+    """Schedule the end of the time in which a peer that is really there can answer."""
+    if not state.fleet.is_live:
+        return ()
+    asked, since_us = len(state.recovery[event.failed_action].tried), event.since_us or 0
+    late = AskPeers(event.failed_action, since_us, asked, event.failure, is_last=True)
+    return (Scheduled(late, state.fleet.answer_us, ask=Ask("decision", "help", f"{event.failed_action}/late")),)
+
+
+@HANDLERS.react(CommandGiven)
+def _on_command(_state: State, event: CommandGiven, _now_us: int) -> tuple[Scheduled, ...]:
+    """Decide the command in the next microsecond; nothing where the record holds none that can be read."""
+    kind = commands().get(event.command)
+    if kind is None:
+        return ()
+    try:
+        return (Scheduled(read(kind, event.parameters)),)
+    except msgspec.ValidationError:
+        return ()
+
+
+def given(command: PublicCommand, issued_by: str, **about: object) -> CommandGiven:
+    """Return the record of a command that was given; `about` are its other columns."""
+    names = [name for name in command.__struct_fields__ if name not in Command.__struct_fields__]
+    parameters = msgspec.json.encode({name: getattr(command, name) for name in names}).decode()
+    return msgspec.convert(
+        {
+            "type": CommandGiven.__struct_config__.tag,
+            "command": type(command).__name__,
+            "issued_by": issued_by,
+            "parameters": parameters,
+            **about,
+        },
+        CommandGiven,
+    )
+
+
+def read(kind: type[PublicCommand], parameters: str) -> PublicCommand:
+    """Return the command with these fields, as JSON. Raises: msgspec.ValidationError for what it cannot have."""
+    found = msgspec.json.decode(parameters, type=dict[str, object])
+    known = [name for name in kind.__struct_fields__ if name not in Command.__struct_fields__]
+    if unknown := sorted(found.keys() - set(known)):
+        raise msgspec.ValidationError(f"found {unknown[0]!s:.80}, expected some of {', '.join(known)}")
+    return msgspec.convert(found, kind)
+
+
+@cache
+def commands() -> dict[str, type[PublicCommand]]:
+    """Return the commands that can be given, by name."""
+
+    def below(kind: type[PublicCommand]) -> Iterator[type[PublicCommand]]:
+        for one in kind.__subclasses__():
+            yield one
+            yield from below(one)
+
+    return {one.__name__: one for one in below(PublicCommand)}

@@ -1,0 +1,217 @@
+"""A live federation has on disk what it decided before anybody can act on it, and goes on after anything."""
+
+import errno
+import os
+import random
+import signal
+import subprocess
+import sys
+import threading
+import time
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import fsar_ledger
+from fsar_ledger.base.errors import FsarLedgerError, UsageError, WriteFailed
+from fsar_ledger.events.command import CommandGiven
+from fsar_ledger.events.envelope import Robot
+from fsar_ledger.events.execution import ExecutionStarted
+from fsar_ledger.ledger.opening import open_ledger
+from fsar_ledger.runtime.architectures.fsar import FSAR
+from fsar_ledger.runtime.architectures.fsar.reports import ReportStart
+from fsar_ledger.runtime.federation import Federation
+
+S = 1_000_000_000
+TICKS = count(1_772_359_200)
+A = Robot("robot/A1")
+TASK: dict[str, Any] = {"robot": A, "task_id": "t", "steps": ("A navigate.indoor",), "budget_us": 600_000_000}
+
+
+def federate(ledger: Path, **others: Any) -> Federation:
+    """A federation whose clock ticks by a second with each look at it."""
+    return fsar_ledger.federate(ledger, run="day", clock=lambda: next(TICKS) * S, **others)
+
+
+def given(ledger: Path) -> list[CommandGiven]:
+    """The commands on record."""
+    [record] = open_ledger(ledger).runs()
+    return [event for event in record.events if isinstance(event, CommandGiven)]
+
+
+def is_good(ledger: Path) -> bool:
+    return fsar_ledger.Ledger(ledger).verify(replay=True).exit_code == 0
+
+
+def test_a_decision_is_on_disk_when_the_call_returns(tmp_path: Path) -> None:
+    with federate(tmp_path / "ledger") as one:
+        for number, (name, fields) in enumerate(
+            [("SubmitTask", TASK), ("ReportStart", {"robot": A, "action_id": "t/1.1"})], start=1
+        ):
+            decision = one.give(name, A, **fields)
+            assert decision.rejected is None
+            [record] = open_ledger(tmp_path / "ledger").runs()
+            assert record.events[decision.seq].command == name  # type: ignore[attr-defined]
+            assert set(decision.events) <= set(record.events)
+            assert len(given(tmp_path / "ledger")) == number
+            one.advance()
+    assert is_good(tmp_path / "ledger")
+
+
+def test_a_run_goes_on_where_it_was(tmp_path: Path) -> None:
+    with federate(tmp_path / "ledger") as one:
+        one.give("SubmitTask", A, **TASK)
+    with federate(tmp_path / "ledger") as one:
+        one.advance()
+        assert one.give("ReportStart", A, robot=A, action_id="t/1.1").rejected is None
+    with federate(tmp_path / "ledger") as one:
+        assert one.give("ReportResult", A, executor=A, action_id="t/1.1", result="success").rejected is None
+    assert is_good(tmp_path / "ledger")
+    assert len(given(tmp_path / "ledger")) == 3
+
+
+def test_the_same_command_again_is_decided_once_even_after_a_restart(tmp_path: Path) -> None:
+    with federate(tmp_path / "ledger") as one:
+        first = one.give("SubmitTask", A, key="k1", **TASK)
+        assert one.give("SubmitTask", A, key="k1", **TASK) == first
+        assert one.give("SubmitTask", "robot/B1", key="k1", **TASK) != first  # another's key
+    with federate(tmp_path / "ledger") as one:
+        assert one.give("SubmitTask", A, key="k1", **TASK) == first
+    assert len(given(tmp_path / "ledger")) == 2
+
+
+@pytest.mark.parametrize(
+    ("name", "fields", "said"),
+    [
+        ("ReportStat", {}, "there is no such command; did you mean ReportStart?"),
+        ("ReportStart", {"robot": A}, "required field `action_id`"),
+        ("ReportStart", {"robot": A, "action_id": 7}, r"Expected `str`, got `int` - at `\$.action_id`"),
+        ("ReportStart", {"robot": A, "action_id": "t", "now_us": 1}, "found now_us"),
+        (
+            "ReportStart",
+            {"robot": A, "action_id": "t", "speed": 1},
+            "found speed, expected some of robot, action_id",
+        ),
+        ("ReportStart", {"robot": A, "action_id": "t\x1b"}, "expected characters that can be printed"),
+        ("SubmitTask", {**TASK, "budget_us": float("nan")}, "budget_us"),
+    ],
+)
+def test_what_is_no_command_is_refused_and_not_on_record(
+    tmp_path: Path, name: str, fields: dict[str, Any], said: str
+) -> None:
+    with federate(tmp_path / "ledger") as one:
+        with pytest.raises(UsageError, match=said):
+            one.give(name, A, **fields)
+        one.give("SubmitTask", A, **TASK)
+    assert [event.command for event in given(tmp_path / "ledger")] == ["SubmitTask"]
+
+
+def test_a_rejected_command_is_on_record_with_its_reason(tmp_path: Path) -> None:
+    with federate(tmp_path / "ledger") as one:
+        decision = one.give("ReportStart", A, robot=A, action_id="t/1.1")
+    assert decision.rejected == "unknown or finished action t/1.1, expected one of robot/A1"
+    assert is_good(tmp_path / "ledger")
+
+
+def test_many_threads_give_commands_and_none_is_lost(tmp_path: Path) -> None:
+    def play(name: str) -> None:
+        seqs.extend(one.give("SubmitTask", A, **{**TASK, "task_id": f"{name}{number}"}).seq for number in range(20))
+
+    seqs: list[int] = []
+    with federate(tmp_path / "ledger") as one:
+        threads = [threading.Thread(target=play, args=(name,)) for name in "abcd"]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+    assert len(set(seqs)) == len(given(tmp_path / "ledger")) == 80
+    assert is_good(tmp_path / "ledger")
+
+
+def test_after_a_write_that_failed_nothing_is_decided_and_the_next_federation_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refused(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with federate(tmp_path / "ledger") as one:
+        one.give("SubmitTask", A, **TASK)
+        with monkeypatch.context() as patch:
+            for name in ("write", "pwrite", "writev"):
+                patch.setattr(os, name, refused)
+            patch.setattr(os, "fsync", refused)
+            patch.setattr(os, "fdatasync", refused, raising=False)
+            with pytest.raises(FsarLedgerError):
+                one.give("ReportStart", A, robot=A, action_id="t/1.1")
+        with pytest.raises(WriteFailed, match="an earlier write failed"):
+            one.give("ReportStart", A, robot=A, action_id="t/1.1")
+    with federate(tmp_path / "ledger") as one:
+        one.advance()
+        assert one.give("ReportStart", A, robot=A, action_id="t/1.1", key="again").rejected is None
+    assert is_good(tmp_path / "ledger")
+
+
+@pytest.mark.parametrize(
+    "kills", [2, pytest.param(25, marks=pytest.mark.slow), pytest.param(100, marks=pytest.mark.soak)]
+)
+def test_no_acknowledged_command_is_lost_or_there_twice_however_often_the_process_is_killed(
+    tmp_path: Path, kills: int
+) -> None:
+    program = (
+        "import sys, fsar_ledger\n"
+        "with fsar_ledger.federate(sys.argv[1], run='day') as one:\n"
+        "    for number in range(10**9):\n"
+        "        name = f'{sys.argv[2]}-{number}'\n"
+        "        one.give('SubmitTask', 'robot/A1', key=name, robot='robot/A1', task_id=name,\n"
+        "                 steps=['A navigate.indoor'], budget_us=600_000_000)\n"
+        "        print(name, flush=True)\n"
+    )
+    moments, acknowledged = random.Random(kills), list[str]()
+    for round in range(kills):
+        arguments = [sys.executable, "-c", program, str(tmp_path / "ledger"), f"{round}"]
+        with subprocess.Popen(arguments, stdout=subprocess.PIPE, text=True) as process:
+            assert process.stdout is not None
+            acknowledged.append(process.stdout.readline().strip())
+            time.sleep(moments.uniform(0, 0.1))
+            process.send_signal(signal.SIGKILL)
+            acknowledged += [line.strip() for line in process.stdout if line.endswith("\n")]
+    keys = [event.key for event in given(tmp_path / "ledger")]
+    assert len(keys) == len(set(keys))
+    assert set(acknowledged) <= set(keys)
+    assert is_good(tmp_path / "ledger")
+
+
+def test_a_run_that_is_not_live_is_refused(tmp_path: Path) -> None:
+    fsar_ledger.record(tmp_path / "ledger", run="day").close()
+    with pytest.raises(UsageError, match="found a run that is not live"):
+        federate(tmp_path / "ledger")
+
+
+def test_a_run_that_would_go_on_otherwise_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with federate(tmp_path / "ledger") as one:
+        one.give("SubmitTask", A, **TASK)
+        one.advance()
+        one.give("ReportStart", A, robot=A, action_id="t/1.1")
+    monkeypatch.setitem(FSAR.decides, ReportStart, lambda *_: ())  # type: ignore[misc]
+    with pytest.raises(UsageError, match=r"run day cannot go on.*found ExecutionStarted"):
+        federate(tmp_path / "ledger")
+
+
+@pytest.mark.parametrize("robots", [0, 3, -4])
+def test_a_number_of_robots_that_is_no_team_is_refused(tmp_path: Path, robots: int) -> None:
+    with pytest.raises(UsageError, match=f"robots: found {robots}, expected a multiple of 4"):
+        federate(tmp_path / "ledger", robots=robots)
+    assert not (tmp_path / "ledger").exists()
+
+
+def test_a_clock_that_jumps_back_stands_still_on_record(tmp_path: Path) -> None:
+    moments = iter([100, 110, 90, 80, 120])
+    with fsar_ledger.federate(tmp_path / "ledger", run="day", clock=lambda: next(moments) * S) as one:
+        for number in range(4):
+            one.give("SubmitTask", A, **{**TASK, "task_id": f"t{number}"})
+    [record] = open_ledger(tmp_path / "ledger").runs()
+    assert list(record.times_us) == sorted(record.times_us)
+    assert not [event for event in record.events if isinstance(event, ExecutionStarted)]
+    assert is_good(tmp_path / "ledger")
