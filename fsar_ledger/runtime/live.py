@@ -55,6 +55,7 @@ def live_started(constants: Constants, robots: int, epoch: str | None = None) ->
     )
 
 
+# See docs/decisions/live-runs-are-their-commands.md.
 class LiveRun:
     """A live run in progress. Times are run time, in microseconds, and never go back."""
 
