@@ -338,7 +338,10 @@ ELSEWHERE = (
 do."""
 
 
-LINE = b'{"type": "Observed", "source": "site", "kind": "door"}\n'
+LINES = {
+    "record": b'{"type": "Observed", "source": "site", "kind": "door"}\n',
+    "federate": b'{"command": "ReportContext", "by": "robot/A1", "robot": "robot/A1"}\n',
+}
 """What standard input holds for an example that reads it."""
 
 MADE = {shlex.split(example)[2]: example for name, example in examples() if name == "simulate"}
@@ -362,7 +365,7 @@ def test_every_quick_example_runs(
         if MADE.get(word, example) != example and not Path(word).exists():  # another process runs what makes it
             assert run(shlex.split(MADE[word], comments=True)[1:]) == 0
     capsys.readouterr()
-    monkeypatch.setattr(sys, "stdin", TextIOWrapper(BytesIO(LINE)))
+    monkeypatch.setattr(sys, "stdin", TextIOWrapper(BytesIO(LINES.get(words[0], b""))))
     assert run(words) == 0
     assert capsys.readouterr().err == ""
     for report in re.findall(r"--out (\S+\.pdf)", example):

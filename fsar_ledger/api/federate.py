@@ -1,16 +1,32 @@
-"""The function `federate`: a live federation on a ledger, which robots and people give commands."""
+"""The verb and the function `federate`: a live federation on a ledger, which robots and people give commands."""
 
+import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from queue import Empty, SimpleQueue
+from threading import Thread
+from typing import TYPE_CHECKING, Annotated, Any, BinaryIO
 
+import msgspec
+
+from fsar_ledger.base import printable
 from fsar_ledger.base.errors import UsageError
+from fsar_ledger.base.printable import SafeText
 
-from .names import Place
+from .answers import Answer, Screen
+from .names import Names, Place, names_of
+from .verbs import KeyOption, argument, declare, verb
 
 if TYPE_CHECKING:
+    from fsar_ledger.events import Event
     from fsar_ledger.runtime.federation import Federation
+
+CONTINUES = "every decision that was printed is on disk, and the same command continues the run"
+TICK_S = 0.1
+"""How often what is due by itself is decided while no command comes."""
+BESIDE = ("command", "by", "key")
+"""What a line may have beside the fields of its command."""
 
 
 def federate(
@@ -53,3 +69,129 @@ def federate(
         raise UsageError(f"robots: found {count}, expected a multiple of {team}, the robots of a team")
     signer = None if key is None else read_signer(Path(key))
     return Federation(Path(out), run, constants, count, clock, origin=kept_origin(Path(out)) or origin, signer=signer)
+
+
+class Decisions(Answer):
+    """The decisions of a federation on the commands that come in lines, each a line of JSON once it is on disk."""
+
+    def __init__(self, federation: "Federation", lines: BinaryIO) -> None:
+        self._federation, self._lines, self._refused = federation, lines, 0
+
+    @property
+    def exit_code(self) -> int:
+        """Return 1 if a line was no command."""
+        return 1 if self._refused else 0
+
+    def text(self, _: Screen) -> Iterator[SafeText]:
+        """Yield a line for each command, and for what follows by itself; the run can go on after the last."""
+        with self._federation as one:
+            number = 0
+            for line in _ticking(self._lines):
+                if line is None:
+                    yield from _told(one.advance())
+                    continue
+                number += 1
+                if line.isspace() and line.endswith(b"\n"):
+                    continue
+                yield from _told(one.advance())
+                try:
+                    yield _line(_decided(one, line))
+                except UsageError as error:
+                    self._refused += 1
+                    yield _line({"line": number, "error": f"{error}"})
+            yield from _told(one.advance())
+
+
+def _ticking(lines: BinaryIO) -> Iterator[bytes | None]:
+    """Yield each line as it comes, and None while none does."""
+    from fsar_ledger.sources.columns import bounded_lines
+
+    came: SimpleQueue[bytes | None] = SimpleQueue()
+
+    def read() -> None:
+        for line in bounded_lines(lines):
+            came.put(line)
+        came.put(None)
+
+    Thread(target=read, name="commands", daemon=True).start()
+    while True:
+        try:
+            line = came.get(timeout=TICK_S)
+        except Empty:
+            yield None
+            continue
+        if line is None:
+            return
+        yield line
+
+
+def _decided(federation: "Federation", line: bytes) -> Mapping[str, object]:
+    """Return what became of the command in this line. Raises: UsageError for what is none."""
+    from fsar_ledger.runtime.live import command_given
+    from fsar_ledger.sources.json_lines import MAX_LINE
+
+    if len(line) > MAX_LINE:
+        raise UsageError(f"found more than {MAX_LINE:,} bytes, expected one command a line")
+    try:
+        row = msgspec.json.decode(line, type=dict[str, Any])
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise UsageError(f"{error!s:.200}; expected a JSON object") from error
+    for name in ("command", "by"):
+        if not isinstance(row.get(name), str):
+            raise UsageError(f"field {name}: found {row.get(name)!r:.80}, expected text")
+    if not isinstance(row.get("key"), str | None):
+        raise UsageError(f"field key: found {row['key']!r:.80}, expected text")
+    fields = {name: row[name] for name in row.keys() - set(BESIDE)}
+    decision = federation.decide(command_given(row["command"], row["by"], fields, row.get("key")))
+    said = {"seq": decision.seq, "rejected": decision.rejected, "events": _names(decision.events)}
+    return said | ({"followed": _names(decision.followed)} if decision.followed else {})
+
+
+def _told(events: "Sequence[Event]") -> Iterator[SafeText]:
+    if events:
+        yield _line({"events": _names(events)})
+
+
+def _names(events: "Sequence[Event]") -> list[Mapping[str, object]]:
+    from fsar_ledger.events.envelope import flat
+
+    kept = ("action_id", "task_id", "robot", "helper", "supervisor", "requested_by", "executed_by", "reason")
+    rows = [(type(event).__name__, flat(event)) for event in events]
+    return [
+        {"type": kind, **{name: row[name] for name in kept if row.get(name) is not None}}
+        for kind, row in rows
+        if kind != "CommandGiven"
+    ]
+
+
+def _line(said: Mapping[str, object]) -> SafeText:
+    return printable.lines(msgspec.json.encode(said).decode())
+
+
+@verb(
+    "federate out/site day    # reads standard input",
+    name="federate",
+    takes=(),
+    after_interruption=CONTINUES,
+)
+def federate_lines(
+    out: Annotated[Place, argument("OUT", "A new folder, or that of a ledger to add to.")],
+    run: Annotated[str, argument("RUN", "The name of the run; one that is there goes on.")],
+    *,
+    fleet: str | None = declare("FLEET", "A .toml file with your own fleet, or the name of a registered one."),
+    robots: int | None = declare("N", "How many robots it has.", "one team", least=1),
+    settings: Names = declare("NAME=VALUE", "Set a constant, as `simulate` does; may be repeated.", flag="--set"),
+    origin: str | None = declare("NAME", "Publish a new ledger under this name.", "the key's name, else a general one"),
+    key: KeyOption = None,
+) -> Decisions:
+    """Govern a fleet that is really there: commands come from standard input, decisions go to standard output.
+
+    A line is a JSON object with `command`, `by`, perhaps `key`, and the fields of the command (docs/live.md). The line
+    that answers it is printed once the decision is on disk. What becomes due by itself is printed as it is decided.
+
+    Raises:
+        UsageError: The fleet cannot be read or has another number of robots, or the run is not live.
+        WriteFailed: A write failed; what is committed stays.
+    """
+    one = federate(out, run=run, fleet=fleet, robots=robots, settings=names_of(settings) or (), origin=origin, key=key)
+    return Decisions(one, sys.stdin.buffer)

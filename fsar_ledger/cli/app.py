@@ -27,7 +27,7 @@ from .terminal import OutputClosed, say, show
 
 INTERRUPTED = 130
 GROUPS = {
-    "Record": ("simulate", "record", "import"),
+    "Record": ("simulate", "record", "import", "federate"),
     "Ask": (
         *("info", "metrics", "statistics", "compare"),
         *("query", "sql", "export", "open", "explain", "log"),

@@ -88,10 +88,6 @@ class Action(msgspec.Struct, frozen=True, gc=False):
     has_begun: bool = False
     supervised_by: Supervisor | None = None
 
-    def left_us(self, now_us: int) -> int | None:
-        """Return how much of a running execution is left, None where nobody knows. Units: microseconds."""
-        return None if self.ends_us is None else max(0, self.ends_us - now_us)
-
     @property
     def subject(self) -> Subject[TaskId, ActionId]:
         """Return what an event of this action is about."""
@@ -112,6 +108,11 @@ class Execution(msgspec.Struct, frozen=True, gc=False):
 
 
 INITIAL = Execution()
+
+
+def left_us(action: Action, now_us: int) -> int | None:
+    """Return how much of a running execution is left, None where nobody knows. Units: microseconds."""
+    return None if action.ends_us is None else max(0, action.ends_us - now_us)
 
 
 def in_hand(state: Execution, robot: Robot) -> Action | None:

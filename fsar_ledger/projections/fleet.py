@@ -53,7 +53,7 @@ class Fleet(msgspec.Struct, frozen=True, dict=True):
     alliance: Alliance = Alliance()
     roboos: Roboos = Roboos()
 
-    @property
+    @cached_property
     def ends_us(self) -> int:
         """The run time after which no task is open. Units: microseconds."""
         return NEVER_US if self.is_live else END_US

@@ -150,8 +150,8 @@ class Question(NamedTuple):
 
 
 def name_of(ask: Ask) -> str | None:
-    """Return the name of a question; None for what takes no time and has no name."""
-    if not ask.key:
+    """Return the name of a question; None for what takes no time and has no name, and for a robot's own judgement."""
+    if not ask.key or ask.port == "decision":
         return None
     what = ask.what
     return f"{_KINDS.get(what) or (what if what in _NAMED else EXECUTION)}:{ask.key}"

@@ -8,11 +8,14 @@ from collections.abc import Callable
 from pathlib import Path
 from threading import RLock
 
+import msgspec
+
 from fsar_ledger.base import utc
 from fsar_ledger.base.errors import CommitTooLarge, UsageError, WriteFailed
 from fsar_ledger.base.printable import value
 from fsar_ledger.designs.constants import Constants
 from fsar_ledger.events import Event
+from fsar_ledger.events.command import CommandGiven
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.ledger.log.note import Signer
 from fsar_ledger.ledger.opening import open_ledger
@@ -94,15 +97,19 @@ class Federation:
             UsageError: There is no such command, or it cannot have these fields. Nothing is on record of it.
             WriteFailed: The disk refused; nobody must act on it.
         """
-        made = command_given(command, by, fields, key, sent_us)
+        return self.decide(command_given(command, by, fields, key, sent_us))
+
+    def decide(self, command: CommandGiven) -> Decision:
+        """As `give`, of a command whose record is made (`live.command_given`). Raises: WriteFailed."""
+        key = None if command.key is None else (f"{command.issued_by}", command.key)
         with self._lock:
             self._require_whole()
-            if key is not None and (before := self._keys.get((by, key))) is not None:
+            if key is not None and (before := self._keys.get(key)) is not None:
                 return before
-            decision = self._live.give(self._now_us(), made)
+            decision = self._live.give(self._now_us(), command)
             self._commit()
             if key is not None:
-                self._keys[by, key] = decision
+                self._keys[key] = msgspec.structs.replace(decision, followed=())
             return decision
 
     def advance(self) -> tuple[Event, ...]:

@@ -32,12 +32,14 @@ AT_ONCE_US = 1_000
 class Decision(msgspec.Struct, frozen=True):
     """What became of a command: the number of its record within the run, its events, and why it was rejected.
 
-    `events` are those that it led to at once; what follows from them comes with the time.
+    `events` are those that it led to itself; `followed` what happened at once after them, as a request that a step
+    makes. Of a command that was given before only `events` are told again.
     """
 
     seq: int
     events: tuple[Event, ...]
     rejected: str | None = None
+    followed: tuple[Event, ...] = ()
 
 
 def live_started(constants: Constants, robots: int, epoch: str | None = None) -> RunStarted:
@@ -72,9 +74,11 @@ class LiveRun:
         kernel = self.kernel
         seq = kernel.happen(time_us, command)
         kernel.run(kernel.times_us[-1] + AT_ONCE_US)
-        first = max(0, seq - kernel.first)
-        pairs = zip(kernel.events[first:], kernel.caused_by[first:], strict=True)
-        return _decided(seq, [event for event, cause in pairs if cause == seq])
+        first = seq + 1 - kernel.first
+        pairs = list(zip(kernel.events[first:], kernel.caused_by[first:], strict=True))
+        decision = _decided(seq, [event for event, cause in pairs if cause == seq])
+        followed = tuple(event for event, cause in pairs if cause != seq)
+        return msgspec.structs.replace(decision, followed=followed)
 
     def advance(self, time_us: int) -> None:
         """Decide all that is due by then, such as a budget that has run out."""

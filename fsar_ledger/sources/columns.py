@@ -110,8 +110,8 @@ def tell(recorder: "Recorder", file: BinaryIO) -> tuple[int, dict[int, str]]:
     A time without a zone is UTC.
     """
     events, refused = 0, dict[int, str]()
-    for number, line in enumerate(_lines(file), 1):
-        if not line.strip():
+    for number, line in enumerate(bounded_lines(file), 1):
+        if line.isspace() and line.endswith(b"\n"):
             continue
         try:
             if len(line) > MAX_LINE:
@@ -133,7 +133,7 @@ def _record(recorder: "Recorder", event: Event, at: datetime | None, caused_by: 
         raise UsageError(f"field time: {f'{error}'.removeprefix('at: ')}".replace("`at`", "`time`")) from error
 
 
-def _lines(file: BinaryIO) -> Iterator[bytes]:
+def bounded_lines(file: BinaryIO) -> Iterator[bytes]:
     """Yield each line as it comes; of one that is too long its beginning, which is too long as well."""
     while line := file.readline(MAX_LINE + 1):
         yield line

@@ -1,6 +1,7 @@
 """A live federation has on disk what it decided before anybody can act on it, and goes on after anything."""
 
 import errno
+import json
 import os
 import random
 import signal
@@ -12,6 +13,7 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 
 import fsar_ledger
@@ -23,6 +25,7 @@ from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.runtime.architectures.fsar import FSAR
 from fsar_ledger.runtime.architectures.fsar.reports import ReportStart
 from fsar_ledger.runtime.federation import Federation
+from fsar_ledger.sources.json_lines import MAX_LINE
 
 S = 1_000_000_000
 TICKS = count(1_772_359_200)
@@ -74,7 +77,7 @@ def test_a_run_goes_on_where_it_was(tmp_path: Path) -> None:
 
 def test_the_same_command_again_is_decided_once_even_after_a_restart(tmp_path: Path) -> None:
     with federate(tmp_path / "ledger") as one:
-        first = one.give("SubmitTask", A, key="k1", **TASK)
+        first = msgspec.structs.replace(one.give("SubmitTask", A, key="k1", **TASK), followed=())
         assert one.give("SubmitTask", A, key="k1", **TASK) == first
         assert one.give("SubmitTask", "robot/B1", key="k1", **TASK) != first  # another's key
     with federate(tmp_path / "ledger") as one:
@@ -214,4 +217,59 @@ def test_a_clock_that_jumps_back_stands_still_on_record(tmp_path: Path) -> None:
     [record] = open_ledger(tmp_path / "ledger").runs()
     assert list(record.times_us) == sorted(record.times_us)
     assert not [event for event in record.events if isinstance(event, ExecutionStarted)]
+    assert is_good(tmp_path / "ledger")
+
+
+def lines(ledger: Path, *told: Any) -> tuple[int, list[dict[str, Any]]]:
+    """The exit code, and what is answered to these lines, by a process of its own."""
+    data = b"".join(one if isinstance(one, bytes) else json.dumps(one).encode() + b"\n" for one in told)
+    command = [sys.executable, "-m", "fsar_ledger", "federate", str(ledger), "day"]
+    done = subprocess.run(command, input=data, capture_output=True, check=False)
+    assert b"Traceback" not in done.stderr, done.stderr
+    return done.returncode, [json.loads(line) for line in done.stdout.splitlines()]
+
+
+def test_lines_of_commands_are_answered_by_lines_of_decisions(tmp_path: Path) -> None:
+    submit = {"command": "SubmitTask", "by": A, "key": "k", **TASK}
+    code, (first, again) = lines(tmp_path / "ledger", submit, b"\n", submit)
+    assert (code, first["seq"], first["rejected"]) == (0, again["seq"], None)
+    assert [event["type"] for event in first["events"]] == ["TaskArrived"]
+    assert first["followed"][0]["type"] == "StepBegan"
+    code, (started,) = lines(tmp_path / "ledger", {"command": "ReportStart", "by": A, "robot": A, "action_id": "t/1.1"})
+    assert (code, started["events"][0]["type"]) == (0, "ExecutionStarted")
+    assert is_good(tmp_path / "ledger")
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        (b"nonsense\n", "JSON is malformed"),
+        (b"\xff\xfe\n", "expected a JSON object"),
+        (b"[" * 100_000 + b"\n", "expected a JSON object"),
+        (b" " * MAX_LINE + b' {"command": "ReportContext", "by": "A", "robot": "A"}\n', "expected one command a line"),
+        ({"by": A}, "field command: found None, expected text"),
+        ({"command": "ReportStart", "by": 7}, "field by: found 7, expected text"),
+        ({"command": "ReportStart", "by": A, "key": 7}, "field key: found 7, expected text"),
+        ({"command": "ReportStart", "by": A, "self": 1}, "found self, expected some of robot, action_id"),
+    ],
+)
+def test_a_line_that_is_no_command_is_told_and_the_next_is_decided(tmp_path: Path, line: Any, said: str) -> None:
+    code, answers = lines(tmp_path / "ledger", line, {"command": "SubmitTask", "by": A, **TASK})
+    assert (code, [one.get("line") for one in answers], answers[-1]["rejected"]) == (1, [1, None], None), answers
+    assert said in answers[0]["error"]
+    assert len(given(tmp_path / "ledger")) == 1
+
+
+def test_what_becomes_due_by_itself_is_told_while_no_command_comes(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "fsar_ledger", "federate", str(tmp_path / "ledger"), "day"]
+    steps = ["A door.open.secure B"]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
+        assert process.stdin is not None
+        assert process.stdout is not None
+        process.stdin.write(json.dumps({"command": "SubmitTask", "by": A, **TASK, "steps": steps}).encode() + b"\n")
+        process.stdin.flush()
+        said = [json.loads(process.stdout.readline()) for _ in range(2)]
+        process.stdin.close()
+    assert [event["type"] for event in said[0]["followed"]][-1] == "RequestIssued"
+    assert "RequestUnanswered" in [event["type"] for event in said[1]["events"]]  # nobody judged it
     assert is_good(tmp_path / "ledger")

@@ -77,11 +77,11 @@ def test_every_port_is_asked_and_each_question_names_its_port() -> None:
     ports = {what: {ask.port for ask in asked if ask.what == what} for what in {ask.what for ask in asked}}
     assert ports["message"] == {"network"}
     assert ports["response"] == ports["verdict"] == {"human"}
-    assert ports["admission"] == {"decision"}
+    assert ports["admission"] == ports["help"] == {"decision"}
     assert {
         port
         for what, found in ports.items()
-        if what not in ("message", "response", "verdict", "admission")
+        if what not in ("message", "response", "verdict", "admission", "help")
         for port in found
     } == {"body"}
     assert {ask.port for ask in asked} == set(get_args(Port))

@@ -16,7 +16,7 @@ from fsar_ledger.events.execution import (
 )
 from fsar_ledger.events.recovery import FailureResolved
 from fsar_ledger.events.world import ContextChanged, ObstructionAppeared, RobotCameBack, RobotWentOff, RoutineDue
-from fsar_ledger.projections.execution import Action, Execution, Stage, in_hand
+from fsar_ledger.projections.execution import Action, Execution, Stage, in_hand, left_us
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.request import Request
 from fsar_ledger.runtime.ports import UNKNOWN_US, Ask
@@ -134,10 +134,10 @@ def detect_obstruction(state: State, command: DetectObstruction, action: Action)
 @HANDLERS.decide_on(known_action, PauseAction, body)
 def pause_action(_state: State, command: PauseAction, action: Action) -> tuple[Event, ...]:
     """Stop the robot to replan, if it still executes."""
-    left_us = action.left_us(command.now_us)
-    if action.stage != "running" or left_us == 0:
+    remaining_us = left_us(action, command.now_us)
+    if action.stage != "running" or remaining_us == 0:
         return ()
-    return (ExecutionPaused(action.subject, action.robot, left_us),)
+    return (ExecutionPaused(action.subject, action.robot, remaining_us),)
 
 
 @HANDLERS.decide_on(known_action, HaltAction, nobody)
@@ -148,7 +148,7 @@ def halt_action(state: State, command: HaltAction, action: Action) -> tuple[Even
     """
     if action.stage != "running" or action.robot not in state.world.off:
         return ()
-    return (ExecutionHalted(action.subject, action.robot, action.left_us(command.now_us)),)
+    return (ExecutionHalted(action.subject, action.robot, left_us(action, command.now_us)),)
 
 
 @HANDLERS.decide_on(known_action, ResumeAction, body)

@@ -18,7 +18,7 @@ from fsar_ledger.events.envelope import (
 from fsar_ledger.events.execution import ExecutionFailed
 from fsar_ledger.events.recovery import RecoveryAttempted, RecoveryAttemptFailed, RecoveryBudgetSet
 from fsar_ledger.projections.budget import Budget, Budgets
-from fsar_ledger.projections.execution import Action
+from fsar_ledger.projections.execution import Action, left_us
 from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.recovery import Recovery
@@ -104,7 +104,7 @@ def failed(action: Action, cause: FailureCause, now_us: int) -> ExecutionFailed:
         robot=action.robot,
         failure=action.failures + 1,
         cause=cause,
-        remaining_us=action.left_us(now_us),
+        remaining_us=left_us(action, now_us),
         detected_us=now_us,
     )
 

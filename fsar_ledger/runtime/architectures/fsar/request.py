@@ -17,7 +17,7 @@ from fsar_ledger.events.request import (
     RequestUnanswered,
 )
 from fsar_ledger.events.supervision import SupervisorCalled, SupervisorResponded
-from fsar_ledger.projections.execution import Execution
+from fsar_ledger.projections.execution import Execution, left_us
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.request import Request
 from fsar_ledger.projections.supervision import is_asked
@@ -229,7 +229,7 @@ def _admitted(state: State, request: Request, found: Evaluation, now_us: int) ->
     interrupted = preemptible(state.execution, executor, found.override)
     if interrupted is None:
         return (admitted, waiting)
-    remaining_us = {"running": interrupted.left_us(now_us), "paused": interrupted.remaining_us}.get(interrupted.stage)
+    remaining_us = {"running": left_us(interrupted, now_us), "paused": interrupted.remaining_us}.get(interrupted.stage)
     return (admitted, ExecutionPreempted(interrupted.subject, executor, request.action_id, remaining_us), waiting)
 
 
