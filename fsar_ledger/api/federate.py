@@ -84,6 +84,8 @@ class Decisions(Answer):
 
     def text(self, _: Screen) -> Iterator[SafeText]:
         """Yield a line for each command, and for what follows by itself; the run can go on after the last."""
+        from fsar_ledger.sources.json_lines import MAX_LINE
+
         with self._federation as one:
             number = 0
             for line in _ticking(self._lines):
@@ -91,7 +93,7 @@ class Decisions(Answer):
                     yield from _told(one.advance())
                     continue
                 number += 1
-                if line.isspace() and line.endswith(b"\n"):
+                if line.isspace() and len(line) <= MAX_LINE:
                     continue
                 yield from _told(one.advance())
                 try:

@@ -111,7 +111,7 @@ def tell(recorder: "Recorder", file: BinaryIO) -> tuple[int, dict[int, str]]:
     """
     events, refused = 0, dict[int, str]()
     for number, line in enumerate(bounded_lines(file), 1):
-        if line.isspace() and line.endswith(b"\n"):
+        if line.isspace() and len(line) <= MAX_LINE:
             continue
         try:
             if len(line) > MAX_LINE:
