@@ -1,4 +1,5 @@
-"""Values of a test of which plain `pytest` takes a few; with `-m ""`, as in `make test-all`, it takes them all."""
+"""Values of a test, by tier: plain `pytest` takes a few; `make test-all` these and the slow ones; `make soak-tests` the
+rest, which find what a coarser step misses."""
 
 from collections.abc import Collection, Iterable
 from typing import Any
@@ -6,13 +7,20 @@ from typing import Any
 import pytest
 
 
-def few(values: Iterable[Any], quick: Collection[Any]) -> list[Any]:
+def few(values: Iterable[Any], quick: Collection[Any], slow: Collection[Any] | None = None) -> list[Any]:
     """Return all values for a parameter, those that are not among the quick ones marked as slow.
 
+    Where the slow ones are named, what is in neither is marked as a soak.
+
     Raises:
-        ValueError: A quick one is not among the values.
+        ValueError: A quick or slow one is not among the values.
     """
     every = list(values)
-    if unknown := [value for value in quick if value not in every]:
+    if unknown := [value for value in (*quick, *(slow or ())) if value not in every]:
         raise ValueError(f"quick: found {unknown!r}, expected some of {every!r}")
-    return [value if value in quick else pytest.param(value, marks=pytest.mark.slow) for value in every]
+
+    def marked(value: Any) -> Any:
+        mark = pytest.mark.slow if slow is None or value in slow else pytest.mark.soak
+        return value if value in quick else pytest.param(value, marks=mark)
+
+    return [marked(value) for value in every]

@@ -35,14 +35,38 @@ def rows() -> list[Row]:
     return [Row(*(cell.strip().strip("`") for cell in line.strip("|").split(" |"))) for line in table]
 
 
-@pytest.mark.slow
+def called(command: str, place: Path) -> str:
+    """Return what the command prints in this folder."""
+    program, *arguments = shlex.split(command)
+    assert program == "fsar-ledger"
+    found = ran([sys.executable, "-m", "fsar_ledger", *arguments], cwd=place)
+    assert found.returncode == 0, (command, found.stderr)
+    return found.stdout
+
+
+@pytest.mark.soak
 def test_each_claim_is_shown_by_its_command(tmp_path: Path) -> None:
     assert len(rows()) > 15
     for row in rows():
-        program, *arguments = shlex.split(row.command)
-        assert program == "fsar-ledger"
-        found = ran([sys.executable, "-m", "fsar_ledger", *arguments], cwd=tmp_path)
-        assert row.is_shown_by(found.stdout), (row, found.stdout[-500:], found.stderr)
+        output = called(row.command, tmp_path)
+        assert row.is_shown_by(output), (row, output[-500:])
+
+
+@pytest.mark.slow
+def test_each_claim_is_shown_where_the_summary_that_many_read_is_made_once(tmp_path: Path) -> None:
+    first, *others = [row for row in rows() if row.command.startswith("fsar-ledger sql out/artifact ")]
+    for row in rows():
+        if row not in others:
+            output = called(row.command, tmp_path)
+            assert row.is_shown_by(output), (row, output[-500:])
+    selects = [shlex.split(row.command)[3] for row in others]
+    assert [shlex.split(row.command)[4:] for row in others] == [["--csv"]] * len(others)
+    parts = [f"({select.replace('FROM metric_summary', 'FROM summary')})::VARCHAR" for select in selects]
+    once = f"WITH summary AS MATERIALIZED (FROM metric_summary) SELECT unnest([{', '.join(parts)}]) AS shown"
+    _, *answers = called(shlex.join([*shlex.split(first.command)[:3], once, "--csv"]), tmp_path).splitlines()
+    assert len(answers) > 10
+    for row, answer in zip(others, answers, strict=True):
+        assert row.is_shown_by(answer), (row, answer)
 
 
 def test_a_figure_out_of_tolerance_is_found() -> None:

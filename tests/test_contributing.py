@@ -182,9 +182,28 @@ def called(command: list[str], place: Path) -> None:
     assert done.returncode == 0, f"{shlex.join(command)}\n{done.stdout[-6000:]}{done.stderr[-3000:]}"
 
 
+def once(listed: list[list[str]]) -> list[list[str]]:
+    """Return these commands, each once, and their tests after the others, as one call."""
+    others = [command for command in listed if command[0] != "pytest"]
+    tests = [name for program, *names in listed if program == "pytest" for name in names]
+    kept = sorted({name for name in tests if not any(name.startswith(f"{other}/") for other in tests)})
+    return [*(list(command) for command in dict.fromkeys(map(tuple, others))), ["pytest", *kept]]
+
+
 @pytest.mark.slow
+def test_all_pages_followed_to_the_letter_in_one_copy_pass_their_checks(tree: Path) -> None:
+    before = contents(tree)
+    try:
+        made = [change for page in pages().values() for change in make(page, tree)]
+        for command in (*once([command for page in pages().values() for command in commands(page)]), *checks(made)):
+            called(command, tree)
+    finally:
+        restore(tree, before)
+
+
+@pytest.mark.soak
 @pytest.mark.parametrize("name", pages())
-def test_a_page_followed_to_the_letter_passes_its_checks(name: str, tree: Path) -> None:
+def test_a_page_followed_to_the_letter_by_itself_passes_its_checks(name: str, tree: Path) -> None:
     page, before = pages()[name], contents(tree)
     try:
         made = make(page, tree)
@@ -225,6 +244,11 @@ def test_a_block_holds_one_file_or_names_each_of_its_files() -> None:
     assert changes("`c.py` (new):\n\n```python\nx\n```\n") == [Change("c.py", True, "x\n")]
     with pytest.raises(AssertionError, match="without the name of its file"):
         changes("```python\nx\n```\n")
+
+
+def test_a_command_of_several_pages_is_called_once_and_a_test_of_several_too() -> None:
+    listed = [["a", "x"], ["pytest", "tests/b", "tests/c.py"], ["a", "x"], ["a"], ["pytest", "tests/b/d.py"]]
+    assert once(listed) == [["a", "x"], ["a"], ["pytest", "tests/b", "tests/c.py"]]
 
 
 def test_a_diff_whose_place_is_missing_or_ambiguous_is_refused() -> None:

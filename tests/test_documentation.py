@@ -195,14 +195,22 @@ def test_every_command_of_the_readme_parses() -> None:
 
 
 @pytest.mark.slow  # a reproduction of one run for each scenario, half a minute
-def test_every_command_of_the_readme_runs_as_printed_after_a_reproduction(tmp_path: Path) -> None:
+def test_every_command_of_the_readme_runs_as_printed_after_a_reproduction(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert run(["reproduce", "--out", str(tmp_path / "fsar-out"), "--runs", "1"]) == 0
     _, *blocks = readme_blocks()
     surroundings = {**os.environ, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
-    for line in "".join(blocks).splitlines():  # each alone: a shell goes on after one that fails
-        done = ran(["sh", "-c", line], cwd=tmp_path, env=surroundings)
-        assert done.returncode == 0, f"{line}\n{done.stdout}{done.stderr}"
-        assert done.stdout.strip(), line
+    monkeypatch.chdir(tmp_path)
+    for first, *others in map(str.splitlines, blocks):
+        done = ran(["sh", "-c", first], env=surroundings)
+        assert done.returncode == 0, f"{first}\n{done.stdout}{done.stderr}"
+        assert done.stdout.strip(), first
+        for line in others:  # none needs a shell, but for the comment at its end
+            assert not set(line.partition("    #")[0].partition('"')[0]) & set("$*?|;&><"), line
+            capsys.readouterr()
+            assert run(shlex.split(line, comments=True)[1:]) == 0, line
+            assert capsys.readouterr().out.strip(), line
 
 
 MODEL = {label for label in LABELS if label.startswith(("eq:", "sec:model:", "sec:architecture:", "app:"))} | {

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 from fsar_ledger.cli import app
+from fsar_ledger.events.configuration import ARCHITECTURES
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.runtime.experiment import ORIGIN
 from tests.cli.conftest import SMALL, Call, one_message
@@ -34,7 +35,7 @@ def contents_of(folder: Path) -> dict[str, bytes]:
         (("--architecture", "fsra"), ("architecture 'fsra'", "did you mean fsar", "cfc")),
         (("--scenario", "door_relay"), ("scenario 'door_relay'", "did you mean door-relay")),
         (("--without", "trust-eval"), ("mechanism 'trust-eval'", "did you mean trust-evaluation")),
-        (("--architecture", "zzzz"), ("architecture 'zzzz'; expected one of fsar, cfc, dhma",)),
+        (("--architecture", "zzzz"), (f"architecture 'zzzz'; expected one of {', '.join(ARCHITECTURES)}\n",)),
         (("--runs", "0"), ("runs", "0")),
         (("--runs", "-3"), ("runs", "-3")),
         (("--runs", "many"), ("--runs", "'many'", "fsar-ledger simulate --help")),

@@ -3,6 +3,7 @@
 import json
 import shutil
 import subprocess
+from itertools import cycle
 from pathlib import Path
 
 import pytest
@@ -31,6 +32,8 @@ ASKED = (
     ("sql", "SELECT run_id, count(*) AS n FROM events GROUP BY ALL ORDER BY ALL", "--csv"),
     ("query", "denials", "--csv"),
 )
+IN_TURN = (*((ASKED[at], ASKED[at + 2]) for at in range(3)), (ASKED[3], ASKED[0]), (ASKED[4], ASKED[1]))
+"""What `make test-all` asks about each name, in turn; the soak asks all about each."""
 ASKED_LESS = (
     ("metrics", "--json"),
     ("audit", "--architecture", "fsar", "--json"),
@@ -132,23 +135,30 @@ def asked(call: Call, verb: tuple[str, ...], name: str) -> Called:
 
 
 @pytest.mark.usefixtures("here")
-@pytest.mark.parametrize("name", few((*NAMES, ALL_IN_ONE), (ALL_IN_ONE,)))
+@pytest.mark.parametrize(
+    ("name", "verbs"),
+    [
+        (ALL_IN_ONE, ASKED),
+        *(pytest.param(name, verbs, marks=pytest.mark.slow) for name, verbs in zip(NAMES, cycle(IN_TURN))),
+        *(pytest.param(name, ASKED, marks=pytest.mark.soak) for name in NAMES),
+    ],
+)
 def test_a_ledger_of_any_name_is_read_and_no_other(
-    call: Call, answers: dict[tuple[str, ...], Called], name: str
+    call: Call, answers: dict[tuple[str, ...], Called], name: str, verbs: tuple[tuple[str, ...], ...]
 ) -> None:
-    for verb in ASKED:
+    for verb in verbs:
         expected = answers.setdefault(verb, asked(call, verb, PLAIN))
         assert expected.code == 0, expected.err
         assert asked(call, verb, name) == expected
 
 
-@pytest.mark.slow
 @pytest.mark.usefixtures("here")
+@pytest.mark.parametrize("names", few((1, 3), (), (1,)))
 @pytest.mark.parametrize("verb", ASKED_LESS, ids=" ".join)
-def test_every_verb_reads_a_ledger_of_any_name(call: Call, verb: tuple[str, ...]) -> None:
+def test_every_verb_reads_a_ledger_of_any_name(call: Call, verb: tuple[str, ...], names: int) -> None:
     expected = asked(call, verb, PLAIN)
     assert expected.out
-    for name in (ALL_IN_ONE, "~/led", "led*b"):
+    for name in (ALL_IN_ONE, "~/led", "led*b")[:names]:
         assert asked(call, verb, name) == expected
 
 

@@ -16,6 +16,7 @@ from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.metrics.database import Database
 from fsar_ledger.metrics.library import library
 from fsar_ledger.metrics.provenance import types_read, unobserved
+from fsar_ledger.report import build
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
 from tests.foreign.claims import BY_RUN, GAPS, OF_GAPS, WHOLE, recorded_without, vain_claims, without
 from tests.foreign.histories import append
@@ -47,36 +48,41 @@ def test_a_query_says_null_of_what_is_not_observed_and_names_it(database: Databa
     assert list(vain_claims(database, library().find(name), WHOLE)) == []
 
 
-Answers = dict[str, tuple[list[dict[str, object]], set[str]]]
-
-
-def answers_about_all_runs(rows: pa.Table) -> Answers:
-    """Return the rows of each query that is not about one run, without gaps, and the concerns it calls unobserved."""
-    with from_table(rows) as made:
-        return {
-            name: (
-                [_without_gaps(row) for row in made.query(name, required(query)).to_pylist()],
-                {one.concern for one in unobserved(made, query)},
-            )
-            for name, query in library().queries.items()
-            if name not in {*BY_RUN, *OF_GAPS}
-        }
+ABOUT_ALL = {name: query for name, query in library().queries.items() if name not in {*BY_RUN, *OF_GAPS}}
+DRAWN = [name for name, query in ABOUT_ALL.items() if query.relation.startswith(("drawn_", "cluster_"))]
+"""Queries that draw millions of rows from few, and take as long as all others together."""
+Answers = dict[str, list[dict[str, object]]]
 
 
 @pytest.fixture(scope="module")
 def observed(runs: list[LedgerRun]) -> Answers:
-    return answers_about_all_runs(without(runs, None, WHOLE))
+    with from_table(without(runs, None, WHOLE)) as made:
+        return {name: answer_about_all_runs(made, name) for name in ABOUT_ALL}
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("concern", CONCERNS)
+def answer_about_all_runs(database: Database, name: str) -> list[dict[str, object]]:
+    """Return the rows of a query that is not about one run, without gaps."""
+    return [_without_gaps(row) for row in database.query(name, required(ABOUT_ALL[name])).to_pylist()]
+
+
+@pytest.mark.parametrize(
+    ("concern", "names"),
+    [
+        *(
+            pytest.param(one, [name for name in ABOUT_ALL if name not in DRAWN], marks=pytest.mark.slow)
+            for one in CONCERNS
+        ),
+        *(pytest.param(one, DRAWN, marks=pytest.mark.soak) for one in CONCERNS),
+    ],
+)
 def test_a_query_about_all_runs_names_what_is_not_observed(
-    runs: list[LedgerRun], observed: Answers, concern: str
+    runs: list[LedgerRun], observed: Answers, concern: str, names: list[str]
 ) -> None:
-    part = answers_about_all_runs(without(runs, concern, WHOLE))
-    silent = [name for name, (rows, said) in part.items() if rows != observed[name][0] and concern not in said]
-    assert len(part) > 20
-    assert silent == []
+    assert names
+    with from_table(without(runs, concern, WHOLE)) as part:
+        other = [name for name in names if answer_about_all_runs(part, name) != observed[name]]
+        said = {name: {one.concern for one in unobserved(part, ABOUT_ALL[name])} for name in other}
+    assert [name for name in other if concern not in said[name]] == []
 
 
 # --- the verbs ---
@@ -162,11 +168,18 @@ def test_a_request_of_which_nothing_tells_the_end_has_no_result(ledgers: dict[st
     assert {row["denials"] for row in open_ledger(ledgers["request"]).requests(1).rows()} == {None}
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("concern", CONCERNS)
+@pytest.mark.parametrize(
+    ("concern", "is_typeset"),
+    [
+        *(pytest.param(one, at % 4 == 0, marks=pytest.mark.slow) for at, one in enumerate(CONCERNS)),
+        *(pytest.param(one, True, marks=pytest.mark.soak) for at, one in enumerate(CONCERNS) if at % 4),
+    ],
+)
 def test_the_report_has_no_number_of_what_is_not_observed(
-    ledgers: dict[str, Path], tmp_path: Path, concern: str
+    ledgers: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, concern: str, *, is_typeset: bool
 ) -> None:
+    if not is_typeset:
+        monkeypatch.setattr(build, "pdf", lambda *_: b"%PDF-")
     told = ask(
         *("report", ledgers[concern], "--kind", "paper"),
         *("--out", tmp_path / "report.pdf", "--numbers", tmp_path / "numbers.json"),

@@ -21,13 +21,16 @@ ROOT = Path(__file__).resolve().parents[2]
 
 YARDSTICK_S = 0.12
 """CPU seconds that the yardstick takes on the core for which bounds are stated, one of some 3.5 GHz to itself."""
+LITTLE_S = 4
+"""CPU seconds that are within every bound, however fast the core."""
 
 
 class Cost(NamedTuple):
     """The exit code (-9: timed out), the message, and the cost.
 
     Units: CPU and wall seconds, MiB of the largest process. `slowness` is how many times as long as `YARDSTICK_S` the
-    yardstick took, beside the command; at least 1. A shared core can take twice the CPU seconds for the same work.
+    yardstick took, right after the command; at least 1. A shared core can take twice the CPU seconds for the same work.
+    A command of less than `LITTLE_S` is not worth a yardstick, and has 1.
     """
 
     code: int
@@ -73,7 +76,6 @@ def cost_of(arguments: Sequence[str], place: Path, patience_s: float = 120, chec
 
 def main(patience_s: float, arguments: Sequence[str]) -> None:
     """Print the cost of this call as JSON."""
-    before = yardstick()
     with tempfile.TemporaryFile() as said:
         began = time.monotonic()
         process = subprocess.Popen(
@@ -90,8 +92,8 @@ def main(patience_s: float, arguments: Sequence[str]) -> None:
         wall_s = time.monotonic() - began
         said.seek(0)
         message = said.read(1 << 20).decode(errors="replace")
-    slowness = max(1.0, (before + yardstick()) / 2 / YARDSTICK_S)
     processor_s = usage.ru_utime + usage.ru_stime
+    slowness = max(1.0, (yardstick() + yardstick()) / 2 / YARDSTICK_S) if processor_s > LITTLE_S else 1.0
     print(json.dumps(Cost(process.returncode, message, processor_s, wall_s, usage.ru_maxrss >> 10, slowness)))
 
 

@@ -49,9 +49,8 @@ def path(intact: Path, tmp_path: Path) -> Iterator[Path]:
         yield path
 
 
-@pytest.fixture
-def calls(tmp_path: Path) -> list[str]:
+@pytest.fixture(scope="session")
+def calls(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
     """Return the calls with which a writer changes the disk."""
-    root = tmp_path / "calls"
-    root.mkdir()
+    root = tmp_path_factory.mktemp("calls")
     return calls_of(root, lambda: write_with(FaultyOs(root), root / "out" / "ledger"))

@@ -41,15 +41,15 @@ class Tally(NamedTuple):
         )
 
 
-def trial(nursery: Nursery, path: Path, draw: random.Random) -> Tally:
+def trial(nursery: Nursery, path: Path, draw: random.Random, rounds: int = ROUNDS) -> Tally:
     """Let writers of one ledger be killed and refused in some rounds, and then finish; judge what readers saw."""
     tally = Tally()
     writers = NAMES[: draw.randrange(4, 9)]
     known = dict.fromkeys(writers, 0)
     seen: set[str] = set()
-    for again in range(1, ROUNDS + 2):
+    for again in range(1, rounds + 2):
         refusals = REFUSALS if again % 4 == 2 else 0
-        moments = tuple(draw.randrange(1, 250_000) for _ in writers) if again <= ROUNDS and not refusals else ()
+        moments = tuple(draw.randrange(1, 250_000) for _ in writers) if again <= rounds and not refusals else ()
         order = Order(str(path), writers, again * STEPS, 2, moments, refusals=refusals)
         outcome = nursery(order)
         known = {name: max(count, outcome.acknowledged.get(name, 0)) for name, count in known.items()}
@@ -58,7 +58,7 @@ def trial(nursery: Nursery, path: Path, draw: random.Random) -> Tally:
     held = {f"{commit.tree_size} {commit.tree_root}" for commit in open_for_answers(path).commits}
     gone = seen - held - {f"0 {'e3b0c44298fc1c149afbf4c8996fb92427ae41e4649b934ca495991b7852b855'}"}
     wrong = (f"{len(gone)} heads that readers saw are not in the ledger",) if gone else ()
-    missing = tuple(f"{name} finished {count} steps" for name, count in known.items() if count != (ROUNDS + 1) * STEPS)
+    missing = tuple(f"{name} finished {count} steps" for name, count in known.items() if count != (rounds + 1) * STEPS)
     return tally.plus(Tally(0, 0, sum(known.values()), len(seen), (*wrong, *missing)))
 
 

@@ -31,7 +31,7 @@ def laboratory(tmp_path: Path) -> Laboratory:
     return Laboratory(tmp_path)
 
 
-@pytest.mark.parametrize("step", few([7, 61], [61]))
+@pytest.mark.parametrize("step", few([7, 43, 61], [61], [43]))
 def test_a_fault_at_any_call_loses_nothing_acknowledged_and_the_power_may_fail_after_it(
     laboratory: Laboratory, calls: list[str], step: int
 ) -> None:
@@ -54,7 +54,7 @@ def says_what_to_do(error: FsarLedgerError, fault: Fault, path: Path) -> bool:
     return message.startswith(str(path)) and os.strerror(code) in message and message.endswith(way_out)
 
 
-@pytest.mark.parametrize("step", few([11, 301], [301]))
+@pytest.mark.parametrize("step", few([11, 41, 301], [301], [41]))
 def test_every_kind_of_refusal_is_one_clear_error(tmp_path: Path, calls: list[str], step: int) -> None:
     met = Counter[str]()
     for number, fault in enumerate(fault for fault in faults_at(calls) if not fault.ends_the_process):
@@ -69,14 +69,14 @@ def test_every_kind_of_refusal_is_one_clear_error(tmp_path: Path, calls: list[st
         else:
             assert session.acknowledged == len(ROWS)
     assert met
-    assert step > 11 or met.keys() == set(KINDS) - {"short-write", "killed", "killed-in-write"}
+    assert step > 41 or met.keys() == set(KINDS) - {"short-write", "killed", "killed-in-write"}
 
 
-@pytest.mark.slow
-def test_a_fault_during_the_recovery_loses_nothing_either(laboratory: Laboratory, calls: list[str]) -> None:
+@pytest.mark.parametrize("pairs", few([6, 20], [], [6]))
+def test_a_fault_during_the_recovery_loses_nothing_either(laboratory: Laboratory, calls: list[str], pairs: int) -> None:
     draw = random.Random(5)
     faults = list(faults_at(calls))
-    for number in range(20):
+    for number in range(pairs):
         first, second = (
             draw.choice(faults),
             Fault(draw.randrange(50), draw.choice(("killed", "io-error", "disk-full", "io-error-after"))),
@@ -84,18 +84,18 @@ def test_a_fault_during_the_recovery_loses_nothing_either(laboratory: Laboratory
         laboratory.trial([first, second], choices(number, 1)[-1:])
         laboratory.trial_after_power_failure(first, draw.choice(choices(number, 2)), second)
     assert laboratory.tally.complaints == []
-    assert laboratory.tally.faults_in_recovery > 20
+    assert laboratory.tally.faults_in_recovery > pairs
 
 
-@pytest.mark.slow
-def test_a_fault_at_any_call_of_the_recovery_loses_nothing(laboratory: Laboratory, calls: list[str]) -> None:
-    for at in range(0, len(calls), 121):
+@pytest.mark.parametrize("step", few([121, 363], [], [363]))
+def test_a_fault_at_any_call_of_the_recovery_loses_nothing(laboratory: Laboratory, calls: list[str], step: int) -> None:
+    for at in range(0, len(calls), step):
         laboratory.trials_of_recovery(Fault(at, "killed"), ("killed", "io-error", "killed-in-write", "disk-full"))
     assert laboratory.tally.complaints == []
-    assert laboratory.tally.faults_in_recovery > 25
+    assert laboratory.tally.faults_in_recovery > (25 if step == 121 else 8)
 
 
-@pytest.mark.parametrize("step", few([47, 151], [151]))
+@pytest.mark.parametrize("step", few([47, 151], [151], []))
 def test_a_process_really_killed_at_a_call_loses_nothing(
     nursery: Nursery, laboratory: Laboratory, calls: list[str], tmp_path: Path, step: int
 ) -> None:
@@ -110,7 +110,7 @@ def test_a_process_really_killed_at_a_call_loses_nothing(
 
 @pytest.mark.parametrize(
     ("writers", "steps"),
-    [(2, 4), pytest.param(4, 12, marks=pytest.mark.slow), pytest.param(8, 6, marks=pytest.mark.slow)],
+    [(2, 4), pytest.param(4, 12, marks=pytest.mark.soak), pytest.param(8, 6, marks=pytest.mark.slow)],
 )
 def test_what_several_writers_do_at_once_is_there_once_and_readers_see_whole_commits(
     nursery: Nursery, tmp_path: Path, writers: int, steps: int
@@ -136,11 +136,11 @@ def test_processes_killed_at_random_moments_lose_nothing_and_stop_nobody(nursery
     assert killed > 2, "most processes had ended before they were killed; give them more to do"
 
 
-@pytest.mark.slow
+@pytest.mark.parametrize("rounds", few([3, 8], [], [3]))
 def test_readers_beside_killed_and_refused_writers_see_what_is_committed_once_and_for_ever(
-    nursery: Nursery, tmp_path: Path
+    nursery: Nursery, tmp_path: Path, rounds: int
 ) -> None:
-    tally = trial(nursery, tmp_path / "ledger", random.Random(3))
+    tally = trial(nursery, tmp_path / "ledger", random.Random(3), rounds)
     assert tally.wrong == ()
     assert min(tally.kills, tally.refusals, tally.seen) > 1
 

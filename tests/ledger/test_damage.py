@@ -15,7 +15,7 @@ from tests.ledger.once import decoded_once
 from tests.quick import few
 
 
-@pytest.mark.parametrize("step", few([43, 907], [907]))
+@pytest.mark.parametrize("step", few([43, 211, 907], [907], [211]))
 @pytest.mark.parametrize("name", LEDGERS)
 def test_a_flip_or_a_cut_anywhere_is_found_in_its_place_or_left_as_by_a_crash(
     tmp_path: Path, name: str, step: int

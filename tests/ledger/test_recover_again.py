@@ -16,6 +16,7 @@ from tests.ledger.faults import Fault, FaultyOs, Killed, calls_of, in_place_of_o
 from tests.ledger.power import Disk, choices
 from tests.ledger.samples import append_all, contents, made_up_batches
 from tests.ledger.test_recover import Files, assert_nothing_lost, write
+from tests.quick import few
 
 # --- an interrupted recovery, a disk that refuses, another process ---
 
@@ -85,8 +86,8 @@ def test_stopped_at_any_call_recovery_goes_on_when_called_again(
     pytest.fail("recovery never came to its end")
 
 
-@pytest.mark.slow
-def test_a_power_failure_in_recovery_loses_nothing_either(tmp_path: Path, one: Files) -> None:
+@pytest.mark.parametrize("step", few([5, 11], [], [11]))
+def test_a_power_failure_in_recovery_loses_nothing_either(tmp_path: Path, one: Files, step: int) -> None:
     before = much_to_do(one)
     counting = write(tmp_path / "counting" / "ledger", before)
     changes = [
@@ -95,7 +96,7 @@ def test_a_power_failure_in_recovery_loses_nothing_either(tmp_path: Path, one: F
         if name not in ("open", "read", "close")
     ]
     assert len(changes) > 20
-    for at in changes[::5]:
+    for at in changes[::step]:
         path = write(tmp_path / str(at) / "ledger", before)
         disk = Disk(path.parent)
         with suppress(Killed), in_place_of_os(FaultyOs(path.parent, Fault(at, "killed"), disk)):

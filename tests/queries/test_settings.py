@@ -14,6 +14,7 @@ from fsar_ledger.metrics.constant_names import MAX_PARAMETERS
 from fsar_ledger.metrics.database import Value
 from fsar_ledger.metrics.results import MetricRow, StatisticRow, metric_rows, statistic_rows
 from tests.queries.histories import Row, answer, event, run
+from tests.quick import few
 from tests.recycled import from_rows
 
 LOW, HIGH = (
@@ -157,13 +158,9 @@ def test_runs_of_another_seed_never_change_the_rows_of_the_first() -> None:
     assert_only_rows_are_added([0, 1, 2], [(2, 43, 4, LOW), (1, 44, 8, '{"world":{}}')])
 
 
-@pytest.mark.slow
-@settings(max_examples=40, deadline=None)
-@given(CALLS, OTHER_RUNS)
-def test_no_runs_of_other_seeds_change_the_rows_of_the_first(
-    calls: list[int], others: list[tuple[int, int, int, str]]
-) -> None:
-    assert_only_rows_are_added(calls, others)
+@pytest.mark.parametrize("ledgers", few([12, 100], [], [12]))
+def test_no_runs_of_other_seeds_change_the_rows_of_the_first(ledgers: int) -> None:
+    settings(max_examples=ledgers, deadline=None)(given(CALLS, OTHER_RUNS)(assert_only_rows_are_added))()
 
 
 @pytest.mark.slow

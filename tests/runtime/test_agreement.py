@@ -29,6 +29,7 @@ from fsar_ledger.projections.fold import State, apply
 from fsar_ledger.projections.registry import surface
 from fsar_ledger.runtime.handlers.candidates import hides
 from fsar_ledger.runtime.handlers.fleet import execution_state
+from tests.quick import few
 from tests.recycled import from_table
 from tests.runtime.bench import Bench
 from tests.runtime.commanded import commanded
@@ -177,9 +178,9 @@ def test_handlers_and_queries_agree_after_every_event_of_random_runs() -> None:
     run_state_machine_as_test(Agreement, settings=once)
 
 
-@pytest.mark.slow
-def test_handlers_and_queries_agree_after_every_event_of_many_random_runs() -> None:
-    run_state_machine_as_test(Agreement, settings=settings(SETTINGS, derandomize=True, max_examples=20))
+@pytest.mark.parametrize("runs", few([8, 20], [], [8]))
+def test_handlers_and_queries_agree_after_every_event_of_many_random_runs(runs: int) -> None:
+    run_state_machine_as_test(Agreement, settings=settings(SETTINGS, derandomize=True, max_examples=runs))
 
 
 def soak(events: int) -> None:

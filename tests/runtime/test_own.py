@@ -39,6 +39,7 @@ from fsar_ledger.runtime.replay import replay
 from fsar_ledger.runtime.simulation import RunSpec, run_id, run_started, simulate_run
 from fsar_ledger.runtime.world.checks import problems_of_fleet, problems_of_scenario
 from fsar_ledger.runtime.world.schedule import schedule
+from tests.quick import few
 from tests.running import ran
 from tests.runtime.test_replay import committed
 from tests.runtime.test_replay_refused import restarted
@@ -346,7 +347,6 @@ def plays(folder: Path, own: Constants, teams: int, architecture: str) -> None:
 
 
 FEW = settings(max_examples=6, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True)
-MANY = settings(max_examples=100, deadline=None, suppress_health_check=list(HealthCheck))
 
 
 @FEW
@@ -357,10 +357,13 @@ def test_any_well_made_fleet_and_scenario_simulate_verify_and_replay(
     plays(tmp_path_factory.mktemp("any") / "ledger", own, teams, architecture)
 
 
-@pytest.mark.slow
-@MANY
-@given(designs(), st.integers(1, 3), st.sampled_from(PAPER_ARCHITECTURES))
+@pytest.mark.parametrize("many", few([40, 300], [], [40]))
 def test_any_of_many_well_made_fleets_and_scenarios_simulate_verify_and_replay(
-    tmp_path_factory: pytest.TempPathFactory, own: Constants, teams: int, architecture: str
+    tmp_path_factory: pytest.TempPathFactory, many: int
 ) -> None:
-    plays(tmp_path_factory.mktemp("any") / "ledger", own, teams, architecture)
+    @settings(max_examples=many, deadline=None, suppress_health_check=list(HealthCheck))
+    @given(designs(), st.integers(1, 3), st.sampled_from(PAPER_ARCHITECTURES))
+    def played(own: Constants, teams: int, architecture: str) -> None:
+        plays(tmp_path_factory.mktemp("any") / "ledger", own, teams, architecture)
+
+    played()

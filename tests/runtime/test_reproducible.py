@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from fsar_ledger.ledger.verify.verify import verify
+from tests.quick import few
 from tests.running import ran
 
 SEED = ["--seed", "9"]
@@ -102,8 +103,7 @@ def test_a_killed_simulation_resumes_to_the_same_bytes(tmp_path: Path, expected:
     assert verify(out).ok
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("workers", ["1", "2"])
+@pytest.mark.parametrize("workers", few(["1", "2"], [], ["2"]))
 def test_a_killed_enlargement_resumes_to_the_bytes_of_one_that_nobody_killed(tmp_path: Path, workers: str) -> None:
     options = ["--architecture", "fsar", "--scenario", "door-relay"]
     for name in ("straight", "killed"):

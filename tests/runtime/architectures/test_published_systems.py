@@ -18,6 +18,7 @@ from fsar_ledger.events.supervision import SupervisorCalled
 from fsar_ledger.events.world import OutsiderRequestInjected
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
 from tests.cli.conftest import in_a_process
+from tests.foreign.verbs import ask
 from tests.runtime.physics import MIXED
 
 Kind = TypeVar("Kind", bound=Event)
@@ -93,8 +94,8 @@ def ledger(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_run_is_played_again_with_a_fact_a_dial_or_the_architecture_changed(ledger: Path) -> None:
     for change in ("drop window:fleet/D1/0", "architecture fsar"):
         for run in ("1", "2", "3"):
-            assert "they part at" in in_a_process("whatif", ledger, "--run", run, "--change", change).good().out
+            assert "they part at" in ask("whatif", ledger, "--run", run, "--change", change).out
     slower = in_a_process("whatif", ledger, "--run", "3", "--change", "set alliance.impatience_us=15000000").good()
     assert "they part at" in slower.out
-    refused = in_a_process("whatif", ledger, "--run", "3", "--change", "rule fleet deny robot=B1")
+    refused = ask("whatif", ledger, "--run", "3", "--change", "rule fleet deny robot=B1")
     assert (refused.code, "alliance decides no such command" in refused.err) == (2, True)
