@@ -32,6 +32,7 @@ LEFT_OUT = {
     "simulate": "it makes the ledger",
     "record": "it makes the ledger",
     "import": "it makes the ledger",
+    "federate": "it makes the ledger",
     "maintain upgrade": "it takes a ledger of format 1",
     "verify-proof": "it reads a proof, not a ledger",
     "reproduce": "it takes no ledger",
