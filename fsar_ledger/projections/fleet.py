@@ -7,7 +7,7 @@ from typing import TypeVar, assert_never
 import msgspec
 
 from fsar_ledger.designs import registered
-from fsar_ledger.designs.constants import END_US, Constants, Outages, Structure, read_constants
+from fsar_ledger.designs.constants import Constants, Outages, Structure, read_constants
 from fsar_ledger.designs.dials import Alliance, Jade, Roboos
 from fsar_ledger.events.configuration import removed_mechanisms
 from fsar_ledger.events.envelope import Robot, Supervisor
@@ -52,11 +52,6 @@ class Fleet(msgspec.Struct, frozen=True, dict=True):
     jade: Jade = Jade()
     alliance: Alliance = Alliance()
     roboos: Roboos = Roboos()
-
-    @cached_property
-    def ends_us(self) -> int:
-        """The run time after which no task is open. Units: microseconds."""
-        return NEVER_US if self.is_live else END_US
 
     @cached_property
     def teams(self) -> dict[int, frozenset[Robot]]:

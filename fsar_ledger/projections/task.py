@@ -6,11 +6,12 @@ from typing import assert_never
 import msgspec
 from msgspec.structs import replace
 
+from fsar_ledger.designs.constants import END_US
 from fsar_ledger.events.envelope import Robot, recorded_robot
 from fsar_ledger.events.task import StepBegan, StepCompleted, TaskAbandoned, TaskCompleted, TaskPlanned
 from fsar_ledger.events.world import TaskArrived
 
-from .fleet import Fleet
+from .fleet import NEVER_US, Fleet
 from .maps import put, without
 
 HANDLES = TaskArrived | TaskPlanned | StepBegan | StepCompleted | TaskCompleted | TaskAbandoned
@@ -87,10 +88,11 @@ def evolve(state: Tasks, event: HANDLES) -> Tasks:
 def given_up_us(task: TaskArrived | Task, fleet: Fleet) -> int:
     """Return the run time at which the task is given up, even while it waits.
 
-    That is after so many budgets, or when the run ends if that is earlier.
+    That is after so many budgets, or when the run ends if that is earlier. A live run may take any time.
     """
     budgets = fleet.structure.expiry_budgets
-    return min((task.due_us or 0) + (budgets - 1) * (task.budget_us or 0), fleet.ends_us)
+    latest_us = NEVER_US if fleet.is_live else END_US
+    return min((task.due_us or 0) + (budgets - 1) * (task.budget_us or 0), latest_us)
 
 
 def checkpoint(state: Tasks, task_id: str, step: int) -> str | None:
