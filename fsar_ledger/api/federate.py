@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from threading import Thread
-from typing import TYPE_CHECKING, Annotated, Any, BinaryIO
+from typing import TYPE_CHECKING, Annotated, BinaryIO
 
 import msgspec
 
@@ -84,18 +84,12 @@ class Decisions(Answer):
 
     def text(self, _: Screen) -> Iterator[SafeText]:
         """Yield a line for each command, and for what follows by itself; the run can go on after the last."""
-        from fsar_ledger.sources.json_lines import MAX_LINE
-
         with self._federation as one:
-            number = 0
-            for line in _ticking(self._lines):
-                if line is None:
-                    yield from _told(one.advance())
-                    continue
-                number += 1
-                if line.isspace() and len(line) <= MAX_LINE:
-                    continue
+            for came in _ticking(self._lines):
                 yield from _told(one.advance())
+                if came is None:
+                    continue
+                number, line = came
                 try:
                     yield _line(_decided(one, line))
                 except UsageError as error:
@@ -104,40 +98,35 @@ class Decisions(Answer):
             yield from _told(one.advance())
 
 
-def _ticking(lines: BinaryIO) -> Iterator[bytes | None]:
-    """Yield each line as it comes, and None while none does."""
-    from fsar_ledger.sources.columns import bounded_lines
+def _ticking(lines: BinaryIO) -> Iterator[tuple[int, bytes] | None]:
+    """Yield each line with its number as it comes, and None while none does."""
+    from fsar_ledger.sources.columns import numbered_lines
 
-    came: SimpleQueue[bytes | None] = SimpleQueue()
+    came: SimpleQueue[tuple[int, bytes] | None] = SimpleQueue()
 
     def read() -> None:
-        for line in bounded_lines(lines):
-            came.put(line)
+        for numbered in numbered_lines(lines):
+            came.put(numbered)
         came.put(None)
 
     Thread(target=read, name="commands", daemon=True).start()
     while True:
         try:
-            line = came.get(timeout=TICK_S)
+            numbered = came.get(timeout=TICK_S)
         except Empty:
             yield None
             continue
-        if line is None:
+        if numbered is None:
             return
-        yield line
+        yield numbered
 
 
 def _decided(federation: "Federation", line: bytes) -> Mapping[str, object]:
     """Return what became of the command in this line. Raises: UsageError for what is none."""
     from fsar_ledger.runtime.live import command_given
-    from fsar_ledger.sources.json_lines import MAX_LINE
+    from fsar_ledger.sources.columns import object_of
 
-    if len(line) > MAX_LINE:
-        raise UsageError(f"found more than {MAX_LINE:,} bytes, expected one command a line")
-    try:
-        row = msgspec.json.decode(line, type=dict[str, Any])
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise UsageError(f"{error!s:.200}; expected a JSON object") from error
+    row = object_of(line, "command")
     for name in ("command", "by"):
         if not isinstance(row.get(name), str):
             raise UsageError(f"field {name}: found {row.get(name)!r:.80}, expected text")

@@ -110,12 +110,8 @@ def tell(recorder: "Recorder", file: BinaryIO) -> tuple[int, dict[int, str]]:
     A time without a zone is UTC.
     """
     events, refused = 0, dict[int, str]()
-    for number, line in enumerate(bounded_lines(file), 1):
-        if line.isspace() and len(line) <= MAX_LINE:
-            continue
+    for number, line in numbered_lines(file):
         try:
-            if len(line) > MAX_LINE:
-                raise UsageError(f"found more than {MAX_LINE:,} bytes, expected one event a line")
             event, at, caused_by = told(line.removeprefix(BOM) if number == 1 else line)
             _record(recorder, event, at, caused_by)
             events += 1
@@ -133,12 +129,28 @@ def _record(recorder: "Recorder", event: Event, at: datetime | None, caused_by: 
         raise UsageError(f"field time: {f'{error}'.removeprefix('at: ')}".replace("`at`", "`time`")) from error
 
 
-def bounded_lines(file: BinaryIO) -> Iterator[bytes]:
-    """Yield each line as it comes; of one that is too long its beginning, which is too long as well."""
+def numbered_lines(file: BinaryIO) -> Iterator[tuple[int, bytes]]:
+    """Yield each line with its number as it comes, but empty ones; of one that is too long its beginning.
+
+    That is too long as well, so that `object_of` refuses it.
+    """
+    number = 0
     while line := file.readline(MAX_LINE + 1):
-        yield line
+        number += 1
+        if not line.isspace() or len(line) > MAX_LINE:
+            yield number, line
         while line and len(line) > MAX_LINE and not line.endswith(b"\n"):
             line = file.readline(MAX_LINE + 1)
+
+
+def object_of(line: bytes, what: str) -> dict[str, Any]:
+    """Return the JSON object in this line, which holds one event or command (`what`). Raises: UsageError for none."""
+    if len(line) > MAX_LINE:
+        raise UsageError(f"found more than {MAX_LINE:,} bytes, expected one {what} a line")
+    try:
+        return msgspec.json.decode(line, type=dict[str, Any])
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise UsageError(f"{error!s:.200}; expected a JSON object") from error
 
 
 def told(line: bytes) -> tuple[Event, datetime | None, int | None]:
@@ -146,10 +158,7 @@ def told(line: bytes) -> tuple[Event, datetime | None, int | None]:
 
     Raises: UsageError for what is no such line; it names the field.
     """
-    try:
-        row = msgspec.json.decode(line, type=dict[str, Any])
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise UsageError(f"{error!s:.200}; expected a JSON object") from error
+    row = object_of(line, "event")
     event = event_of(row.get("type"), {name: row[name] for name in row.keys() - set(BESIDE)})
     return event, _when(row.get("time")), _cause(row.get("caused_by"))
 

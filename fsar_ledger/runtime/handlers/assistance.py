@@ -19,11 +19,11 @@ HANDLERS = Handlers()
 
 def end_assistance(state: State, command: EndAssistance, level: RecoveryLevel) -> tuple[Event, ...]:
     """Resolve the failure by means of this level, or record that the helper could not; free the helper."""
-    match _helped(state, command.action_id, command.helper):
+    match helped(state, command.action_id, command.helper):
         case action, recovery if recovery.failure == command.failure:
             cause = _hindrance(state.world, recovery, command)
             if cause is not None:
-                return (_failed(action, recovery, command.helper, cause),)
+                return (help_failed(action, recovery, command.helper, cause),)
             return (
                 AssistanceEnded(action.subject, action.robot, command.helper, recovery.failure),
                 FailureResolved(action.subject, action.robot, recovery.failure, level),
@@ -35,9 +35,9 @@ def end_assistance(state: State, command: EndAssistance, level: RecoveryLevel) -
 @HANDLERS.decide(StopAssistance, helping)
 def stop_assistance(state: State, command: StopAssistance) -> tuple[Event, ...]:
     """End the help because something is in the helper's own way."""
-    match _helped(state, command.action_id, command.helper):
+    match helped(state, command.action_id, command.helper):
         case action, recovery if state.world.obstructions.get(command.helper):
-            return (_failed(action, recovery, command.helper, "obstruction"),)
+            return (help_failed(action, recovery, command.helper, "obstruction"),)
         case _:
             return ()
 
@@ -51,7 +51,7 @@ def end_of(event: AssistanceAdmitted, after_us: int, waits: tuple[Ask, ...] = ()
     return Scheduled(EndAssistance(event.subject.action_id, event.helper, event.failure), after_us, waits, ask)
 
 
-def _helped(state: State, action_id: str, who: Robot) -> Failure | None:
+def helped(state: State, action_id: str, who: Robot) -> Failure | None:
     """Return the action that the robot helps with and its failure, or None when it helps with none."""
     return open_failure(state, action_id) if state.execution.current.get(who) == HELPING + action_id else None
 
@@ -69,7 +69,8 @@ def _hindrance(world: World, recovery: Recovery, command: EndAssistance) -> Fail
     return None
 
 
-def _failed(action: Action, recovery: Recovery, who: Robot, cause: FailureCause) -> AssistanceFailed:
+def help_failed(action: Action, recovery: Recovery, who: Robot, cause: FailureCause) -> AssistanceFailed:
+    """Return the fact that the helper could not help, by this cause."""
     return AssistanceFailed(
         subject=action.subject,
         robot=action.robot,

@@ -20,7 +20,7 @@ from fsar_ledger.events.envelope import PolicyOutcome, Robot
 from fsar_ledger.events.recovery import AssistanceAdmitted
 from fsar_ledger.events.registry import RegistryQueried
 from fsar_ledger.projections.authority import Authority, right_of
-from fsar_ledger.projections.execution import HELPING, Action, Execution
+from fsar_ledger.projections.execution import Action
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.recovery import Recovery
 from fsar_ledger.projections.registry import NO_ANSWER, Advertisement, offered_in
@@ -86,11 +86,6 @@ def agreed_to_help(state: State, action: Action, recovery: Recovery, helper: Rob
         failure=recovery.failure,
         level="peer",
     )
-
-
-def is_helped(execution: Execution, recovery: Recovery, action_id: str) -> bool:
-    """Tell whether the peer that was asked last is helping."""
-    return bool(recovery.tried) and execution.current.get(recovery.tried[-1]) == HELPING + action_id
 
 
 def peer_query(state: State, action: Action, recovery: Recovery) -> tuple[Event, ...]:

@@ -49,7 +49,7 @@ from fsar_ledger.runtime.handlers.supervision import supervisor_for
 from fsar_ledger.runtime.ports import ANSWERS_LATER, Ask
 
 from .availability import found_silent
-from .helpers import HelperChoice, agreed_to_help, is_helped, peer, peer_query, reassignee
+from .helpers import HelperChoice, agreed_to_help, peer, peer_query, reassignee
 
 EXHAUSTED = "budget exhausted"
 
@@ -197,7 +197,7 @@ def ask_peers(state: State, command: AskPeers, failure: Failure) -> tuple[Event,
     if not (
         recovery.level == "peer"
         and not (command.is_last and (command.failure, command.asked) != (recovery.failure, len(recovery.tried)))
-        and not is_helped(state.execution, recovery, action.action_id)
+        and not (recovery.tried and assistance.helped(state, action.action_id, recovery.tried[-1]))
     ):
         return ()
     named = parties(state, action)

@@ -12,7 +12,7 @@ import msgspec
 from fsar_ledger.events import Event
 from fsar_ledger.events.command import CommandGiven
 from fsar_ledger.events.envelope import PolicyOutcome, PolicyScope, Robot, Supervisor
-from fsar_ledger.events.recovery import AssistanceDeclined, AssistanceFailed, AssistanceRequested
+from fsar_ledger.events.recovery import AssistanceDeclined, AssistanceRequested
 from fsar_ledger.events.request import RequestDenied
 from fsar_ledger.events.supervision import ActuatorServiced
 from fsar_ledger.events.world import (
@@ -27,6 +27,7 @@ from fsar_ledger.events.world import (
     SupervisorReturned,
 )
 from fsar_ledger.projections.fold import State
+from fsar_ledger.runtime.handlers.assistance import help_failed, helped
 from fsar_ledger.runtime.handlers.attribution import recorded_by
 from fsar_ledger.runtime.handlers.commands import (
     Command,
@@ -211,28 +212,16 @@ def report_attempt(state: State, command: ReportAttempt) -> tuple[Event, ...]:
 @HANDLERS.decide(ReportAssistance)
 def report_assistance(state: State, command: ReportAssistance) -> tuple[Event, ...]:
     """Free the helper, which resolved the failure or could not. Paper: sec:model:recovery, level 2."""
-    recovery, refused = state.recovery.get(command.action_id), unknown_robot(state.fleet, command.robot)
-    if recovery is not None and refused is None:
-        if command.succeeded:
-            ended = EndAssistance(command.action_id, command.robot, recovery.failure, now_us=command.now_us, answer=1)
-            events = end_assistance(state, ended)
-        else:
-            events = _unhelped(state, command, recovery.failure)
-        if events:
-            return events
-    refused = refused or f"{command.robot} does not help with {command.action_id}, expected its helper"
-    return rejected(command, command.action_id, refused, command.robot)
-
-
-def _unhelped(state: State, command: ReportAssistance, failure: int) -> tuple[Event, ...]:
-    action = state.execution.actions.get(command.action_id)
-    if action is None or state.execution.current.get(command.robot) != f"assist:{command.action_id}":
-        return ()
-    return (
-        AssistanceFailed(
-            subject=action.subject, robot=action.robot, helper=command.robot, failure=failure, cause=command.cause
-        ),
-    )
+    refused, failure = unknown_robot(state.fleet, command.robot), helped(state, command.action_id, command.robot)
+    if refused is None and failure is None:
+        refused = f"{command.robot} does not help with {command.action_id}, expected its helper"
+    if refused is not None or failure is None:
+        return rejected(command, command.action_id, refused or "", command.robot)
+    action, recovery = failure
+    if not command.succeeded:
+        return (help_failed(action, recovery, command.robot, command.cause),)
+    ended = EndAssistance(command.action_id, command.robot, recovery.failure, now_us=command.now_us, answer=1)
+    return end_assistance(state, ended)
 
 
 @HANDLERS.decide(ReportPresence)
@@ -311,8 +300,8 @@ def _on_command(_state: State, event: CommandGiven, _now_us: int) -> tuple[Sched
 
 def given(command: PublicCommand, issued_by: str, **about: object) -> CommandGiven:
     """Return the record of a command that was given; `about` are its other columns."""
-    names = [name for name in command.__struct_fields__ if name not in Command.__struct_fields__]
-    parameters = msgspec.json.encode({name: getattr(command, name) for name in names}).decode()
+    fields = {name: getattr(command, name) for name in _own_fields(type(command))}
+    parameters = msgspec.json.encode(fields).decode()
     return msgspec.convert(
         {
             "type": CommandGiven.__struct_config__.tag,
@@ -325,10 +314,15 @@ def given(command: PublicCommand, issued_by: str, **about: object) -> CommandGiv
     )
 
 
+def _own_fields(kind: type[PublicCommand]) -> list[str]:
+    """Return what a command of this kind says, without what the run stamps."""
+    return [name for name in kind.__struct_fields__ if name not in Command.__struct_fields__]
+
+
 def read(kind: type[PublicCommand], parameters: str) -> PublicCommand:
     """Return the command with these fields, as JSON. Raises: msgspec.ValidationError for what it cannot have."""
     found = msgspec.json.decode(parameters, type=dict[str, object])
-    known = [name for name in kind.__struct_fields__ if name not in Command.__struct_fields__]
+    known = _own_fields(kind)
     if unknown := sorted(found.keys() - set(known)):
         raise msgspec.ValidationError(f"found {unknown[0]!s:.80}, expected some of {', '.join(known)}")
     return msgspec.convert(found, kind)
