@@ -5,6 +5,7 @@ says, it is refused.
 """
 
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from threading import RLock
 
@@ -156,9 +157,19 @@ class Federation:
         started = record.events[0]
         if not isinstance(started, RunStarted) or started.source != SOURCE or started.epoch is None:
             raise UsageError(f"run {value(self.run)}: found a run that is not live, expected a new name or one that is")
-        if (difference := replay_run(record)) is not None:
+        live = None
+        with suppress(Exception):  # whatever keeps it from being made again, its replay tells in words
+            constants = recorded_constants(started, len(record.events))
+            live = LiveRun(live_started(constants, started.fleet_size or 0, started.epoch), constants, record)
+            made = live.take(self.run)  # it is on disk
+        if live is None or not _is_same(made, record):
+            difference = replay_run(record)
             raise UsageError(f"run {value(self.run)} cannot go on, since it would go on otherwise: {difference}")
-        self._live = LiveRun(started, recorded_constants(started, len(record.events)), record)
-        self._live.take(self.run)  # it is on disk
+        self._live = live
         self._epoch_us = (utc.parsed(started.epoch) - utc.EPOCH) // utc.MICROSECOND
         self._keys = decisions_by_key(record)
+
+
+def _is_same(made: LedgerRun, record: LedgerRun) -> bool:
+    pairs = ((made.times_us, record.times_us), (made.caused_by, record.caused_by), (made.events, record.events))
+    return all(list(one) == list(other) for one, other in pairs)
