@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from fsar_ledger.api.audit import Audit
     from fsar_ledger.api.events import Events, LoggedEvent
     from fsar_ledger.api.explain import Account
-    from fsar_ledger.api.federate import federate
+    from fsar_ledger.api.federate import federate, principal_new
     from fsar_ledger.api.imports import import_records
     from fsar_ledger.api.key import key_new, key_public
     from fsar_ledger.api.ledger import Ledger, open_ledger
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from fsar_ledger.api.witness import witness_new
     from fsar_ledger.base import errors
     from fsar_ledger.base.errors import FsarLedgerError
+    from fsar_ledger.service.client import Client
     from fsar_ledger.studies.calibration import calibrate
     from fsar_ledger.studies.comparison import judge
     from fsar_ledger.studies.ensemble import ensemble
@@ -42,6 +43,7 @@ __version__ = "0.12.0"
 __all__ = [
     "Account",
     "Audit",
+    "Client",
     "Events",
     "FsarLedgerError",
     "Ledger",
@@ -61,6 +63,7 @@ __all__ = [
     "open_ledger",
     "placebo",
     "predict",
+    "principal_new",
     "ranking",
     "record",
     "reproduce",
@@ -75,7 +78,7 @@ _HOMES = {
     "api.audit": ("Audit",),
     "api.events": ("Events", "LoggedEvent"),
     "api.explain": ("Account",),
-    "api.federate": ("federate",),
+    "api.federate": ("federate", "principal_new"),
     "api.imports": ("import_records",),
     "api.key": ("key_new", "key_public"),
     "api.ledger": ("Ledger", "open_ledger"),
@@ -87,6 +90,7 @@ _HOMES = {
     "api.verify_proof": ("verify_proof",),
     "api.witness": ("witness_new",),
     "base.errors": ("FsarLedgerError",),
+    "service.client": ("Client",),
     "studies.calibration": ("calibrate",),
     "studies.comparison": ("judge",),
     "studies.ensemble": ("ensemble",),

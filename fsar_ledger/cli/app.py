@@ -27,7 +27,7 @@ from .terminal import OutputClosed, say, show
 
 INTERRUPTED = 130
 GROUPS = {
-    "Record": ("simulate", "record", "import", "federate"),
+    "Record": ("simulate", "record", "import", "federate", "serve", "principal"),
     "Ask": (
         *("info", "metrics", "statistics", "compare"),
         *("query", "sql", "export", "open", "explain", "log"),
@@ -41,6 +41,7 @@ GROUPS = {
 FAMILIES = {
     "key": "Make keys that sign ledgers.",
     "maintain": "Repair a ledger, write it in the newer format, or put its segments together.",
+    "principal": "Let robots, people and programs speak to a service.",
     "study": "Run a study of the model, or show the result of one.",
     "study run": "Run a study.",
     "witness": "Check that ledgers only grow, or have your own checked.",
@@ -49,6 +50,8 @@ FAMILIES = {
 HOMES = {
     "study": ("fsar_ledger.studies.verbs", "fsar_ledger.api.multiverse"),
     "import": ("fsar_ledger.api.imports",),
+    "serve": ("fsar_ledger.api.federate",),
+    "principal": ("fsar_ledger.api.federate",),
 }
 """The modules of verbs that are not those of the same name in the API."""
 

@@ -4,7 +4,7 @@ A run that is there goes on: its commands make it again, and where today's handl
 says, it is refused.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from threading import RLock
@@ -30,6 +30,8 @@ from .recipes import recorded_constants
 from .run_replay import replay_run
 
 ORIGIN = "fsar-ledger/live"
+KEYS = 1 << 16
+"""Of so many of the last commands with a key it is known what became of them; one that is older is a new command."""
 
 
 class Federation:
@@ -43,6 +45,8 @@ class Federation:
         clock: The time in nanoseconds since 1970.
         origin: The name under which a new ledger is published.
         signer: The key that signs.
+        on_commit: Called after each commit with the seq of its first event and its rows, as they are hashed, a line
+            each.
 
     Raises:
         UsageError: Another run has this name, or would go on otherwise than it was recorded.
@@ -59,10 +63,12 @@ class Federation:
         *,
         origin: str | None = None,
         signer: Signer | None = None,
+        on_commit: Callable[[int, bytes], None] | None = None,
     ) -> None:
+        self._on_commit = on_commit
         self.run, self._path, self._clock, self._lock = run, path, clock, RLock()
         self._has_failed = False
-        self._keys: dict[tuple[str, str], Decision] = {}
+        self._keys: dict[tuple[str, str], tuple[tuple[str, str], Decision]] = {}
         self._writer = Writer(path, origin or (signer.verifier.name if signer else ORIGIN), signer)
         try:
             view = open_ledger(path)
@@ -82,6 +88,11 @@ class Federation:
         """What is known now; it must not be changed."""
         return self._live.kernel.state
 
+    @property
+    def size(self) -> int:
+        """How many events the run has."""
+        return self._live.kernel.first + len(self._live.kernel.events)
+
     def give(
         self, command: str, by: str, *, key: str | None = None, sent_us: int | None = None, **fields: object
     ) -> Decision:
@@ -91,27 +102,52 @@ class Federation:
             command: Its name (`ReportStart`).
             by: Who gives it.
             key: The name by which they tell whether it is the same one again; then its first decision is returned.
+                The last 65,536 are known.
             sent_us: When they say that they gave it. Units: microseconds of run time.
             fields: What it says.
 
         Raises:
-            UsageError: There is no such command, or it cannot have these fields. Nothing is on record of it.
+            UsageError: There is no such command, it cannot have these fields, or its key was given with another
+                command. Nothing is on record of it.
             WriteFailed: The disk refused; nobody must act on it.
         """
         return self.decide(command_given(command, by, fields, key, sent_us))
 
     def decide(self, command: CommandGiven) -> Decision:
-        """As `give`, of a command whose record is made (`live.command_given`). Raises: WriteFailed."""
-        key = None if command.key is None else (f"{command.issued_by}", command.key)
+        """As `give`, of a command whose record is made (`live.command_given`)."""
+        [decision] = self.decide_all((command,))
+        if isinstance(decision, UsageError):
+            raise decision
+        return decision
+
+    def decide_all(self, commands: Sequence[CommandGiven]) -> list[Decision | UsageError]:
+        """Decide each command in turn, all in one write; an error stands for one whose key named another command.
+
+        Raises: WriteFailed: None of the new decisions is on disk for certain; nobody must act on one.
+        """
         with self._lock:
             self._require_whole()
-            if key is not None and (before := self._keys.get(key)) is not None:
-                return before
-            decision = self._live.give(self._now_us(), command)
+            decisions = [self._decided(command) for command in commands]
             self._commit()
-            if key is not None:
-                self._keys[key] = msgspec.structs.replace(decision, followed=())
+            return decisions
+
+    def _decided(self, command: CommandGiven) -> Decision | UsageError:
+        if command.key is None:
+            return self._live.give(self._now_us(), command)
+        key = (f"{command.issued_by}", command.key)
+        said = (command.command, command.parameters)
+        if (before := self._keys.get(key)) is None:
+            decision = self._live.give(self._now_us(), command)
+            self._keys[key] = (said, msgspec.structs.replace(decision, followed=()))
+            if len(self._keys) > KEYS:
+                del self._keys[next(iter(self._keys))]
             return decision
+        if before[0] == said:
+            return before[1]
+        return UsageError(
+            f"key {value(command.key)}: found another {value(command.command)} than the {value(before[0][0])} at seq "
+            f"{before[1].seq}, expected a new key for a new command"
+        )
 
     def advance(self) -> tuple[Event, ...]:
         """Decide what is due by now, such as a budget that has run out; return the events, which are on disk."""
@@ -135,7 +171,7 @@ class Federation:
         return self._clock() // 1_000 - self._epoch_us
 
     def _commit(self) -> tuple[Event, ...]:
-        """Put what has happened since the last commit on disk, and return it."""
+        """Put what has happened since the last commit on disk, tell of it, and return it."""
         piece = self._live.take(self.run)
         if piece.events:
             self._has_failed = True  # until it is on disk, the run knows what nobody may act on
@@ -144,6 +180,8 @@ class Federation:
             except CommitTooLarge:
                 self._writer.append(stage(self._path, [piece]))
             self._has_failed = False
+            if self._on_commit is not None:
+                self._on_commit(piece.first, self._writer.newest_rows())
         return tuple(piece.events)
 
     def _require_whole(self) -> None:
@@ -167,7 +205,7 @@ class Federation:
             raise UsageError(f"run {value(self.run)} cannot go on, since it would go on otherwise: {difference}")
         self._live = live
         self._epoch_us = (utc.parsed(started.epoch) - utc.EPOCH) // utc.MICROSECOND
-        self._keys = decisions_by_key(record)
+        self._keys = decisions_by_key(record, KEYS)
 
 
 def _is_same(made: LedgerRun, record: LedgerRun) -> bool:

@@ -95,14 +95,23 @@ def commands_of(record: LedgerRun) -> tuple[tuple[int, CommandGiven], ...]:
     return tuple((time_us, event) for time_us, event in pairs if isinstance(event, CommandGiven))
 
 
-def decisions_by_key(record: LedgerRun) -> dict[tuple[str, str], Decision]:
-    """Return what became of each command that has a key, by who gave it and that key."""
-    keyed = {seq: one for seq, one in enumerate(record.events) if isinstance(one, CommandGiven) and one.key is not None}
+def decisions_by_key(record: LedgerRun, most: int) -> dict[tuple[str, str], tuple[tuple[str, str], Decision]]:
+    """Return the last so many commands that have a key, and what became of them, by who gave them and that key.
+
+    A command is its name and its fields, as JSON.
+    """
+    pairs = [
+        (seq, one) for seq, one in enumerate(record.events) if isinstance(one, CommandGiven) and one.key is not None
+    ]
+    keyed = dict(pairs[-most:])
     events: dict[int, list[Event]] = {seq: [] for seq in keyed}
     for event, cause in zip(record.events, record.caused_by, strict=True):
         if cause in events:
             events[cause].append(event)
-    return {(f"{one.issued_by}", f"{one.key}"): _decided(seq, events[seq]) for seq, one in keyed.items()}
+    return {
+        (f"{one.issued_by}", f"{one.key}"): ((one.command, one.parameters), _decided(seq, events[seq]))
+        for seq, one in keyed.items()
+    }
 
 
 def _decided(seq: int, events: list[Event]) -> Decision:

@@ -38,7 +38,7 @@ from fsar_ledger.runtime.architectures.fsar.reports import (
     given,
     read,
 )
-from fsar_ledger.runtime.handlers.public import PublicCommand
+from fsar_ledger.runtime.handlers.public import PublicCommand, speaker
 from fsar_ledger.runtime.handlers.recovery import ReportFailure
 from fsar_ledger.runtime.handlers.request import ReportResult
 from fsar_ledger.runtime.handlers.supervision import RespondToCall
@@ -59,9 +59,10 @@ class Play:
         self.run = LiveRun(live_started(Constants(), 4, "2026-03-01T10:00:00Z"), Constants())
         self.now_s = 0
 
-    def give(self, command: PublicCommand, by: str = A) -> str | None:
+    def give(self, command: PublicCommand, by: str | None = None) -> str | None:
+        """Give the command, by who speaks in it unless another is named."""
         self.now_s += 1
-        decision = self.run.give(self.now_s * S, given(command, by))
+        decision = self.run.give(self.now_s * S, given(command, by or f"{speaker(command)}"))
         self.run.advance(self.now_s * S + S // 2)
         return decision.rejected
 

@@ -237,6 +237,13 @@ class Writer:
             self._is_broken = False
         return self._view.head
 
+    def newest_rows(self) -> bytes:
+        """Return the rows of the newest commit as they are hashed, a line each. Raises: LedgerCorrupted."""
+        newest = self._view.commits[-1]
+        if self._view.journal.frames:
+            return self._view.journal.frames[-1].rows
+        return b"".join(row + b"\n" for row in self._view.rows(newest.tree_size - newest.rows, newest.tree_size))
+
     def compact(self) -> int:
         """Put small neighbouring segments together, durably; return how many were put into others.
 

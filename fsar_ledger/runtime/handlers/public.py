@@ -27,6 +27,12 @@ class PublicCommand(Command, kw_only=True, gc=False):
     """
 
 
+class Work(PublicCommand, kw_only=True, gc=False):
+    """Work for a robot, which others than the robot may bring."""
+
+    robot: Robot
+
+
 def made_from(kind: type[_Made], *sources: object, **others: object) -> _Made:
     """Return the event that has these fields, and all others, by their names, from the last source that has them."""
     shared = {name: getattr(one, name) for one in sources for name in kind.__struct_fields__ if hasattr(one, name)}
@@ -44,6 +50,35 @@ def carried_out(
 def rejected(command: Command, subject: str, reason: str, issued_by: Principal | None = None) -> tuple[CommandRejected]:
     """Return the one event of a command that named something unknown, over or impossible."""
     return (CommandRejected(command=type(command).__name__, subject=subject, reason=reason, issued_by=issued_by),)
+
+
+# In whose name a command is: of the first of these fields that it has.
+_SPEAKERS = ("supervisor", "issued_by", "requester", "robot", "executor", "claimant", "holder", "cache_holder")
+SERVICE = "service/"
+"""How the names of principals begin that bring work to robots, and say nothing for them."""
+
+
+def speaker(command: PublicCommand) -> Principal | None:
+    """Return in whose name the command is; None: in nobody's, such as a look into the registry."""
+    names = (getattr(command, name, None) for name in _SPEAKERS)
+    return next((Supervisor(name) for name in names if name is not None), None)
+
+
+def not_its_word(fleet: Fleet, given_by: str, command: PublicCommand) -> str | None:
+    """Return why this principal may not give the command, or None: nobody speaks for another.
+
+    Work may also come from a service, or from a supervisor of the robot. Paper: sec:model:invariants.
+    """
+    named = speaker(command)
+    if given_by == named or (named is None and given_by.startswith((SERVICE, "supervisor/", "robot/"))):
+        return None
+    if isinstance(command, Work) and command.robot in fleet.robots:
+        if given_by.startswith(SERVICE):
+            return None
+        supervisor = Supervisor(given_by)
+        if unknown_supervisor(fleet, supervisor) is None and not_in_charge(fleet, supervisor, command.robot) is None:
+            return None
+    return f"{given_by} speaks for {named or 'nobody'}, expected its own word"
 
 
 def unknown_robot(fleet: Fleet, *robots: str | None) -> str | None:

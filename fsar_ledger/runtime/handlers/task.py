@@ -41,15 +41,14 @@ from .commands import (
     requester,
 )
 from .execution import holds_robot
-from .public import PublicCommand, made_from, rejected, unknown_capability, unknown_robot
+from .public import Work, made_from, rejected, unknown_capability, unknown_robot
 
 HANDLERS = Handlers()
 
 
-class SubmitTask(PublicCommand):
+class SubmitTask(Work):
     """Give the robot a task, with steps as in `TaskArrived`. Units: `budget_us` microseconds from now."""
 
-    robot: Robot
     task_id: str
     steps: tuple[str, ...]
     budget_us: int

@@ -10,8 +10,8 @@ from functools import cache
 import msgspec
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.command import CommandGiven
-from fsar_ledger.events.envelope import PolicyOutcome, PolicyScope, Robot, Supervisor
+from fsar_ledger.events.command import CommandGiven, CommandRejected
+from fsar_ledger.events.envelope import PolicyOutcome, PolicyScope, Principal, Robot, Supervisor
 from fsar_ledger.events.recovery import AssistanceDeclined, AssistanceRequested
 from fsar_ledger.events.request import RequestDenied
 from fsar_ledger.events.supervision import ActuatorServiced
@@ -36,11 +36,13 @@ from fsar_ledger.runtime.handlers.commands import (
     Handlers,
     Scheduled,
     StartAction,
+    nobody,
     open_failure,
 )
 from fsar_ledger.runtime.handlers.public import (
     PublicCommand,
     carried_out,
+    not_its_word,
     rejected,
     unknown_robot,
     unknown_supervisor,
@@ -133,6 +135,14 @@ class ReportWindow(PublicCommand):
     scope: PolicyScope
     window: str
     outcome: PolicyOutcome | None
+
+
+class RejectWord(Command):
+    """Reject what a principal said in the name of another. Paper: sec:model:invariants."""
+
+    name: str
+    reason: str
+    given_by: Principal
 
 
 @HANDLERS.decide(JudgeRequest)
@@ -287,20 +297,33 @@ def _on_question(state: State, event: AssistanceRequested, _now_us: int) -> tupl
 
 
 @HANDLERS.react(CommandGiven)
-def _on_command(_state: State, event: CommandGiven, _now_us: int) -> tuple[Scheduled, ...]:
+def _on_command(state: State, event: CommandGiven, _now_us: int) -> tuple[Scheduled, ...]:
     """Decide the command in the next microsecond; nothing where the record holds none that can be read."""
     kind = commands().get(event.command)
     if kind is None:
         return ()
     try:
-        return (Scheduled(read(kind, event.parameters)),)
+        command = read(kind, event.parameters)
     except msgspec.ValidationError:
         return ()
+    if (refused := not_its_word(state.fleet, event.issued_by, command)) is not None:
+        return (Scheduled(RejectWord(name=event.command, reason=refused, given_by=event.issued_by)),)
+    return (Scheduled(command),)
+
+
+@HANDLERS.decide(RejectWord, nobody)
+def reject_word(_state: State, command: RejectWord) -> tuple[Event, ...]:
+    """Record that the word of another was not taken."""
+    return (
+        CommandRejected(
+            command=command.name, subject=command.given_by, reason=command.reason, issued_by=command.given_by
+        ),
+    )
 
 
 def given(command: PublicCommand, issued_by: str, **about: object) -> CommandGiven:
     """Return the record of a command that was given; `about` are its other columns."""
-    fields = {name: getattr(command, name) for name in _own_fields(type(command))}
+    fields = {name: getattr(command, name) for name in own_fields(type(command))}
     parameters = msgspec.json.encode(fields).decode()
     return msgspec.convert(
         {
@@ -314,7 +337,7 @@ def given(command: PublicCommand, issued_by: str, **about: object) -> CommandGiv
     )
 
 
-def _own_fields(kind: type[PublicCommand]) -> list[str]:
+def own_fields(kind: type[PublicCommand]) -> list[str]:
     """Return what a command of this kind says, without what the run stamps."""
     return [name for name in kind.__struct_fields__ if name not in Command.__struct_fields__]
 
@@ -322,7 +345,7 @@ def _own_fields(kind: type[PublicCommand]) -> list[str]:
 def read(kind: type[PublicCommand], parameters: str) -> PublicCommand:
     """Return the command with these fields, as JSON. Raises: msgspec.ValidationError for what it cannot have."""
     found = msgspec.json.decode(parameters, type=dict[str, object])
-    known = _own_fields(kind)
+    known = own_fields(kind)
     if unknown := sorted(found.keys() - set(known)):
         raise msgspec.ValidationError(f"found {unknown[0]!s:.80}, expected some of {', '.join(known)}")
     return msgspec.convert(found, kind)
@@ -334,7 +357,6 @@ def commands() -> dict[str, type[PublicCommand]]:
 
     def below(kind: type[PublicCommand]) -> Iterator[type[PublicCommand]]:
         for one in kind.__subclasses__():
-            yield one
-            yield from below(one)
+            yield from below(one) if one.__subclasses__() else (one,)
 
     return {one.__name__: one for one in below(PublicCommand)}

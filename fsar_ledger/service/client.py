@@ -1,0 +1,192 @@
+"""The client of a service, for a robot's own program: needs nothing but Python and msgspec.
+
+Every command gets a key, so one whose answer was lost on the way is sent again and decided once. Events are followed
+from a position, and after a break from the last one that came.
+"""
+
+import http.client
+import secrets
+import ssl
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+from urllib.parse import quote, urlencode, urlsplit
+
+import msgspec
+
+from fsar_ledger.base.errors import FsarLedgerError, UsageError
+
+TRANSIENT = (429, 503)
+"""What passes: too much at once, or a disk without room."""
+PAUSE_S = 0.2
+"""The first wait before something is tried again; each is twice as long as the one before, up to some seconds."""
+
+
+class Refused(FsarLedgerError):
+    """The service did not take a command; nothing of it is on record. `status` is that of HTTP."""
+
+    def __init__(self, status: int, text: str) -> None:
+        super().__init__(text)
+        self.status = status
+
+
+class Answered(msgspec.Struct, frozen=True):
+    """What became of a command: the seq of its record, why it was rejected, its events, and what followed at once.
+
+    An event is a dictionary with its `type` and its columns.
+    """
+
+    seq: int
+    rejected: str | None
+    events: tuple[dict[str, Any], ...]
+    followed: tuple[dict[str, Any], ...] = ()
+
+
+class FollowedEvent(msgspec.Struct, frozen=True):
+    """An event of the run: its seq, type (`ExecutionStarted`) and columns, and its row as the ledger hashes it."""
+
+    seq: int
+    type: str
+    columns: dict[str, Any]
+    row: bytes
+
+
+class Client:
+    """One principal's way to a service. Use it as a context manager, or call `close`; one for each thread.
+
+    Args:
+        url: Where it is, as `fsar-ledger serve` prints it.
+        token: What `fsar-ledger principal new` printed.
+        patience_s: How long what passes (a break of the line, a full disk) is tried again.
+        tls: For https: whom to trust, if not whom the system trusts.
+        pause: Waits so many seconds.
+    """
+
+    def __init__(
+        self,
+        url: str,
+        token: str,
+        *,
+        patience_s: float = 30.0,
+        tls: ssl.SSLContext | None = None,
+        pause: Callable[[float], None] = time.sleep,
+    ) -> None:
+        self._url, self._token, self._patience_s, self._tls, self._pause = urlsplit(url), token, patience_s, tls, pause
+        if self._url.scheme not in ("http", "https") or not self._url.hostname:
+            raise UsageError(f"url {url!r:.200}: expected http://HOST:PORT or https://HOST:PORT")
+        self._line: http.client.HTTPConnection | None = None
+
+    def give(self, command: str, *, key: str | None = None, **fields: object) -> Answered:
+        """Give the command (`ReportStart`) with these fields, and return what became of it, which is on disk.
+
+        `key`: names it, so that the same one can be given again even by another process; None: a new name.
+
+        Raises:
+            Refused: It is no command, not this principal's to give, or the service cannot take it in all that time.
+        """
+        headers = {"Idempotency-Key": key or secrets.token_hex(16), "Content-Type": "application/json"}
+        body = msgspec.json.encode(fields)
+        for pause_s in self._pauses():
+            try:
+                status, answer = self._asked("POST", f"/commands/{quote(command)}", body, headers)
+            except (OSError, http.client.HTTPException) as error:
+                status, answer = 503, f"the service does not answer ({error})".encode()
+                self.close()
+            if status == 200:
+                return msgspec.json.decode(answer, type=Answered)
+            if status not in TRANSIENT or pause_s is None:
+                break
+            self._pause(pause_s)
+        raise Refused(status, _reason(answer))
+
+    def events(
+        self, after: int | None = None, *, robot: str | None = None, task: str | None = None, concern: str | None = None
+    ) -> Iterator[FollowedEvent]:
+        """Yield the events after this seq (None: that are new), and wait for more.
+
+        They can be those that name a robot, of a task, or of a concern. Each comes at least once, in order, and after a
+        break from where it was.
+
+        Raises:
+            Refused: The service does not let this principal follow, or is away for longer than that.
+        """
+        wanted = {"robot": robot, "task": task, "concern": concern}
+        pauses = self._pauses()
+        while True:
+            line = self._connection()
+            try:
+                query = {"after": after, **wanted}
+                path = f"/events?{urlencode({name: one for name, one in query.items() if one is not None})}"
+                line.request("GET", path, headers=self._headers())
+                answer = line.getresponse()
+                if answer.status != 200 and answer.status not in TRANSIENT:
+                    raise Refused(answer.status, _reason(answer.read()))
+                for name, value in _fields(answer) if answer.status == 200 else ():
+                    if name == b"from":
+                        after, pauses = int(value) - 1, self._pauses()
+                    elif name == b"id":
+                        after = int(value)
+                    elif name == b"data":
+                        columns = msgspec.json.decode(value, type=dict[str, Any])
+                        yield FollowedEvent(columns["seq"], columns["type"].partition(".")[0], columns, value)
+                reason = "the service ended"
+            except (OSError, http.client.HTTPException) as error:
+                reason = f"{error}"
+            finally:
+                line.close()
+            if (pause_s := next(pauses)) is None:
+                raise Refused(503, f"the service does not answer ({reason})")
+            self._pause(pause_s)
+
+    def close(self) -> None:
+        """Close the line; the next command opens another."""
+        if self._line is not None:
+            self._line.close()
+            self._line = None
+
+    def __enter__(self) -> "Client":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _asked(self, method: str, path: str, body: bytes, headers: dict[str, str]) -> tuple[int, bytes]:
+        if self._line is None:
+            self._line = self._connection()
+        self._line.request(method, path, body, {**self._headers(), **headers})
+        answer = self._line.getresponse()
+        return answer.status, answer.read()
+
+    def _headers(self) -> dict[str, str]:
+        return {"Authorization": f"Bearer {self._token}"}
+
+    def _connection(self) -> http.client.HTTPConnection:
+        host, port = f"{self._url.hostname}", self._url.port
+        if self._url.scheme == "https":
+            return http.client.HTTPSConnection(host, port, timeout=60, context=self._tls)
+        return http.client.HTTPConnection(host, port, timeout=60)
+
+    def _pauses(self) -> Iterator[float | None]:
+        """Yield how long to wait before each further try, then None."""
+        left, pause_s = self._patience_s, PAUSE_S
+        while left > 0:
+            yield min(pause_s, left)
+            left -= pause_s
+            pause_s = min(2 * pause_s, 5.0)
+        while True:
+            yield None
+
+
+def _fields(answer: http.client.HTTPResponse) -> Iterator[tuple[bytes, bytes]]:
+    """Yield the fields of server-sent events, and the comment that tells where they begin."""
+    while (line := answer.readline()).endswith(b"\n"):
+        name, _, value = line.rstrip(b"\n").removeprefix(b": ").partition(b" ")
+        if name:
+            yield name.removesuffix(b":"), value
+
+
+def _reason(answer: bytes) -> str:
+    try:
+        return str(msgspec.json.decode(answer, type=dict[str, Any]).get("error"))
+    except (msgspec.DecodeError, UnicodeDecodeError):
+        return answer[:200].decode(errors="replace")

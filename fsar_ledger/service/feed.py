@@ -1,0 +1,203 @@
+"""What a service does between its clients and the federation: one thread decides, and everybody follows the events.
+
+All commands that wait are decided in one write, so that many clients share a sync. The events come to the feed from
+the commit itself; what is no longer in its memory is read from the ledger.
+"""
+
+import asyncio
+from collections import deque
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from pathlib import Path
+from queue import Empty, SimpleQueue
+from threading import Thread
+from traceback import print_exc
+from typing import NamedTuple
+
+import msgspec
+
+from fsar_ledger.base.errors import FsarLedgerError, WriteFailed
+from fsar_ledger.events.command import CommandGiven
+from fsar_ledger.ledger.opening import open_ledger
+from fsar_ledger.runtime.federation import Federation
+from fsar_ledger.runtime.live import Decision
+
+TICK_S = 0.05
+"""How often what is due by itself is decided while no command comes."""
+AT_ONCE = 256
+"""The most commands in one write."""
+WAITING = 1_024
+"""The most commands that wait; who comes then is told to come again."""
+REOPEN_S = 2.0
+"""How long after a write that failed the federation is opened again."""
+KEPT = 1 << 15
+"""So many of the newest events are in memory; older ones are read from the ledger."""
+
+Result = Decision | FsarLedgerError
+
+
+class Busy(Exception):
+    """So many commands wait that this one was not taken."""
+
+
+class Row(NamedTuple):
+    """An event: its seq within the run, and its bytes as the ledger hashes them, in JSON."""
+
+    seq: int
+    data: bytes
+
+
+class _Place(msgspec.Struct):
+    run_id: str
+    seq: int
+
+
+_PLACE = msgspec.json.Decoder(_Place)
+
+
+class Feed:
+    """The events of a run from any place on. All methods but `recorded` are of the loop's thread.
+
+    `end` is the seq after the newest event.
+    """
+
+    def __init__(self, ledger: Path, run: str) -> None:
+        self._ledger, self._run = ledger, run
+        self._kept: deque[Row] = deque(maxlen=KEPT)
+        self._grown = asyncio.Event()
+        self.end = 0
+
+    def publish(self, first: int, rows: bytes) -> None:
+        """Take over the rows of a commit, a line each, the first of which has this seq."""
+        if first != self.end:
+            self._kept.clear()  # the federation was opened again, and what lies between is in the ledger
+        lines = rows.splitlines()
+        self._kept.extend(Row(first + number, line) for number, line in enumerate(lines))
+        self.end = first + len(lines)
+        self._grown.set()
+        self._grown = asyncio.Event()
+
+    async def rows_from(self, seq: int, timeout_s: float) -> Sequence[Row]:
+        """Return rows from this seq on, none if none comes in this time. Raises: LedgerCorrupted."""
+        if seq >= self.end:
+            with suppress(TimeoutError):
+                await asyncio.wait_for(self._grown.wait(), timeout_s)
+            if seq >= self.end:
+                return ()
+        if self._kept and self._kept[0].seq <= seq:
+            first = self._kept[0].seq
+            return [self._kept[at - first] for at in range(seq, min(self.end, seq + AT_ONCE))]
+        return await asyncio.to_thread(self.recorded, seq)
+
+    def recorded(self, seq: int) -> Sequence[Row]:
+        """Return the rows from this seq to the end of a part of the ledger. Raises: LedgerCorrupted."""
+        view = open_ledger(self._ledger)
+        for part in view.parts(self._run):
+            if part.block.end > seq:
+                rows = ((_PLACE.decode(row), row) for row in view.rows(part.first, part.end))
+                return [Row(at.seq, row) for at, row in rows if at.run_id == self._run and at.seq >= seq]
+        return ()
+
+
+class Decider:
+    """A federation and the thread that decides what waits. Begin with `start`, end with `stop`.
+
+    `opened` opens the federation, and again after a write that failed, so that a disk with room again is enough.
+    """
+
+    def __init__(
+        self, opened: Callable[[Callable[[int, bytes], None]], Federation], loop: asyncio.AbstractEventLoop, feed: Feed
+    ) -> None:
+        self._opened, self._loop, self._feed = opened, loop, feed
+        self._queue: SimpleQueue[tuple[CommandGiven, asyncio.Future[Result]] | None] = SimpleQueue()
+        self._federation: Federation | None = opened(self._tell)
+        self._thread = Thread(target=self._decide, name="decisions", daemon=True)
+        self.waiting = self.decided = self.writes = 0
+        self.failed: FsarLedgerError | None = None
+        feed.end = self._federation.size
+
+    def start(self) -> None:
+        """Begin to decide."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Decide what waits, and close the ledger."""
+        self._queue.put(None)
+        self._thread.join()
+
+    async def decide(self, command: CommandGiven) -> Decision:
+        """Return what became of the command, once it is on disk.
+
+        Raises:
+            Busy: Too many wait.
+            UsageError: Its key was given with another command.
+            WriteFailed: The disk refuses.
+        """
+        if self.waiting >= WAITING:
+            raise Busy
+        self.waiting += 1
+        answer: asyncio.Future[Result] = self._loop.create_future()
+        self._queue.put((command, answer))
+        result = await answer
+        if isinstance(result, FsarLedgerError):
+            raise result
+        return result
+
+    def _tell(self, first: int, rows: bytes) -> None:
+        self._loop.call_soon_threadsafe(self._feed.publish, first, rows)
+
+    def _next(self, timeout_s: float) -> tuple[list[tuple[CommandGiven, asyncio.Future[Result]]], bool]:
+        """Return what waits, after at most this time; and whether that was the last."""
+        found = []
+        with suppress(Empty):
+            one = self._queue.get(timeout=timeout_s)
+            while one is not None:
+                found.append(one)
+                if len(found) == AT_ONCE:
+                    return found, False
+                one = self._queue.get_nowait()
+            return found, True
+        return found, False
+
+    def _decide(self) -> None:
+        is_last = False
+        while not is_last:
+            batch, is_last = self._next(TICK_S if self._federation is not None else REOPEN_S)
+            results = self._results([command for command, _ in batch])
+            with suppress(RuntimeError):  # the loop has ended, and nobody waits
+                self._loop.call_soon_threadsafe(self._answer, batch, results)
+        if self._federation is not None:
+            with suppress(WriteFailed):
+                self._federation.close()
+
+    def _results(self, commands: Sequence[CommandGiven]) -> Sequence[Result]:
+        try:
+            if self._federation is None:
+                self._federation = self._opened(self._tell)
+            decided = self._federation.decide_all(commands) if commands else ()
+            if not commands:
+                self._federation.advance()
+        except Exception as error:
+            self._give_up()
+            if not isinstance(error, FsarLedgerError):  # a fault of ours must not leave anybody waiting
+                print_exc()
+                error = WriteFailed(f"the federation stopped ({type(error).__name__}), and is opened again")
+            self.failed = error
+            return [error] * len(commands)
+        self.failed = None
+        self.decided += len(commands)
+        self.writes += bool(commands)
+        return decided
+
+    def _give_up(self) -> None:
+        """Close the federation, which knows what is not on disk."""
+        if self._federation is not None:
+            with suppress(FsarLedgerError):
+                self._federation.close()
+            self._federation = None
+
+    def _answer(self, batch: Sequence[tuple[CommandGiven, asyncio.Future[Result]]], results: Sequence[Result]) -> None:
+        self.waiting -= len(batch)
+        for (_, answer), result in zip(batch, results, strict=True):
+            if not answer.done():  # who waited may have gone
+                answer.set_result(result)

@@ -1,0 +1,363 @@
+"""The HTTP interface of a live federation: commands in, decisions and events out.
+
+A principal speaks by its token and for itself alone, which the handlers judge (`handlers/public.not_its_word`), so that
+an attempt to speak for another is on record. What is no command, or comes from nobody who is known, is an HTTP error
+and leaves no trace. Nothing here waits without a limit: not for a client's headers, body or reading, nor for the disk.
+"""
+
+import asyncio
+import socket
+import time
+from collections import Counter
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import uvicorn
+from starlette.applications import Starlette
+from starlette.requests import ClientDisconnect, Request
+from starlette.responses import HTMLResponse, PlainTextResponse, Response
+from starlette.routing import Route
+from starlette.types import Receive, Scope, Send
+from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
+
+from fsar_ledger.base.errors import FsarLedgerError, UsageError
+from fsar_ledger.base.printable import did_you_mean
+from fsar_ledger.events import CONCERN_OF, CONCERNS, Event
+from fsar_ledger.events.envelope import flat
+from fsar_ledger.runtime.federation import Federation
+from fsar_ledger.runtime.live import Decision, command_given
+from fsar_ledger.sources.columns import object_of
+
+from .feed import Busy, Decider, Feed, Row
+from .openapi import described, page
+from .principals import Principal, Principals
+
+MAX_HEADERS, MAX_BODY, MAX_KEY = 1 << 14, 1 << 16, 200
+HEADERS_S, BODY_S, WRITE_S, ALIVE_S, END_S = 10.0, 10.0, 20.0, 15.0, 3
+"""How long a client may take for its headers, for its body, and to read; when a quiet subscription shows that it is
+alive; how long the end waits for answers under way."""
+MAX_CONNECTIONS, MAX_SUBSCRIPTIONS, MAX_OWN_SUBSCRIPTIONS = 512, 128, 8
+ABORT = "fsar.abort"
+"""The extension of the scope by which a connection is ended at once."""
+_FILTERS = ("after", "robot", "task", "concern")
+
+
+class HttpError(Exception):
+    """An answer that is an error."""
+
+    def __init__(self, status: int, text: str, **headers: str) -> None:
+        super().__init__(text)
+        self.status, self.text = status, text
+        self.headers = {name.replace("_", "-"): value for name, value in headers.items()}
+
+
+class Service:
+    """The routes of one federation.
+
+    Args:
+        ledger: Where it is on record.
+        run: The name of its run.
+        opened: Opens it; called with what is to be told of each commit.
+        principals: Who may speak.
+        rate: How many commands a second each may give, and as many at once.
+        ticks: Returns seconds that never go back.
+    """
+
+    def __init__(
+        self,
+        ledger: Path,
+        run: str,
+        opened: Callable[[Callable[[int, bytes], None]], Federation],
+        principals: Principals,
+        rate: float,
+        ticks: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._ledger, self._run, self._opened = ledger, run, opened
+        self._principals, self._rate, self._ticks = principals, rate, ticks
+        self._budgets: dict[str, tuple[float, float]] = {}
+        self._subscriptions: Counter[str] = Counter()
+        self._answers: Counter[int] = Counter()
+        self._feed: Feed
+        self._decider: Decider
+        self._server: uvicorn.Server | None = None
+        self.app = Starlette(
+            routes=[
+                Route("/commands/{name}", self._command, methods=["POST"]),
+                Route("/events", self._events, methods=["GET"]),
+                Route("/health", self._health, methods=["GET"]),
+                Route("/metrics", self._metrics, methods=["GET"]),
+                Route("/openapi.json", self._openapi, methods=["GET"]),
+                Route("/", self._page, methods=["GET"]),
+            ],
+            lifespan=self._living,
+            exception_handlers={HttpError: self._refused},
+        )
+
+    @asynccontextmanager
+    async def _living(self, _: Starlette) -> AsyncIterator[None]:
+        self._feed = Feed(self._ledger, self._run)
+        self._decider = Decider(self._opened, asyncio.get_running_loop(), self._feed)
+        self._decider.start()
+        yield
+        await asyncio.to_thread(self._decider.stop)
+
+    async def _refused(self, _: Request, error: Exception) -> Response:
+        assert isinstance(error, HttpError)
+        return self._answer({"error": error.text}, error.status, error.headers)
+
+    def _answer(self, said: object, status: int = 200, headers: dict[str, str] | None = None) -> Response:
+        self._answers[status] += 1
+        return Response(msgspec.json.encode(said), status, headers, "application/json")
+
+    def _principal(self, request: Request) -> Principal:
+        found = self._principals.known(request.headers.get("authorization", ""))
+        if found is None:
+            raise HttpError(
+                401,
+                "found no token of a principal, expected `Authorization: Bearer TOKEN`; "
+                "`fsar-ledger principal new` makes one",
+                www_authenticate="Bearer",
+            )
+        return found
+
+    async def _command(self, request: Request) -> Response:
+        one = self._principal(request)
+        if one.kind == "auditor":
+            raise HttpError(403, f"{one.principal} reads, expected a principal that gives commands")
+        self._spend(one.principal)
+        key = request.headers.get("idempotency-key")
+        if key is not None and not 0 < len(key) <= MAX_KEY:
+            raise HttpError(400, f"Idempotency-Key: found {len(key)} characters, expected 1 to {MAX_KEY}")
+        try:
+            command = command_given(
+                request.path_params["name"], one.principal, object_of(await _body(request), "command"), key
+            )
+        except UsageError as error:
+            raise HttpError(404 if "there is no such command" in f"{error}" else 400, f"{error}") from error
+        try:
+            decision = await self._decider.decide(command)
+        except Busy:
+            raise HttpError(503, "too many commands wait; come again", retry_after="1") from None
+        except UsageError as error:
+            raise HttpError(409, f"{error}") from error
+        except FsarLedgerError as error:
+            raise HttpError(503, f"nothing was decided: {error}", retry_after="5") from error
+        return self._answer(_decided(decision))
+
+    def _spend(self, principal: str) -> None:
+        """Take a command from the principal's budget, which is refilled as time goes."""
+        now = self._ticks()
+        left, since = self._budgets.get(principal, (self._rate, now))
+        left = min(self._rate, left + (now - since) * self._rate)
+        if left < 1:
+            self._budgets[principal] = (left, now)
+            wait = f"{(1 - left) / self._rate:.3f}"
+            raise HttpError(
+                429, f"found more than {self._rate:g} commands a second of {principal}; wait {wait} s", retry_after="1"
+            )
+        self._budgets[principal] = (left - 1, now)
+
+    async def _events(self, request: Request) -> Response:
+        one = self._principal(request)
+        if unknown := sorted(set(request.query_params) - set(_FILTERS)):
+            raise HttpError(400, f"parameter {unknown[0]!r:.80}: expected some of {', '.join(_FILTERS)}")
+        wanted = {name: request.query_params[name] for name in _FILTERS[1:] if name in request.query_params}
+        if (concern := wanted.get("concern")) is not None and concern not in CONCERNS:
+            raise HttpError(
+                400,
+                f"concern {concern!r:.80}: there is none{did_you_mean(concern, CONCERNS) or ';'} "
+                f"expected one of {', '.join(CONCERNS)}",
+            )
+        after = request.headers.get("last-event-id", request.query_params.get("after"))
+        if after is not None and not (after.isascii() and after.removeprefix("-").isdigit() and len(after) < 16):
+            raise HttpError(400, f"after: found {after!r:.80}, expected the seq of the last event that is known")
+        if (
+            self._subscriptions.total() >= MAX_SUBSCRIPTIONS
+            or self._subscriptions[one.principal] >= MAX_OWN_SUBSCRIPTIONS
+        ):
+            raise HttpError(503, "found too many subscriptions, expected that one ends first", retry_after="10")
+        first = self._feed.end if after is None else max(0, int(after) + 1)
+        self._answers[200] += 1
+        return _Stream(self, one, first, wanted)
+
+    async def follow(self, one: Principal, seq: int, wanted: dict[str, str], put: Callable[[bytes], Any]) -> None:
+        """Put what the principal wants and may see, from this seq on, until the service ends."""
+        self._subscriptions[one.principal] += 1
+        try:
+            told = self._ticks()
+            while self._server is None or not self._server.should_exit:
+                rows = await self._feed.rows_from(seq, 1.0)
+                seq = rows[-1].seq + 1 if rows else seq
+                if said := b"".join(_said(row, one, wanted) for row in rows):
+                    await put(said)
+                    told = self._ticks()
+                elif self._ticks() - told > ALIVE_S:
+                    await put(b": alive\nid: %d\n\n" % (seq - 1))
+                    told = self._ticks()
+        finally:
+            self._subscriptions[one.principal] -= 1
+
+    async def _health(self, _: Request) -> Response:
+        failed = self._decider.failed
+        if failed is not None:
+            return self._answer({"status": "failed", "run": self._run, "error": f"{failed}"}, 503)
+        return self._answer({"status": "ok", "run": self._run, "events": self._feed.end})
+
+    async def _metrics(self, _: Request) -> Response:
+        lines = {
+            "fsar_events_total": ("counter", self._feed.end),
+            "fsar_commands_total": ("counter", self._decider.decided),
+            "fsar_writes_total": ("counter", self._decider.writes),
+            "fsar_commands_waiting": ("gauge", self._decider.waiting),
+            "fsar_subscriptions": ("gauge", self._subscriptions.total()),
+            "fsar_healthy": ("gauge", int(self._decider.failed is None)),
+        }
+        text = "".join(f"# TYPE {name} {kind}\n{name} {count}\n" for name, (kind, count) in lines.items())
+        text += "# TYPE fsar_answers_total counter\n"
+        text += "".join(
+            f'fsar_answers_total{{status="{one}"}} {count}\n' for one, count in sorted(self._answers.items())
+        )
+        return PlainTextResponse(text, media_type="text/plain; version=0.0.4")
+
+    async def _openapi(self, _: Request) -> Response:
+        return self._answer(described())
+
+    async def _page(self, _: Request) -> Response:
+        return HTMLResponse(
+            page(self._run), headers={"Content-Security-Policy": "default-src 'none'; style-src 'unsafe-inline'"}
+        )
+
+    def serve(self, listening: socket.socket, certificate: Path | None = None, key: Path | None = None) -> None:
+        """Serve here until SIGTERM, Ctrl-C or `stop`; answers under way are given, and the ledger is closed."""
+        config = uvicorn.Config(
+            self.app,
+            http=_Protocol,
+            ws="none",
+            lifespan="on",
+            log_level="error",
+            access_log=False,
+            server_header=False,
+            limit_concurrency=MAX_CONNECTIONS,
+            timeout_keep_alive=30,
+            timeout_graceful_shutdown=END_S,
+            ssl_certfile=certificate,
+            ssl_keyfile=key,
+        )
+        self._server = uvicorn.Server(config)
+        self._server.run(sockets=[listening])
+
+    def stop(self) -> None:
+        """End `serve`."""
+        if self._server is not None:
+            self._server.should_exit = True
+
+
+class _Stream(Response):
+    """Server-sent events. Who does not read is let go, and comes again with the position that it knows."""
+
+    def __init__(self, service: Service, one: Principal, first: int, wanted: dict[str, str]) -> None:
+        super().__init__(media_type="text/event-stream", headers={"Cache-Control": "no-store"})
+        del self.headers["content-length"]
+        self._service, self._one, self._first, self._wanted = service, one, first, wanted
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        async def put(body: bytes) -> None:
+            await asyncio.wait_for(send({"type": "http.response.body", "body": body, "more_body": True}), WRITE_S)
+
+        async def gone() -> None:
+            while (await receive())["type"] != "http.disconnect":
+                pass
+
+        await send({"type": "http.response.start", "status": 200, "headers": self.raw_headers})
+        await put(b": from %d\n\n" % self._first)
+        following = asyncio.create_task(self._service.follow(self._one, self._first, self._wanted, put))
+        leaving = asyncio.create_task(gone())
+        await asyncio.wait((following, leaving), return_when=asyncio.FIRST_COMPLETED)
+        for task in (following, leaving):
+            task.cancel()
+        results = await asyncio.gather(following, leaving, return_exceptions=True)
+        if isinstance(results[0], TimeoutError):
+            scope["extensions"][ABORT]["call"]()  # a transport that is closed waits until all has been read
+        else:
+            await send({"type": "http.response.body", "body": b""})
+
+
+def _said(row: Row, one: Principal, wanted: dict[str, str]) -> bytes:
+    """Return the event as a client is told of it; nothing if it does not want it or may not see it."""
+    columns = msgspec.json.decode(row.data, type=dict[str, Any])
+    kind = str(columns["type"])
+    names = {text for value in columns.values() for text in (value if isinstance(value, list) else (value,))}
+    if one.kind == "robot" and one.principal not in names:
+        return b""
+    if "robot" in wanted and wanted["robot"] not in names:
+        return b""
+    if "task" in wanted and columns.get("task_id") != wanted["task"]:
+        return b""
+    if "concern" in wanted and CONCERN_OF.get(kind.partition(".")[0]) != wanted["concern"]:
+        return b""
+    return b"data: %s\nid: %d\n\n" % (row.data, row.seq)
+
+
+def _decided(decision: Decision) -> dict[str, object]:
+    said: dict[str, object] = {"seq": decision.seq, "rejected": decision.rejected, "events": _rows(decision.events)}
+    return said | ({"followed": _rows(decision.followed)} if decision.followed else {})
+
+
+def _rows(events: tuple[Event, ...]) -> list[dict[str, object]]:
+    rows = [(type(event).__name__, flat(event)) for event in events]
+    return [{"type": kind, **{name: one for name, one in row.items() if one is not None}} for kind, row in rows]
+
+
+async def _body(request: Request) -> bytes:
+    """Return the body. Raises: HttpError if it is too long or takes too long."""
+
+    async def read() -> bytes:
+        found = bytearray()
+        async for part in request.stream():
+            found += part
+            if len(found) > MAX_BODY:
+                raise HttpError(413, f"found more than {MAX_BODY:,} bytes, expected one command", connection="close")
+        return bytes(found)
+
+    try:
+        return await asyncio.wait_for(read(), BODY_S)
+    except TimeoutError:
+        raise HttpError(
+            408, f"found half a command after {BODY_S:g} s, expected a whole one", connection="close"
+        ) from None
+    except ClientDisconnect:
+        raise HttpError(400, "the client has gone") from None
+
+
+class _Protocol(HttpToolsProtocol):
+    """Lets go who does not end its headers, in time or at all."""
+
+    def connection_made(self, transport: Any) -> None:
+        super().connection_made(transport)
+        self._header_bytes = 0
+        self._deadline = self.loop.call_later(HEADERS_S, transport.abort)
+
+    def on_message_begin(self) -> None:
+        super().on_message_begin()
+        self.scope["extensions"] = {ABORT: {"call": self.transport.abort}}
+        self._header_bytes = 0
+        self._deadline.cancel()
+        self._deadline = self.loop.call_later(HEADERS_S, self.transport.abort)
+
+    def data_received(self, data: bytes) -> None:
+        super().data_received(data)
+        if not self._deadline.cancelled():
+            self._header_bytes += len(data)
+            if self._header_bytes > MAX_HEADERS:
+                self.transport.abort()
+
+    def on_headers_complete(self) -> None:
+        self._deadline.cancel()
+        super().on_headers_complete()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self._deadline.cancel()
+        super().connection_lost(exc)

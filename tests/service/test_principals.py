@@ -1,0 +1,102 @@
+"""A token tells who speaks; the file tells nobody a token, and a line that is gone is a token that is void."""
+
+import hmac
+import os
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from fsar_ledger.base.errors import UsageError, WriteFailed
+from fsar_ledger.runtime.architectures.fsar.reports import commands, own_fields
+from fsar_ledger.runtime.live import command_given
+from fsar_ledger.service.openapi import described, page
+from fsar_ledger.service.principals import KINDS, Principals, add_principal
+
+
+def test_a_token_is_that_of_its_principal_alone(tmp_path: Path) -> None:
+    file = tmp_path / "principals"
+    one, other = (add_principal(file, name) for name in ("robot/A1", "supervisor/maria"))
+    known = Principals(file)
+    found = [known.known(f"Bearer {token}") for token in (one, other)]
+    assert [principal.principal for principal in found if principal is not None] == ["robot/A1", "supervisor/maria"]
+    assert known.known(f"bearer {one}") == found[0]
+    mixed = ".".join((*one.split(".")[:2], other.split(".")[2]))
+    for wrong in (mixed, one[:-1], one + "x", f"x{one}", one.upper(), "", "fsar..", "fsar.\udcff.\udcff"):
+        assert known.known(f"Bearer {wrong}") is None
+    assert known.known(f"Basic {one}") is None
+    assert known.known(one) is None
+
+
+def test_the_file_holds_no_secret_and_is_its_owners(tmp_path: Path) -> None:
+    file = tmp_path / "principals"
+    secret = add_principal(file, "robot/A1").rpartition(".")[2]
+    assert secret not in file.read_text()
+    assert file.stat().st_mode & 0o077 == 0
+
+
+def test_a_line_that_is_taken_out_is_a_token_that_is_void_at_once(tmp_path: Path) -> None:
+    file = tmp_path / "principals"
+    old, new = (add_principal(file, "robot/A1") for _ in range(2))
+    known = Principals(file)
+    assert known.known(f"Bearer {old}")
+    file.write_bytes(b"".join(file.read_bytes().splitlines(keepends=True)[1:]))
+    os.utime(file, ns=(1, 1))
+    assert known.known(f"Bearer {old}") is None
+    assert known.known(f"Bearer {new}")
+
+
+def test_the_secret_is_compared_in_constant_time_for_unknown_tokens_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    add_principal(tmp_path / "principals", "robot/A1")
+    known, compared = Principals(tmp_path / "principals"), []
+    monkeypatch.setattr(hmac, "compare_digest", lambda *pair: bool(compared.append(pair)))
+    for token in ("fsar.unknown.x", "nothing", ""):
+        known.known(f"Bearer {token}")
+    assert len(compared) == 3
+
+
+@pytest.mark.parametrize(
+    "name", ["A1", "robot/", "/A1", "person/anna", "robot/A 1", "robot/A\n1", "robot/" + "x" * 200]
+)
+def test_a_name_that_no_principal_has_is_refused(tmp_path: Path, name: str) -> None:
+    with pytest.raises(UsageError, match="expected a kind and a name, such as robot/A1"):
+        add_principal(tmp_path / "principals", name)
+    assert not (tmp_path / "principals").exists()
+
+
+def test_a_file_that_holds_something_else_is_refused_with_its_line(tmp_path: Path) -> None:
+    file = tmp_path / "principals"
+    add_principal(file, "robot/A1")
+    for damage in (b"no line\n", b'{"principal": "robot/A1"}\n', b"\xff\n"):
+        file.write_bytes(file.read_bytes().splitlines(keepends=True)[0] + damage)
+        with pytest.raises(UsageError, match="principals:2: "):
+            Principals(file)
+        with pytest.raises(UsageError, match="principals:2: "):
+            add_principal(file, "robot/B1")
+    with pytest.raises(UsageError, match="No such file"):
+        Principals(tmp_path / "none")
+    with pytest.raises(WriteFailed, match="the principal was not added"):
+        add_principal(tmp_path / "none" / "principals", "robot/A1")
+
+
+def test_the_description_has_every_command_with_its_fields_and_what_must_be_given() -> None:
+    schemas = described()["components"]["schemas"]
+    for name, kind in commands().items():
+        operation = described()["paths"][f"/commands/{name}"]["post"]
+        assert operation["requestBody"]["content"]["application/json"]["schema"]["$ref"].endswith(f"/{name}")
+        assert set(schemas[name]["properties"]) == set(own_fields(kind))
+        required = {field.name for field in msgspec.structs.fields(kind) if field.required}
+        assert set(schemas[name].get("required", [])) == required
+        for missing in required:
+            given = {one: None for one in required if one != missing}
+            with pytest.raises(UsageError, match=f"command {name}"):
+                command_given(name, "robot/A1", given)
+        assert f"id={name}>" in page("day")
+    assert "Work" not in commands()
+    assert all(f"<code>{kind}/" in page("day") for kind in KINDS)
+
+
+def test_the_page_shows_a_name_that_is_no_markup() -> None:
+    assert "<script>" not in page("<script>alert(1)</script>")
