@@ -33,6 +33,8 @@ LEFT_OUT = {
     "record": "it makes the ledger",
     "import": "it makes the ledger",
     "federate": "it makes the ledger",
+    "serve": "it makes the ledger",
+    "principal": "it takes no ledger",
     "maintain upgrade": "it takes a ledger of format 1",
     "verify-proof": "it reads a proof, not a ledger",
     "reproduce": "it takes no ledger",

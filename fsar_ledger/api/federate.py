@@ -289,16 +289,21 @@ def serve_federation(
     )
 
 
+def _token_told(file: Place, name: str) -> Answer:
+    return Plain(f"{principal_new(file, name)}\n")
+
+
 @verb(
     "principal new site.principals robot/A1",
     name="principal new",
     takes=(),
+    call=_token_told,
 )
 def principal_new(
     file: Annotated[Place, argument("FILE", "The file of the principals; made if there is none.")],
     name: Annotated[str, argument("NAME", "robot/A1, supervisor/A1, service/NAME or auditor/NAME.")],
-) -> Answer:
-    """Let a principal speak to the service, and print its token, which is kept nowhere.
+) -> str:
+    """Let a principal speak to the service, and return its token, which is kept nowhere.
 
     A robot speaks for itself, a supervisor for what they supervise, a service brings work, an auditor reads. To take a
     token back, remove its line from FILE: the service reads the file when it changes.
@@ -309,4 +314,4 @@ def principal_new(
     """
     from fsar_ledger.service.principals import add_principal
 
-    return Plain(add_principal(Path(file), name) + "\n")
+    return add_principal(Path(file), name)

@@ -20,7 +20,8 @@ class Robot(Design, frozen=True):
     name: str
     capabilities: tuple[str, ...]
     role: str | None = None
-    has_supervisor: bool = True  # one of its own; else the fleet supervisor is in charge
+    has_supervisor: bool = True  # else the fleet supervisor is in charge
+    supervisor: str | None = None  # a person (`supervisor/NAME`) who may supervise several robots; None: one of its own
 
     @property
     def kind(self) -> str:

@@ -367,3 +367,26 @@ def test_any_of_many_well_made_fleets_and_scenarios_simulate_verify_and_replay(
         plays(tmp_path_factory.mktemp("any") / "ledger", own, teams, architecture)
 
     played()
+
+
+def test_one_person_supervises_several_robots_and_is_absent_once() -> None:
+    robots = tuple(msgspec.structs.replace(one, supervisor="maria", has_supervisor=True) for one in FLEET.robots[:2])
+    fleet = msgspec.structs.replace(FLEET, robots=(*robots, FLEET.robots[2]))
+    assert list(problems_of_fleet(fleet)) == []
+    record = simulate_run(SPEC, Constants(scenario=SCENARIO, fleet=fleet))
+    joined = [event.supervisor for _, event in of(RobotJoined, record)]
+    assert joined == ["supervisor/maria", "supervisor/maria", None]
+    left = [event.supervisor for _, event in of(SupervisorLeft, record)]
+    alone = [event.supervisor for _, event in of(SupervisorLeft, simulate_run(SPEC, OWN))]
+    assert set(left) == {"supervisor/maria"}
+    assert len(left) < len(alone)
+    assert {event.principals.supervised_by for _, event in of(ExecutionStarted, record)} == {"supervisor/maria"}
+
+
+@pytest.mark.parametrize(
+    ("named", "has_supervisor"), [("Maria", True), ("maria k", True), ("fleet", True), ("maria", False)]
+)
+def test_a_supervisor_that_nobody_can_be_is_refused(named: str, has_supervisor: bool) -> None:
+    robot = msgspec.structs.replace(FLEET.robots[0], supervisor=named, has_supervisor=has_supervisor)
+    problem, *_ = problems_of_fleet(msgspec.structs.replace(FLEET, robots=(robot, *FLEET.robots[1:])))
+    assert f"{problem}".startswith("robots[0].supervisor: found")

@@ -27,7 +27,7 @@ class PublicCommand(Command, kw_only=True, gc=False):
     """
 
 
-class Work(PublicCommand, kw_only=True, gc=False):
+class Work(PublicCommand, gc=False):
     """Work for a robot, which others than the robot may bring."""
 
     robot: Robot

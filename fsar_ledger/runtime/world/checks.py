@@ -41,6 +41,13 @@ def problems_of_fleet(fleet: Fleet) -> Iterator[Problem]:
         yield from _first((*about, "name"), robot.name, robots[:at], "another robot of this name")
         if robot.role is not None:
             yield from _named((*about, "role"), robot.role, _ROLE, "letters, digits, - and _, a letter first")
+        if robot.supervisor is not None:
+            where: Field = (*about, "supervisor")
+            yield from _named(
+                where, robot.supervisor, _NAME, "a name of lowercase letters, digits and -, such as maria"
+            )
+            if not robot.has_supervisor or robot.supervisor == "fleet":
+                yield Problem(where, printable.value(robot.supervisor), "none: the fleet supervisor is in charge")
         yield from _each((*about, "capabilities"), robot.capabilities, capabilities, "the capabilities of the fleet")
     yield from _problems_of_capabilities(fleet, capabilities)
     yield from _each(("bodies",), fleet.bodies, fleet.roles, "the roles of the fleet")
@@ -53,7 +60,7 @@ def problems_of_fleet(fleet: Fleet) -> Iterator[Problem]:
     for at, policy in enumerate(fleet.policies):
         yield from _known(("policies", at, "role"), policy.role, fleet.roles, "the roles of the fleet")
         if policy.capability is not None:
-            where: Field = ("policies", at, "capability")
+            where = ("policies", at, "capability")
             yield from _known(where, policy.capability, capabilities, "the capabilities of the fleet")
     yield from _problems_of_shifts(fleet)
 

@@ -24,8 +24,11 @@ class Member(NamedTuple):
 
     @property
     def supervisor(self) -> Supervisor | None:
-        """Return the robot's own supervisor, if any."""
-        return local_supervisor(self.name) if self.design.has_supervisor else None
+        """Return who supervises the robot, if not the fleet supervisor: a person of its own, or one of several."""
+        if not self.design.has_supervisor:
+            return None
+        named = self.design.supervisor
+        return local_supervisor(self.name) if named is None else Supervisor(f"supervisor/{named}")
 
 
 def team_size(fleet: Fleet | None) -> int:

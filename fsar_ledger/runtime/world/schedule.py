@@ -4,6 +4,7 @@ It is a function of constants, seed, scenario, run and fleet size; a designer's 
 constants. Each robot has its own streams, so an extra draw in one stream shifts no other.
 """
 
+from collections.abc import Sequence
 from functools import lru_cache
 from itertools import combinations, groupby
 from math import inf
@@ -11,7 +12,7 @@ from math import inf
 from fsar_ledger.designs import Scenario, Task, Workflow, registered
 from fsar_ledger.designs.constants import END_US, Constants, Load, Outages, WorldConstants
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import PolicyOutcome, PolicyScope, Robot, robot_named
+from fsar_ledger.events.envelope import PolicyOutcome, PolicyScope, Robot, Supervisor, robot_named
 from fsar_ledger.events.world import (
     ActuatorDegraded,
     ContextChanged,
@@ -100,6 +101,7 @@ def _disturbed(constants: Constants, key: bytes, scenario: Scenario, fleet_size:
     """Return the tasks of the scenario, in a world that disturbs them."""
     world, outages = constants.world, constants.outages
     everyone = members(fleet_size, constants.fleet)
+    supervised = _supervised(everyone)
     facts: list[Fact] = [(1, SyncPhaseSet(round(Stream(key, "sync-phase").uniform() * 1e6)))]
     working = teams_working(constants, fleet_size)
     for _, floor in groupby(everyone, lambda member: floor_of(member.team, world.floor_teams)):
@@ -115,7 +117,8 @@ def _disturbed(constants: Constants, key: bytes, scenario: Scenario, fleet_size:
             facts += _in_the_way(world, key, name, "crowding", world.crowding_rate_per_s * others)
             if team <= working:
                 facts += _routine(world, key, name)
-            facts += _absences(constants, key, member)
+            if member.supervisor is not None and member == supervised[member.supervisor][0]:
+                facts += _absences(constants, key, member.supervisor, supervised[member.supervisor])
             if outages is not None:
                 facts += _outages(outages, key, name, world.horizon_s)
         for one, other in combinations(there, 2):
@@ -210,18 +213,15 @@ def _routine(world: WorldConstants, key: bytes, robot: Robot) -> list[Fact]:
     ]
 
 
-def _absences(constants: Constants, key: bytes, member: Member) -> list[Fact]:
-    """Return the spells in which the robot's own supervisor is absent, none overlapping.
+def _absences(constants: Constants, key: bytes, supervisor: Supervisor, robots: Sequence[Member]) -> list[Fact]:
+    """Return the spells in which the supervisor of these robots is absent, none overlapping.
 
-    They are the one absence that is drawn, and those when off shift by the fleet's design.
+    They are the one absence that is drawn, by the first of the robots, and those when off shift by the fleet's design.
     """
-    supervisor, fleet = member.supervisor, constants.fleet
-    if supervisor is None:
-        return []
-    world = constants.world
+    world, fleet = constants.world, constants.fleet
     start_s = (
         world.absence_from_s
-        + (world.absence_to_s - world.absence_from_s) * Stream(key, f"absence/{member.name}").uniform()
+        + (world.absence_to_s - world.absence_from_s) * Stream(key, f"absence/{robots[0].name}").uniform()
     )
     left_us, returned_us = round(start_s * 1e6), round((start_s + world.absence_s) * 1e6)
     spells = [] if returned_us <= 0 else [(max(1, left_us), returned_us)]
@@ -229,12 +229,21 @@ def _absences(constants: Constants, key: bytes, member: Member) -> list[Fact]:
         spells += [
             (max(1, round(one.from_s * 1e6)), END_US + 1 if one.to_s is None else round(one.to_s * 1e6))
             for one in fleet.off_shift
-            if fleet.is_off_shift(one, member.design)
+            if any(fleet.is_off_shift(one, member.design) for member in robots)
         ]
     facts: list[Fact] = []
     for left_us, returned_us in _merged(spells):
         facts += [(left_us, SupervisorLeft(supervisor)), (returned_us, SupervisorReturned(supervisor))]
     return facts
+
+
+def _supervised(robots: Sequence[Member]) -> dict[Supervisor, list[Member]]:
+    """Return the robots of each supervisor but the fleet's."""
+    found: dict[Supervisor, list[Member]] = {}
+    for member in robots:
+        if member.supervisor is not None:
+            found.setdefault(member.supervisor, []).append(member)
+    return found
 
 
 def _merged(spells: list[tuple[int, int]]) -> list[tuple[int, int]]:

@@ -1,0 +1,109 @@
+"""The service as a process that is told to end, and killed."""
+
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+from fsar_ledger.events.command import CommandGiven
+from fsar_ledger.ledger.opening import open_ledger
+from fsar_ledger.service.client import Client
+from fsar_ledger.service.principals import add_principal
+from tests.service.site import TASK, is_good
+
+pytestmark = pytest.mark.slow
+
+
+class Process:
+    """The command `serve`, as a process."""
+
+    def __init__(self, folder: Path, port: int) -> None:
+        self.ledger = folder / "ledger"
+        command = (
+            sys.executable,
+            "-m",
+            "fsar_ledger",
+            "serve",
+            f"{self.ledger}",
+            "--principals",
+            f"{folder}/principals",
+        )
+        self.process = subprocess.Popen(
+            [*command, "--port", f"{port}", "--rate", "10000"],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        assert self.process.stdout is not None
+        self.url = self.process.stdout.readline().strip()
+
+    def end(self, how: signal.Signals) -> tuple[int, str]:
+        self.process.send_signal(how)
+        said = self.process.communicate(timeout=30)[1]
+        return self.process.returncode, said
+
+
+@pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGINT])
+def test_it_ends_when_it_is_told_with_the_ledger_closed(tmp_path: Path, how: signal.Signals) -> None:
+    token = add_principal(tmp_path / "principals", "robot/A1")
+    one = Process(tmp_path, 0)
+    with Client(one.url, token) as way:
+        way.give("SubmitTask", task_id="t", **TASK)
+        events = way.events(after=0)
+        next(events)
+        code, said = one.end(how)
+    assert (code, said) == (0, "fsar-ledger: ended: every decision that was answered is on disk\n")
+    assert is_good(one.ledger)
+
+
+def _killed(tmp_path: Path, kills: int) -> None:
+    """Kill the service so often under load; what was acknowledged is on record, once."""
+    tokens = {name: add_principal(tmp_path / "principals", name) for name in ("robot/A1", "robot/B1", "robot/C1")}
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    acknowledged: list[str] = []
+    is_over = threading.Event()
+
+    def load(name: str) -> None:
+        with Client(f"http://127.0.0.1:{port}", tokens[name], patience_s=60) as way:
+            number = 0
+            while not is_over.is_set():
+                number += 1
+                key = f"{name}:{number}"
+                assert way.give("ReportContext", key=key, robot=name).rejected is None
+                acknowledged.append(key)
+
+    threads = [threading.Thread(target=load, args=(name,), daemon=True) for name in tokens]
+    for number in range(kills):
+        one = Process(tmp_path, port)
+        if not number:
+            for thread in threads:
+                thread.start()
+        time.sleep(0.2 + 0.37 * (number % 5) / 5)
+        one.end(signal.SIGKILL)
+    one = Process(tmp_path, port)
+    is_over.set()
+    for thread in threads:
+        thread.join(60)
+        assert not thread.is_alive()
+    assert one.end(signal.SIGTERM)[0] == 0
+    [record] = open_ledger(one.ledger).runs()
+    keys = [event.key for event in record.events if isinstance(event, CommandGiven)]
+    assert len(keys) == len(set(keys))
+    assert set(acknowledged) <= set(keys)
+    assert len(acknowledged) > 10 * kills
+    assert is_good(one.ledger)
+
+
+def test_what_was_acknowledged_is_on_record_once_after_any_kill(tmp_path: Path) -> None:
+    _killed(tmp_path, 5)
+
+
+@pytest.mark.soak
+def test_a_hundred_kills_lose_nothing(tmp_path: Path) -> None:
+    _killed(tmp_path, 100)

@@ -1,0 +1,178 @@
+"""The service under its clients: what it acknowledged is on disk, and every event can be followed."""
+
+import errno
+import os
+import subprocess
+import threading
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+
+import fsar_ledger
+from fsar_ledger.events.command import CommandGiven, CommandRejected
+from fsar_ledger.ledger.opening import open_ledger
+from fsar_ledger.service import feed
+from fsar_ledger.service.client import Client, FollowedEvent, Refused
+from tests.service.site import TASK, Site, is_good, read, until
+
+pytestmark = pytest.mark.slow
+
+
+def test_robots_open_a_door_and_a_supervisor_sees_it(tmp_path: Path) -> None:
+    with Site(tmp_path) as site:
+        a, b = site.ways["robot/A1"], site.ways["robot/B1"]
+        site.ways["service/hub"].give("SubmitTask", task_id="t", **TASK)
+        assert b.give("ReportStart", robot="robot/B1", action_id="t/1.1").rejected is not None
+        judged = b.give("JudgeRequest", robot="robot/B1", action_id="t/1.1", accepts=True)
+        assert [event["type"] for event in judged.events] == ["RequestAdmitted"]
+        for name, fields in (
+            ("ReportStart", {"robot": "robot/B1"}),
+            ("ReportResult", {"executor": "robot/B1", "result": "success"}),
+        ):
+            assert b.give(name, action_id="t/1.1", **fields).rejected is None
+        assert a.give("SubmitTask", task_id="u", **TASK).rejected is None
+        seen = read(site.ways["supervisor/A1"].events(after=-1), len(site.record.events))
+        assert [event.seq for event in seen] == list(range(len(seen)))
+    [record] = open_ledger(site.ledger).runs()
+    assert [event.type for event in seen] == [type(event).__name__ for event in record.events]
+    assert b"\n".join(event.row for event in seen) == b"\n".join(open_ledger(site.ledger).rows(0, len(seen)))
+    assert is_good(site.ledger)
+    assert not [row for row in fsar_ledger.Ledger(site.ledger).audit().rows if row.holds is False]
+
+
+@pytest.mark.parametrize(
+    ("by", "command", "fields"),
+    [
+        ("robot/A1", "JudgeRequest", {"robot": "robot/B1", "action_id": "t/1.1", "accepts": True}),
+        ("service/hub", "JudgeRequest", {"robot": "robot/B1", "action_id": "t/1.1", "accepts": True}),
+        ("supervisor/A1", "ReportStart", {"robot": "robot/A1", "action_id": "t/1.1"}),
+        (
+            "robot/A1",
+            "SetTrust",
+            {
+                "issued_by": "supervisor/A1",
+                "robot": "robot/A1",
+                "peer": "robot/B1",
+                "scope": "persistent",
+                "capability": None,
+                "context": None,
+                "reason": "x",
+            },
+        ),
+        ("robot/B1", "SubmitTask", {"task_id": "u", **TASK}),
+        ("supervisor/A1", "RespondToCall", {"supervisor": "supervisor/fleet", "action_id": "t/1.1", "approves": True}),
+    ],
+)
+def test_who_speaks_for_another_is_rejected_on_record_and_changes_nothing(
+    site: Site, by: str, command: str, fields: dict[str, Any]
+) -> None:
+    site.ways["robot/A1"].give("SubmitTask", task_id="t", **TASK)
+    answered = site.ways[by].give(command, **fields)
+    assert answered.rejected is not None
+    assert answered.rejected.startswith(f"{by} speaks for ")
+    *_, given, rejected = site.record.events
+    assert isinstance(given, CommandGiven)
+    assert isinstance(rejected, CommandRejected)
+    assert given.issued_by == rejected.issued_by == by
+
+
+def test_events_are_followed_from_any_place_by_what_they_are_about(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(feed, "AT_ONCE", 3)
+    site.ways["robot/A1"].give("ReportContext", robot="robot/A1")
+    site.service._feed._kept = type(site.service._feed._kept)(maxlen=10)
+    for number in range(20):
+        site.ways["robot/A1"].give("SubmitTask", task_id=f"t{number}", **TASK)
+    record = site.record
+    auditor = site.ways["auditor/anna"]
+    for after in (-1, 0, 40, len(record.events) - 5):
+        seen = read(auditor.events(after=after), len(record.events) - after - 1)
+        assert [event.seq for event in seen] == list(range(after + 1, len(record.events)))
+        assert [event.type for event in seen] == [type(event).__name__ for event in record.events[after + 1 :]]
+    for wanted, fits in (
+        ({"task": "t7"}, lambda event: event.columns["task_id"] == "t7"),
+        ({"robot": "robot/B1"}, lambda event: b'"robot/B1"' in event.row),
+        (
+            {"concern": "registry"},
+            lambda event: event.type in ("CapabilityInstalled", "CapabilityAdvertised", "RegistryQueried"),
+        ),
+    ):
+        assert all(fits(event) for event in read(auditor.events(after=-1, **wanted), 4))
+    assert all(b'"robot/B1"' in event.row for event in read(site.ways["robot/B1"].events(after=-1), 10))
+
+
+def test_new_events_come_as_they_happen(site: Site) -> None:
+    events = site.ways["auditor/anna"].events()
+    seen: list[FollowedEvent] = []
+    thread = threading.Thread(target=lambda: seen.extend(read(events, 4)), daemon=True)
+    thread.start()
+    until(lambda: b"fsar_subscriptions 1" in site.asked("GET", "/metrics"))
+    site.ways["robot/A1"].give("SubmitTask", task_id="t", **TASK)
+    thread.join(5)
+    assert [event.type for event in seen[:2]] == ["CommandGiven", "TaskArrived"]
+
+
+def test_the_same_key_from_many_threads_is_decided_once(site: Site) -> None:
+    answers: list[Any] = []
+
+    def give() -> None:
+        with Client(f"http://127.0.0.1:{site.port}", site.tokens["robot/A1"]) as way:
+            answers.append(way.give("SubmitTask", key="k", task_id="t", **TASK).seq)
+
+    threads = [threading.Thread(target=give) for _ in range(20)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(answers) == 20
+    assert len(set(answers)) == len(site.commands()) == 1
+    with pytest.raises(Refused, match="found another SubmitTask than the SubmitTask at seq") as refused:
+        site.ways["robot/A1"].give("SubmitTask", key="k", task_id="u", **TASK)
+    assert refused.value.status == 409
+
+
+def test_on_a_full_disk_commands_are_refused_reads_go_on_and_with_room_again_all_goes_on(
+    site: Site, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(feed, "REOPEN_S", 0.2)
+    a = site.ways["robot/A1"]
+    first = a.give("SubmitTask", task_id="t", **TASK)
+    with monkeypatch.context() as patch:
+        for name in ("write", "pwrite", "writev", "fsync", "fdatasync"):
+            patch.setattr(os, name, full)
+        answer = site.asked("POST", "/commands/SubmitTask", msgspec.json.encode({"task_id": "u", **TASK}))
+        assert answer.startswith(b"HTTP/1.1 503 ")
+        assert b"nothing was decided" in answer
+        assert site.asked("GET", "/health").startswith(b"HTTP/1.1 503 ")
+        assert read(site.ways["auditor/anna"].events(after=first.seq - 1), 1)[0].seq == first.seq
+    until(lambda: site.asked("GET", "/health").startswith(b"HTTP/1.1 200 "))
+    assert a.give("SubmitTask", key="v", task_id="v", **TASK).rejected is None
+    assert [event.parameters.count('"v"') for event in site.commands()][-1] == 1
+    seen = read(site.ways["auditor/anna"].events(after=-1), len(site.record.events))
+    assert [event.seq for event in seen] == list(range(len(seen)))
+    assert is_good(site.ledger)
+
+
+def test_when_too_many_wait_more_are_told_to_come_again(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(feed, "WAITING", 0)
+    answer = site.asked("POST", "/commands/ReportContext", b'{"robot": "robot/A1"}')
+    assert answer.startswith(b"HTTP/1.1 503 ")
+    assert b"retry-after: 1" in answer.lower()
+    assert not site.commands()
+
+
+def test_it_serves_over_tls(tmp_path: Path) -> None:
+    certificate = tmp_path / "certificate.pem"
+    key = certificate.with_suffix(".key")
+    made = "req -x509 -newkey ec -pkeyopt ec_paramgen_curve:prime256v1 -nodes -days 1 -subj /CN=localhost"
+    named = ["-addext", "subjectAltName=DNS:localhost", "-keyout", f"{key}", "-out", f"{certificate}"]
+    subprocess.run(["openssl", *made.split(), *named], check=True, capture_output=True)
+    certificate.write_text(certificate.read_text() + key.read_text())
+    with Site(tmp_path, certificate=certificate) as site:
+        assert site.ways["robot/A1"].give("ReportContext", robot="robot/A1").rejected is None
+        with pytest.raises(Refused, match="does not answer"):
+            Client(f"https://localhost:{site.port}", site.tokens["robot/A1"], patience_s=0.1).give("ReportContext")
