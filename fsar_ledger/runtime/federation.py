@@ -22,14 +22,18 @@ from fsar_ledger.ledger.log.note import Signer
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows.runs import LedgerRun
 from fsar_ledger.ledger.store.append import Writer
+from fsar_ledger.ledger.store.read import View
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.projections.fold import State
 
+from . import snapshot
 from .live import SOURCE, Decision, LiveRun, command_given, decisions_by_key, live_started
 from .recipes import recorded_constants
 from .run_replay import replay_run
 
 ORIGIN = "fsar-ledger/live"
+KEEP_AFTER, KEEP_AT_END = 1 << 16, 1 << 13
+"""So many events after the newest snapshot there is another; at the end, so many are made again in a moment."""
 KEYS = 1 << 16
 """Of so many of the last commands with a key it is known what became of them; one that is older is a new command."""
 
@@ -68,16 +72,19 @@ class Federation:
         self._on_commit = on_commit
         self.run, self._path, self._clock, self._lock = run, path, clock, RLock()
         self._has_failed = False
+        self._kept = 0  # how many events the newest snapshot knows
         self._keys: dict[tuple[str, str], tuple[tuple[str, str], Decision]] = {}
         self._writer = Writer(path, origin or (signer.verifier.name if signer else ORIGIN), signer)
         try:
             view = open_ledger(path)
             if view.has_run(run):
-                self._resume(next(one for one in view.runs() if one.run_id == run))
+                if not self._recall(view):
+                    self._resume(next(one for one in view.runs() if one.run_id == run))
             else:
                 self._epoch_us = clock() // 1_000
                 epoch = utc.shown(utc.EPOCH + self._epoch_us * utc.MICROSECOND)
-                self._live = LiveRun(live_started(constants, robots, epoch), constants)
+                self._started = live_started(constants, robots, epoch)
+                self._live = LiveRun(self._started, constants)
                 self._commit()
         except BaseException:
             self._writer.close()
@@ -138,9 +145,7 @@ class Federation:
         said = (command.command, command.parameters)
         if (before := self._keys.get(key)) is None:
             decision = self._live.give(self._now_us(), command)
-            self._keys[key] = (said, msgspec.structs.replace(decision, followed=()))
-            if len(self._keys) > KEYS:
-                del self._keys[next(iter(self._keys))]
+            self._remember(key, (said, msgspec.structs.replace(decision, followed=())))
             return decision
         if before[0] == said:
             return before[1]
@@ -148,6 +153,11 @@ class Federation:
             f"key {value(command.key)}: found another {value(command.command)} than the {value(before[0][0])} at seq "
             f"{before[1].seq}, expected a new key for a new command"
         )
+
+    def _remember(self, key: tuple[str, str], said: tuple[tuple[str, str], Decision]) -> None:
+        self._keys[key] = said
+        if len(self._keys) > KEYS:
+            del self._keys[next(iter(self._keys))]
 
     def advance(self) -> tuple[Event, ...]:
         """Decide what is due by now, such as a budget that has run out; return the events, which are on disk."""
@@ -159,6 +169,8 @@ class Federation:
     def close(self) -> None:
         """Close the ledger. A federation of the same run continues it."""
         with self._lock:
+            if not self._has_failed and self.size - self._kept >= KEEP_AT_END:
+                self._keep()
             self._writer.close()
 
     def __enter__(self) -> "Federation":
@@ -180,6 +192,8 @@ class Federation:
             except CommitTooLarge:
                 self._writer.append(stage(self._path, [piece]))
             self._has_failed = False
+            if self.size - self._kept >= KEEP_AFTER:
+                self._keep()
             if self._on_commit is not None:
                 self._on_commit(piece.first, self._writer.newest_rows())
         return tuple(piece.events)
@@ -190,6 +204,31 @@ class Federation:
                 f"run {value(self.run)}: an earlier write failed, so what this process knows is not on disk; open the "
                 "federation again once the disk has room"
             )
+
+    def _keep(self) -> None:
+        """Keep where the run stands, for the next federation of it."""
+        known = (self._started, self._live.kernel.known(), self._keys)
+        snapshot.save(self._path, self.run, self._writer.head, known)
+        self._kept = self.size
+
+    def _recall(self, view: View) -> bool:
+        """Go on from the snapshot, if it counts and what the ledger has after it is made again as it is."""
+        with suppress(Exception):  # then the run is made again from its beginning
+            if (found := snapshot.load(view, self.run)) is not None:
+                (started, known, keys), record = found
+                live = LiveRun(started, recorded_constants(started, known[0]), record, known)
+                made = live.take(self.run)
+                if record is None or _is_same(made, record):
+                    self._live, self._kept, self._keys = live, known[0], keys
+                    self._begin(started)
+                    for key, said in ({} if record is None else decisions_by_key(record, KEYS)).items():
+                        self._remember(key, said)
+                    return True
+        return False
+
+    def _begin(self, started: RunStarted) -> None:
+        self._started = started
+        self._epoch_us = (utc.parsed(f"{started.epoch}") - utc.EPOCH) // utc.MICROSECOND
 
     def _resume(self, record: LedgerRun) -> None:
         started = record.events[0]
@@ -204,7 +243,7 @@ class Federation:
             difference = replay_run(record)
             raise UsageError(f"run {value(self.run)} cannot go on, since it would go on otherwise: {difference}")
         self._live = live
-        self._epoch_us = (utc.parsed(started.epoch) - utc.EPOCH) // utc.MICROSECOND
+        self._begin(started)
         self._keys = decisions_by_key(record, KEYS)
 
 

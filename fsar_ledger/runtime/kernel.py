@@ -153,6 +153,15 @@ class Kernel:
         self.times_us, self.caused_by, self.events = [], [], []
         return found
 
+    def known(self) -> tuple[Any, ...]:
+        """Return all that the run knows once its events were taken out, for `recall`; it must not be changed."""
+        return self.first, self.state, self._pending, self._held_back, self._serial, self._submitted_us, self._taken
+
+    def recall(self, known: tuple[Any, ...]) -> None:
+        """Go on from what a run of the same architecture knew."""
+        self.times_us, self.caused_by, self.events = [], [], []
+        self.first, self.state, self._pending, self._held_back, self._serial, self._submitted_us, self._taken = known
+
     def _time_of(self, seq: int) -> int:
         """Return when the event happened; 0 for one that was taken out and is more than a moment ago."""
         if seq >= self.first:

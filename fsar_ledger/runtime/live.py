@@ -61,11 +61,22 @@ def live_started(constants: Constants, robots: int, epoch: str | None = None) ->
 class LiveRun:
     """A live run in progress. Times are run time, in microseconds, and never go back."""
 
-    def __init__(self, started: RunStarted, constants: Constants, record: LedgerRun | None = None) -> None:
-        """Begin the run, or make it again from the commands on its record, until the last of its events."""
+    def __init__(
+        self,
+        started: RunStarted,
+        constants: Constants,
+        record: LedgerRun | None = None,
+        known: tuple[Any, ...] | None = None,
+    ) -> None:
+        """Begin the run, or make it again from the commands on its record, until the last of its events.
+
+        `known`: what the run knew before the record (`Kernel.known`); None: the record is all of it.
+        """
         events, founded = fleet_founding(started.fleet_size or 0, constants)
         environment = LiveEnvironment(() if record is None else commands_of(record))
         self.kernel = Kernel(handler_table_of(ARCHITECTURE), environment, (started, *events), founded)
+        if known is not None:
+            self.kernel.recall(known)
         if record is not None:
             self.kernel.run(record.times_us[-1])
 
@@ -101,7 +112,9 @@ def decisions_by_key(record: LedgerRun, most: int) -> dict[tuple[str, str], tupl
     A command is its name and its fields, as JSON.
     """
     pairs = [
-        (seq, one) for seq, one in enumerate(record.events) if isinstance(one, CommandGiven) and one.key is not None
+        (seq, one)
+        for seq, one in enumerate(record.events, record.first)
+        if isinstance(one, CommandGiven) and one.key is not None
     ]
     keyed = dict(pairs[-most:])
     events: dict[int, list[Event]] = {seq: [] for seq in keyed}

@@ -1,0 +1,108 @@
+"""Where a live run stood, beside its ledger, so that it goes on without being made again from its beginning.
+
+A snapshot is derived and disposable. It counts for one prefix of one ledger and one version of the code, and what the
+ledger has after it is made again and compared. One that is damaged, old or another's is passed over.
+"""
+
+import hashlib
+import io
+import os
+import pickle
+from contextlib import suppress
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pyarrow.compute as pc
+
+from fsar_ledger.ledger.rows.codec import decode
+from fsar_ledger.ledger.rows.runs import LedgerRun, joined
+from fsar_ledger.ledger.rows.schema import SCHEMA
+from fsar_ledger.ledger.store.read import View
+from fsar_ledger.ledger.store.record import Head
+
+_ROOMS = ("runtime", "projections", "events", "designs")
+_KNOWN = (
+    *(f"fsar_ledger.{room}." for room in ("projections", "events", "designs", "runtime.handlers")),
+    *(
+        "fsar_ledger.runtime.architectures.",
+        "fsar_ledger.runtime.agenda.",
+        "fsar_ledger.runtime.live.",
+        "fsar_ledger.runtime.ports.",
+    ),
+)
+_LIBRARY = {
+    ("array", "array"),
+    ("array", "_array_reconstructor"),
+    ("collections", "deque"),
+    ("msgspec._utils", "rebuild"),
+}
+
+
+class Snapshot(msgspec.Struct, frozen=True):
+    """What a snapshot counts for: the run, the ledger's size and root there, the code; and the SHA-256 of the rest."""
+
+    run: str
+    size: int
+    root: str
+    code: str
+    sha256: str
+
+
+def save(ledger: Path, run: str, head: Head, known: object) -> None:
+    """Keep what is known of the run when the ledger is so long. A disk that refuses is no error."""
+    data = pickle.dumps(known, protocol=5)
+    line = msgspec.json.encode(Snapshot(run, head.size, head.root, _code(), hashlib.sha256(data).hexdigest()))
+    path = place(ledger, run)
+    temporary = path.with_suffix(f".{os.getpid()}")
+    with suppress(OSError):
+        path.parent.mkdir(exist_ok=True)
+        temporary.write_bytes(line + b"\n" + data)
+        temporary.replace(path)
+
+
+def place(ledger: Path, run: str) -> Path:
+    """Return where the snapshot of the run is."""
+    return ledger.with_name(f"{ledger.name}.snapshots") / hashlib.sha256(run.encode()).hexdigest()[:16]
+
+
+def load(view: View, run: str) -> tuple[Any, LedgerRun | None] | None:
+    """Return what was known of the run, and its events after that, if any; None if no snapshot counts."""
+    try:
+        line, _, data = place(view.path, run).read_bytes().partition(b"\n")
+        found = msgspec.json.decode(line, type=Snapshot)
+    except (OSError, msgspec.DecodeError, UnicodeDecodeError):
+        return None
+    roots = {commit.tree_size: commit.tree_root for commit in view.commits}
+    if (found.run, found.code, roots.get(found.size)) != (run, _code(), found.root):
+        return None
+    if hashlib.sha256(data).hexdigest() != found.sha256:
+        return None
+    pieces = []
+    for table in view.tables_from(found.size, SCHEMA.names):
+        mine = table.filter(pc.equal(table.column("run_id"), run))
+        pieces += decode(mine, is_whole=False) if mine.num_rows else ()
+    return _Known(io.BytesIO(data)).load(), joined(pieces) if pieces else None
+
+
+class _Known(pickle.Unpickler):
+    """Reads values alone: a file that somebody else wrote must not run anything."""
+
+    def find_class(self, module: str, name: str) -> Any:
+        found = (
+            super().find_class(module, name) if (module, name) in _LIBRARY or f"{module}.".startswith(_KNOWN) else None
+        )
+        if isinstance(found, type) or (module, name) in _LIBRARY:
+            return found
+        raise pickle.UnpicklingError(f"found {module}.{name}, expected a value")
+
+
+@cache
+def _code() -> str:
+    """Return the digest of the code that makes a run."""
+    package, digest = Path(__file__).parents[1], hashlib.sha256()
+    for room in _ROOMS:
+        for path in sorted((package / room).rglob("*.py")):
+            digest.update(f"{path.relative_to(package)}\n".encode() + path.read_bytes())
+    return digest.hexdigest()
