@@ -79,7 +79,7 @@ def load(view: View, run: str) -> tuple[Any, LedgerRun | None] | None:
         return None
     if hashlib.sha256(data).hexdigest() != found.sha256:
         return None
-    pieces = []
+    pieces: list[LedgerRun] = []
     for table in view.tables_from(found.size, SCHEMA.names):
         mine = table.filter(pc.equal(table.column("run_id"), run))
         pieces += decode(mine, is_whole=False) if mine.num_rows else ()

@@ -110,7 +110,7 @@ class Service:
 
     def _answer(self, said: object, status: int = 200, headers: dict[str, str] | None = None) -> Response:
         self._answers[status] += 1
-        return Response(msgspec.json.encode(said), status, headers, "application/json")
+        return Response(msgspec.json.encode(said) + b"\n", status, headers, "application/json")
 
     def _principal(self, request: Request) -> Principal:
         found = self._principals.known(request.headers.get("authorization", ""))

@@ -273,3 +273,21 @@ def test_what_becomes_due_by_itself_is_told_while_no_command_comes(tmp_path: Pat
     assert [event["type"] for event in said[0]["followed"]][-1] == "RequestIssued"
     assert "RequestUnanswered" in [event["type"] for event in said[1]["events"]]  # nobody judged it
     assert is_good(tmp_path / "ledger")
+
+
+def test_a_clock_that_jumps_back_stops_run_time_and_nothing_else(tmp_path: Path) -> None:
+    now = [1_772_359_200]
+    with fsar_ledger.federate(tmp_path / "ledger", run="day", clock=lambda: now[0] * S) as one:
+        now[0] += 100
+        first = one.give("SubmitTask", A, **TASK)
+        now[0] -= 90
+        second = one.give("ReportStart", A, robot=A, action_id="t/1.1")
+        assert second.rejected is None
+        now[0] -= 1_000
+    with fsar_ledger.federate(tmp_path / "ledger", run="day", clock=lambda: now[0] * S) as one:
+        third = one.give("ReportResult", A, executor=A, action_id="t/1.1", result="success")
+    [record] = open_ledger(tmp_path / "ledger").runs()
+    times = [record.times_us[one.seq] for one in (first, second, third)]
+    assert times[0] == 100 * 1_000_000
+    assert times[0] < times[1] < times[2] < times[0] + 1_000
+    assert is_good(tmp_path / "ledger")

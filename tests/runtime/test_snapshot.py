@@ -29,9 +29,13 @@ def play(one: Federation, draws: random.Random, steps: int) -> None:
     """Tasks that begin, fail, are recovered and judged, and some that nobody ends."""
     for _ in range(steps):
         task = f"t{draws.getrandbits(40)}"
-        work = {"task_id": task, "steps": ["A door.open.secure B"], "budget_us": draws.randint(1, 90) * 1_000_000}
+        work: dict[str, Any] = {
+            "task_id": task,
+            "steps": ["A door.open.secure B"],
+            "budget_us": draws.randint(1, 90) * 1_000_000,
+        }
         one.give("SubmitTask", "robot/A1", key=task, robot="robot/A1", **work)
-        action = {"robot": "robot/B1", "action_id": f"{task}/1.1"}
+        action: dict[str, Any] = {"robot": "robot/B1", "action_id": f"{task}/1.1"}
         for name, fields in (
             ("JudgeRequest", {"accepts": draws.random() < 0.8}),
             ("ReportStart", {}),
@@ -39,7 +43,7 @@ def play(one: Federation, draws: random.Random, steps: int) -> None:
             ("ReportPresence", {"is_on": draws.random() < 0.5}),
         ):
             if draws.random() < 0.7:
-                own = {"robot": "robot/B1"} if name == "ReportPresence" else action
+                own: dict[str, Any] = {"robot": "robot/B1"} if name == "ReportPresence" else action
                 one.give(name, "robot/B1", **own, **fields)
 
 
@@ -90,7 +94,7 @@ def test_the_same_command_again_is_decided_once_after_a_snapshot_too(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(federation, "KEEP_AT_END", 1)
-    task = {"robot": "robot/A1", "task_id": "t", "steps": ["A navigate.indoor"], "budget_us": 10**9}
+    task: dict[str, Any] = {"robot": "robot/A1", "task_id": "t", "steps": ["A navigate.indoor"], "budget_us": 10**9}
     with federate(tmp_path) as one:
         first = one.give("SubmitTask", "robot/A1", key="k", **task)
     with federate(tmp_path) as one:
