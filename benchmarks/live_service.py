@@ -74,7 +74,7 @@ def serve(kind: str, folder: Path, listening: socket.socket, ready: Any) -> None
             found._keep = lambda: None  # type: ignore[method-assign]
         return found
 
-    service = Service(folder / "ledger", "day", opened, Principals(folder / "principals"), 1e9)
+    service = Service(folder / "ledger", "day", opened, Principals(folder / "principals"), 1e9, str)
     if kind == "echo":
 
         async def echo(request: Any) -> Any:

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from queue import Empty, SimpleQueue
+from tempfile import TemporaryDirectory
 from threading import Thread
 from typing import TYPE_CHECKING, Annotated, Any, BinaryIO
 
@@ -17,6 +18,7 @@ from fsar_ledger.base.errors import UsageError
 from fsar_ledger.base.printable import SafeText
 
 from .answers import Answer, Plain, Screen
+from .ledger import open_ledger
 from .names import Names, Place, names_of
 from .verbs import Gives, KeyOption, Option, argument, declare, verb
 
@@ -213,7 +215,7 @@ class ServedFederation(Answer):
         def opened(on_commit: Callable[[int, bytes], None]) -> "Federation":
             return federate(self._out, run=self._run, on_commit=on_commit, **self._given["federation"])
 
-        service = Service(self._out, self._run, opened, Principals(self._principals), self._rate)
+        service = Service(self._out, self._run, opened, Principals(self._principals), self._rate, self._viewed)
         certificate, key = self._given["certificate"], self._given["certificate_key"]
         before = signal.signal(signal.SIGTERM, signal.default_int_handler)
         with self._listening() as listening:
@@ -228,6 +230,12 @@ class ServedFederation(Answer):
                 signal.signal(signal.SIGTERM, before)
         self._given["say"]("ended: every decision that was answered is on disk")
         yield from ()
+
+    def _viewed(self) -> str:
+        with TemporaryDirectory() as folder:
+            page = Path(folder) / "run.html"
+            open_ledger(self._out).view(page, run=self._run)
+            return page.read_text("utf-8")
 
     def _listening(self) -> socket.socket:
         try:

@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from threading import RLock
+from typing import TypeVar
 
 import msgspec
 
@@ -36,6 +37,9 @@ KEEP_AFTER, KEEP_AT_END = 1 << 16, 1 << 13
 """So many events after the newest snapshot there is another; at the end, so many are made again in a moment."""
 KEYS = 1 << 16
 """Of so many of the last commands with a key it is known what became of them; one that is older is a new command."""
+
+
+_Answer = TypeVar("_Answer")
 
 
 class Federation:
@@ -99,6 +103,11 @@ class Federation:
     def size(self) -> int:
         """How many events the run has."""
         return self._live.kernel.first + len(self._live.kernel.events)
+
+    def ask(self, question: Callable[[State, int], _Answer]) -> _Answer:
+        """Return the answer to a question about what is known, and the run time (microseconds), as of now."""
+        with self._lock:
+            return question(self.state, self._now_us())
 
     def give(
         self, command: str, by: str, *, key: str | None = None, sent_us: int | None = None, **fields: object

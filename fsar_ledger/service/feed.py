@@ -12,13 +12,14 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 from threading import Thread
 from traceback import print_exc
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import msgspec
 
 from fsar_ledger.base.errors import FsarLedgerError, WriteFailed
 from fsar_ledger.events.command import CommandGiven
 from fsar_ledger.ledger.opening import open_ledger
+from fsar_ledger.projections.fold import State
 from fsar_ledger.runtime.federation import Federation
 from fsar_ledger.runtime.live import Decision
 
@@ -34,6 +35,7 @@ KEPT = 1 << 15
 """So many of the newest events are in memory; older ones are read from the ledger."""
 
 Result = Decision | FsarLedgerError
+_Asked = TypeVar("_Asked")
 
 
 class Busy(Exception):
@@ -142,6 +144,12 @@ class Decider:
         if isinstance(result, FsarLedgerError):
             raise result
         return result
+
+    async def ask(self, question: Callable[[State, int], _Asked]) -> _Asked:
+        """Return the answer of `Federation.ask`. Raises: WriteFailed while there is none, since the disk refuses."""
+        if (federation := self._federation) is None:
+            raise WriteFailed(f"{self.failed}")
+        return await asyncio.to_thread(federation.ask, question)
 
     def _tell(self, first: int, rows: bytes) -> None:
         self._loop.call_soon_threadsafe(self._feed.publish, first, rows)

@@ -6,11 +6,13 @@ and leaves no trace. Nothing here waits without a limit: not for a client's head
 """
 
 import asyncio
+import secrets
 import socket
 import time
 from collections import Counter
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +22,6 @@ from starlette.applications import Starlette
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import HTMLResponse, PlainTextResponse, Response
 from starlette.routing import Route
-from starlette.types import Receive, Scope, Send
-from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 
 from fsar_ledger.base.errors import FsarLedgerError, UsageError
 from fsar_ledger.base.printable import did_you_mean
@@ -31,17 +31,22 @@ from fsar_ledger.runtime.federation import Federation
 from fsar_ledger.runtime.live import Decision, command_given
 from fsar_ledger.sources.columns import object_of
 
+from .console import FILES, overview, page_file
 from .feed import Busy, Decider, Feed, Row
 from .openapi import described, page
 from .principals import Principal, Principals
+from .transport import EventStream, LimitedProtocol, Put
 
-MAX_HEADERS, MAX_BODY, MAX_KEY = 1 << 14, 1 << 16, 200
-HEADERS_S, BODY_S, WRITE_S, ALIVE_S, END_S = 10.0, 10.0, 20.0, 15.0, 3
-"""How long a client may take for its headers, for its body, and to read; when a quiet subscription shows that it is
-alive; how long the end waits for answers under way."""
-MAX_CONNECTIONS, MAX_SUBSCRIPTIONS, MAX_OWN_SUBSCRIPTIONS = 512, 128, 8
-ABORT = "fsar.abort"
-"""The extension of the scope by which a connection is ended at once."""
+MAX_BODY, MAX_KEY = 1 << 16, 200
+BODY_S, ALIVE_S, END_S = 10.0, 15.0, 3
+"""How long a body may take; when a quiet subscription shows that it is alive; how long the end waits for answers."""
+MAX_CONNECTIONS, MAX_SUBSCRIPTIONS, MAX_OWN_SUBSCRIPTIONS, MAX_DRAWN = 512, 128, 8, 4
+_OWN = {
+    "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; "
+    "img-src data:; frame-ancestors 'none'; base-uri 'none'; form-action 'none'",
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+}
 _FILTERS = ("after", "robot", "task", "concern")
 
 
@@ -63,6 +68,7 @@ class Service:
         opened: Opens it; called with what is to be told of each commit.
         principals: Who may speak.
         rate: How many commands a second each may give, and as many at once.
+        viewed: Returns the page of the run as it is on record.
         ticks: Returns seconds that never go back.
     """
 
@@ -73,6 +79,7 @@ class Service:
         opened: Callable[[Callable[[int, bytes], None]], Federation],
         principals: Principals,
         rate: float,
+        viewed: Callable[[], str],
         ticks: Callable[[], float] = time.monotonic,
     ) -> None:
         self._ledger, self._run, self._opened = ledger, run, opened
@@ -82,6 +89,8 @@ class Service:
         self._answers: Counter[int] = Counter()
         self._feed: Feed
         self._decider: Decider
+        self._viewed, self._viewing = viewed, asyncio.Lock()
+        self._drawn: dict[str, str] = {}
         self._server: uvicorn.Server | None = None
         self.app = Starlette(
             routes=[
@@ -90,6 +99,10 @@ class Service:
                 Route("/health", self._health, methods=["GET"]),
                 Route("/metrics", self._metrics, methods=["GET"]),
                 Route("/openapi.json", self._openapi, methods=["GET"]),
+                Route("/overview", self._overview, methods=["GET"]),
+                Route("/view", self._view, methods=["POST"]),
+                Route("/view/{ticket}", self._shown, methods=["GET"]),
+                *(Route(path, self._file, methods=["GET"]) for path in FILES),
                 Route("/", self._page, methods=["GET"]),
             ],
             lifespan=self._living,
@@ -181,9 +194,9 @@ class Service:
             raise HttpError(503, "found too many subscriptions, expected that one ends first", retry_after="10")
         first = self._feed.end if after is None else max(0, int(after) + 1)
         self._answers[200] += 1
-        return _Stream(self, one, first, wanted)
+        return EventStream(first, partial(self._follow, one, first, wanted))
 
-    async def follow(self, one: Principal, seq: int, wanted: dict[str, str], put: Callable[[bytes], Any]) -> None:
+    async def _follow(self, one: Principal, seq: int, wanted: dict[str, str], put: Put) -> None:
         """Put what the principal wants and may see, from this seq on, until the service ends."""
         self._subscriptions[one.principal] += 1
         try:
@@ -225,6 +238,41 @@ class Service:
     async def _openapi(self, _: Request) -> Response:
         return self._answer(described())
 
+    async def _overview(self, request: Request) -> Response:
+        one = self._principal(request)
+        if one.kind == "robot":
+            raise HttpError(403, f"{one.principal} is a robot, expected a person or a program")
+        try:
+            seen = await self._decider.ask(partial(overview, principal=one.principal, run=self._run))
+        except FsarLedgerError as error:
+            raise HttpError(503, f"{error}", retry_after="5") from error
+        return self._answer(seen)
+
+    async def _view(self, request: Request) -> Response:
+        """Draw the run until now as the page of `fsar-ledger view`, and say where it can be fetched once."""
+        if self._principal(request).kind == "robot":
+            raise HttpError(403, "a robot, expected a person or a program")
+        async with self._viewing:
+            try:
+                drawn = await asyncio.to_thread(self._viewed)
+            except FsarLedgerError as error:
+                raise HttpError(503, f"{error}", retry_after="5") from error
+        ticket = secrets.token_urlsafe(16)
+        self._drawn[ticket] = drawn
+        while len(self._drawn) > MAX_DRAWN:
+            del self._drawn[next(iter(self._drawn))]
+        return self._answer({"page": f"view/{ticket}"})
+
+    async def _shown(self, request: Request) -> Response:
+        drawn = self._drawn.pop(request.path_params["ticket"], None)
+        if drawn is None:
+            raise HttpError(404, "the page was fetched already, or there was none")
+        return HTMLResponse(drawn, headers={"Content-Security-Policy": "sandbox allow-scripts allow-downloads"})
+
+    async def _file(self, request: Request) -> Response:
+        name, kind = FILES[request.url.path]
+        return Response(page_file(name), media_type=kind, headers=_OWN)
+
     async def _page(self, _: Request) -> Response:
         return HTMLResponse(
             page(self._run), headers={"Content-Security-Policy": "default-src 'none'; style-src 'unsafe-inline'"}
@@ -234,7 +282,7 @@ class Service:
         """Serve here until SIGTERM, Ctrl-C or `stop`; answers under way are given, and the ledger is closed."""
         config = uvicorn.Config(
             self.app,
-            http=_Protocol,
+            http=LimitedProtocol,
             ws="none",
             lifespan="on",
             log_level="error",
@@ -253,36 +301,6 @@ class Service:
         """End `serve`."""
         if self._server is not None:
             self._server.should_exit = True
-
-
-class _Stream(Response):
-    """Server-sent events. Who does not read is let go, and comes again with the position that it knows."""
-
-    def __init__(self, service: Service, one: Principal, first: int, wanted: dict[str, str]) -> None:
-        super().__init__(media_type="text/event-stream", headers={"Cache-Control": "no-store"})
-        del self.headers["content-length"]
-        self._service, self._one, self._first, self._wanted = service, one, first, wanted
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        async def put(body: bytes) -> None:
-            await asyncio.wait_for(send({"type": "http.response.body", "body": body, "more_body": True}), WRITE_S)
-
-        async def gone() -> None:
-            while (await receive())["type"] != "http.disconnect":
-                pass
-
-        await send({"type": "http.response.start", "status": 200, "headers": self.raw_headers})
-        await put(b": from %d\n\n" % self._first)
-        following = asyncio.create_task(self._service.follow(self._one, self._first, self._wanted, put))
-        leaving = asyncio.create_task(gone())
-        await asyncio.wait((following, leaving), return_when=asyncio.FIRST_COMPLETED)
-        for task in (following, leaving):
-            task.cancel()
-        results = await asyncio.gather(following, leaving, return_exceptions=True)
-        if isinstance(results[0], TimeoutError):
-            scope["extensions"][ABORT]["call"]()  # a transport that is closed waits until all has been read
-        else:
-            await send({"type": "http.response.body", "body": b""})
 
 
 def _said(row: Row, one: Principal, wanted: dict[str, str]) -> bytes:
@@ -330,34 +348,3 @@ async def _body(request: Request) -> bytes:
         ) from None
     except ClientDisconnect:
         raise HttpError(400, "the client has gone") from None
-
-
-class _Protocol(HttpToolsProtocol):
-    """Lets go who does not end its headers, in time or at all."""
-
-    def connection_made(self, transport: Any) -> None:
-        super().connection_made(transport)
-        self._header_bytes = 0
-        self._deadline = self.loop.call_later(HEADERS_S, transport.abort)
-
-    def on_message_begin(self) -> None:
-        super().on_message_begin()
-        self.scope["extensions"] = {ABORT: {"call": self.transport.abort}}
-        self._header_bytes = 0
-        self._deadline.cancel()
-        self._deadline = self.loop.call_later(HEADERS_S, self.transport.abort)
-
-    def data_received(self, data: bytes) -> None:
-        super().data_received(data)
-        if not self._deadline.cancelled():
-            self._header_bytes += len(data)
-            if self._header_bytes > MAX_HEADERS:
-                self.transport.abort()
-
-    def on_headers_complete(self) -> None:
-        self._deadline.cancel()
-        super().on_headers_complete()
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        self._deadline.cancel()
-        super().connection_lost(exc)

@@ -31,13 +31,20 @@ class Site:
         self.ledger = folder / "ledger"
         self.tokens = {name: add_principal(folder / "principals", name) for name in NAMES}
         self._certificate = certificate
-        self.service = server.Service(self.ledger, "day", self.opened, Principals(folder / "principals"), rate)
+        self.service = server.Service(
+            self.ledger, "day", self.opened, Principals(folder / "principals"), rate, self.viewed
+        )
         self.listening = socket.create_server(("127.0.0.1", 0))
         self.port = self.listening.getsockname()[1]
         self.thread = threading.Thread(target=self.service.serve, args=(self.listening, certificate))
 
     def opened(self, on_commit: Callable[[int, bytes], None]) -> Any:
         return fsar_ledger.federate(self.ledger, run="day", on_commit=on_commit)
+
+    def viewed(self) -> str:
+        page = self.ledger.with_name("page.html")
+        fsar_ledger.Ledger(self.ledger).view(page, run="day")
+        return page.read_text()
 
     def __enter__(self) -> "Site":
         self.thread.start()
