@@ -15,12 +15,13 @@ if TYPE_CHECKING:
     from fsar_ledger.api.audit import Audit
     from fsar_ledger.api.events import Events, LoggedEvent
     from fsar_ledger.api.explain import Account
-    from fsar_ledger.api.federate import federate, principal_new
+    from fsar_ledger.api.federate import federate
     from fsar_ledger.api.imports import import_records
     from fsar_ledger.api.key import key_new, key_public
     from fsar_ledger.api.ledger import Ledger, open_ledger
     from fsar_ledger.api.record import record
     from fsar_ledger.api.reproduce import Reproduced, reproduce
+    from fsar_ledger.api.serve import principal_new
     from fsar_ledger.api.simulate import Simulated, simulate
     from fsar_ledger.api.table import Table
     from fsar_ledger.api.verify import Verification
@@ -78,12 +79,13 @@ _HOMES = {
     "api.audit": ("Audit",),
     "api.events": ("Events", "LoggedEvent"),
     "api.explain": ("Account",),
-    "api.federate": ("federate", "principal_new"),
+    "api.federate": ("federate",),
     "api.imports": ("import_records",),
     "api.key": ("key_new", "key_public"),
     "api.ledger": ("Ledger", "open_ledger"),
     "api.record": ("record",),
     "api.reproduce": ("Reproduced", "reproduce"),
+    "api.serve": ("principal_new",),
     "api.simulate": ("Simulated", "simulate"),
     "api.table": ("Table",),
     "api.verify": ("Verification",),

@@ -1,15 +1,12 @@
-"""The verbs `federate`, `serve` and `principal new`: a live federation, which robots and people give commands."""
+"""The verb and the function `federate`: a live federation on a ledger, which robots and people give commands."""
 
-import signal
-import socket
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from queue import Empty, SimpleQueue
-from tempfile import TemporaryDirectory
 from threading import Thread
-from typing import TYPE_CHECKING, Annotated, Any, BinaryIO
+from typing import TYPE_CHECKING, Annotated, BinaryIO
 
 import msgspec
 
@@ -17,10 +14,9 @@ from fsar_ledger.base import printable
 from fsar_ledger.base.errors import UsageError
 from fsar_ledger.base.printable import SafeText
 
-from .answers import Answer, Plain, Screen
-from .ledger import open_ledger
+from .answers import Answer, Screen
 from .names import Names, Place, names_of
-from .verbs import Gives, KeyOption, Option, argument, declare, verb
+from .verbs import KeyOption, argument, declare, verb
 
 if TYPE_CHECKING:
     from fsar_ledger.events import Event
@@ -193,133 +189,3 @@ def federate_lines(
     """
     one = federate(out, run=run, fleet=fleet, robots=robots, settings=names_of(settings) or (), origin=origin, key=key)
     return Decisions(one, sys.stdin.buffer)
-
-
-class ServedFederation(Answer):
-    """A server of a federation; to show the answer is to serve until SIGTERM or Ctrl-C."""
-
-    def __init__(self, out: Path, run: str, principals: Path, host: str, port: int, rate: int, **given: Any) -> None:
-        self._out, self._run, self._principals, self._given = out, run, principals, given
-        self._host, self._port, self._rate = host, port, rate
-
-    def text(self, _: Screen) -> Iterator[SafeText]:
-        """Show the address, then serve; nothing is left to yield."""
-        try:
-            from fsar_ledger.service.principals import Principals
-            from fsar_ledger.service.server import Service
-        except ModuleNotFoundError as error:
-            raise UsageError(
-                f"serve: found no package {error.name}, expected `pip install fsar-ledger[service]`"
-            ) from error
-
-        def opened(on_commit: Callable[[int, bytes], None]) -> "Federation":
-            return federate(self._out, run=self._run, on_commit=on_commit, **self._given["federation"])
-
-        service = Service(self._out, self._run, opened, Principals(self._principals), self._rate, self._viewed)
-        certificate, key = self._given["certificate"], self._given["certificate_key"]
-        before = signal.signal(signal.SIGTERM, signal.default_int_handler)
-        with self._listening() as listening:
-            host, port = listening.getsockname()[:2]
-            scheme = "http" if certificate is None else "https"
-            self._given["show"](printable.lines(f"{scheme}://{f'[{host}]' if ':' in host else host}:{port}"))
-            try:
-                service.serve(listening, certificate, key)
-            except KeyboardInterrupt:
-                pass
-            finally:
-                signal.signal(signal.SIGTERM, before)
-        self._given["say"]("ended: every decision that was answered is on disk")
-        yield from ()
-
-    def _viewed(self) -> str:
-        with TemporaryDirectory() as folder:
-            page = Path(folder) / "run.html"
-            open_ledger(self._out).view(page, run=self._run)
-            return page.read_text("utf-8")
-
-    def _listening(self) -> socket.socket:
-        try:
-            family = socket.AF_INET6 if ":" in self._host else socket.AF_INET
-            return socket.create_server((self._host, self._port), family=family, backlog=1024)
-        except (OSError, OverflowError) as error:
-            raise UsageError(
-                f"--host {self._host} --port {self._port}: {error}, expected a free port of this machine"
-            ) from error
-
-
-@verb(
-    "serve out/site --principals site.principals --port 8000",
-    name="serve",
-    takes=(),
-    after_interruption=CONTINUES,
-)
-def serve_federation(
-    out: Annotated[Place, argument("OUT", "A new folder, or that of a ledger to add to.")],
-    principals: Annotated[Place, Option("--principals", "FILE", "Who may speak: what `principal new` made.")],
-    *,
-    run: str = declare("NAME", "The name of the run; one that is there goes on.", value="live"),
-    fleet: str | None = declare("FLEET", "A .toml file with your own fleet, or the name of a registered one."),
-    robots: int | None = declare("N", "How many robots it has.", "one team", least=1),
-    settings: Names = declare("NAME=VALUE", "Set a constant, as `simulate` does; may be repeated.", flag="--set"),
-    origin: str | None = declare("NAME", "Publish a new ledger under this name.", "the key's name, else a general one"),
-    key: KeyOption = None,
-    host: str = declare("ADDRESS", "The address to listen at.", value="127.0.0.1"),
-    port: int = declare("N", "The port to listen at; 0 takes a free one.", least=0, most=65535, value=0),
-    rate: int = declare("N", "How many commands a second each principal may give.", least=1, value=100),
-    certificate: Place | None = declare("FILE", "Serve over TLS with this certificate (PEM)."),
-    certificate_key: Place | None = declare("FILE", "Its key.", "in the same file"),
-    say: Annotated["Callable[..., None]", Gives("say")],
-    show: Annotated["Callable[[SafeText], None]", Gives("show")],
-) -> ServedFederation:
-    """Govern a fleet that is really there over HTTP, until interrupted.
-
-    Prints its address, under which a page describes the interface. A command is answered once its decision is on disk.
-    A token tells who speaks, and nobody speaks for another.
-
-    Raises:
-        UsageError: The fleet or the principals cannot be read, the run is not live, or the address is taken.
-        WriteFailed: A write failed; what is committed stays.
-    """
-    given = {"fleet": fleet, "robots": robots, "settings": names_of(settings) or (), "origin": origin, "key": key}
-    files = [None if file is None else Path(file) for file in (certificate, certificate_key)]
-    return ServedFederation(
-        Path(out),
-        run,
-        Path(principals),
-        host,
-        port,
-        rate,
-        federation=given,
-        certificate=files[0],
-        certificate_key=files[1],
-        say=say,
-        show=show,
-    )
-
-
-def _token_told(file: Place, name: str) -> Answer:
-    return Plain(f"{principal_new(file, name)}\n")
-
-
-@verb(
-    "principal new site.principals robot/A1",
-    name="principal new",
-    takes=(),
-    call=_token_told,
-)
-def principal_new(
-    file: Annotated[Place, argument("FILE", "The file of the principals; made if there is none.")],
-    name: Annotated[str, argument("NAME", "robot/A1, supervisor/A1, service/NAME or auditor/NAME.")],
-) -> str:
-    """Let a principal speak to the service, and return its token, which is kept nowhere.
-
-    A robot speaks for itself, a supervisor for what they supervise, a service brings work, an auditor reads. To take a
-    token back, remove its line from FILE: the service reads the file when it changes.
-
-    Raises:
-        UsageError: No principal can have this name, or the file holds something else.
-        WriteFailed: The file cannot be written.
-    """
-    from fsar_ledger.service.principals import add_principal
-
-    return add_principal(Path(file), name)

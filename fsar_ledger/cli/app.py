@@ -27,7 +27,7 @@ from .terminal import OutputClosed, say, show
 
 INTERRUPTED = 130
 GROUPS = {
-    "Record": ("simulate", "record", "import", "federate", "serve", "principal"),
+    "Record": ("simulate", "record", "import", "federate", "serve", "principal", "demo"),
     "Ask": (
         *("info", "metrics", "statistics", "compare"),
         *("query", "sql", "export", "open", "explain", "log"),
@@ -50,8 +50,8 @@ FAMILIES = {
 HOMES = {
     "study": ("fsar_ledger.studies.verbs", "fsar_ledger.api.multiverse"),
     "import": ("fsar_ledger.api.imports",),
-    "serve": ("fsar_ledger.api.federate",),
-    "principal": ("fsar_ledger.api.federate",),
+    "principal": ("fsar_ledger.api.serve",),
+    "demo": ("fsar_ledger.api.serve",),
 }
 """The modules of verbs that are not those of the same name in the API."""
 

@@ -85,19 +85,12 @@ class Client:
             Refused: It is no command, not this principal's to give, or the service cannot take it in all that time.
         """
         headers = {"Idempotency-Key": key or secrets.token_hex(16), "Content-Type": "application/json"}
-        body = msgspec.json.encode(fields)
-        for pause_s in self._pauses():
-            try:
-                status, answer = self._asked("POST", f"/commands/{quote(command)}", body, headers)
-            except (OSError, http.client.HTTPException) as error:
-                status, answer = 503, f"the service does not answer ({error})".encode()
-                self.close()
-            if status == 200:
-                return msgspec.json.decode(answer, type=Answered)
-            if status not in TRANSIENT or pause_s is None:
-                break
-            self._pause(pause_s)
-        raise Refused(status, _reason(answer))
+        answer = self._patiently("POST", f"/commands/{quote(command)}", msgspec.json.encode(fields), headers)
+        return msgspec.json.decode(answer, type=Answered)
+
+    def known(self) -> int:
+        """Return how many events the run has. Raises: Refused: The service is away, or its disk refuses."""
+        return int(msgspec.json.decode(self._patiently("GET", "/health", None, {}))["events"])
 
     def events(
         self, after: int | None = None, *, robot: str | None = None, task: str | None = None, concern: str | None = None
@@ -150,7 +143,22 @@ class Client:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _asked(self, method: str, path: str, body: bytes, headers: dict[str, str]) -> tuple[int, bytes]:
+    def _patiently(self, method: str, path: str, body: bytes | None, headers: dict[str, str]) -> bytes:
+        """Return the answer, asking again after what passes. Raises: Refused for any other, or in the end."""
+        for pause_s in self._pauses():
+            try:
+                status, answer = self._asked(method, path, body, headers)
+            except (OSError, http.client.HTTPException) as error:
+                status, answer = 503, f"the service does not answer ({error})".encode()
+                self.close()
+            if status == 200:
+                return answer
+            if status not in TRANSIENT or pause_s is None:
+                break
+            self._pause(pause_s)
+        raise Refused(status, _reason(answer))
+
+    def _asked(self, method: str, path: str, body: bytes | None, headers: dict[str, str]) -> tuple[int, bytes]:
         if self._line is None:
             self._line = self._connection()
         self._line.request(method, path, body, {**self._headers(), **headers})

@@ -36,7 +36,8 @@ async function give(command, fields) {
 
 function card(call, now) {
   const facts = element("dl", null);
-  const left = call.ends_us === null ? "" : ` That is in ${Math.max(0, Math.round((call.ends_us - now) / 1e6))} s.`;
+  const ends = new Date(Date.now() + (call.ends_us - now) / 1000);
+  const left = call.ends_us === null ? "" : ` That is at ${ends.toLocaleTimeString()}.`;
   for (const [name, text] of [["Rule", call.why], ["Known", call.known.join(" ")], ["If nobody answers", call.otherwise + left]]) {
     facts.append(element("dt", name), element("dd", text));
   }

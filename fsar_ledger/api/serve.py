@@ -1,0 +1,205 @@
+"""The verbs `serve`, `principal new` and `demo`: a live federation behind HTTP."""
+
+import signal
+import socket
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from importlib.util import find_spec
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Annotated, Any
+
+from fsar_ledger.base import printable
+from fsar_ledger.base.errors import UsageError, option
+from fsar_ledger.base.printable import SafeText
+
+from .answers import Answer, Plain, Screen
+from .federate import CONTINUES, federate
+from .ledger import open_ledger
+from .names import Names, Place, names_of
+from .verbs import Gives, KeyOption, Option, argument, declare, switch, verb
+
+if TYPE_CHECKING:
+    from fsar_ledger.runtime.federation import Federation
+
+
+def require_service() -> None:
+    """Require the packages of the extra. Raises: UsageError."""
+    missing = [name for name in ("starlette", "uvicorn", "httptools") if find_spec(name) is None]
+    if missing:
+        raise UsageError(
+            f'serve: found no library {missing[0]}, expected it; install it with `pip install "fsar-ledger[service]"`'
+        )
+
+
+class ServedFederation(Answer):
+    """A server of a federation; to show the answer is to serve until SIGTERM or Ctrl-C."""
+
+    def __init__(self, out: Path, run: str, principals: Path, host: str, port: int, rate: int, **given: Any) -> None:
+        self._out, self._run, self._principals, self._given = out, run, principals, given
+        self._host, self._port, self._rate = host, port, rate
+
+    def text(self, _: Screen) -> Iterator[SafeText]:
+        """Show the address, then serve; nothing is left to yield."""
+        require_service()
+        from fsar_ledger.service.principals import Principals
+        from fsar_ledger.service.server import Service
+
+        def opened(on_commit: Callable[[int, bytes], None]) -> "Federation":
+            return federate(self._out, run=self._run, on_commit=on_commit, **self._given["federation"])
+
+        service = Service(self._out, self._run, opened, Principals(self._principals), self._rate, self._viewed)
+        certificate, key = self._given["certificate"], self._given["certificate_key"]
+        before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+        with self._listening() as listening:
+            host, port = listening.getsockname()[:2]
+            scheme = "http" if certificate is None else "https"
+            self._given["show"](printable.lines(f"{scheme}://{f'[{host}]' if ':' in host else host}:{port}"))
+            try:
+                with suppress(KeyboardInterrupt):
+                    service.serve(listening, certificate, key)
+            finally:
+                signal.signal(signal.SIGTERM, before)
+        self._given["say"]("ended: every decision that was answered is on disk")
+        yield from ()
+
+    def _viewed(self) -> str:
+        with TemporaryDirectory() as folder:
+            page = Path(folder) / "run.html"
+            open_ledger(self._out).view(page, run=self._run)
+            return page.read_text("utf-8")
+
+    def _listening(self) -> socket.socket:
+        try:
+            family = socket.AF_INET6 if ":" in self._host else socket.AF_INET
+            return socket.create_server((self._host, self._port), family=family, backlog=1024)
+        except (OSError, OverflowError) as error:
+            raise UsageError(
+                f"--host {self._host} --port {self._port}: {error}, expected a free port of this machine"
+            ) from error
+
+
+@verb(
+    "serve out/site --principals site.principals --port 8000",
+    name="serve",
+    takes=(),
+    after_interruption=CONTINUES,
+)
+def serve_federation(
+    out: Annotated[Place, argument("OUT", "A new folder, or that of a ledger to add to.")],
+    principals: Annotated[Place, Option("--principals", "FILE", "Who may speak: what `principal new` made.")],
+    *,
+    run: str = declare("NAME", "The name of the run; one that is there goes on.", value="live"),
+    fleet: str | None = declare("FLEET", "A .toml file with your own fleet, or the name of a registered one."),
+    robots: int | None = declare("N", "How many robots it has.", "one team", least=1),
+    settings: Names = declare("NAME=VALUE", "Set a constant, as `simulate` does; may be repeated.", flag="--set"),
+    origin: str | None = declare("NAME", "Publish a new ledger under this name.", "the key's name, else a general one"),
+    key: KeyOption = None,
+    host: str = declare("ADDRESS", "The address to listen at.", value="127.0.0.1"),
+    port: int = declare("N", "The port to listen at; 0 takes a free one.", least=0, most=65535, value=0),
+    rate: int = declare("N", "How many commands a second each principal may give.", least=1, value=100),
+    certificate: Place | None = declare("FILE", "Serve over TLS with this certificate (PEM)."),
+    certificate_key: Place | None = declare("FILE", "Its key.", "in the same file"),
+    say: Annotated["Callable[..., None]", Gives("say")],
+    show: Annotated["Callable[[SafeText], None]", Gives("show")],
+) -> ServedFederation:
+    """Govern a fleet that is really there over HTTP, until interrupted.
+
+    Prints its address, under which a page describes the interface. A command is answered once its decision is on disk.
+    A token tells who speaks, and nobody speaks for another.
+
+    Raises:
+        UsageError: The fleet or the principals cannot be read, the run is not live, or the address is taken.
+        WriteFailed: A write failed; what is committed stays.
+    """
+    given = {"fleet": fleet, "robots": robots, "settings": names_of(settings) or (), "origin": origin, "key": key}
+    files = [None if file is None else Path(file) for file in (certificate, certificate_key)]
+    return ServedFederation(
+        Path(out),
+        run,
+        Path(principals),
+        host,
+        port,
+        rate,
+        federation=given,
+        certificate=files[0],
+        certificate_key=files[1],
+        say=say,
+        show=show,
+    )
+
+
+def _token_told(file: Place, name: str) -> Answer:
+    return Plain(f"{principal_new(file, name)}\n")
+
+
+@verb(
+    "principal new site.principals robot/A1",
+    name="principal new",
+    takes=(),
+    call=_token_told,
+)
+def principal_new(
+    file: Annotated[Place, argument("FILE", "The file of the principals; made if there is none.")],
+    name: Annotated[str, argument("NAME", "robot/A1, supervisor/A1, service/NAME or auditor/NAME.")],
+) -> str:
+    """Let a principal speak to the service, and return its token, which is kept nowhere.
+
+    A robot speaks for itself, a supervisor for what they supervise, a service brings work, an auditor reads. To take a
+    token back, remove its line from FILE: the service reads the file when it changes.
+
+    Raises:
+        UsageError: No principal can have this name, or the file holds something else.
+        WriteFailed: The file cannot be written.
+    """
+    from fsar_ledger.service.principals import add_principal
+
+    return add_principal(Path(file), name)
+
+
+class Played(Answer):
+    """The stories of the demo as they are played; to show the answer is to play them."""
+
+    def __init__(self, out: Path, by_hand: bool, step_s: float) -> None:
+        self._out, self._by_hand, self._step_s = out, by_hand, step_s
+
+    def text(self, _: Screen) -> Iterator[SafeText]:
+        """Yield a line for each story, once it has ended."""
+        from fsar_ledger.service.demo import HUB, HUMAN, TASKS, Demo, play
+
+        with Demo(self._out, self._by_hand, self._step_s) as demo, demo.way(HUB) as hub:
+            yield printable.lines(f"console: {demo.url}/console", f"token of {HUMAN}: {demo.tokens[HUMAN]}")
+            for number, (name, _tasks) in enumerate(TASKS):
+                ended = play(hub, number, 3_600 if self._by_hand else 120 * self._step_s)
+                yield printable.lines(f"{name}: {', '.join(ended)}")
+        yield printable.lines(f"on record: fsar-ledger log {self._out}; fsar-ledger verify {self._out} --replay")
+
+
+@verb(
+    "demo out/demo",
+    "demo out/demo --by-hand",
+    name="demo",
+    takes=(),
+    after_interruption=CONTINUES,
+)
+def demo(
+    out: Annotated[Place, argument("OUT", "A new folder.")],
+    *,
+    by_hand: bool = switch("Answer the calls to the fleet's supervisor yourself, in the console."),
+    step: float = declare("SECONDS", "How long a robot takes for anything.", value=1.0),
+) -> Played:
+    """Play four stories with robots that are processes, against a service, and put them on record.
+
+    A door relay, a failure that only a person resolves, two robots at one door, and one that goes off under review.
+    Prints the address of the console, in which a person sees what happens, and answers with --by-hand.
+
+    Raises:
+        UsageError: OUT is there already, or the extra `service` is not installed.
+        WriteFailed: A write failed; what is committed stays.
+    """
+    require_service()
+    if Path(out).exists():
+        raise UsageError(f"{printable.value(str(out))}: found something, expected a new folder")
+    if not 0 < step <= 60:
+        raise UsageError(f"{option('step', step)}: expected some seconds, at most 60")
+    return Played(Path(out), by_hand, step)
