@@ -35,6 +35,7 @@ LEFT_OUT = {
     "federate": "it makes the ledger",
     "serve": "it makes the ledger",
     "principal": "it takes no ledger",
+    "demo": "it makes the ledger",
     "maintain upgrade": "it takes a ledger of format 1",
     "verify-proof": "it reads a proof, not a ledger",
     "reproduce": "it takes no ledger",

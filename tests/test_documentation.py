@@ -49,7 +49,7 @@ COMMANDS: dict[str, Any] = dict(listed(get_command(app)))
 STUDIES = {f"study run {name}" for name in KINDS} | {"study show"}
 # The last two need each other (tests/witness/test_processes.py), and a comparison and what is shown need what another
 # study writes (tests/studies).
-LONG = {"reproduce", *STUDIES, "serve", "witness serve", "witness ask"}
+LONG = {"reproduce", *STUDIES, "serve", "demo", "witness serve", "witness ask"}
 
 
 def sources() -> Iterator[Path]:

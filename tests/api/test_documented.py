@@ -19,8 +19,8 @@ DOCS = Path(fsar_ledger.__file__).resolve().parent.parent / "docs"
 PAGE = (DOCS / "python.md").read_text("utf-8")
 NOTEBOOKS = {"tour.ipynb": ["out/tour.svg"], "auditors-hour.ipynb": ["out/denial.tlog-proof"]}
 """The notebooks, and the file that the last cells of each make."""
-WITHOUT_FUNCTION = {"serve", "witness serve", "study show"}
-"""The first two run until they are interrupted; the last prints a file that Python reads as JSON or Parquet."""
+WITHOUT_FUNCTION = {"serve", "demo", "witness serve", "study show"}
+"""A service and a demo are processes; the last prints a file that Python reads as JSON or Parquet."""
 FUNCTIONS = {"import": "import_records", "calibration": "calibrate", "predictions": "predict", "comparison": "judge"}
 """The functions that have another name in Python."""
 

@@ -66,6 +66,7 @@ def calls(ledger: Path, call: Call, place: Path) -> Iterator[tuple[object, ...]]
     yield from (("import", out, place / EVIL[:9].replace("/", ""), "--as", EVIL), ("record", out, "--observes", EVIL))
     yield from (("federate", out, EVIL), ("federate", out, "day", "--fleet", EVIL))
     yield from (("serve", out, "--principals", place / EVIL), ("principal", "new", place / "principals", EVIL))
+    yield from (("demo", place / FOLDER / EVIL, "--step", 0), ("demo", ledger))
     yield (
         "sql",
         ledger,

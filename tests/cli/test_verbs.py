@@ -22,7 +22,7 @@ for module in iter_modules(api.__path__):
     import_module(f"{api.__name__}.{module.name}")
 import_module("fsar_ledger.studies.verbs")
 STUDIES = {name for name in VERBS if name.startswith("study ")} - {"study run multiverse"}
-WITHOUT_FUNCTION = {"query", "serve", "witness serve", "record", "federate", "import", *STUDIES}
+WITHOUT_FUNCTION = {"query", "serve", "demo", "witness serve", "record", "federate", "import", *STUDIES}
 """In Python a query is `Ledger.query`, whose parameters are those of the query; studies are `calibrate` and so on; a
 recorder and a federation are context managers, and `import` a keyword."""
 FORMS = {"json": "--json", "csv": "--csv", "ndjson": "--ndjson"}
