@@ -51,6 +51,12 @@ def first_of(ledger: Path, call: Call, column: str) -> str:
     return str(rows["run"] if column == "run_id" else rows["requests"][0][column])
 
 
+def live(place: Path) -> Iterator[tuple[object, ...]]:
+    """Calls of what serves live fleets."""
+    yield from (("serve", place / FOLDER, "--principals", place / EVIL), ("demo", place / EVIL, "--step", 0))
+    yield "principal", "new", place / "principals", EVIL
+
+
 def calls(ledger: Path, call: Call, place: Path) -> Iterator[tuple[object, ...]]:
     """A call or two of every verb that show text of the ledger, or of their own arguments."""
     run, action = first_of(ledger, call, "run_id"), first_of(ledger, call, "action_id")
@@ -65,8 +71,7 @@ def calls(ledger: Path, call: Call, place: Path) -> Iterator[tuple[object, ...]]
     yield from (("metrics", ledger), ("statistics", ledger), ("audit", ledger), ("query", "failures", ledger))
     yield from (("import", out, place / EVIL[:9].replace("/", ""), "--as", EVIL), ("record", out, "--observes", EVIL))
     yield from (("federate", out, EVIL), ("federate", out, "day", "--fleet", EVIL))
-    yield from (("serve", out, "--principals", place / EVIL), ("principal", "new", place / "principals", EVIL))
-    yield from (("demo", place / FOLDER / EVIL, "--step", 0), ("demo", ledger))
+    yield from live(place)
     yield (
         "sql",
         ledger,
