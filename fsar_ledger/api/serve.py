@@ -7,17 +7,20 @@ from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from threading import Event, Thread
 from typing import TYPE_CHECKING, Annotated, Any
 
 from fsar_ledger.base import printable
-from fsar_ledger.base.errors import UsageError, option
+from fsar_ledger.base.errors import FsarLedgerError, UsageError, option
 from fsar_ledger.base.printable import SafeText
 
 from .answers import Answer, Plain, Screen
 from .federate import CONTINUES, federate
+from .files import write_text
 from .ledger import open_ledger
 from .names import Names, Place, names_of
 from .verbs import Gives, KeyOption, Option, argument, declare, switch, verb
+from .witness import witness_ask
 
 if TYPE_CHECKING:
     from fsar_ledger.runtime.federation import Federation
@@ -55,13 +58,28 @@ class ServedFederation(Answer):
             host, port = listening.getsockname()[:2]
             scheme = "http" if certificate is None else "https"
             self._given["show"](printable.lines(f"{scheme}://{f'[{host}]' if ':' in host else host}:{port}"))
+            ended = Event()
+            witnesses = Thread(target=self._ask_witnesses, args=(ended,), name="witnesses", daemon=True)
+            if self._given["policy"] is not None:
+                witnesses.start()
             try:
                 with suppress(KeyboardInterrupt):
                     service.serve(listening, certificate, key)
             finally:
+                ended.set()
                 signal.signal(signal.SIGTERM, before)
         self._given["say"]("ended: every decision that was answered is on disk")
         yield from ()
+
+    def _ask_witnesses(self, ended: Event) -> None:
+        """Have the newest checkpoint cosigned every so often, as `witness ask` does, until it has ended."""
+        kept = self._out.with_name(f"{self._out.name}.cosigned")
+        while not ended.wait(self._given["witness_every"]):
+            try:
+                found = witness_ask(open_ledger(self._out), self._given["policy"])
+                write_text(kept, f"{found.note}")
+            except FsarLedgerError as error:
+                self._given["say"](f"witnesses: {error}")
 
     def _viewed(self) -> str:
         with TemporaryDirectory() as folder:
@@ -100,6 +118,8 @@ def serve_federation(
     rate: int = declare("N", "How many commands a second each principal may give.", least=1, value=100),
     certificate: Place | None = declare("FILE", "Serve over TLS with this certificate (PEM)."),
     certificate_key: Place | None = declare("FILE", "Its key.", "in the same file"),
+    policy: Place | None = declare("FILE", "Have checkpoints cosigned by the witnesses of this C2SP policy."),
+    witness_every: int = declare("SECONDS", "How often; the newest cosigned one is OUT.cosigned.", least=1, value=60),
     say: Annotated["Callable[..., None]", Gives("say")],
     show: Annotated["Callable[[SafeText], None]", Gives("show")],
 ) -> ServedFederation:
@@ -109,9 +129,13 @@ def serve_federation(
     A token tells who speaks, and nobody speaks for another.
 
     Raises:
-        UsageError: The fleet or the principals cannot be read, the run is not live, or the address is taken.
+        UsageError: A file cannot be read, the run is not live, or the address is taken.
         WriteFailed: A write failed; what is committed stays.
     """
+    if policy is not None:
+        from fsar_ledger.witness.policy import read_policy
+
+        read_policy(Path(policy))  # so that what is wrong with it is told before anything begins
     given = {"fleet": fleet, "robots": robots, "settings": names_of(settings) or (), "origin": origin, "key": key}
     files = [None if file is None else Path(file) for file in (certificate, certificate_key)]
     return ServedFederation(
@@ -124,6 +148,8 @@ def serve_federation(
         federation=given,
         certificate=files[0],
         certificate_key=files[1],
+        policy=None if policy is None else Path(policy),
+        witness_every=witness_every,
         say=say,
         show=show,
     )

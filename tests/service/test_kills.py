@@ -10,11 +10,13 @@ from pathlib import Path
 
 import pytest
 
+import fsar_ledger
 from fsar_ledger.events.command import CommandGiven
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.service.client import Client
 from fsar_ledger.service.principals import add_principal
-from tests.service.site import TASK, is_good
+from tests.service.site import TASK, is_good, until
+from tests.witness.processes import honest
 
 pytestmark = pytest.mark.slow
 
@@ -22,19 +24,11 @@ pytestmark = pytest.mark.slow
 class Process:
     """The command `serve`, as a process."""
 
-    def __init__(self, folder: Path, port: int) -> None:
+    def __init__(self, folder: Path, port: int, *options: object) -> None:
         self.ledger = folder / "ledger"
-        command = (
-            sys.executable,
-            "-m",
-            "fsar_ledger",
-            "serve",
-            f"{self.ledger}",
-            "--principals",
-            f"{folder}/principals",
-        )
+        served = (self.ledger, "--principals", folder / "principals", "--port", port, "--rate", 10_000, *options)
         self.process = subprocess.Popen(
-            [*command, "--port", f"{port}", "--rate", "10000"],
+            [sys.executable, "-m", "fsar_ledger", "serve", *map(str, served)],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
@@ -107,3 +101,29 @@ def test_what_was_acknowledged_is_on_record_once_after_any_kill(tmp_path: Path) 
 @pytest.mark.soak
 def test_a_hundred_kills_lose_nothing(tmp_path: Path) -> None:
     _killed(tmp_path, 100)
+
+
+def test_witnesses_are_asked_while_it_serves(tmp_path: Path) -> None:
+    token = add_principal(tmp_path / "principals", "robot/A1")
+    key, policy = tmp_path / "fleet.key", tmp_path / "policy"
+    fsar_ledger.key_new(key, name="example.org/fleet")
+    fsar_ledger.witness_new(tmp_path / "w1", name="example.org/w1")
+    with honest(tmp_path / "w1", [f"{key}.pub"]) as witness:
+        log = Path(f"{key}.pub").read_text().strip()
+        policy.write_text(f"log {log}\n{witness.line('w1')}group enough 1 w1\nquorum enough\n")
+        one = Process(tmp_path, 0, "--key", key, "--policy", policy, "--witness-every", 1)
+        with Client(one.url, token) as way:
+            way.give("SubmitTask", task_id="t", **TASK)
+            until((tmp_path / "ledger.cosigned").exists)
+            code, _ = one.end(signal.SIGTERM)
+    assert code == 0
+    verified = fsar_ledger.Ledger(one.ledger).verify(witness_policy=policy, cosigned=[tmp_path / "ledger.cosigned"])
+    assert verified.exit_code == 0
+
+
+def test_a_policy_that_cannot_be_read_is_told_before_anything_begins(tmp_path: Path) -> None:
+    add_principal(tmp_path / "principals", "robot/A1")
+    one = Process(tmp_path, 0, "--policy", tmp_path / "none")
+    _, said = one.process.communicate(timeout=30)
+    assert (one.process.returncode, "none" in said) == (2, True)
+    assert not one.ledger.exists()
