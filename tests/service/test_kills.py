@@ -117,7 +117,8 @@ def test_witnesses_are_asked_while_it_serves(tmp_path: Path) -> None:
             until((tmp_path / "ledger.cosigned").exists)
             code, _ = one.end(signal.SIGTERM)
     assert code == 0
-    verified = fsar_ledger.Ledger(one.ledger).verify(witness_policy=policy, cosigned=[tmp_path / "ledger.cosigned"])
+    kept = [tmp_path / "ledger.cosigned"]
+    verified = fsar_ledger.Ledger(one.ledger).verify(witness_policy=policy, cosigned=kept, now_s=int(time.time()))
     assert verified.exit_code == 0
 
 
