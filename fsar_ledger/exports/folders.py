@@ -18,7 +18,7 @@ from fsar_ledger.ledger.store import disk
 from fsar_ledger.ledger.store.paths import CHECKPOINT, require_outside, segment_name
 from fsar_ledger.ledger.store.read import View
 
-from .shared import Written
+from . import Written
 
 DELTA, TILES = "writing a Delta table", "writing tiles"
 

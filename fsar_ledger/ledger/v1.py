@@ -21,7 +21,7 @@ from fsar_ledger.ledger.log.note import checkpoint_of, is_name, parse_note
 from fsar_ledger.ledger.log.tiles import TILE, WIDTH, Edge, Tile
 from fsar_ledger.ledger.rows.blocks import Runs
 from fsar_ledger.ledger.rows.bounds import MAX_ROWS, MAX_SEGMENT_BYTES
-from fsar_ledger.ledger.rows.releases import FINGERPRINTS
+from fsar_ledger.ledger.rows.schema import FINGERPRINTS
 from fsar_ledger.ledger.store import disk
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.manifest import FORMAT, VERSION_1, Manifest, parse_document, read_manifest, version_of

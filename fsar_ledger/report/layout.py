@@ -17,7 +17,7 @@ import pyarrow as pa
 import fsar_ledger
 from fsar_ledger.metrics.database import Database
 from fsar_ledger.metrics.library import Library, sources
-from fsar_ledger.report import charts, printing, sequence, specs
+from fsar_ledger.report import figures, printing, sequence, specs
 from fsar_ledger.report.findings import Head, Source
 
 Row = Mapping[str, Any]
@@ -160,9 +160,9 @@ def _drawn(part: specs.Figure, rows: Sequence[Row]) -> bytes:
     """Return the figure as SVG."""
     match part:
         case specs.Bars():
-            return charts.distances(part, rows) if part.lying else charts.bars(part, rows)
+            return figures.distances(part, rows) if part.lying else figures.bars(part, rows)
         case specs.Curve():
-            return charts.curve(part, rows)
+            return figures.curve(part, rows)
         case specs.Sequence():
             return sequence.ladder(rows) if part.ladder else sequence.sequence(rows)
     raise TypeError(f"{type(part).__name__}: found a figure that nothing draws")

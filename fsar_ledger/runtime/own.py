@@ -16,7 +16,7 @@ from fsar_ledger.base import printable
 from fsar_ledger.base.errors import InvalidExperiment, UsageError
 from fsar_ledger.designs import Fleet, Scenario, registered
 from fsar_ledger.designs.constants import SIGNED, Constants, with_all_groups
-from fsar_ledger.designs.files import at_line, read_design
+from fsar_ledger.designs.registered import at_line, read_design
 from fsar_ledger.metrics.constant_names import names_of_constants
 
 from .world.checks import Problem, problems_of_fleet, problems_of_scenario

@@ -14,8 +14,7 @@ import msgspec
 from fsar_ledger.base.errors import UsageError
 from fsar_ledger.base.printable import value
 
-from .adapter import Input, Record, unreadable
-from .json_lines import utc_us
+from .adapter import Input, Record, unreadable, utc_us
 
 SQLITE = b"SQLite format 3\0"
 TABLES = ("event", "event_map_type", "event_object", "object", "object_map_type", "object_object")

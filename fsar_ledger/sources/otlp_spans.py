@@ -8,8 +8,7 @@ import msgspec
 from fsar_ledger.base.printable import escaped
 from fsar_ledger.events.envelope import Robot, recorded_robot
 
-from .adapter import Input, Record, unreadable
-from .json_lines import lines, shown
+from .adapter import Input, Record, lines, shown, unreadable
 
 MAX_DOCUMENT = 1 << 26
 """Bytes of a document over several lines."""

@@ -41,8 +41,7 @@ from fsar_ledger.events.request import RequestAccepted, RequestDenied, RequestIs
 from fsar_ledger.events.task import TaskCompleted
 from fsar_ledger.events.world import LinkCameUp, LinkWentDown, TaskArrived
 
-from .adapter import UNREADABLE, Derived, Input, Record
-from .json_lines import known, objects, shown, utc_us
+from .adapter import UNREADABLE, Derived, Input, Record, known, objects, shown, utc_us
 
 KINDS: Mapping[str, tuple[str, ...]] = {
     "state": ("operatingMode",),

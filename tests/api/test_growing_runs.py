@@ -5,9 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from fsar_ledger.api.events import Filter
+from fsar_ledger.api.events import Filter, LogRequest, stream
 from fsar_ledger.api.ledger import Ledger
-from fsar_ledger.api.log_rows import LogRequest, stream
 from fsar_ledger.base.errors import UsageError
 from fsar_ledger.designs.constants import Constants
 from fsar_ledger.ledger.log.merkle import tree_root

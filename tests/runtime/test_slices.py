@@ -9,7 +9,7 @@ from fsar_ledger.designs.constants import Constants
 from fsar_ledger.events.configuration import PAPER_ARCHITECTURES
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.rows.runs import joined
-from fsar_ledger.ledger.verify.verify import verify
+from fsar_ledger.ledger.verify import verify
 from fsar_ledger.runtime import staging
 from fsar_ledger.runtime.experiment import Experiment, run_experiment
 from fsar_ledger.runtime.replay import replay

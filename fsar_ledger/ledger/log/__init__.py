@@ -3,7 +3,6 @@
 ```
 merkle    RFC 6962 hashes and proofs
 tiles     which hashes are in which tile, and which tiles a commit adds
-note      signed notes and checkpoints
-ed25519   which public keys can be trusted
+note      signed notes and checkpoints, and which public keys can be trusted
 ```
 """

@@ -28,8 +28,8 @@ from fsar_ledger.ledger.log.merkle import Frontier
 from fsar_ledger.ledger.log.note import Checkpoint, Signer
 from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.rows.blocks import Block
-from fsar_ledger.ledger.rows.releases import RELEASE
 from fsar_ledger.ledger.rows.runs import LedgerRun, refusal
+from fsar_ledger.ledger.rows.schema import RELEASE
 from fsar_ledger.ledger.store import disk, growing, paths
 from fsar_ledger.ledger.store.derived import append_derived, index_line
 from fsar_ledger.ledger.store.journal import Frame, JournalFile
