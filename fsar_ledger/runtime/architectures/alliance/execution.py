@@ -20,7 +20,6 @@ from fsar_ledger.events.world import ContextChanged
 from fsar_ledger.projections.execution import Action
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.motivation import action_of
-from fsar_ledger.runtime.handlers import execution as bodies
 from fsar_ledger.runtime.handlers.commands import (
     ActionCommand,
     Command,
@@ -41,7 +40,14 @@ from fsar_ledger.runtime.handlers.commands import (
     named,
     open_failure,
 )
-from fsar_ledger.runtime.handlers.execution import approach, pause_running, resumed, started, waiting
+from fsar_ledger.runtime.handlers.execution import (
+    approach,
+    pause_running,
+    resume_when_replanned,
+    resumed,
+    start,
+    start_after_approach,
+)
 from fsar_ledger.runtime.handlers.policy import own_policy
 from fsar_ledger.runtime.handlers.recovery import attempt_failed, attempt_succeeds, attempted
 from fsar_ledger.runtime.handlers.task import TransferSegment, transferred
@@ -56,13 +62,6 @@ class StartWork(StartAction, kw_only=True):
 
     robot: Robot
     since_us: int
-
-
-@HANDLERS.decide(StartAction, body)
-def start(state: State, command: StartAction) -> tuple[Event, ...]:
-    """Start the execution: a robot that is active, and has no further to go, acts."""
-    action = waiting(state.execution, command.action_id)
-    return () if action is None else (started(state, action, command),)
 
 
 @HANDLERS.decide(StartWork, body)
@@ -107,22 +106,19 @@ def _on_approach(state: State, event: ApproachStarted, now_us: int) -> tuple[Sch
     action: Action = state.execution.actions[event.subject.action_id]
     active = state.motivation.active.get(event.robot)
     if active is None:
-        return bodies.start_after_approach(state, event, now_us)
+        return start_after_approach(state, event, now_us)
     again = state.motivation.spells[action_of(action.action_id)] - 1
     way = lasts("approach", f"{action.action_id}/{again}" if again else action.action_id)
     work = StartWork(action.action_id, robot=event.robot, since_us=active.since_us)
     return (Scheduled(work, 0, (way,), lasts(action.capability, action.action_id)),)
 
 
-@HANDLERS.react(ExecutionPaused)
-def _on_pause(state: State, event: ExecutionPaused, _now_us: int) -> tuple[Scheduled, ...]:
-    return (Scheduled(ResumeAction(event.subject.action_id), state.fleet.structure.replan_us),)
-
-
 HANDLERS.decide(TakeTurn, body)(approach)
+HANDLERS.decide(StartAction, body)(start)
+HANDLERS.react(ExecutionPaused)(resume_when_replanned)
 HANDLERS.react(ContextChanged)(pause_running)
 
-INSTEAD: dict[React, React] = {bodies.start_after_approach: _on_approach}
+INSTEAD: dict[React, React] = {start_after_approach: _on_approach}
 OWN: dict[type[Command], Decide] = {ResumeAction: _resume, TransferSegment: _transfer}
 
 

@@ -46,7 +46,6 @@ from fsar_ledger.runtime.handlers.commands import (
     Decide,
     DecideRoutine,
     Handlers,
-    ResumeAction,
     Scheduled,
     StartAction,
     TakeTurn,
@@ -58,7 +57,7 @@ from fsar_ledger.runtime.handlers.commands import (
     open_request,
     requester,
 )
-from fsar_ledger.runtime.handlers.execution import approach, pause_running, started, waiting
+from fsar_ledger.runtime.handlers.execution import approach, pause_running, resume_when_replanned, start
 from fsar_ledger.runtime.handlers.policy import own_policy
 from fsar_ledger.runtime.handlers.task import TransferSegment, transferred
 
@@ -84,13 +83,6 @@ def decide_own_step(state: State, _command: DecideOwnStep, request: Request) -> 
         return (RequestDenied(RequestSubject(request.task_id, request.action_id, None), principals, OWN_STEP),)
     decided = OwnStepDecided(request.subject, principals, request.capability)
     return (decided, queued_for(state, request, parties, robot))
-
-
-@HANDLERS.decide(StartAction, body)
-def start(state: State, command: StartAction) -> tuple[Event, ...]:
-    """Start the execution, without another look at policy."""
-    action = waiting(state.execution, command.action_id)
-    return () if action is None else (started(state, action, command),)
 
 
 @HANDLERS.decide(DecideRoutine, named)
@@ -125,12 +117,9 @@ def _on_denial(state: State, event: RequestDenied, _now_us: int) -> tuple[Schedu
     return (begin_again(state.fleet, event.subject.task_id, event.subject.action_id),)
 
 
-@HANDLERS.react(ExecutionPaused)
-def _on_pause(state: State, event: ExecutionPaused, _now_us: int) -> tuple[Scheduled, ...]:
-    return (Scheduled(ResumeAction(event.subject.action_id), state.fleet.structure.replan_us),)
-
-
 HANDLERS.decide(TakeTurn, body)(approach)
+HANDLERS.decide(StartAction, body)(start)
+HANDLERS.react(ExecutionPaused)(resume_when_replanned)
 HANDLERS.react(ContextChanged)(pause_running)
 OWN: dict[type[Command], Decide] = {TransferSegment: transfer_segment}
 

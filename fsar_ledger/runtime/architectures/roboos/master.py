@@ -50,7 +50,6 @@ from fsar_ledger.runtime.handlers.commands import (
     DecideRoutine,
     Handlers,
     React,
-    ResumeAction,
     Scheduled,
     StartAction,
     TakeTurn,
@@ -60,7 +59,7 @@ from fsar_ledger.runtime.handlers.commands import (
     nobody,
     open_request,
 )
-from fsar_ledger.runtime.handlers.execution import approach, pause_running, queued, started, waiting
+from fsar_ledger.runtime.handlers.execution import approach, pause_running, queued, resume_when_replanned, start
 from fsar_ledger.runtime.handlers.policy import own_policy
 from fsar_ledger.runtime.handlers.task import begin_step, on_arrival, on_completed
 
@@ -249,13 +248,6 @@ def _may(state: State, robot: Robot, capability: str | None, context: str | None
     return own_policy(state.policy, state.world, robot, capability, context) != "deny"
 
 
-@HANDLERS.decide(StartAction, body)
-def start(state: State, command: StartAction) -> tuple[Event, ...]:
-    """Start the execution, whatever any policy says by now."""
-    action = waiting(state.execution, command.action_id)
-    return () if action is None else (started(state, action, command),)
-
-
 @HANDLERS.decide(DecideRoutine, named)
 def decide_routine(state: State, command: DecideRoutine) -> tuple[Event, ...]:
     """Perform the routine operation; with the gate, withhold a motion that the robot's own policy denies."""
@@ -290,15 +282,8 @@ def _reported(action_id: str, task_id: str, robot: Robot) -> tuple[Scheduled, ..
     return (Scheduled(TakeResult(action_id, task_id, robot), 0, (message(robot, action_id, 4),)),)
 
 
-@HANDLERS.react(ContextChanged)
-def _on_context(state: State, event: ContextChanged, now_us: int) -> tuple[Scheduled, ...]:
-    return pause_running(state, event, now_us)
-
-
-@HANDLERS.react(ExecutionPaused)
-def _on_pause(state: State, event: ExecutionPaused, _now_us: int) -> tuple[Scheduled, ...]:
-    """Let the robot's own agent replan: it turns from observation to action by itself (slaver_agent.py, run)."""
-    return (Scheduled(ResumeAction(event.subject.action_id), state.fleet.structure.replan_us),)
-
-
 HANDLERS.decide(TakeTurn, body)(approach)
+HANDLERS.decide(StartAction, body)(start)
+HANDLERS.react(ContextChanged)(pause_running)
+# The robot's own agent replans: it turns from observation to action by itself (slaver_agent.py, run).
+HANDLERS.react(ExecutionPaused)(resume_when_replanned)

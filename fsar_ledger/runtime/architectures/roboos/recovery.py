@@ -41,7 +41,7 @@ from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.recovery import Recovery
 from fsar_ledger.projections.world import is_linked
 from fsar_ledger.runtime.handlers import assistance, supervision
-from fsar_ledger.runtime.handlers.attribution import helpers, is_idle, parties
+from fsar_ledger.runtime.handlers.attribution import helpers, parties
 from fsar_ledger.runtime.handlers.commands import (
     ActionCommand,
     Command,
@@ -227,23 +227,7 @@ def _failed_result(state: State, action: Action) -> ExecutionFinished:
 @HANDLERS.decide_on(open_failure, ReachHelper, helping)
 def reach_helper(state: State, command: ReachHelper, failure: Failure) -> tuple[Event, ...]:
     """Help, or decline under the lock. Nothing is evaluated, so no decision is recorded."""
-    action, recovery = failure
-    if recovery.awaited != command.helper:
-        return ()
-    if not is_idle(state.execution, command.helper):
-        return (AssistanceDeclined(action.subject, action.robot, command.helper, recovery.failure),)
-    return (
-        AssistanceAdmitted(
-            subject=action.subject,
-            principals=Principals(
-                decided_by=None, requested_by=None, executed_by=action.executed_by, supervised_by=None, path=()
-            ),
-            robot=action.robot,
-            helper=command.helper,
-            failure=recovery.failure,
-            level="peer",
-        ),
-    )
+    return assistance.ordered(state, command, failure, "peer")
 
 
 @HANDLERS.decide(EndAssistance, helping)
