@@ -106,14 +106,10 @@ class Layout:
         }
         return msgspec.json.encode(said, order="deterministic")
 
-    def drawing(self, name: str) -> bytes:
-        """Return the figure of this name as SVG. Raises: KeyError if it is not shown."""
-        return _drawn(*self._figures[name])
-
     @cached_property
     def drawings(self) -> dict[str, bytes]:
         """Return all figures as SVG, by file name."""
-        return {f"{name}.svg": self.drawing(name) for name in self._figures}
+        return {f"{name}.svg": _drawn(*figure) for name, figure in self._figures.items()}
 
 
 def for_programs(said: Mapping[str, Any], queries: Sequence[Source]) -> bytes:

@@ -73,11 +73,6 @@ class Knockout(NamedTuple):
     change: ChangeTable | None = None
 
     @property
-    def mechanism(self) -> str:
-        """Return what the mechanism does, and what replaces it."""
-        return MECHANISMS_OF[self.architecture][self.name]
-
-    @property
     def configuration(self) -> Configuration:
         """Return the configuration that lacks this mechanism alone."""
         return without([self.name])

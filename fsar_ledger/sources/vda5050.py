@@ -56,7 +56,6 @@ KINDS: Mapping[str, tuple[str, ...]] = {
 """The fields by which a message without a topic is known. Visualization comes last: a state has its fields, too."""
 
 SHOWN = ("orderId", "orderUpdateId", "lastNodeId", "operatingMode", "connectionState", "headerId", "paused", "driving")
-ENDED = ("FINISHED", "FAILED")
 
 
 class Vehicle(msgspec.Struct):

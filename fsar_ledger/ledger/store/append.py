@@ -19,7 +19,6 @@ import fcntl
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from types import TracebackType
 
 from fsar_ledger.base.errors import CommitTooLarge, NotALedger, WriteFailed, option
 from fsar_ledger.ledger.log import pack
@@ -114,9 +113,7 @@ class Writer:
     def __enter__(self) -> "Writer":
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def close(self) -> None:
@@ -180,12 +177,9 @@ class Writer:
                 disk.remove(staged_path(self._path, staged.segment_sha256))
                 return self._view.head
             require_staged(self._path, staged)
-            if (flaw := self._runs().refused(staged.blocks, self._view)) is not None:
-                disk.remove(staged_path(self._path, staged.segment_sha256))
-                raise refusal(flaw)
+            continues, release = self._continued(staged), staged.release
             self._seal_all()
             tree, nodes = pack.grow(self._view.tree(), staged.leaves)
-            continues, release = continued(staged.blocks), staged.release
             commit = self._record(staged.rows, tree.size, tree.root(), continues, staged.goes_on, release, signature)
             self._place(staged, [canonical.document(commit)], tree, nodes, staged.blocks)
             self._runs().add(staged.blocks)
@@ -327,6 +321,13 @@ class Writer:
                 if self._held is not None:
                     self._held.add_from(self._view, known)
             yield
+
+    def _continued(self, staged: Staged) -> tuple[tuple[str, int], ...]:
+        """Return the runs that the segment continues. Raises: InvalidRun if the ledger cannot hold its events."""
+        if (flaw := self._runs().refused(staged.blocks, self._view)) is not None:
+            disk.remove(staged_path(self._path, staged.segment_sha256))
+            raise refusal(flaw)
+        return continued(staged.blocks)
 
     def _record(
         self,
