@@ -21,8 +21,7 @@ from fsar_ledger.ledger.store.record import Head
 
 from .library import Library, Query, library
 from .own_sql import FOR_OLDER, FUNCTIONS, SHOWN, check_columns, register, statements
-from .paths import literal, quoted
-from .query_parameters import values
+from .sql_values import literal, quoted, values
 
 LOCK = (
     "threads = 1",

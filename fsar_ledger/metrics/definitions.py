@@ -20,7 +20,7 @@ from fsar_ledger.events import CONCERNS
 from fsar_ledger.events.configuration import FULL
 from fsar_ledger.ledger.rows.schema import RECORDS
 
-from .paths import written
+from .sql_values import written
 
 FILE = "reports/metrics.toml"
 

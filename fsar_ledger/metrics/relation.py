@@ -29,7 +29,7 @@ from fsar_ledger.ledger.rows.segment import read_table
 
 from .connection import Database
 from .library import SQL_TYPES
-from .paths import listed, literal, parquet, quoted, written
+from .sql_values import listed, literal, parquet, quoted, written
 
 _DATASET, _UPCAST, _AS_STORED = "events_dataset", "events_upcast", "events_as_stored"
 

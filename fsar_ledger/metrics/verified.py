@@ -45,7 +45,7 @@ from fsar_ledger.ledger.verify.report import VerifyOptions, VerifyReport
 from fsar_ledger.ledger.verify.segment import Digest
 
 from .connection import Database
-from .paths import literal, parquet
+from .sql_values import literal, parquet
 
 _DECODED = "decoded_rows"
 _EXPECTED = "the same as by pyarrow: rows that both of our readers read alike"
