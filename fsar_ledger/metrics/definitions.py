@@ -145,9 +145,9 @@ def definitions_sql(of: Sequence[Metric] | None = None) -> str:
     return _values("definitions", DEFINITIONS, rows)
 
 
-def concerns_sql(of: Sequence[Metric] | None = None) -> str:
-    """Return the SELECT of what each metric (of these, or of all) rests on."""
-    rows = [f"('{one.name}', '{concern}')" for one in of or metrics() for concern in one.rests_on]
+def concerns_sql() -> str:
+    """Return the SELECT of what each metric rests on."""
+    rows = [f"('{one.name}', '{concern}')" for one in metrics() for concern in one.rests_on]
     return _values("needed", "judge, concern", rows)
 
 

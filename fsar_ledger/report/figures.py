@@ -128,9 +128,9 @@ def say_no_value(panel: Any, at: float) -> None:
     panel.annotate("no value", (at, 0), (0, 3), textcoords="offset points", **upright)
 
 
-def whisker(panel: Any, at: float, low: float, high: float, colour: str = "black", capsize: float = 2) -> None:
+def whisker(panel: Any, at: float, low: float, high: float, colour: str = "black") -> None:
     """Draw an interval around its own centre: at a share of 0 rounding may lift a Wilson interval above the mean."""
-    look = {"fmt": "none", "ecolor": colour, "elinewidth": 0.9, "capsize": capsize, "zorder": 3}
+    look = {"fmt": "none", "ecolor": colour, "elinewidth": 0.9, "capsize": 2, "zorder": 3}
     panel.errorbar(at, (low + high) / 2, yerr=(high - low) / 2, **look)
 
 
