@@ -1,5 +1,11 @@
-"""RoboOS: a robot recovers by the checklist of the error, and its agent tries again while it has steps left.
+"""RoboOS: a robot serves one subtask at a time, in order of arrival, and sends one result back; how it recovers.
 
+Source: slaver/run.py, handle_task and _execute_task: one agent and one lock a robot. Nothing is checked. Our choices:
+with the dial `gate`, a subtask is refused on arrival, and a refusal is a result like any other; a subtask of a task
+that was given up comes back as a result, too. The source has no way to cancel one; here a queued one is withdrawn with
+its task, as under every architecture (reading R3), which is kinder where tasks run late.
+
+It recovers by the checklist of the error, and its agent tries again while it has steps left.
 Source: slaver/robot/error_handler.py, error_definitions.py, core.py; slaver/agents/slaver_agent.py.
 
 - The handler calls the methods of the error's list in order, logs each, and stops at the first that does not raise. In
@@ -23,8 +29,25 @@ Source: slaver/robot/error_handler.py, error_definitions.py, core.py; slaver/age
 from typing import Literal
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import FLEET_SUPERVISOR, FailureCause, Principals, RecoveryLevel, Robot, with_columns
-from fsar_ledger.events.execution import ExecutionFailed, ExecutionFinished
+from fsar_ledger.events.envelope import (
+    COORDINATOR,
+    FLEET_SUPERVISOR,
+    FailureCause,
+    Principals,
+    RecoveryLevel,
+    RequestSubject,
+    Robot,
+    Subject,
+    with_columns,
+)
+from fsar_ledger.events.execution import (
+    ExecutionFailed,
+    ExecutionFinished,
+    ExecutionPaused,
+    ExecutionWithdrawn,
+    RoutinePerformed,
+    RoutineWithheld,
+)
 from fsar_ledger.events.recovery import (
     AssistanceAdmitted,
     AssistanceDeclined,
@@ -34,7 +57,9 @@ from fsar_ledger.events.recovery import (
     RecoveryAttempted,
     RecoveryEscalated,
 )
+from fsar_ledger.events.request import CommandIssued, RequestDenied
 from fsar_ledger.events.supervision import SupervisorCalled, SupervisorResponded
+from fsar_ledger.events.world import ContextChanged
 from fsar_ledger.projections.execution import Action
 from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
@@ -46,6 +71,7 @@ from fsar_ledger.runtime.handlers.commands import (
     ActionCommand,
     Command,
     Decide,
+    DecideRoutine,
     EndAssistance,
     EndAttempt,
     Failure,
@@ -53,25 +79,98 @@ from fsar_ledger.runtime.handlers.commands import (
     HelpCommand,
     Respond,
     Scheduled,
+    StartAction,
+    TakeTurn,
     at_once,
     body,
     helping,
     message,
+    named,
     open_failure,
+    open_request,
 )
+from fsar_ledger.runtime.handlers.execution import approach, pause_running, queued, resume_when_replanned, start
+from fsar_ledger.runtime.handlers.policy import own_policy
 from fsar_ledger.runtime.handlers.recovery import attempt_failed, attempt_succeeds, attempted, end_of_attempt
 from fsar_ledger.runtime.handlers.supervision import RespondToCall
 
-from .master import on_record
-from .store import is_shown_idle
+from .master import TakeResult, is_shown_idle, on_record
+
+HANDLERS = Handlers()
+
+
+class TakeSubtask(ActionCommand):
+    """Take the subtask that the master has sent."""
+
+    task_id: str
+    robot: Robot
+
+
+@HANDLERS.decide(TakeSubtask, named)
+def take_subtask(state: State, command: TakeSubtask) -> tuple[Event, ...]:
+    """Queue the subtask behind the lock; with the gate, refuse what the robot's own policy denies."""
+    request, robot = open_request(state, command.action_id), command.robot
+    if request is None:  # its task was given up meanwhile
+        return (ExecutionWithdrawn(Subject(command.task_id, command.action_id), robot),)
+    if not _may(state, robot, request.capability, request.task_id):
+        subject = RequestSubject(request.task_id, request.action_id, None)
+        return (RequestDenied(subject, on_record(robot).decided(robot), "policy"),)
+    return (queued(request, on_record(robot), robot, is_supervised=False),)
+
+
+def _may(state: State, robot: Robot, capability: str | None, context: str | None) -> bool:
+    """Tell whether the robot does it: always, unless it has a gate and its own policy denies."""
+    if not state.fleet.roboos.gate:
+        return True
+    return own_policy(state.policy, state.world, robot, capability, context) != "deny"
+
+
+@HANDLERS.decide(DecideRoutine, named)
+def decide_routine(state: State, command: DecideRoutine) -> tuple[Event, ...]:
+    """Perform the routine operation; with the gate, withhold a motion that the robot's own policy denies."""
+    principals = on_record(command.robot).decided(command.robot)
+    if command.operation == "motion" and not _may(state, command.robot, None, None):
+        return (RoutineWithheld(principals, command.robot, command.operation),)
+    return (RoutinePerformed(principals, command.robot, command.operation),)
+
+
+@HANDLERS.react(CommandIssued)
+def _on_command(_state: State, event: CommandIssued, _now_us: int) -> tuple[Scheduled, ...]:
+    task_id, action_id = event.subject.task_id, event.subject.action_id
+    take = TakeSubtask(action_id, task_id, event.robot)
+    return (Scheduled(take, 0, (message(COORDINATOR, action_id, 1),)),)
+
+
+@HANDLERS.react(ExecutionFinished, ExecutionWithdrawn)
+def _on_end(_state: State, event: ExecutionFinished | ExecutionWithdrawn, _now_us: int) -> tuple[Scheduled, ...]:
+    return _reported(event.subject.action_id, event.subject.task_id, event.robot)
+
+
+@HANDLERS.react(RequestDenied)
+def _on_refusal(_state: State, event: RequestDenied, _now_us: int) -> tuple[Scheduled, ...]:
+    task_id, action_id, robot = event.subject.task_id, event.subject.action_id, event.principals.executed_by
+    if task_id is None or action_id is None or robot is None:  # an outsider's
+        return ()
+    return _reported(action_id, task_id, robot)
+
+
+def _reported(action_id: str, task_id: str, robot: Robot) -> tuple[Scheduled, ...]:
+    """Send the master the one message that a subtask brings back."""
+    return (Scheduled(TakeResult(action_id, task_id, robot), 0, (message(robot, action_id, 4),)),)
+
+
+HANDLERS.decide(TakeTurn, body)(approach)
+HANDLERS.decide(StartAction, body)(start)
+HANDLERS.react(ContextChanged)(pause_running)
+# The robot's own agent replans: it turns from observation to action by itself (slaver_agent.py, run).
+HANDLERS.react(ExecutionPaused)(resume_when_replanned)
+
 
 Method = Literal["another path", "same tool", "near position", "another robot", "manual help", "brain"]
 
 E101: tuple[Method, ...] = ("another path", "another robot", "manual help", "brain")
 E302: tuple[Method, ...] = ("same tool",)
 E303: tuple[Method, ...] = ("near position", "another robot", "brain")
-
-HANDLERS = Handlers()
 
 
 class StartChecklist(ActionCommand):
