@@ -12,7 +12,7 @@ from threading import RLock
 import msgspec
 
 from fsar_ledger.base import utc
-from fsar_ledger.base.errors import CommitTooLarge, UsageError, WriteFailed
+from fsar_ledger.base.errors import UsageError, WriteFailed
 from fsar_ledger.base.printable import value
 from fsar_ledger.designs.constants import Constants
 from fsar_ledger.events import Event
@@ -22,7 +22,6 @@ from fsar_ledger.ledger.log.note import Signer
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows.runs import LedgerRun
 from fsar_ledger.ledger.store.append import Writer
-from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.projections.fold import State
 
 from .live import SOURCE, Decision, LiveRun, command_given, decisions_by_key, live_started
@@ -139,10 +138,7 @@ class Federation:
         piece = self._live.take(self.run)
         if piece.events:
             self._has_failed = True  # until it is on disk, the run knows what nobody may act on
-            try:
-                self._writer.add([piece])
-            except CommitTooLarge:
-                self._writer.append(stage(self._path, [piece]))
+            self._writer.commit([piece])
             self._has_failed = False
         return tuple(piece.events)
 
