@@ -18,7 +18,7 @@ from fsar_ledger.base.progress import Progress
 from fsar_ledger.ledger.log.hashing import sha256_hex
 from fsar_ledger.ledger.log.merkle import Frontier
 from fsar_ledger.ledger.log.note import checkpoint_of, is_name, parse_note
-from fsar_ledger.ledger.log.tiles import TILE, WIDTH, Edge, Tile
+from fsar_ledger.ledger.log.pack import TILE, WIDTH, Edge, Tile
 from fsar_ledger.ledger.rows.blocks import Runs
 from fsar_ledger.ledger.rows.bounds import MAX_ROWS, MAX_SEGMENT_BYTES
 from fsar_ledger.ledger.rows.schema import FINGERPRINTS
