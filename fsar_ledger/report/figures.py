@@ -16,9 +16,7 @@ from unicodedata import combining
 from fsar_ledger.base import printable
 from fsar_ledger.report import specs
 from fsar_ledger.report.judge import FAILS, OPEN, STANDS, UNDECIDED
-from fsar_ledger.report.printing import OUTCOMES
-
-Row = Mapping[str, Any]
+from fsar_ledger.report.printing import OUTCOMES, Row
 
 COLOURS = {  # Okabe and Ito: safe for colour-blind readers
     "fsar": "#0072B2",

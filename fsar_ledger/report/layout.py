@@ -19,8 +19,8 @@ from fsar_ledger.metrics.database import Database
 from fsar_ledger.metrics.library import Library, sources
 from fsar_ledger.report import figures, printing, sequence, specs
 from fsar_ledger.report.findings import Head, Source
+from fsar_ledger.report.printing import Row
 
-Row = Mapping[str, Any]
 PACKAGES = ("duckdb", "pyarrow", "numpy", "scipy", "msgspec", "matplotlib", "typst")
 _NAME = re.compile(r"(?<!\\)@(?:tab|fig)-[a-z-]+[a-z]")
 _NAMES = re.compile(r" \(((?:@[a-z-]+)(?:, @[a-z-]+)*)\)")

@@ -22,6 +22,20 @@ from fsar_ledger.base.printable import did_you_mean, value
 from fsar_ledger.events import Event
 
 ENTRY_POINTS = "fsar_ledger.sources"
+MAX_LINE = 1 << 24
+"""Bytes of one line; a longer one is no record of any source that is known here."""
+
+LOOKED_AT = 100
+"""Records at the beginning of which one at least is known, where an input is of the format."""
+
+BOM = b"\xef\xbb\xbf"
+
+One = TypeVar("One")
+_DECODER = msgspec.json.Decoder()
+BROKEN = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)
+RAW_OBJECT = msgspec.json.Decoder(dict[str, msgspec.Raw])
+RAW_LIST = msgspec.json.Decoder(list[msgspec.Raw])
+OBJECT = msgspec.json.Decoder(dict[str, Any])
 
 
 class Input(NamedTuple):
@@ -214,18 +228,6 @@ def _flat(table: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
             yield name, found
 
 
-MAX_LINE = 1 << 24
-"""Bytes of one line; a longer one is no record of any source that is known here."""
-
-LOOKED_AT = 100
-"""Records at the beginning of which one at least is known, where an input is of the format."""
-
-BOM = b"\xef\xbb\xbf"
-
-One = TypeVar("One")
-_DECODER = msgspec.json.Decoder()
-
-
 def lines(inputs: Iterable[Input]) -> Iterator[bytes]:
     """Yield the lines of the inputs without their ends, but for blank ones; one that is too long comes in parts."""
     for one in inputs:
@@ -251,7 +253,7 @@ def _objects(inputs: Iterable[Input]) -> Iterator[tuple[bytes, dict[str, Any]] |
             continue
         try:
             data = _DECODER.decode(line)
-        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        except BROKEN as error:
             yield unreadable(line, error)
             continue
         yield (line, data) if isinstance(data, dict) else unreadable(line, f"found {line[:40]!r}, expected an object")

@@ -41,6 +41,9 @@ from fsar_ledger.base.errors import LedgerCorrupted, UsageError
 from fsar_ledger.ledger.log.hashing import HASH_BYTES
 from fsar_ledger.ledger.log.merkle import EMPTY_ROOT, is_consistent
 from fsar_ledger.ledger.log.note import (
+    ED25519,
+    ID_BYTES,
+    SIGNATURE_BYTES,
     Checkpoint,
     Note,
     Signature,
@@ -52,10 +55,7 @@ from fsar_ledger.ledger.log.note import (
 from fsar_ledger.ledger.store import disk
 
 _COSIGNATURE = b"\x04"
-_ED25519 = b"\x01"
-_ID_BYTES = 4
 _TIME_BYTES = 8
-_SIGNATURE_BYTES = 64
 _SECRET = "PRIVATE+KEY+"
 _MAX_COSIGNATURES = 64
 MAX_TIME_S = 2**63 - 1
@@ -73,7 +73,7 @@ class WitnessKey(msgspec.Struct, frozen=True):
     @property
     def key_id(self) -> bytes:
         """Return the first four bytes of SHA-256(name, line feed, 0x04, public key)."""
-        return hashlib.sha256(self.name.encode() + b"\n" + _COSIGNATURE + self.public).digest()[:_ID_BYTES]
+        return hashlib.sha256(self.name.encode() + b"\n" + _COSIGNATURE + self.public).digest()[:ID_BYTES]
 
     @property
     def key(self) -> str:
@@ -90,7 +90,7 @@ class WitnessKey(msgspec.Struct, frozen=True):
 
     def _time(self, signature: Signature, checkpoint: Checkpoint) -> int | None:
         time = int.from_bytes(signature.data[:_TIME_BYTES], "big")
-        if len(signature.data) != _TIME_BYTES + _SIGNATURE_BYTES or not 0 < time <= MAX_TIME_S:
+        if len(signature.data) != _TIME_BYTES + SIGNATURE_BYTES or not 0 < time <= MAX_TIME_S:
             return None
         is_right = VerifierKey(self.name, self.public).made(
             signature.data[_TIME_BYTES:], cosigned_text(checkpoint, time)
@@ -156,7 +156,7 @@ def parse_vkey(text: str) -> VerifierKey | WitnessKey:
         or not is_name(name)
         or name.encode("utf-8", "replace").decode() != name
         or base64.b64encode(material).decode() != data
-        or material[:1] not in (_ED25519, _COSIGNATURE)
+        or material[:1] not in (ED25519, _COSIGNATURE)
     ):
         raise ValueError(
             "found no public key of a log or a witness, expected name+id+key as `fsar-ledger key new` and "

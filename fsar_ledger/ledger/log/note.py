@@ -99,8 +99,8 @@ def _is_identity(point: Point) -> bool:
 
 
 ED25519 = b"\x01"
-_ID_BYTES = 4
-_SIGNATURE_BYTES = 64
+ID_BYTES = 4
+SIGNATURE_BYTES = 64  # RFC 8032
 _DASH = "\N{EM DASH} "
 Signed = Literal["unsigned", "signer not checked", "signed"]
 
@@ -169,7 +169,7 @@ class VerifierKey(msgspec.Struct, frozen=True):
     @property
     def key_id(self) -> bytes:
         """Return the first four bytes of SHA-256(name, line feed, 0x01, public key)."""
-        return hashlib.sha256(self.name.encode() + b"\n" + ED25519 + self.public).digest()[:_ID_BYTES]
+        return hashlib.sha256(self.name.encode() + b"\n" + ED25519 + self.public).digest()[:ID_BYTES]
 
     @property
     def key(self) -> str:
@@ -269,9 +269,9 @@ def _parse_signature(line: str) -> Signature:
     """Parse the signature on this line. Raises: ValueError if it is not one."""
     name, _, data = line.removeprefix(_DASH).partition(" ")
     signed = base64.b64decode(data, validate=True)
-    if not is_name(name) or len(signed) <= _ID_BYTES:
+    if not is_name(name) or len(signed) <= ID_BYTES:
         raise ValueError(f"signature line {line!r:.80}")
-    return Signature(name, signed[:_ID_BYTES], signed[_ID_BYTES:])
+    return Signature(name, signed[:ID_BYTES], signed[ID_BYTES:])
 
 
 def names(note: Note, key: VerifierKey) -> bool:

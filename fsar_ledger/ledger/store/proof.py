@@ -28,7 +28,6 @@ from fsar_ledger.ledger.store import disk
 from fsar_ledger.ledger.store.read import View
 
 TITLE = "c2sp.org/tlog-proof@v1"
-SUFFIX = ".tlog-proof"
 
 Value = str | int | bool | list[str]
 """What a field of an event can hold."""
