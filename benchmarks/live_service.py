@@ -43,7 +43,7 @@ class Sqlite:
         self._path, self._rows = path, b""
         self._connection: sqlite3.Connection | None = None
 
-    def add(self, runs: Any) -> None:
+    def commit(self, runs: Any) -> None:
         if self._connection is None:  # in the thread that decides
             self._connection = sqlite3.connect(self._path)
             self._connection.executescript(

@@ -24,7 +24,7 @@ from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.rows.runs import LedgerRun, piece
 from fsar_ledger.ledger.store.append import SEAL_ROWS, Writer
 from fsar_ledger.ledger.store.staging import stage
-from fsar_ledger.ledger.verify.verify import verify
+from fsar_ledger.ledger.verify import verify
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
 
 ORIGIN = "example.org/day"

@@ -26,8 +26,8 @@ from fsar_ledger.ledger.rows.segment import read_table
 from fsar_ledger.ledger.store import append
 from fsar_ledger.ledger.store.paths import CHAIN
 from fsar_ledger.ledger.store.read import View
+from fsar_ledger.ledger.verify import verify
 from fsar_ledger.ledger.verify.report import VerifyOptions
-from fsar_ledger.ledger.verify.verify import verify
 from fsar_ledger.runtime.experiment import run_experiment
 
 

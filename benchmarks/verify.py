@@ -28,7 +28,7 @@ from fsar_ledger.ledger.store.read import open_chain
 from fsar_ledger.ledger.store.record import segment_of
 from fsar_ledger.ledger.store.segments import Names, check_manifest
 from fsar_ledger.ledger.verify.segment import examine, examine_some
-from fsar_ledger.metrics.duckdb_check import ReadAgain
+from fsar_ledger.metrics.verified import ReadAgain
 from fsar_ledger.runtime.experiment import run_experiment
 
 from benchmarks.metrics import experiment  # isort: skip

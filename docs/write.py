@@ -42,8 +42,7 @@ from fsar_ledger.ledger.log.note import Signer
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.rows.codec import LedgerRun, encode_hashed
-from fsar_ledger.ledger.rows.releases import FINGERPRINTS
-from fsar_ledger.ledger.rows.schema import CONCERNED, SCHEMA, STANDS_ALONE, STORED
+from fsar_ledger.ledger.rows.schema import CONCERNED, FINGERPRINTS, SCHEMA, STANDS_ALONE, STORED
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.staging import stage_rows
 from fsar_ledger.metrics.library import Query, library

@@ -12,9 +12,9 @@ from fsar_ledger.analysis.causes import Outcome
 from fsar_ledger.analysis.fork_base import Rerun
 from fsar_ledger.base.memory import without_collection
 from fsar_ledger.base.progress import Progress
-from fsar_ledger.base.wilson import wilson
 from fsar_ledger.designs.constants import END_US
 from fsar_ledger.events.world import OutsiderRequestInjected, TaskArrived
+from fsar_ledger.metrics.robustness import wilson
 from fsar_ledger.runtime.changeable import facts_by_name
 from fsar_ledger.runtime.forks import kernel_of
 from fsar_ledger.runtime.ports import Fact, World

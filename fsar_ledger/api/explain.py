@@ -264,7 +264,7 @@ def _rows(database: "Database", query: str, run: str, action: str) -> Rows:
 
 def _no_action(database: "Database", ledger: Path, run: str | None, asked: str, number: int | None = None) -> str:
     """Say that the run, or with None every run, lacks the action; name the nearest, and how to list those there are."""
-    from fsar_ledger.metrics.query_parameters import names_on_record
+    from fsar_ledger.metrics.sql_values import names_on_record
 
     place = "any run" if run is None else f"run {printable.value(run)}"
     hint = printable.did_you_mean(asked, names_on_record(database, "action", run)) or ";"

@@ -21,9 +21,8 @@ from fsar_ledger.analysis.records import record_of
 from fsar_ledger.base.errors import UsageError, WriteFailed, option
 from fsar_ledger.base.memory import unfinished
 from fsar_ledger.base.progress import Progress, each
-from fsar_ledger.exports import mcap, ocel, otlp
+from fsar_ledger.exports import Written, mcap, ocel, otlp
 from fsar_ledger.exports.folders import write_delta
-from fsar_ledger.exports.shared import Written
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.rows.schema import SCHEMA
 from fsar_ledger.ledger.store.paths import require_outside

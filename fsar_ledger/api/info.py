@@ -237,7 +237,7 @@ def info(ledger: "Ledger") -> Contents:
     from fsar_ledger.ledger.opening import open_ledger
     from fsar_ledger.metrics.provenance import Provenance, completeness, never_observed
     from fsar_ledger.metrics.results import lettered, models
-    from fsar_ledger.runtime.plan_rows import PlanRow, plans
+    from fsar_ledger.runtime.experiment_arguments import PlanRow, plans
 
     with ledger.database() as database:
         found = lettered(models(database))
@@ -256,7 +256,7 @@ def info(ledger: "Ledger") -> Contents:
 
 def _unfinished(plan: Mapping[str, Any]) -> str:
     """Describe a plan that lacks runs, and how to go on."""
-    from fsar_ledger.runtime.plan_rows import shape
+    from fsar_ledger.runtime.experiment_arguments import shape
 
     further = plan["continues_with"]
     go_on = f"with: {further}" if further else "with the version and the constants that began it"

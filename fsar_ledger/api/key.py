@@ -13,7 +13,7 @@ from .verbs import Option, argument, declare, verb
 
 if TYPE_CHECKING:
     from fsar_ledger.ledger.log.note import Checkpoint, Signer, VerifierKey
-    from fsar_ledger.ledger.verify.notes import Anchor
+    from fsar_ledger.ledger.verify.report import Anchor
 
 
 @verb(
@@ -109,7 +109,7 @@ def trusted_of(key: str | None) -> "VerifierKey | None":
 
 def anchor_of(file: str | PathLike[str] | None) -> "Anchor | None":
     """Read the kept checkpoint in this file, if one was given. Raises: UsageError if it is not a checkpoint."""
-    from fsar_ledger.ledger.verify.notes import read_anchor
+    from fsar_ledger.ledger.verify.report import read_anchor
 
     return None if file is None else read_anchor(Path(file))
 

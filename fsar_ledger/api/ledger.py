@@ -180,7 +180,7 @@ class Ledger:
         """
         import pyarrow as pa
 
-        from fsar_ledger.metrics.groups import group_of, listed
+        from fsar_ledger.metrics.own_sql import group_of, listed
 
         from .table import Table
 
@@ -202,7 +202,7 @@ class Ledger:
         Raises:
             UnknownQuery: There is no query of this name.
         """
-        from fsar_ledger.metrics.groups import text_of
+        from fsar_ledger.metrics.own_sql import text_of
 
         return text_of(name)
 

@@ -113,7 +113,7 @@ def log(
         UsageError: There is no such run, robot or concern, the run has ended before `since`, or `until` is not after
             `since`.
     """
-    from .log_rows import asked_of, timeline
+    from .events import asked_of, timeline
 
     if run == ALL:
         with ledger.database() as database:
@@ -140,7 +140,7 @@ def stream_log(
         UsageError: As `log`; or `pause` is given, and only rows that were compared with the root will do.
         LedgerCorrupted: The ledger was damaged or replaced.
     """
-    from .log_rows import about_of, asked_of, stream
+    from .events import about_of, asked_of, stream
 
     if pause is not None and ledger.demanded is not None:
         raise UsageError(

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from fsar_ledger.base import printable, utc
 from fsar_ledger.base.errors import UsageError
-from fsar_ledger.metrics.query_parameters import PRINCIPALS, RUNS, TIME, names_on_record, require_known
+from fsar_ledger.metrics.sql_values import PRINCIPALS, RUNS, TIME, names_on_record, require_known
 from fsar_ledger.metrics.verified import is_verified_for_runs, require_runs
 
 from .names import MAX_DIGITS, Time, microseconds, named, principal_named, run_named
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from fsar_ledger.metrics.database import Database
     from fsar_ledger.metrics.library import Query
     from fsar_ledger.metrics.provenance import Provenance
-    from fsar_ledger.metrics.query_parameters import Parameter
+    from fsar_ledger.metrics.sql_values import Parameter
 
     from .ledger import Ledger
     from .names import Place, Run

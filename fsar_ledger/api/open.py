@@ -129,7 +129,7 @@ def _require_ours(file: Path) -> None:
     import duckdb
 
     from fsar_ledger.ledger.store.paths import require_outside
-    from fsar_ledger.metrics.paths import literal
+    from fsar_ledger.metrics.sql_values import literal
 
     if file.suffix != SUFFIX:
         raise UsageError(

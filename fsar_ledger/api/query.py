@@ -26,7 +26,7 @@ class Queries(Answer):
     """The packaged queries; with `events` also the views of the events."""
 
     def __init__(self, *, events: bool) -> None:
-        from fsar_ledger.metrics.groups import listed
+        from fsar_ledger.metrics.own_sql import listed
 
         self._events, self._found = events, listed(events=events)
 
@@ -44,8 +44,8 @@ class Queries(Answer):
 
     def text(self, screen: Screen) -> Iterator[SafeText]:
         """Yield a table for each group, and how to read on."""
-        from fsar_ledger.metrics.groups import GROUPS, group_of, is_event_view
         from fsar_ledger.metrics.library import library
+        from fsar_ledger.metrics.own_sql import GROUPS, group_of, is_event_view
 
         shown = _on_a_terminal if screen.is_fitted else _plain
         for group, queries in groupby(self._found, key=group_of):
@@ -63,7 +63,7 @@ class Queries(Answer):
 
 
 def _row(query: "Query") -> dict[str, str]:
-    from fsar_ledger.metrics.groups import group_of
+    from fsar_ledger.metrics.own_sql import group_of
 
     parameters = " ".join(map(str, query.parameters.values()))
     return {"group": group_of(query), "name": query.name, "title": query.header["Title"], "parameters": parameters}
@@ -155,7 +155,7 @@ def query(
     if list:
         return Queries(events=all)
     if show:
-        from fsar_ledger.metrics.groups import text_of
+        from fsar_ledger.metrics.own_sql import text_of
 
         refusal = f"query {name} --show: found --json, --csv or --ndjson, expected none of them; SQL is text"
         return Plain(text_of(f"{name}"), refusal)

@@ -62,7 +62,7 @@ def csv_header(columns: Sequence[str], *, raw: bool = False) -> str:
 
 
 def csv_lines(batch: pa.RecordBatch, *, raw: bool = False) -> str:
-    """Return the rows as lines of comma-separated values, as `fields.csv_text` makes them. Raises: as `json_lines`."""
+    """Return the rows as lines of comma-separated values, as `csv_texts` makes them. Raises: as `json_lines`."""
     if not batch.num_columns:
         return "\n" * int(batch.num_rows)
     lines = _side_by_side([_csv_field(column, raw=raw) for column in batch.columns], ",", len(batch))

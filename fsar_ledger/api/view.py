@@ -175,7 +175,7 @@ def _shown(ledger: "Ledger", asked: Run | None) -> "tuple[PageOptions, Provenanc
     from fsar_ledger.events import ALONE, CONCERNS
     from fsar_ledger.view.drawn import PageOptions, drawn, words_of
 
-    from .log_rows import asked_of, timeline
+    from .events import asked_of, timeline
     from .lookup import about_run, present
 
     held, _ = present(ledger)

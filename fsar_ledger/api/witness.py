@@ -17,7 +17,7 @@ from .verbs import Gives, Option, argument, declare, verb
 
 if TYPE_CHECKING:
     from fsar_ledger.witness.cosign import Cosigned
-    from fsar_ledger.witness.cosignature import WitnessKey
+    from fsar_ledger.witness.protocol import WitnessKey
 
     from .ledger import Ledger
 
@@ -50,7 +50,7 @@ class Served(Answer):
 
     def text(self, _: Screen) -> Iterator[SafeText]:
         """Show the public key and the URL, then serve; nothing is left to yield."""
-        from fsar_ledger.witness.cosignature import read_log_key
+        from fsar_ledger.witness.protocol import read_log_key
         from fsar_ledger.witness.server import Service, WitnessServer
         from fsar_ledger.witness.state import open_state
 

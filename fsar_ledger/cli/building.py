@@ -25,7 +25,7 @@ from fsar_ledger.base.errors import FsarLedgerError, LimitReached, QueryFailed, 
 from .terminal import say
 
 if TYPE_CHECKING:
-    from fsar_ledger.metrics.query_parameters import Parameter
+    from fsar_ledger.metrics.sql_values import Parameter
 
 LEDGER = argument("LEDGER", "The folder of a ledger.")
 TAKEN: Mapping[str, Option] = {
@@ -303,7 +303,7 @@ def _on_record(line: Line, kind: str, run: str | None) -> list[str]:
     """Return the names of this kind in the ledger that the line names, of one run or of all. Raises: As `connect`."""
     from fsar_ledger.api.lookup import run_of
     from fsar_ledger.metrics.database import connect
-    from fsar_ledger.metrics.query_parameters import names_on_record
+    from fsar_ledger.metrics.sql_values import names_on_record
 
     with connect(Path(str(line.given.get("ledger") or ""))) as database:
         return names_on_record(database, kind, None if run in (None, "all") else run_of(database, run))

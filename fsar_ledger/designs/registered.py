@@ -1,21 +1,237 @@
-"""The fleets, scenarios and workflows that come with the package, one file each.
+"""Designs as TOML files: read with types, errors with line and field; and those that come with the package, by name.
 
-Adding a file, named after what is in it, registers another one; nothing else changes. Each is read once, when first
-used. An error about a name that is unknown suggests the nearest.
+The package has fleets, scenarios and workflows, one file each. Adding a file, named after what is in it, registers
+another one; nothing else changes. Each is read once, when first used. An error about a name that is unknown suggests
+the nearest.
 """
 
+import re
+import tomllib
 from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
+
+import msgspec
 
 from fsar_ledger.base import printable
 from fsar_ledger.base.errors import InvalidExperiment, UsageError
 
 from . import Fleet, Scenario, Workflow
-from .files import Field, at_line, decoded
 
-_T = TypeVar("_T", Fleet, Scenario, Workflow)
+_T = TypeVar("_T")
+Field = tuple[str | int, ...]
+"""The path of a value: keys, and indices of elements from 0."""
+
+MAX_BYTES = 40_000
+"""The largest file, whose content goes into event 0 of each of its runs; those of the package have at most 2,000."""
+
+_TABLE = re.compile(r"\s*(\[\[?)\s*([^\[\]]+?)\s*\]")
+_KEY = re.compile(r"""\s*([\w-]+|"[^"]*"|'[^']*')((?:\s*\.\s*[\w-]+)*)\s*=""")
+_AT = re.compile(r"^(?P<what>.*?)(?: - at `\$(?P<at>.*)`)?$", re.DOTALL)
+_MANY_DIGITS = re.compile(r"\d(?:_?\d){4300}")
+_UNREADABLE = "a whole number of thousands of digits"
+_NAMED = re.compile(r"(?:unknown|required) field `([^`]*)`")
+
+
+def read_design(path: Path, kind: type[_T]) -> tuple[_T, str]:
+    """Return the design in the file and the file's text. Raises: UsageError, with line and field."""
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise UsageError(
+            f"{path}: {error.strerror or error}, expected a TOML file with a {_what(kind)}; check the path"
+        ) from error
+    if len(data) > MAX_BYTES:
+        raise UsageError(f"{path}: found {len(data):,} bytes, expected a {_what(kind)} in at most {MAX_BYTES:,}")
+    try:
+        text = data.decode()
+        return decoded(text, kind, str(path)), text
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        raise UsageError(f"{path}:{line}: found bytes that are not UTF-8, expected TOML") from error
+
+
+def decoded(text: str, kind: type[_T], where: str) -> _T:
+    """Return the design in this text. Raises: UsageError, with line and field."""
+    try:
+        found = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        message = str(error)
+        at = re.search(r" \(at line (\d+), column \d+\)$", message)
+        line = int(at[1]) if at else text.count("\n") + 1
+        words = message[: at.start()] if at else message.removesuffix(" (at end of document)")
+        raise UsageError(f"{where}:{line}: {printable.value(words)}; expected TOML") from error
+    except RecursionError as error:
+        raise UsageError(f"{where}: found brackets nested too deeply, expected TOML of a {_what(kind)}") from error
+    except ValueError as error:  # the only other thing that Python refuses to read
+        at = _MANY_DIGITS.search(text)
+        line = text.count("\n", 0, at.start() if at else 0) + 1
+        raise UsageError(f"{where}:{line}: found {_UNREADABLE}, expected TOML of a {_what(kind)}") from error
+    try:
+        return msgspec.convert(found, kind)
+    except msgspec.ValidationError as error:
+        raise UsageError(_worded(str(error), text, kind, where, found)) from error
+
+
+def at_line(where: str, text: str, field: Field) -> str:
+    """Return the beginning of a message about the field: `my.toml:12: tasks[2].steps[0]`."""
+    return f"{where}:{line_of(text, field)}: {field_name(field)}"
+
+
+def field_name(field: Field) -> str:
+    """Return the field as it is written in messages: `tasks[2].steps[0]`, elements from 0."""
+    return "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in field).removeprefix(".")
+
+
+def line_of(text: str, field: Field) -> int:
+    """Return the line, from 1, of the field, or of its table if the field is missing.
+
+    The text is TOML that `tomllib` has read. A triple-quoted string that looks like TOML may mislead it.
+    """
+    counts: dict[tuple[str, ...], int] = {}
+    table: Field = ()
+    best, line = 0, 1
+    for number, written in enumerate(text.splitlines(), start=1):
+        if header := _TABLE.match(written):
+            keys = tuple(part.strip().strip("\"'") for part in header[2].split("."))
+            if header[1] == "[[":
+                counts[keys] = counts.get(keys, -1) + 1
+            table = _numbered(keys, counts)
+            found = table
+        elif key := _KEY.match(written):
+            found = (*table, *(part.strip().strip("\"'") for part in (key[1] + key[2]).split(".")))
+        else:
+            continue
+        if found == field[: len(found)] and len(found) > best:
+            best, line = len(found), number
+    rest = field[best:]
+    return line + _lines_before(text.splitlines()[line - 1 :], rest[0]) if rest and isinstance(rest[0], int) else line
+
+
+def _numbered(keys: tuple[str, ...], counts: dict[tuple[str, ...], int]) -> Field:
+    """Return the path of a table, with the index of the newest element after each key of an array of tables."""
+    found: list[str | int] = []
+    for end in range(1, len(keys) + 1):
+        found.append(keys[end - 1])
+        if keys[:end] in counts:
+            found.append(counts[keys[:end]])
+    return tuple(found)
+
+
+def _lines_before(lines: list[str], element: int) -> int:
+    """Return how many lines after the line of its key this element of an array begins."""
+    depth = passed = 0
+    quote = ""
+    for number, line in enumerate(lines):
+        at = line.index("=") + 1 if number == 0 and "=" in line else 0
+        while at < len(line):
+            character = line[at]
+            if quote:
+                if character == "\\" and quote == '"':
+                    at += 1
+                elif character == quote:
+                    quote = ""
+            elif character == "#":
+                break
+            elif character in "]}":
+                depth -= 1
+                if depth == 0:
+                    return 0
+            elif character == "," and depth == 1:
+                passed += 1
+            elif not character.isspace():
+                if depth == 1 and passed == element:
+                    return number
+                if character in "[{":
+                    depth += 1
+                elif character in "\"'":
+                    quote = character
+            at += 1
+    return 0
+
+
+def _worded(message: str, text: str, kind: type[Any], where: str, found: Any) -> str:
+    """Return msgspec's message reworded in our form: line, field, found, expected."""
+    parsed = _AT.match(message)
+    assert parsed is not None
+    what = parsed["what"]
+    field: Field = tuple(
+        int(number) if number else key for number, key in re.findall(r"\[(\d+)\]|\.?([^.\[\]]+)", parsed["at"] or "")
+    )
+    if named := _NAMED.search(what):
+        field = (*field, named[1])
+        if "unknown" in what:
+            known = _fields(kind, field)
+            return (
+                f"{at_line(where, text, field)}: found an unknown field, expected one of {', '.join(known)}"
+                f"{printable.did_you_mean(named[1], known)}"
+            )
+        return f"{at_line(where, text, field)}: found nothing, expected a value: this field has no default"
+    value: Any = found
+    for part in field:
+        value = value[part]
+    expected = (
+        what.partition(", got ")[0].removeprefix("Expected ").removeprefix("Invalid enum value ").replace("`", "")
+    )
+    if what.startswith("Invalid enum value"):
+        expected = f"one of {', '.join(_choices(kind, field))}"
+        expected += printable.did_you_mean(str(value), _choices(kind, field))
+    about = f"{at_line(where, text, field)}: " if field else f"{where}: "
+    try:
+        shown = printable.value(str(value))
+    except ValueError:  # TOML writes numbers of other bases, too, which Python reads and does not write
+        shown = _UNREADABLE
+    if isinstance(value, str) and not what.startswith("Invalid enum value"):
+        shown = f'"{shown}"'  # a text where another type is expected
+    return f"{about}found {shown}, expected {_type(expected)}"
+
+
+_TYPES = {
+    "str": "text in quotes",
+    "int": "a whole number",
+    "float": "a number",
+    "bool": "true or false",
+    "array": "a list in [ ]",
+    "object": "a table",
+}
+
+
+def _type(expected: str) -> str:
+    kinds = [one.strip() for one in expected.split("|") if one.strip() != "null"]
+    return " or ".join(_TYPES.get(one, one.replace("array", "a list")) for one in kinds)
+
+
+def _inside(kind: Any, field: Field) -> Any:
+    """Return the type of the field's value."""
+    for part in field:
+        kind = _without_none(kind)
+        kind = (
+            kind.__args__[0]
+            if isinstance(part, int)
+            else next((one.type for one in msgspec.structs.fields(kind) if one.encode_name == part), Any)
+        )
+    return _without_none(kind)
+
+
+def _without_none(kind: Any) -> Any:
+    several = [one for one in getattr(kind, "__args__", ()) if one is not type(None)]
+    return several[0] if type(None) in getattr(kind, "__args__", ()) else kind
+
+
+def _choices(kind: Any, field: Field) -> tuple[str, ...]:
+    return tuple(map(str, _inside(kind, field).__args__))
+
+
+def _fields(kind: Any, field: Field) -> tuple[str, ...]:
+    return tuple(_inside(kind, field[:-1]).__struct_fields__)
+
+
+def _what(kind: type[Any]) -> str:
+    return kind.__name__.lower()
+
+
+_Design = TypeVar("_Design", Fleet, Scenario, Workflow)
 _Name = TypeVar("_Name", bound=str)
 
 PAPER_FLEET = "paper"
@@ -77,7 +293,7 @@ def _names(folder: str, first: tuple[str, ...]) -> tuple[str, ...]:
     return (*first, *sorted(there.difference(first)))
 
 
-def _read(folder: str, name: str, kind: type[_T]) -> _T:
+def _read(folder: str, name: str, kind: type[_Design]) -> _Design:
     file = _folder(folder) / f"{name}.toml"
     text = file.read_text("utf-8")
     found = decoded(text, kind, str(file))

@@ -12,13 +12,13 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from fsar_ledger.base.errors import LedgerCorrupted, UsageError, WriteFailed, option
-from fsar_ledger.ledger.log.tiles import WIDTH, Edge, Tile, partial_tiles
+from fsar_ledger.ledger.log.pack import WIDTH, Edge, Tile, partial_tiles
 from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.store import disk
 from fsar_ledger.ledger.store.paths import CHECKPOINT, require_outside, segment_name
 from fsar_ledger.ledger.store.read import View
 
-from .shared import Written
+from . import Written
 
 DELTA, TILES = "writing a Delta table", "writing tiles"
 

@@ -15,7 +15,7 @@ from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.rows.schema import COLUMNS, ENVELOPE
 from fsar_ledger.ledger.store.read import View
 
-from .shared import OTHER, PRINCIPALS, TOLD, Written, epoch_us, named_in
+from . import OTHER, PRINCIPALS, TOLD, Written, epoch_us, named_in
 
 if TYPE_CHECKING:
     from mcap.writer import Writer

@@ -16,7 +16,7 @@ import msgspec
 from fsar_ledger.events.envelope import flat
 from fsar_ledger.ledger.rows.codec import LedgerRun
 
-from .shared import NAMING, TOLD, Written, elements, epoch_us, named_in, rfc3339
+from . import NAMING, TOLD, Written, elements, epoch_us, named_in, rfc3339
 
 RUN = [{"name": "run_id", "type": "string"}]
 """The attributes of every type of object."""

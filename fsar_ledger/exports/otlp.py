@@ -18,7 +18,7 @@ from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import flat
 from fsar_ledger.ledger.rows.codec import LedgerRun
 
-from .shared import TOLD, Written, elements, epoch_us
+from . import TOLD, Written, elements, epoch_us
 
 INTERNAL = 1
 """SPAN_KIND_INTERNAL."""

@@ -17,11 +17,11 @@ from fsar_ledger.base.errors import LedgerCorrupted, UsageError
 from fsar_ledger.base.progress import Progress
 from fsar_ledger.ledger.log.hashing import sha256_hex
 from fsar_ledger.ledger.log.merkle import Frontier
-from fsar_ledger.ledger.log.note import checkpoint_of, is_name, parse_note
-from fsar_ledger.ledger.log.tiles import TILE, WIDTH, Edge, Tile
+from fsar_ledger.ledger.log.note import SIGNATURE_BYTES, checkpoint_of, is_name, parse_note
+from fsar_ledger.ledger.log.pack import TILE, WIDTH, Edge, Tile
 from fsar_ledger.ledger.rows.blocks import Runs
 from fsar_ledger.ledger.rows.bounds import MAX_ROWS, MAX_SEGMENT_BYTES
-from fsar_ledger.ledger.rows.releases import FINGERPRINTS
+from fsar_ledger.ledger.rows.schema import FINGERPRINTS
 from fsar_ledger.ledger.store import disk
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.manifest import FORMAT, VERSION_1, Manifest, parse_document, read_manifest, version_of
@@ -33,7 +33,6 @@ from fsar_ledger.ledger.store.staging import Staged
 from fsar_ledger.ledger.verify.segment import SegmentFacts, examine_all
 
 _NAMES = frozenset({MANIFEST, COMMITS, SEGMENTS, STAGING, TILE, CHECKPOINT})
-_SIGNATURE_BYTES = 64  # RFC 8032
 
 
 class CommitRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -199,7 +198,7 @@ def _records(ledger: Path, origin: str, previous: str) -> Iterator[CommitRecord]
             tree = Frontier()
         note, own = checkpoint_of(origin, tree), parse_note(f"{ledger / where}", record.note)
         is_signed_by_others = (
-            any(signature.name != origin or len(signature.data) != _SIGNATURE_BYTES for signature in own.signatures)
+            any(signature.name != origin or len(signature.data) != SIGNATURE_BYTES for signature in own.signatures)
             or len(own.signatures) > 1
         )
         for name, value, expected in (

@@ -8,7 +8,6 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import duckdb
@@ -22,8 +21,7 @@ from fsar_ledger.ledger.store.record import Head
 
 from .library import Library, Query, library
 from .own_sql import FOR_OLDER, FUNCTIONS, SHOWN, check_columns, register, statements
-from .paths import literal, quoted
-from .query_parameters import values
+from .sql_values import literal, quoted, values
 
 LOCK = (
     "threads = 1",
@@ -123,9 +121,7 @@ class Database:
     def __enter__(self) -> "Database":
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def close(self) -> None:

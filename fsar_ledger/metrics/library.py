@@ -2,7 +2,7 @@
 
 A query file starts with comment lines `-- Name: text`. Title, Paper, Grain, Key, Units, NULL and Example are required.
 `Key` lists the columns that tell any two rows apart, with `?` after one that may be NULL; or it says `one row`, or
-`none, <reason>`. `Parameters: name: kind = default, ...` (`query_parameters.py`) makes it a query that is run with
+`none, <reason>`. `Parameters: name: kind = default, ...` (`sql_values.py`) makes it a query that is run with
 values instead of a view. `Stored: <reason>` keeps its rows, once computed, for the life of a connection.
 
 A file in `readings/` is another reading of a relation: it reads that relation, has the same columns, and differs in the
@@ -28,7 +28,7 @@ from fsar_ledger.events.world import WorldEvent
 from fsar_ledger.ledger.rows.schema import COLUMNS, ENVELOPE, LAYOUTS, Field, Kind, StoredType
 
 from . import definitions
-from .query_parameters import Parameter, parse_parameters
+from .sql_values import Parameter, parse_parameters
 
 REQUIRED_KEYS = ("Title", "Paper", "Grain", "Key", "Units", "NULL", "Example")
 READINGS = "readings/"

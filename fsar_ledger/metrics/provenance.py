@@ -14,7 +14,7 @@ from fsar_ledger.ledger.store.record import Head
 
 from .database import Database
 from .library import Library, Query
-from .paths import listed
+from .sql_values import listed
 
 EXPERIMENTS = "SELECT * FROM experiments ORDER BY planned_count DESC, plan"
 MISSING = "SELECT missing_count FROM missing_runs"

@@ -15,13 +15,21 @@ import pyarrow as pa
 from fsar_ledger.base.errors import FsarLedgerError, LedgerCorrupted
 from fsar_ledger.events import ADDITIONS
 from fsar_ledger.ledger.rows.codec import upcast_rows
-from fsar_ledger.ledger.rows.releases import FINGERPRINTS, RELEASE, SCHEMAS
-from fsar_ledger.ledger.rows.schema import COLUMNS, LAYOUTS, RETIRED, SCHEMA, STANDS_ALONE
+from fsar_ledger.ledger.rows.schema import (
+    COLUMNS,
+    FINGERPRINTS,
+    LAYOUTS,
+    RELEASE,
+    RETIRED,
+    SCHEMA,
+    SCHEMAS,
+    STANDS_ALONE,
+)
 from fsar_ledger.ledger.rows.segment import read_table
 
 from .connection import Database
 from .library import SQL_TYPES
-from .paths import listed, literal, parquet, quoted, written
+from .sql_values import listed, literal, parquet, quoted, written
 
 _DATASET, _UPCAST, _AS_STORED = "events_dataset", "events_upcast", "events_as_stored"
 

@@ -218,7 +218,7 @@ def drawn_effects(database: Database, setting: Sequence[Any]) -> dict[tuple[str,
     """Return Cohen's d in each drawn experiment of the paper's size, by metric and comparison, in one setting.
 
     The setting is as `setting_of` returns it; the runs of all seeds are drawn from together. `verdicts.odds` compares
-    them with `paper_numbers.printed_tests`.
+    them with `definitions.printed_tests`.
 
     Raises: as `Database.rows`.
     """

@@ -22,8 +22,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from fsar_ledger.metrics.definitions import published_metrics
-from fsar_ledger.metrics.paper_numbers import Printed, printed, printed_tests
+from fsar_ledger.metrics.definitions import Printed, printed, printed_tests, published_metrics
 from fsar_ledger.metrics.registration import registration
 from fsar_ledger.metrics.results import MetricRow, StatisticRow
 

@@ -21,8 +21,7 @@ from fsar_ledger.metrics.database import connect_view
 from fsar_ledger.metrics.invariants import AuditRow, audit_rows, invariants
 from fsar_ledger.metrics.provenance import Unobserved, never_observed
 from fsar_ledger.report import printing, specs
-from fsar_ledger.report.experiments import ledger_head
-from fsar_ledger.report.findings import Head, Source, arrow, sources_of
+from fsar_ledger.report.findings import Head, Source, arrow, ledger_head, sources_of
 from fsar_ledger.report.layout import Layout, for_programs, head_for_programs, versions
 
 MAX_NAME = 60  # characters of the name of a ledger

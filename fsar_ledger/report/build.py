@@ -243,12 +243,6 @@ def _compared(ledger: Path, workers: int, showing: Showing) -> str:
         return ensure_verified(ledger, workers, progress)
 
 
-def result_figure_svg(ledger: Path, out: Path) -> None:
-    """Write the figure "Evaluation results" of the ledger as SVG. Raises: as `write_report`."""
-    require_outside(out, str(out))
-    publish(out, Document(gather(ledger)).drawing("evaluation-results"))
-
-
 def pdf(data: bytes, figures: dict[str, bytes]) -> bytes:
     """Return the report as a PDF. `data` is JSON, `figures` are SVG by file name.
 

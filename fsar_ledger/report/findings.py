@@ -1,17 +1,31 @@
-"""Define what is read from the ledgers: the printed numbers beside ours, and what sections select from."""
+"""What is read from the ledgers: the printed numbers beside ours, and what sections select from.
+
+The parts beside the results are read here, each from whichever ledger holds such runs: FSAR without a mechanism, larger
+fleets, every architecture without one mechanism, and the paper's workflows.
+"""
 
 import types
 import typing
-from collections.abc import Collection, Iterable, Mapping
-from typing import Any
+from collections import Counter
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, NamedTuple
 
 import msgspec
 import pyarrow as pa
 
-from fsar_ledger.metrics.database import Database
+from fsar_ledger.base.errors import UsageError
+from fsar_ledger.designs.registered import PAPER_WORKFLOWS
+from fsar_ledger.events.configuration import CONFIGURATIONS, EVERY_MECHANISM, FULL, PAPER_ARCHITECTURES, without
+from fsar_ledger.metrics.database import Database, Value, connect
+from fsar_ledger.metrics.definitions import Table
 from fsar_ledger.metrics.library import generated
 from fsar_ledger.metrics.multiverse import Multiverse
-from fsar_ledger.report.judge import Number
+from fsar_ledger.metrics.provenance import completeness
+from fsar_ledger.metrics.results import DialledRow, dialled_rows, measure_the_printed
+from fsar_ledger.report import judge
+from fsar_ledger.report.judge import FOUR_ROBOTS, Number
 
 
 class Source(msgspec.Struct, frozen=True):
@@ -93,3 +107,210 @@ def _arrow_type(of: Any) -> pa.DataType:
     if typing.get_origin(of) in (typing.Union, types.UnionType):
         return _arrow_type(parts[0])
     return pa.list_(_arrow_type(parts[0])) if typing.get_origin(of) is tuple else _TYPES.get(of, pa.string())
+
+
+Relations = dict[str, pa.Table]
+
+DIALLED = "without-shared-registry"
+"""The configuration whose success is a curve over how often robots meet."""
+WITHOUT_ONE = [without([name]) for name in EVERY_MECHANISM]
+
+HAS_SQL = "SELECT count(*) AS runs FROM runs WHERE {condition}"
+COSTS_SQL = """
+    SELECT * FROM coordination_cost
+    WHERE
+        list_contains($settings, setting) AND list_contains(['fsar', 'cfc', 'dhma'], architecture)
+        AND configuration = 'full' AND teams_working = fleet_size // 4
+"""
+DIFFERENCES_SQL = """
+    WITH held AS MATERIALIZED (
+        SELECT * FROM mechanism_differences
+        WHERE
+            pools_seeds AND fleet_size = 4 AND list_contains($configurations, configuration)
+            AND metric IN (SELECT metric FROM metric_definitions WHERE is_published)
+    ), fullest AS (
+        SELECT setting FROM held GROUP BY setting ORDER BY count(*) DESC, sum(n) DESC, setting LIMIT 1
+    )
+    SELECT held.*
+    FROM held INNER JOIN fullest ON held.setting = fullest.setting
+"""
+DIGESTS_SQL = """
+    SELECT list(DISTINCT runs.parameters_sha256 ORDER BY runs.parameters_sha256) AS digests
+    FROM runs INNER JOIN run_settings AS settings ON runs.run_id = settings.run_id
+    WHERE settings.setting = $setting AND runs.parameters_sha256 IS NOT NULL
+"""
+GROUPS_SQL = """
+    SELECT made_alike, count(*) AS runs
+    FROM run_groups INNER JOIN runs USING (run_id)
+    WHERE list_contains($names, runs.scenario)
+    GROUP BY made_alike ORDER BY count(*) DESC, min(run_id)
+"""
+FIRST_SQL = """
+    SELECT min_by(events.action_id, events.seq) AS action, min(events.run_id) AS run
+    FROM events
+    WHERE
+        events.type = $kind AND events.run_id = (
+            SELECT min(run_id) FROM runs INNER JOIN run_groups USING (run_id)
+            WHERE made_alike = $made_alike AND scenario = $scenario
+        )
+"""
+
+
+class Part(NamedTuple):
+    """What one ledger gives to one part of the report."""
+
+    head: Head
+    numbers: tuple[Number, ...] = ()
+    relations: Relations = {}  # noqa: RUF012 - never changed
+
+
+def ledger_head(database: Database, model_version: str | None) -> Head:
+    """Return the head of this ledger, with the model of the runs that are shown. Raises: as `Database.rows`."""
+    head = database.head
+    [counted] = database.rows("SELECT count(*) AS runs FROM runs")
+    commits, size, root = (0, 0, "") if head is None else (head.commits, head.size, head.root)
+    return Head(commits, size, root, counted["runs"], completeness(database).sentence(), model_version)
+
+
+# See docs/decisions/experiments-are-separate-ledgers.md.
+def read_ledger(ledger: Path, demanded: str | None, *, is_workflows: bool = False) -> dict[str, Part]:
+    """Return the parts that this ledger gives, by name.
+
+    Raises:
+        UsageError: It holds nothing that the report shows, or no workflow where it must.
+        NotALedger, FormatVersionMismatch, LedgerCorrupted, SequenceConflict: As `connect`.
+    """
+    # A ledger of large fleets may have a run of tens of millions of events, which cannot be judged in parts.
+    with TemporaryDirectory(prefix="fsar-ledger-") as spilled, connect(ledger, demanded=demanded) as database:
+        database.spill(Path(spilled))
+        measure_the_printed(database)
+        found = _workflows(database)
+        if is_workflows and not found:
+            raise UsageError(
+                f"--workflows {ledger}: found no run of {', '.join(PAPER_WORKFLOWS)}; make one with "
+                "`fsar-ledger simulate`"
+            )
+        if not is_workflows:
+            found |= experiments_of(database)
+    if not found:
+        raise UsageError(
+            f"--with {ledger}: found no run of a workflow, without a mechanism, or of another fleet than of four "
+            "robots, expected some of these; `fsar-ledger reproduce` makes such ledgers"
+        )
+    return found
+
+
+def experiments_of(database: Database) -> dict[str, Part]:
+    """Return the ablation, the scaling and the mechanisms that this ledger holds. Raises: as `Database.rows`."""
+    found = {}
+    has_ablations = _has(database, "architecture = 'fsar' AND fleet_size = 4", list(CONFIGURATIONS[1:]))
+    has_fleets = _has(database, "fleet_size <> 4", [FULL])
+    rows = dialled_rows(database, pools_seeds=True) if has_ablations or has_fleets else []
+    if has_ablations and (ablation := _ablation(database, rows)):
+        found["ablation"] = ablation
+    if has_fleets and (scaling := _scaling(database, rows)):
+        found["scaling"] = scaling
+    if _has(database, "fleet_size = 4", WITHOUT_ONE) and (part := _mechanisms(database)):
+        found["mechanisms"] = part
+    return found
+
+
+def _has(database: Database, condition: str, configurations: list[str]) -> bool:
+    """Tell whether the ledger holds such runs, before anything is measured: most ledgers hold none."""
+    sql = HAS_SQL.format(condition=f"{condition} AND list_contains($names, configuration)")
+    return int(database.rows(sql, {"names": configurations})[0]["runs"]) > 0
+
+
+def _judged(
+    database: Database,
+    table: Table,
+    rows: Sequence[DialledRow],
+    dial: Sequence[DialledRow],
+    ones: Sequence[DialledRow] = (),
+) -> list[Number]:
+    return judge.beside(table, rows, judge.drawn_odds(database, table, rows), dial=dial, ones=ones)
+
+
+def _ablation(database: Database, every: Sequence[DialledRow]) -> Part | None:
+    """Return FSAR without some of its mechanisms, at the rate of encounters with most of them. Paper: tab:ablation."""
+    rows = [row for row in every if (row.architecture, row.fleet_size) == ("fsar", FOUR_ROBOTS)]
+    tables: dict[tuple[str, float | None], list[DialledRow]] = {}
+    for row in rows:
+        tables.setdefault((row.made_alike_but, row.encounter_mean_s), []).append(row)
+    names = {key: {row.configuration for row in found} for key, found in tables.items()}
+    ablated = [key for key in tables if names[key] & set(CONFIGURATIONS[1:])]
+    if not ablated:
+        return None
+    chosen = max(ablated, key=lambda key: (len(names[key]), sum(row.n for row in tables[key])))
+    table = tables[chosen]
+    dial = [row for row in rows if row.made_alike_but == chosen[0] and row.configuration == DIALLED]
+    numbers = _judged(database, "ablation", table, dial) + _judged(database, "ablation_text", table, dial)
+    head = ledger_head(database, table[0].model_version)
+    return Part(head, tuple(numbers), {"encounters": arrow(dial, DialledRow)})
+
+
+def _scaling(database: Database, every: Sequence[DialledRow]) -> Part | None:
+    """Return fleets of other sizes than four robots, with comparable fleets of four. Paper: tab:scaling."""
+    rows = [row for row in every if row.configuration == FULL and row.architecture in PAPER_ARCHITECTURES]
+    sizes: dict[str, set[int]] = {}
+    counts: Counter[str] = Counter()
+    for row in rows:
+        if row.fleet_size is not None and row.teams_working is not None:
+            sizes.setdefault(row.made_alike_but, set()).add(row.fleet_size)
+            counts[row.made_alike_but] += row.n
+    larger = [alike for alike, found in sizes.items() if found - {FOUR_ROBOTS}]
+    if not larger:
+        return None
+    chosen = max(larger, key=lambda one: (len(sizes[one]), counts[one]))
+    means = {row.encounter_mean_s for row in rows if row.made_alike_but == chosen and row.fleet_size != FOUR_ROBOTS}
+    table = [row for row in rows if row.made_alike_but == chosen and row.encounter_mean_s in means]
+    whole = _over_all(table)
+    of_all = [row for row in table if row.fleet_size is not None and row.teams_working == row.fleet_size // FOUR_ROBOTS]
+    ones = [row for row in whole if row.teams_working == 1]
+    numbers = _judged(database, "scaling", of_all, whole, ones)
+    settings: dict[str, Value] = {"settings": sorted({row.setting for row in table})}
+    relations = {"loads": arrow(whole, DialledRow), "costs": database.table(COSTS_SQL, settings)}
+    return Part(ledger_head(database, table[0].model_version), tuple(numbers), relations)
+
+
+def _over_all(rows: Sequence[DialledRow]) -> list[DialledRow]:
+    """Keep the rows over all scenarios whose runs cover all of them equally often."""
+    loads = {row.teams_working for row in rows}
+    counts = {load: judge.run_counts(row for row in rows if row.teams_working == load) for load in loads}
+    return [
+        row
+        for row in rows
+        if row.scenario is None and judge.is_complete(counts[row.teams_working].get(judge.shape_of(row), {}))
+    ]
+
+
+def _mechanisms(database: Database) -> Part | None:
+    """Return what each mechanism adds to each metric, in the setting that has the most of them."""
+    differences = database.table(DIFFERENCES_SQL, {"configurations": WITHOUT_ONE})
+    if not differences.num_rows:
+        return None
+    head = ledger_head(database, differences["model_version"][0].as_py())
+    digests = database.table(DIGESTS_SQL, {"setting": differences["setting"][0].as_py()})
+    return Part(head, (), {"differences": differences, "digests": digests})
+
+
+def _workflows(database: Database) -> dict[str, Part]:
+    """Return what the runs of the paper's workflows show, of the setting that most of them share."""
+    groups = database.rows(GROUPS_SQL, {"names": list(PAPER_WORKFLOWS)})
+    if not groups:
+        return {}
+    main, others = groups[0]["made_alike"], sum(row["runs"] for row in groups[1:])
+    coverage = "SELECT * FROM mechanism_coverage WHERE made_alike = $made_alike ORDER BY ALL"
+    relations = {
+        "coverage": database.table(coverage, {"made_alike": main}),
+        "other_workflows": pa.table({"runs": [others]}),
+    }
+    for name, scenario, kind in (
+        ("request_timeline", PAPER_WORKFLOWS[0], "RequestIssued.v1"),
+        ("failure_timeline", PAPER_WORKFLOWS[1], "ExecutionFailed.v1"),
+    ):
+        [first] = database.rows(FIRST_SQL, {"made_alike": main, "scenario": scenario, "kind": kind})
+        if first["action"] is not None:
+            given = {"run": first["run"], "action": first["action"]}
+            relations[name] = database.query(f"audit/{name}", given)
+    return {"workflows": Part(ledger_head(database, None), (), relations)}

@@ -15,8 +15,7 @@ from fsar_ledger.designs.registered import PAPER_SCENARIOS
 from fsar_ledger.events.configuration import PAPER_ARCHITECTURES
 from fsar_ledger.metrics import verdicts
 from fsar_ledger.metrics.database import Database
-from fsar_ledger.metrics.definitions import metric_named
-from fsar_ledger.metrics.paper_numbers import Place, Printed, Table, printed
+from fsar_ledger.metrics.definitions import Place, Printed, Table, metric_named, printed
 from fsar_ledger.metrics.registration import Declaration, registration
 from fsar_ledger.metrics.results import MetricRow, of_all_seeds, same_setting, setting_of
 from fsar_ledger.metrics.verdicts import Odds, odds

@@ -17,10 +17,10 @@ import pyarrow as pa
 import fsar_ledger
 from fsar_ledger.metrics.database import Database
 from fsar_ledger.metrics.library import Library, sources
-from fsar_ledger.report import charts, printing, sequence, specs
+from fsar_ledger.report import figures, printing, sequence, specs
 from fsar_ledger.report.findings import Head, Source
+from fsar_ledger.report.printing import Row
 
-Row = Mapping[str, Any]
 PACKAGES = ("duckdb", "pyarrow", "numpy", "scipy", "msgspec", "matplotlib", "typst")
 _NAME = re.compile(r"(?<!\\)@(?:tab|fig)-[a-z-]+[a-z]")
 _NAMES = re.compile(r" \(((?:@[a-z-]+)(?:, @[a-z-]+)*)\)")
@@ -106,14 +106,10 @@ class Layout:
         }
         return msgspec.json.encode(said, order="deterministic")
 
-    def drawing(self, name: str) -> bytes:
-        """Return the figure of this name as SVG. Raises: KeyError if it is not shown."""
-        return _drawn(*self._figures[name])
-
     @cached_property
     def drawings(self) -> dict[str, bytes]:
         """Return all figures as SVG, by file name."""
-        return {f"{name}.svg": self.drawing(name) for name in self._figures}
+        return {f"{name}.svg": _drawn(*figure) for name, figure in self._figures.items()}
 
 
 def for_programs(said: Mapping[str, Any], queries: Sequence[Source]) -> bytes:
@@ -160,9 +156,9 @@ def _drawn(part: specs.Figure, rows: Sequence[Row]) -> bytes:
     """Return the figure as SVG."""
     match part:
         case specs.Bars():
-            return charts.distances(part, rows) if part.lying else charts.bars(part, rows)
+            return figures.distances(part, rows) if part.lying else figures.bars(part, rows)
         case specs.Curve():
-            return charts.curve(part, rows)
+            return figures.curve(part, rows)
         case specs.Sequence():
             return sequence.ladder(rows) if part.ladder else sequence.sequence(rows)
     raise TypeError(f"{type(part).__name__}: found a figure that nothing draws")

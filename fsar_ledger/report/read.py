@@ -35,8 +35,16 @@ from fsar_ledger.metrics.results import (
 )
 from fsar_ledger.metrics.verdicts import ComparedEffect, compare_effects
 from fsar_ledger.report import judge
-from fsar_ledger.report.experiments import Part, Relations, experiments_of, ledger_head, read_ledger
-from fsar_ledger.report.findings import Findings, arrow, sources_of
+from fsar_ledger.report.findings import (
+    Findings,
+    Part,
+    Relations,
+    arrow,
+    experiments_of,
+    ledger_head,
+    read_ledger,
+    sources_of,
+)
 from fsar_ledger.report.judge import FOUR_ROBOTS, RunCounts
 from fsar_ledger.report.printing import flat
 

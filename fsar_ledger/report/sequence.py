@@ -13,8 +13,7 @@ from typing import Any
 
 from fsar_ledger.base import printable
 from fsar_ledger.report import figures
-
-Row = Mapping[str, Any]
+from fsar_ledger.report.printing import Row
 
 FONT = 7.5  # points
 LETTER = 0.056  # width of a letter of that size in inches, slightly above the mean

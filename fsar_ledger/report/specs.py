@@ -76,9 +76,9 @@ class Figure(Part, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
 
 class Bars(Figure, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Bars with intervals in panels, a diamond at the paper's value (`charts.bars`).
+    """Bars with intervals in panels, a diamond at the paper's value (`figures.bars`).
 
-    `lying` draws points with intervals on lines instead, at their distance from the paper's value (`charts.distances`).
+    `lying` draws points with intervals on lines instead, at distances from the paper's value (`figures.distances`).
     """
 
     panels: tuple[int, int] = (1, 1)
@@ -87,7 +87,7 @@ class Bars(Figure, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
 
 class Curve(Figure, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Lines with intervals in panels (`charts.curve`); `styles` says what the style of a line means, for the legend.
+    """Lines with intervals in panels (`figures.curve`); `styles` says what the style of a line means, for the legend.
 
     A scale of 2 or 10 is logarithmic, with this base.
     """

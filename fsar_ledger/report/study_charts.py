@@ -24,7 +24,7 @@ Column = tuple[ReadingNames, dict[str, float]]
 """A combination of readings, and the mean of each architecture under it."""
 
 
-def curves(found: Multiverse, kind: str = "svg") -> bytes:
+def curves(found: Multiverse) -> bytes:
     """Draw for each metric the means of the architectures under each combination of readings.
 
     Marks below each combination show its readings. The runs are those of the first setting, which is that of the
@@ -54,7 +54,7 @@ def curves(found: Multiverse, kind: str = "svg") -> bytes:
                     axes[3 * row + 1, column], moving[spec.name], columns, max(len(moving[one.name]) for one in pair)
                 )
         figure.legend(*_legend(), loc="lower center", ncols=len(figures.COLOURS) + 2, frameon=False)
-        return figures.rendered(figure, kind)
+        return figures.rendered(figure)
 
 
 def ordered(universes: Sequence[Universe], spec: Metric) -> list[Column]:

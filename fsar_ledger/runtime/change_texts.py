@@ -10,7 +10,7 @@ import msgspec
 
 from fsar_ledger.base import printable
 from fsar_ledger.base.errors import UsageError
-from fsar_ledger.designs.files import at_line, read_design
+from fsar_ledger.designs.registered import at_line, read_design
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import Robot, local_supervisor
 from fsar_ledger.events.world import (

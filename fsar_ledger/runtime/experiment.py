@@ -28,8 +28,7 @@ from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.record import Head
 from fsar_ledger.ledger.store.staging import stage
 
-from .simulation import MODEL_VERSION, RunSpec, plan_record, run_id, run_started
-from .staging import COMMIT_EVENTS, Batch, Staging
+from .simulation import COMMIT_EVENTS, MODEL_VERSION, Batch, RunSpec, Staging, plan_record, run_id, run_started
 from .world.checks import problems_of_design, problems_of_fleet
 from .world.founding import team_size
 from .world.schedule import happening

@@ -13,7 +13,7 @@ from typing import TypeVar
 import msgspec
 
 from fsar_ledger.base import utc
-from fsar_ledger.base.errors import CommitTooLarge, UsageError, WriteFailed
+from fsar_ledger.base.errors import UsageError, WriteFailed
 from fsar_ledger.base.printable import value
 from fsar_ledger.designs.constants import Constants
 from fsar_ledger.events import Event
@@ -24,7 +24,6 @@ from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows.runs import LedgerRun
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.read import View
-from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.projections.fold import State
 
 from . import snapshot
@@ -196,10 +195,7 @@ class Federation:
         piece = self._live.take(self.run)
         if piece.events:
             self._has_failed = True  # until it is on disk, the run knows what nobody may act on
-            try:
-                self._writer.add([piece])
-            except CommitTooLarge:
-                self._writer.append(stage(self._path, [piece]))
+            self._writer.commit([piece])
             self._has_failed = False
             if self.size - self._kept >= KEEP_AFTER:
                 self._keep()

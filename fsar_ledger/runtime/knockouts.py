@@ -29,7 +29,7 @@ from fsar_ledger.projections.world import in_force
 from fsar_ledger.runtime.architectures.cfc import coordinator
 from fsar_ledger.runtime.architectures.cfc import execution as cfc_execution
 from fsar_ledger.runtime.architectures.cfc import request as cfc_request
-from fsar_ledger.runtime.architectures.cfc.recovery import HANDLERS, GoOnWithoutHelp, go_on_without_help
+from fsar_ledger.runtime.architectures.cfc.execution import HANDLERS, GoOnWithoutHelp, go_on_without_help
 from fsar_ledger.runtime.architectures.dhma import agents
 from fsar_ledger.runtime.architectures.dhma import execution as dhma_execution
 from fsar_ledger.runtime.architectures.dhma import recovery as dhma_recovery
@@ -71,11 +71,6 @@ class Knockout(NamedTuple):
     architecture: Architecture
     decides: Mapping[type[Command], Decide] = MappingProxyType({})
     change: ChangeTable | None = None
-
-    @property
-    def mechanism(self) -> str:
-        """Return what the mechanism does, and what replaces it."""
-        return MECHANISMS_OF[self.architecture][self.name]
 
     @property
     def configuration(self) -> Configuration:

@@ -16,7 +16,7 @@ from fsar_ledger.base import printable
 from fsar_ledger.base.errors import InvalidExperiment, UsageError
 from fsar_ledger.designs import Fleet, Scenario, registered
 from fsar_ledger.designs.constants import SIGNED, Constants, with_all_groups
-from fsar_ledger.designs.files import at_line, read_design
+from fsar_ledger.designs.registered import at_line, read_design
 from fsar_ledger.metrics.constant_names import names_of_constants
 
 from .world.checks import Problem, problems_of_fleet, problems_of_scenario
@@ -114,7 +114,7 @@ def with_settings(constants: Constants, settings: Sequence[str]) -> Constants:
         try:
             constants = msgspec.convert(tree, Constants)
         except msgspec.ValidationError as error:
-            whole = "" if _is_constant(tree, name, 0.5) else " whole"
+            whole = "" if _is_real(tree, name) else " whole"
             raise UsageError(f"--set {setting}: found {printable.value(value)}, expected a{whole} number") from error
     for name, low_s, high_s in _ranges("", msgspec.to_builtins(constants)):
         if low_s > high_s and any(one.startswith(name) for one in given):
@@ -125,9 +125,9 @@ def with_settings(constants: Constants, settings: Sequence[str]) -> Constants:
     return constants
 
 
-def _is_constant(tree: dict[str, Any], name: str, value: float) -> bool:
-    """Return whether the constant of this name may have this value."""
-    _put(tree, name, value)
+def _is_real(tree: dict[str, Any], name: str) -> bool:
+    """Return whether the constant of this name may be no whole number."""
+    _put(tree, name, 0.5)
     try:
         msgspec.convert(tree, Constants)
     except msgspec.ValidationError:

@@ -1,7 +1,7 @@
 """Replay: the world and the handlers must make a run again from its parameters, exactly as recorded, event by event.
 
 - What was simulated (seed, architecture, scenario, constants): taken from `RunStarted` as recorded. Constants other
-  than this version's are a remark (`run_constants.py`).
+  than this version's are a remark (`recipes.py`).
 - What the world did by itself (`events/world.py`), and when: made again (`world/schedule.py`) and compared, so that
   nothing is left out, added or changed.
 - Who founds the fleet, with which capabilities and trust: made again for the recorded fleet size, and compared.

@@ -20,7 +20,7 @@ from fsar_ledger.events.envelope import flat
 from fsar_ledger.events.source import Observed
 from fsar_ledger.ledger.rows.schema import LAYOUTS, OPENINGS, RECORDS, StoredType
 
-from .json_lines import BOM, MAX_LINE
+from .adapter import BOM, MAX_LINE
 
 if TYPE_CHECKING:
     from .recorder import Recorder

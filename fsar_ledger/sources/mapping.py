@@ -29,12 +29,11 @@ import msgspec
 
 from fsar_ledger.base.errors import UsageError
 from fsar_ledger.base.printable import did_you_mean, value
-from fsar_ledger.designs.files import Field, at_line, decoded
+from fsar_ledger.designs.registered import Field, at_line, decoded
 from fsar_ledger.events import CONCERN_OF
 
-from .adapter import Derived, Input, Record
+from .adapter import Derived, Input, Record, objects, shown, utc_us
 from .columns import LAYOUT_OF, declared, laid_out
-from .json_lines import objects, shown, utc_us
 
 _IN_TEXT = re.compile(r"\{(/[^{}]*)\}")
 _POINTER = re.compile(r"/([^~]|~[01])*")

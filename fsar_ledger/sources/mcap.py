@@ -33,8 +33,7 @@ from fsar_ledger.events.envelope import Parties, RequestSubject, Robot, Subject,
 from fsar_ledger.events.execution import ExecutionFailed, ExecutionFinished, ExecutionStarted
 from fsar_ledger.events.request import RequestAccepted
 
-from .adapter import Derived, Input, Record, unreadable
-from .json_lines import shown
+from .adapter import Derived, Input, Record, shown, unreadable
 
 MAGIC = b"\x89MCAP0\r\n"
 MAX_RECORD = 1 << 28

@@ -26,9 +26,8 @@ from fsar_ledger.base.printable import escaped
 from fsar_ledger.events import CONCERN_OF, Event
 from fsar_ledger.ledger.rows.schema import MAX_INTEGER, RECORDS, Field
 
-from .adapter import Derived, Input, Record
+from .adapter import Derived, Input, Record, shown
 from .columns import LAYOUT_OF, laid_out
-from .json_lines import shown
 from .ocel_logs import Item, Log, opened_log
 
 OWN = {name: layout for name, layout in LAYOUT_OF.items() if name in CONCERN_OF}

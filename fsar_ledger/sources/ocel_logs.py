@@ -14,18 +14,13 @@ import msgspec
 from fsar_ledger.base.errors import UsageError
 from fsar_ledger.base.printable import value
 
-from .adapter import Input, Record, unreadable
-from .json_lines import utc_us
+from .adapter import BROKEN, OBJECT, RAW_LIST, RAW_OBJECT, Input, Record, unreadable, utc_us
 
 SQLITE = b"SQLite format 3\0"
 TABLES = ("event", "event_map_type", "event_object", "object", "object_map_type", "object_object")
 ENVELOPE = ("ocel_id", "ocel_time", "ocel_changed_field")
 MAX_US = 4_000_000_000_000_000
 """More than a century around 1970: times further apart are no whole numbers that every reader of JSON keeps."""
-_BROKEN = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)
-_RAW_OBJECT = msgspec.json.Decoder(dict[str, msgspec.Raw])
-_RAW_LIST = msgspec.json.Decoder(list[msgspec.Raw])
-_OBJECT = msgspec.json.Decoder(dict[str, Any])
 
 
 class Item(msgspec.Struct, frozen=True):
@@ -79,15 +74,15 @@ class JsonLog:
     def __init__(self, name: str, text: bytes) -> None:
         expected = "expected a log of OCEL 2.0: an object with events and objects"
         try:
-            top = _RAW_OBJECT.decode(text)
-        except _BROKEN as error:
+            top = RAW_OBJECT.decode(text)
+        except BROKEN as error:
             raise UsageError(f"{name}: {error!s:.200}; {expected}, whole") from error
         if "ocel:events" in top:
             raise UsageError(f"{name}: found OCEL 1.0 (ocel:events), {expected}; convert it, as pm4py can")
         try:
-            self._objects, self._events = (_RAW_LIST.decode(top[part]) for part in ("objects", "events"))
+            self._objects, self._events = (RAW_LIST.decode(top[part]) for part in ("objects", "events"))
             types = msgspec.json.decode(top.get("eventTypes", b"[]"), type=list[dict[str, Any]])
-        except (KeyError, *_BROKEN) as error:
+        except (KeyError, *BROKEN) as error:
             found = ", ".join(sorted(top)[:9])
             raise UsageError(f"{name}: found an object with {value(found)} ({error!s:.90}), {expected}") from error
         self._types = [one["name"] for one in types if isinstance(one.get("name"), str)]
@@ -118,21 +113,21 @@ def time_us(text: object) -> int | None:
 
 def _time(raw: msgspec.Raw) -> int | None:
     try:
-        return time_us(_OBJECT.decode(raw).get("time"))
-    except _BROKEN:
+        return time_us(OBJECT.decode(raw).get("time"))
+    except BROKEN:
         return None
 
 
 def _item(raw: msgspec.Raw, *, is_event: bool) -> Item | Record:
     try:
-        found = _OBJECT.decode(raw)
+        found = OBJECT.decode(raw)
         name, kind = found["id"], found["type"]
         attributes = tuple(
             (one["name"] if is_event or not _is_change(one) else f"{one['name']}@{one['time']}", one.get("value"))
             for one in found.get("attributes") or ()
         )
         related = tuple((one["objectId"], str(one.get("qualifier") or "")) for one in found.get("relationships") or ())
-    except (KeyError, TypeError, AttributeError, *_BROKEN) as error:
+    except (KeyError, TypeError, AttributeError, *BROKEN) as error:
         return unreadable(bytes(raw), f"{type(error).__name__}: {error}")
     if not all(isinstance(one, str) for one in (name, kind, *(each for each, _ in (*attributes, *related)))):
         return unreadable(bytes(raw), "expected texts as id, type, and names of attributes and objects")

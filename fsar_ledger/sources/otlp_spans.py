@@ -8,8 +8,7 @@ import msgspec
 from fsar_ledger.base.printable import escaped
 from fsar_ledger.events.envelope import Robot, recorded_robot
 
-from .adapter import Input, Record, unreadable
-from .json_lines import lines, shown
+from .adapter import BROKEN, OBJECT, RAW_LIST, RAW_OBJECT, Input, Record, lines, shown, unreadable
 
 MAX_DOCUMENT = 1 << 26
 """Bytes of a document over several lines."""
@@ -39,10 +38,6 @@ SHOWN = (
 MAX_NS = 9_000_000_000_000_000_000
 
 Key = tuple[str, str]
-_RAW_OBJECT = msgspec.json.Decoder(dict[str, msgspec.Raw])
-_RAW_LIST = msgspec.json.Decoder(list[msgspec.Raw])
-_OBJECT = msgspec.json.Decoder(dict[str, Any])
-_BROKEN = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)
 
 
 class Span(msgspec.Struct, frozen=True, gc=False):
@@ -77,8 +72,8 @@ def texts(one: Input) -> Iterator[bytes]:
 
 def _is_whole(text: bytes) -> bool:
     try:
-        found = _RAW_OBJECT.decode(text)
-    except _BROKEN:
+        found = RAW_OBJECT.decode(text)
+    except BROKEN:
         return False
     return any(name in found for name in (*TRACES, *OTHERS))
 
@@ -88,8 +83,8 @@ def records(text: bytes) -> Iterator[Record]:
     if not text.strip():
         return
     try:
-        top = _RAW_OBJECT.decode(text)
-    except _BROKEN as error:
+        top = RAW_OBJECT.decode(text)
+    except BROKEN as error:
         yield unreadable(text, error)
         return
     resources = next((top[name] for name in TRACES if name in top), None)
@@ -118,23 +113,23 @@ def _listed(raw: msgspec.Raw | None) -> list[msgspec.Raw]:
     if raw is None or bytes(raw) == b"null":
         return []
     try:
-        return _RAW_LIST.decode(raw)
-    except _BROKEN:
+        return RAW_LIST.decode(raw)
+    except BROKEN:
         return [raw]
 
 
 def _parts(raw: msgspec.Raw | None) -> Iterator[dict[str, msgspec.Raw] | Record]:
     for one in _listed(raw):
         try:
-            yield _RAW_OBJECT.decode(one)
-        except _BROKEN as error:
+            yield RAW_OBJECT.decode(one)
+        except BROKEN as error:
             yield unreadable(bytes(one), error)
 
 
 def _service(raw: msgspec.Raw | None) -> str | None:
     try:
-        found = {} if raw is None else _OBJECT.decode(raw)
-    except _BROKEN:
+        found = {} if raw is None else OBJECT.decode(raw)
+    except BROKEN:
         return None
     name = _attributes(found.get("attributes")).get("service.name")
     return name if isinstance(name, str) else None
@@ -164,8 +159,8 @@ def _id(found: object) -> str | None:
 
 def _span(raw: msgspec.Raw, service: str | None) -> Record:
     try:
-        span = _OBJECT.decode(raw)
-    except _BROKEN as error:
+        span = OBJECT.decode(raw)
+    except BROKEN as error:
         return unreadable(bytes(raw), error)
     trace, own, parent = (_id(_raw(span, name)) for name in ("traceId", "spanId", "parentSpanId"))
     about = _attributes(span.get("attributes"))

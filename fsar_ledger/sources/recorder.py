@@ -9,12 +9,11 @@ from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from threading import RLock
-from types import TracebackType
 
 import msgspec
 
 from fsar_ledger.base import utc
-from fsar_ledger.base.errors import CommitTooLarge, FsarLedgerError, InvalidRun, UsageError
+from fsar_ledger.base.errors import FsarLedgerError, InvalidRun, UsageError
 from fsar_ledger.base.printable import counted, value
 from fsar_ledger.events import CONCERN_OF, Event
 from fsar_ledger.events.envelope import flat, recorded_robot
@@ -27,7 +26,6 @@ from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.locations import place_of
 from fsar_ledger.ledger.store.manifest import parse_manifest, read_manifest
 from fsar_ledger.ledger.store.paths import MANIFEST
-from fsar_ledger.ledger.store.staging import stage
 
 from .columns import Declared, declared, event_of, storable_text
 from .names import PrivateNames
@@ -208,9 +206,7 @@ class Recorder:
     def __enter__(self) -> "Recorder":
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, _kind: object, error: object, _trace: object) -> None:
         if error is None:
             self.close()
             return
@@ -309,15 +305,12 @@ class Recorder:
 
 
 def commit(writer: Writer, path: Path, run: LedgerRun) -> None:
-    """Commit this part of a run whole, durably: to the journal, or as a segment if it is more than a journal takes.
+    """Commit this part of a run whole, durably.
 
     Raises: UsageError if the run has other events than those before it, since somebody else adds to it; as `Writer`.
     """
     try:
-        try:
-            writer.add([run])
-        except CommitTooLarge:
-            writer.append(stage(path, [run]))
+        writer.commit([run])
     except InvalidRun as error:
         stored = stored_run(path, run.run_id)
         if (size := stored.size if stored is not None else 0) == run.first:

@@ -46,8 +46,7 @@ from fsar_ledger.events.request import RequestIssued
 from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
 from fsar_ledger.events.world import TaskArrived
 
-from .adapter import Derived, Input, Record
-from .json_lines import objects, shown
+from .adapter import Derived, Input, Record, objects, shown
 from .rmf_messages import BEGUN, RESPONSE, assigned_robot, entries, record_of, table, tables, task_id, text
 
 GIVEN_UP = frozenset(("failed", "canceled", "killed"))

@@ -11,8 +11,7 @@ from typing import Any
 from fsar_ledger.base.printable import escaped
 from fsar_ledger.events.envelope import Robot, recorded_robot
 
-from .adapter import Record
-from .json_lines import shown, utc_us
+from .adapter import Record, shown, utc_us
 
 UNKNOWN = "unknown"
 RESPONSE = "response"

@@ -41,8 +41,7 @@ from fsar_ledger.events.request import RequestAccepted, RequestDenied, RequestIs
 from fsar_ledger.events.task import TaskCompleted
 from fsar_ledger.events.world import LinkCameUp, LinkWentDown, TaskArrived
 
-from .adapter import UNREADABLE, Derived, Input, Record
-from .json_lines import known, objects, shown, utc_us
+from .adapter import UNREADABLE, Derived, Input, Record, known, objects, shown, utc_us
 
 KINDS: Mapping[str, tuple[str, ...]] = {
     "state": ("operatingMode",),
@@ -57,7 +56,6 @@ KINDS: Mapping[str, tuple[str, ...]] = {
 """The fields by which a message without a topic is known. Visualization comes last: a state has its fields, too."""
 
 SHOWN = ("orderId", "orderUpdateId", "lastNodeId", "operatingMode", "connectionState", "headerId", "paused", "driving")
-ENDED = ("FINISHED", "FAILED")
 
 
 class Vehicle(msgspec.Struct):

@@ -18,8 +18,7 @@ from fsar_ledger.base.publishing import require_another
 from fsar_ledger.events.configuration import FULL, MECHANISMS, PAPER_ARCHITECTURES, Configuration, without
 from fsar_ledger.events.envelope import Architecture
 from fsar_ledger.metrics import verdicts
-from fsar_ledger.metrics.definitions import published_metrics
-from fsar_ledger.metrics.paper_numbers import Place, Table, printed
+from fsar_ledger.metrics.definitions import Place, Table, printed, published_metrics
 from fsar_ledger.metrics.registration import registration
 from fsar_ledger.metrics.study_results import Cell, Check, Comparison, Outcome, Predicted, Predictions, read
 from fsar_ledger.metrics.verdicts import MARGINS, Answer

@@ -16,7 +16,7 @@ from fsar_ledger.api.verbs import workers_of
 from fsar_ledger.base.errors import UsageError
 from fsar_ledger.base.progress import Progress
 from fsar_ledger.designs.constants import write_constants
-from fsar_ledger.metrics.paper_numbers import printed_tests
+from fsar_ledger.metrics.definitions import printed_tests
 from fsar_ledger.metrics.registration import Sample, SampleAround, registration
 from fsar_ledger.metrics.robustness import CellSpread, Ensemble, SignCount
 from fsar_ledger.metrics.study_results import Calibration, packaged, read

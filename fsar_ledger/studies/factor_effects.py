@@ -21,11 +21,11 @@ from itertools import combinations
 import msgspec
 import numpy as np
 
+from fsar_ledger.metrics.robustness import Z_95
 from fsar_ledger.studies.factors import Factor
 
 LEVELS = 4
 DELTA = LEVELS / (2 * (LEVELS - 1))  # step of every move, as a part of the unit interval
-Z_95 = 1.959963984540054
 LEAST_EFFECTS = 2  # with fewer there is no spread
 
 Vector = np.ndarray[tuple[int], np.dtype[np.float64]]

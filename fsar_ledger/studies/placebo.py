@@ -13,7 +13,6 @@ from tempfile import TemporaryDirectory
 from fsar_ledger.api.names import Place
 from fsar_ledger.api.verbs import workers_of
 from fsar_ledger.base.progress import Progress
-from fsar_ledger.base.wilson import wilson
 from fsar_ledger.designs.constants import Constants
 from fsar_ledger.events.configuration import FULL, PAPER_ARCHITECTURES
 from fsar_ledger.events.envelope import Architecture
@@ -24,7 +23,7 @@ from fsar_ledger.metrics.database import Database, connect
 from fsar_ledger.metrics.definitions import published_metrics
 from fsar_ledger.metrics.registration import registration
 from fsar_ledger.metrics.results import statistic_rows
-from fsar_ledger.metrics.robustness import Placebo, Rejections
+from fsar_ledger.metrics.robustness import Placebo, Rejections, wilson
 from fsar_ledger.metrics.verdicts import ALPHA
 from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, handler_table_of, simulate_run
 

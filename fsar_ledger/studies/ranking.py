@@ -11,11 +11,10 @@ from typing import NamedTuple
 from fsar_ledger.api.names import Place
 from fsar_ledger.api.verbs import workers_of
 from fsar_ledger.base.progress import Progress
-from fsar_ledger.base.wilson import wilson
 from fsar_ledger.events.configuration import PAPER_ARCHITECTURES
 from fsar_ledger.metrics.definitions import Metric, published_metrics
 from fsar_ledger.metrics.registration import registration
-from fsar_ledger.metrics.robustness import RankCounts, Ranking
+from fsar_ledger.metrics.robustness import RankCounts, Ranking, wilson
 from fsar_ledger.metrics.verdicts import MARGINS, published
 
 from .evaluations import CELLS, Answer, Evaluate, evaluate, evaluating, question_at

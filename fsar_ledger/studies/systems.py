@@ -17,8 +17,7 @@ from fsar_ledger.base.progress import Progress
 from fsar_ledger.designs.constants import Constants, write_constants
 from fsar_ledger.designs.dials import TRIED
 from fsar_ledger.events.configuration import ARCHITECTURES
-from fsar_ledger.metrics.definitions import metrics
-from fsar_ledger.metrics.paper_numbers import features
+from fsar_ledger.metrics.definitions import features, metrics
 from fsar_ledger.metrics.registration import registration
 from fsar_ledger.metrics.results import metric_rows, take_seeds_together
 from fsar_ledger.metrics.robustness import HeldRank, NamedShares, SystemGrade, SystemNumber, Systems

@@ -19,12 +19,11 @@ from fsar_ledger.ledger.log.note import Note, VerifierKey
 from fsar_ledger.ledger.store import disk
 from fsar_ledger.ledger.store.manifest import parse_manifest, read_manifest
 from fsar_ledger.ledger.store.paths import MANIFEST
-from fsar_ledger.ledger.verify.notes import Anchor
+from fsar_ledger.ledger.verify.report import Anchor
 
 from .cosign import NoAnswer, ask, ask_all
-from .cosignature import parse_cosigned
 from .policy import Policy, Witness, read_policy
-from .protocol import checkpoint_path
+from .protocol import checkpoint_path, parse_cosigned
 
 _LAST_SECOND = 253_402_300_799  # of the year 9999
 

@@ -20,9 +20,8 @@ from fsar_ledger.ledger.log.merkle import consistency_proof
 from fsar_ledger.ledger.log.note import Note, Signature
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.store.read import View
-from fsar_ledger.witness.cosignature import parse_cosigned
 from fsar_ledger.witness.policy import Policy, Witness
-from fsar_ledger.witness.protocol import ADD_CHECKPOINT, MAX_BODY_BYTES, SIZE, Answer, Request
+from fsar_ledger.witness.protocol import ADD_CHECKPOINT, MAX_BODY_BYTES, SIZE, Answer, Request, parse_cosigned
 
 ANSWER_S = 10.0
 """Seconds after which a witness that has not answered counts as silent."""

@@ -22,11 +22,9 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from fsar_ledger.base.errors import LedgerCorrupted, UsageError, WriteFailed
-from fsar_ledger.ledger.log.ed25519 import KEY_BYTES
-from fsar_ledger.ledger.log.note import Checkpoint, Note, Signature, VerifierKey, is_name
+from fsar_ledger.ledger.log.note import KEY_BYTES, Checkpoint, Note, Signature, VerifierKey, is_name
 from fsar_ledger.ledger.store import disk
-from fsar_ledger.witness.cosignature import Cosigner, WitnessKey, parse_cosigned, parse_secret, secret_text
-from fsar_ledger.witness.protocol import origin_hash
+from fsar_ledger.witness.protocol import Cosigner, WitnessKey, origin_hash, parse_cosigned, parse_secret, secret_text
 
 SECRET = "witness.key"
 PUBLIC = SECRET + ".pub"

@@ -11,7 +11,7 @@ from fsar_ledger.analysis.whatif import Effect, Pair, commit_pairs, effects, for
 from fsar_ledger.base.errors import UsageError
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows.codec import LedgerRun, encode
-from fsar_ledger.ledger.verify.verify import verify
+from fsar_ledger.ledger.verify import verify
 from fsar_ledger.metrics.database import connect, from_table
 from fsar_ledger.runtime.change_texts import parsed
 from fsar_ledger.runtime.replay import replay

@@ -5,13 +5,12 @@ from pathlib import Path
 
 import pytest
 
-from fsar_ledger.api.events import Filter
+from fsar_ledger.api.events import Filter, LogRequest, stream
 from fsar_ledger.api.ledger import Ledger
-from fsar_ledger.api.log_rows import LogRequest, stream
 from fsar_ledger.base.errors import UsageError
 from fsar_ledger.designs.constants import Constants
 from fsar_ledger.ledger.log.merkle import tree_root
-from fsar_ledger.ledger.log.tiles import Tile, node_of
+from fsar_ledger.ledger.log.pack import Tile
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.rows.runs import piece
 from fsar_ledger.ledger.store.append import Writer
@@ -20,6 +19,7 @@ from fsar_ledger.metrics.provenance import Provenance
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
 from tests.ledger.keep_release import LEDGERS
 from tests.ledger.samples import contents
+from tests.ledger.test_tiles import node_of
 
 RUNS = [simulate_run(RunSpec(7, name, "full", "door-relay", 4, 0), Constants()) for name in ("fsar", "cfc")]
 ORIGIN = "example.org/growing"

@@ -9,8 +9,7 @@ import pytest
 
 import fsar_ledger
 from fsar_ledger import Ledger
-from fsar_ledger.api.events import Filter
-from fsar_ledger.api.log_rows import LogRequest, about_of
+from fsar_ledger.api.events import Filter, LogRequest, about_of
 from fsar_ledger.api.table import Table
 from fsar_ledger.base.errors import LedgerCorrupted, UsageError
 from fsar_ledger.events import CONCERNS

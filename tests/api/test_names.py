@@ -15,7 +15,7 @@ from fsar_ledger.base.errors import InvalidQuery, UnknownQuery, UsageError
 from fsar_ledger.base.printable import ranges
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.metrics.library import library, parse
-from fsar_ledger.metrics.query_parameters import KINDS, Parameter
+from fsar_ledger.metrics.sql_values import KINDS, Parameter
 from tests.api.conftest import RUN
 from tests.queries.histories import run
 from tests.queries.test_every_query import HEADER

@@ -20,10 +20,10 @@ from fsar_ledger.ledger.store.keys import read_signer
 from fsar_ledger.ledger.store.record import EMPTY_HEAD
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.runtime import experiment as module
-from fsar_ledger.runtime import plan_rows
+from fsar_ledger.runtime import experiment_arguments
 from fsar_ledger.runtime.experiment import ORIGIN, Experiment, SimulationResult, run_experiment
+from fsar_ledger.runtime.experiment_arguments import MAX_COUNTS, MAX_RUNS, PlanRow, reproducing
 from fsar_ledger.runtime.paper import Name, PaperLedger, paper_ledger
-from fsar_ledger.runtime.plan_rows import MAX_COUNTS, MAX_RUNS, PlanRow, reproducing
 from fsar_ledger.runtime.simulation import RunSpec, plan_id, plan_record, run_started, simulate_run
 from tests.ledger.hostile import stage_anything
 from tests.quick import few
@@ -157,7 +157,7 @@ def test_however_many_counts_of_runs_the_plans_of_a_ledger_name_only_the_largest
         tried.append(runs)
         return paper_ledger(name, 1)
 
-    monkeypatch.setattr(plan_rows, "paper_ledger", made)
+    monkeypatch.setattr(experiment_arguments, "paper_ledger", made)
     reproducing({str(count): count for count in range(10_001)}, PlanRow(ablation, open_ledger(ablation)))
     assert tried == [None, *range(MAX_RUNS - MAX_COUNTS + 1, MAX_RUNS + 1)]
 

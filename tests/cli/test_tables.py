@@ -9,7 +9,7 @@ import pytest
 from fsar_ledger import Ledger
 from fsar_ledger.api.tables import fitted, table_text
 from fsar_ledger.base.printable import columns_of
-from fsar_ledger.metrics.groups import GROUPS
+from fsar_ledger.metrics.own_sql import GROUPS
 from tests.cli.conftest import Call, one_message
 from tests.cli.terminals import left_of, on_a_terminal, on_a_terminal_here, stream_of
 from tests.running import ran
@@ -294,7 +294,7 @@ def test_on_a_terminal_queries_are_listed_by_their_last_parts_with_the_names_of_
 
 
 def test_every_group_of_queries_has_words() -> None:
-    from fsar_ledger.metrics.groups import group_of, listed
+    from fsar_ledger.metrics.own_sql import group_of, listed
 
     assert {group_of(query) for query in listed(events=True)} == GROUPS.keys()
 

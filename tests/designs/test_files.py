@@ -8,7 +8,7 @@ import pytest
 
 from fsar_ledger.base.errors import UsageError
 from fsar_ledger.designs import Fleet, Scenario, registered
-from fsar_ledger.designs.files import MAX_BYTES, decoded, line_of, read_design
+from fsar_ledger.designs.registered import MAX_BYTES, decoded, line_of, read_design
 from fsar_ledger.runtime.world.checks import problems_of_design, problems_of_fleet, problems_of_scenario
 
 FLEET = """\

@@ -3,7 +3,7 @@
 import pytest
 
 from fsar_ledger.base.errors import UsageError
-from fsar_ledger.exports.shared import NAMING, Named, epoch_us, named_in, rfc3339
+from fsar_ledger.exports import NAMING, Named, epoch_us, named_in, rfc3339
 
 NAMES = {
     *(

@@ -18,9 +18,8 @@ from fsar_ledger.ledger.log.note import Note, Signer, VerifierKey, checkpoint_of
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.rows.schema import SCHEMA, Field
 from fsar_ledger.ledger.store.problem import Problem
-from fsar_ledger.ledger.verify.notes import read_anchor
-from fsar_ledger.ledger.verify.report import VerifyOptions
-from fsar_ledger.ledger.verify.verify import verify
+from fsar_ledger.ledger.verify import verify
+from fsar_ledger.ledger.verify.report import VerifyOptions, read_anchor
 from tests.ledger.samples import IN_RUNS, ORIGIN
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -21,7 +21,7 @@ from fsar_ledger.ledger.store.journal import ALLOTTED
 from fsar_ledger.ledger.store.paths import MANIFEST
 from fsar_ledger.ledger.store.prepare import Sealing
 from fsar_ledger.ledger.store.staging import stage
-from fsar_ledger.ledger.verify.verify import verify
+from fsar_ledger.ledger.verify import verify
 from tests.ledger.faults import Fault, FaultyOs, Killed, in_place_of_os
 from tests.ledger.power import Choice, Disk, choices
 from tests.ledger.samples import ORIGIN, contents, made_up_run

@@ -21,7 +21,7 @@ from fsar_ledger.ledger.store.paths import MANIFEST
 from fsar_ledger.ledger.store.read import View
 from fsar_ledger.ledger.store.record import Commit
 from fsar_ledger.ledger.store.staging import stage
-from fsar_ledger.ledger.verify.verify import verify
+from fsar_ledger.ledger.verify import verify
 from tests.ledger.faults import SYNCS, WRITES, Fault, FaultyOs, in_place_of_os
 from tests.ledger.samples import ORIGIN, made_up_run
 

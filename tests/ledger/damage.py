@@ -30,8 +30,8 @@ from fsar_ledger.ledger.store.read import View
 from fsar_ledger.ledger.store.record import segment_of
 from fsar_ledger.ledger.store.snapshot import behind
 from fsar_ledger.ledger.store.staging import stage
+from fsar_ledger.ledger.verify import verify
 from fsar_ledger.ledger.verify.report import VerifyOptions, VerifyReport
-from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.agreement_chain import hand_over
 from tests.ledger.samples import ORIGIN, made_up_run
 

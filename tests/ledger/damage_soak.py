@@ -22,9 +22,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from fsar_ledger.ledger.opening import open_ledger
-from fsar_ledger.ledger.verify.notes import read_anchor
-from fsar_ledger.ledger.verify.report import VerifyOptions
-from fsar_ledger.ledger.verify.verify import verify
+from fsar_ledger.ledger.verify import verify
+from fsar_ledger.ledger.verify.report import VerifyOptions, read_anchor
 from tests.ledger.damage import (
     LEDGERS,
     SIGNER,

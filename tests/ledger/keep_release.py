@@ -14,9 +14,8 @@ import msgspec
 import fsar_ledger
 from fsar_ledger.designs.constants import Constants
 from fsar_ledger.ledger.log.note import Signer
-from fsar_ledger.ledger.rows.releases import RELEASE
 from fsar_ledger.ledger.rows.runs import LedgerRun, piece
-from fsar_ledger.ledger.rows.schema import LAYOUTS, SCHEMA, Field, StoredType, described
+from fsar_ledger.ledger.rows.schema import LAYOUTS, RELEASE, SCHEMA, Field, StoredType, described
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.runtime.experiment import Experiment

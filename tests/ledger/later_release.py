@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, Self
 
 import fsar_ledger
-from fsar_ledger.ledger.rows import releases
+from fsar_ledger.ledger.rows import schema
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -26,7 +26,7 @@ def after(release: str) -> str:
     return f"{major}.{minor + 1}.0"
 
 
-RELEASE = after(max(fsar_ledger.__version__, releases.RELEASE, key=lambda text: [*map(int, text.split("."))]))
+RELEASE = after(max(fsar_ledger.__version__, schema.RELEASE, key=lambda text: [*map(int, text.split("."))]))
 
 STEPS = '''
 class StepBeganV1(Event, frozen=True, tag="StepBegan.v1"):
@@ -100,7 +100,7 @@ EDITS = (
     ("events/retired.py", "] = (RunStartedV1,", "] = (StepBeganV1, StepBeganV2, RunStartedV1,"),
     ("events/retired.py", "] = (adding(RunStartedV1", f"] = ({UPCASTERS}, adding(RunStartedV1"),
     ("events/fleet.py", '    domain: str = ""\n', '    domain: str = ""\n    depot: str | None = None\n'),
-    ("ledger/rows/releases.py", f'RELEASE = "{releases.RELEASE}"', f'RELEASE = "{RELEASE}"'),
+    ("ledger/rows/schema.py", f'RELEASE = "{schema.RELEASE}"', f'RELEASE = "{RELEASE}"'),
     ("queries/facts/cross_robot_records.sql", "'StepBegan.v1'", "'StepBegan.v3'"),
 )
 

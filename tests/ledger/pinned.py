@@ -10,7 +10,7 @@ from pathlib import Path
 import msgspec
 
 import fsar_ledger
-from fsar_ledger.ledger.rows import canonical, releases
+from fsar_ledger.ledger.rows import canonical, schema
 from fsar_ledger.ledger.rows.schema import LAYOUTS, StoredType
 from tests.ledger.keep_release import LEDGERS, stored_types
 
@@ -36,10 +36,10 @@ def pinned_row(layout: StoredType) -> bytes:
 
 def release_to_name() -> str:
     """Return the release that ledgers with the current event types name."""
-    kept, version = LEDGERS / releases.RELEASE / "events.jsonl", fsar_ledger.__version__
+    kept, version = LEDGERS / schema.RELEASE / "events.jsonl", fsar_ledger.__version__
     then = [msgspec.json.decode(line) for line in kept.read_bytes().splitlines()] if kept.exists() else None
     if then is None or then == [{tag: fields} for tag, fields in stored_types(LAYOUTS.values()).items()]:
-        return releases.RELEASE
+        return schema.RELEASE
     major, minor, _ = version.split(".")
     return f"{major}.{int(minor) + 1}.0" if (LEDGERS / version).exists() else version
 
@@ -47,8 +47,8 @@ def release_to_name() -> str:
 def main() -> None:
     """Write the rows and the release."""
     ROWS.write_bytes(b"".join(pinned_row(layout) + b"\n" for layout in LAYOUTS.values()))
-    path = Path(releases.__file__)
-    old, new = (f'RELEASE = "{name}"\n' for name in (releases.RELEASE, release_to_name()))
+    path = Path(schema.__file__)
+    old, new = (f'RELEASE = "{name}"\n' for name in (schema.RELEASE, release_to_name()))
     path.write_text(path.read_text("utf-8").replace(old, new), "utf-8")
 
 

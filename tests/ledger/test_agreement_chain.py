@@ -14,7 +14,7 @@ from fsar_ledger.ledger.store.locations import ExistingRuns
 from fsar_ledger.ledger.store.paths import CHAIN, JOURNAL
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.ledger.v1 import upgrade
-from fsar_ledger.ledger.verify.verify import verify
+from fsar_ledger.ledger.verify import verify
 from tests.ledger.agreement import Case, event_types, independent, judged
 from tests.ledger.keep_release import LEDGERS
 from tests.ledger.samples import ORIGIN, contents, made_up_run

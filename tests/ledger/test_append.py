@@ -16,7 +16,7 @@ from fsar_ledger.ledger.store import paths, prepare
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.record import EMPTY_HEAD
 from fsar_ledger.ledger.store.staging import stage
-from fsar_ledger.ledger.verify.verify import verify
+from fsar_ledger.ledger.verify import verify
 from tests.ledger.forgery import changed, forge_segment, segment_at, table_of
 from tests.ledger.samples import ORIGIN, append_all, contents, made_up_batches
 

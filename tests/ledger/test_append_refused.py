@@ -20,7 +20,7 @@ from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.manifest import Manifest
 from fsar_ledger.ledger.store.record import EMPTY_HEAD
 from fsar_ledger.ledger.store.staging import stage
-from fsar_ledger.ledger.verify.verify import verify
+from fsar_ledger.ledger.verify import verify
 from tests.ledger.forgery import segment_at
 from tests.ledger.samples import ORIGIN, append_all, contents, made_up_run
 from tests.ledger.test_append import BATCHES

@@ -26,10 +26,9 @@ from fsar_ledger.ledger.store.paths import CHAIN, INDEX, JOURNAL, NODES
 from fsar_ledger.ledger.store.proof import check_proof, prove
 from fsar_ledger.ledger.store.read import View
 from fsar_ledger.ledger.store.staging import stage
-from fsar_ledger.ledger.verify.notes import read_anchor
+from fsar_ledger.ledger.verify import verify
 from fsar_ledger.ledger.verify.recover import recover
-from fsar_ledger.ledger.verify.report import VerifyOptions
-from fsar_ledger.ledger.verify.verify import verify
+from fsar_ledger.ledger.verify.report import VerifyOptions, read_anchor
 from tests.ledger.samples import ORIGIN, append_all, contents, made_up_run
 from tests.ledger.test_plan_rows import PLAN, of
 

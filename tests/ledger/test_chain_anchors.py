@@ -9,11 +9,10 @@ from fsar_ledger.ledger.rows.runs import piece
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.paths import CHAIN, NODES
 from fsar_ledger.ledger.store.staging import stage
-from fsar_ledger.ledger.verify.notes import Anchor, read_anchor
+from fsar_ledger.ledger.verify import verify
 from fsar_ledger.ledger.verify.recover import recover
-from fsar_ledger.ledger.verify.report import VerifyOptions, VerifyReport
+from fsar_ledger.ledger.verify.report import Anchor, VerifyOptions, VerifyReport, read_anchor
 from fsar_ledger.ledger.verify.trusted import FITS, NO_SEGMENT
-from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.agreement import with_value
 from tests.ledger.agreement_chain import anchor_at, records_of, relink, rewrite, tables_of
 from tests.ledger.samples import ORIGIN, made_up_run

@@ -11,8 +11,8 @@ from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.paths import CHAIN, INDEX, JOURNAL, NODES
 from fsar_ledger.ledger.store.read import View
 from fsar_ledger.ledger.store.staging import stage
+from fsar_ledger.ledger.verify import verify
 from fsar_ledger.ledger.verify.chain import SEALED
-from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.agreement import Case, judged
 from tests.ledger.agreement_chain import records_of, relink
 from tests.ledger.crash_trials import Laboratory, write_with

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from fsar_ledger.ledger.store.paths import CHAIN, JOURNAL
+from fsar_ledger.ledger.verify import verify
 from fsar_ledger.ledger.verify.report import VerifyReport
-from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.damage import LEDGERS, Allowance, cases, files_of, is_placed, look, verdict, write_closed
 from tests.ledger.once import decoded_once
 from tests.quick import few

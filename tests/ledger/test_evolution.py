@@ -16,10 +16,10 @@ import pytest
 from fsar_ledger.base.errors import FormatVersionMismatch, UnknownEventTag
 from fsar_ledger.cli import app
 from fsar_ledger.ledger.opening import open_ledger
-from fsar_ledger.ledger.rows.releases import FINGERPRINTS, RELEASE
+from fsar_ledger.ledger.rows.schema import FINGERPRINTS, RELEASE
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.v1 import upgrade
-from fsar_ledger.ledger.verify.verify import verify
+from fsar_ledger.ledger.verify import verify
 from tests.ledger import later_release
 from tests.ledger.forgery import changed, forge_segment, table_of
 from tests.ledger.keep_release import LEDGERS, ORIGIN

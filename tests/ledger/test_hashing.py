@@ -28,7 +28,7 @@ from fsar_ledger.ledger.log.hashing import (
     roots_plainly,
 )
 from fsar_ledger.ledger.log.merkle import Frontier, root
-from fsar_ledger.ledger.verify.verify import verify
+from fsar_ledger.ledger.verify import verify
 from tests.ledger.samples import append_all, contents, made_up_batches
 
 ROWS = st.lists(st.binary(max_size=300).map(lambda row: row.replace(b"\n", b" ")), max_size=20)

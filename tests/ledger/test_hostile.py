@@ -17,7 +17,7 @@ from fsar_ledger.ledger.store import disk
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.paths import CHAIN, INDEX, NODES
 from fsar_ledger.ledger.store.staging import stage
-from fsar_ledger.ledger.verify.verify import verify
+from fsar_ledger.ledger.verify import verify
 from tests.ledger.forgery import forge_segment, segment_at, table_of
 from tests.ledger.hostile import documents, lying_pages, parquets, records
 from tests.ledger.samples import ORIGIN, append_all, made_up_batches, made_up_run

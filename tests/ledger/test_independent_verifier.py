@@ -10,8 +10,7 @@ from typing import Any
 
 import pytest
 
-from fsar_ledger.ledger.rows.releases import FINGERPRINTS
-from fsar_ledger.ledger.rows.schema import COLUMNS, STORED
+from fsar_ledger.ledger.rows.schema import COLUMNS, FINGERPRINTS, STORED
 from tests.ledger.agreement import KEY, ROOT, Case, event_types, independent, judged
 from tests.ledger.samples import made_up_batches
 from tests.running import ran

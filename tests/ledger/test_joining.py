@@ -15,7 +15,7 @@ from fsar_ledger.ledger.rows.arrow import Columns
 from fsar_ledger.ledger.rows.codec import encode
 from fsar_ledger.ledger.rows.compiled import IS_COMPILED
 from fsar_ledger.ledger.rows.schema import COLUMNS, SCHEMA
-from fsar_ledger.ledger.verify.verify import verify
+from fsar_ledger.ledger.verify import verify
 from tests.ledger.samples import append_all, contents, made_up_batches, made_up_run
 
 compiled = pytest.mark.skipif(not IS_COMPILED, reason="no compiler was there")

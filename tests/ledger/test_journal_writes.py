@@ -12,7 +12,7 @@ from fsar_ledger.ledger.store import growing, journal
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.paths import JOURNAL
 from fsar_ledger.ledger.store.staging import stage
-from fsar_ledger.ledger.verify.verify import verify
+from fsar_ledger.ledger.verify import verify
 from tests.ledger.samples import ORIGIN, made_up_run
 
 RUN = made_up_run("run-0", 200, 1)

@@ -12,8 +12,8 @@ from fsar_ledger.ledger.store.paths import CHAIN
 from fsar_ledger.ledger.store.record import segment_of
 from fsar_ledger.ledger.store.segments import Names
 from fsar_ledger.ledger.verify import segment as verify_segment
+from fsar_ledger.ledger.verify import verify
 from fsar_ledger.ledger.verify.segment import SegmentFacts, examine
-from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger import thrift
 from tests.ledger.damage import only_problem
 from tests.ledger.forgery import forge_segment, segment_at, staged_at

@@ -9,7 +9,7 @@ from fsar_ledger.events.fleet import ExperimentPlanned
 from fsar_ledger.events.task import TaskCompleted
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.store.append import Writer
-from fsar_ledger.ledger.verify.verify import verify
+from fsar_ledger.ledger.verify import verify
 from tests.ledger.agreement import Case, judged
 from tests.ledger.hostile import stage_anything
 from tests.ledger.samples import ORIGIN

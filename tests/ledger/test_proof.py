@@ -13,7 +13,16 @@ from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows import canonical, codec
 from fsar_ledger.ledger.store.derived import RunNames
 from fsar_ledger.ledger.store.locations import place_of
-from fsar_ledger.ledger.store.proof import Proof, Value, check_proof, parse_proof, prove, prove_inclusion, read_proof
+from fsar_ledger.ledger.store.proof import (
+    Proof,
+    Value,
+    check_proof,
+    parse_proof,
+    proof_of,
+    prove,
+    prove_inclusion,
+    read_given,
+)
 from tests.ledger.forgery import changed, forge_segment, segment_at, table_of
 from tests.ledger.samples import ORIGIN, append_all, made_up_batches
 
@@ -218,7 +227,7 @@ def test_any_bytes_as_an_event_are_refused_or_a_row(event: bytes) -> None:
 
 def test_a_file_that_is_no_proof_is_refused(tmp_path: Path, intact: Path) -> None:
     with pytest.raises(UsageError, match="found no file"):
-        read_proof(tmp_path / "none")
+        read_given(tmp_path / "none")
     for data in (
         b"",
         b"\n\n",
@@ -229,9 +238,9 @@ def test_a_file_that_is_no_proof_is_refused(tmp_path: Path, intact: Path) -> Non
     ):
         (tmp_path / "file").write_bytes(data)
         with pytest.raises(LedgerCorrupted, match=str(tmp_path / "file")):
-            read_proof(tmp_path / "file")
+            proof_of(str(tmp_path / "file"), read_given(tmp_path / "file"))
     with pytest.raises(LedgerCorrupted, match="cannot be read"):
-        read_proof(tmp_path)
+        read_given(tmp_path)
 
 
 # --- a ledger that cannot prove ---

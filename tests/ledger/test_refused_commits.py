@@ -19,7 +19,7 @@ from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.rows.schema import CONCERNED, OPENINGS, STORED
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.staging import stage
-from fsar_ledger.ledger.verify.verify import verify
+from fsar_ledger.ledger.verify import verify
 from tests import past
 from tests.ledger.agreement import Case, judged
 from tests.ledger.hostile import stage_anything

@@ -18,7 +18,7 @@ from fsar_ledger.ledger.rows.codec import LedgerRun, encode
 from fsar_ledger.ledger.rows.schema import LAYOUTS, OPENINGS, STANDS_ALONE, STORED, StoredType
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.staging import stage
-from fsar_ledger.ledger.verify.verify import verify
+from fsar_ledger.ledger.verify import verify
 from tests.ledger.forgery import changed
 from tests.ledger.samples import append_all, contents, made_up_batches, run_of_every_type
 from tests.ledger.test_plan_rows import PLAN

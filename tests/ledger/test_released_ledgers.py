@@ -17,16 +17,14 @@ from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.ledger.log.hashing import leaves_of
 from fsar_ledger.ledger.opening import open_for_answers, open_ledger
 from fsar_ledger.ledger.rows.codec import LedgerRun, decode, encode, encode_hashed
-from fsar_ledger.ledger.rows.releases import RELEASE, parse_columns
-from fsar_ledger.ledger.rows.schema import LAYOUTS, RETIRED, SCHEMA, described
+from fsar_ledger.ledger.rows.schema import LAYOUTS, RELEASE, RETIRED, SCHEMA, described, parse_columns
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.keys import read_verifier
 from fsar_ledger.ledger.store.manifest import Manifest
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.ledger.v1 import upgrade
-from fsar_ledger.ledger.verify.notes import read_anchor
-from fsar_ledger.ledger.verify.report import VerifyOptions
-from fsar_ledger.ledger.verify.verify import verify
+from fsar_ledger.ledger.verify import verify
+from fsar_ledger.ledger.verify.report import VerifyOptions, read_anchor
 from fsar_ledger.metrics.database import connect
 from fsar_ledger.metrics.library import staging_sql, view_name
 from tests.ledger.agreement import Case, judged
@@ -326,7 +324,7 @@ def test_other_event_types_have_another_release() -> None:
     is_kept = RELEASE in VERSIONS
     is_same = kept_types(newest) == stored_types(LAYOUTS.values())
     assert is_same == is_kept, (
-        f"event types differ from release {newest}: set RELEASE in fsar_ledger/ledger/rows/releases.py to the "
+        f"event types differ from release {newest}: set RELEASE in fsar_ledger/ledger/rows/schema.py to the "
         "release to come"
     )
 

@@ -17,7 +17,7 @@ from fsar_ledger.ledger.store import append, growing, prepare
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.paths import CHAIN, JOURNAL, SEALING, SEGMENTS
 from fsar_ledger.ledger.store.staging import stage
-from fsar_ledger.ledger.verify.verify import verify
+from fsar_ledger.ledger.verify import verify
 from tests.ledger.agreement import Case, judged
 from tests.ledger.agreement_chain import hand_over, view_of
 from tests.ledger.damage import piece, write_handed_over

@@ -1,10 +1,12 @@
+from collections.abc import Callable
+
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fsar_ledger.ledger.log.hashing import HASH_BYTES, parents
-from fsar_ledger.ledger.log.merkle import Frontier, inclusion_proof, leaf_hash, root_of_inclusion, tree_root
-from fsar_ledger.ledger.log.tiles import HEIGHT, WIDTH, Edge, Tile, node_of, partial_tiles
+from fsar_ledger.ledger.log.merkle import Frontier, Node, inclusion_proof, leaf_hash, root_of_inclusion, tree_root
+from fsar_ledger.ledger.log.pack import HEIGHT, WIDTH, Edge, Tile, partial_tiles
 
 LEAVES = b"".join(leaf_hash(b"%d" % number) for number in range(1000))
 
@@ -26,6 +28,20 @@ def tiles_of(leaves: bytes) -> dict[str, bytes]:
             found[Tile(level, number, len(data) // HASH_BYTES).name] = data
         level += 1
     return found
+
+
+def node_of(read: Callable[[Tile], bytes], size: int) -> Node:
+    """Return a function that reads complete subtrees (see `merkle.Node`) of a tree of this size from its tiles."""
+
+    def node(height: int, number: int) -> bytes:
+        level, above = divmod(height, HEIGHT)
+        first = number << above
+        count = size >> HEIGHT * level
+        column, start = divmod(first, WIDTH)
+        tile = Tile(level, column, min(WIDTH, count - column * WIDTH))
+        return hashes(read(tile)[start * HASH_BYTES : (start + (1 << above)) * HASH_BYTES], above)
+
+    return node
 
 
 @pytest.mark.parametrize(

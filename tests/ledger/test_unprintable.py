@@ -9,7 +9,7 @@ from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.staging import stage
-from fsar_ledger.ledger.verify.verify import verify
+from fsar_ledger.ledger.verify import verify
 from tests.ledger.hostile import relabelled, stage_anything
 from tests.ledger.samples import ORIGIN, contents, run_of_every_type
 

@@ -10,9 +10,9 @@ from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.store.manifest import Manifest
 from fsar_ledger.ledger.store.paths import segment_name
 from fsar_ledger.ledger.store.problem import Problem
+from fsar_ledger.ledger.verify import verify
 from fsar_ledger.ledger.verify.report import MAX_PROBLEMS, VerifyOptions
 from fsar_ledger.ledger.verify.segment import examine_all
-from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.damage import SIGNER
 from tests.ledger.forgery import changed, forge, forge_segment, segment_at, table_of
 from tests.ledger.hostile import append_again

@@ -13,20 +13,19 @@ import pyarrow.parquet as pq
 import pytest
 
 from fsar_ledger.base.errors import LedgerCorrupted, WorkerDied
+from fsar_ledger.ledger import verify as verification
 from fsar_ledger.ledger.log.hashing import HASH_BYTES
 from fsar_ledger.ledger.log.merkle import Frontier
 from fsar_ledger.ledger.log.note import Note, checkpoint_of
 from fsar_ledger.ledger.opening import open_ledger
-from fsar_ledger.ledger.rows import layout, releases, segment
+from fsar_ledger.ledger.rows import layout, schema, segment
 from fsar_ledger.ledger.rows.grammar import Footer
 from fsar_ledger.ledger.rows.schema import SCHEMA, fingerprint
 from fsar_ledger.ledger.store import disk
 from fsar_ledger.ledger.verify import segment as verify_segment
-from fsar_ledger.ledger.verify import verify as verification
+from fsar_ledger.ledger.verify import verify
 from fsar_ledger.ledger.verify.chain import BEHIND
-from fsar_ledger.ledger.verify.notes import read_anchor
-from fsar_ledger.ledger.verify.report import VerifyOptions, VerifyReport
-from fsar_ledger.ledger.verify.verify import verify
+from fsar_ledger.ledger.verify.report import VerifyOptions, VerifyReport, read_anchor
 from tests.ledger.damage import SIGNER, only_problem
 from tests.ledger.forgery import forge, forge_segment, segment_at, staged_at, table_of
 from tests.ledger.mutants import CHECKED, PACKAGE, functions_of
@@ -151,7 +150,7 @@ def test_columns_of_another_release_than_the_records_are_found(path: Path, monke
     fewer = table.drop_columns(
         [next(name for name in reversed(table.column_names) if table[name].null_count == len(table))]
     )
-    monkeypatch.setitem(releases.FINGERPRINTS, "0.0.9", fingerprint(fewer.schema))
+    monkeypatch.setitem(schema.FINGERPRINTS, "0.0.9", fingerprint(fewer.schema))
     monkeypatch.setattr(layout, "_footers", lambda: tuple(map(Footer, (fewer.schema, SCHEMA))))
     forge_segment(path, 1, fewer)
     problem = verify(path).problems[0]

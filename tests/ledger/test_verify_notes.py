@@ -10,9 +10,8 @@ from fsar_ledger.ledger.log.note import Checkpoint, Note, Signer
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.staging import stage
-from fsar_ledger.ledger.verify.notes import Anchor, read_anchor
-from fsar_ledger.ledger.verify.report import VerifyOptions, VerifyReport
-from fsar_ledger.ledger.verify.verify import verify
+from fsar_ledger.ledger.verify import verify
+from fsar_ledger.ledger.verify.report import Anchor, VerifyOptions, VerifyReport, read_anchor
 from tests.ledger.forgery import changed, forge, forge_segment, segment_at, table_of
 from tests.ledger.samples import ORIGIN, append_all, contents, made_up_batches, made_up_run
 

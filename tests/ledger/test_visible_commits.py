@@ -16,7 +16,7 @@ from fsar_ledger.ledger.store import disk, snapshot
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.paths import CHAIN, JOURNAL, SEGMENTS
 from fsar_ledger.ledger.store.staging import stage
-from fsar_ledger.ledger.verify.verify import verify
+from fsar_ledger.ledger.verify import verify
 from tests.ledger.agreement import Case, judged
 from tests.ledger.crash_trials import write_with
 from tests.ledger.faults import SYNCS, WRITES, Fault, FaultyOs

@@ -6,9 +6,8 @@ from pathlib import Path
 import pytest
 
 from fsar_ledger.base.errors import UsageError
-from fsar_ledger.ledger.log.ed25519 import flaw_of
 from fsar_ledger.ledger.log.merkle import Frontier
-from fsar_ledger.ledger.log.note import Signer, VerifierKey, checkpoint_of
+from fsar_ledger.ledger.log.note import Signer, VerifierKey, checkpoint_of, flaw_of
 from fsar_ledger.ledger.store.keys import read_signer, read_verifier
 from tests import independent_ed25519
 from tests.ledger.agreement import independent

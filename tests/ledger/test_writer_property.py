@@ -23,8 +23,8 @@ from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.rows.schema import LAYOUTS, MAX_INTEGER
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.staging import stage
+from fsar_ledger.ledger.verify import verify
 from fsar_ledger.ledger.verify.report import VerifyOptions
-from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.samples import ORIGIN, contents, made_up_run
 
 

@@ -10,7 +10,7 @@ from fsar_ledger.events import CONCERNS
 from fsar_ledger.ledger.rows.schema import LAYOUTS, SCHEMA
 from fsar_ledger.metrics.database import Database, Value, connect, from_rows, from_table, plain_rows, table_of
 from fsar_ledger.metrics.library import REQUIRED_KEYS, Library, Query, staging_sql, view_name
-from fsar_ledger.metrics.query_parameters import Parameter
+from fsar_ledger.metrics.sql_values import Parameter
 from tests.metrics.conftest import record
 from tests.untrusted import run_untrusted
 

@@ -11,9 +11,9 @@ from fsar_ledger.ledger.rows.layout import Layout, check_layout, read_file, read
 from fsar_ledger.ledger.rows.schema import SCHEMA
 from fsar_ledger.ledger.rows.segment import read_coded
 from fsar_ledger.ledger.verify import segment as verify_segment
+from fsar_ledger.ledger.verify import verify
 from fsar_ledger.ledger.verify.report import VerifyOptions
-from fsar_ledger.ledger.verify.verify import verify
-from fsar_ledger.metrics.duckdb_check import ReadAgain
+from fsar_ledger.metrics.verified import ReadAgain
 from tests.ledger.forgery import changed, forge_segment, segment_at
 from tests.ledger.parts import two_faced
 from tests.ledger.samples import append_all, made_up_run

@@ -5,7 +5,7 @@ from collections import Counter
 
 import pytest
 
-from fsar_ledger.metrics.paper_numbers import Place, Table, printed
+from fsar_ledger.metrics.definitions import Place, Table, printed
 from fsar_ledger.metrics.registration import registration
 from fsar_ledger.metrics.verdicts import MARGINS
 

@@ -7,7 +7,7 @@ import pytest
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.metrics.database import Slices, connect
 from fsar_ledger.metrics.invariants import audit_rows, invariants
-from fsar_ledger.runtime import staging
+from fsar_ledger.runtime import simulation
 from fsar_ledger.runtime.experiment import Experiment, run_experiment
 from tests.quick import few
 
@@ -19,7 +19,7 @@ EVENTS = "SELECT run_id, seq, type FROM events ORDER BY ALL"
 def ledger(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("slices") / "ledger"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(staging, "COMMIT_EVENTS", 300)  # most runs are in several segments
+        patch.setattr(simulation, "COMMIT_EVENTS", 300)  # most runs are in several segments
         run_experiment(path, WHOLE, 1)
     return path
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from fsar_ledger.metrics.paper_numbers import Printed
+from fsar_ledger.metrics.definitions import Printed
 from fsar_ledger.metrics.results import MetricRow
 from fsar_ledger.metrics.verdicts import MARGINS, Comparison, Odds, compare, gives, odds, published, share_text
 from tests.sure import known

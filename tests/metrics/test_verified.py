@@ -13,8 +13,8 @@ from fsar_ledger.base.errors import LedgerCorrupted, SequenceConflict
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.staging import stage
+from fsar_ledger.ledger.verify import verify
 from fsar_ledger.ledger.verify.report import VerifyOptions
-from fsar_ledger.ledger.verify.verify import verify
 from fsar_ledger.metrics import verified
 from fsar_ledger.metrics.database import connect, from_rows
 from fsar_ledger.metrics.verified import ensure_verified, full_verify, is_remembered

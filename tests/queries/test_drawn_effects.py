@@ -10,7 +10,7 @@ from fsar_ledger.designs.constants import Constants
 from fsar_ledger.events.configuration import FULL, PAPER_ARCHITECTURES
 from fsar_ledger.ledger.rows.codec import encode
 from fsar_ledger.metrics.database import Database, from_table
-from fsar_ledger.metrics.paper_numbers import printed_tests
+from fsar_ledger.metrics.definitions import printed_tests
 from fsar_ledger.metrics.registration import registration
 from fsar_ledger.metrics.results import drawn_effects, setting_of, statistic_rows
 from fsar_ledger.metrics.verdicts import compare_effects

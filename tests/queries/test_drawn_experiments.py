@@ -9,7 +9,7 @@ import pyarrow as pa
 import pytest
 
 from fsar_ledger.metrics.database import from_rows
-from fsar_ledger.metrics.paper_numbers import Printed
+from fsar_ledger.metrics.definitions import Printed
 from fsar_ledger.metrics.registration import registration
 from fsar_ledger.metrics.verdicts import odds
 

@@ -11,8 +11,8 @@ import pytest
 from fsar_ledger.base.errors import InvalidQuery
 from fsar_ledger.ledger.rows.schema import COLUMNS, LAYOUTS
 from fsar_ledger.metrics.database import Database, from_rows
-from fsar_ledger.metrics.groups import is_event_view
 from fsar_ledger.metrics.library import KEYS, REQUIRED_KEYS, Library, Query, generated, library, parse
+from fsar_ledger.metrics.own_sql import is_event_view
 from tests.queries.keys import required
 
 FILES = sorted(Path(str(files("fsar_ledger.queries"))).rglob("*.sql"))

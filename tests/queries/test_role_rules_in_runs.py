@@ -13,10 +13,10 @@ from fsar_ledger.metrics.invariants import chosen
 from fsar_ledger.projections import policy
 from fsar_ledger.runtime.architectures.fsar import FSAR
 from fsar_ledger.runtime.architectures.handler_table import HandlerTable
-from fsar_ledger.runtime.handlers.advertising import AdvertiseCapability
 from fsar_ledger.runtime.handlers.commands import StartAction
 from fsar_ledger.runtime.handlers.fleet import InstallCapability, JoinFleet
 from fsar_ledger.runtime.handlers.policy import SetPolicyRule, SetRolePolicyRule
+from fsar_ledger.runtime.handlers.registry import AdvertiseCapability
 from fsar_ledger.runtime.handlers.request import RequestCapability
 from tests import past
 from tests.queries.histories import S

@@ -7,8 +7,7 @@ import msgspec
 import pyarrow as pa
 
 from fsar_ledger.events.configuration import ARCHITECTURES
-from fsar_ledger.metrics.definitions import metrics
-from fsar_ledger.metrics.paper_numbers import Table, printed
+from fsar_ledger.metrics.definitions import Table, metrics, printed
 from fsar_ledger.metrics.registration import Sample, SampleAround
 from fsar_ledger.metrics.results import StatisticRow
 from fsar_ledger.metrics.robustness import (

@@ -13,7 +13,7 @@ import pytest
 from fsar_ledger.base.errors import NotALedger, UsageError, WriteFailed
 from fsar_ledger.base.publishing import publish
 from fsar_ledger.report import build
-from fsar_ledger.report.build import result_figure_svg, write_report
+from fsar_ledger.report.build import write_report
 
 Make = Callable[..., Path]
 REPORT = """
@@ -71,12 +71,6 @@ def test_report_and_numbers_in_the_same_file_are_refused(ledger: Path, tmp_path:
     with pytest.raises(UsageError, match="the same file"):
         write_report(ledger, out, numbers_out=tmp_path / numbers)
     assert out.read_bytes() == b"old"
-
-
-@pytest.mark.slow
-def test_figure_is_written_as_svg(ledger: Path, tmp_path: Path) -> None:
-    result_figure_svg(ledger, tmp_path / "results.svg")
-    assert b"<svg" in (tmp_path / "results.svg").read_bytes()
 
 
 @contextmanager

@@ -15,7 +15,7 @@ from fsar_ledger.metrics.database import Database
 from fsar_ledger.metrics.results import dialled_rows
 from fsar_ledger.metrics.verdicts import MARGINS
 from fsar_ledger.report.build import Document
-from fsar_ledger.report.experiments import Part, experiments_of
+from fsar_ledger.report.findings import Part, experiments_of
 from fsar_ledger.report.judge import OPEN, Number
 from fsar_ledger.runtime.experiment import Experiment
 from fsar_ledger.runtime.simulation import simulate_run

@@ -21,7 +21,7 @@ from fsar_ledger.ledger.rows.codec import encode
 from fsar_ledger.metrics.database import Database
 from fsar_ledger.metrics.definitions import metrics
 from fsar_ledger.report.build import Document
-from fsar_ledger.report.experiments import experiments_of
+from fsar_ledger.report.findings import experiments_of
 from fsar_ledger.runtime.experiment import Experiment
 from fsar_ledger.runtime.experiment_arguments import experiment_of
 from fsar_ledger.runtime.knockouts import KNOCKOUTS, Knockout

@@ -1,14 +1,18 @@
 """One run in which every command from outside is given that no simulated world gives: what only they emit is here."""
 
 from fsar_ledger.events.envelope import Robot, Supervisor
-from fsar_ledger.runtime.handlers.advertising import DeprecateCapability, WithdrawCapability
 from fsar_ledger.runtime.handlers.authority import GrantAuthority, RevokeAuthority
 from fsar_ledger.runtime.handlers.candidates import Query
 from fsar_ledger.runtime.handlers.commands import Command
 from fsar_ledger.runtime.handlers.fleet import JoinFleet, RemoveCapability
 from fsar_ledger.runtime.handlers.policy import SetPolicyRule, SetRolePolicyRule
 from fsar_ledger.runtime.handlers.recovery import SetRecoveryBudget
-from fsar_ledger.runtime.handlers.registry import CacheRegistry, ConsultRegistry
+from fsar_ledger.runtime.handlers.registry import (
+    CacheRegistry,
+    ConsultRegistry,
+    DeprecateCapability,
+    WithdrawCapability,
+)
 from fsar_ledger.runtime.handlers.request import AnswerOffer, RequestCapability
 from fsar_ledger.runtime.handlers.supervision import SetSupervisionDensity
 from fsar_ledger.runtime.handlers.task import SubmitTask

@@ -19,7 +19,8 @@ from fsar_ledger.events.registry import (
 from fsar_ledger.events.world import ActuatorDegraded
 from fsar_ledger.projections.fold import State, apply
 from fsar_ledger.projections.registry import Contract, advertisement, possesses, surface
-from fsar_ledger.runtime.handlers.advertising import (
+from fsar_ledger.runtime.handlers.commands import Command
+from fsar_ledger.runtime.handlers.registry import (
     HANDLERS,
     AdvertiseCapability,
     DeprecateCapability,
@@ -30,7 +31,6 @@ from fsar_ledger.runtime.handlers.advertising import (
     advertise_capability,
     finish_roll_out,
 )
-from fsar_ledger.runtime.handlers.commands import Command
 from tests import past
 from tests.runtime.histories import given, happen, types
 from tests.runtime.live import decided, refusal

@@ -11,7 +11,7 @@ from fsar_ledger.base.errors import InvalidExperiment, NotALedger
 from fsar_ledger.designs.constants import Constants, Outages, Range, Structure, WorldConstants
 from fsar_ledger.events.configuration import PAPER_ARCHITECTURES
 from fsar_ledger.ledger.opening import open_for_answers, open_ledger
-from fsar_ledger.ledger.verify.verify import verify
+from fsar_ledger.ledger.verify import verify
 from fsar_ledger.runtime.experiment import Experiment, missing_runs, run_experiment
 from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, run_id, run_started
 

@@ -24,7 +24,7 @@ from fsar_ledger.events.request import RequestDenied
 from fsar_ledger.events.supervision import SupervisorCalled, SupervisorResponded
 from fsar_ledger.projections.fold import State
 from fsar_ledger.runtime.architectures.cfc.coordinator import ProcessWork
-from fsar_ledger.runtime.architectures.cfc.recovery import process
+from fsar_ledger.runtime.architectures.cfc.execution import process
 from fsar_ledger.runtime.architectures.fsar import FSAR
 from fsar_ledger.runtime.architectures.fsar.execution import DecideOwnStep, RefuseHeld
 from fsar_ledger.runtime.architectures.fsar.request import EvaluateRequest, evaluate_request

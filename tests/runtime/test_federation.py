@@ -25,7 +25,7 @@ from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.runtime.architectures.fsar import FSAR
 from fsar_ledger.runtime.architectures.fsar.reports import ReportStart
 from fsar_ledger.runtime.federation import Federation
-from fsar_ledger.sources.json_lines import MAX_LINE
+from fsar_ledger.sources.adapter import MAX_LINE
 
 S = 1_000_000_000
 TICKS = count(1_772_359_200)

@@ -18,7 +18,7 @@ from fsar_ledger.events.trust import RoleTrustSet
 from fsar_ledger.events.world import ObstructionAppeared, PeersMet, RoutineDue, TaskArrived
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.store import staging
-from fsar_ledger.ledger.verify.verify import verify
+from fsar_ledger.ledger.verify import verify
 from fsar_ledger.projections.fold import fold
 from fsar_ledger.projections.policy import ruled
 from fsar_ledger.runtime.experiment import Experiment, run_experiment

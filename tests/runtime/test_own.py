@@ -31,7 +31,7 @@ from fsar_ledger.events.execution import ExecutionStarted
 from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.events.world import SupervisorLeft, SupervisorReturned
 from fsar_ledger.ledger.rows.codec import LedgerRun
-from fsar_ledger.ledger.verify.verify import verify
+from fsar_ledger.ledger.verify import verify
 from fsar_ledger.metrics.constant_names import unlike_ours
 from fsar_ledger.runtime.experiment import Experiment, run_experiment
 from fsar_ledger.runtime.own import with_own, with_settings

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from fsar_ledger.ledger.verify.verify import verify
+from fsar_ledger.ledger.verify import verify
 from tests.quick import few
 from tests.running import ran
 

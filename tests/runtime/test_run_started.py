@@ -14,7 +14,7 @@ from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.rows.schema import LAYOUTS
 from fsar_ledger.ledger.v1 import upgrade
-from fsar_ledger.ledger.verify.verify import verify
+from fsar_ledger.ledger.verify import verify
 from fsar_ledger.metrics.database import connect
 from fsar_ledger.projections import fleet
 from fsar_ledger.runtime.simulation import RunSpec, run_id, run_started, simulate_run

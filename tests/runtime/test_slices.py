@@ -9,8 +9,8 @@ from fsar_ledger.designs.constants import Constants
 from fsar_ledger.events.configuration import PAPER_ARCHITECTURES
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.rows.runs import joined
-from fsar_ledger.ledger.verify.verify import verify
-from fsar_ledger.runtime import staging
+from fsar_ledger.ledger.verify import verify
+from fsar_ledger.runtime import simulation
 from fsar_ledger.runtime.experiment import Experiment, run_experiment
 from fsar_ledger.runtime.replay import replay
 from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, simulate_run, simulate_slices
@@ -36,7 +36,7 @@ def test_slices_are_the_run(architecture: str, scenario: str) -> None:
 
 @pytest.fixture
 def small_commits(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(staging, "COMMIT_EVENTS", SMALL)
+    monkeypatch.setattr(simulation, "COMMIT_EVENTS", SMALL)
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +44,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The experiment in small commits, never interrupted."""
     path = tmp_path_factory.mktemp("made") / "ledger"
     with pytest.MonkeyPatch.context() as monkeypatch:
-        monkeypatch.setattr(staging, "COMMIT_EVENTS", SMALL)
+        monkeypatch.setattr(simulation, "COMMIT_EVENTS", SMALL)
         run_experiment(path, WHOLE, 1)
     return path
 

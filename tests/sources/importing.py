@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from fsar_ledger.ledger.opening import open_ledger
-from fsar_ledger.ledger.verify.verify import verify
+from fsar_ledger.ledger.verify import verify
 from fsar_ledger.sources.adapter import adapter_of, opened
 from fsar_ledger.sources.importing import Imported, import_files
 from tests.sources.vda import Line, written

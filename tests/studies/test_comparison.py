@@ -10,7 +10,7 @@ import pytest
 
 from fsar_ledger.base.errors import FsarLedgerError, UsageError
 from fsar_ledger.designs.constants import Constants, write_constants
-from fsar_ledger.metrics.paper_numbers import printed
+from fsar_ledger.metrics.definitions import printed
 from fsar_ledger.metrics.registration import registration
 from fsar_ledger.metrics.study_results import METRICS, Predicted, Predictions, rules
 from fsar_ledger.metrics.verdicts import MARGINS

@@ -12,19 +12,19 @@ from fsar_ledger.events.envelope import Robot, Scenario, Supervisor, Workflow, f
 from fsar_ledger.events.trust import RoleTrustSet
 from fsar_ledger.events.world import ActuatorDegraded, RobotCameBack, RobotWentOff
 from fsar_ledger.runtime.experiment import Experiment
-from fsar_ledger.runtime.handlers.advertising import (
-    AdvertiseCapability,
-    DeprecateCapability,
-    ReportAvailability,
-    UpgradeCapability,
-)
 from fsar_ledger.runtime.handlers.authority import GrantAuthority, RevokeAuthority
 from fsar_ledger.runtime.handlers.candidates import Query
 from fsar_ledger.runtime.handlers.commands import Command
 from fsar_ledger.runtime.handlers.fleet import InstallCapability, JoinFleet
 from fsar_ledger.runtime.handlers.policy import SetPolicyRule, SetRolePolicyRule
 from fsar_ledger.runtime.handlers.recovery import ReportFailure
-from fsar_ledger.runtime.handlers.registry import ConsultRegistry
+from fsar_ledger.runtime.handlers.registry import (
+    AdvertiseCapability,
+    ConsultRegistry,
+    DeprecateCapability,
+    ReportAvailability,
+    UpgradeCapability,
+)
 from fsar_ledger.runtime.handlers.request import RequestCapability
 from fsar_ledger.runtime.handlers.task import SubmitTask
 from fsar_ledger.runtime.handlers.trust import SetRoleTrust, SetTrust, SetTrustThresholds

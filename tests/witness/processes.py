@@ -16,8 +16,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from fsar_ledger.ledger.log.note import Checkpoint, Note
-from fsar_ledger.witness.cosignature import Cosigner
-from fsar_ledger.witness.protocol import parse_request
+from fsar_ledger.witness.protocol import Cosigner, parse_request
 
 LIAR = Cosigner("example.org/liar", bytes([7] * 32))
 STRANGER = Cosigner("example.org/liar", bytes([8] * 32))

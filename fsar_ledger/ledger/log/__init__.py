@@ -2,8 +2,7 @@
 
 ```
 merkle    RFC 6962 hashes and proofs
-tiles     which hashes are in which tile, and which tiles a commit adds
-note      signed notes and checkpoints
-ed25519   which public keys can be trusted
+pack      hashes of the tree in files: which are in the pack or in which tile, and which a commit adds
+note      signed notes and checkpoints, and which public keys can be trusted
 ```
 """

@@ -1,8 +1,7 @@
 """Rows: events as typed columns, the bytes that are hashed, and the one accepted form of a segment on disk.
 
 ```
-schema      the columns, derived from the event types
-releases    the columns that each release wrote
+schema      the columns, derived from the event types, and those that each release wrote
 runs        what a run handed to a writer may hold; its pieces, put together
 codec       runs of events <-> one Arrow table
 compiled    the hot paths of the codec in C, where they were built: events -> rows, rows -> columns

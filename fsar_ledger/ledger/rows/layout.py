@@ -32,7 +32,7 @@ from fsar_ledger.ledger.rows.grammar import (
     encoding_statistics,
     unsigned,
 )
-from fsar_ledger.ledger.rows.releases import SCHEMAS
+from fsar_ledger.ledger.rows.schema import SCHEMAS
 
 _AS_WRITTEN = "those of a segment as it is written"
 _OTHER_FOOTER = f"the footer: other fields or values, expected {_AS_WRITTEN}"

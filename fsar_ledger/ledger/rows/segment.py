@@ -11,8 +11,7 @@ from fsar_ledger.base.errors import LedgerCorrupted
 from fsar_ledger.ledger.rows.bounds import MAX_TEXT_BYTES, has_more_text_than, text_bytes
 from fsar_ledger.ledger.rows.grammar import HAS_STATISTICS, path_of
 from fsar_ledger.ledger.rows.layout import Layout, check_layout, read_file
-from fsar_ledger.ledger.rows.releases import widened
-from fsar_ledger.ledger.rows.schema import CODED_SCHEMA, COLUMNS, SCHEMA
+from fsar_ledger.ledger.rows.schema import CODED_SCHEMA, COLUMNS, SCHEMA, widened
 
 _FEW_ROWS, _FEW_COLUMNS = 1 << 17, 8
 

@@ -16,10 +16,9 @@ so no work is done again: leaves and segments do not depend on where in the ledg
 
 import base64
 import fcntl
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from types import TracebackType
 
 from fsar_ledger.base.errors import CommitTooLarge, NotALedger, WriteFailed, option
 from fsar_ledger.ledger.log import pack
@@ -28,8 +27,8 @@ from fsar_ledger.ledger.log.merkle import Frontier
 from fsar_ledger.ledger.log.note import Checkpoint, Signer
 from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.rows.blocks import Block
-from fsar_ledger.ledger.rows.releases import RELEASE
 from fsar_ledger.ledger.rows.runs import LedgerRun, refusal
+from fsar_ledger.ledger.rows.schema import RELEASE
 from fsar_ledger.ledger.store import disk, growing, paths
 from fsar_ledger.ledger.store.derived import append_derived, index_line
 from fsar_ledger.ledger.store.journal import Frame, JournalFile
@@ -48,7 +47,7 @@ from fsar_ledger.ledger.store.prepare import (
 )
 from fsar_ledger.ledger.store.read import View, open_chain
 from fsar_ledger.ledger.store.record import Commit, Head, Placement, segment_of
-from fsar_ledger.ledger.store.staging import Staged, require_staged, rows_of, stage_made
+from fsar_ledger.ledger.store.staging import Staged, require_staged, rows_of, stage, stage_made
 
 # See docs/decisions/commits-hold-16384-events.md.
 SEAL_ROWS, SEAL_BYTES = 1 << 14, 1 << 23
@@ -114,9 +113,7 @@ class Writer:
     def __enter__(self) -> "Writer":
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def close(self) -> None:
@@ -175,22 +172,28 @@ class Writer:
             LedgerCorrupted: Another writer made the ledger contradict itself.
             WriteFailed: The disk refused. The ledger is unchanged, unless the message says otherwise.
         """
-        self._require_usable()
-        with self._turn:
-            self._catch_up()
+        with self._its_turn():
             if any(placement.segment_sha256 == staged.segment_sha256 for placement in self._view.chain.placements):
                 disk.remove(staged_path(self._path, staged.segment_sha256))
                 return self._view.head
             require_staged(self._path, staged)
-            continues = self._continued(staged)
+            continues, release = self._continued(staged), staged.release
             self._seal_all()
             tree, nodes = pack.grow(self._view.tree(), staged.leaves)
-            commit = self._commit(
-                staged.rows, tree.size, tree.root(), continues, staged.goes_on, staged.release, signature
-            )
+            commit = self._record(staged.rows, tree.size, tree.root(), continues, staged.goes_on, release, signature)
             self._place(staged, [canonical.document(commit)], tree, nodes, staged.blocks)
             self._runs().add(staged.blocks)
         return self._view.head
+
+    def commit(self, runs: Sequence[LedgerRun]) -> Head:
+        """Commit these runs, or parts of runs, durably: to the journal, or as a segment if it does not hold so many.
+
+        Raises: As `add` and `append`; CommitTooLarge if a segment does not hold them either.
+        """
+        try:
+            return self.add(runs)
+        except CommitTooLarge:
+            return self.append(stage(self._path, runs))
 
     def add(self, runs: Sequence[LedgerRun]) -> Head:
         """Commit these runs, or parts of runs, to the journal, durably: for a few events at a time.
@@ -201,7 +204,6 @@ class Writer:
             LedgerCorrupted: Another writer made the ledger contradict itself.
             WriteFailed: The disk refused. The ledger is unchanged, unless the message says otherwise.
         """
-        self._require_usable()
         rows, blocks = rows_of(runs)
         count = sum([block.rows for block in blocks])
         if count > SEAL_ROWS or len(rows) > SEAL_BYTES:
@@ -212,8 +214,7 @@ class Writer:
         goes_on = tuple([run.run_id for run in runs if run.goes_on])
         if len(runs) > 1:
             goes_on = tuple(sorted(goes_on))
-        with self._turn:
-            self._catch_up()
+        with self._its_turn():
             if (flaw := self._runs().refused(blocks, self._view)) is not None:
                 raise refusal(flaw)
             if self._sealing.is_done:
@@ -224,7 +225,7 @@ class Writer:
                 self._hand_over()
             journal = self._view.journal
             leaves, tree, root = journal.tree.add(rows)
-            commit = self._commit(count, tree.size, root, continued(blocks), goes_on)
+            commit = self._record(count, tree.size, root, continued(blocks), goes_on)
             line = canonical.document(commit)
             self._is_broken = True  # unless everything below succeeds
             try:
@@ -251,10 +252,8 @@ class Writer:
 
         Raises: LedgerCorrupted if a segment is not as placed; else as `append`.
         """
-        self._require_usable()
         merged = 0
-        with self._turn:
-            self._catch_up()
+        with self._its_turn():
             self._seal_all()
             for old in list(mergeable(self._view.chain.placed)):
                 self._merge(old)
@@ -276,16 +275,12 @@ class Writer:
 
     def settle(self) -> None:
         """Finish the sealing of the journal that was full last. Raises: As `append`."""
-        self._require_usable()
-        with self._turn:
-            self._catch_up()
+        with self._its_turn():
             self._seal(self._view.journal.sealing)
 
     def seal(self) -> Head:
         """Put what is in the journal into a segment. Raises: As `append`."""
-        self._require_usable()
-        with self._turn:
-            self._catch_up()
+        with self._its_turn():
             self._seal_all()
         return self._view.head
 
@@ -316,23 +311,23 @@ class Writer:
         self._place(sealed.made.staged, lines, sealed.tree, sealed.nodes, sealed.blocks, count)
         self._journal.remove(is_all=count == len(journal.frames))
 
-    def _require_usable(self) -> None:
+    # See docs/decisions/writers-take-turns.md.
+    @contextmanager
+    def _its_turn(self) -> Iterator[None]:
+        """Take a turn, which begins with what others have added since the last. Raises: WriteFailed if it cannot."""
         if self._is_broken or self._lock < 0:
             raise WriteFailed(
                 f"{self._path}: this writer is {'broken' if self._is_broken else 'closed'}; open the ledger again and "
                 "append what it lacks"
             )
-
-    # See docs/decisions/writers-take-turns.md.
-    def _catch_up(self) -> None:
-        """Take over what other writers have added since the last turn."""
-        if self._view.is_current(self._chain, self._journal.handle):
-            return
-        known = self._view.head.size
-        self._journal.close()
-        self._view = self._opened(settles=False)
-        if self._held is not None:
-            self._held.add_from(self._view, known)
+        with self._turn:
+            if not self._view.is_current(self._chain, self._journal.handle):
+                known = self._view.head.size
+                self._journal.close()
+                self._view = self._opened(settles=False)
+                if self._held is not None:
+                    self._held.add_from(self._view, known)
+            yield
 
     def _continued(self, staged: Staged) -> tuple[tuple[str, int], ...]:
         """Return the runs that the segment continues. Raises: InvalidRun if the ledger cannot hold its events."""
@@ -341,7 +336,7 @@ class Writer:
             raise refusal(flaw)
         return continued(staged.blocks)
 
-    def _commit(
+    def _record(
         self,
         rows: int,
         size: int,

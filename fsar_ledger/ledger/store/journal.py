@@ -20,7 +20,7 @@ import msgspec
 
 from fsar_ledger.ledger.log.hashing import leaves, sha256_hex
 from fsar_ledger.ledger.log.merkle import Frontier
-from fsar_ledger.ledger.rows.releases import is_later
+from fsar_ledger.ledger.rows.schema import is_later
 from fsar_ledger.ledger.store import disk, growing
 from fsar_ledger.ledger.store.links import Chain, Doubt
 from fsar_ledger.ledger.store.paths import CHAIN, JOURNAL, SEALING

@@ -7,8 +7,7 @@ import stat
 from pathlib import Path
 
 from fsar_ledger.base.errors import UsageError, option
-from fsar_ledger.ledger.log.ed25519 import KEY_BYTES, flaw_of
-from fsar_ledger.ledger.log.note import ED25519, Signer, VerifierKey, is_name
+from fsar_ledger.ledger.log.note import ED25519, KEY_BYTES, Signer, VerifierKey, flaw_of, is_name
 from fsar_ledger.ledger.store import disk
 
 _SECRET = "PRIVATE+KEY"

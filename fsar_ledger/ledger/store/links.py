@@ -16,7 +16,7 @@ import msgspec
 from fsar_ledger.base.memory import without_collection
 from fsar_ledger.ledger.log.hashing import digests, sha256_hex
 from fsar_ledger.ledger.log.merkle import EMPTY_ROOT, Frontier
-from fsar_ledger.ledger.rows.releases import FINGERPRINTS, RELEASE, is_later
+from fsar_ledger.ledger.rows.schema import FINGERPRINTS, RELEASE, is_later
 from fsar_ledger.ledger.store.paths import CHAIN, MANIFEST
 from fsar_ledger.ledger.store.problem import LaterRelease, Problem
 from fsar_ledger.ledger.store.record import (

@@ -28,7 +28,6 @@ from fsar_ledger.ledger.store import disk
 from fsar_ledger.ledger.store.read import View
 
 TITLE = "c2sp.org/tlog-proof@v1"
-SUFFIX = ".tlog-proof"
 
 Value = str | int | bool | list[str]
 """What a field of an event can hold."""
@@ -111,16 +110,8 @@ def _segment_of(view: View, index: int) -> Path:
     return view.segment(bisect_right(range(len(view.releases)), index, key=view.first) - 1)
 
 
-def read_proof(path: Path) -> Proof:
-    """Read the proof in this file or pipe; lines may end as on Windows.
-
-    Raises: UsageError if there is no such file, LedgerCorrupted if it is no proof.
-    """
-    return proof_of(str(path), read_given(path))
-
-
 def read_given(path: Path) -> bytes:
-    """Read a proof of any form in this file or pipe. Raises: As `read_proof`."""
+    """Read a proof of any form in this file or pipe. Raises: UsageError if there is none, LedgerCorrupted."""
     try:
         return disk.read_given(path)
     except FileNotFoundError as error:
@@ -130,7 +121,7 @@ def read_given(path: Path) -> bytes:
 
 
 def proof_of(where: str, data: bytes) -> Proof:
-    """Parse what a file of this name holds, as `read_proof` does. Raises: LedgerCorrupted if it is no proof."""
+    """Parse what a file of this name holds; lines may end as on Windows. Raises: LedgerCorrupted if it is no proof."""
     try:
         text = data.decode()
     except UnicodeDecodeError as error:

@@ -22,9 +22,8 @@ from fsar_ledger.ledger.rows import canonical, codec, segment
 from fsar_ledger.ledger.rows.blocks import BLOCK_COLUMNS
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.rows.layout import Layout, check_layout
-from fsar_ledger.ledger.rows.releases import RELEASE
 from fsar_ledger.ledger.rows.runs import gathered
-from fsar_ledger.ledger.rows.schema import SCHEMA
+from fsar_ledger.ledger.rows.schema import RELEASE, SCHEMA
 from fsar_ledger.ledger.store import derived, growing
 from fsar_ledger.ledger.store.derived import Extent, Index, Part, RunNames
 from fsar_ledger.ledger.store.journal import Journal, leaves_in, lines_of

@@ -23,7 +23,7 @@ import msgspec
 
 from fsar_ledger.ledger.log.hashing import HASH_BYTES
 from fsar_ledger.ledger.log.merkle import EMPTY_ROOT, Frontier
-from fsar_ledger.ledger.log.note import Checkpoint, Note, Signature
+from fsar_ledger.ledger.log.note import ID_BYTES, SIGNATURE_BYTES, Checkpoint, Note, Signature
 from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.rows.bounds import MAX_ROWS, MAX_SEGMENT_BYTES
 from fsar_ledger.ledger.rows.schema import MAX_INTEGER
@@ -31,7 +31,6 @@ from fsar_ledger.ledger.store.paths import segment_name
 
 LEAST_LINE_BYTES, MAX_LINE_BYTES = 200, 1 << 20
 """A record has more bytes than the first, and fewer than the second."""
-_KEY_ID_BYTES, _SIGNATURE_BYTES = 4, 64
 _AT_ONCE = 64  # records that are written again: their lines stay in the CPU caches
 
 Count = Annotated[int, msgspec.Meta(ge=0, le=MAX_INTEGER)]
@@ -79,7 +78,7 @@ class Commit(
         signatures: tuple[Signature, ...] = ()
         if self.signature:
             data = base64.b64decode(self.signature)
-            signatures = (Signature(origin, data[:_KEY_ID_BYTES], data[_KEY_ID_BYTES:]),)
+            signatures = (Signature(origin, data[:ID_BYTES], data[ID_BYTES:]),)
         return Note(self.checkpoint(origin), signatures)
 
 
@@ -228,7 +227,7 @@ def _is_signature(text: str) -> bool:
         data = base64.b64decode(text, validate=True)
     except (binascii.Error, ValueError):
         return False
-    return len(data) == _KEY_ID_BYTES + _SIGNATURE_BYTES and base64.b64encode(data).decode() == text
+    return len(data) == ID_BYTES + SIGNATURE_BYTES and base64.b64encode(data).decode() == text
 
 
 def segment_of(placement: Placement) -> str:

@@ -34,9 +34,16 @@ from fsar_ledger.ledger.rows.check import disordered, unprintable
 from fsar_ledger.ledger.rows.codec import encode_coded, encode_hashed, encode_lines
 from fsar_ledger.ledger.rows.compiled import MARK_OF, OPENING, Plain, marks_of, plain_lines, plain_rows, plain_table
 from fsar_ledger.ledger.rows.layout import read_layout
-from fsar_ledger.ledger.rows.releases import RELEASE
 from fsar_ledger.ledger.rows.runs import LedgerRun, overlong, refusal, require_runs, unreadable
-from fsar_ledger.ledger.rows.schema import FINGERPRINT, LAYOUTS, OPENINGS, SCHEMA, STANDS_ALONE, concerns_admitted
+from fsar_ledger.ledger.rows.schema import (
+    FINGERPRINT,
+    LAYOUTS,
+    OPENINGS,
+    RELEASE,
+    SCHEMA,
+    STANDS_ALONE,
+    concerns_admitted,
+)
 from fsar_ledger.ledger.store import disk
 from fsar_ledger.ledger.store.paths import staged_path
 

@@ -35,16 +35,19 @@ from fsar_ledger.ledger.store.record import Commit, Placement, segment_of
 from fsar_ledger.ledger.store.segments import MISSING, Names, check_manifest, names_in
 from fsar_ledger.ledger.store.snapshot import behind, covered
 from fsar_ledger.ledger.store.staging import table_of
-from fsar_ledger.ledger.verify.notes import (
+from fsar_ledger.ledger.verify.report import (
+    MAX_PROBLEMS,
+    NOT_LOOKED_AT,
     Anchor,
     ByHashes,
     Signatures,
+    VerifyOptions,
+    VerifyReport,
     check_anchor,
     check_signatures,
     not_compared,
     root_by_hashes,
 )
-from fsar_ledger.ledger.verify.report import MAX_PROBLEMS, NOT_LOOKED_AT, VerifyOptions, VerifyReport
 from fsar_ledger.ledger.verify.segment import SegmentFacts, examine_all
 
 FOLDERS = frozenset({SEGMENTS, STAGING})

@@ -25,9 +25,9 @@ from fsar_ledger.ledger.store import disk
 from fsar_ledger.ledger.store.paths import SEGMENTS
 from fsar_ledger.ledger.store.problem import Problem
 from fsar_ledger.ledger.store.record import Head
+from fsar_ledger.ledger.verify import require_ledger, verify
 from fsar_ledger.ledger.verify.report import VerifyOptions, VerifyReport
 from fsar_ledger.ledger.verify.trusted import Did, Found, Later, find_trusted, mend, write_copy
-from fsar_ledger.ledger.verify.verify import require_ledger, verify
 
 Outcome = Literal["whole", "mended", "damaged", "continued"]
 

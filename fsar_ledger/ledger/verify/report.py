@@ -1,12 +1,177 @@
-"""What `verify` is asked, and what it reports."""
+"""What `verify` is asked, and what it reports: problems, who signed, whether the ledger grew from a checkpoint."""
+
+import os
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TypeAlias
 
 import msgspec
 
-from fsar_ledger.ledger.log.note import Signed, VerifierKey
-from fsar_ledger.ledger.store.paths import CHAIN, INDEX, NODES
+from fsar_ledger.base.errors import LedgerCorrupted, UsageError, option
+from fsar_ledger.ledger.log.merkle import Node, consistency_proof, is_consistent
+from fsar_ledger.ledger.log.note import Checkpoint, Note, Signed, VerifierKey, doubt, names, parse_note, signers_of
+from fsar_ledger.ledger.store import disk
+from fsar_ledger.ledger.store.paths import CHAIN, INDEX, MANIFEST, NODES
 from fsar_ledger.ledger.store.problem import Problem
-from fsar_ledger.ledger.verify.notes import Anchor
 from fsar_ledger.ledger.verify.segment import SecondReader
+
+
+class Signatures(msgspec.Struct, frozen=True):
+    """Who signed: the state of the newest note, the key (`name+id`) that it names, and the number of signed commits.
+
+    `commits` counts those that this key signed, or any key where none is trusted.
+    """
+
+    state: Signed
+    signer: str | None = None
+    commits: int = 0
+
+
+class Anchor(msgspec.Struct, frozen=True):
+    """An earlier checkpoint that was kept elsewhere: its file, and its note or the reason why there is none."""
+
+    file: str
+    note: Note | None
+    reason: str = ""
+
+
+def read_anchor(path: Path) -> Anchor:
+    """Read the checkpoint in this file. Raises: UsageError if there is no such file."""
+    try:
+        return Anchor(str(path), parse_note("anchor", disk.read_document(Path(os.path.realpath(path))).decode()))
+    except FileNotFoundError as error:
+        raise UsageError(
+            f"{option('anchor', path)}: found no file, expected a checkpoint of this ledger that was kept elsewhere"
+        ) from error
+    except (OSError, UnicodeDecodeError, LedgerCorrupted) as error:
+        return Anchor(str(path), None, (error.strerror or str(error)) if isinstance(error, OSError) else str(error))
+
+
+def check_signatures(
+    notes: Sequence[Note], place: Callable[[int], str], trusted: VerifierKey | None
+) -> tuple[list[Problem], Signatures]:
+    """Check that the trusted key signed the newest note, and that no note falsely claims its signature.
+
+    Without a key, only tell whether the newest note is signed at all. `place` names the file of a commit's record.
+    """
+    signers = signers_of(notes[-1]) if notes else None
+    if trusted is None:
+        return [], Signatures(
+            "signer not checked" if signers else "unsigned", signers, sum(1 for note in notes if note.signatures)
+        )
+    if not notes:
+        return [Problem(MANIFEST, "no commit, so no note", f"one signed by {trusted.key}")], Signatures("unsigned")
+    problems = [
+        Problem(
+            place(number),
+            doubted,
+            f"one of {trusted.key}, the trusted key",
+            commit=number,
+            field="note",
+        )
+        for number, note in enumerate(notes)
+        if (doubted := doubt(note, trusted)) is not None and (note is notes[-1] or names(note, trusted))
+    ]
+    if problems:
+        return problems, Signatures("signer not checked" if signers else "unsigned", signers)
+    return [], Signatures("signed", trusted.key, sum(1 for note in notes if names(note, trusted)))
+
+
+Nodes: TypeAlias = Callable[[int], Node]
+"""Returns, for a size in events, where the complete subtrees of the tree of that size come from."""
+
+
+class ByHashes(msgspec.Struct, frozen=True):
+    """What the stored hashes prove about an anchor.
+
+    Its root, None if they prove nothing; the size in events of the tree that begins with it; what was missing.
+    """
+
+    root: bytes | None = None
+    size: int = 0
+    missing: str = ""
+
+
+# See docs/decisions/anchors-need-consistency-proofs.md.
+def root_by_hashes(ledger: Path, nodes: Nodes, then: Checkpoint, size: int, root: bytes) -> ByHashes:
+    """Return the root of an earlier checkpoint if the ledger's hashes prove that the tree of this size begins with it.
+
+    Only the proof counts: an attacker who rewrote history may have left old hashes, and old records, in place.
+    """
+    try:
+        proof = consistency_proof(nodes(size), then.size, size)
+    except LedgerCorrupted as error:
+        return ByHashes(missing=str(error).removeprefix(f"{ledger}/").partition(", expected")[0])
+    return ByHashes(then.root, size) if is_consistent(then.size, then.root, size, root, proof) else ByHashes()
+
+
+def check_anchor(
+    anchor: Anchor,
+    origin: str | None,
+    size: int,
+    root_then: bytes | None,
+    trusted: VerifierKey | None,
+    missing: str = "",
+) -> list[Problem]:
+    """Check that the ledger, of this origin and size, begins with the events of the anchor.
+
+    Args:
+        anchor: The earlier checkpoint.
+        origin: The ledger's.
+        size: The ledger's, in events.
+        root_then: The root of the ledger when it had as many events as the anchor counts; None if unknown.
+        trusted: The key that must have signed the anchor too.
+        missing: What of the stored hashes is missing, if that is the only reason why that root is unknown.
+    """
+    if anchor.note is None:
+        return [Problem(anchor.file, anchor.reason, "a checkpoint of this ledger")]
+    then = anchor.note.checkpoint
+    if then.origin != origin:
+        return [Problem(anchor.file, f"a checkpoint of {then.origin}", f"one of {origin}, this ledger's origin")]
+    if trusted is not None and not trusted.has_signed(anchor.note):
+        return [
+            Problem(
+                anchor.file,
+                f"a checkpoint with {doubt(anchor.note, trusted)}",
+                f"one signed by {trusted.key}, the trusted key",
+            )
+        ]
+    if then.size > size:
+        return [
+            Problem(CHAIN, f"{size} events", f"at least {then.size}, as {anchor.file} says: the newest were removed")
+        ]
+    if missing:
+        expected = (
+            f"those from the {then.size} events of {anchor.file} to the ledger's {size}; run fsar-ledger "
+            f"maintain recover, or verify without {option('quick')}"
+        )
+        return [Problem(NODES, f"one that cannot be read ({missing})", expected)]
+    if root_then is None:
+        gap = f"no way from its {then.size} events to the ledger's {size}"
+        return [
+            Problem(
+                anchor.file,
+                gap,
+                "a ledger that begins with them: history was rewritten, or rows or hashes were damaged",
+            )
+        ]
+    if root_then != then.root:
+        return [
+            Problem(
+                CHAIN,
+                f"root {root_then.hex()} over the first {then.size} events",
+                f"{then.root.hex()}, as {anchor.file} says: history was rewritten",
+            )
+        ]
+    return []
+
+
+def not_compared(anchored: int | None) -> str:
+    """Say what a quick look leaves open; the anchor has so many events."""
+    if anchored is None:
+        return "rows were not compared with the recorded roots"
+    return f"the recorded roots only grew since the anchor's {anchored:,} events; rows were not compared with them"
+
 
 MAX_PROBLEMS = 100
 """The most problems that a report names; a ledger with more is lost anyway."""

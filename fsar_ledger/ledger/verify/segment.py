@@ -22,8 +22,7 @@ from fsar_ledger.ledger.rows.arrow import Columns
 from fsar_ledger.ledger.rows.blocks import Block, blocks_of
 from fsar_ledger.ledger.rows.check import first_flaw
 from fsar_ledger.ledger.rows.layout import Layout, check_layout, read_layout
-from fsar_ledger.ledger.rows.releases import FINGERPRINTS
-from fsar_ledger.ledger.rows.schema import SCHEMA, fingerprint
+from fsar_ledger.ledger.rows.schema import FINGERPRINTS, SCHEMA, fingerprint
 from fsar_ledger.ledger.rows.segment import read_coded, to_parquet
 from fsar_ledger.ledger.store.problem import Problem, refusal, unexpected
 from fsar_ledger.ledger.store.segments import Names, Stored, find_segment, read_segment

@@ -32,8 +32,7 @@ from fsar_ledger.ledger.store.record import EMPTY_HEAD, Head, Placement, Record,
 from fsar_ledger.ledger.store.segments import check_manifest, names_in
 from fsar_ledger.ledger.store.snapshot import behind, read_checkpoint
 from fsar_ledger.ledger.verify.chain import FILES, FOLDERS, Verification, unplaced
-from fsar_ledger.ledger.verify.notes import Nodes, check_anchor
-from fsar_ledger.ledger.verify.report import VerifyOptions, VerifyReport
+from fsar_ledger.ledger.verify.report import Nodes, VerifyOptions, VerifyReport, check_anchor
 
 Did = Literal["moved into place", "made again", "set aside"]
 SetAside = Callable[[str], None]

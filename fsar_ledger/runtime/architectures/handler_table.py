@@ -6,7 +6,6 @@ import msgspec
 
 from fsar_ledger.events import Event
 from fsar_ledger.runtime.handlers import (
-    advertising,
     authority,
     execution,
     fleet,
@@ -36,7 +35,7 @@ COMMON = (task, execution, supervision)
 EXPECTED: tuple[type[Command], ...] = (TakeTurn, StartAction, DecideRoutine)
 """What the shared modules give, and each architecture decides in its own way."""
 
-PUBLIC = (fleet, registry, advertising, request, authority, trust, policy, recovery)
+PUBLIC = (fleet, registry, request, authority, trust, policy, recovery)
 """Commands from outside that need the registry, trust, policy and rights of FSAR."""
 
 

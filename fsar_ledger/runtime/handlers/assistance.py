@@ -1,8 +1,14 @@
 """Help as work: something can be in the helper's way, and its actuator can fail as well. Paper: sec:model:recovery."""
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import FailureCause, RecoveryLevel, Robot
-from fsar_ledger.events.recovery import AssistanceAdmitted, AssistanceEnded, AssistanceFailed, FailureResolved
+from fsar_ledger.events.envelope import FailureCause, Principal, Principals, RecoveryLevel, Robot, Supervisor
+from fsar_ledger.events.recovery import (
+    AssistanceAdmitted,
+    AssistanceDeclined,
+    AssistanceEnded,
+    AssistanceFailed,
+    FailureResolved,
+)
 from fsar_ledger.events.world import ObstructionAppeared
 from fsar_ledger.projections.execution import HELPING, Action
 from fsar_ledger.projections.fold import State
@@ -10,7 +16,18 @@ from fsar_ledger.projections.recovery import Recovery
 from fsar_ledger.projections.world import World
 from fsar_ledger.runtime.ports import Ask
 
-from .commands import EndAssistance, Failure, Handlers, Scheduled, StopAssistance, helping, holds, open_failure
+from .attribution import is_idle
+from .commands import (
+    EndAssistance,
+    Failure,
+    Handlers,
+    HelpCommand,
+    Scheduled,
+    StopAssistance,
+    helping,
+    holds,
+    open_failure,
+)
 from .execution import next_turn
 from .recovery import actuator_holds
 
@@ -40,6 +57,41 @@ def stop_assistance(state: State, command: StopAssistance) -> tuple[Event, ...]:
             return (help_failed(action, recovery, command.helper, "obstruction"),)
         case _:
             return ()
+
+
+def ordered(
+    state: State,
+    command: HelpCommand,
+    failure: Failure,
+    level: RecoveryLevel,
+    requested_by: Principal | None = None,
+    supervised_by: Supervisor | None = None,
+) -> tuple[Event, ...]:
+    """Let the robot that is asked help, or decline under other work; nothing if another was asked meanwhile.
+
+    Nothing is evaluated, so no decision is recorded.
+    """
+    action, recovery = failure
+    if recovery.awaited != command.helper:
+        return ()
+    if not is_idle(state.execution, command.helper):
+        return (AssistanceDeclined(action.subject, action.robot, command.helper, recovery.failure),)
+    return (
+        AssistanceAdmitted(
+            subject=action.subject,
+            principals=Principals(
+                decided_by=None,
+                requested_by=requested_by,
+                executed_by=action.executed_by,
+                supervised_by=supervised_by,
+                path=(),
+            ),
+            robot=action.robot,
+            helper=command.helper,
+            failure=recovery.failure,
+            level=level,
+        ),
+    )
 
 
 def end_of(event: AssistanceAdmitted, after_us: int, waits: tuple[Ask, ...] = ()) -> Scheduled:

@@ -137,7 +137,7 @@ _RANKS: dict[Availability, int] = {"busy": 1, "degraded": 2}  # of those that ar
 class Query(msgspec.Struct, frozen=True):
     """Q = (r_A, e*, sigma, B, P): who asks for what, in which context, and what is stated about it.
 
-    `capability` is a name or a group (`grasp.*`); `version` a range (see `matching.is_in_range`). `provides` are the
+    `capability` is a name or a group (`grasp.*`); `version` a range (see `is_in_range`). `provides` are the
     preconditions that the requester establishes and `resources` what is there to be taken, None where it does not say;
     `needs` the postconditions that it wants, `embodiment` what the body must be. `override` is the level that the
     request will ask for; `limit` ends the search at so many admissible ready candidates.

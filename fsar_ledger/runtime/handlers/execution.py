@@ -105,6 +105,12 @@ def started(state: State, action: Action, command: StartAction) -> ExecutionStar
     )
 
 
+def start(state: State, command: StartAction) -> tuple[Event, ...]:
+    """Start the execution of what waits, whatever any policy says by now."""
+    action = waiting(state.execution, command.action_id)
+    return () if action is None else (started(state, action, command),)
+
+
 def approach(state: State, command: TakeTurn) -> tuple[Event, ...]:
     """Start the robot's approach, which needs no further consent."""
     action = state.execution.actions.get(command.action_id)
@@ -231,6 +237,11 @@ def _on_obstruction(state: State, event: ObstructionAppeared, _now_us: int) -> t
 def pause_running(state: State, event: ContextChanged, _now_us: int) -> tuple[Scheduled, ...]:
     """Schedule a pause for a robot whose context changes while it executes."""
     return _in_stage(state.execution, event.robot, "running", PauseAction)
+
+
+def resume_when_replanned(state: State, event: ExecutionPaused, _now_us: int) -> tuple[Scheduled, ...]:
+    """Let a robot that plans alone go on when it has planned again."""
+    return (Scheduled(ResumeAction(event.subject.action_id), state.fleet.structure.replan_us),)
 
 
 @HANDLERS.react(FailureResolved)

@@ -1,20 +1,51 @@
-"""What is asked of the registry outside of a request, its copies, and the record of an answer (see `candidates`).
+"""The registry from outside of a request: what a robot shows of itself there, and what is asked of it or of its copies.
 
-It is authoritative about discoverability, never about execution: the robot that is asked judges the request itself.
-Paper: sec:architecture:registry.
+It is authoritative about discoverability, never about execution: the robot that is asked judges the request itself. A
+robot governs what it shows: it advertises, withdraws, reports, deprecates, rolls out. Every command here but
+`FinishRollOut` is public; `issued_by` is who gave it (a robot, a supervisor), None when that is not stated. Who is
+found is in `candidates`. Paper: sec:architecture:registry, sec:model:advertisement.
 """
 
+from collections.abc import Iterable
 from typing import get_args
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import OverrideLevel, Principal, Robot, Subject
-from fsar_ledger.events.registry import RegistryCached, RegistryConsulted, RegistryQueried
+from fsar_ledger.events.envelope import (
+    Availability,
+    OverrideLevel,
+    Principal,
+    Robot,
+    Subject,
+    Supervisor,
+    TrustScope,
+    Visibility,
+)
+from fsar_ledger.events.registry import (
+    AvailabilityChanged,
+    CapabilityAdvertised,
+    CapabilityDeprecated,
+    CapabilityInstalled,
+    CapabilityWithdrawn,
+    RegistryCached,
+    RegistryConsulted,
+    RegistryQueried,
+)
 from fsar_ledger.projections.fold import State
+from fsar_ledger.projections.registry import (
+    NO_ANSWER,
+    Advertisement,
+    Contract,
+    Module,
+    Registry,
+    advertisement,
+    surface,
+)
 
 from .attribution import recorded_by
-from .candidates import Answer, Query, candidates, is_range
-from .commands import Handlers
-from .public import PublicCommand, carried_out, rejected, unknown_robot
+from .candidates import Answer, Query, candidates, contradiction, is_range, version_of, weaker
+from .commands import Handlers, RobotCommand, Scheduled, named
+from .fleet import in_use, not_possessed
+from .public import PublicCommand, carried_out, made_from, rejected, unknown_robot
 
 HANDLERS = Handlers()
 
@@ -69,17 +100,7 @@ def consult_registry(state: State, command: ConsultRegistry) -> tuple[Event, ...
     if wrong is not None:
         return rejected(command, query.capability, wrong, query.requester)
     found = candidates(state, query, command.cache_holder)
-    return (
-        RegistryConsulted(
-            requested_by=query.requester,
-            capability=query.capability,
-            candidates=found.candidates,
-            rejected=found.rejected,
-            rejected_by=found.rejected_by,
-            domain=found.domain,
-            as_of_us=found.as_of_us,
-        ),
-    )
+    return (made_from(RegistryConsulted, query, found, requested_by=query.requester),)
 
 
 def _malformed(query: Query) -> str | None:
@@ -102,3 +123,244 @@ def cache_registry(state: State, command: CacheRegistry) -> tuple[Event, ...]:
     """Give the holder a copy of the registry as it is now."""
     wrong = unknown_robot(state.fleet, command.holder)
     return carried_out(command, command.holder, wrong, command.holder, RegistryCached(command.holder, command.now_us))
+
+
+class AdvertiseCapability(PublicCommand):
+    """Advertise the capability, with the seven fields of an advertisement and who may see it.
+
+    A part of the contract that is None is that of the installed module. Paper: eq:adv.
+    """
+
+    robot: Robot
+    capability: str
+    version: str
+    preconditions: tuple[str, ...] | None = None
+    postconditions: tuple[str, ...] | None = None
+    resources: tuple[str, ...] | None = None
+    trust_required: TrustScope = "capability"
+    policy_required: tuple[str, ...] = ()
+    override_allowed: OverrideLevel = "none"
+    availability: Availability = "ready"
+    embodiment: tuple[str, ...] = ()
+    visibility: Visibility = "global"
+    visible_to: tuple[str, ...] = ()
+    issued_by: Supervisor | None = None
+
+
+class WithdrawCapability(PublicCommand):
+    """Take the capability off the surface; the robot keeps it."""
+
+    robot: Robot
+    capability: str
+    reason: str
+    issued_by: Supervisor | None = None
+
+
+class ReportAvailability(PublicCommand):
+    """Report the availability of one capability, or (None) of everything that the robot advertises."""
+
+    robot: Robot
+    capability: str | None
+    availability: Availability
+    reason: str
+    issued_by: Supervisor | None = None
+
+
+class DeprecateCapability(PublicCommand):
+    """Deprecate the advertised version, for the successor if there is one."""
+
+    robot: Robot
+    capability: str
+    version: str
+    successor: str | None = None
+    issued_by: Supervisor | None = None
+
+
+class UpgradeCapability(PublicCommand):
+    """Roll a newer version out; parts of its contract that are None stay as they are."""
+
+    robot: Robot
+    capability: str
+    version: str
+    preconditions: tuple[str, ...] | None = None
+    postconditions: tuple[str, ...] | None = None
+    resources: tuple[str, ...] | None = None
+    issued_by: Supervisor | None = None
+
+
+class FinishRollOut(RobotCommand):
+    """Show the installed version, as available as the old one was said to be."""
+
+    capability: str
+    availability: Availability = "ready"
+
+
+@HANDLERS.decide(AdvertiseCapability)
+def advertise_capability(state: State, command: AdvertiseCapability) -> tuple[Event, ...]:
+    """Advertise what the robot possesses, in terms that its module keeps. Paper: eq:advertise."""
+    robot, capability = command.robot, command.capability
+    wrong = (
+        unknown_robot(state.fleet, robot) or not_possessed(state.registry, robot, capability) or _unheard_of(command)
+    )
+    if wrong is None:
+        module = state.registry.modules[robot][capability]
+        contract = _contract(command, module)
+        wrong = contradiction(contract) or weaker(contract, module.contract)
+        if command.version != module.version:
+            wrong = f"version {command.version} is not installed, expected {module.version}"
+    if wrong is not None:
+        return rejected(command, capability, wrong, command.issued_by)
+    return (made_from(CapabilityAdvertised, command, contract),)
+
+
+@HANDLERS.decide(WithdrawCapability)
+def withdraw_capability(state: State, command: WithdrawCapability) -> tuple[Event, ...]:
+    """Take the capability off the robot's surface."""
+    wrong = unknown_robot(state.fleet, command.robot) or _not_advertised(
+        state.registry, command.robot, command.capability
+    )
+    made = CapabilityWithdrawn(command.robot, command.capability, command.reason)
+    return carried_out(command, command.capability, wrong, command.issued_by, made)
+
+
+@HANDLERS.decide(ReportAvailability)
+def report_availability(state: State, command: ReportAvailability) -> tuple[Event, ...]:
+    """Tell the registry how available the robot says it is. Paper: sec:architecture:registry."""
+    robot, capability = command.robot, command.capability
+    wrong = unknown_robot(state.fleet, robot) or _unknown("availability", command.availability, get_args(Availability))
+    if wrong is None and capability is not None:
+        wrong = _not_advertised(state.registry, robot, capability)
+    elif wrong is None and not any(surface(state.registry, robot)):
+        wrong = f"{robot} advertises nothing, expected something whose availability can change"
+    if wrong is None and command.reason == NO_ANSWER:
+        wrong = f'"{NO_ANSWER}" is what others say of a silent robot, expected a reason of its own'
+    made = AvailabilityChanged(
+        robot=robot, capability=capability, availability=command.availability, reason=command.reason
+    )
+    return carried_out(command, capability or robot, wrong, command.issued_by, made)
+
+
+@HANDLERS.decide(DeprecateCapability)
+def deprecate_capability(state: State, command: DeprecateCapability) -> tuple[Event, ...]:
+    """Deprecate the version: it is shown last, and to no query that another version satisfies.
+
+    Paper: sec:discussion:continuity.
+    """
+    robot, capability = command.robot, command.capability
+    wrong = unknown_robot(state.fleet, robot) or _not_advertised(state.registry, robot, capability)
+    if wrong is None:
+        record = advertisement(state.registry, robot, capability)
+        assert record is not None
+        if record.version != command.version:
+            wrong = f"version {command.version} is not advertised, expected {record.version}"
+        elif record.is_deprecated:
+            wrong = f"version {command.version} is deprecated already"
+        elif command.successor is not None:
+            wrong = _not_newer(command.successor, command.version)
+    made = CapabilityDeprecated(
+        robot=robot, capability=capability, version=command.version, successor=command.successor
+    )
+    return carried_out(command, capability, wrong, command.issued_by, made)
+
+
+@HANDLERS.decide(UpgradeCapability)
+def upgrade_capability(state: State, command: UpgradeCapability) -> tuple[Event, ...]:
+    """Install the newer version; while it is rolled out, restrict what is advertised.
+
+    Paper: sec:architecture:registry.
+    """
+    robot, capability = command.robot, command.capability
+    wrong = unknown_robot(state.fleet, robot) or not_possessed(state.registry, robot, capability)
+    if wrong is None:
+        module = state.registry.modules[robot][capability]
+        contract = _contract(command, module)
+        wrong = (
+            _not_newer(command.version, module.version)
+            or contradiction(contract)
+            or in_use(state.execution, robot, capability)
+        )
+    record = advertisement(state.registry, robot, capability)
+    if wrong is None and record is not None and record.availability in ("restricted", "offline"):
+        wrong = f"{capability} is {record.availability} at {robot}, expected it to be in reach and in no other roll-out"
+    if wrong is not None:
+        return rejected(command, capability, wrong, command.issued_by)
+    installed = made_from(CapabilityInstalled, command, contract)
+    if record is None:
+        return (installed,)
+    return (
+        installed,
+        AvailabilityChanged(
+            robot=robot, capability=capability, availability="restricted", reason=f"roll-out of {command.version}"
+        ),
+    )
+
+
+@HANDLERS.decide(FinishRollOut, named)
+def finish_roll_out(state: State, command: FinishRollOut) -> tuple[Event, ...]:
+    """Advertise the new version on the terms of the old one, unless that was withdrawn or replaced.
+
+    The availability that the robot has reported meanwhile is kept.
+    """
+    record = _rolling_out(state.registry, command.robot, command.capability)
+    if record is None:
+        return ()
+    module = state.registry.modules[command.robot][command.capability]
+    availability = command.availability if record.availability == "restricted" else record.availability
+    return (made_from(CapabilityAdvertised, record, module, module.contract, availability=availability),)
+
+
+def _rolling_out(registry: Registry, robot: Robot, capability: str) -> Advertisement | None:
+    """Return the record of another version than the installed one, if there is one."""
+    module = registry.modules.get(robot, {}).get(capability)
+    record = advertisement(registry, robot, capability)
+    return None if module is None or record is None or record.version == module.version else record
+
+
+def _contract(command: AdvertiseCapability | UpgradeCapability, module: Module) -> Contract:
+    known = module.contract
+    return Contract(
+        known.preconditions if command.preconditions is None else command.preconditions,
+        known.postconditions if command.postconditions is None else command.postconditions,
+        known.resources if command.resources is None else command.resources,
+    )
+
+
+def _unheard_of(command: AdvertiseCapability) -> str | None:
+    """Return why the model does not know a value of the advertisement, or None; constructors do not check."""
+    for name, value, known in (
+        ("trust scope", command.trust_required, get_args(TrustScope)),
+        ("override level", command.override_allowed, get_args(OverrideLevel)),
+        ("availability", command.availability, get_args(Availability)),
+        ("visibility", command.visibility, get_args(Visibility)),
+    ):
+        if (wrong := _unknown(name, value, known)) is not None:
+            return wrong
+    names = (*command.policy_required, *command.embodiment, *command.visible_to)
+    return None if all(names) else "an empty name, expected contexts, embodiments and roles with names"
+
+
+def _unknown(name: str, value: str, known: Iterable[str]) -> str | None:
+    return None if value in known else f"{name} {value!r} is unknown, expected one of {', '.join(known)}"
+
+
+def _not_advertised(registry: Registry, robot: Robot, capability: str) -> str | None:
+    return (
+        None if advertisement(registry, robot, capability) is not None else f"{robot} does not advertise {capability}"
+    )
+
+
+def _not_newer(version: str, known: str) -> str | None:
+    found, before = version_of(version), version_of(known)
+    if found is None:
+        return f"{version!r} is no version, expected one such as 1.2.0"
+    return f"version {version} is not newer than {known}" if before is not None and found <= before else None
+
+
+@HANDLERS.react(CapabilityInstalled)
+def _on_installation(state: State, event: CapabilityInstalled, _now_us: int) -> tuple[Scheduled, ...]:
+    """Roll out what is advertised in another version.
+
+    The availability is the one from before the record was restricted.
+    """
+    record = _rolling_out(state.registry, event.robot, event.capability)
+    return () if record is None else (Scheduled(FinishRollOut(event.robot, event.capability, record.availability)),)

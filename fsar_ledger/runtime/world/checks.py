@@ -8,7 +8,7 @@ from typing import NamedTuple
 from fsar_ledger.base import printable
 from fsar_ledger.designs import Fleet, Robot, Scenario, Task, Workflow
 from fsar_ledger.designs.constants import DURATIONS, END_US
-from fsar_ledger.designs.files import Field, field_name
+from fsar_ledger.designs.registered import Field, field_name
 
 _NAME = re.compile(r"[a-z][a-z0-9-]{0,38}[a-z0-9]")
 _ROBOT = re.compile(r"[A-Za-z](?:[A-Za-z0-9_-]{0,38}[A-Za-z])?")

@@ -21,10 +21,7 @@ from fsar_ledger.events.world import (
 from fsar_ledger.projections.fold import State, fold
 from fsar_ledger.runtime.architectures.roboos import ROBOOS
 from fsar_ledger.runtime.architectures.roboos.master import SendSubtask
-from fsar_ledger.runtime.architectures.roboos.recovery import (
-    StartChecklist,
-)
-from fsar_ledger.runtime.architectures.roboos.robot import TakeSubtask
+from fsar_ledger.runtime.architectures.roboos.robot import StartChecklist, TakeSubtask
 from fsar_ledger.runtime.handlers.commands import (
     DetectObstruction,
     FinishAttempt,

@@ -25,8 +25,7 @@ from fsar_ledger.runtime.architectures.jade.contract_net import (
     CallForProposals,
     EvaluateCall,
 )
-from fsar_ledger.runtime.architectures.jade.execution import DecideOwnStep
-from fsar_ledger.runtime.architectures.jade.failure import GiveUp, ReceiveFailure
+from fsar_ledger.runtime.architectures.jade.execution import DecideOwnStep, GiveUp, ReceiveFailure
 from fsar_ledger.runtime.handlers.commands import (
     BeginStep,
     DetectObstruction,

@@ -30,15 +30,14 @@ from fsar_ledger.events.world import (
 )
 from fsar_ledger.projections.fold import State
 from fsar_ledger.runtime.architectures.roboos import ROBOOS
-from fsar_ledger.runtime.architectures.roboos.master import PlanTask
-from fsar_ledger.runtime.architectures.roboos.recovery import (
+from fsar_ledger.runtime.architectures.roboos.master import PlanTask, is_shown_idle
+from fsar_ledger.runtime.architectures.roboos.robot import (
     AskAnother,
     GoOnWithoutHelp,
     ReachHelper,
+    TakeSubtask,
     checklist,
 )
-from fsar_ledger.runtime.architectures.roboos.robot import TakeSubtask
-from fsar_ledger.runtime.architectures.roboos.store import is_shown_idle
 from fsar_ledger.runtime.handlers.commands import (
     DecideRoutine,
     EndAttempt,

@@ -17,9 +17,15 @@ from fsar_ledger.events.world import (
     RobotWentOff,
     SnapshotPhaseSet,
 )
-from fsar_ledger.runtime.architectures.roboos.master import SendSubtask, TakeResult
+from fsar_ledger.runtime.architectures.roboos.master import (
+    Heartbeat,
+    SendSubtask,
+    TakeResult,
+    entry,
+    is_shown_idle,
+    is_stored,
+)
 from fsar_ledger.runtime.architectures.roboos.robot import TakeSubtask
-from fsar_ledger.runtime.architectures.roboos.store import Heartbeat, entry, is_shown_idle, is_stored
 from tests import past
 from tests.runtime.architectures.roboos import (
     ACTION,

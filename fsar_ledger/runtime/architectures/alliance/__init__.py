@@ -22,14 +22,13 @@ instant is computed), loss of messages, and the sensing of a teammate's effects 
 
 from fsar_ledger.runtime.architectures.handler_table import COMMON, HandlerTable
 
-from . import activity, execution, motivation, recovery
+from . import activity, execution, motivation
 
 ALLIANCE: HandlerTable = HandlerTable.of(
     *COMMON,
     motivation,
     activity,
     execution,
-    recovery,
     own=execution.OWN,
     instead=execution.INSTEAD,
 )

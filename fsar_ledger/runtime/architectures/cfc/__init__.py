@@ -3,7 +3,7 @@
 from fsar_ledger.runtime.architectures.handler_table import COMMON, HandlerTable
 from fsar_ledger.runtime.handlers import assistance
 
-from . import coordinator, execution, recovery, request
+from . import coordinator, execution, request
 
 CFC: HandlerTable = HandlerTable.of(
     *COMMON,
@@ -11,7 +11,6 @@ CFC: HandlerTable = HandlerTable.of(
     coordinator,
     request,
     execution,
-    recovery,
     own=coordinator.OWN,
     instead=coordinator.INSTEAD,
 )

@@ -46,7 +46,7 @@ from fsar_ledger.runtime.handlers.commands import (
 )
 from fsar_ledger.runtime.handlers.execution import queued
 
-from . import recovery
+from . import execution
 from .coordinator import (
     NO_TIME,
     ProcessWork,
@@ -98,7 +98,7 @@ def process(state: State, command: ProcessWork) -> tuple[Event, ...]:
         case "completion":
             return _complete(state.request, command)
         case _:
-            return recovery.process(state, command)
+            return execution.process(state, command)
 
 
 def _match(state: State, command: ProcessWork) -> tuple[Event, ...]:

@@ -8,6 +8,6 @@ Paper: tab:baseline_context.
 
 from fsar_ledger.runtime.architectures.handler_table import COMMON, HandlerTable
 
-from . import contract_net, directory, execution, failure, outsider
+from . import contract_net, directory, execution
 
-JADE: HandlerTable = HandlerTable.of(*COMMON, directory, contract_net, execution, failure, outsider, own=execution.OWN)
+JADE: HandlerTable = HandlerTable.of(*COMMON, directory, contract_net, execution, own=execution.OWN)

@@ -16,10 +16,12 @@ accepted and the others are rejected; the contractor informs of the result at th
 - With JADE-S (dial `permissions`), only a sender with permission reaches an agent (`AgentPermission`, `send-to`).
 """
 
+import msgspec
+
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityClaimed
-from fsar_ledger.events.envelope import REGISTRY, PolicyOutcome, Robot
-from fsar_ledger.events.execution import ExecutionFinished
+from fsar_ledger.events.envelope import REGISTRY, Parties, PolicyOutcome, Robot
+from fsar_ledger.events.execution import ExecutionFinished, ExecutionQueued
 from fsar_ledger.events.knowledge import BidReceived
 from fsar_ledger.events.registry import RegistryQueried
 from fsar_ledger.events.request import (
@@ -56,11 +58,11 @@ from fsar_ledger.runtime.handlers.commands import (
     requester,
     target,
 )
+from fsar_ledger.runtime.handlers.execution import queued
 from fsar_ledger.runtime.handlers.policy import own_policy
 from fsar_ledger.runtime.handlers.trust import trusts
 
 from .directory import awaits_delivery, called, recorded
-from .execution import queued_for
 
 HANDLERS = Handlers()
 
@@ -135,6 +137,16 @@ def proposers(request: Request) -> list[Robot]:
 def actions_ahead(execution: Execution, robot: Robot) -> int:
     """Return how many actions come first at the robot: the one that holds it, and its queue."""
     return (robot in execution.current) + len(execution.queues.get(robot, ()))
+
+
+def queued_for(state: State, request: Request, parties: Parties, robot: Robot) -> ExecutionQueued:
+    """Return the fact that the robot has the action in its queue. An outsider's is no step, and has no approach."""
+    is_step = request.step > 0
+    return msgspec.structs.replace(
+        queued(request, parties, robot, is_supervised=bool(state.fleet.jade.owner_is_named)),
+        is_delegated=request.is_delegated and is_step,
+        has_approach=request.is_delegated and is_step,
+    )
 
 
 @HANDLERS.decide_on(open_request, CallForProposals, requester)

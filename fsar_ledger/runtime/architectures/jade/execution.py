@@ -1,4 +1,4 @@
-"""JADE: a robot does its own steps alone, and what it has promised by itself.
+"""JADE: a robot does its own steps alone, and what it has promised by itself; what fails; and who is not trusted.
 
 Its own policy is asked once: when it decides about a step of its own, or proposes to do another's (`contract_net`).
 What starts later starts, whatever has become of policy since; nobody knows the fleet's rule, and no agent asks for its
@@ -8,44 +8,60 @@ robot looks at its own policy before each.
 
 A change of context pauses a robot until it has planned again, and leaves the contract standing: the protocol knows no
 renegotiation after the acceptance (FIPA SC00029H).
+
+A failure ends the contract and goes to the initiator, which calls for proposals again. The contractor sends FAILURE
+(`jade/proto/ContractNetResponder.java`) and has done with the action; `handleFailure` of the initiator is an empty
+hook, and the protocol has no recovery, no supervisor and no level of recovery. So nothing here resolves a failure: it
+stays unresolved on record, also where another contractor then does the step from the beginning. (Containment is
+therefore 0 by construction, and reassignment latency has no value.) The next round is FIPA's iterated contract net
+(SC00030H; `newIteration`): a cfp to the rest of the agents that are listed, else to the same ones again. After the dial
+`rounds` the step is tried anew, after the back-off (ours). So is a step of the robot's own, for which there is nobody
+to call (ours).
+
+Who is not trusted is served as anybody else. The yellow pages show every entry to everybody, and base JADE has no
+permissions, so an outsider's call reaches the agent; it is served if that agent's own policy allows. With JADE-S (dial
+`permissions`) it is refused. The outsider names the agent itself, so it calls that one, without a search.
 """
 
-import msgspec
-
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import Parties, Principals, RequestSubject, Robot
+from fsar_ledger.events.envelope import Principals, RequestSubject, Robot
 from fsar_ledger.events.execution import (
+    ExecutionFailed,
     ExecutionPaused,
-    ExecutionQueued,
+    ExecutionWithdrawn,
     OwnStepDecided,
     RoutinePerformed,
     RoutineWithheld,
 )
-from fsar_ledger.events.request import RequestDenied
+from fsar_ledger.events.request import ContractVoided, RequestDenied
 from fsar_ledger.events.task import StepBegan
-from fsar_ledger.events.world import ContextChanged
+from fsar_ledger.events.world import ContextChanged, OutsiderRequestInjected
+from fsar_ledger.projections.execution import Action
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.request import Request
+from fsar_ledger.runtime.handlers.authority import release
 from fsar_ledger.runtime.handlers.commands import (
     ActionCommand,
     Command,
     Decide,
     DecideRoutine,
     Handlers,
-    ResumeAction,
     Scheduled,
     StartAction,
     TakeTurn,
     begin_again,
     body,
+    known_action,
+    message,
     named,
     open_request,
     requester,
 )
-from fsar_ledger.runtime.handlers.execution import approach, pause_running, queued, started, waiting
+from fsar_ledger.runtime.handlers.execution import approach, pause_running, resume_when_replanned, start
 from fsar_ledger.runtime.handlers.policy import own_policy
 from fsar_ledger.runtime.handlers.task import TransferSegment, transferred
 
+from .contract_net import CallForProposals, queued_for
 from .directory import recorded
 
 HANDLERS = Handlers()
@@ -55,16 +71,6 @@ OWN_STEP = "own step"  # why a step of the robot's own is denied: by its own pol
 
 class DecideOwnStep(ActionCommand):
     """Decide about a step of the robot's own."""
-
-
-def queued_for(state: State, request: Request, parties: Parties, robot: Robot) -> ExecutionQueued:
-    """Return the fact that the robot has the action in its queue. An outsider's is no step, and has no approach."""
-    is_step = request.step > 0
-    return msgspec.structs.replace(
-        queued(request, parties, robot, is_supervised=bool(state.fleet.jade.owner_is_named)),
-        is_delegated=request.is_delegated and is_step,
-        has_approach=request.is_delegated and is_step,
-    )
 
 
 @HANDLERS.decide_on(open_request, DecideOwnStep, requester)
@@ -77,13 +83,6 @@ def decide_own_step(state: State, _command: DecideOwnStep, request: Request) -> 
         return (RequestDenied(RequestSubject(request.task_id, request.action_id, None), principals, OWN_STEP),)
     decided = OwnStepDecided(request.subject, principals, request.capability)
     return (decided, queued_for(state, request, parties, robot))
-
-
-@HANDLERS.decide(StartAction, body)
-def start(state: State, command: StartAction) -> tuple[Event, ...]:
-    """Start the execution, without another look at policy."""
-    action = waiting(state.execution, command.action_id)
-    return () if action is None else (started(state, action, command),)
 
 
 @HANDLERS.decide(DecideRoutine, named)
@@ -118,11 +117,73 @@ def _on_denial(state: State, event: RequestDenied, _now_us: int) -> tuple[Schedu
     return (begin_again(state.fleet, event.subject.task_id, event.subject.action_id),)
 
 
-@HANDLERS.react(ExecutionPaused)
-def _on_pause(state: State, event: ExecutionPaused, _now_us: int) -> tuple[Scheduled, ...]:
-    return (Scheduled(ResumeAction(event.subject.action_id), state.fleet.structure.replan_us),)
-
-
 HANDLERS.decide(TakeTurn, body)(approach)
+HANDLERS.decide(StartAction, body)(start)
+HANDLERS.react(ExecutionPaused)(resume_when_replanned)
 HANDLERS.react(ContextChanged)(pause_running)
 OWN: dict[type[Command], Decide] = {TransferSegment: transfer_segment}
+
+
+class GiveUp(ActionCommand):
+    """Give up the action that has failed."""
+
+    failure: int
+
+
+class ReceiveFailure(ActionCommand):
+    """Deliver the contractor's FAILURE to the initiator."""
+
+    robot: Robot
+    round: int
+
+
+@HANDLERS.decide_on(known_action, GiveUp, body)
+def give_up(state: State, command: GiveUp, action: Action) -> tuple[Event, ...]:
+    """End the robot's claim and free it: what it had done of the action is lost."""
+    if action.stage != "failed" or action.failures != command.failure:
+        return ()
+    withdrawn = ExecutionWithdrawn(action.subject, action.robot, command.failure)
+    return (*release(state.authority, action.action_id), withdrawn)
+
+
+@HANDLERS.decide_on(open_request, ReceiveFailure, requester)
+def receive_failure(_state: State, command: ReceiveFailure, request: Request) -> tuple[Event, ...]:
+    """End the contract with the robot that has failed."""
+    if command.round != request.round:
+        return ()
+    return (ContractVoided(request.subject, command.robot),)
+
+
+@HANDLERS.react(ExecutionFailed)
+def _on_failure(state: State, event: ExecutionFailed, _now_us: int) -> tuple[Scheduled, ...]:
+    action_id = event.subject.action_id
+    given_up, request = Scheduled(GiveUp(action_id, event.failure)), state.request.open.get(action_id)
+    if request is None or not request.is_delegated:
+        return (given_up,)
+    told = message(event.robot, f"{action_id}/{event.failure}", "report")
+    return (given_up, Scheduled(ReceiveFailure(action_id, event.robot, request.round), 0, (told,)))
+
+
+@HANDLERS.react(ContractVoided)
+def _on_void(state: State, event: ContractVoided, _now_us: int) -> tuple[Scheduled, ...]:
+    """Call the rest, unless the task is over or this was the last round."""
+    request = state.request.open.get(event.subject.action_id)
+    if request is None or request.task_id not in state.task:
+        return ()
+    if request.round < state.fleet.jade.rounds:
+        return (Scheduled(CallForProposals(request.action_id)),)
+    return (begin_again(state.fleet, request.task_id, request.action_id),)
+
+
+@HANDLERS.react(ExecutionWithdrawn)
+def _on_withdrawal(state: State, event: ExecutionWithdrawn, _now_us: int) -> tuple[Scheduled, ...]:
+    """Try a step of the robot's own, which it gave up, again after the back-off."""
+    request = state.request.open.get(event.subject.action_id)
+    if event.failure is None or request is None or request.is_delegated:
+        return ()
+    return (begin_again(state.fleet, request.task_id, request.action_id),)
+
+
+@HANDLERS.react(OutsiderRequestInjected)
+def _on_outsider(_state: State, event: OutsiderRequestInjected, _now_us: int) -> tuple[Scheduled, ...]:
+    return (Scheduled(CallForProposals(event.task_id)),)

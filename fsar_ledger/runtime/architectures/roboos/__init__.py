@@ -11,15 +11,13 @@ task, never a requester or a supervisor (slaver/run.py, _send_result).
 from fsar_ledger.runtime.architectures.handler_table import COMMON, HandlerTable
 from fsar_ledger.runtime.handlers import assistance
 
-from . import master, recovery, robot, store
+from . import master, robot
 
 ROBOOS: HandlerTable = HandlerTable.of(
     *COMMON,
     assistance,
-    store,
     master,
     robot,
-    recovery,
-    own=recovery.OWN,
+    own=robot.OWN,
     instead=master.INSTEAD,
 )

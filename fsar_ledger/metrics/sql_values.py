@@ -1,11 +1,15 @@
-"""The parameters of packaged queries: their kinds, what people give, what the SQL gets, and the names on record.
+"""Values in SQL: the parameters of packaged queries, and values and file paths as text.
 
 `Parameters: run: run = all, at: time = end` in the header of a query names two. The kind decides how the text of a
 value is understood (`api/lookup.py`). People give a time in seconds as `at`; the SQL gets microseconds as `$at_us`.
+
+DuckDB reads many characters of file names as patterns or commands: in a path as text it expands `*`, `?`, `[...]` and a
+leading `~`, and reads `file:` and its like as a scheme.
 """
 
-from collections.abc import Collection, Mapping
-from typing import TYPE_CHECKING
+from collections.abc import Collection, Iterable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
@@ -13,6 +17,57 @@ from fsar_ledger.base import printable
 from fsar_ledger.base.errors import InvalidQuery, UnknownQuery
 from fsar_ledger.events.configuration import ARCHITECTURES
 from fsar_ledger.ledger.rows.schema import MAX_INTEGER
+
+_PATTERNS = str.maketrans({character: f"[{character}]" for character in "*?["})
+
+
+def literal(path: str | Path) -> str:
+    """Return the text by which DuckDB finds this path in `filename` columns, and in statements that know no patterns.
+
+    It never begins with `~` or a scheme.
+    """
+    text = str(path)
+    return text if text.startswith("/") else f"./{text}"
+
+
+def quoted(text: str) -> str:
+    """Write a text in SQL."""
+    return "'" + text.replace("'", "''") + "'"
+
+
+def written(value: Any) -> str:
+    """Write a value in SQL."""
+    match value:
+        case None:
+            return "NULL"
+        case str():
+            return quoted(value)
+        case tuple():
+            return f"[{', '.join(map(written, value))}]"
+        case _:
+            return str(value).upper()
+
+
+def listed(values: Iterable[Any]) -> str:
+    """Write values in SQL, with commas between them."""
+    return ", ".join(map(written, values))
+
+
+def parquet(paths: Iterable[str | Path], *options: str, is_for_others: bool = False) -> str:
+    """Write just these files as a SQL relation.
+
+    Older DuckDB does not know the form in which a path is none but itself. With `is_for_others` the characters of
+    patterns are escaped instead: then DuckDB lists the folders above, and reads nothing where a name in one of these
+    begins with a backslash.
+    """
+    names = map(literal, paths)
+    files = (
+        [quoted(name.translate(_PATTERNS)) for name in names]
+        if is_for_others
+        else [f"{{'filename': {quoted(name)}}}" for name in names]
+    )
+    return f"read_parquet([{', '.join(files)}], {', '.join(('hive_partitioning = false', *options))})"
+
 
 if TYPE_CHECKING:
     from .connection import Database
