@@ -30,8 +30,8 @@ from fsar_ledger.ledger.rows.codec import LedgerRun, encode_coded
 from fsar_ledger.metrics.database import from_table
 from fsar_ledger.metrics.definitions import metrics
 from fsar_ledger.metrics.invariants import invariants
-from fsar_ledger.runtime.changeable import ATTEMPT, CALL, facts_by_name, name_of
-from fsar_ledger.runtime.forks import EditedEnvironment, kernel_of
+from fsar_ledger.runtime.changeable import ATTEMPT, CALL, EditedEnvironment, facts_by_name, name_of
+from fsar_ledger.runtime.forks import kernel_of
 from fsar_ledger.runtime.ports import Ask
 from fsar_ledger.runtime.simulation import environment_of
 
