@@ -18,17 +18,22 @@ from fsar_ledger.base.printable import did_you_mean, value
 from fsar_ledger.designs.constants import Constants
 from fsar_ledger.events import CONCERNS, Event
 from fsar_ledger.events.command import CommandGiven, CommandRejected
+from fsar_ledger.events.envelope import Robot
+from fsar_ledger.events.execution import ExecutionResumed, ExecutionStarted
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.events.recovery import AssistanceRequested
 from fsar_ledger.ledger.rows.runs import LedgerRun
 from fsar_ledger.projections.fleet import NEVER_US
+from fsar_ledger.projections.fold import State
 
 from .architectures.fsar.reports import commands, given, read
 from .changeable import question_name
-from .handlers.commands import ActionCommand, Respond, Scheduled
+from .handlers.commands import ActionCommand, Command, Respond, Scheduled
+from .handlers.request import ReportResult
 from .kernel import Kernel
 from .ports import ANSWERS_LATER, AS_USUAL, Ask, Fact, LiveEnvironment
 from .simulation import MODEL_VERSION, constants_text, fleet_founding, handler_table_of
+from .world.draws import FOREVER_US
 
 ARCHITECTURE = "fsar"
 """Whose handlers govern a live run: those of the others speak for their robots."""
@@ -138,6 +143,8 @@ def command_given(
     return found
 
 
+REST = "/rest"
+"""What the name of the question ends with of when an execution ends: `execution:t1/2.1/rest`."""
 Asked = tuple[str, str]
 """A question by name, and of whom it is asked."""
 
@@ -192,12 +199,21 @@ _UNSAID = {
     "help": "whether {whom} helps with {about}",
     "approach": "when {whom} begins {about}",
     "execution": "when {whom} begins {about}, and for how long",
+    "end": "when {whom} ends {about}",
     "retry": "how {whom}'s attempt to recover {about} ends",
     "attempt": "how {whom}'s attempt to recover {about} ends",
     "response": "what {whom} says about {about}",
     "call": "what {whom} says about {about}",
 }
 """What is unknown where a question of this kind is not answered."""
+
+
+class _EndExecution(Command):
+    """End an execution of unknown length when the model, or whoever changes the run, says so."""
+
+    robot: Robot
+    action_id: str
+    number: int
 
 
 class LiveKernel(Kernel):
@@ -226,8 +242,10 @@ class LiveKernel(Kernel):
         self._said_us: dict[str, list[int]] = defaultdict(list)  # by action, when commands about it came
         for time_us, command in record.carried_out:
             self._said_us[_about(command)].append(time_us)
+        self._changed = {_about(command) for _, command in record.carried_out.difference(facts)}
         super().__init__(handler_table_of(ARCHITECTURE), LiveEnvironment(facts), *founding)
         self._answer = lambda ask: 0 if ask.port == "network" else None
+        self._decides = {**self._decides, _EndExecution: self._end_execution}
 
     def run(self, until_us: int = NEVER_US, most: int = sys.maxsize) -> None:
         """As `Kernel.run`, but no further than to the end."""
@@ -236,28 +254,31 @@ class LiveKernel(Kernel):
                 super().run(until_us, most)
 
     def _unanswered(self, scheduled: Scheduled, ask: Ask, time_us: int) -> int | None:
-        later = ANSWERS_LATER if ask.what == "help" else None
         whom = self._whom(scheduled, ask)
-        if whom is None:
-            return later
-        name, about = question_name(ask), self._action(scheduled)
+        answer = None if whom is None else self._put(ask, whom, self._action(scheduled), time_us)
+        if self.end is not None and ask is scheduled.ask:
+            raise _Ended
+        return ANSWERS_LATER if answer is None and ask.what == "help" else answer
+
+    def _put(self, ask: Ask, whom: str, about: str, time_us: int) -> int | None:
+        """Return the answer that a command on record does not give; None: one does, or the run ends."""
+        name = question_name(ask)
         times = self.asked[name, whom]
         times.append(time_us)
         if self._known is None:
-            return later
-        words = _UNSAID[name.partition(":")[0]].format(whom=whom, about=about)
+            return None
+        words = _UNSAID["end" if name.endswith(REST) else name.partition(":")[0]].format(whom=whom, about=about)
         known = self._known.get((name, whom), ())
         if len(times) <= len(known) and not self._is_said(about, known[len(times) - 1], time_us):
-            self._open[about] = words
-            return later
+            if about not in self._changed:
+                self._open[about] = words
+            return None
         answer = self._answer_anew(name, ask)
         if answer is None:
             self.end = End(time_us, name, f"nobody on record says {words}")
-            if ask is scheduled.ask:
-                raise _Ended
-        else:
-            self._lost.add(about)
-        return answer
+            return None
+        self._lost.add(about)
+        return None if answer >= FOREVER_US else answer
 
     def _is_said(self, about: str, since_us: int, now_us: int) -> bool:
         """Return whether the record has nothing more to say about the action, or said it between these times."""
@@ -287,7 +308,28 @@ class LiveKernel(Kernel):
 
     def _batch(self, events: Sequence[Event], time_us: int, cause: int | None) -> None:
         super()._batch(events, time_us, cause)
+        for event in events:
+            if isinstance(event, ExecutionStarted | ExecutionResumed) and event.ends_us is None:
+                self._ask_for_the_rest(event.robot, event.subject.action_id, time_us)
         self._require_more()
+
+    def _ask_for_the_rest(self, robot: Robot, action_id: str, time_us: int) -> None:
+        """Ask when the execution ends, as its robot will report: no handler asks that, since none can wait for it."""
+        capability = self.state.execution.actions[action_id].capability
+        length_us = self._put(Ask("body", capability, action_id + REST), robot, action_id, time_us)
+        if length_us is not None:
+            number = len(self.asked[f"execution:{action_id}{REST}", robot])
+            self.submit(time_us + max(1, length_us), _EndExecution(robot, action_id, number))
+
+    def _end_execution(self, state: State, command: "_EndExecution") -> tuple[Event, ...]:
+        """Report the result for a robot that still executes, and has not been interrupted since."""
+        action = state.execution.actions.get(command.action_id)
+        asked = len(self.asked[f"execution:{command.action_id}{REST}", command.robot])
+        if action is None or action.stage != "running" or action.robot != command.robot or command.number != asked:
+            return ()
+        done = ReportResult(executor=command.robot, action_id=command.action_id, result="success")
+        done.now_us = command.now_us
+        return self._decides[ReportResult](state, done)
 
     def _apply_fact(self, fact: Event, time_us: int) -> None:
         if self._known is None or self._is_given(fact, time_us):
@@ -301,9 +343,13 @@ class LiveKernel(Kernel):
 
     def _is_given(self, fact: Event, time_us: int) -> bool:
         """Return whether a command comes here, too; where it would have been an answer and is none, the run ends."""
-        if not isinstance(fact, CommandGiven) or (time_us, fact) not in self._live.carried_out:
+        if not isinstance(fact, CommandGiven):
             return True
         about = _about(fact)
+        if (time_us, fact) not in self._live.carried_out:
+            if about in self._open and self._refusal(fact, time_us) is None:
+                del self._open[about]
+            return True
         refused = "the record has nothing more to say" if about in self._lost else self._refusal(fact, time_us)
         if refused is None:
             self._open.pop(about, None)
