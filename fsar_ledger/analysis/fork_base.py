@@ -81,6 +81,11 @@ class Rerun(NamedTuple):
         found += [Changeable(one, None, None, None, f"{whom} says so by a command") for one, whom in self.of_whom]
         return found
 
+    def with_answers(self, answers: Changes) -> "Rerun":
+        """Return the live run in whose forks these changes answer what the record does not; it does the same itself."""
+        recipe = msgspec.structs.replace(self.base.recipe, changes=answers)
+        return self._replace(base=self.base._replace(recipe=recipe))
+
     def fork(self, changes: Changes) -> Fork:
         """Return the fork with these changes; what a name does not mean here changes nothing. Raises: UsageError."""
         return fork(self.base.recipe, self.base.record, self.base.root, changes)

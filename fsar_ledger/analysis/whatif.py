@@ -23,6 +23,7 @@ from fsar_ledger.runtime.change_texts import parsed, read_changes
 from fsar_ledger.runtime.changes import MODEL, Changes
 from fsar_ledger.runtime.experiment import ORIGIN
 from fsar_ledger.runtime.forks import Fork
+from fsar_ledger.runtime.live import SOURCE
 
 from .fork_base import Base, base_of_record, rerun
 from .records import starts_of
@@ -254,13 +255,14 @@ def answers_of(model: str | None) -> tuple[str, ...]:
     return (f"answer * {model}",)
 
 
-def runs_of(view: View, architectures: Sequence[str]) -> list[str]:
-    """Return the simulated runs of these architectures, or all, but no forks.
+def runs_of(view: View, architectures: Sequence[str], kinds: Sequence[str] = ("simulated",)) -> list[str]:
+    """Return the runs of these kinds and architectures, or all, but no forks.
 
     Raises:
         UsageError: There is none.
     """
-    starts = [(run, started) for run, started in starts_of(view) if started.kind == "simulated" and not started.changes]
+    starts = [(run, one) for run, one in starts_of(view) if one.kind in kinds and not one.changes]
+    starts = [(run, one) for run, one in starts if one.kind != "live" or one.source == SOURCE]
     names = {started.architecture or "" for _, started in starts}
     for asked in architectures:
         if asked not in names:
@@ -271,7 +273,7 @@ def runs_of(view: View, architectures: Sequence[str]) -> list[str]:
             )
     found = [run for run, started in starts if not architectures or started.architecture in architectures]
     if not found:
-        raise UsageError(f"{view.path}: found no simulated run that is not a fork itself, expected some to fork from")
+        raise UsageError(f"{view.path}: found no {kinds[0]} run that is not a fork itself, expected some to fork from")
     return found
 
 

@@ -101,10 +101,8 @@ class _ObservedKernel(Kernel):
         self._released: dict[int, tuple[Command, list[int]]] = {}
         environment: Environment = self.edited if recipe.live is None else LiveEnvironment(recipe.live.commands)
         events, founded = founding_of(recipe.spec, recipe.constants)
-        founding = (started_of(recipe, started), *events[1:])
-        super().__init__(
-            handler_table_of(recipe.spec.architecture, recipe.spec.configuration), environment, founding, founded
-        )
+        table = handler_table_of(recipe.spec.architecture, recipe.spec.configuration)
+        super().__init__(table, environment, (started_of(recipe, started), *events[1:]), founded)
         command(self, recipe)
         self.set_environment(environment)
         self._decides = {kind: self._decided(decide) for kind, decide in self._decides.items()}
@@ -172,7 +170,6 @@ def _name(function: Callable[..., object]) -> str:
 
 DEPTH = 2
 """How far a person looks unless told otherwise: the event, and the events that it rests on."""
-
 Origin = Literal["founding", "world", "command", "decision"]
 
 
@@ -214,7 +211,7 @@ class DecisionTrace(msgspec.Struct, frozen=True, kw_only=True):
         count: How many events the batch has.
         origin: `founding`: the run begins with it; `world`: a fact of the world; `command`: somebody outside asked for
             it, or gave it; `decision`: an event triggered it.
-        handler: The function that decided; None for the founding, the world, and a command that was given.
+        handler: The function that decided; None for the founding, the world and the giving of a command.
         command: What it was asked to decide; None as for `handler`.
         triggered_by: The seq of the event that triggered it; None if none did.
         scheduled_by: The function that scheduled it after that event; None if none did.
@@ -317,8 +314,8 @@ def _made(record: LedgerRun, firsts: list[int]) -> Iterator[DecisionTrace]:
         if seq in found:
             yield _decided(record, seq, count, found[seq], writers)
         else:
-            by_itself: Origin = "command" if isinstance(record.events[seq], CommandGiven) else "world"
-            yield DecisionTrace(seq=seq, count=count, origin="founding" if record.times_us[seq] == 0 else by_itself)
+            itself: Origin = "command" if isinstance(record.events[seq], CommandGiven) else "world"
+            yield DecisionTrace(seq=seq, count=count, origin="founding" if record.times_us[seq] == 0 else itself)
 
 
 def _trigger(record: LedgerRun, first: int) -> int:

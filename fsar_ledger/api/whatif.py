@@ -260,7 +260,8 @@ def _end(found: "Divergence") -> Iterator[str]:
     if found.ends is not None:
         yield f"the fork ends at {found.ends_s:.3f} s: {printable.value(found.ends, 1_000)}"
         if found.question is not None:
-            yield f'--change "answer {printable.value(found.question)} ..." answers it, --answers model:7 lets the model'
+            question = printable.value(found.question)
+            yield f'`--change "answer {question} ANSWER"` answers that; `--answers model:7` lets the model answer'
     if found.left_out or found.ends is not None:
         yield ""
 
