@@ -101,7 +101,8 @@ class Rerun(NamedTuple):
         rejected = _rejected(self.base, forked)
         if rejected is not None:
             raise UsageError(f"{rejected.command} about {rejected.subject} is rejected: {rejected.reason}")
-        if any(not _is_of_model(one) for one in changes) and forked.parts_at is None:
+        is_same = forked.parts_at is None and forked.end is None
+        if is_same and any(not _is_of_model(one) for one in changes):
             said = printable.some(map(str, changes))
             raise UsageError(f"change {said}: it has no effect, the run does the same; expected one that changes it")
         return forked
