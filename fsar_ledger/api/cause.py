@@ -71,9 +71,11 @@ class Caused(Answer, msgspec.Struct, frozen=True, kw_only=True):
         """Yield the cause, what else is necessary, and the curve."""
         head = [screen.run_text(self.run), f"outcome: {self.outcome}"]
         tail = []
+        found = (*self.elements, *self.presupposed, *self.unknown)
+        what = "commands" if all(one.name.startswith("command:") for one in found) else "facts and answers"
         if self.elements:
             head.append(
-                f"{counted(len(self.elements), 'cause')} of {self.candidates:,} facts and answers suffice together; "
+                f"{counted(len(self.elements), 'cause')} of {self.candidates:,} {what} suffice together; "
                 "without any one of them the outcome falls"
             )
             tail.append(f"{_named(one for one in self.elements if one.is_necessary)} necessary in the whole run, too")
@@ -81,13 +83,13 @@ class Caused(Answer, msgspec.Struct, frozen=True, kw_only=True):
                 tail.append(f"{_named(self.presupposed)} presupposed: without it, there is no value to compare")
         elif self.unknown:
             head.append(
-                f"none of {self.candidates:,} commands is known to be a cause: without any one of these, something is "
+                f"none of {self.candidates:,} {what} is known to be a cause: without any one of these, something is "
                 "asked that nobody on record answers"
             )
         else:
             head += [_closing(self)] if self.chances else []
             head.append(
-                f"none of {self.candidates:,} facts and answers is a cause: the outcome stands with these alone, "
+                f"none of {self.candidates:,} {what} is a cause: the outcome stands with these alone, "
                 "without any one of which there is no value to compare"
             )
         if self.unknown:

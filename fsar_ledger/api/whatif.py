@@ -179,8 +179,9 @@ def whatif(
     record = None if run is None else recorded(ledger, view, run)
     place = None if out is None else Path(out)
     meant = changes_of([*([changes] if isinstance(changes, str) else changes), *answers_of(answers)])
-    if answers is not None and record is None:
-        raise UsageError(f"{option('answers', answers)}: found no run, expected --run RUN of a live run")
+    if answers is not None and (record is None or getattr(record.events[0], "kind", None) != "live"):
+        found = "no run" if record is None else "a simulated run, whose world answers everything"
+        raise UsageError(f"{option('answers', answers)}: found {found}, expected --run RUN of a live run")
     if place is not None:
         if place.resolve() == view.path.resolve():
             raise UsageError(f"{option('out', place)}: found the ledger of the bases, expected another place")
@@ -188,10 +189,8 @@ def whatif(
     texts = tuple(map(str, meant))
     if record is not None:
         pair = fork_of(view, record, meant)
-        end, is_live = pair.fork.end, pair.base.recipe.live is not None
-        if answers is not None and not is_live:
-            raise UsageError(f"{option('answers', answers)}: found a simulated run, whose world answers everything")
-        if place is not None and is_live:
+        end = pair.fork.end
+        if place is not None and pair.base.recipe.live is not None:
             raise UsageError(
                 f"{option('out', place)}: found the fork of a live run, which rests on commands that are not its own; "
                 "expected a simulated run"
