@@ -180,8 +180,8 @@ def whatif(
     place = None if out is None else Path(out)
     meant = changes_of([*([changes] if isinstance(changes, str) else changes), *answers_of(answers)])
     if answers is not None and (record is None or getattr(record.events[0], "kind", None) != "live"):
-        found = "no run" if record is None else "a simulated run, whose world answers everything"
-        raise UsageError(f"{option('answers', answers)}: found {found}, expected --run RUN of a live run")
+        what = "no run" if record is None else "a simulated run, whose world answers everything"
+        raise UsageError(f"{option('answers', answers)}: found {what}, expected --run RUN of a live run")
     if place is not None:
         if place.resolve() == view.path.resolve():
             raise UsageError(f"{option('out', place)}: found the ledger of the bases, expected another place")
@@ -255,7 +255,7 @@ def _end(found: "Divergence") -> Iterator[str]:
     """Yield which commands the fork of a live run leaves out, and where and why it ends before all has happened."""
     if found.left_out:
         named = printable.some(map(printable.value, dict.fromkeys(found.left_out)))
-        yield f"{counted(len(found.left_out), 'command')} on record left out, since nothing asks for it there: {named}"
+        yield f"not given there, since nothing asks for that: {counted(len(found.left_out), 'command')} on record, {named}"
     if found.ends is not None:
         yield f"the fork ends at {found.ends_s:.3f} s: {printable.value(found.ends, 1_000)}"
         if found.question is not None:

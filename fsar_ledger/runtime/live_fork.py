@@ -117,6 +117,7 @@ class _EndExecution(Command):
     number: int
 
 
+# See docs/decisions/live-forks-end-unanswered.md.
 class LiveKernel(Kernel):
     """A live run that is made again, perhaps with a change, from the commands on its record.
 

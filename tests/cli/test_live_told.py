@@ -82,7 +82,7 @@ def test_what_if_tells_where_the_fork_ends_and_compares_nothing_after_it(call: C
     told = call("whatif", hall, "--run", "day", "--change", RULE).good().out
     assert "the fork ends at 12.000 s: nobody on record says whether robot/B1 takes t/2.2\n" in told
     assert '`--change "answer admission:t/2.2 ANSWER"` answers that; `--answers model:7` lets the model answer' in told
-    assert "4 commands on record left out, since nothing asks for it there: ReportStart of robot/A1" in told
+    assert "not given there, since nothing asks for that: 4 commands on record, ReportStart of robot/A1" in told
     assert "all tasks end alike" not in told
     assert "t     601.000001  completed  9.000003     -       -\n" in told
     answer = json.loads(call("whatif", hall, "--run", "day", "--change", RULE, "--json").good().out)
