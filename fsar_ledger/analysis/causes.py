@@ -172,7 +172,7 @@ class Search:
         self.played = 0
         self.ended: set[frozenset[str]] = set()
         self._recipe = repeated.base.recipe
-        self._edited = edited_environment(self._recipe)
+        self._edited = None if self._recipe.live is None else edited_environment(self._recipe)
         self._world = world_of(self._recipe)
         self._facts = tuple(self._world.facts)
         self._places = facts_by_name(self._facts)
@@ -220,7 +220,7 @@ class Search:
 
         reduced = EditedEnvironment(self._world, facts, ())
         reduced.answer = answer
-        if self._recipe.live is not None:
+        if self._edited is not None:
             reduced = self._edited
             reduced.facts = facts
         kernel = kernel_of(self._recipe, reduced)

@@ -222,12 +222,17 @@ def _require_answer(change: Answer, kinds: Sequence[str]) -> None:
     """Check that the question is of a known kind and can be answered so. Raises: UsageError."""
     kind = change.question.partition(":")[0]
     is_live = kinds is LIVE_KINDS
-    if is_live and _is_of_model(change):
+    is_of_model = is_live and _is_of_model(change)
+    if kind not in kinds and not (is_of_model and change.question == "*"):
+        raise _unknown("question", change, change.question, [f"{one}:" for one in kinds])
+    if is_of_model:
         if not change.answer.removeprefix(MODEL).isdecimal():
             raise UsageError(f"change {change}: found {printable.value(change.answer)}, expected {MODEL} and a seed")
         return
-    if kind not in kinds:
-        raise _unknown("question", change, change.question, [f"{one}:" for one in kinds])
+    if is_live and kind in _SHORT and "/" not in change.question and "*" not in change.question:
+        raise UsageError(
+            f"change {change}: found a number, expected the name of the call, as the end of the fork has it"
+        )
     if answer_of(kind, change.answer) is None:
         words = {CALL: "approve, deny or other", "attempt": "hold or fail", "admission": "accept", "help": "accept"}
         expected = words.get(kind, "a length, as 2.5s, or never")
@@ -280,9 +285,10 @@ def _unknown(what: str, change: AnyChange, asked: str, names: Sequence[str]) -> 
 def _rejected(base: Base, forked: Fork) -> CommandRejected | None:
     """Return the first rejection, in a fork, of a command that its base does not have."""
     known = {event for event in base.record.events if isinstance(event, CommandRejected)}
-    commands = {event for event in base.record.events if isinstance(event, CommandGiven)}
-    for event, cause in zip(forked.record.events, forked.record.caused_by, strict=True):
-        is_on_record = cause is not None and forked.record.events[cause] in commands  # whoever gave it, tried
+    commands = set() if base.recipe.live is None else set(base.recipe.live.commands)
+    fork = forked.record
+    for event, cause in zip(fork.events, fork.caused_by, strict=True):
+        is_on_record = cause is not None and (fork.times_us[cause], fork.events[cause]) in commands  # it was tried
         if isinstance(event, CommandRejected) and event not in known and not is_on_record:
             return event
     return None

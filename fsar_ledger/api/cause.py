@@ -147,6 +147,9 @@ def cause(
     from moments of the run on, the share of futures, drawn anew, that avoid the outcome, up to the event after which
     none does.
 
+    Of a live run, commands are taken away. Without some of them it asks what nobody on record answers: then nobody
+    knows the outcome, unless the model of --answers does answer. There is no curve.
+
     Raises:
         UsageError: The run does not have the outcome, or it cannot be made again.
         QueryFailed: The SELECT fails.

@@ -254,8 +254,8 @@ def changeable(ledger: "Ledger", run: Run) -> "Table":
 def _end(found: "Divergence") -> Iterator[str]:
     """Yield which commands the fork of a live run leaves out, and where and why it ends before all has happened."""
     if found.left_out:
-        named = printable.some(map(printable.value, dict.fromkeys(found.left_out)))
-        yield f"not given there, since nothing asks for that: {counted(len(found.left_out), 'command')} on record, {named}"
+        count, names = counted(len(found.left_out), "command"), map(printable.value, dict.fromkeys(found.left_out))
+        yield f"not given there, since nothing asks for that: {count} on record, {printable.some(names)}"
     if found.ends is not None:
         yield f"the fork ends at {found.ends_s:.3f} s: {printable.value(found.ends, 1_000)}"
         if found.question is not None:

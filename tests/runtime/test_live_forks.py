@@ -151,10 +151,10 @@ def test_a_change_answers_for_one_question_and_the_next_one_ends_the_fork() -> N
     asked = ["density all 1", f"answer response:{OPENING}/review/0 2s"]
     fork = again(relay()).fork(parsed(asked))
     assert known(fork.end).question == f"call:{OPENING}/review/0"
-    fork = again(relay()).fork(parsed([*asked, "answer call:1 approve"]))
+    fork = again(relay()).fork(parsed([*asked, f"answer call:{OPENING}/review/0 approve"]))
     assert [event.approves for event in of(fork, SupervisorResponded)] == [True]
     assert known(fork.end).question == f"approach:{OPENING}"
-    fork = again(relay()).fork(parsed([*asked, "answer call:1 deny", "answer admission:* accept"]))
+    fork = again(relay()).fork(parsed([*asked, f"answer call:{OPENING}/review/0 deny", "answer admission:* accept"]))
     assert [event.approves for event in of(fork, SupervisorResponded)][:1] == [False]
     assert of(fork, RequestDenied)
 
@@ -258,6 +258,9 @@ def test_a_command_that_the_change_adds_is_given_and_one_that_is_rejected_is_ref
         ([DENIED, "answer admission:t/9.9 accept"], "nobody is asked that in the fork"),
         ([DENIED, "answer admission:t/2.2 maybe"], "found maybe, expected accept, or model: and a seed"),
         ([DENIED, "answer message:x 2s"], "no question message:x"),
+        ([DENIED, "answer nobody:* model:7"], r"no question nobody:\*"),
+        (["density all 1", "answer call:1 approve"], "found a number, expected the name of the call"),
+        (["move command:ReportStart/0 -1.5s"], "ReportStart about t/1.1 is rejected: unknown or finished action"),
         ([DENIED, "answer * model:x"], "found model:x, expected model: and a seed"),
         (["rule local deny robot=B1 from 9h"], "where a time belongs"),
         (["rule local deny robot=B1 from 900s"], "the run has ended by then"),
