@@ -35,7 +35,7 @@ from fsar_ledger.metrics.definitions import metrics
 from fsar_ledger.metrics.invariants import invariants
 from fsar_ledger.runtime.changeable import ATTEMPT, CALL, EditedEnvironment, facts_by_name, name_of
 from fsar_ledger.runtime.forks import edited_environment, kernel_of, run_to_end, world_of
-from fsar_ledger.runtime.live_fork import LiveKernel
+from fsar_ledger.runtime.live import LiveKernel
 from fsar_ledger.runtime.ports import Ask
 
 from .fork_base import Rerun

@@ -25,7 +25,7 @@ from fsar_ledger.runtime.changeable import (
 )
 from fsar_ledger.runtime.changes import MODEL, Add, Answer, AnyChange, Changes, Commanded, Drop, Move, Set, seconds_text
 from fsar_ledger.runtime.forks import Fork, edited_environment, fork, live_again, parts_at, run_again
-from fsar_ledger.runtime.live_fork import Asked
+from fsar_ledger.runtime.live import Asked
 from fsar_ledger.runtime.recipes import CannotReplay, Recipe, recipe_of
 from fsar_ledger.runtime.simulation import founding_of
 

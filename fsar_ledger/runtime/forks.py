@@ -48,7 +48,7 @@ from .handlers.recovery import SetRecoveryBudget
 from .handlers.supervision import SetSupervisionDensity
 from .handlers.trust import SetTrust
 from .kernel import Kernel
-from .live_fork import End, LiveKernel
+from .live import End, LiveKernel
 from .ports import Fact, World
 from .recipes import Recipe, base_of, constants_by_time, require_possible, started_of, with_changes
 from .simulation import draws_of, environment_of, fleet_founding, founding_of, handler_table_of, run_id

@@ -25,8 +25,7 @@ from fsar_ledger.metrics.constant_names import constants_of, names_of_constants,
 from .change_texts import parsed
 from .changes import AnyChange, Architecture, Changes, Set, Without, microseconds_of
 from .experiment import Experiment
-from .live import ARCHITECTURE, SOURCE, live_started
-from .live_fork import LiveRecord, live_record
+from .live import ARCHITECTURE, SOURCE, LiveRecord, live_record, live_started
 from .own import with_settings, with_values
 from .simulation import MODEL_VERSION, RunSpec, run_id, run_started
 from .world.schedule import arrivals_expected

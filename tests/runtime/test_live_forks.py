@@ -1,6 +1,5 @@
 """A live run with a change: its commands make it again, as far as they still answer what is asked there."""
 
-import random
 from collections.abc import Iterator
 from typing import Any
 
@@ -8,10 +7,9 @@ import pytest
 
 from fsar_ledger.analysis.fork_base import Rerun, base_of_record, rerun
 from fsar_ledger.base.errors import UsageError
-from fsar_ledger.designs.constants import Constants
 from fsar_ledger.events import Event
 from fsar_ledger.events.command import CommandGiven, CommandRejected
-from fsar_ledger.events.execution import ExecutionFinished, ExecutionResumed
+from fsar_ledger.events.execution import ExecutionFinished, ExecutionResumed, ExecutionStarted
 from fsar_ledger.events.policy import PolicyRuleSet
 from fsar_ledger.events.recovery import RecoveryAttempted
 from fsar_ledger.events.request import RequestAdmitted, RequestDenied, RequestUnanswered
@@ -19,26 +17,17 @@ from fsar_ledger.events.supervision import SupervisorResponded
 from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.projections.fleet import NEVER_US
-from fsar_ledger.runtime.architectures.fsar import FSAR
 from fsar_ledger.runtime.architectures.fsar.reports import (
-    JudgeAssistance,
     JudgeRequest,
-    ReportAssistance,
     ReportAttempt,
     ReportStart,
     ReportWindow,
 )
 from fsar_ledger.runtime.change_texts import parsed
 from fsar_ledger.runtime.forks import Fork
-from fsar_ledger.runtime.handlers.public import PublicCommand
 from fsar_ledger.runtime.handlers.recovery import ReportFailure
 from fsar_ledger.runtime.handlers.supervision import RespondToCall
 from fsar_ledger.runtime.handlers.task import SubmitTask
-from fsar_ledger.runtime.kernel import Kernel
-from fsar_ledger.runtime.live import commands_of, live_started
-from fsar_ledger.runtime.ports import LiveEnvironment
-from fsar_ledger.runtime.recipes import with_changes
-from fsar_ledger.runtime.simulation import fleet_founding
 from tests.runtime.test_live import OPENING, STEPS, A, B, C, Play, S, done, failing, opening, relay
 from tests.sure import known
 
@@ -138,9 +127,23 @@ def test_an_execution_of_unknown_length_ends_by_the_record_or_by_the_change_and_
     [resumed] = [time_us for time_us, event in pairs(fork) if isinstance(event, ExecutionResumed)]
     ended = [(time_us, event) for time_us, event in pairs(fork) if isinstance(event, ExecutionFinished)]
     assert [time_us for time_us, event in ended if event.subject.action_id == OPENING] == [resumed + 3 * S]
-    sooner = again(failing().wait(2_000)).fork_with_effect(parsed(["answer command:ReportAttempt/0 succeeded=true"]))
-    assert left_out(sooner) == ["ReportAttempt"], "the second attempt, which is not made"
-    assert OPENING in {event.subject.action_id for event in of(sooner, ExecutionFinished)}, "by the report on record"
+    sooner = again(failing()).fork_with_effect(parsed(["answer command:ReportAttempt/0 succeeded=true"]))
+    assert known(sooner.end).question == f"execution:{OPENING}/rest", "it goes on a second sooner than on record"
+
+
+def test_who_is_interrupted_ends_later_than_was_said_before() -> None:
+    off, on = (
+        f'{{"command":"ReportPresence","by":"robot/B1","robot":"robot/B1","is_on":{is_on}}}'
+        for is_on in ("false", "true")
+    )
+    at_s = again(repaired()).base.record.times_us[-1] / S - 0.2
+    changes = [FAILS, f"answer retry:{OPENING}/1/2 1s", f"answer attempt:retry/{OPENING}/1/2 hold"]
+    changes += [f"answer execution:{OPENING}/rest 4s", f"add {at_s}s {off}", f"add {at_s + 0.1:.1f}s {on}"]
+    fork = again(repaired()).fork_with_effect(parsed(changes))
+    resumed = [time_us for time_us, event in pairs(fork) if isinstance(event, ExecutionResumed)]
+    ended = [(time_us, event) for time_us, event in pairs(fork) if isinstance(event, ExecutionFinished)]
+    assert len(resumed) == 2
+    assert [time_us for time_us, event in ended if event.subject.action_id == OPENING] == [resumed[-1] + 4 * S]
 
 
 def pairs(fork: Fork) -> Iterator[tuple[int, Event]]:
@@ -217,12 +220,51 @@ def test_who_is_silent_by_a_change_stays_silent() -> None:
     assert left_out(fork)[:1] == ["ReportStart"]
 
 
-def test_an_answer_that_comes_before_it_is_asked_is_none() -> None:
+def test_who_is_asked_at_another_time_has_not_answered_on_record() -> None:
     fork = again(relay()).fork_with_effect(parsed(["move command:SubmitTask/0 +2.5s"]))
     assert known(fork.end).question == "execution:t/1.1"
     assert left_out(fork)[:2] == ["ReportStart", "ReportResult"]
-    moved = again(relay()).fork_with_effect(parsed(["move command:SubmitTask/0 -0.5s"]))
-    assert (moved.end, len(of(moved, TaskCompleted))) == (None, 1), "one that is asked earlier is answered by it"
+    sooner = again(relay()).fork_with_effect(parsed(["move command:SubmitTask/0 -0.5s"]))
+    assert known(sooner.end).question == "execution:t/1.1"
+    at_once = again(relay()).fork_with_effect(parsed(["move command:SubmitTask/0 -0.0005s"]))
+    assert (at_once.end, len(of(at_once, TaskCompleted))) == (None, 1), "within a millisecond it is the same time"
+
+
+def test_of_what_a_change_has_answered_the_record_has_nothing_more_to_say() -> None:
+    play = relay()
+    asked = ["density all 1", f"answer response:{OPENING}/review/0 0.5s", f"answer call:{OPENING}/review/0 approve"]
+    begins = f"answer approach:{OPENING} 3s"
+    fork = again(play).fork_with_effect(parsed([*asked, begins, f"answer execution:{OPENING} 5s", "answer * model:7"]))
+    started = next(
+        (time_us, event.ends_us)
+        for time_us, event in pairs(fork)
+        if isinstance(event, ExecutionStarted) and event.subject.action_id == OPENING
+    )
+    accepted = next(time_us for time_us, event in pairs(fork) if isinstance(event, RequestAdmitted))
+    assert 3 * S <= started[0] - accepted < 3 * S + 10
+    assert started[1] == started[0] + 5 * S
+    ends = [time_us for time_us, event in pairs(fork) if isinstance(event, ExecutionFinished)]
+    assert started[1] in ends, "and not when the report on record came"
+
+
+def test_a_question_of_which_nothing_can_come_any_more_ends_no_fork() -> None:
+    task = SubmitTask(robot=A, task_id="t", steps=STEPS[:1], budget_us=600 * S)
+    play = Play().does(task, ReportStart(robot=A, action_id="t/1.1", lasts_us=1_500_000))
+    play.wait(1).does(done(A, "t/1.1"))  # half a second after the planned end
+    fork = again(play).fork_with_effect(parsed(["answer command:ReportStart/0 lasts_us=2500000"]))
+    assert (fork.end, len(of(fork, TaskCompleted))) == (None, 1)
+
+
+def test_a_command_of_which_nothing_came_is_given_in_a_fork_too_unless_it_is_rejected_there() -> None:
+    review = ReportWindow(robot=B, scope="local", window="w", outcome="review")
+    twice = JudgeRequest(robot=B, action_id=OPENING, accepts=True)
+    before = SubmitTask(robot=A, task_id="t", steps=STEPS, budget_us=600 * S)
+    play = Play().does(before, review, ReportStart(robot=A, action_id="t/1.1"), done(A, "t/1.1"), twice, twice)
+    base = again(play.wait(2_000))
+    assert base.fork(()).record.events[1:] == base.base.record.events[1:]
+    fork = base.fork_with_effect(parsed(["answer command:JudgeRequest/0 accepts=false"]))
+    assert left_out(fork) == ["JudgeRequest"]
+    assert not of(fork, CommandRejected)
 
 
 def test_the_fork_of_a_run_that_goes_on_ends_with_its_record() -> None:
@@ -272,89 +314,3 @@ def test_what_means_nothing_in_a_live_run_is_refused_in_words(changes: list[str]
     base = again(relay())
     with pytest.raises(UsageError, match=said):
         base.fork_with_effect(parsed(changes))
-
-
-def busy(seed: int) -> Play:
-    """A fleet with some tasks, in which each robot and supervisor says at random what it is asked."""
-    draw, play, tasks = random.Random(seed), Play(), 0
-    for _ in range(120):
-        asked = list(answers(play, draw))
-        if tasks < 6 and draw.random() < 0.2:
-            tasks, who = tasks + 1, draw.choice((A, C))
-            steps = STEPS if who == A else ("C navigate.indoor", "C door.open.secure B", "C inspect.visual")
-            play.does(SubmitTask(robot=who, task_id=f"t{tasks}", steps=steps, budget_us=600 * S))
-        elif draw.random() < 0.1:
-            outcome = draw.choice((None, "deny"))
-            play.give(ReportWindow(robot=draw.choice((A, B)), scope="local", window="w", outcome=outcome))  # type: ignore[arg-type]
-        elif asked:
-            play.give(draw.choice(asked))
-        else:
-            play.wait(3)
-    return play.wait(2_000)
-
-
-def answers(play: Play, draw: random.Random) -> Iterator[PublicCommand]:
-    """What could be said now."""
-    state = play.run.kernel.state
-    for request in state.request.open.values():
-        if not request.is_over and not request.is_accepted and request.candidates:
-            yes = draw.random() < 0.8
-            yield JudgeRequest(robot=request.candidates[0], action_id=request.action_id, accepts=yes)
-    for action in state.execution.actions.values():
-        robot, name, recovery = action.robot, action.action_id, state.recovery.get(action.action_id)
-        if action.stage in ("approaching", "queued"):
-            yield ReportStart(robot=robot, action_id=name, lasts_us=draw.choice((None, 4 * S)))
-        if action.stage == "running":
-            cause = draw.choice(("obstruction", "degradation", "rust"))
-            yield done(robot, name) if draw.random() < 0.7 else ReportFailure(robot=robot, action_id=name, cause=cause)
-        if recovery is not None and recovery.level == "local":
-            yield ReportAttempt(robot=robot, action_id=name, succeeded=draw.random() < 0.4)
-        if recovery is not None and recovery.awaited is not None:
-            yield JudgeAssistance(robot=recovery.awaited, action_id=name, accepts=draw.random() < 0.6)
-        elif recovery is not None and recovery.tried:
-            yield ReportAssistance(robot=recovery.tried[-1], action_id=name, succeeded=draw.random() < 0.6)
-    for call in state.supervision.calls.values():
-        yield RespondToCall(supervisor=call.supervisor, action_id=call.subject.action_id, approves=True)
-
-
-@pytest.mark.parametrize("seed", [1, 2, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(3, 20))])
-def test_a_fork_is_the_run_of_its_own_commands_blames_nobody_and_with_the_model_it_is_whole(seed: int) -> None:
-    base = again(busy(seed))
-    record = base.base.record
-    assert base.fork(()).record.events[1:] == record.events[1:]
-    draw, names = random.Random(seed), list(base.base.facts_by_name)
-    refused = {
-        record.events[known(cause)]
-        for event, cause in zip(record.events, record.caused_by, strict=True)
-        if isinstance(event, CommandRejected)
-    }
-    ends = 0
-    for text in (
-        *(f"drop {draw.choice(names)}" for _ in range(3)),
-        *(f"rule local deny robot={draw.choice('ABC')}1 from {draw.randrange(60)}s" for _ in range(3)),
-        "density all 2",
-        "set outages.answer_s=2",
-        "set structure.local_attempts=0",
-    ):
-        fork, whole = base.fork(parsed([text])), base.fork(parsed([text, "answer * model:3"]))
-        ends += fork.end is not None
-        assert whole.end is None, text
-        for one in (fork, whole):
-            for event, cause in zip(one.record.events, one.record.caused_by, strict=True):
-                if isinstance(event, CommandRejected) and cause:
-                    assert one.record.events[cause] in refused, (text, event)
-        constants = with_changes(base.base.recipe, parsed([text])).constants
-        made = played(constants, fork.record)
-        count = len(fork.record.events)
-        assert made.events[1:count] == fork.record.events[1:], text
-        assert made.times_us[:count] == fork.record.times_us
-    assert ends, "some forks end where nobody answers"
-
-
-def played(constants: Constants, record: LedgerRun) -> Kernel:
-    """The live run with the commands of this record, and no change at all."""
-    events, founded = fleet_founding(4, constants)
-    started = live_started(constants, 4, "2026-03-01T10:00:00Z")
-    one = Kernel(FSAR, LiveEnvironment(commands_of(record)), (started, *events), founded)
-    one.run(record.times_us[-1])
-    return one
