@@ -33,7 +33,6 @@ from .handlers.request import ReportResult
 from .kernel import Kernel
 from .ports import ANSWERS_LATER, AS_USUAL, Ask, Fact, LiveEnvironment
 from .simulation import MODEL_VERSION, constants_text, fleet_founding, handler_table_of
-from .world.draws import FOREVER_US
 
 ARCHITECTURE = "fsar"
 """Whose handlers govern a live run: those of the others speak for their robots."""
@@ -270,7 +269,7 @@ class LiveKernel(Kernel):
             self.end = End(time_us, name, f"nobody on record says {unsaid}")
             return None
         self._lost.add((about, ask.port))
-        return None if answer >= FOREVER_US else answer
+        return answer
 
     def _whom(self, scheduled: Scheduled, ask: Ask) -> str | None:
         """Return of whom it is asked; None: it does not matter, since nothing comes of any answer."""

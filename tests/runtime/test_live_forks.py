@@ -247,6 +247,29 @@ def test_of_what_a_change_has_answered_the_record_has_nothing_more_to_say() -> N
     assert started[1] in ends, "and not when the report on record came"
 
 
+def test_nobody_is_silent_about_what_a_change_has_answered_even_if_it_is_asked_as_on_record() -> None:
+    base = again(repaired())
+    resumed_s = next(time_us for time_us, event in pairs(base.fork(())) if isinstance(event, ExecutionResumed)) / S
+
+    def sooner(retry_s: float) -> Fork:
+        """The door fails half a second sooner, and its attempt takes so long."""
+        changes = ["move command:ReportFailure/0 -0.5s", f"answer retry:{OPENING}/1/1 {retry_s:.6f}s"]
+        return base.fork_with_effect(parsed([*changes, f"answer attempt:retry/{OPENING}/1/1 hold"]))
+
+    late_s = known(sooner(0.5).end).time_us / S
+    fork = sooner(0.5 + resumed_s - late_s - 0.0005)
+    assert known(fork.end).question == f"execution:{OPENING}/rest"
+    assert 0 < resumed_s - known(fork.end).time_us / S < 0.001
+
+
+def test_a_command_of_which_something_came_on_record_and_nothing_would_here_is_left_out() -> None:
+    judged = '{"command":"JudgeRequest","by":"robot/B1","robot":"robot/B1","action_id":"t/2.1","accepts":true}'
+    answered = f"answer response:{OPENING}/review/0 never"
+    fork = again(relay()).fork_with_effect(parsed(["density all 1", f"add 3.5s {judged}", answered]))
+    assert left_out(fork)[:1] == ["JudgeRequest"], "it is before the supervisor already, who never answers"
+    assert (fork.end, len(of(fork, TaskAbandoned))) == (None, 1)
+
+
 def test_a_question_of_which_nothing_can_come_any_more_ends_no_fork() -> None:
     task = SubmitTask(robot=A, task_id="t", steps=STEPS[:1], budget_us=600 * S)
     play = Play().does(task, ReportStart(robot=A, action_id="t/1.1", lasts_us=1_500_000))
