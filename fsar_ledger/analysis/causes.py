@@ -11,6 +11,9 @@ its law. A set suffices if the outcome stands with it alone, and is 1-minimal if
 it. But-for tests alone would miss causes of which either suffices. A fact of the set without which the outcome has no
 value to compare is presupposed and no cause: without a task nothing fails, and nothing succeeds.
 
+All that a live run takes from outside is its commands. Without some of them it may ask what nobody on record answers
+and end there: it neither has the outcome then nor lacks it, since nobody knows how it would go on.
+
 Zeller, Hildebrandt: Simplifying and Isolating Failure-Inducing Input (2002), whose delta debugging this is, with many
 forks judged by one query.
 """
@@ -30,10 +33,10 @@ from fsar_ledger.ledger.rows.codec import LedgerRun, encode_coded
 from fsar_ledger.metrics.database import from_table
 from fsar_ledger.metrics.definitions import metrics
 from fsar_ledger.metrics.invariants import invariants
-from fsar_ledger.runtime.changeable import ATTEMPT, CALL, facts_by_name, name_of
-from fsar_ledger.runtime.forks import EditedEnvironment, kernel_of
+from fsar_ledger.runtime.changeable import ATTEMPT, CALL, EditedEnvironment, facts_by_name, name_of
+from fsar_ledger.runtime.forks import edited_environment, kernel_of, run_to_end, world_of
+from fsar_ledger.runtime.live import LiveKernel
 from fsar_ledger.runtime.ports import Ask
-from fsar_ledger.runtime.simulation import environment_of
 
 from .fork_base import Rerun
 from .records import lines_of
@@ -138,13 +141,15 @@ class Cause(msgspec.Struct, frozen=True):
     """A smallest set that suffices for an outcome, of `candidates` facts and answers; `forks` were played to find it.
 
     `elements` are those of the set without any one of which the outcome falls, `presupposed` those without any one of
-    which there is nothing to judge. `also_necessary` are those outside of the set without any one of which the outcome
+    which there is nothing to judge, `unknown` those of a live run without any one of which nobody knows how it would go
+    on. `also_necessary` are those outside of the set without any one of which the outcome
     falls, because it would be prevented or come otherwise; a set can suffice without them.
     """
 
     outcome: str
     elements: tuple[Element, ...]
     presupposed: tuple[Element, ...]
+    unknown: tuple[Element, ...]
     also_necessary: tuple[Element, ...]
     candidates: int
     forks: int
@@ -165,8 +170,10 @@ class Search:
             progress: Called with the number of forks played.
         """
         self.played = 0
+        self.ended: set[frozenset[str]] = set()
         self._recipe = repeated.base.recipe
-        self._world = environment_of(self._recipe.spec, self._recipe.constants)
+        self._edited = None if self._recipe.live is None else edited_environment(self._recipe)
+        self._world = world_of(self._recipe)
         self._facts = tuple(self._world.facts)
         self._places = facts_by_name(self._facts)
         self._lengths = lengths
@@ -186,6 +193,7 @@ class Search:
             with without_collection():
                 runs = [self._play(one) for one in batch]
             self._known |= dict(zip(batch, self._outcome.of(runs), strict=True))
+            self._known |= dict.fromkeys(self.ended.intersection(batch))
             self.played += len(batch)
             if self._progress is not None:
                 self._progress(self.played)
@@ -212,8 +220,13 @@ class Search:
 
         reduced = EditedEnvironment(self._world, facts, ())
         reduced.answer = answer
+        if self._edited is not None:
+            reduced = self._edited
+            reduced.facts = facts
         kernel = kernel_of(self._recipe, reduced)
-        kernel.run()
+        run_to_end(kernel, reduced, self._recipe)
+        if isinstance(kernel, LiveKernel) and kernel.end is not None:
+            self.ended.add(kept)
         return kernel.times_us, kernel.caused_by, kernel.events
 
 
@@ -288,7 +301,8 @@ def cause(repeated: Rerun, outcome: Outcome, *, lengths: bool = False, progress:
     return Cause(
         outcome.text,
         tuple(element(name) for name in names if alone[name] is False),
-        tuple(element(name) for name in names if alone[name] is None),
+        tuple(element(name) for name in names if alone[name] is None and found - {name} not in search.ended),
+        tuple(element(name) for name in names if found - {name} in search.ended),
         tuple(element(name) for name in search.candidates if name in necessary - found),
         len(search.candidates),
         search.played,

@@ -272,6 +272,8 @@ class MetricPair(msgspec.Struct, frozen=True):
 class TaskPair(msgspec.Struct, frozen=True):
     """A task in both runs: `completed`, `abandoned`, `open`, or None where it did not arrive, and when that was.
 
+    None, too: what becomes of it after a run that ends before all has happened.
+
     Units: seconds of run time; `due_s` of the first run that has it, None where no budget is on record. A task that is
     completed later than that is late.
     """
@@ -316,6 +318,19 @@ def outcomes_diff(database: Database, first: LedgerRun, second: LedgerRun, pairs
         _alone(found, pairs),
         first.times_us[-1] / 1e6,
         second.times_us[-1] / 1e6,
+    )
+
+
+def until_the_end(found: OutcomesDiff, ends_us: int) -> OutcomesDiff:
+    """Return what the runs came to where the second ends then, before all has happened.
+
+    It has no metrics yet, nobody knows what becomes of its open tasks, and later verdicts on the first say nothing.
+    """
+    return msgspec.structs.replace(
+        found,
+        metrics=[msgspec.structs.replace(one, second=None) for one in found.metrics],
+        tasks=[msgspec.structs.replace(one, second=None) if one.second == "open" else one for one in found.tasks],
+        verdicts=[one for one in found.verdicts if one.time_s <= ends_us / 1e6],
     )
 
 

@@ -8,8 +8,9 @@ from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import flat
 from fsar_ledger.ledger.rows.codec import LedgerRun, encode_coded
 from fsar_ledger.metrics.database import from_table
+from fsar_ledger.runtime.forks import until
 
-from .difference import FIRST, KINDS, SECOND, Difference, OutcomesDiff, align, chain, outcomes_diff
+from .difference import FIRST, KINDS, SECOND, Difference, OutcomesDiff, align, chain, outcomes_diff, until_the_end
 from .records import Line, lines_from
 
 
@@ -65,12 +66,19 @@ class DifferenceText(msgspec.Struct, frozen=True, kw_only=True):
     consequences: OutcomesDiff | None
 
 
-def difference_text(first: LedgerRun, second: LedgerRun) -> DifferenceText:
-    """Return the differences of two records. Raises: as `Database.rows`."""
+def difference_text(first: LedgerRun, second: LedgerRun, ends_us: int | None = None) -> DifferenceText:
+    """Return the differences of two records.
+
+    With `ends_us` the second ends then, before all has happened: nothing later of the first is compared, and of what
+    the second came to no more is told than had come about.
+
+    Raises: as `Database.rows`.
+    """
+    whole, first = first, first if ends_us is None else until(first, ends_us)
     found = align(first, second)
     differing = [one for one in found.differences if (one.first_seq, one.second_seq) != (0, 0)]
     kinds = Counter(one.kind for one in differing)
-    named = [msgspec.structs.replace(run, run_id=name) for name, run in ((FIRST, first), (SECOND, second))]
+    named = [msgspec.structs.replace(run, run_id=name) for name, run in ((FIRST, whole), (SECOND, second))]
     told: tuple[DifferenceLine, ...] = ()
     parting = after = None
     if differing:
@@ -81,7 +89,9 @@ def difference_text(first: LedgerRun, second: LedgerRun) -> DifferenceText:
             places += [(SECOND, one.second_seq) for one in differing if one.second_seq is not None]
             places += [(name, seq) for name, seqs in zip((FIRST, SECOND), chains, strict=True) for seq in seqs]
             lines = lines_from(database, places)
-            after = outcomes_diff(database, first, second, found.pairs)
+            after = outcomes_diff(database, whole, second, found.pairs)
+        if ends_us is not None:
+            after = until_the_end(after, ends_us)
         told = tuple(_told(one, first, second, lines) for one in differing)
         both = [tuple(lines[(name, seq)] for seq in seqs) for name, seqs in zip((FIRST, SECOND), chains, strict=True)]
         at_s = min(one.time_s for side in both for one in side[:1])

@@ -1,19 +1,20 @@
 """Bases: recorded runs from which others can fork."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import msgspec
 
 from fsar_ledger.base import printable
 from fsar_ledger.base.errors import UsageError
-from fsar_ledger.events.command import CommandRejected
+from fsar_ledger.events.command import CommandGiven, CommandRejected
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.ledger.rows.codec import LedgerRun
-from fsar_ledger.runtime.change_texts import fact_of, fact_text
+from fsar_ledger.runtime.change_texts import COMMAND, fact_of, fact_text
 from fsar_ledger.runtime.changeable import (
     CALL,
     KINDS,
+    LIVE_KINDS,
     RESPONSE,
     FactPositions,
     Question,
@@ -22,9 +23,10 @@ from fsar_ledger.runtime.changeable import (
     matching_names,
     numbers_of_calls,
 )
-from fsar_ledger.runtime.changes import Add, Answer, AnyChange, Changes, Commanded, Drop, Move, Set, seconds_text
-from fsar_ledger.runtime.forks import Fork, edited_environment, fork, parts_at, run_again
-from fsar_ledger.runtime.recipes import CannotReplay, Recipe, recorded_recipe
+from fsar_ledger.runtime.changes import MODEL, Add, Answer, AnyChange, Changes, Commanded, Drop, Move, Set, seconds_text
+from fsar_ledger.runtime.forks import Fork, edited_environment, fork, live_again, parts_at, run_again
+from fsar_ledger.runtime.live import Asked
+from fsar_ledger.runtime.recipes import CannotReplay, Recipe, recipe_of
 from fsar_ledger.runtime.simulation import founding_of
 
 LIST = "`whatif LEDGER --run RUN --list` lists all"
@@ -58,10 +60,11 @@ class Changeable(msgspec.Struct, frozen=True):
 
 
 class Rerun(NamedTuple):
-    """A base that was made again as recorded, and what it asked at its ports, in order."""
+    """A base that was made again as recorded, and what it asked at its ports, in order; of a live run, `of_whom`."""
 
     base: Base
     asked: list[Question]
+    of_whom: Sequence[Asked] = ()
 
     def changeable(self) -> list[Changeable]:
         """Return the facts of the world in order of time, and then the questions in the order of asking, each once."""
@@ -75,7 +78,13 @@ class Rerun(NamedTuple):
         for one in dict.fromkeys(self.asked):
             number = numbers.get(CALL + one.name.partition(":")[2]) if one.kind in _SHORT else None
             found.append(Changeable(one.name, None if number is None else f"{one.kind}:{number}", None, None, one.text))
+        found += [Changeable(one, None, None, None, f"{whom} says so by a command") for one, whom in self.of_whom]
         return found
+
+    def with_answers(self, answers: Changes) -> "Rerun":
+        """Return the live run in whose forks these changes answer what the record does not; it does the same itself."""
+        recipe = msgspec.structs.replace(self.base.recipe, changes=answers)
+        return self._replace(base=self.base._replace(recipe=recipe))
 
     def fork(self, changes: Changes) -> Fork:
         """Return the fork with these changes; what a name does not mean here changes nothing. Raises: UsageError."""
@@ -92,7 +101,8 @@ class Rerun(NamedTuple):
         rejected = _rejected(self.base, forked)
         if rejected is not None:
             raise UsageError(f"{rejected.command} about {rejected.subject} is rejected: {rejected.reason}")
-        if changes and forked.parts_at is None:
+        is_same = forked.parts_at is None and forked.end is None
+        if is_same and any(not _is_of_model(one) for one in changes):
             said = printable.some(map(str, changes))
             raise UsageError(f"change {said}: it has no effect, the run does the same; expected one that changes it")
         return forked
@@ -109,15 +119,22 @@ def base_of_record(record: LedgerRun, root: str) -> Base:
             f"{printable.value(started.forked_from_run or '?')}; give all changes at once"
         )
     try:
-        return Base(record, recorded_recipe(started, len(record.events)), root)
+        return Base(record, recipe_of(record, started), root)
     except CannotReplay as found:
         raise UsageError(f"run {run}: {found}; only such a run can be made again with a change") from found
 
 
 def rerun(base: Base) -> Rerun:
     """Return the base, made again. Raises: UsageError naming the first event that the record has otherwise."""
+    of_whom: Iterable[Asked] = ()
+    asked: list[Question] = []
     try:
-        made, asked = run_again(base.recipe)
+        if base.recipe.live is None:
+            made, asked = run_again(base.recipe)
+        else:
+            made, recipe = live_again(base.recipe)
+            base = base._replace(recipe=recipe)
+            of_whom = (recipe.live.asked or ()) if recipe.live is not None else ()
     except (LookupError, ValueError, RuntimeError, TypeError) as error:
         raise UsageError(
             f"run {printable.value(base.record.run_id)}: it cannot be made again ({error!s:.300}); run "
@@ -129,7 +146,7 @@ def rerun(base: Base) -> Rerun:
             f"run {printable.value(base.record.run_id)}, event {at or 0}: the record is not what its world and its "
             "handlers make, so nothing forks from it; run `fsar-ledger verify --replay`, which says what differs"
         )
-    return Rerun(base, asked)
+    return Rerun(base, asked, tuple(of_whom))
 
 
 def _played(rerun: Rerun, changes: Changes) -> Fork:
@@ -145,11 +162,19 @@ def _played(rerun: Rerun, changes: Changes) -> Fork:
         ) from error
 
 
+def _is_of_model(change: AnyChange) -> bool:
+    """Return whether the change lets the model answer what the record of a live run does not."""
+    return isinstance(change, Answer) and change.answer.startswith(MODEL)
+
+
 def _require_meant(rerun: Rerun, change: AnyChange) -> None:
     """Check that a change means something in the run. Raises: UsageError, with the nearest name."""
     base = rerun.base
     last_us = base.record.times_us[-1]
     match change:
+        case Answer() if change.question.startswith(COMMAND) and base.recipe.live is not None:
+            if not matching_names(change.question, base.facts_by_name):
+                raise _unknown("command", change, change.question, list(base.facts_by_name))
         case Drop() | Move():
             names = base.facts_by_name
             if not matching_names(change.fact, names):
@@ -157,7 +182,7 @@ def _require_meant(rerun: Rerun, change: AnyChange) -> None:
         case Add():
             _require_members(base, change)
         case Answer():
-            _require_answer(change)
+            _require_answer(change, LIVE_KINDS if base.recipe.live is not None else KINDS)
         case _:
             pass
     from_s = getattr(change, "at_s", None) if isinstance(change, Add) else getattr(change, "from_s", None)
@@ -170,9 +195,18 @@ def _require_meant(rerun: Rerun, change: AnyChange) -> None:
 
 def _require_members(base: Base, change: Add) -> None:
     """Check that an added fact is about robots and supervisors of this fleet. Raises: UsageError."""
+    fact = fact_of(change.event)
+    if base.recipe.live is not None and not isinstance(fact, CommandGiven):
+        raise UsageError(
+            f"change {change}: found a fact of the world, expected a command, by which a live run is told of it, as "
+            'add 20s {"command": "ReportPresence", "by": "robot/B1", "robot": "robot/B1", "is_on": false}'
+        )
+    if base.recipe.live is not None:
+        return  # the handlers say whether it can be carried out
+    if isinstance(fact, CommandGiven):
+        raise UsageError(f"change {change}: found a command, expected a fact of the world: the run is simulated")
     fleet = founding_of(base.recipe.spec, base.recipe.constants)[1].fleet
     known = {*fleet.robots, *(one.supervisor for one in fleet.robots.values() if one.supervisor is not None)}
-    fact = fact_of(change.event)
     for name in ("robot", "peer", "supervisor"):
         found = getattr(fact, name, None)
         if found is not None and found not in known:
@@ -184,20 +218,40 @@ def _require_members(base: Base, change: Add) -> None:
             )
 
 
-def _require_answer(change: Answer) -> None:
+def _require_answer(change: Answer, kinds: Sequence[str]) -> None:
     """Check that the question is of a known kind and can be answered so. Raises: UsageError."""
     kind = change.question.partition(":")[0]
-    if kind not in KINDS:
-        raise _unknown("question", change, change.question, [f"{one}:" for one in KINDS])
+    is_live = kinds is LIVE_KINDS
+    is_of_model = is_live and _is_of_model(change)
+    if kind not in kinds and not (is_of_model and change.question == "*"):
+        raise _unknown("question", change, change.question, [f"{one}:" for one in kinds])
+    if is_of_model:
+        if not change.answer.removeprefix(MODEL).isdecimal():
+            raise UsageError(f"change {change}: found {printable.value(change.answer)}, expected {MODEL} and a seed")
+        return
+    if is_live and kind in _SHORT and "/" not in change.question and "*" not in change.question:
+        raise UsageError(
+            f"change {change}: found a number, expected the name of the call, as the end of the fork has it"
+        )
     if answer_of(kind, change.answer) is None:
-        expected = {CALL: "approve, deny or other", "attempt": "hold or fail"}.get(kind, "a length, as 2.5s, or never")
+        words = {CALL: "approve, deny or other", "attempt": "hold or fail", "admission": "accept", "help": "accept"}
+        expected = words.get(kind, "a length, as 2.5s, or never")
+        expected += f", or {MODEL} and a seed" if is_live else ""
         raise UsageError(f"change {change}: found {printable.value(change.answer)}, expected {expected}")
 
 
 def _require_used(rerun: Rerun, change: Answer, forked: Fork) -> None:
     """Check that a question was answered otherwise. Raises: UsageError, saying why it was not."""
-    if change.question in forked.used:
+    if change.question in forked.used or change.question.startswith(COMMAND) or _is_of_model(change):
         return
+    if rerun.base.recipe.live is not None:
+        asked = matching_names(change.question, [name for name, _ in rerun.of_whom])
+        raise UsageError(
+            f"change {change}: {asked[0]} was asked on record, too; expected a change of the command that answers, as "
+            f"answer {COMMAND}NAME/N FIELD=VALUE, or drop and add; {LIST}"
+            if asked
+            else f"change {change}: it has no effect, nobody is asked that in the fork"
+        )
     names = {one.name: one for one in rerun.asked}
     calls = numbers_of_calls(rerun.asked)
     short = {
@@ -229,7 +283,12 @@ def _unknown(what: str, change: AnyChange, asked: str, names: Sequence[str]) -> 
 
 
 def _rejected(base: Base, forked: Fork) -> CommandRejected | None:
-    """Return the first rejection in a fork that its base does not have."""
+    """Return the first rejection, in a fork, of a command that its base does not have."""
     known = {event for event in base.record.events if isinstance(event, CommandRejected)}
-    found = (event for event in forked.record.events if isinstance(event, CommandRejected) and event not in known)
-    return next(found, None)
+    commands = set() if base.recipe.live is None else set(base.recipe.live.commands)
+    fork = forked.record
+    for event, cause in zip(fork.events, fork.caused_by, strict=True):
+        is_on_record = cause is not None and (fork.times_us[cause], fork.events[cause]) in commands  # it was tried
+        if isinstance(event, CommandRejected) and event not in known and not is_on_record:
+            return event
+    return None

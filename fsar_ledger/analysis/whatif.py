@@ -20,9 +20,10 @@ from fsar_ledger.metrics.comparison_sides import beside
 from fsar_ledger.metrics.database import from_table, parts_of
 from fsar_ledger.metrics.results import typed
 from fsar_ledger.runtime.change_texts import parsed, read_changes
-from fsar_ledger.runtime.changes import Changes
+from fsar_ledger.runtime.changes import MODEL, Changes
 from fsar_ledger.runtime.experiment import ORIGIN
 from fsar_ledger.runtime.forks import Fork
+from fsar_ledger.runtime.live import SOURCE
 
 from .fork_base import Base, base_of_record, rerun
 from .records import starts_of
@@ -83,6 +84,8 @@ class Pair(NamedTuple):
 class Divergence(msgspec.Struct, frozen=True):
     """A base and its fork by name, and the first seq and time at which they part; None: they do the same.
 
+    `ends_s`: when the fork of a live run ends before all has happened, `ends` why, and `question` what an `answer` to
+    it would name; None: it does not end there. `left_out`: commands on record that nobody would have given in it.
     Units: seconds of run time.
     """
 
@@ -90,6 +93,10 @@ class Divergence(msgspec.Struct, frozen=True):
     fork: str
     parts_at: int | None
     parted_s: float | None
+    ends_s: float | None = None
+    ends: str | None = None
+    question: str | None = None
+    left_out: tuple[str, ...] = ()
 
 
 class Effect(msgspec.Struct, frozen=True, kw_only=True):
@@ -168,7 +175,12 @@ def effects(
 def _divergence(pair: Pair) -> Divergence:
     (base, fork), at = pair.records, pair.fork.parts_at
     times = [] if at is None else [run.times_us[at] for run in pair.records if at < len(run.times_us)]
-    return Divergence(base.run_id, fork.run_id, at, min(times) / 1e6 if times else None)
+    parted_s = min(times) / 1e6 if times else None
+    left_out = tuple(f"{one.command} of {one.issued_by}" for one in pair.fork.left_out)
+    end = pair.fork.end
+    if end is None:
+        return Divergence(base.run_id, fork.run_id, at, parted_s, left_out=left_out)
+    return Divergence(base.run_id, fork.run_id, at, parted_s, end.time_us / 1e6, end.words, end.question, left_out)
 
 
 def _effects(every: pa.Table, base: str, fork: str, group: Sequence[Divergence]) -> Effects:
@@ -181,7 +193,8 @@ def _effects(every: pa.Table, base: str, fork: str, group: Sequence[Divergence])
         if len(group) > 1:
             rows = typed(database.rows(EFFECTS), Effect)
         else:
-            rows = typed([_of_one(row) for row in database.rows(VALUES)], Effect)
+            is_whole = group[0].ends_s is None
+            rows = typed([_of_one(row, is_whole) for row in database.rows(VALUES)], Effect)
     return Effects(
         architecture=bases.column("architecture")[0].as_py(),
         configuration=bases.column("configuration")[0].as_py(),
@@ -191,7 +204,10 @@ def _effects(every: pa.Table, base: str, fork: str, group: Sequence[Divergence])
     )
 
 
-def _of_one(row: dict[str, Any]) -> dict[str, Any]:
+def _of_one(row: dict[str, Any], is_whole: bool) -> dict[str, Any]:
+    """Return the effect in one pair; nobody knows it of a fork that ends before all has happened."""
+    if not is_whole:
+        return {**row, "fork_mean": None, "difference": None, "n": 0, "differing_pairs": 0}
     differs = row["base_mean"] != row["fork_mean"]
     return {**row, "n": 1, "differing_pairs": int(differs)}
 
@@ -226,13 +242,27 @@ def changes_of(asked: str | Sequence[str]) -> Changes:
     return found
 
 
-def runs_of(view: View, architectures: Sequence[str]) -> list[str]:
-    """Return the simulated runs of these architectures, or all, but no forks.
+def answers_of(model: str | None) -> tuple[str, ...]:
+    """Return the change by which this model (`model:7`) answers what the record of a live run does not.
+
+    Raises:
+        UsageError: It is none.
+    """
+    if model is None:
+        return ()
+    if not model.startswith(MODEL) or not model.removeprefix(MODEL).isdecimal():
+        raise UsageError(f"{option('answers', printable.value(model))}: expected {MODEL} and a seed, as {MODEL}7")
+    return (f"answer * {model}",)
+
+
+def runs_of(view: View, architectures: Sequence[str], kinds: Sequence[str] = ("simulated",)) -> list[str]:
+    """Return the runs of these kinds and architectures, or all, but no forks.
 
     Raises:
         UsageError: There is none.
     """
-    starts = [(run, started) for run, started in starts_of(view) if started.kind == "simulated" and not started.changes]
+    starts = [(run, one) for run, one in starts_of(view) if one.kind in kinds and not one.changes]
+    starts = [(run, one) for run, one in starts if one.kind != "live" or one.source == SOURCE]
     names = {started.architecture or "" for _, started in starts}
     for asked in architectures:
         if asked not in names:
@@ -243,7 +273,7 @@ def runs_of(view: View, architectures: Sequence[str]) -> list[str]:
             )
     found = [run for run, started in starts if not architectures or started.architecture in architectures]
     if not found:
-        raise UsageError(f"{view.path}: found no simulated run that is not a fork itself, expected some to fork from")
+        raise UsageError(f"{view.path}: found no {kinds[0]} run that is not a fork itself, expected some to fork from")
     return found
 
 

@@ -12,6 +12,7 @@ import msgspec
 from fsar_ledger.base import printable
 from fsar_ledger.base.errors import UsageError
 from fsar_ledger.events import Event
+from fsar_ledger.events.command import CommandGiven
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.projections.fold import State
@@ -19,8 +20,8 @@ from fsar_ledger.runtime.changeable import Question, name_of
 from fsar_ledger.runtime.forks import command, edited_environment, parts_at, record_of, run_to_end
 from fsar_ledger.runtime.handlers.commands import Command, Decide, React, Scheduled
 from fsar_ledger.runtime.kernel import Kernel
-from fsar_ledger.runtime.ports import Ask, Environment
-from fsar_ledger.runtime.recipes import CannotReplay, Recipe, recorded_recipe, started_of
+from fsar_ledger.runtime.ports import Ask, Environment, LiveEnvironment
+from fsar_ledger.runtime.recipes import CannotReplay, Recipe, recipe_of, started_of
 from fsar_ledger.runtime.simulation import founding_of, handler_table_of
 
 from .reads import ABSENT, LastWrite, Path, Reads, last_writes
@@ -68,7 +69,7 @@ def decisions(record: LedgerRun, seqs: Collection[int]) -> dict[int, Decision]:
     if not isinstance(started, RunStarted):
         raise UsageError(f"{run}: found a plan, expected a run; nothing happens in a plan")
     try:
-        recipe = recorded_recipe(started, len(record.events))
+        recipe = recipe_of(record, started)
     except CannotReplay as found:
         raise UsageError(f"run {run}: {found}; only a run that can be made again shows what was read") from found
     try:
@@ -98,13 +99,12 @@ class _ObservedKernel(Kernel):
         self._scheduled: dict[int, tuple[Scheduled, str, ReadValues]] = {}
         self._answers: dict[int, tuple[Ask, int | None]] = {}
         self._released: dict[int, tuple[Command, list[int]]] = {}
+        environment: Environment = self.edited if recipe.live is None else LiveEnvironment(recipe.live.commands)
         events, founded = founding_of(recipe.spec, recipe.constants)
-        founding = (started_of(recipe, started), *events[1:])
-        super().__init__(
-            handler_table_of(recipe.spec.architecture, recipe.spec.configuration), self.edited, founding, founded
-        )
+        table = handler_table_of(recipe.spec.architecture, recipe.spec.configuration)
+        super().__init__(table, environment, (started_of(recipe, started), *events[1:]), founded)
         command(self, recipe)
-        self.set_environment(self.edited)
+        self.set_environment(environment)
         self._decides = {kind: self._decided(decide) for kind, decide in self._decides.items()}
         self._plan = {
             kind: (routes, tuple(map(self._reacted, reacts))) for kind, (routes, reacts) in self._plan.items()
@@ -170,7 +170,6 @@ def _name(function: Callable[..., object]) -> str:
 
 DEPTH = 2
 """How far a person looks unless told otherwise: the event, and the events that it rests on."""
-
 Origin = Literal["founding", "world", "command", "decision"]
 
 
@@ -211,8 +210,8 @@ class DecisionTrace(msgspec.Struct, frozen=True, kw_only=True):
         seq: The first of the batch.
         count: How many events the batch has.
         origin: `founding`: the run begins with it; `world`: a fact of the world; `command`: somebody outside asked for
-            it; `decision`: an event triggered it.
-        handler: The function that decided; None for the founding and the world.
+            it, or gave it; `decision`: an event triggered it.
+        handler: The function that decided; None for the founding, the world and the giving of a command.
         command: What it was asked to decide; None as for `handler`.
         triggered_by: The seq of the event that triggered it; None if none did.
         scheduled_by: The function that scheduled it after that event; None if none did.
@@ -315,7 +314,8 @@ def _made(record: LedgerRun, firsts: list[int]) -> Iterator[DecisionTrace]:
         if seq in found:
             yield _decided(record, seq, count, found[seq], writers)
         else:
-            yield DecisionTrace(seq=seq, count=count, origin="founding" if record.times_us[seq] == 0 else "world")
+            itself: Origin = "command" if isinstance(record.events[seq], CommandGiven) else "world"
+            yield DecisionTrace(seq=seq, count=count, origin="founding" if record.times_us[seq] == 0 else itself)
 
 
 def _trigger(record: LedgerRun, first: int) -> int:

@@ -41,8 +41,9 @@ World = tuple[object, object, object]
 class Bisected(Answer, msgspec.Struct, frozen=True, kw_only=True):
     """The pairs of two sides that met the same seed, scenario and number, by whether they have the outcome.
 
-    `undefined` pairs more have a run in which there is no value to compare; they neither agree nor disagree. `diff` are
-    the differences of the first pair that disagrees, in the order of the ledger; None: none does.
+    `undefined` pairs more have a run in which there is no value to compare, or the fork of a live run that ends before
+    all has happened; they neither agree nor disagree. `diff` are the differences of the first pair that disagrees, in
+    the order of the ledger; None: none does.
     """
 
     outcome: str
@@ -165,7 +166,7 @@ def _changes(ledger: "Ledger", changes: str | Sequence[str], architectures: Sequ
 
     view, provenance = present(ledger)
     asked = outcome_of(outcome)
-    runs, parsed = runs_of(view, architectures), changes_of(changes)
+    runs, parsed = runs_of(view, architectures, ("simulated", "live")), changes_of(changes)
     has: list[tuple[bool | None, bool | None]] = []
     diff: Diff | None = None
     pairs = fork_pairs(view, runs, parsed)
@@ -174,7 +175,8 @@ def _changes(ledger: "Ledger", changes: str | Sequence[str], architectures: Sequ
             (one.times_us, one.caused_by, one.events) for pair in batch for one in (pair.base.record, pair.fork.record)
         ]
         held = asked.of(both)
-        for pair, first, second in zip(batch, held[::2], held[1::2], strict=True):
+        for pair, first, known in zip(batch, held[::2], held[1::2], strict=True):
+            second = known if pair.fork.end is None else None  # nobody knows how such a fork would go on
             has.append((first, second))
             if disagree(first, second) and diff is None:
                 diff = difference_of(pair.base.record, pair.fork.record, (provenance,))

@@ -11,7 +11,7 @@ from fsar_ledger.base.printable import SafeText, counted
 from fsar_ledger.base.progress import Progress
 
 from .answers import Answer, Screen
-from .verbs import OneRunOption, Option, Shows, declare, switch, verb
+from .verbs import AnswersOption, OneRunOption, Option, Shows, declare, switch, verb
 
 if TYPE_CHECKING:
     from fsar_ledger.analysis.avoidability import Chance
@@ -41,6 +41,7 @@ class Caused(Answer, msgspec.Struct, frozen=True, kw_only=True):
     outcome: str
     elements: tuple["Element", ...]
     presupposed: tuple["Element", ...]
+    unknown: tuple["Element", ...]
     also_necessary: tuple["Element", ...]
     candidates: int
     forks: int
@@ -70,20 +71,32 @@ class Caused(Answer, msgspec.Struct, frozen=True, kw_only=True):
         """Yield the cause, what else is necessary, and the curve."""
         head = [screen.run_text(self.run), f"outcome: {self.outcome}"]
         tail = []
+        found = (*self.elements, *self.presupposed, *self.unknown)
+        what = "commands" if all(one.name.startswith("command:") for one in found) else "facts and answers"
         if self.elements:
             head.append(
-                f"{counted(len(self.elements), 'cause')} of {self.candidates:,} facts and answers suffice together; "
+                f"{counted(len(self.elements), 'cause')} of {self.candidates:,} {what} suffice together; "
                 "without any one of them the outcome falls"
             )
             tail.append(f"{_named(one for one in self.elements if one.is_necessary)} necessary in the whole run, too")
             if self.presupposed:
                 tail.append(f"{_named(self.presupposed)} presupposed: without it, there is no value to compare")
+        elif self.unknown:
+            head.append(
+                f"none of {self.candidates:,} {what} is known to be a cause: without any one of these, something is "
+                "asked that nobody on record answers"
+            )
         else:
             head += [_closing(self)] if self.chances else []
             head.append(
-                f"none of {self.candidates:,} facts and answers is a cause: the outcome stands with these alone, "
+                f"none of {self.candidates:,} {what} is a cause: the outcome stands with these alone, "
                 "without any one of which there is no value to compare"
             )
+        if self.unknown:
+            if self.elements:
+                named = _listed(self.unknown)
+                tail.append(f"without any one of {named}, something is asked that nobody on record answers")
+            tail.append("`--answers model:7` lets the model answer")
         if self.also_necessary:
             tail.append(f"also necessary there: {_listed(self.also_necessary)}")
         if self.elements:
@@ -93,10 +106,10 @@ class Caused(Answer, msgspec.Struct, frozen=True, kw_only=True):
             {
                 "seq": one.seq,
                 "begins_s": None if one.begins_s is None else f"{one.begins_s:.3f}",
-                "cause" if self.elements else "presupposed": one.name,
+                "cause" if self.elements else "unknown" if self.unknown else "presupposed": one.name,
                 "words": one.words,
             }
-            for one in self.elements or self.presupposed
+            for one in self.elements or self.unknown or self.presupposed
         ]
         yield printable.lines(*head, "")
         yield screen.table(rows)
@@ -122,7 +135,8 @@ def cause(
     ],
     *,
     lengths: bool = switch("Also ask whether the lengths of messages, ways and work mattered."),
-    futures: int = declare("N", "Futures to draw from each moment; 0: no curve.", value=50),
+    futures: int | None = declare("N", "Futures to draw from each moment; 0: no curve.", "50, of a live run none"),
+    answers: AnswersOption = None,
     progress: Annotated[Progress | None, Shows("played", "runs")] = None,
 ) -> Caused:
     """Find the smallest cause of an outcome of a run, and when it could no longer be avoided.
@@ -133,32 +147,48 @@ def cause(
     from moments of the run on, the share of futures, drawn anew, that avoid the outcome, up to the event after which
     none does.
 
+    Of a live run, commands are taken away. Without some of them it asks what nobody on record answers: then nobody
+    knows the outcome, unless the model of --answers does answer. There is no curve.
+
     Raises:
         UsageError: The run does not have the outcome, or it cannot be made again.
         QueryFailed: The SELECT fails.
     """
     from fsar_ledger.analysis import causes
-    from fsar_ledger.analysis.avoidability import MOMENTS, curve
+    from fsar_ledger.analysis.avoidability import FUTURES, MOMENTS, curve
     from fsar_ledger.analysis.causes import outcome_of
     from fsar_ledger.analysis.fork_base import base_of_record, rerun
+    from fsar_ledger.analysis.whatif import answers_of, changes_of
 
     from .lookup import present, recorded
 
     view, provenance = present(ledger)
     record = recorded(ledger, view, run)
-    if not 0 <= futures <= MOST_FUTURES:
+    if futures is not None and not 0 <= futures <= MOST_FUTURES:
         raise UsageError(f"{option('futures', futures)}: expected 0 (no curve) to {MOST_FUTURES:,}")
     asked = outcome_of(outcome)
     base = rerun(base_of_record(record, view.head.root))
+    is_live = base.base.recipe.live is not None
+    if is_live and futures:
+        raise UsageError(
+            f"{option('futures', futures)}: found a live run, expected 0: nobody draws the futures of robots that are "
+            "really there"
+        )
+    if answers is not None:
+        if not is_live:
+            raise UsageError(f"{option('answers', answers)}: found a simulated run, whose world answers everything")
+        base = base.with_answers(changes_of(answers_of(answers)))
     played = None if progress is None else lambda done: progress(done, done)
     found = causes.cause(base, asked, lengths=lengths, progress=played)
-    chances = None if not futures else curve(base, asked, futures, MOMENTS, progress)
+    drawn = (0 if is_live else FUTURES) if futures is None else futures
+    chances = None if not drawn else curve(base, asked, drawn, MOMENTS, progress)
     closing = None if chances is None else chances.closing_seq
     return Caused(
         run=record.run_id,
         outcome=found.outcome,
         elements=found.elements,
         presupposed=found.presupposed,
+        unknown=found.unknown,
         also_necessary=found.also_necessary,
         candidates=found.candidates,
         forks=found.forks + (0 if chances is None else sum(one.futures + one.undefined for one in chances.chances)),

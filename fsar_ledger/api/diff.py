@@ -105,11 +105,16 @@ def diff(
     return difference_of(ledger.record(first), ledgers[-1].record(second), provenances)
 
 
-def difference_of(first: "LedgerRun", second: "LedgerRun", provenances: "tuple[Provenance, ...]") -> Diff:
-    """Return the differences of two records. Raises: as `Database.rows`."""
+def difference_of(
+    first: "LedgerRun", second: "LedgerRun", provenances: "tuple[Provenance, ...]", ends_us: int | None = None
+) -> Diff:
+    """Return the differences of two records; with `ends_us` the second ends then, before all has happened.
+
+    Raises: as `Database.rows`.
+    """
     from fsar_ledger.analysis.difference_text import difference_text
 
-    return Diff(**msgspec.structs.asdict(difference_text(first, second)), provenances=provenances)
+    return Diff(**msgspec.structs.asdict(difference_text(first, second, ends_us)), provenances=provenances)
 
 
 def story(found: Diff, names: tuple[str, str], screen: Screen) -> Iterator[SafeText]:

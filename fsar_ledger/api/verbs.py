@@ -210,6 +210,10 @@ def _documented(function: Callable[..., Any]) -> str:
     return "\n".join([f"{before}\n\nArgs:", *lines]) + raises + after
 
 
+AnswersOption = Annotated[
+    str | None,
+    Option("--answers", "model:SEED", "Let the model answer what nobody on the record of a live run does.", "nobody"),
+]
 ByOption = Annotated[By, Option("--by", "scenario", "One row for each scenario.")]
 PoolOption = Annotated[Pool, Option("--pool", "seeds", "Pool the runs of all seeds.", "each seed by itself")]
 InvariantOption = Annotated[

@@ -14,7 +14,7 @@ from fsar_ledger.base.progress import Progress
 from .answers import Answer, Screen
 from .diff import Diff, story
 from .names import Names, Place, Run, names_of
-from .verbs import ArchitectureOption, Option, Shows, declare, switch, verb
+from .verbs import AnswersOption, ArchitectureOption, Option, Shows, declare, switch, verb
 
 if TYPE_CHECKING:
     from fsar_ledger.analysis.whatif import Divergence, Effects
@@ -40,13 +40,15 @@ class Fork(msgspec.Struct, frozen=True):
 
     `record` is what happens in it, as `Ledger.record` returns it; `base` the run as recorded. `parts_at` is the first
     seq at which they differ; None: they do the same. Event 0 of the fork, which says from where it forks and what is
-    changed, does not count.
+    changed, does not count. `ends`: what nobody on the record of a live run says, so that the fork ends before all has
+    happened; None: it does not.
     """
 
     base: "LedgerRun"
     record: "LedgerRun"
     changes: tuple[str, ...]
     parts_at: int | None
+    ends: str | None = None
 
     @property
     def parted_s(self) -> float | None:
@@ -91,7 +93,7 @@ class WhatIf(Answer, msgspec.Struct, frozen=True):
         """Yield what the changes do, in one run or in pairs."""
         yield printable.lines(*(f"change: {one}" for one in self.changes))
         if self.story is not None:
-            yield printable.lines(screen.run_text(self.story.first), "")
+            yield printable.lines(screen.run_text(self.story.first), "", *_end(self.forks[0]))
             yield from story(self.story, ("base", "fork"), screen)
             yield printable.lines("")
         else:
@@ -108,6 +110,7 @@ def _asked(
     changes: Names = declare("TEXT", "What is otherwise; may be repeated.", flag="--change"),
     file: Place | None = declare("FILE", "A .toml file of changes.", flag="--changes"),
     run: Run | None = None,
+    answers: str | None = None,
     all_runs: bool = switch("Fork every simulated run."),
     lists: bool = switch("List what changes of the run can name.", flag="--list"),
     architecture: Names = None,
@@ -128,7 +131,7 @@ def _asked(
     texts = [*(names_of(changes) or ()), *([] if file is None else [str(file)])]
     if not texts:
         raise UsageError("found no change, expected --change TEXT or --changes FILE; --list says what can be named")
-    return whatif(ledger, texts, run, architecture=architecture, out=out, progress=progress)
+    return whatif(ledger, texts, run, answers=answers, architecture=architecture, out=out, progress=progress)
 
 
 @verb(
@@ -144,6 +147,7 @@ def whatif(
     changes: Annotated[Texts, Option("--change", "TEXT", "What is otherwise; may be repeated.")],
     run: Run | None = declare("RUN", "Fork this run: its number, its name, or a unique part of it."),
     *,
+    answers: AnswersOption = None,
     architecture: ArchitectureOption = None,
     out: Place | None = declare("LEDGER", "Store each fork beside its base in this ledger.", "nowhere"),
     progress: Annotated[Progress | None, Shows("played", "forks")] = None,
@@ -156,13 +160,16 @@ def whatif(
     each. The table has every metric in base and fork; over all runs, the difference with a 95 % interval, how many
     pairs differ, p, and how many times as many independent runs would be as precise (gain).
 
+    The fork of a live run takes its commands, and ends where something is asked that none of them answers, unless a
+    change or the model of --answers does.
+
     Raises:
         UsageError: A change is none, or means nothing; a run cannot be made again; no run does anything else; `out` is
-            the ledger itself, or lies inside one.
+            the ledger itself, or lies inside one, or the run is live.
         WriteFailed: `out` cannot be written.
     """
     from fsar_ledger.analysis.records import record_of
-    from fsar_ledger.analysis.whatif import changes_of, commit_pairs, effects, fork_of, fork_pairs, runs_of
+    from fsar_ledger.analysis.whatif import answers_of, changes_of, commit_pairs, effects, fork_of, fork_pairs, runs_of
     from fsar_ledger.ledger.store.paths import require_outside
 
     from .diff import difference_of
@@ -171,7 +178,10 @@ def whatif(
     view, provenance = present(ledger)
     record = None if run is None else recorded(ledger, view, run)
     place = None if out is None else Path(out)
-    meant = changes_of(changes)
+    meant = changes_of([*([changes] if isinstance(changes, str) else changes), *answers_of(answers)])
+    if answers is not None and (record is None or getattr(record.events[0], "kind", None) != "live"):
+        what = "no run" if record is None else "a simulated run, whose world answers everything"
+        raise UsageError(f"{option('answers', answers)}: found {what}, expected --run RUN of a live run")
     if place is not None:
         if place.resolve() == view.path.resolve():
             raise UsageError(f"{option('out', place)}: found the ledger of the bases, expected another place")
@@ -179,8 +189,14 @@ def whatif(
     texts = tuple(map(str, meant))
     if record is not None:
         pair = fork_of(view, record, meant)
+        end = pair.fork.end
+        if place is not None and pair.base.recipe.live is not None:
+            raise UsageError(
+                f"{option('out', place)}: found the fork of a live run, which rests on commands that are not its own; "
+                "expected a simulated run"
+            )
         found, judged = effects([pair])
-        story = difference_of(record, pair.fork.record, (provenance,))
+        story = difference_of(record, pair.fork.record, (provenance,), None if end is None else end.time_us)
         kept = None if place is None else commit_pairs(place, [pair])
         return WhatIf(texts, tuple(found), judged, story, provenance, kept, place)
     runs = runs_of(view, names_of(architecture) or ())
@@ -196,8 +212,8 @@ def whatif(
 def fork(ledger: "Ledger", run: Run, changes: Texts) -> Fork:
     """Fork a run: repeat it up to the first change, and play on under the same draws. Nothing is stored.
 
-    The run is a simulated one of this model version. Changes are texts such as `drop window:fleet/B1/0`, or the names
-    of `.toml` files; none gives a null fork.
+    The run is a simulated one of this model version, or a live one. Changes are texts such as `drop window:fleet/B1/0`,
+    or the names of `.toml` files; none gives a null fork.
 
     Raises:
         UsageError: There is no such run, it cannot be made again, or a change is none or has no effect.
@@ -212,7 +228,8 @@ def fork(ledger: "Ledger", run: Run, changes: Texts) -> Fork:
     pair = fork_of(view, record, changes_of(changes))
     started = pair.fork.record.events[0]
     assert isinstance(started, RunStarted)
-    return Fork(record, pair.fork.record, started.changes or (), pair.fork.parts_at)
+    end = pair.fork.end
+    return Fork(record, pair.fork.record, started.changes or (), pair.fork.parts_at, None if end is None else end.words)
 
 
 def changeable(ledger: "Ledger", run: Run) -> "Table":
@@ -232,6 +249,20 @@ def changeable(ledger: "Ledger", run: Run) -> "Table":
     view, provenance = present(ledger)
     found = rerun(base_of_record(recorded(ledger, view, run), view.head.root)).changeable()
     return Table(of_structs(found, Changeable), provenance, name="changeable")
+
+
+def _end(found: "Divergence") -> Iterator[str]:
+    """Yield which commands the fork of a live run leaves out, and where and why it ends before all has happened."""
+    if found.left_out:
+        count, names = counted(len(found.left_out), "command"), map(printable.value, dict.fromkeys(found.left_out))
+        yield f"not given there, since nothing asks for that: {count} on record, {printable.some(names)}"
+    if found.ends is not None:
+        yield f"the fork ends at {found.ends_s:.3f} s: {printable.value(found.ends, 1_000)}"
+        if found.question is not None:
+            question = printable.value(found.question)
+            yield f'`--change "answer {question} ANSWER"` answers that; `--answers model:7` lets the model answer'
+    if found.left_out or found.ends is not None:
+        yield ""
 
 
 def _effects(found: "Effects", screen: Screen) -> Iterator[SafeText]:

@@ -25,6 +25,12 @@ if TYPE_CHECKING:
 MAX_WORDS = 1_000
 MAX_VALUE = 80
 INDENT = "    "
+_ORIGINS = {
+    "founding": "the run begins with it",
+    "world": "a fact of the world",
+    "command": "it came from outside, and the record says no more of why",
+}
+"""What is said of an event that no handler decided."""
 
 
 class Why(Answer, msgspec.Struct, frozen=True, kw_only=True):
@@ -227,8 +233,8 @@ class Tree:
         self._told.add(one.seq)
         if one.count > 1 and one.origin != "founding":
             yield f"{indent}made at once: events {one.seq} to {one.seq + one.count - 1}"
-        if one.origin in ("founding", "world"):
-            yield indent + ("the run begins with it" if one.origin == "founding" else "a fact of the world")
+        if one.handler is None:
+            yield indent + _ORIGINS[one.origin]
             return
         yield f"{indent}decided by {one.handler} on {one.command}"
         if one.scheduled_by is not None:

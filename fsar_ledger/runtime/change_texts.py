@@ -12,6 +12,7 @@ from fsar_ledger.base import printable
 from fsar_ledger.base.errors import UsageError
 from fsar_ledger.designs.registered import at_line, read_design
 from fsar_ledger.events import Event
+from fsar_ledger.events.command import CommandGiven
 from fsar_ledger.events.envelope import Robot, local_supervisor
 from fsar_ledger.events.world import (
     ActuatorDegraded,
@@ -48,7 +49,10 @@ from .changes import (
     Without,
     seconds_text,
 )
+from .live import command_given
 
+COMMAND = "command:"
+"""What the names of commands of a live run begin with."""
 MAX_TEXT = 10_000
 """Characters of a change; the longest, a task with its steps, has some hundreds."""
 MAX_SECONDS = 9_007_199_254
@@ -56,8 +60,8 @@ FORMS = {
     "drop": "drop FACT, as in `drop window:fleet/B1/0`",
     "move": "move FACT +TIME or -TIME, as in `move context:A1/3 +5s`",
     "add": "add KIND:WHO TIME [for TIME] [WORD], as in `add obstruction:B1 20s for 5s`, or add TIME and the JSON of a "
-    "fact of the world",
-    "answer": "answer QUESTION ANSWER, as in `answer call:2 deny`",
+    "fact of the world, or of a command as `federate` takes it",
+    "answer": "answer QUESTION ANSWER, as in `answer call:2 deny`, or answer command:NAME/N FIELD=VALUE",
     "rule": "rule fleet|local OUTCOME [robot=R] [capability=C] [task=T] [from TIME], as in `rule fleet deny robot=B1`",
     "trust": "trust ROBOT PEER SCOPE [capability=C] [task=T] [from TIME], as in `trust A1 B1 none from 20s`",
     "budget": "budget ROBOT LEVEL TIME ATTEMPTS [from TIME], as in `budget A1 local 5s 1`",
@@ -184,7 +188,11 @@ def _move(text: str) -> Move:
 
 
 def _answer(text: str) -> Answer:
-    question, answer = _words(text, 2, 2)
+    question, _, answer = text.partition(" ")
+    if not question.startswith(COMMAND):
+        question, answer = _words(text, 2, 2)
+    elif "=" not in answer:
+        raise _Unfit(f"found {printable.value(answer) or 'no value'} where FIELD=VALUE belongs")
     return Answer(question, seconds_text(seconds_of(answer)) if answer[0].isdigit() else answer)
 
 
@@ -229,19 +237,41 @@ def _add(text: str) -> Add | tuple[Add, ...]:
     first, _, rest = text.partition(" ")
     if ":" in first:
         return _added(first, rest.split())
+    if isinstance(found := msgspec.json.decode(rest), dict) and "command" in found:
+        return Add(seconds_of(first), fact_text(fact_of(rest)))
     event = msgspec.json.decode(_newest(rest), type=WorldEvent)
     return Add(seconds_of(first), fact_text(event))
 
 
 def fact_text(event: Event) -> str:
-    """Write a fact of the world as `add` takes it."""
+    """Write a fact of the world, or a command of a live run, as `add` takes it."""
+    if isinstance(event, CommandGiven):
+        about = {"command": event.command, "by": event.issued_by, **({} if event.key is None else {"key": event.key})}
+        return msgspec.json.encode(about | msgspec.json.decode(event.parameters)).decode()
     return msgspec.json.encode(event).decode()
 
 
 def fact_of(text: str) -> Event:
-    """Return the fact of the world that `fact_text` wrote. Raises: msgspec.MsgspecError."""
+    """Return the fact or command that `fact_text` wrote. Raises: msgspec.MsgspecError; UsageError for no command."""
+    fields = msgspec.json.decode(text)
+    if isinstance(fields, dict) and "command" in fields:
+        name, by, key = (fields.pop(one, None) for one in ("command", "by", "key"))
+        if not isinstance(name, str) or not isinstance(by, str) or not isinstance(key, str | None):
+            raise _Unfit("found a command without texts for `command` and `by`")
+        return command_given(name, by, fields, key)
     found: Event = msgspec.json.decode(text, type=WorldEvent)
     return found
+
+
+def altered(command: CommandGiven, change: Answer) -> CommandGiven:
+    """Return the command with the field that the change gives it. Raises: UsageError, MsgspecError for none of its."""
+    name, _, text = change.answer.partition("=")
+    try:
+        value = msgspec.json.decode(text)
+    except msgspec.DecodeError:
+        value = text
+    fields = {**msgspec.json.decode(command.parameters), name: value}
+    return command_given(command.command, command.issued_by, fields, command.key, command.source_time_us)
 
 
 def _newest(text: str) -> str:

@@ -13,6 +13,9 @@ Facts with their ends: `window:fleet/B1/0` and `window:local/A1/3` (a policy win
 | `approach:KEY`, `retry:KEY`, `execution:KEY` | how long a robot's body takes | a length, `never` |
 | `message:KEY` | how long a message takes | a length, `never` |
 
+In a live run the facts are its commands: `command:ReportStart/0` is the first `ReportStart`. Robots are asked
+`admission:A1-1/2.1` (whether they take the request) and `help:KEY` (whether they help), too, which take `accept`.
+
 `deny` is no to a review; `other` puts the other of two competing actions first. To any other call they mean nothing.
 """
 
@@ -22,7 +25,9 @@ from fnmatch import fnmatchcase
 from functools import lru_cache
 from typing import Any, NamedTuple
 
+from fsar_ledger.base.errors import UsageError
 from fsar_ledger.events import Event
+from fsar_ledger.events.command import CommandGiven
 from fsar_ledger.events.world import (
     ActuatorDegraded,
     ContextChanged,
@@ -43,9 +48,10 @@ from fsar_ledger.events.world import (
     SyncPhaseSet,
     TaskArrived,
 )
-from fsar_ledger.runtime.changes import NEVER, seconds_text
-from fsar_ledger.runtime.ports import AS_USUAL, DISAPPROVES, PREFERS_OTHER, Ask, Fact, World
-from fsar_ledger.runtime.world.draws import FOREVER_US
+
+from .changes import MODEL, NEVER, Answer, seconds_text
+from .ports import AS_USUAL, DISAPPROVES, PREFERS_OTHER, Ask, Fact, World
+from .world.draws import FOREVER_US, Draws
 
 FactPositions = dict[str, tuple[int, ...]]
 """By name, the places of its facts among all facts of the run: one, or a beginning and an end."""
@@ -74,6 +80,7 @@ _COUNTED: dict[type[Event], Callable[[Any], str]] = {
     SupervisorLeft: lambda fact: f"absence:{_short(fact.supervisor)}/",
     RoutineDue: lambda fact: f"routine:{_short(fact.robot)}/",
     PeersMet: lambda fact: f"encounter:{_short(fact.robot)}/{_short(fact.peer)}/",
+    CommandGiven: lambda fact: f"command:{fact.command}/",
 }
 """Facts that are counted: what their names begin with."""
 _ENDS: dict[type[Event], Callable[[Any], str]] = {
@@ -121,10 +128,14 @@ CALL, RESPONSE, ATTEMPT, EXECUTION = "call", "response", "attempt", "execution"
 _KINDS = {"verdict": CALL, "reliability": ATTEMPT}
 _NAMED = ("message", RESPONSE, "approach", "retry")
 KINDS = ("message", RESPONSE, "approach", "retry", EXECUTION, ATTEMPT, CALL)
+LIVE_KINDS = ("admission", "help", *KINDS[1:])
+"""The kinds of question of a simulated run, and of a live one, in which messages take no time."""
 
 WORDS: dict[str, dict[str, int]] = {
     CALL: {"approve": AS_USUAL, "deny": DISAPPROVES, "other": PREFERS_OTHER},
     ATTEMPT: {"hold": 1, "fail": 0},
+    "admission": {"accept": AS_USUAL},
+    "help": {"accept": AS_USUAL},
 }
 """By kind of question, the words that answer it; all others are answered by a length."""
 
@@ -157,6 +168,11 @@ def name_of(ask: Ask) -> str | None:
     return f"{_KINDS.get(what) or (what if what in _NAMED else EXECUTION)}:{ask.key}"
 
 
+def question_name(ask: Ask) -> str:
+    """Return the name of a question of a live run, in which robots are asked for their judgement, too."""
+    return name_of(ask) or f"{ask.what}:{ask.key}"
+
+
 def answer_of(kind: str, text: str) -> int | None:
     """Return the answer that this text gives to a question of this kind; None if it gives none.
 
@@ -169,6 +185,86 @@ def answer_of(kind: str, text: str) -> int | None:
         return FOREVER_US
     number = text.removesuffix("s")
     return round(float(number) * 1_000_000) if text.endswith("s") and number.replace(".", "", 1).isdigit() else None
+
+
+class EditedEnvironment:
+    """An environment with other facts, and with these answers to the questions that they name.
+
+    `used` are the questions that were answered otherwise so far, as the changes name them. `call:2` is the second call
+    that the run puts before a supervisor, counted when it asks how long the answer takes.
+    """
+
+    def __init__(
+        self,
+        environment: World,
+        facts: Sequence[Fact],
+        answers: Sequence[Answer],
+        draws: Callable[[int], Draws] | None = None,
+    ) -> None:
+        """Edit an environment; `draws` are by seed those of the model that may answer for a live fleet."""
+        self.facts = facts
+        self.latest_us = environment.latest_us
+        self._draws = draws
+        self.used: set[str] = set()
+        self._environment = environment
+        self._exact = {one.question: one.answer for one in answers if "*" not in one.question}
+        self._patterns = [(plain_pattern(one.question), one) for one in answers if "*" in one.question]
+        self._calls = 0
+        self._asked_as: dict[str, str] = {}
+        self.answer = self._edited if answers else environment.answer
+
+    def use_environment(self, environment: World) -> None:
+        """From now on, all else is answered by this environment."""
+        self._environment = environment
+        if not self._exact and not self._patterns:
+            self.answer = environment.answer
+
+    def _edited(self, ask: Ask) -> int:
+        usual = self._environment.answer(ask)
+        name = name_of(ask)
+        if name is None:
+            return usual
+        asked_as, text = self._said(name, ask.key)
+        answer = None if text is None else answer_of(name.partition(":")[0], text)
+        if answer is None:
+            return usual
+        if answer != usual:
+            self.used.add(asked_as)
+        return answer
+
+    def answer_anew(self, name: str, ask: Ask) -> int | None:
+        """Return the changes' answer to what the record of a live run does not answer, perhaps drawn; None: none.
+
+        Raises:
+            UsageError: The model has no law for it.
+        """
+        asked_as, text = self._said(name, ask.key)
+        if text is None:
+            return None
+        self.used.add(asked_as)
+        if not text.startswith(MODEL):
+            return answer_of(name.partition(":")[0], text)
+        try:
+            assert self._draws is not None  # a live run
+            return self._draws(int(text.removeprefix(MODEL))).answer(ask)
+        except KeyError as error:
+            raise UsageError(f"answer {asked_as} {text}: the model does not say how long {ask.what} takes") from error
+
+    def _said(self, name: str, key: str) -> tuple[str, str | None]:
+        """Return how the changes name this question, and the answer that they give; None: they give none."""
+        kind = name.partition(":")[0]
+        if kind == RESPONSE:
+            self._calls += 1
+            for numbered in (RESPONSE, CALL):
+                if (text := self._exact.get(f"{numbered}:{self._calls}")) is not None:
+                    self._exact[f"{numbered}:{key}"] = text
+                    self._asked_as[f"{numbered}:{key}"] = f"{numbered}:{self._calls}"
+        asked_as, text = self._asked_as.get(name, name), self._exact.get(name)
+        if text is None:
+            pattern = next((one for pattern, one in self._patterns if fnmatchcase(name, pattern)), None)
+            if pattern is not None:
+                asked_as, text = pattern.question, pattern.answer
+        return asked_as, text
 
 
 class QuestionRecorder:

@@ -170,6 +170,8 @@ Changes = tuple[AnyChange, ...]
 
 NEVER = "never"
 """The answer that does not come before the run ends."""
+MODEL = "model:"
+"""What a seed comes after, for the answers that the model draws where the record of a live run has none."""
 
 Verb = Literal["drop", "move", "add", "answer", "rule", "trust", "budget", "density", "set", "architecture", "without"]
 

@@ -1,10 +1,11 @@
 """Forks: a run that repeats another one up to a change, and continues under the same draws.
 
-Its environment is that of the other run with some facts and answers edited.
+Its environment is that of the other run with some facts and answers edited. A live run forks from its commands.
 """
 
+from bisect import bisect_right
 from collections.abc import Sequence
-from fnmatch import fnmatchcase
+from functools import cache
 from typing import NamedTuple
 
 import msgspec
@@ -12,21 +13,20 @@ import msgspec
 from fsar_ledger.base.errors import UsageError
 from fsar_ledger.designs.constants import END_US
 from fsar_ledger.events import Event
+from fsar_ledger.events.command import CommandGiven
 from fsar_ledger.events.envelope import FLEET_SUPERVISOR
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.ledger.rows.codec import LedgerRun
+from fsar_ledger.projections.fleet import NEVER_US, Fleet
 
-from .change_texts import fact_of
+from .architectures.fsar.reports import given
+from .change_texts import COMMAND, altered, fact_of
 from .changeable import (
-    CALL,
-    RESPONSE,
+    EditedEnvironment,
     Question,
     QuestionRecorder,
-    answer_of,
     facts_by_name,
     matching_names,
-    name_of,
-    plain_pattern,
 )
 from .changes import (
     Add,
@@ -44,67 +44,19 @@ from .changes import (
     seconds_text,
 )
 from .handlers.policy import SetPolicyRule
-from .handlers.public import PublicCommand
 from .handlers.recovery import SetRecoveryBudget
 from .handlers.supervision import SetSupervisionDensity
 from .handlers.trust import SetTrust
 from .kernel import Kernel
-from .ports import Ask, Fact, World
+from .live import End, LiveKernel
+from .ports import Fact, World
 from .recipes import Recipe, base_of, constants_by_time, require_possible, started_of, with_changes
-from .simulation import environment_of, founding_of, handler_table_of, run_id, run_started
+from .simulation import draws_of, environment_of, fleet_founding, founding_of, handler_table_of, run_id
+from .world.draws import Draws, SimulatedEnvironment
 
 
-class EditedEnvironment:
-    """An environment with other facts, and with these answers to the questions that they name.
-
-    `used` are the questions that were answered otherwise so far, as the changes name them. `call:2` is the second call
-    that the run puts before a supervisor, counted when it asks how long the answer takes.
-    """
-
-    def __init__(self, environment: World, facts: Sequence[Fact], answers: Sequence[Answer]) -> None:
-        self.facts = facts
-        self.latest_us = environment.latest_us
-        self.used: set[str] = set()
-        self._environment = environment
-        self._exact = {one.question: one.answer for one in answers if "*" not in one.question}
-        self._patterns = [(plain_pattern(one.question), one) for one in answers if "*" in one.question]
-        self._calls = 0
-        self._asked_as: dict[str, str] = {}
-        self.answer = self._edited if answers else environment.answer
-
-    def use_environment(self, environment: World) -> None:
-        """From now on, all else is answered by this environment."""
-        self._environment = environment
-        if not self._exact and not self._patterns:
-            self.answer = environment.answer
-
-    def _edited(self, ask: Ask) -> int:
-        usual = self._environment.answer(ask)
-        name = name_of(ask)
-        if name is None:
-            return usual
-        kind = name.partition(":")[0]
-        if kind == RESPONSE:
-            self._calls += 1
-            for numbered in (RESPONSE, CALL):
-                if (text := self._exact.get(f"{numbered}:{self._calls}")) is not None:
-                    self._exact[f"{numbered}:{ask.key}"] = text
-                    self._asked_as[f"{numbered}:{ask.key}"] = f"{numbered}:{self._calls}"
-        asked_as, text = self._asked_as.get(name, name), self._exact.get(name)
-        if text is None:
-            pattern = next((one for pattern, one in self._patterns if fnmatchcase(name, pattern)), None)
-            if pattern is not None:
-                asked_as, text = pattern.question, pattern.answer
-        answer = None if text is None else answer_of(kind, text)
-        if answer is None:
-            return usual
-        if answer != usual:
-            self.used.add(asked_as)
-        return answer
-
-
-def edited_facts(facts: Sequence[Fact], changes: Sequence[OfFacts]) -> tuple[Fact, ...]:
-    """Return the facts with these changes, in order of time, no two at the same microsecond.
+def edited_facts(facts: Sequence[Fact], changes: Sequence[OfFacts], last_us: int = END_US) -> tuple[Fact, ...]:
+    """Return the facts with these changes, in order of time, no two at the same microsecond and none after `last_us`.
 
     A name that no fact has changes nothing.
 
@@ -113,13 +65,13 @@ def edited_facts(facts: Sequence[Fact], changes: Sequence[OfFacts]) -> tuple[Fac
     """
     found = tuple(facts)
     for change in changes:
-        found = _changed(found, change)
+        found = _changed(found, change, last_us)
     return found
 
 
-def _changed(facts: tuple[Fact, ...], change: OfFacts) -> tuple[Fact, ...]:
+def _changed(facts: tuple[Fact, ...], change: OfFacts, last_us: int) -> tuple[Fact, ...]:
     if isinstance(change, Add):
-        return _apart(facts, [(_within(change, microseconds_of(change.at_s)), fact_of(change.event))])
+        return _apart(facts, [(_within(change, microseconds_of(change.at_s), last_us), fact_of(change.event))])
     names = facts_by_name(facts)
     places = {at for name in matching_names(change.fact, names) for at in names[name]}
     if not places:
@@ -128,14 +80,14 @@ def _changed(facts: tuple[Fact, ...], change: OfFacts) -> tuple[Fact, ...]:
     if isinstance(change, Drop):
         return left
     by_us = microseconds_of(change.by_s)
-    return _apart(left, [(_within(change, facts[at][0] + by_us), facts[at][1]) for at in sorted(places)])
+    return _apart(left, [(_within(change, facts[at][0] + by_us, last_us), facts[at][1]) for at in sorted(places)])
 
 
-def _within(change: Add | Move, time_us: int) -> int:
-    if not 1 <= time_us <= END_US:
+def _within(change: Add | Move, time_us: int, last_us: int) -> int:
+    if not 1 <= time_us <= last_us:
         raise UsageError(
             f"change {change}: found a fact at {seconds_text(time_us / 1_000_000)}, expected it after the beginning of "
-            f"the run and before its last possible end, {seconds_text(END_US / 1_000_000)}"
+            f"the run and before its last possible end, {seconds_text(last_us / 1_000_000)}"
         )
     return time_us
 
@@ -155,16 +107,30 @@ def _apart(facts: tuple[Fact, ...], more: list[Fact]) -> tuple[Fact, ...]:
 class Fork(NamedTuple):
     """A fork: its record, the first seq at which it differs from its base, and the questions it answered otherwise.
 
-    `parts_at` does not count event 0, which is never the same; None: the runs are the same.
+    `parts_at` does not count event 0, which is never the same; None: the runs are the same. Of a live run, `end` says
+    where the fork ends before all has happened, and `left_out` the commands on record that nobody would have given.
     """
 
     record: LedgerRun
     parts_at: int | None
     used: frozenset[str]
+    end: End | None = None
+    left_out: tuple[CommandGiven, ...] = ()
+
+
+def world_of(recipe: Recipe) -> SimulatedEnvironment:
+    """Return the world of the recipe without its changes; of a live run, its commands and the model's draws."""
+    if recipe.live is not None:
+        return SimulatedEnvironment(recipe.live.commands, draws_of(recipe.spec, recipe.constants))
+    return environment_of(recipe.spec, recipe.constants)
 
 
 def kernel_of(recipe: Recipe, edited: World) -> Kernel:
     """Return the run at its founding in this environment, with all commands that are to come."""
+    if recipe.live is not None:
+        assert isinstance(edited, EditedEnvironment)
+        events, founded = fleet_founding(recipe.spec.fleet_size, recipe.constants)
+        return LiveKernel(((started_of(recipe), *events), founded), edited.facts, recipe.live, edited.answer_anew)
     table = handler_table_of(recipe.spec.architecture, recipe.spec.configuration)
     founding, founded = founding_of(recipe.spec, recipe.constants)
     kernel = Kernel(table, edited, founding, founded)
@@ -174,12 +140,37 @@ def kernel_of(recipe: Recipe, edited: World) -> Kernel:
 
 def edited_environment(recipe: Recipe) -> EditedEnvironment:
     """Return the world of the recipe: with other constants from some times on, other facts, and other answers."""
-    usual = environment_of(recipe.spec, recipe.constants)
+    usual = world_of(recipe)
     facts: tuple[Fact, ...] = tuple(usual.facts)
     for from_us, era in eras(recipe):
         facts = _continued(facts, tuple(era.facts), from_us)
-    facts = edited_facts(facts, [one for one in recipe.changes if isinstance(one, Drop | Move | Add)])
-    return EditedEnvironment(usual, facts, [one for one in recipe.changes if isinstance(one, Answer)])
+    of_facts = [one for one in recipe.changes if isinstance(one, Drop | Move | Add)]
+    answers = [one for one in recipe.changes if isinstance(one, Answer)]
+    if recipe.live is None:
+        return EditedEnvironment(usual, edited_facts(facts, of_facts), answers)
+    facts = edited_facts(_altered(facts, answers), of_facts, recipe.live.until_us)
+    fleet = fleet_founding(recipe.spec.fleet_size, recipe.constants)[1].fleet
+    for change in recipe.changes:
+        if isinstance(change, Commanded):
+            asked = _commanded(fleet, change)
+            facts = _apart(facts, [(max(1, microseconds_of(change.from_s)), given(asked, asked.issued_by))])
+
+    def draws(seed: int) -> Draws:
+        return draws_of(msgspec.structs.replace(recipe.spec, seed=seed), recipe.constants)
+
+    return EditedEnvironment(usual, facts, answers, cache(draws))
+
+
+def _altered(facts: tuple[Fact, ...], changes: Sequence[Answer]) -> tuple[Fact, ...]:
+    """Return the commands, in which those that the changes name say otherwise."""
+    names, found = facts_by_name(facts), list(facts)
+    for change in changes:
+        if change.question.startswith(COMMAND):
+            for at in (at for name in matching_names(change.question, names) for at in names[name]):
+                time_us, command = found[at]
+                assert isinstance(command, CommandGiven)
+                found[at] = time_us, altered(command, change)
+    return tuple(found)
 
 
 def eras(recipe: Recipe) -> list[tuple[int, World]]:
@@ -212,7 +203,7 @@ def command(kernel: Kernel, recipe: Recipe) -> None:
     """Submit what supervisors command in this recipe. Raises: UsageError if the architecture takes no such command."""
     for change in recipe.changes:
         if isinstance(change, Rule | Trust | Budget | Density):
-            asked = _commanded(kernel, change)
+            asked = _commanded(kernel.state.fleet, change)
             if not kernel.decides(type(asked)):
                 raise UsageError(
                     f"change {change}: {recipe.spec.architecture} decides no such command, expected a run of fsar"
@@ -220,13 +211,13 @@ def command(kernel: Kernel, recipe: Recipe) -> None:
             kernel.submit(max(1, microseconds_of(change.from_s)), asked)
 
 
-def _commanded(kernel: Kernel, change: Commanded) -> PublicCommand:
+def _commanded(fleet: Fleet, change: Commanded) -> SetPolicyRule | SetTrust | SetRecoveryBudget | SetSupervisionDensity:
     """Return the command of a change, as who is in charge issues it."""
     match change:
         case Rule():
             own = None
-            if change.scope == "local" and change.robot is not None and change.robot in kernel.state.fleet.robots:
-                own = kernel.state.fleet.robots[change.robot].supervisor
+            if change.scope == "local" and change.robot is not None and change.robot in fleet.robots:
+                own = fleet.robots[change.robot].supervisor
             return SetPolicyRule(
                 issued_by=own or FLEET_SUPERVISOR,
                 scope=change.scope,
@@ -261,7 +252,10 @@ def _commanded(kernel: Kernel, change: Commanded) -> PublicCommand:
 
 
 def run_to_end(kernel: Kernel, edited: EditedEnvironment, recipe: Recipe) -> None:
-    """Run to the end, with the world of each era from its time on."""
+    """Run to the end, with the world of each era from its time on; a live run until its record ends."""
+    if recipe.live is not None:
+        kernel.run(recipe.live.until_us)
+        return
     for from_us, environment in eras(recipe):
         kernel.run(from_us - 1)
         edited.use_environment(environment)
@@ -286,20 +280,49 @@ def fork(base: Recipe, record: LedgerRun, root: str, changes: Changes) -> Fork:
     edited = edited_environment(recipe)
     kernel = kernel_of(recipe, edited)
     run_to_end(kernel, edited, recipe)
-    first = parts_at(record, record_of(kernel))
+    end = kernel.end if isinstance(kernel, LiveKernel) else None
+    first = parts_at(record if end is None else until(record, end.time_us), record_of(kernel))
+    if end is None and first is not None and recipe.live is not None and recipe.live.until_us != NEVER_US:
+        end = End(recipe.live.until_us, None, "the record ends there, and the run goes on")
     origin = msgspec.structs.replace(
-        run_started(base.spec, base.constants),
+        started_of(base),
         forked_from_root=root,
         forked_from_run=record.run_id,
         forked_from_seq=_last_shared(record, first),
         changes=(),
     )
     kernel.events[0] = started_of(recipe, origin)
-    return Fork(record_of(kernel), first, frozenset(edited.used))
+    left_out = tuple(kernel.left_out) if isinstance(kernel, LiveKernel) else ()
+    return Fork(record_of(kernel), first, frozenset(edited.used), end, left_out)
+
+
+def until(record: LedgerRun, time_us: int) -> LedgerRun:
+    """Return what the record has until then."""
+    count = bisect_right(record.times_us, time_us)
+    parts = record.times_us[:count], record.caused_by[:count], record.events[:count]
+    return LedgerRun(record.run_id, *parts)
+
+
+def live_again(base: Recipe) -> tuple[LedgerRun, Recipe]:
+    """Return the live run that this is the recipe of, made again, and the recipe with what it asked, and until when.
+
+    Where nothing more comes about after the record, as if nobody said more, nobody was asked: there a fork can go on.
+    """
+    assert base.live is not None
+    kernel = kernel_of(base, edited_environment(base))
+    assert isinstance(kernel, LiveKernel)
+    kernel.run(base.live.until_us)
+    made = record_of(kernel)
+    record = LedgerRun(made.run_id, [*made.times_us], [*made.caused_by], [*made.events])
+    asked = {one: tuple(times_us) for one, times_us in kernel.asked.items()}
+    kernel.run(most=len(made.events) + 1)
+    until_us = NEVER_US if len(kernel.events) == len(record.events) else base.live.until_us
+    live = msgspec.structs.replace(base.live, asked=asked, until_us=until_us)
+    return record, msgspec.structs.replace(base, live=live)
 
 
 def run_again(base: Recipe) -> tuple[LedgerRun, list[Question]]:
-    """Return the run without changes that this is the recipe of, and what it asked at its ports."""
+    """Return the simulated run without changes that this is the recipe of, and what it asked at its ports."""
     environment = QuestionRecorder(environment_of(base.spec, base.constants))
     kernel = kernel_of(base, environment)
     kernel.run()

@@ -36,7 +36,7 @@ from fsar_ledger.projections.world import is_linked
 from .agenda import Agenda, Pending
 from .architectures.handler_table import HandlerTable
 from .handlers.commands import Command, React, Scheduled
-from .ports import Environment
+from .ports import Ask, Environment
 
 _Plan = dict[type[Event], tuple[tuple[tuple[str, Callable[[Any, Any], Any]], ...], tuple[React, ...]]]
 _TURNS = frozenset({RobotWentOff, RobotCameBack, LinkCameUp})
@@ -201,7 +201,7 @@ class Kernel:
                 command.now_us = time_us
                 if ask is not None:
                     given = self._answer(ask)
-                    if given is None:
+                    if given is None and (given := self._unanswered(scheduled, ask, time_us)) is None:
                         continue
                     command.answer = given
                 events = decides[type(command)](state, command)
@@ -283,7 +283,7 @@ class Kernel:
                 due_us = time_us + scheduled.after_us
                 for ask in scheduled.waits:
                     length_us = answer(ask)
-                    if length_us is None:
+                    if length_us is None and (length_us := self._unanswered(scheduled, ask, time_us)) is None:
                         break
                     due_us += length_us
                 else:
@@ -304,6 +304,10 @@ class Kernel:
                     heappush(pending.soon, one)
                 else:
                     pending.put(one)
+
+    def _unanswered(self, _scheduled: Scheduled, _ask: Ask, _time_us: int) -> int | None:
+        """Return the answer to what the environment does not answer, now; None: it comes by a command, if at all."""
+        return None
 
     # See docs/decisions/outages-live-in-the-kernel.md.
     def _hold_back(self, one: Pending, after_us: int = 0) -> bool:

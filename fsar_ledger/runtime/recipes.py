@@ -17,13 +17,15 @@ from fsar_ledger.base.errors import InvalidExperiment, UsageError
 from fsar_ledger.base.parameters import BadParameters
 from fsar_ledger.base.printable import NAMED, some
 from fsar_ledger.designs.constants import Constants, read_constants
-from fsar_ledger.events.configuration import EVERY_MECHANISM, removed_mechanisms, without
+from fsar_ledger.events.configuration import EVERY_MECHANISM, FULL, removed_mechanisms, without
 from fsar_ledger.events.fleet import RunStarted
+from fsar_ledger.ledger.rows.runs import LedgerRun
 from fsar_ledger.metrics.constant_names import constants_of, names_of_constants, unlike_ours
 
 from .change_texts import parsed
 from .changes import AnyChange, Architecture, Changes, Set, Without, microseconds_of
 from .experiment import Experiment
+from .live import ARCHITECTURE, SOURCE, LiveRecord, live_record, live_started
 from .own import with_settings, with_values
 from .simulation import MODEL_VERSION, RunSpec, run_id, run_started
 from .world.schedule import arrivals_expected
@@ -49,11 +51,15 @@ _ROOT = re.compile(r"[0-9a-f]{64}")
 
 
 class Recipe(msgspec.Struct, frozen=True):
-    """What a run is made from. The changes of the start are already in `spec` and `constants`."""
+    """What a run is made from. The changes of the start are already in `spec` and `constants`.
+
+    `live`: the record of a live run; then `spec` says under which name the model draws what nobody answers.
+    """
 
     spec: RunSpec
     constants: Constants
     changes: Changes = ()
+    live: LiveRecord | None = None
 
 
 class CannotReplay(Exception):
@@ -73,6 +79,8 @@ def with_changes(base: Recipe, changes: Changes) -> Recipe:
     spec, constants = base.spec, base.constants
     whole: list[AnyChange] = []
     for change in changes:
+        if base.live is not None:
+            _require_live(change)
         match change:
             case Set():
                 whole.append(_with_before(base.constants, change))
@@ -91,7 +99,17 @@ def with_changes(base: Recipe, changes: Changes) -> Recipe:
             case _:
                 whole.append(change)
     _require_once(whole)
-    return Recipe(spec, constants, tuple(whole))
+    return Recipe(spec, constants, tuple(whole), base.live)
+
+
+def _require_live(change: AnyChange) -> None:
+    """Check that the change means something in a live run. Raises: UsageError."""
+    if isinstance(change, Architecture | Without):
+        raise UsageError(f"change {change}: found a live run, whose robots speak for themselves under FSAR in full")
+    if isinstance(change, Set) and change.from_s is not None:
+        raise UsageError(
+            f"change {change}: found a live run, whose world no constant makes; expected a constant from the start"
+        )
 
 
 def base_of(recipe: Recipe) -> Recipe:
@@ -170,6 +188,8 @@ def _require_once(changes: Sequence[AnyChange]) -> None:
 def started_of(recipe: Recipe, origin: RunStarted | None = None) -> RunStarted:
     """Return event 0 of the recipe's run, which forks from where `origin` says; None: it is no fork."""
     plain = run_started(recipe.spec, recipe.constants)
+    if recipe.live is not None:
+        plain = live_started(recipe.constants, recipe.spec.fleet_size, recipe.live.started.epoch)
     if origin is None or origin.changes is None:
         return plain
     return msgspec.structs.replace(
@@ -214,6 +234,16 @@ def _require_our_model(started: RunStarted) -> None:
         raise CannotReplay("model_version", f"{MODEL_VERSION!r}; replay it with {maker}", repr(started.model_version))
 
 
+def recipe_of(record: LedgerRun, started: RunStarted) -> Recipe:
+    """Return what the run on record, simulated or live, was made from. Raises: CannotReplay."""
+    if started.kind != "live" or started.source != SOURCE:
+        return recorded_recipe(started, len(record.events))
+    constants, live = recorded_constants(started, len(record.events)), live_record(record, started)
+    recipe = Recipe(RunSpec(0, ARCHITECTURE, FULL, "live", started.fleet_size or 0, 0), constants, live=live)
+    _require_same("event 0", started_of(recipe), started)
+    return recipe
+
+
 def recorded_constants(started: RunStarted, event_count: int) -> Constants:
     """Return the constants of the live run with this event 0. Raises: CannotReplay."""
     _require_our_model(started)
@@ -229,6 +259,8 @@ def recorded_constants(started: RunStarted, event_count: int) -> Constants:
 def require_possible(recipe: Recipe) -> None:
     """Check that such a run can be simulated. Raises: InvalidExperiment."""
     spec = recipe.spec
+    if recipe.live is not None:
+        return
     Experiment(
         (spec.architecture,),
         (spec.scenario,),

@@ -15,7 +15,8 @@ from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.projections.fold import State
 
-from .forks import EditedEnvironment, command, edited_environment, last_shared, run_to_end
+from .changeable import EditedEnvironment
+from .forks import command, edited_environment, last_shared, run_to_end
 from .handlers.commands import Command, Decide
 from .live import ARCHITECTURE, SOURCE, commands_of, live_started
 from .ports import Environment, LiveEnvironment

@@ -70,6 +70,8 @@ def run_started(spec: RunSpec, constants: Constants) -> RunStarted:
 def run_id(started: RunStarted) -> str:
     """Return a readable name with a digest of all parameters, so that other parameters give another run."""
     digest = sha256(msgspec.json.encode(started, order="sorted")).hexdigest()[:12]
+    if started.kind == "live":
+        return f"{started.forked_from_run or 'live'}-{digest}"
     cell = f"{started.architecture}.{started.configuration}.{started.scenario}"
     return f"{cell}.n{started.fleet_size}.s{started.seed}.r{started.run:04d}-{digest}"
 
@@ -84,10 +86,14 @@ def kernel(spec: RunSpec, constants: Constants, table: HandlerTable | None = Non
 
 
 def environment_of(spec: RunSpec, constants: Constants) -> SimulatedEnvironment:
-    """Return the world of the run; the durations of an own fleet's capabilities are among its draws."""
+    """Return the world of the run."""
     facts = schedule(constants, spec.seed, spec.scenario, spec.run, spec.fleet_size)
-    draws = Draws(run_key(spec.seed, spec.scenario, spec.run), _world(constants.world, constants.fleet))
-    return SimulatedEnvironment(facts, draws)
+    return SimulatedEnvironment(facts, draws_of(spec, constants))
+
+
+def draws_of(spec: RunSpec, constants: Constants) -> Draws:
+    """Return the draws of the run's world; the durations of an own fleet's capabilities are among them."""
+    return Draws(run_key(spec.seed, spec.scenario, spec.run), _world(constants.world, constants.fleet))
 
 
 @lru_cache(maxsize=8)

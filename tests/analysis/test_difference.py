@@ -6,8 +6,10 @@ from itertools import pairwise
 import pytest
 
 from fsar_ledger.analysis.difference import align, chain
+from fsar_ledger.analysis.difference_text import difference_text
 from fsar_ledger.events.world import TaskArrived
 from fsar_ledger.ledger.rows.codec import LedgerRun
+from fsar_ledger.runtime.forks import until
 from tests.analysis.planted import planted
 
 MIRROR = {"only first": "only second", "only second": "only first"}
@@ -74,3 +76,20 @@ def test_a_chain_leads_from_an_event_to_a_fact_of_the_world(runs: list[LedgerRun
     assert all(run.caused_by[one] == other for one, other in pairwise(seqs))
     assert run.caused_by[seqs[-1]] == 0
     assert chain(run, 0) == [0]
+
+
+def test_of_a_run_that_ends_before_all_has_happened_no_more_is_told_than_had_come_about(runs: list[LedgerRun]) -> None:
+    late = 0
+    for run in runs:
+        ends_us = run.times_us[-1] // 3
+        assert difference_text(run, until(run, ends_us), ends_us).differences == (), "what comes later is not missing"
+        edited = planted(until(run, ends_us), 3, 1).run
+        whole, ended = difference_text(run, edited).consequences, difference_text(run, edited, ends_us).consequences
+        assert whole is not None
+        assert ended is not None
+        assert {one.second for one in ended.metrics} == {None}
+        assert [one.first for one in ended.metrics] == [one.first for one in whole.metrics]
+        assert "open" not in {one.second for one in ended.tasks}
+        assert ended.verdicts == [one for one in whole.verdicts if one.time_s <= ends_us / 1e6]
+        late += len(whole.verdicts) - len(ended.verdicts)
+    assert late, "some run has a verdict later than that"
