@@ -157,7 +157,7 @@ def test_after_a_write_that_failed_nothing_is_decided_and_the_next_federation_go
 
 
 @pytest.mark.parametrize(
-    "kills", [2, pytest.param(25, marks=pytest.mark.slow), pytest.param(100, marks=pytest.mark.soak)]
+    "kills", [2, pytest.param(8, marks=pytest.mark.slow), pytest.param(100, marks=pytest.mark.soak)]
 )
 def test_no_acknowledged_command_is_lost_or_there_twice_however_often_the_process_is_killed(
     tmp_path: Path, kills: int
