@@ -1,6 +1,5 @@
 """The documentation names what there is, and what it shows is what happens."""
 
-import os
 import re
 import shlex
 import shutil
@@ -24,7 +23,6 @@ from fsar_ledger.studies.result import KINDS
 from fsar_ledger.witness.protocol import Cosigner
 from tests.cli.conftest import SMALL
 from tests.ledger.keep_release import LEDGERS
-from tests.running import ran
 from tests.sources.vda import honest_night, written
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -194,25 +192,6 @@ def test_every_command_of_the_readme_parses() -> None:
         assert parses(line), line
 
 
-@pytest.mark.slow  # a reproduction of one run for each scenario, half a minute
-def test_every_command_of_the_readme_runs_as_printed_after_a_reproduction(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run(["reproduce", "--out", str(tmp_path / "fsar-out"), "--runs", "1"]) == 0
-    _, *blocks = readme_blocks()
-    surroundings = {**os.environ, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
-    monkeypatch.chdir(tmp_path)
-    for first, *others in map(str.splitlines, blocks):
-        done = ran(["sh", "-c", first], env=surroundings)
-        assert done.returncode == 0, f"{first}\n{done.stdout}{done.stderr}"
-        assert done.stdout.strip(), first
-        for line in others:  # none needs a shell, but for the comment at its end
-            assert not set(line.partition("    #")[0].partition('"')[0]) & set("$*?|;&><"), line
-            capsys.readouterr()
-            assert run(shlex.split(line, comments=True)[1:]) == 0, line
-            assert capsys.readouterr().out.strip(), line
-
-
 MODEL = {label for label in LABELS if label.startswith(("eq:", "sec:model:", "sec:architecture:", "app:"))} | {
     *(f"{kind}{number}" for kind in "IA" for number in range(1, 6)),
     "Agent Core",
@@ -321,24 +300,29 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+PRINTED = (
+    'fsar-ledger cause out/ledger --run 2 --outcome "policy_violations > 0"',
+    'fsar-ledger cause out/ledger --run 2 --outcome "SELECT run_id FROM conflicts" --futures 0 --json',
+    "fsar-ledger open out/ledger --out out/ledger.duckdb",
+    "fsar-ledger study run multiverse out/ledger",
+    "fsar-ledger report out/ledger --out out/report.pdf",
+)
+"""Examples left to the soak: a page prints what the same call answers (`docs/replay.md`, `open.md`, `model.md`), or the
+call is made about a ledger of an odd name (`tests/cli/test_odd_names.py`), or with `--numbers`."""
+
 ELSEWHERE = (
     "fsar-ledger metrics out/ledger --by scenario",
     "fsar-ledger metrics out/ledger --pool seeds",
     "fsar-ledger statistics out/ledger --csv",
     "fsar-ledger compare out/ledger --first fsar --second dhma --by scenario",
     "fsar-ledger compare out/ledger out/large --first fsar --verified --json",
-    "fsar-ledger study run multiverse out/ledger",
     "fsar-ledger study run multiverse out/ledger --metric human_intervention --svg out/multiverse.svg",
     "fsar-ledger explain out/ledger --run 1 --json",
     "fsar-ledger explain out/ledger --run 1 --request A1-1/2.1",
     "fsar-ledger log out/ledger",
     "fsar-ledger log out/ledger --run all --about requests,policy --json",
     "fsar-ledger audit out/ledger --architecture fsar --invariant i4 --json",
-    "fsar-ledger open out/ledger --out out/ledger.duckdb",
-    'fsar-ledger cause out/ledger --run 2 --outcome "policy_violations > 0"',
-    'fsar-ledger cause out/ledger --run 2 --outcome "SELECT run_id FROM conflicts" --futures 0 --json',
     "fsar-ledger diff out/ledger 1 1 --other out/large --verified --json",
-    "fsar-ledger report out/ledger --out out/report.pdf",
     *(example for name, example in examples() if name == "report" and ("--with" in example or "--numbers" in example)),
     *(one for name in {name for name, _ in examples()} for one in [one for of, one in examples() if of == name][1:]),
 )
@@ -356,10 +340,19 @@ MADE = {shlex.split(example)[2]: example for name, example in examples() if name
 """The example that makes each ledger that other examples read."""
 
 
+def test_what_is_left_to_other_tiers_is_an_example() -> None:
+    assert {*PRINTED, *ELSEWHERE} <= {example for _, example in examples()}
+
+
+def tier_of(example: str) -> list[pytest.MarkDecorator]:
+    """Return the mark of an example, if it has one."""
+    return [pytest.mark.soak] if example in PRINTED else [pytest.mark.slow] if example in ELSEWHERE else []
+
+
 @pytest.mark.parametrize(
     "example",
     [
-        pytest.param(example, marks=[pytest.mark.slow] if example in ELSEWHERE else [])
+        pytest.param(example, marks=tier_of(example))
         for name, example in examples()
         if name not in LONG and example != "fsar-ledger simulate out/ledger"
     ],

@@ -23,6 +23,7 @@ from fsar_ledger.runtime.simulation import RunSpec, handler_table_of, simulate_r
 from tests import past
 from tests.analysis.conftest import OUTAGES
 from tests.analysis.emptied import emptied
+from tests.quick import few
 
 LOCAL = (Step("field", "world"), Step("field", "local"))
 OFF = (Step("field", "world"), Step("field", "off"))
@@ -99,8 +100,8 @@ def test_what_was_not_read_changes_no_decision(runs: list[LedgerRun], number: in
     assert require_exact(runs[2 * number + 1]) > 300
 
 
-@pytest.mark.slow
-def test_what_was_not_read_changes_no_decision_in_any_scenario_or_knockout() -> None:
+@pytest.mark.parametrize("step", few([1, 2], [], [2]))
+def test_what_was_not_read_changes_no_decision_in_any_scenario_or_knockout(step: int) -> None:
     specs = [
         (architecture, "full", scenario)
         for architecture in ("fsar", "cfc", "dhma")
@@ -112,7 +113,7 @@ def test_what_was_not_read_changes_no_decision_in_any_scenario_or_knockout() -> 
         )
     ]
     specs += [(one.architecture, one.configuration, "door-relay") for one in KNOCKOUTS]
-    for architecture, configuration, scenario in specs:
+    for architecture, configuration, scenario in specs[::step]:
         require_exact(simulate_run(RunSpec(7, architecture, configuration, scenario, 4, 0), OUTAGES))
 
 

@@ -64,7 +64,7 @@ def test_the_examples_of_the_page_run(tmp_path: Path) -> None:
     run_in_order(re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL), tmp_path)
 
 
-@pytest.mark.slow
+@pytest.mark.soak  # where no kernel is installed, as the next but one runs them in
 @pytest.mark.parametrize("name", NOTEBOOKS)
 def test_the_cells_of_a_notebook_run(tmp_path: Path, name: str) -> None:
     run_in_order(cells(name), tmp_path)

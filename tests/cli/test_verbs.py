@@ -17,6 +17,7 @@ from fsar_ledger import api
 from fsar_ledger.api.verbs import VERBS, Option, declared
 from fsar_ledger.cli.app import _summary, app
 from tests.cli.conftest import Call, one_message
+from tests.quick import few
 
 for module in iter_modules(api.__path__):
     import_module(f"{api.__name__}.{module.name}")
@@ -75,7 +76,7 @@ def test_every_verb_whose_answer_is_rows_is_asked_in_every_form() -> None:
     assert {name for name, verb in VERBS.items() if "ndjson" in verb.takes} == {one.split()[0] for one in ROWS}
 
 
-@pytest.mark.parametrize("name", ROWS)
+@pytest.mark.parametrize("name", few(ROWS, ["metrics", "sql", "query failures"]))
 def test_rows_are_the_same_in_every_form(call: Call, ledger: Path, name: str) -> None:
     words = (*name.split(), ledger, *ROWS[name])
     whole, lines, table = (call(*words, FORMS[form]) for form in ("json", "ndjson", "csv"))

@@ -85,6 +85,11 @@ class Asked(NamedTuple):
     err: str
     trace: str | None = None
 
+    def good(self) -> "Asked":
+        """The same, which ended without a failure."""
+        assert self.code == 0, self.trace or self.err
+        return self
+
 
 def ask(*words: object) -> Asked:
     """Call the command in this process."""

@@ -50,8 +50,9 @@ def test_there_are_thirty() -> None:
 
 def test_each_bomb_meets_commands_in_turn_and_each_command_several_bombs() -> None:
     assert IN_TURN.keys() <= BOMBS.keys()
+    assert [name for name in BOMBS if not calls_in_turn(name)] == ["fifty million rows"]
     for name, begun in IN_TURN.items():
-        assert len(calls_in_turn(name)) == len(begun) > 1, name
+        assert len(calls_in_turn(name)) == len(begun) != 1, name
     met = Counter(call for name in BOMBS for call in calls_in_turn(name))
     assert {call for call in READERS if met[call] < 2} == set()
 
@@ -61,7 +62,7 @@ def test_a_bomb_ends_in_a_clear_error_in_little_time_and_memory(intact: Path, tm
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", BOMBS)
+@pytest.mark.parametrize("name", [name for name in BOMBS if calls_in_turn(name)])
 def test_every_bomb_and_commands_in_turn(intact: Path, tmp_path: Path, name: str) -> None:
     explode(name, intact, tmp_path, calls_in_turn(name))
 

@@ -31,7 +31,7 @@ def laboratory(tmp_path: Path) -> Laboratory:
     return Laboratory(tmp_path)
 
 
-@pytest.mark.parametrize("step", few([7, 43, 61], [61], [43]))
+@pytest.mark.parametrize("step", few([7, 61], [61], []))
 def test_a_fault_at_any_call_loses_nothing_acknowledged_and_the_power_may_fail_after_it(
     laboratory: Laboratory, calls: list[str], step: int
 ) -> None:
@@ -54,7 +54,7 @@ def says_what_to_do(error: FsarLedgerError, fault: Fault, path: Path) -> bool:
     return message.startswith(str(path)) and os.strerror(code) in message and message.endswith(way_out)
 
 
-@pytest.mark.parametrize("step", few([11, 41, 301], [301], [41]))
+@pytest.mark.parametrize("step", few([11, 101, 301], [301], [101]))
 def test_every_kind_of_refusal_is_one_clear_error(tmp_path: Path, calls: list[str], step: int) -> None:
     met = Counter[str]()
     for number, fault in enumerate(fault for fault in faults_at(calls) if not fault.ends_the_process):
@@ -72,7 +72,7 @@ def test_every_kind_of_refusal_is_one_clear_error(tmp_path: Path, calls: list[st
     assert step > 41 or met.keys() == set(KINDS) - {"short-write", "killed", "killed-in-write"}
 
 
-@pytest.mark.parametrize("pairs", few([6, 20], [], [6]))
+@pytest.mark.parametrize("pairs", few([3, 20], [], [3]))
 def test_a_fault_during_the_recovery_loses_nothing_either(laboratory: Laboratory, calls: list[str], pairs: int) -> None:
     draw = random.Random(5)
     faults = list(faults_at(calls))

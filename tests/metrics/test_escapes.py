@@ -176,7 +176,8 @@ OFTEN = {
     *("JSON that nests too deep", "too many bytes", "a date beyond the calendar"),
 }
 """Ways that are tried in a process each time. The others, which one lock or one limit stops with these, `make test-all`
-tries in a process each; those that reach out are all tried on the locks (`test_duckdbs_locks_hold_by_themselves`)."""
+tries: those that reach out all on the locks, in one process (`test_duckdbs_locks_hold_by_themselves`), the rest in a
+process each. The soak tries every one in a process."""
 
 
 @pytest.fixture(scope="module")
@@ -228,7 +229,7 @@ def ledger_in(base: Path) -> Path:
     return base / "the auditor's ledger"
 
 
-@pytest.mark.parametrize("escape", few(REFUSED, OFTEN))
+@pytest.mark.parametrize("escape", few(REFUSED, OFTEN, REFUSED.keys() - REACHES_OUT.keys() - OFTEN))
 def test_it_is_refused_for_its_reason_and_leaves_no_trace(surrounded: Path, escape: str) -> None:
     sql, reason = REFUSED[escape]
     with pytest.raises(QueryFailed) as refused:
@@ -337,7 +338,8 @@ def test_duckdbs_locks_hold_by_themselves_where_the_caller_works(surrounded: Pat
             try:
                 database.rows(filled(sql, surrounded))
             except QueryFailed as refusal:
-                if reason in str(refusal):
+                said = str(refusal)
+                if reason in said and said.startswith("SQL: ") and len(said) < 2_000:
                     continue
             escaped.append(name)
     assert escaped == []

@@ -298,6 +298,7 @@ def test_every_name_of_the_paper_has_its_words() -> None:
         assert cell
 
 
+@pytest.mark.slow
 def test_workflows_of_another_seed_have_no_part_in_the_table(make_ledger: Make, ledger: Path, tmp_path: Path) -> None:
     ours = make_ledger(architectures=("fsar",), scenarios=("workflow-door-relay",))
     several = shutil.copytree(ours, tmp_path / "several")

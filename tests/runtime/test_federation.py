@@ -157,7 +157,7 @@ def test_after_a_write_that_failed_nothing_is_decided_and_the_next_federation_go
 
 
 @pytest.mark.parametrize(
-    "kills", [2, pytest.param(25, marks=pytest.mark.slow), pytest.param(100, marks=pytest.mark.soak)]
+    "kills", [2, pytest.param(8, marks=pytest.mark.slow), pytest.param(100, marks=pytest.mark.soak)]
 )
 def test_no_acknowledged_command_is_lost_or_there_twice_however_often_the_process_is_killed(
     tmp_path: Path, kills: int
@@ -240,24 +240,29 @@ def test_lines_of_commands_are_answered_by_lines_of_decisions(tmp_path: Path) ->
     assert is_good(tmp_path / "ledger")
 
 
-@pytest.mark.parametrize(
-    ("line", "said"),
-    [
-        (b"nonsense\n", "JSON is malformed"),
-        (b"\xff\xfe\n", "expected a JSON object"),
-        (b"[" * 100_000 + b"\n", "expected a JSON object"),
-        (b" " * MAX_LINE + b' {"command": "ReportContext", "by": "A", "robot": "A"}\n', "expected one command a line"),
-        ({"by": A}, "field command: found None, expected text"),
-        ({"command": "ReportStart", "by": 7}, "field by: found 7, expected text"),
-        ({"command": "ReportStart", "by": A, "key": 7}, "field key: found 7, expected text"),
-        ({"command": "ReportStart", "by": A, "self": 1}, "found self, expected some of robot, action_id"),
-    ],
+NO_COMMANDS: tuple[tuple[Any, str], ...] = (
+    (b"nonsense\n", "JSON is malformed"),
+    (b"\xff\xfe\n", "expected a JSON object"),
+    (b"[" * 100_000 + b"\n", "expected a JSON object"),
+    (b" " * MAX_LINE + b' {"command": "ReportContext", "by": "A", "robot": "A"}\n', "expected one command a line"),
+    ({"by": A}, "field command: found None, expected text"),
+    ({"command": "ReportStart", "by": 7}, "field by: found 7, expected text"),
+    ({"command": "ReportStart", "by": A, "key": 7}, "field key: found 7, expected text"),
+    ({"command": "ReportStart", "by": A, "self": 1}, "found self, expected some of robot, action_id"),
 )
-def test_a_line_that_is_no_command_is_told_and_the_next_is_decided(tmp_path: Path, line: Any, said: str) -> None:
-    code, answers = lines(tmp_path / "ledger", line, {"command": "SubmitTask", "by": A, **TASK})
-    assert (code, [one.get("line") for one in answers], answers[-1]["rejected"]) == (1, [1, None], None), answers
-    assert said in answers[0]["error"]
-    assert len(given(tmp_path / "ledger")) == 1
+
+
+def test_a_line_that_is_no_command_is_told_and_the_next_is_decided(tmp_path: Path) -> None:
+    written = []
+    for number, (line, _) in enumerate(NO_COMMANDS):
+        written += [line, {"command": "SubmitTask", "by": A, **TASK, "task_id": f"t{number}"}]
+    code, answers = lines(tmp_path / "ledger", *written)
+    told, decided = answers[::2], answers[1::2]
+    assert (code, len(answers)) == (1, len(written)), answers
+    for number, ((_, said), wrong, right) in enumerate(zip(NO_COMMANDS, told, decided, strict=True)):
+        assert (wrong["line"], right.get("line"), right["rejected"]) == (2 * number + 1, None, None), answers
+        assert said in wrong["error"]
+    assert len(given(tmp_path / "ledger")) == len(NO_COMMANDS)
 
 
 def test_what_becomes_due_by_itself_is_told_while_no_command_comes(tmp_path: Path) -> None:

@@ -357,7 +357,7 @@ def test_any_well_made_fleet_and_scenario_simulate_verify_and_replay(
     plays(tmp_path_factory.mktemp("any") / "ledger", own, teams, architecture)
 
 
-@pytest.mark.parametrize("many", few([40, 300], [], [40]))
+@pytest.mark.parametrize("many", few([20, 300], [], [20]))
 def test_any_of_many_well_made_fleets_and_scenarios_simulate_verify_and_replay(
     tmp_path_factory: pytest.TempPathFactory, many: int
 ) -> None:

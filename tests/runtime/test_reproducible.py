@@ -52,11 +52,10 @@ def expected(made: Path) -> dict[str, str]:
 @pytest.mark.parametrize(
     ("workers", "environment"),
     [
-        pytest.param("1", {"PYTHONHASHSEED": "1", "TZ": "Asia/Kathmandu", "LC_ALL": "C.UTF-8"}, marks=pytest.mark.slow),
         pytest.param(
             "2", {"PYTHONHASHSEED": "4294967295", "TZ": "America/St_Johns", "LC_ALL": "POSIX"}, marks=pytest.mark.slow
         ),
-        pytest.param("4", {"PYTHONHASHSEED": "3", "TZ": "Asia/Tokyo", "LC_ALL": "POSIX"}, marks=pytest.mark.slow),
+        pytest.param("4", {"PYTHONHASHSEED": "1", "TZ": "Asia/Kathmandu", "LC_ALL": "C.UTF-8"}, marks=pytest.mark.slow),
     ],
 )
 def test_the_bytes_do_not_depend_on_hash_seed_time_zone_locale_or_workers(

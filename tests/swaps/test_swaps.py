@@ -80,7 +80,7 @@ def test_a_swap_that_types_do_not_show_is_found_by_a_run() -> None:
     )
 
 
-@pytest.mark.slow
+@pytest.mark.soak  # `make soak-swaps` asks it of every swap
 def test_a_robot_in_the_place_of_a_supervisor_is_found_by_types() -> None:
     assert untyped([named("Parties: executed_by, supervised_by")]) == []
 

@@ -17,7 +17,7 @@ from fsar_ledger.events.world import (
 from fsar_ledger.projections.fold import fold
 from fsar_ledger.runtime.run_replay import replay_run
 from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, simulate_run
-from tests.cli.conftest import in_a_process
+from tests.foreign.verbs import ask
 from tests.runtime.architectures.jade_runs import TASK, A, S, ran, scenario
 from tests.runtime.live import of
 from tests.runtime.physics import MIXED
@@ -70,20 +70,20 @@ def ledger(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A ledger of JADE's runs, in which robots fail and go off."""
     path = tmp_path_factory.mktemp("jade") / "ledger"
     named = ("--architecture", "jade", "--scenario", "failure-recovery-chain", "--runs", "2", "--workers", "1")
-    in_a_process("simulate", path, *named, "--seed", "42", "--set", "outages.off_rate_per_s=0.02").good()
+    ask("simulate", path, *named, "--seed", "42", "--set", "outages.off_rate_per_s=0.02").good()
     return path
 
 
 def test_a_run_is_told_by_every_command(ledger: Path) -> None:
-    assert "replayed: all" in in_a_process("verify", ledger, "--replay").good().out
-    log = in_a_process("log", ledger, "--run", "r0001").good().out
+    assert "replayed: all" in ask("verify", ledger, "--replay").good().out
+    log = ask("log", ledger, "--run", "r0001").good().out
     award = next(line for line in log.splitlines() if line.endswith("robot/A1 -> robot/D1          award"))
-    assert "robot/D1" in in_a_process("state", ledger, "--run", "r0001", "--at", "30").good().out
-    assert "carry.heavy" in in_a_process("explain", ledger, "--run", "r0001").good().out
-    explained = in_a_process("explain", ledger, "--run", "r0001", "--request", "A1-1/1.1").good().out
+    assert "robot/D1" in ask("state", ledger, "--run", "r0001", "--at", "30").good().out
+    assert "carry.heavy" in ask("explain", ledger, "--run", "r0001").good().out
+    explained = ask("explain", ledger, "--run", "r0001", "--request", "A1-1/1.1").good().out
     assert "contract void" in explained
-    decided_by = in_a_process("why", ledger, f"r0001:{award.split()[0]}").good().out
+    decided_by = ask("why", ledger, f"r0001:{award.split()[0]}").good().out
     assert "evaluate_proposals on EvaluateProposals" in decided_by
     page = ledger.parent / "page.html"
-    in_a_process("view", ledger, "--run", "r0001", "--out", page).good()
+    ask("view", ledger, "--run", "r0001", "--out", page).good()
     assert page.stat().st_size > 10_000

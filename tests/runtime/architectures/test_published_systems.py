@@ -17,7 +17,6 @@ from fsar_ledger.events.request import MessageUndelivered
 from fsar_ledger.events.supervision import SupervisorCalled
 from fsar_ledger.events.world import OutsiderRequestInjected
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
-from tests.cli.conftest import in_a_process
 from tests.foreign.verbs import ask
 from tests.runtime.physics import MIXED
 
@@ -86,7 +85,7 @@ def test_an_outage_is_met_by_what_each_has_for_it() -> None:
 def ledger(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("systems") / "ledger"
     chosen = [word for name in SYSTEMS for word in ("--architecture", name)]
-    in_a_process("simulate", path, *chosen, "--scenario", "door-relay", "--runs", "1", "--workers", "1").good()
+    ask("simulate", path, *chosen, "--scenario", "door-relay", "--runs", "1", "--workers", "1").good()
     return path
 
 
@@ -95,7 +94,7 @@ def test_a_run_is_played_again_with_a_fact_a_dial_or_the_architecture_changed(le
     for change in ("drop window:fleet/D1/0", "architecture fsar"):
         for run in ("1", "2", "3"):
             assert "they part at" in ask("whatif", ledger, "--run", run, "--change", change).out
-    slower = in_a_process("whatif", ledger, "--run", "3", "--change", "set alliance.impatience_us=15000000").good()
+    slower = ask("whatif", ledger, "--run", "3", "--change", "set alliance.impatience_us=15000000").good()
     assert "they part at" in slower.out
     refused = ask("whatif", ledger, "--run", "3", "--change", "rule fleet deny robot=B1")
     assert (refused.code, "alliance decides no such command" in refused.err) == (2, True)

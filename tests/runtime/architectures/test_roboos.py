@@ -37,7 +37,7 @@ from fsar_ledger.runtime.architectures.roboos.master import PlanTask, SendSubtas
 from fsar_ledger.runtime.run_replay import replay_run
 from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, simulate_run
 from tests import past
-from tests.cli.conftest import in_a_process
+from tests.foreign.verbs import ask
 from tests.runtime.architectures.roboos import (
     ACTION,
     B2,
@@ -215,9 +215,7 @@ def test_every_dial_gives_runs_that_end_and_are_replayed() -> None:
 
 def test_the_verbs_that_read_a_run_answer_on_one_of_its_runs(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    in_a_process(
-        "simulate", out, "--architecture", "roboos", "--scenario", "mixed-trust-inspection", "--runs", 1
-    ).good()
+    ask("simulate", out, "--architecture", "roboos", "--scenario", "mixed-trust-inspection", "--runs", 1).good()
     page = tmp_path / "page.html"
     for verb in (
         ("state", out, "--run", 1, "--at", 40),
@@ -229,7 +227,7 @@ def test_the_verbs_that_read_a_run_answer_on_one_of_its_runs(tmp_path: Path) -> 
         ("metrics", out),
         ("verify", out, "--replay"),
     ):
-        in_a_process(*verb).good()
-    audited = in_a_process("audit", out)
+        ask(*verb).good()
+    audited = ask("audit", out)
     assert (audited.code, "requester missing, supervisor missing" in audited.out) == (1, True)
     assert page.stat().st_size > 1000
