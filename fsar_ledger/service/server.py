@@ -27,6 +27,7 @@ from fsar_ledger.base.errors import FsarLedgerError, UsageError
 from fsar_ledger.base.printable import did_you_mean
 from fsar_ledger.events import CONCERN_OF, CONCERNS, Event
 from fsar_ledger.events.envelope import flat
+from fsar_ledger.runtime.architectures.fsar.reports import commands
 from fsar_ledger.runtime.federation import Federation
 from fsar_ledger.runtime.live import Decision, command_given
 from fsar_ledger.sources.columns import object_of
@@ -144,12 +145,13 @@ class Service:
         key = request.headers.get("idempotency-key")
         if key is not None and not 0 < len(key) <= MAX_KEY:
             raise HttpError(400, f"Idempotency-Key: found {len(key)} characters, expected 1 to {MAX_KEY}")
+        name, status = request.path_params["name"], 400
         try:
-            command = command_given(
-                request.path_params["name"], one.principal, object_of(await _body(request), "command"), key
-            )
+            fields = object_of(await _body(request), "command")
+            status = 400 if name in commands() else 404
+            command = command_given(name, one.principal, fields, key)
         except UsageError as error:
-            raise HttpError(404 if "there is no such command" in f"{error}" else 400, f"{error}") from error
+            raise HttpError(status, f"{error}") from error
         try:
             decision = await self._decider.decide(command)
         except Busy:
@@ -238,10 +240,15 @@ class Service:
     async def _openapi(self, _: Request) -> Response:
         return self._answer(described())
 
-    async def _overview(self, request: Request) -> Response:
+    def _reader(self, request: Request) -> Principal:
+        """Return who asks for what robots do not see."""
         one = self._principal(request)
         if one.kind == "robot":
             raise HttpError(403, f"{one.principal} is a robot, expected a person or a program")
+        return one
+
+    async def _overview(self, request: Request) -> Response:
+        one = self._reader(request)
         try:
             seen = await self._decider.ask(partial(overview, principal=one.principal, run=self._run))
         except FsarLedgerError as error:
@@ -250,8 +257,7 @@ class Service:
 
     async def _view(self, request: Request) -> Response:
         """Draw the run until now as the page of `fsar-ledger view`, and say where it can be fetched once."""
-        if self._principal(request).kind == "robot":
-            raise HttpError(403, "a robot, expected a person or a program")
+        self._reader(request)
         async with self._viewing:
             try:
                 drawn = await asyncio.to_thread(self._viewed)
@@ -305,6 +311,9 @@ class Service:
 
 def _said(row: Row, one: Principal, wanted: dict[str, str]) -> bytes:
     """Return the event as a client is told of it; nothing if it does not want it or may not see it."""
+    said = b"data: %s\nid: %d\n\n" % (row.data, row.seq)
+    if one.kind != "robot" and not wanted:
+        return said
     columns = msgspec.json.decode(row.data, type=dict[str, Any])
     kind = str(columns["type"])
     names = {text for value in columns.values() for text in (value if isinstance(value, list) else (value,))}
@@ -316,7 +325,7 @@ def _said(row: Row, one: Principal, wanted: dict[str, str]) -> bytes:
         return b""
     if "concern" in wanted and CONCERN_OF.get(kind.partition(".")[0]) != wanted["concern"]:
         return b""
-    return b"data: %s\nid: %d\n\n" % (row.data, row.seq)
+    return said
 
 
 def _decided(decision: Decision) -> dict[str, object]:

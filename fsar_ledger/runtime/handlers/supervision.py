@@ -83,7 +83,7 @@ def respond(state: State, command: Respond, name_requester: NameRequester = requ
     Nothing if what the call was about is settled.
     """
     call = state.supervision.calls.get(command.call)
-    if call is None or _is_settled(state, call):
+    if call is None or is_settled(state, call):
         return ()
     approves = not (call.purpose == "review" and command.answer == DISAPPROVES)
     preferred = first_in_order(state.request, state.task, call)
@@ -108,14 +108,14 @@ def respond_to_call(
             command, command.action_id, f"{found}, expected one to {command.supervisor}", command.supervisor
         )
     refused = _unfit(call, command)
-    if _is_settled(state, call):
+    if is_settled(state, call):
         refused = "what the call was about has ended, expected an action or a request under way"
     if refused is not None:
         return rejected(command, command.action_id, refused, command.supervisor)
     return _responded(state, call, command.approves, command.preferred, name_requester)
 
 
-def _is_settled(state: State, call: SupervisorCalled) -> bool:
+def is_settled(state: State, call: SupervisorCalled) -> bool:
     """Tell whether the request and the action that the call was about are over."""
     return call.subject.action_id not in state.request.open and call.subject.action_id not in state.execution.actions
 
