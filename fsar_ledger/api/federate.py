@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from threading import Thread
-from typing import TYPE_CHECKING, Annotated, BinaryIO
+from typing import TYPE_CHECKING, Annotated, Any, BinaryIO
 
 import msgspec
 
@@ -23,6 +23,11 @@ if TYPE_CHECKING:
     from fsar_ledger.runtime.federation import Federation
 
 CONTINUES = "every decision that was printed is on disk, and the same command continues the run"
+FLEET: Any = declare("FLEET", "A .toml file with your own fleet, or the name of a registered one.")
+ROBOTS: Any = declare("N", "How many robots it has.", "one team", least=1)
+SETTINGS: Any = declare("NAME=VALUE", "Set a constant, as `simulate` does; may be repeated.", flag="--set")
+ORIGIN_NAME: Any = declare("NAME", "Publish a new ledger under this name.", "the key's name, else a general one")
+"""The options of a fleet that is really there, by whichever door it is governed."""
 TICK_S = 0.1
 """How often what is due by itself is decided while no command comes."""
 BESIDE = ("command", "by", "key")
@@ -172,10 +177,10 @@ def federate_lines(
     out: Annotated[Place, argument("OUT", "A new folder, or that of a ledger to add to.")],
     run: Annotated[str, argument("RUN", "The name of the run; one that is there goes on.")],
     *,
-    fleet: str | None = declare("FLEET", "A .toml file with your own fleet, or the name of a registered one."),
-    robots: int | None = declare("N", "How many robots it has.", "one team", least=1),
-    settings: Names = declare("NAME=VALUE", "Set a constant, as `simulate` does; may be repeated.", flag="--set"),
-    origin: str | None = declare("NAME", "Publish a new ledger under this name.", "the key's name, else a general one"),
+    fleet: str | None = FLEET,
+    robots: int | None = ROBOTS,
+    settings: Names = SETTINGS,
+    origin: str | None = ORIGIN_NAME,
     key: KeyOption = None,
 ) -> Decisions:
     """Govern a fleet that is really there: commands come from standard input, decisions go to standard output.

@@ -15,7 +15,7 @@ from fsar_ledger.base.errors import FsarLedgerError, UsageError, option
 from fsar_ledger.base.printable import SafeText
 
 from .answers import Answer, Plain, Screen
-from .federate import CONTINUES, federate
+from .federate import CONTINUES, FLEET, ORIGIN_NAME, ROBOTS, SETTINGS, federate
 from .files import write_text
 from .ledger import open_ledger
 from .names import Names, Place, names_of
@@ -108,10 +108,10 @@ def serve_federation(
     principals: Annotated[Place, Option("--principals", "FILE", "Who may speak: what `principal new` made.")],
     *,
     run: str = declare("NAME", "The name of the run; one that is there goes on.", value="live"),
-    fleet: str | None = declare("FLEET", "A .toml file with your own fleet, or the name of a registered one."),
-    robots: int | None = declare("N", "How many robots it has.", "one team", least=1),
-    settings: Names = declare("NAME=VALUE", "Set a constant, as `simulate` does; may be repeated.", flag="--set"),
-    origin: str | None = declare("NAME", "Publish a new ledger under this name.", "the key's name, else a general one"),
+    fleet: str | None = FLEET,
+    robots: int | None = ROBOTS,
+    settings: Names = SETTINGS,
+    origin: str | None = ORIGIN_NAME,
     key: KeyOption = None,
     host: str = declare("ADDRESS", "The address to listen at.", value="127.0.0.1"),
     port: int = declare("N", "The port to listen at; 0 takes a free one.", least=0, most=65535, value=0),
