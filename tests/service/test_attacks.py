@@ -10,6 +10,8 @@ from typing import Any
 import msgspec
 import pytest
 
+pytest.importorskip("uvicorn", reason="make test-all installs it")
+
 from fsar_ledger.service import server, transport
 from tests.service.site import TASK, Site, until
 
