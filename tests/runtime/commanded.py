@@ -5,7 +5,7 @@ from fsar_ledger.runtime.handlers.advertising import DeprecateCapability, Withdr
 from fsar_ledger.runtime.handlers.authority import GrantAuthority, RevokeAuthority
 from fsar_ledger.runtime.handlers.candidates import Query
 from fsar_ledger.runtime.handlers.commands import Command
-from fsar_ledger.runtime.handlers.fleet import JoinFleet, RemoveCapability
+from fsar_ledger.runtime.handlers.fleet import JoinFleet, LeaveFleet, RemoveCapability
 from fsar_ledger.runtime.handlers.policy import SetPolicyRule, SetRolePolicyRule
 from fsar_ledger.runtime.handlers.recovery import SetRecoveryBudget
 from fsar_ledger.runtime.handlers.registry import CacheRegistry, ConsultRegistry
@@ -43,6 +43,8 @@ COMMANDS: list[tuple[int, Command]] = [
     (80 * S, DeprecateCapability(C, "inspect.visual", "1.0.0")),
     (81 * S, WithdrawCapability(C, "inspect.visual", "cleaning")),
     (82 * S, RemoveCapability(C, "inspect.visual")),
+    (90 * S, LeaveFleet(D)),
+    (95 * S, JoinFleet(D, "D", 1, Supervisor("supervisor/D1"))),
 ]
 
 

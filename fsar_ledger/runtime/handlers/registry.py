@@ -14,7 +14,7 @@ from fsar_ledger.projections.fold import State
 from .attribution import recorded_by
 from .candidates import Answer, Query, candidates, is_range
 from .commands import Handlers
-from .public import PublicCommand, carried_out, rejected, unknown_robot
+from .public import PublicCommand, absent_robot, carried_out, rejected
 
 HANDLERS = Handlers()
 
@@ -63,7 +63,7 @@ class CacheRegistry(PublicCommand):
 def consult_registry(state: State, command: ConsultRegistry) -> tuple[Event, ...]:
     """Answer from the registry; finding nobody is an answer too."""
     query = command.query
-    wrong = unknown_robot(state.fleet, query.requester, command.cache_holder) or _malformed(query)
+    wrong = absent_robot(state.fleet, query.requester, command.cache_holder) or _malformed(query)
     if wrong is None and command.cache_holder is not None and command.cache_holder not in state.registry.caches:
         wrong = f"{command.cache_holder} has no copy of the registry, expected one that was taken"
     if wrong is not None:
@@ -100,5 +100,5 @@ def _malformed(query: Query) -> str | None:
 @HANDLERS.decide(CacheRegistry)
 def cache_registry(state: State, command: CacheRegistry) -> tuple[Event, ...]:
     """Give the holder a copy of the registry as it is now."""
-    wrong = unknown_robot(state.fleet, command.holder)
+    wrong = absent_robot(state.fleet, command.holder)
     return carried_out(command, command.holder, wrong, command.holder, RegistryCached(command.holder, command.now_us))
