@@ -87,7 +87,7 @@ def emitted() -> set[type[Event]]:
     unreachable = simulate_run(
         RunSpec(42, "jade", "full", "door-relay", 8, 0), Constants(outages=Outages(0.02, 8.0, 0.03, 6.0))
     ).events
-    churn = Constants(membership=Membership(0.004, 90.0, heartbeat_us=5_000_000))
+    churn = Constants(membership=Membership(0.006, 25.0, announced_share=0.3, heartbeat_us=5_000_000))
     leaving = simulate_run(RunSpec(8, "fsar", "full", "door-relay", 16, 0), churn).events
     planned = [Experiment(("fsar",), SCENARIOS, 12, 8).plan()]
     runs = (simulate_run(spec, Constants()).events for spec in specs)
