@@ -212,8 +212,12 @@ class Federation(RuleBasedStateMachine):
         assert not [one for held in state.authority.claims.values() for one in held if one.claimant == robot]
         assert all(record.availability == "offline" for record in surface(state.registry, robot))
         for task in state.task.values():
-            if task.action_id and acting(task, task.step) == robot:  # its failure is being recovered, or that is over
-                assert task.action_id in state.recovery or state.request.open[task.action_id].is_over
+            if not task.action_id or acting(task, task.step) != robot:
+                continue
+            request, action = state.request.open[task.action_id], state.execution.actions.get(task.action_id)
+            is_taken_over = request.is_received and (action is None or action.robot != robot)
+            is_settled = request.is_over or (action is not None and action.stage == "withdrawn")
+            assert is_taken_over or is_settled or task.action_id in state.recovery, task
 
     @precondition(lambda self: self.bench is not None and self.bench.state.fleet.departed)
     @rule(data=st.data(), is_itself=st.sampled_from([True, True, True, False]))
@@ -295,6 +299,9 @@ class Federation(RuleBasedStateMachine):
             return
         for _ in range(FINAL_STEPS):  # what is under way comes to its end
             if not self.bench.proceed():
+                waiting = [task for task in self.bench.state.task.values() if task.step < len(task.steps)]
+                orphans = [task for task in waiting if acting(task, task.step) in self.bench.state.fleet.departed]
+                assert orphans == [], "departures do not create orphaned tasks"
                 break
             COUNTS["steps"] += 1
         COUNTS["histories"] += 1
