@@ -158,6 +158,8 @@ def test_who_was_asked_to_help_a_robot_that_has_left_meanwhile_helps_nobody() ->
         (SubmitTask(robot=B, task_id="u", steps=("B navigate.indoor",), budget_us=S), "robot/B1 has departed"),
         (leave(Robot("robot/Z9")), "unknown robot robot/Z9"),
         (LeaveFleet(robot=C, issued_by=local_supervisor(D)), "supervisor/D1 does not supervise robot/C1"),
+        (join(B, issued_by=local_supervisor(D)), "supervisor/D1 does not supervise robot/B1"),
+        (join(B, issued_by="supervisor/Z9"), "unknown supervisor supervisor/Z9"),
         (join(B, role="X"), "role X, expected B: robot/B1 has departed, and its name stays its own"),
         (join(B, public_key="k"), "public_key k, expected None"),
         (join(A), "robot/A1 is a member already"),

@@ -146,14 +146,15 @@ def join_fleet(state: State, command: JoinFleet) -> tuple[Event, ...]:
 
 def _return(state: State, command: JoinFleet) -> tuple[Event, ...]:
     """Make the robot a member again, with its trust, if it is the one that departed."""
-    known, robot, wrong = state.fleet.robots[command.robot], command.robot, None
+    known, robot, by = state.fleet.robots[command.robot], command.robot, command.issued_by
+    wrong = None if by is None else not_in_charge(state.fleet, by, robot)
     for name in ("role", "team", "supervisor", "domain", "place", "public_key"):
         if wrong is None and getattr(command, name) != getattr(known, name):
             wrong = (
                 f"{name} {getattr(command, name)}, expected {getattr(known, name)}: {robot} has departed, and its name "
                 "stays its own"
             )
-    return carried_out(command, robot, wrong, command.issued_by, returned(state, robot, command.issued_by))
+    return carried_out(command, robot, wrong, by, returned(state, robot, by or robot))
 
 
 def returned(state: State, robot: Robot, decided_by: Principal | None) -> RobotReturned:
