@@ -185,9 +185,10 @@ class Experiment(msgspec.Struct, frozen=True):
             )
         if self.fleet_size != team_size(None):
             raise InvalidExperiment(f"{about}: found fleet size {self.fleet_size}, expected {team_size(None)}")
-        for name in ("outages", "membership"):
-            if getattr(self.constants, name) is not None:
-                raise InvalidExperiment(f"{about}: found {name}, expected none: the world of a workflow is its script")
+        if self.constants.outages is not None:
+            raise InvalidExperiment(f"{about}: found outages, expected none: the world of a workflow is its script")
+        if self.constants.membership is not None:
+            raise InvalidExperiment(f"{about}: found membership, expected none: the world of a workflow is its script")
 
     def _put_in_order(self) -> None:
         """Sort the names, so that the same experiment asked for in another order is the same plan."""

@@ -84,7 +84,8 @@ def test_a_link_that_is_down_for_long_makes_a_robot_wrongly_departed_and_for_a_m
     unlinked = Constants(
         membership=replace(MEMBERSHIP, away_rate_per_s=0.0), outages=Outages(link_rate_per_s=0.01, link_mean_s=30.0)
     )
-    counts = dict.fromkeys((RobotSuspected, RobotCleared, RobotDeparted, RobotReturned), 0)
+    kinds: list[type[Event]] = [RobotSuspected, RobotCleared, RobotDeparted, RobotReturned]
+    counts = dict.fromkeys(kinds, 0)
     for record in runs(unlinked):
         down: dict[str, int] = {}
         for time_us, event in of(record, LinkWentDown, LinkCameUp, *counts):
