@@ -1,6 +1,6 @@
 """Random commands over random fleets: no invariant breaks, nothing raises, and what is rebuilt is what lives.
 
-`python -m tests.runtime.test_federation_model 100000` plays at least so many steps and prints its counts.
+`python -m tests.runtime.test_federation_model 200000` plays at least so many steps and prints its counts.
 """
 
 import sys
@@ -355,4 +355,4 @@ def soak(steps: int) -> None:
 
 
 if __name__ == "__main__":
-    soak(int(sys.argv[1]) if len(sys.argv) > 1 else 100_000)
+    soak(int(sys.argv[1]) if len(sys.argv) > 1 else 200_000)
