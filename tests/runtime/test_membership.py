@@ -110,6 +110,15 @@ def test_a_task_that_waits_for_the_robot_to_act_is_given_up_at_once_and_others_f
     assert [event.cause for event in waiting.of(RequestClosed)] == [DEPARTED]
 
 
+def test_a_task_that_comes_to_a_step_of_a_robot_that_has_left_is_given_up_then() -> None:
+    steps = ("A navigate.indoor", "C inspect.visual")
+    play = Play().does(SubmitTask(robot=A, task_id="u", steps=steps, budget_us=600 * S), leave(C))
+    assert not play.of(TaskAbandoned)
+    play.does(ReportStart(robot=A, action_id="u/1.1"), done(A, "u/1.1")).wait(1)
+    assert [event.task_id for event in play.of(TaskAbandoned)] == ["u"]
+    assert replay_run(play.record) is None
+
+
 def test_a_robot_that_helps_and_leaves_is_replaced_as_one_that_could_not() -> None:
     play = at_the_peers()
     helper = play.run.kernel.state.recovery[OPENING].awaited
