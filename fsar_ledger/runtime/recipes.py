@@ -34,8 +34,12 @@ NOTHING = "nothing"
 """What an architecture in full lacks."""
 ABSENT = "absent"
 """What a constant of a group is that the base does not have."""
-LATER = ("world", "outages")
-FROM_THE_START = ("world.floor_teams", "outages.answer_s")
+LATER = ("world", "outages", "membership")
+FROM_THE_START = (
+    "world.floor_teams",
+    "outages.answer_s",
+    *(f"membership.{name}_us" for name in ("heartbeat", "suspect", "depart")),
+)
 """Of the constants of the world, those that the fleet is founded with."""
 
 

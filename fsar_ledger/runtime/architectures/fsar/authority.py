@@ -53,7 +53,11 @@ def revoke(state: State, command: Revoke) -> tuple[Event, ...]:
         if action.robot != command.robot and all(
             claim.claimant != command.robot or claim.dimension != "override" for claim in claims
         ):
-            revoked.append(AuthorityClaimed(action.subject, "override", command.robot, "revocation"))
+            revoked.append(
+                AuthorityClaimed(
+                    action.subject, "override", command.robot, "revocation", state.fleet.fences.get(command.robot)
+                )
+            )
     return tuple(revoked)
 
 
@@ -85,8 +89,8 @@ def answer_outsider(state: State, _command: AnswerOutsider, request: Request) ->
         ),
         RequestAdmitted(subject=request.request_subject, principals=executing, outcome="allow"),
         RequestAccepted(request.request_subject, executing),
-        AuthorityClaimed(subject, "execution", peer, "acceptance"),
-        AuthorityClaimed(subject, "audit", robot, "no trust scope"),
+        AuthorityClaimed(subject, "execution", peer, "acceptance", state.fleet.fences.get(peer)),
+        AuthorityClaimed(subject, "audit", robot, "no trust scope", state.fleet.fences.get(robot)),
         AuthorityClaimed(subject, "audit", FLEET_SUPERVISOR, "no trust scope"),
         ExecutionQueued(
             subject=subject,
@@ -140,7 +144,8 @@ def _on_finish(state: State, event: ExecutionFinished, _now_us: int) -> tuple[Sc
 
 @HANDLERS.react(ContextChanged)
 def _on_context(state: State, event: ContextChanged, _now_us: int) -> tuple[Scheduled, ...]:
-    return (Scheduled(Revoke(event.robot)),) if _claimed(state, event.robot) else ()
+    is_claimed = event.robot not in state.fleet.departed and _claimed(state, event.robot)
+    return (Scheduled(Revoke(event.robot)),) if is_claimed else ()
 
 
 @HANDLERS.react(OutsiderRequestInjected)
