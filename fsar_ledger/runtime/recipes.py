@@ -35,11 +35,8 @@ NOTHING = "nothing"
 ABSENT = "absent"
 """What a constant of a group is that the base does not have."""
 LATER = ("world", "outages", "membership")
-FROM_THE_START = (
-    "world.floor_teams",
-    "outages.answer_s",
-    *(f"membership.{name}_us" for name in ("heartbeat", "suspect", "depart")),
-)
+_WATCH = ("membership.heartbeat_us", "membership.suspect_us", "membership.depart_us")
+FROM_THE_START = ("world.floor_teams", "outages.answer_s", *_WATCH)
 """Of the constants of the world, those that the fleet is founded with."""
 
 

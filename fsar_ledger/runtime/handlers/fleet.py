@@ -11,6 +11,7 @@ from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import (
     COORDINATION,
     DEPARTED,
+    FLEET_SUPERVISOR,
     RECOVERY,
     Principal,
     Robot,
@@ -129,8 +130,8 @@ def join_fleet(state: State, command: JoinFleet) -> tuple[Event, ...]:
         wrong = f"{robot!r} is no robot's name, expected one such as robot/A1"
     elif not command.role or command.team < 1:
         wrong = f"role {command.role!r} of team {command.team}, expected a role and a team from 1"
-    elif command.supervisor not in (None, local_supervisor(robot)):
-        wrong = f"supervisor {command.supervisor}, expected {local_supervisor(robot)} or none"
+    elif not _may_supervise(command):
+        wrong = f"supervisor {command.supervisor}, expected {local_supervisor(robot)}, none, or who issues it"
     elif not all(path_of(command.domain)):
         wrong = f"domain {command.domain!r} is no path, expected one such as hall/cell, or nothing for the fleet's own"
     elif command.public_key == "":
@@ -286,6 +287,15 @@ def closed_as_departed(state: State, request: Request) -> RequestClosed:
 def _waits_for(task: Task, robot: Robot) -> bool:
     """Tell whether the robot acts in the step that the task is at."""
     return task.step < len(task.steps) and acting(task, task.step) == robot
+
+
+def _may_supervise(command: JoinFleet) -> bool:
+    """Return whether the robot can be under this supervisor: its own, or a person who takes it, with others perhaps."""
+    named = command.supervisor
+    if named in (None, local_supervisor(command.robot)):
+        return True
+    is_person = f"{named}".startswith("supervisor/") and named != FLEET_SUPERVISOR and f"{named}" != "supervisor/"
+    return is_person and command.issued_by in (named, FLEET_SUPERVISOR)
 
 
 def _is_robots_name(name: str) -> bool:

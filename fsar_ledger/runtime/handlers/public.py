@@ -59,7 +59,7 @@ def rejected(command: Command, subject: str, reason: str, issued_by: Principal |
 
 
 # In whose name a command is: of the first of these fields that it has.
-_SPEAKERS = ("supervisor", "issued_by", "requester", "robot", "executor", "claimant", "holder", "cache_holder")
+_SPEAKERS = ("issued_by", "robot", "supervisor", "requester", "executor", "claimant", "holder", "cache_holder")
 SERVICE = "service/"
 """How the names of principals begin that bring work to robots, and say nothing for them."""
 
