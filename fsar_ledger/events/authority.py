@@ -7,7 +7,7 @@ from .envelope import ActionId, Dimension, Event, OverrideLevel, Principal, Robo
 RevocationReason = Literal["trust downgrade", "context expired", "human override"]
 
 
-class AuthorityClaimed(Event, frozen=True):
+class AuthorityClaimed(Event, frozen=True, kw_only=True):
     """`claimant` holds this dimension of authority over the action from now on. Paper: eq:auth.
 
     `fence` is the number that a robot which has returned to the fleet was given; None: it has never departed.

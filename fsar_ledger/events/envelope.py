@@ -127,6 +127,11 @@ def local_supervisor(robot: Robot) -> Supervisor:
     return Supervisor("supervisor/" + robot[6:])
 
 
+def supervisor_named(name: str) -> Supervisor:
+    """Return this name as that of a supervisor, unchecked: a command may name anything in its place."""
+    return Supervisor(name)
+
+
 def robot_named(role: str, team: int) -> Robot:
     """Return the principal of a simulated robot: `robot/A1` is the robot of role A in team 1."""
     return Robot(f"robot/{role}{team}")

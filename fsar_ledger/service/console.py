@@ -8,7 +8,7 @@ from pathlib import Path
 
 import msgspec
 
-from fsar_ledger.events.envelope import FLEET_SUPERVISOR, Robot
+from fsar_ledger.events.envelope import FLEET_SUPERVISOR, Robot, recorded_robot
 from fsar_ledger.events.supervision import SupervisorCalled
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.policy import rules_in_force
@@ -142,7 +142,7 @@ def _known(state: State, call: SupervisorCalled) -> Iterator[str]:
     if task is not None:
         yield f"Task {task.task_id} of {task.robot}, step {task.step + 1} of {len(task.steps)}."
     if executor is not None and requester is not None and requester in state.fleet.robots:
-        trusted = scope_of(state.trust, executor, Robot(requester), None, None)
+        trusted = scope_of(state.trust, executor, recorded_robot(requester), None, None)
         yield f"{executor} trusts {requester}: {trusted}."
     if (recovery := state.recovery.get(about)) is not None:
         yield f"Cause: {recovery.cause or 'not known'}. Attempts of its own: {recovery.number}."

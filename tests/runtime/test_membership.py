@@ -20,7 +20,10 @@ from fsar_ledger.events.registry import RegistryQueried
 from fsar_ledger.events.request import RequestClosed
 from fsar_ledger.events.supervision import SupervisorCalled
 from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
+from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import surface
+from fsar_ledger.runtime.architectures.fsar import FSAR
+from fsar_ledger.runtime.architectures.fsar.authority import Revoke
 from fsar_ledger.runtime.architectures.fsar.reports import (
     JudgeAssistance,
     JudgeRequest,
@@ -117,6 +120,18 @@ def test_a_task_that_comes_to_a_step_of_a_robot_that_has_left_is_given_up_then()
     play.does(ReportStart(robot=A, action_id="u/1.1"), done(A, "u/1.1")).wait(1)
     assert [event.task_id for event in play.of(TaskAbandoned)] == ["u"]
     assert replay_run(play.record) is None
+
+
+def test_what_was_due_of_a_robot_when_it_left_does_not_act_for_it_afterwards() -> None:
+    """Each command was scheduled while the robot was there, and is decided when it has left."""
+    state = opening().does(leave(A)).run.kernel.state
+    assert holders_of(state, OPENING) == {B}
+    assert FSAR.decides[Revoke](state, Revoke(A)) == ()
+    assert FSAR.decides[Revoke](opening().run.kernel.state, Revoke(A)) != ()
+
+
+def holders_of(state: State, action_id: str) -> set[str]:
+    return {claim.claimant for claim in state.authority.claims.get(action_id, ())}
 
 
 def test_a_robot_that_helps_and_leaves_is_replaced_as_one_that_could_not() -> None:

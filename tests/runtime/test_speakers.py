@@ -90,3 +90,10 @@ def test_a_person_takes_several_robots_by_their_own_word() -> None:
 def test_anybody_may_look_into_the_registry() -> None:
     for by in (A, "supervisor/A1", "service/hub"):
         assert said(Play(), "ConsultRegistry", by, query={"requester": A, "capability": "door.open.secure"}) is None
+
+
+def test_a_stranger_joins_nobody() -> None:
+    play, stranger = Play(), "supervisor/Z9"
+    refused = said(play, "JoinFleet", stranger, **JOIN, issued_by=stranger)
+    assert refused is not None
+    assert refused.startswith("unknown supervisor supervisor/Z9")

@@ -26,6 +26,7 @@ from fsar_ledger.events.request import RequestClosed
 from fsar_ledger.events.task import TaskAbandoned
 from fsar_ledger.events.trust import InitialTrustSet
 from fsar_ledger.projections.execution import HELPING, Action, Execution, left_us
+from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import Contract, Registry, path_of, possesses, surface
 from fsar_ledger.projections.request import Request
@@ -38,7 +39,7 @@ from .authority import released
 from .candidates import contradiction, version_of
 from .commands import Handlers, acting
 from .execution import holds_robot
-from .public import PublicCommand, absent_robot, carried_out, made_from, not_in_charge
+from .public import PublicCommand, absent_robot, carried_out, made_from, not_in_charge, unknown_supervisor
 from .task import has_not_begun
 
 ExecutionState = Literal["off", "idle", "executing", "degraded", "failed"]
@@ -132,6 +133,8 @@ def join_fleet(state: State, command: JoinFleet) -> tuple[Event, ...]:
         wrong = f"role {command.role!r} of team {command.team}, expected a role and a team from 1"
     elif not _may_supervise(command):
         wrong = f"supervisor {command.supervisor}, expected {local_supervisor(robot)}, none, or who issues it"
+    elif (stranger := _stranger(state.fleet, command)) is not None:
+        wrong = stranger
     elif not all(path_of(command.domain)):
         wrong = f"domain {command.domain!r} is no path, expected one such as hall/cell, or nothing for the fleet's own"
     elif command.public_key == "":
@@ -296,6 +299,11 @@ def _may_supervise(command: JoinFleet) -> bool:
         return True
     is_person = f"{named}".startswith("supervisor/") and named != FLEET_SUPERVISOR and f"{named}" != "supervisor/"
     return is_person and command.issued_by in (named, FLEET_SUPERVISOR)
+
+
+def _stranger(fleet: Fleet, command: JoinFleet) -> str | None:
+    """Return why who issues this is nobody whom the fleet knows, or None; the robot's supervisor becomes known."""
+    return None if command.issued_by in (None, command.supervisor) else unknown_supervisor(fleet, command.issued_by)
 
 
 def _is_robots_name(name: str) -> bool:

@@ -8,7 +8,7 @@ from typing import Protocol, TypeVar
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.command import CommandRejected
-from fsar_ledger.events.envelope import FLEET_SUPERVISOR, Principal, Robot, Supervisor
+from fsar_ledger.events.envelope import FLEET_SUPERVISOR, Principal, Robot, Supervisor, supervisor_named
 from fsar_ledger.projections.context import Over
 from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
@@ -67,7 +67,7 @@ SERVICE = "service/"
 def speaker(command: PublicCommand) -> Principal | None:
     """Return in whose name the command is; None: in nobody's, such as a look into the registry."""
     names = (getattr(command, name, None) for name in _SPEAKERS)
-    return next((Supervisor(name) for name in names if name is not None), None)
+    return next((supervisor_named(name) for name in names if name is not None), None)
 
 
 def not_its_word(fleet: Fleet, given_by: str, command: PublicCommand) -> str | None:
@@ -81,7 +81,7 @@ def not_its_word(fleet: Fleet, given_by: str, command: PublicCommand) -> str | N
     if isinstance(command, Work) and command.robot in fleet.robots:
         if given_by.startswith(SERVICE):
             return None
-        supervisor = Supervisor(given_by)
+        supervisor = supervisor_named(given_by)
         if unknown_supervisor(fleet, supervisor) is None and not_in_charge(fleet, supervisor, command.robot) is None:
             return None
     return f"{given_by} speaks for {named or 'nobody'}, expected its own word"

@@ -297,10 +297,10 @@ def upgrade_capability(state: State, command: UpgradeCapability) -> tuple[Event,
 def finish_roll_out(state: State, command: FinishRollOut) -> tuple[Event, ...]:
     """Advertise the new version on the terms of the old one, unless that was withdrawn or replaced.
 
-    The availability that the robot has reported meanwhile is kept.
+    The availability that the robot has reported meanwhile is kept. One that has left does not finish it.
     """
     record = _rolling_out(state.registry, command.robot, command.capability)
-    if record is None:
+    if record is None or command.robot in state.fleet.departed:
         return ()
     module = state.registry.modules[command.robot][command.capability]
     availability = command.availability if record.availability == "restricted" else record.availability

@@ -6,7 +6,7 @@ from fsar_ledger import designs
 from fsar_ledger.designs import Fleet, TrustByRecord, registered
 from fsar_ledger.designs.constants import WorldConstants
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import Robot, Supervisor, local_supervisor, robot_named
+from fsar_ledger.events.envelope import Robot, Supervisor, local_supervisor, robot_named, supervisor_named
 from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.events.policy import RolePolicyRuleSet
 from fsar_ledger.events.registry import CapabilityAdvertised, CapabilityInstalled
@@ -28,7 +28,7 @@ class Member(NamedTuple):
         if not self.design.has_supervisor:
             return None
         named = self.design.supervisor
-        return local_supervisor(self.name) if named is None else Supervisor(f"supervisor/{named}")
+        return local_supervisor(self.name) if named is None else supervisor_named(f"supervisor/{named}")
 
 
 def team_size(fleet: Fleet | None) -> int:

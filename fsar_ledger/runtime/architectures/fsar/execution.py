@@ -117,8 +117,12 @@ def take_turn(state: State, _command: TakeTurn, action: Action) -> tuple[Event, 
     parties, fence = _named(state, action), state.fleet.fences.get(robot)
     return (
         RequestAccepted(RequestSubject(action.task_id, action.action_id, action.action_id), parties.decided(robot)),
-        AuthorityClaimed(action.subject, "execution", robot, "acceptance", fence),
-        AuthorityClaimed(action.subject, "override", robot, "acceptance", fence),
+        AuthorityClaimed(
+            subject=action.subject, dimension="execution", claimant=robot, reason="acceptance", fence=fence
+        ),
+        AuthorityClaimed(
+            subject=action.subject, dimension="override", claimant=robot, reason="acceptance", fence=fence
+        ),
         approach,
     )
 

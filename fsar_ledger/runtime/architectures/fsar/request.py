@@ -112,6 +112,8 @@ def relay_request(state: State, _command: RelayRequest, request: Request) -> tup
         return ()
     if request.silent:  # too late, as of an executor
         return report_back(state, ReportBack(request.silent[0]))
+    if request.is_over:  # a robot of it has left the fleet meanwhile
+        return ()
     relay, about = request.relay, (request.capability, request.task_id)
     parties = recorded_by(state, relay, requested_by=request.requester, executed_by=request.candidates[0])
     subject, principals = request.request_subject, parties.decided(request.requester, relay)
