@@ -109,7 +109,8 @@ soak: $(SOAKS)
 soak-tests: $(READY_TEST)
 	$(BIN)/pytest -n $(JOBS) -m soak
 
-# Take 100,000 random steps in random fleets: the ten invariants hold, and the live state equals the rebuilt one.
+# Take 200,000 random steps in random fleets whose robots leave and return: the ten invariants hold, nothing waits for who
+# has left, and the live state equals the rebuilt one.
 soak-federation: $(READY_TEST)
 	$(BIN)/python -m tests.runtime.test_federation_model $(STEPS)
 

@@ -154,7 +154,7 @@ def _told(events: "Sequence[Event]") -> Iterator[SafeText]:
 def _names(events: "Sequence[Event]") -> list[Mapping[str, object]]:
     from fsar_ledger.events.envelope import flat
 
-    kept = ("action_id", "task_id", "robot", "helper", "supervisor", "requested_by", "executed_by", "reason")
+    kept = ("action_id", "task_id", "robot", "helper", "supervisor", "requested_by", "executed_by", "reason", "fence")
     rows = [(type(event).__name__, flat(event)) for event in events]
     return [
         {"type": kind, **{name: row[name] for name in kept if row.get(name) is not None}}

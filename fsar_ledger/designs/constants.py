@@ -144,6 +144,23 @@ class Outages(msgspec.Struct, frozen=True):
     answer_s: Chosen[float] = 5.0
 
 
+class Membership(msgspec.Struct, frozen=True):
+    """Robots that leave the fleet and come back, and how the fleet finds out. Without this group no robot does.
+
+    In the world a robot is called away, or goes, at a rate per second in which it is there; some say that they leave.
+    The paper has no such run: no published number rests on it.
+    """
+
+    away_rate_per_s: Chosen[float] = 0.0  # robots that leave, exponential time until then
+    away_mean_s: Chosen[float] = 120.0  # how long they are away, exponential
+    announced_share: Chosen[float] = 0.5  # of them are called away and can say so, the others just go
+    notice_s: Chosen[float] = 2.0  # from the call until the robot is off: four times the longest latency
+    # How FSAR finds out. A robot is watched from its first heartbeat on.
+    heartbeat_us: Chosen[int] = 0  # a robot tells the registry this often that it is there; 0: never, nobody is watched
+    suspect_us: Chosen[int] = 15_000_000  # it is suspected this long after its last heartbeat
+    depart_us: Chosen[int] = 30_000_000  # and has departed this long after it was suspected
+
+
 class Load(msgspec.Struct, frozen=True):
     """The amount of work. Without this group every team has the tasks of its scenario, once."""
 
@@ -171,6 +188,7 @@ class Constants(msgspec.Struct, frozen=True):
     roboos: Roboos | None = None
     scenario: Scenario | None = None
     fleet: Fleet | None = None
+    membership: Membership | None = None
 
 
 DESIGNS = ("scenario", "fleet")
@@ -179,7 +197,14 @@ DESIGNS = ("scenario", "fleet")
 
 def with_all_groups(constants: Constants) -> Constants:
     """Return the constants with every group that may be absent, at its defaults where it is."""
-    defaults = {"outages": Outages(), "load": Load(), "jade": Jade(), "alliance": Alliance(), "roboos": Roboos()}
+    defaults = {
+        "outages": Outages(),
+        "load": Load(),
+        "jade": Jade(),
+        "alliance": Alliance(),
+        "roboos": Roboos(),
+        "membership": Membership(),
+    }
     return msgspec.structs.replace(
         constants, **{name: getattr(constants, name) or group for name, group in defaults.items()}
     )

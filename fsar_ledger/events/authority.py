@@ -7,13 +7,17 @@ from .envelope import ActionId, Dimension, Event, OverrideLevel, Principal, Robo
 RevocationReason = Literal["trust downgrade", "context expired", "human override"]
 
 
-class AuthorityClaimed(Event, frozen=True):
-    """`claimant` holds this dimension of authority over the action from now on. Paper: eq:auth."""
+class AuthorityClaimed(Event, frozen=True, kw_only=True):
+    """`claimant` holds this dimension of authority over the action from now on. Paper: eq:auth.
+
+    `fence` is the number that a robot which has returned to the fleet was given; None: it has never departed.
+    """
 
     subject: Subject[TaskId | None, ActionId]
     dimension: Dimension
     claimant: Principal
     reason: str
+    fence: int | None = None
 
 
 class AuthorityReleased(Event, frozen=True):

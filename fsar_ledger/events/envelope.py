@@ -178,4 +178,6 @@ Visibility = Literal["global", "domain", "trust-gated"]
 Result = Literal["success", "partial", "failure"]
 FailureCause: TypeAlias = str  # one of FAILURE_CAUSES where our handlers decide, open text in other records
 FAILURE_CAUSES = ("obstruction", "degradation")
+DEPARTED = "departed"
+"""The cause of what ends because its robot has left the fleet. Paper: sec:discussion:heterogeneity."""
 Operation = Literal["motion", "sensing"]

@@ -2,7 +2,9 @@
 
 from typing import Literal
 
-from .envelope import Event, Robot, Supervisor
+from .envelope import Event, Principal, Robot, Supervisor
+
+Departure = Literal["announced", "silent"]
 
 
 class RunStarted(Event, frozen=True, kw_only=True, tag="RunStarted.v2"):
@@ -45,7 +47,8 @@ class RobotJoined(Event, frozen=True, kw_only=True):
 
     `domain` is the path of the registry in which the robot advertises (`hall/cell`); empty is the fleet's own. `place`
     is where it works (`floor/2`): only robots at one place meet or get in each other's way; None: the fleet has one
-    place. `team` is None where its record has no teams.
+    place. `team` is None where its record has no teams. `public_key` is the key by which who knows the robot
+    recognises it; the fleet compares it and checks no signature.
     """
 
     robot: Robot
@@ -54,6 +57,52 @@ class RobotJoined(Event, frozen=True, kw_only=True):
     supervisor: Supervisor | None
     domain: str = ""
     place: str | None = None
+    public_key: str | None = None
+
+
+class HeartbeatReceived(Event, frozen=True):
+    """The registry has heard that the robot is there; `number` counts its heartbeats from 1."""
+
+    robot: Robot
+    number: int
+
+
+class RobotSuspected(Event, frozen=True):
+    """No heartbeat of the robot has come in for so long that it may have left. Nothing is taken from it yet."""
+
+    robot: Robot
+
+
+class RobotCleared(Event, frozen=True):
+    """A heartbeat of the suspected robot has come in: it is a member as before."""
+
+    robot: Robot
+
+
+class RobotDeparted(Event, frozen=True, kw_only=True):
+    """The robot is no member from now on: it announced that it leaves, or was silent for too long after a suspicion.
+
+    What it held and what was asked of it ends with this event, and its name stays its own. `fence` counts its
+    departures: what it says or claims under a smaller number does not count any more, rightly declared or not.
+
+    Paper: sec:discussion:heterogeneity.
+    """
+
+    robot: Robot
+    reason: Departure
+    fence: int
+    decided_by: Principal | None
+
+
+class RobotReturned(Event, frozen=True, kw_only=True):
+    """The robot is a member again, under the name, the role and the key with which it joined, and with its trust.
+
+    From now on it names `fence` in what it reports.
+    """
+
+    robot: Robot
+    fence: int
+    decided_by: Principal | None
 
 
 class ExperimentPlanned(Event, frozen=True, kw_only=True):

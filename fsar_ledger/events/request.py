@@ -4,6 +4,7 @@ from .envelope import (
     ActionId,
     Agent,
     Event,
+    FailureCause,
     OverrideLevel,
     Parties,
     PolicyOutcome,
@@ -236,8 +237,12 @@ class ContractVoided(Event, frozen=True):
 
 
 class RequestClosed(Event, frozen=True):
-    """Completion has been tracked and the request is closed. Paper: sec:architecture:fleet (coordination engine)."""
+    """Completion has been tracked and the request is closed. Paper: sec:architecture:fleet (coordination engine).
+
+    `cause` is `departed` where one of its robots has left the fleet. Paper: sec:discussion:heterogeneity.
+    """
 
     subject: RequestSubject[TaskId, ActionId, RequestId | None]
     principals: Principals
     result: Result = "success"
+    cause: FailureCause | None = None

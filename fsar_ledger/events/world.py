@@ -88,6 +88,12 @@ class RobotCameBack(Event, frozen=True):
     robot: Robot
 
 
+class RobotCalledAway(Event, frozen=True):
+    """The robot is called away, and will be off soon: until then it can say that it leaves."""
+
+    robot: Robot
+
+
 class LinkWentDown(Event, frozen=True):
     """No message reaches or leaves the robot from now on; it carries on alone. Messages sent meanwhile wait."""
 
@@ -166,6 +172,7 @@ WorldEvent = (
     | ActuatorDegraded
     | RobotWentOff
     | RobotCameBack
+    | RobotCalledAway
     | LinkWentDown
     | LinkCameUp
     | SupervisorLeft

@@ -7,15 +7,15 @@ from typing import TypeVar, assert_never
 import msgspec
 
 from fsar_ledger.designs import registered
-from fsar_ledger.designs.constants import Constants, Outages, Structure, read_constants
+from fsar_ledger.designs.constants import Constants, Membership, Outages, Structure, read_constants
 from fsar_ledger.designs.dials import Alliance, Jade, Roboos
 from fsar_ledger.events.configuration import removed_mechanisms
 from fsar_ledger.events.envelope import Robot, Supervisor
-from fsar_ledger.events.fleet import RobotJoined, RunStarted
+from fsar_ledger.events.fleet import Departure, RobotDeparted, RobotJoined, RobotReturned, RunStarted
 
-from .maps import put
+from .maps import put, without
 
-HANDLES = RunStarted | RobotJoined
+HANDLES = RunStarted | RobotJoined | RobotDeparted | RobotReturned
 NEVER_US = 2**63 - 1
 """Later than any time that can be stored."""
 
@@ -31,20 +31,24 @@ class Member(msgspec.Struct, frozen=True, gc=False):
     supervisor: Supervisor | None
     domain: str = ""
     place: str | None = None
+    public_key: str | None = None
 
 
 class Fleet(msgspec.Struct, frozen=True, dict=True):
     """The run's structure, the mechanisms that its configuration lacks, and its robots in order of joining.
 
-    `bodies` are the roles whose robots can clear an obstruction; `substitutes` maps a capability to the one that can
-    replace it. `is_live`: the robots are really there. Units: `answer_us` microseconds that a robot waits for an
-    answer.
+    `departed`: robot that has left and not returned -> how; `fences`: robot -> its departures so far. `bodies` are the
+    roles whose robots can clear an obstruction; `substitutes` maps a capability to the one that can replace it.
+    `is_live`: the robots are really there. Units: `answer_us` microseconds that a robot waits for an answer.
     """
 
     without: frozenset[str] = frozenset()
     size: int = 0
     structure: Structure = Structure()
     robots: Mapping[Robot, Member] = {}
+    departed: Mapping[Robot, Departure] = {}
+    fences: Mapping[Robot, int] = {}
+    membership: Membership = Membership()
     answer_us: int = round(Outages().answer_s * 1e6)
     is_live: bool = False
     bodies: tuple[str, ...] = ()
@@ -89,8 +93,21 @@ def evolve(state: Fleet, event: HANDLES) -> Fleet:
                 robots=state.robots,
             )
         case RobotJoined():
-            robot = Member(event.robot, event.role, event.team or 0, event.supervisor, event.domain, event.place)
+            robot = Member(
+                event.robot,
+                event.role,
+                event.team or 0,
+                event.supervisor,
+                event.domain,
+                event.place,
+                event.public_key,
+            )
             return msgspec.structs.replace(state, robots=put(state.robots, event.robot, robot))
+        case RobotDeparted():
+            departed = put(state.departed, event.robot, event.reason)
+            return msgspec.structs.replace(state, departed=departed, fences=put(state.fences, event.robot, event.fence))
+        case RobotReturned():
+            return msgspec.structs.replace(state, departed=without(state.departed, event.robot))
         case _:
             assert_never(event)
 
@@ -111,6 +128,7 @@ def _made(parameters: str | None) -> Fleet:
         jade=constants.jade or Jade(),
         alliance=constants.alliance or Alliance(),
         roboos=constants.roboos or Roboos(),
+        membership=constants.membership or Membership(),
     )
 
 

@@ -6,6 +6,7 @@ from typing import assert_never
 import msgspec
 
 from fsar_ledger.events.envelope import PolicyOutcome, Robot
+from fsar_ledger.events.fleet import HeartbeatReceived, RobotCleared, RobotDeparted, RobotSuspected
 from fsar_ledger.events.knowledge import (
     CopySynced,
     FleetRuleLearned,
@@ -28,6 +29,10 @@ HANDLES = (
     | PlannerEngaged
     | WorkQueued
     | StoreEntryWritten
+    | HeartbeatReceived
+    | RobotSuspected
+    | RobotCleared
+    | RobotDeparted
 )
 
 
@@ -35,8 +40,9 @@ class Knowledge(msgspec.Struct, frozen=True, gc=False):
     """What each decider was told.
 
     `copy` is the coordinator's last synced copy. `store`: robot -> its entry in a shared store; `beats`: robot -> until
-    when its own last writing there holds (run time), 0 if it does not expire. Units: `ready_us` run time at which the
-    coordinator's queue of work is done.
+    when its own last writing there holds (run time), 0 if it does not expire. `heard`: robot -> the number of its last
+    heartbeat at the registry; `suspected`: robots of which none came for too long. Units: `ready_us` run time at which
+    the coordinator's queue of work is done.
     """
 
     sync_phase_ppm: int = 0
@@ -49,6 +55,8 @@ class Knowledge(msgspec.Struct, frozen=True, gc=False):
     ready_us: int = 0
     store: Mapping[Robot, StoreEntryWritten] = {}
     beats: Mapping[Robot, int] = {}
+    heard: Mapping[Robot, int] = {}
+    suspected: frozenset[Robot] = frozenset()
 
 
 INITIAL = Knowledge()
@@ -81,5 +89,11 @@ def evolve(state: Knowledge, event: HANDLES) -> Knowledge:
             return replace(state, store=put(state.store, event.robot, event), beats=beats)
         case SyncPhaseSet():
             return replace(state, sync_phase_ppm=event.phase_ppm)
+        case HeartbeatReceived():
+            return replace(state, heard=put(state.heard, event.robot, event.number))
+        case RobotSuspected():
+            return replace(state, suspected=state.suspected | {event.robot})
+        case RobotCleared() | RobotDeparted():
+            return replace(state, suspected=state.suspected - {event.robot})
         case _:
             assert_never(event)

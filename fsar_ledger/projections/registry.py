@@ -6,7 +6,7 @@ from typing import assert_never
 
 import msgspec
 
-from fsar_ledger.events.envelope import Availability, OverrideLevel, Principal, Robot, TrustScope, Visibility
+from fsar_ledger.events.envelope import DEPARTED, Availability, OverrideLevel, Principal, Robot, TrustScope, Visibility
 from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.events.registry import (
     AvailabilityChanged,
@@ -114,7 +114,8 @@ class Registry(msgspec.Struct, frozen=True, gc=False):
     """What robots possess and offer.
 
     `members`: robot -> its role and domain; `modules`: robot -> what it possesses; `offers`: what robots advertise;
-    `caches`: holder -> its copy; `silent`: robot that did not answer -> capability -> its availability before that.
+    `caches`: holder -> its copy; `silent`: robot that did not answer, or has left the fleet -> capability -> its
+    availability before that.
     """
 
     members: Mapping[Robot, Member] = {}
@@ -127,6 +128,8 @@ class Registry(msgspec.Struct, frozen=True, gc=False):
 INITIAL = Registry()
 NOTHING = CapabilityOffers()
 NO_ANSWER = "no answer"  # the reason in `AvailabilityChanged` when a robot did not answer
+AWAY = (NO_ANSWER, DEPARTED)
+"""The reasons for which a robot is listed as offline until it is back, with the availability from before."""
 
 
 def domain_of(state: Registry, robot: Robot) -> str:
@@ -268,7 +271,7 @@ def _silent(
 ) -> Mapping[Robot, dict[str, Availability]]:
     """Return `Registry.silent` after the event: robots that did not answer, less what they have reported since."""
     known = state.silent.get(event.robot)
-    if event.reason == NO_ANSWER and event.availability == "offline":
+    if event.reason in AWAY and event.availability == "offline":
         before = {**(known or {}), **{record.capability: record.availability for record in changed}}
         return put(state.silent, event.robot, before)
     if known is None:

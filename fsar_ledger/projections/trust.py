@@ -7,7 +7,7 @@ import msgspec
 from msgspec.structs import replace
 
 from fsar_ledger.events.authority import AuthorityRevoked
-from fsar_ledger.events.envelope import Robot, TrustScope, recorded_robot
+from fsar_ledger.events.envelope import DEPARTED, Robot, TrustScope, recorded_robot
 from fsar_ledger.events.execution import ExecutionFailed
 from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.events.request import RequestClosed, RequestDenied, RequestIssued
@@ -210,6 +210,8 @@ def _noted(state: Trust, event: Result) -> Trust:
                 _closed(state, event.subject.action_id),
                 (asked, False) if asked is not None and event.reason in VIOLATIONS else None,
             )
+        case RequestClosed() if event.cause == DEPARTED:  # who leaves has not done it badly
+            return _changed(_closed(state, event.subject.action_id))
         case RequestClosed():
             asked = state.asked.get(event.subject.action_id)
             if asked is None:
@@ -222,7 +224,7 @@ def _noted(state: Trust, event: Result) -> Trust:
             of_requester = ((executor, requester, capability, context), True) if event.result == "success" else None
             return _changed(_closed(state, event.subject.action_id), of_executor, of_requester)
         case ExecutionFailed():
-            asked = state.asked.get(event.subject.action_id)
+            asked = None if event.cause == DEPARTED else state.asked.get(event.subject.action_id)
             return _changed(
                 state,
                 None if asked is None or asked[1] == event.robot else ((asked[1], event.robot, *asked[2:]), False),

@@ -85,6 +85,7 @@ class Experiment(msgspec.Struct, frozen=True):
             raise InvalidExperiment(f"constants: found {printable.some(wrong)}, expected 0 or more")
         self._require_workflows_as_written()
         self._require_possible_load()
+        self._require_possible_membership()
         self._put_in_order()
 
     def _known_scenarios(self) -> tuple[str, ...]:
@@ -152,6 +153,22 @@ class Experiment(msgspec.Struct, frozen=True):
                 f"workflow {self.scenarios[0]}: found another load, expected the tasks of its script alone"
             )
 
+    def _require_possible_membership(self) -> None:
+        """Check that heartbeats come in time, and that a robot is off for one reason."""
+        membership, outages = self.constants.membership, self.constants.outages
+        if membership is None:
+            return
+        period_us, least_us = membership.heartbeat_us, 1_000_000
+        if period_us and not least_us <= period_us < membership.suspect_us:
+            raise InvalidExperiment(
+                f"heartbeats: found one each {period_us} microseconds and a suspicion after {membership.suspect_us}, "
+                f"expected none (0) or one each {least_us} or more, before a suspicion"
+            )
+        if membership.away_rate_per_s and outages is not None and outages.off_rate_per_s:
+            raise InvalidExperiment(
+                "found robots that go off by outages.off_rate_per_s and by membership.away_rate_per_s, expected one"
+            )
+
     def _require_workflows_as_written(self) -> None:
         """Check that the workflows are those of the paper: FSAR's, in full, with one robot of each role."""
         workflows = [name for name in self.scenarios if name in registered.workflows()]
@@ -169,6 +186,8 @@ class Experiment(msgspec.Struct, frozen=True):
             raise InvalidExperiment(f"{about}: found fleet size {self.fleet_size}, expected {team_size(None)}")
         if self.constants.outages is not None:
             raise InvalidExperiment(f"{about}: found outages, expected none: the world of a workflow is its script")
+        if self.constants.membership is not None:
+            raise InvalidExperiment(f"{about}: found membership, expected none: the world of a workflow is its script")
 
     def _put_in_order(self) -> None:
         """Sort the names, so that the same experiment asked for in another order is the same plan."""

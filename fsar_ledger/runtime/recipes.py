@@ -34,8 +34,9 @@ NOTHING = "nothing"
 """What an architecture in full lacks."""
 ABSENT = "absent"
 """What a constant of a group is that the base does not have."""
-LATER = ("world", "outages")
-FROM_THE_START = ("world.floor_teams", "outages.answer_s")
+LATER = ("world", "outages", "membership")
+_WATCH = ("membership.heartbeat_us", "membership.suspect_us", "membership.depart_us")
+FROM_THE_START = ("world.floor_teams", "outages.answer_s", *_WATCH)
 """Of the constants of the world, those that the fleet is founded with."""
 
 

@@ -33,6 +33,7 @@ WITH told AS (
             '; ',
             CASE WHEN events.type = 'RobotJoined.v1' THEN 'team ' || team END,
             CASE WHEN events.type = 'RobotJoined.v1' THEN 'supervisor ' || supervisor END,
+            'fencing number ' || fence, 'key ' || public_key,
             'in ' || nullif(domain, ''), 'at ' || place, 'version ' || version, 'successor ' || successor,
             CASE WHEN words.detail IS DISTINCT FROM 'capability' THEN capability END, 'in context ' || context,
             CASE WHEN words.detail = 'window' THEN concat_ws(' ', scope, outcome) END,

@@ -1,7 +1,7 @@
--- Title: I1 broken: a robot acts as more than one fleet-visible principal, or as one that never joined
+-- Title: I1 broken: a robot acts as more than one fleet-visible principal, or as one that never joined or has departed
 -- Paper: sec:model:invariants (I1), eq:runtime
 -- Grain: one row per event and principal that is no joined robot, no supervisor, no federation service and no
---   coordinator; and per second joining of a robot
+--   coordinator; per second joining of a robot; and per act of a robot that had departed, or claim under its old number
 -- Key: run_id, seq, found
 -- Units: time_us microseconds of run time
 -- NULL: action_id when the event is not tied to an action
@@ -61,3 +61,11 @@ SELECT
     robot || ' joins although it is in the fleet' AS found
 FROM members
 WHERE joining > 1
+UNION ALL
+SELECT
+    run_id, seq, time_us, type, action_id,
+    robot || if(
+        is_away, ' acts after it departed',
+        ' claims authority under fencing number ' || fence || ' after ' || departures || ' departures'
+    ) AS found
+FROM acts_of_departed

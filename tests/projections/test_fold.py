@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fsar_ledger.designs.constants import Constants, Outages
+from fsar_ledger.designs.constants import Constants, Membership, Outages
 from fsar_ledger.designs.registered import PAPER_WORKFLOWS
 from fsar_ledger.events import EVENT_TYPES, Event
 from fsar_ledger.events.configuration import CONFIGURATIONS, PAPER_ARCHITECTURES
@@ -45,6 +45,7 @@ RECORDS_ONLY = {
     "RoutinePerformed",
     "RoutineReported",
     "RoutineWithheld",
+    "RobotCalledAway",
     "SegmentTransferred",
     "SnapshotPhaseSet",
     "TaskStateTransferred",
@@ -86,9 +87,13 @@ def emitted() -> set[type[Event]]:
     unreachable = simulate_run(
         RunSpec(42, "jade", "full", "door-relay", 8, 0), Constants(outages=Outages(0.02, 8.0, 0.03, 6.0))
     ).events
+    churn = Constants(membership=Membership(0.006, 25.0, announced_share=0.3, heartbeat_us=5_000_000))
+    leaving = simulate_run(RunSpec(8, "fsar", "full", "door-relay", 16, 0), churn).events
     planned = [Experiment(("fsar",), SCENARIOS, 12, 8).plan()]
     runs = (simulate_run(spec, Constants()).events for spec in specs)
-    return {type(event) for events in (*runs, commanded().events, away, unreachable, planned) for event in events}
+    return {
+        type(event) for events in (*runs, commanded().events, away, unreachable, leaving, planned) for event in events
+    }
 
 
 def test_every_event_type_is_emitted_by_some_run(emitted: set[type[Event]]) -> None:

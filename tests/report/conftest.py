@@ -71,7 +71,9 @@ def _events(
         for claimant in (A, Coordinator("coordinator")):
             yield (
                 3,
-                AuthorityClaimed(Subject("t1", action), dimension="override", claimant=claimant, reason="execution"),
+                AuthorityClaimed(
+                    subject=Subject("t1", action), dimension="override", claimant=claimant, reason="execution"
+                ),
             )
     yield 4, PolicyWindowOpened(robot=A, scope="local", window="w1", outcome="deny")
     for _ in range(bad):

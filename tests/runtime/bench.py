@@ -13,7 +13,7 @@ from typing import Any, Literal, get_args, get_origin, get_type_hints
 import msgspec
 from hypothesis import strategies as st
 
-from fsar_ledger.designs.constants import DURATIONS, Constants, Range, WorldConstants
+from fsar_ledger.designs.constants import DURATIONS, Constants, Membership, Range, WorldConstants, write_constants
 from fsar_ledger.events import CONCERNS, EVENT_TYPES, Event
 from fsar_ledger.events.envelope import Robot, Supervisor, robot_named
 from fsar_ledger.events.fleet import RobotJoined, RunStarted
@@ -28,6 +28,7 @@ from tests import past
 
 CAPABILITIES = ("navigate.indoor", "carry.package", "door.open.secure", "grasp.robust", "carry.heavy")
 HELPER = Robot("robot/F1")
+WATCHED = Membership(heartbeat_us=2_000_000, suspect_us=5_000_000, depart_us=10_000_000)
 WORLD = WorldConstants(durations=(*DURATIONS, ("fly", Range(1.0, 2.0))))  # a robot may be given what no scenario knows
 PUBLIC: tuple[type[Command], ...] = tuple(
     sorted((kind for kind in FSAR.decides if issubclass(kind, PublicCommand)), key=lambda kind: kind.__name__)
@@ -93,10 +94,11 @@ def founding(
     """A live fleet of these robots (role, team, has a supervisor, domain, capabilities), with this trust between them
     by position.
 
-    With a helper there is one robot more that can do everything for everybody and that no command names.
+    Robots are watched from their first heartbeat on. With a helper there is one robot more that can do everything for
+    everybody and that no command names.
     """
     names = [robot_named(role, team) for role, team, *_ in fleet]
-    parameters = msgspec.json.encode(Constants(), order="deterministic").decode()
+    parameters = write_constants(Constants(membership=WATCHED))
     events: list[Event] = [
         RunStarted(
             kind="live",

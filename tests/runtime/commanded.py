@@ -4,7 +4,7 @@ from fsar_ledger.events.envelope import Robot, Supervisor
 from fsar_ledger.runtime.handlers.authority import GrantAuthority, RevokeAuthority
 from fsar_ledger.runtime.handlers.candidates import Query
 from fsar_ledger.runtime.handlers.commands import Command
-from fsar_ledger.runtime.handlers.fleet import JoinFleet, RemoveCapability
+from fsar_ledger.runtime.handlers.fleet import JoinFleet, LeaveFleet, RemoveCapability
 from fsar_ledger.runtime.handlers.policy import SetPolicyRule, SetRolePolicyRule
 from fsar_ledger.runtime.handlers.recovery import SetRecoveryBudget
 from fsar_ledger.runtime.handlers.registry import (
@@ -47,6 +47,8 @@ COMMANDS: list[tuple[int, Command]] = [
     (80 * S, DeprecateCapability(C, "inspect.visual", "1.0.0")),
     (81 * S, WithdrawCapability(C, "inspect.visual", "cleaning")),
     (82 * S, RemoveCapability(C, "inspect.visual")),
+    (90 * S, LeaveFleet(D)),
+    (95 * S, JoinFleet(D, "D", 1, Supervisor("supervisor/D1"))),
 ]
 
 

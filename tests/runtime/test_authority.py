@@ -225,5 +225,5 @@ def test_a_claim_is_released_by_who_holds_it_and_execution_not_before_its_end() 
     ):
         rejected = only(CommandRejected, decided(state, command))
         assert "expected an open claim" in rejected.reason
-    apply(state, AuthorityClaimed(Subject("visit", "q1"), "audit", H_F, "watch"))
+    apply(state, AuthorityClaimed(subject=Subject("visit", "q1"), dimension="audit", claimant=H_F, reason="watch"))
     assert types(decided(state, ReleaseAuthority(H_F, "q1", "audit"))) == ["AuthorityReleased"]

@@ -109,7 +109,9 @@ def test_a_second_command_for_a_robot_not_seen_busy_disputes_the_running_action(
     state = running()
     second_delegation(state)
     claim, called = decided(state, ReceiveCommand("A1-2/2.1", B))
-    assert claim == AuthorityClaimed(Subject("A1-1", ACTION), "execution", A, "assigned again: A1-2/2.1")
+    assert claim == AuthorityClaimed(
+        subject=Subject("A1-1", ACTION), dimension="execution", claimant=A, reason="assigned again: A1-2/2.1"
+    )
     assert called.purpose == "ordering"  # type: ignore[attr-defined]
     apply(state, claim)
     assert types(decided(state, QueueOrdered("A1-2/2.1"))) == ["AuthorityReleased", "ExecutionQueued"]
@@ -133,7 +135,9 @@ def test_a_context_change_of_either_party_claims_override_against_the_coordinato
     state = running()
     for robot in (A, B):
         [claim] = decided(state, SafeStop(robot, None))
-        assert claim == AuthorityClaimed(Subject("A1-1", ACTION), "override", robot, "safe stop")
+        assert claim == AuthorityClaimed(
+            subject=Subject("A1-1", ACTION), dimension="override", claimant=robot, reason="safe stop"
+        )
     assert decided(state, SafeStop(C, None)) == ()
 
 

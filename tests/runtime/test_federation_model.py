@@ -1,6 +1,6 @@
 """Random commands over random fleets: no invariant breaks, nothing raises, and what is rebuilt is what lives.
 
-`python -m tests.runtime.test_federation_model 100000` plays at least so many steps and prints its counts.
+`python -m tests.runtime.test_federation_model 200000` plays at least so many steps and prints its counts.
 """
 
 import sys
@@ -37,8 +37,9 @@ from fsar_ledger.ledger.rows.codec import encode
 from fsar_ledger.metrics.invariants import audit_rows, chosen
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import surface
-from fsar_ledger.runtime.handlers.commands import Command
-from fsar_ledger.runtime.handlers.fleet import JoinFleet
+from fsar_ledger.runtime.architectures.fsar.reports import ReportPresence
+from fsar_ledger.runtime.handlers.commands import Command, acting
+from fsar_ledger.runtime.handlers.fleet import JoinFleet, LeaveFleet
 from fsar_ledger.runtime.handlers.request import AnswerOffer, ReportResult, RequestCapability
 from fsar_ledger.runtime.handlers.supervision import RespondToCall
 from fsar_ledger.runtime.handlers.task import SubmitTask
@@ -49,6 +50,7 @@ from tests.runtime.bench import HELPER, PUBLIC, ROBOTS, TRUST, Bench, arguments,
 
 COUNTS: Counter[str] = Counter()
 FINAL_STEPS = 5_000
+MEMBERSHIP = ("RobotDeparted", "RobotReturned", "RobotSuspected", "RobotCleared")
 
 
 class Federation(RuleBasedStateMachine):
@@ -176,8 +178,9 @@ class Federation(RuleBasedStateMachine):
             if request.offered is not None
             for is_accepted in (True, False)
         ]
+        fences = state.fleet.fences
         answers += [
-            ReportResult(action.robot, name, result)
+            ReportResult(action.robot, name, result, fence=fences.get(action.robot))
             for name, action in state.execution.actions.items()
             if action.stage == "running"
             for result in get_args(Result)
@@ -191,6 +194,53 @@ class Federation(RuleBasedStateMachine):
             if not self.live.proceed():
                 return
             COUNTS["steps"] += 1
+
+    @rule(data=st.data())
+    def leave_the_fleet(self, data: st.DataObject) -> None:
+        """A member leaves; what it had must not stay open."""
+        robot = self.robot(data)
+        self.play(LeaveFleet(robot))
+        self.check_departed(robot)
+
+    def check_departed(self, robot: Robot) -> None:
+        state = self.live.state
+        if robot not in state.fleet.departed:
+            return
+        COUNTS["departed, checked"] += 1
+        assert robot not in state.execution.current
+        assert not state.execution.queues.get(robot)
+        assert not [one for held in state.authority.claims.values() for one in held if one.claimant == robot]
+        assert all(record.availability == "offline" for record in surface(state.registry, robot))
+        for task in state.task.values():
+            if not task.action_id or acting(task, task.step) != robot:
+                continue
+            request, action = state.request.open[task.action_id], state.execution.actions.get(task.action_id)
+            is_taken_over = request.is_received and (action is None or action.robot != robot)
+            is_settled = request.is_over or (action is not None and action.stage == "withdrawn")
+            assert is_taken_over or is_settled or task.action_id in state.recovery, task
+
+    @precondition(lambda self: self.bench is not None and self.bench.state.fleet.departed)
+    @rule(data=st.data(), is_itself=st.sampled_from([True, True, True, False]))
+    def return_to_the_fleet(self, data: st.DataObject, is_itself: bool) -> None:
+        state = self.live.state
+        known = state.fleet.robots[data.draw(st.sampled_from(list(state.fleet.departed)))]
+        key = known.public_key if is_itself else "another"
+        self.play(
+            JoinFleet(known.name, known.role, known.team, known.supervisor, known.domain, known.place, public_key=key)
+        )
+        assert (known.name not in self.live.state.fleet.departed) is is_itself
+
+    @rule(data=st.data())
+    def say_that_one_is_there(self, data: st.DataObject) -> None:
+        """A heartbeat: from then on the robot is watched, and its silence is found out."""
+        robot = self.robot(data)
+        self.play(ReportPresence(robot, True, fence=self.live.state.fleet.fences.get(robot)))
+
+    @invariant()
+    def nothing_waits_for_who_has_departed(self) -> None:
+        if self.bench is not None:
+            for robot in self.bench.state.fleet.departed:
+                self.check_departed(robot)
 
     @rule(data=st.data(), scope=st.sampled_from(["local", "fleet"]), outcome=st.sampled_from(["deny", "review"]))
     def open_window(self, data: st.DataObject, scope: Any, outcome: Any) -> None:
@@ -249,6 +299,9 @@ class Federation(RuleBasedStateMachine):
             return
         for _ in range(FINAL_STEPS):  # what is under way comes to its end
             if not self.bench.proceed():
+                waiting = [task for task in self.bench.state.task.values() if task.step < len(task.steps)]
+                orphans = [task for task in waiting if acting(task, task.step) in self.bench.state.fleet.departed]
+                assert orphans == [], "departures do not create orphaned tasks"
                 break
             COUNTS["steps"] += 1
         COUNTS["histories"] += 1
@@ -295,10 +348,11 @@ def soak(steps: int) -> None:
         done = COUNTS["checks"]
         print(
             f"{done:,} steps, "
-            + ", ".join(f"{COUNTS[name]:,} {name}" for name in ("histories", "events", "commands", "rejections")),
+            + ", ".join(f"{COUNTS[name]:,} {name}" for name in ("histories", "events", "commands", "rejections"))
+            + "".join(f", {COUNTS[f'event {name}']:,} {name}" for name in MEMBERSHIP),
             flush=True,
         )
 
 
 if __name__ == "__main__":
-    soak(int(sys.argv[1]) if len(sys.argv) > 1 else 100_000)
+    soak(int(sys.argv[1]) if len(sys.argv) > 1 else 200_000)

@@ -105,7 +105,11 @@ QUEUED = past.queued(Subject("t", "t/1"), B, A, "door.open.secure")
         ((), JoinFleet(Robot("robot/E 1"), "A", 1), "no robot's name"),
         ((), JoinFleet(Robot("robot/E1"), "", 1), "expected a role"),
         ((), JoinFleet(Robot("robot/E1"), "E", 0), "team from 1"),
-        ((), JoinFleet(Robot("robot/E1"), "E", 1, Supervisor("supervisor/A1")), "expected supervisor/E1 or none"),
+        (
+            (),
+            JoinFleet(Robot("robot/E1"), "E", 1, Supervisor("supervisor/A1")),
+            "expected supervisor/E1, none, or who issues it",
+        ),
         ((), JoinFleet(Robot("robot/E1"), "E", 1, None, "hall//cell"), "no path"),
         ((), JoinFleet(Robot("robot/E1"), "E", 1, None, "/hall"), "no path"),
         ((), InstallCapability(Robot("robot/Z9"), "lift", "1.0.0"), "unknown robot"),

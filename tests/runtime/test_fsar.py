@@ -131,7 +131,9 @@ def test_acceptance_claims_execution_and_override_for_the_executor() -> None:
 def test_a_revocation_claims_override_once_until_the_boundary() -> None:
     state, action_id = executing()
     [claim] = revoke(state, Revoke(A))
-    assert claim == AuthorityClaimed(Subject("A1-1", action_id), "override", A, "revocation")
+    assert claim == AuthorityClaimed(
+        subject=Subject("A1-1", action_id), dimension="override", claimant=A, reason="revocation"
+    )
     apply(state, claim)
     assert revoke(state, Revoke(A)) == ()
     assert {

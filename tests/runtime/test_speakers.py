@@ -72,11 +72,28 @@ def test_a_robot_joins_by_its_own_word_and_nobody_joins_another_but_a_supervisor
     play = Play()
     assert said(play, "JoinFleet", A, **JOIN) is not None
     assert said(play, "JoinFleet", "robot/E1", **JOIN, supervisor="supervisor/maria") is not None
+    assert said(play, "JoinFleet", "supervisor/fleet", **JOIN, supervisor="supervisor/", issued_by="supervisor/fleet")
     assert said(play, "JoinFleet", "robot/E1", **JOIN) is None
     assert said(play, "JoinFleet", FLEET_SUPERVISOR, **JOIN | {"robot": "robot/F1"}, issued_by=FLEET_SUPERVISOR) is None
     assert said(play, "ReportContext", "robot/E1", robot="robot/E1") is None
 
 
+def test_a_person_takes_several_robots_by_their_own_word() -> None:
+    play, maria = Play(), "supervisor/maria"
+    for robot in ("robot/E1", "robot/F1"):
+        assert said(play, "JoinFleet", maria, **JOIN | {"robot": robot}, supervisor=maria, issued_by=maria) is None
+        assert said(play, "SubmitTask", maria, **WORK | {"robot": robot, "task_id": robot[6:]}) is None
+    assert said(play, "SubmitTask", maria, **WORK) is not None
+    assert replay_run(play.record) is None
+
+
 def test_anybody_may_look_into_the_registry() -> None:
     for by in (A, "supervisor/A1", "service/hub"):
         assert said(Play(), "ConsultRegistry", by, query={"requester": A, "capability": "door.open.secure"}) is None
+
+
+def test_a_stranger_joins_nobody() -> None:
+    play, stranger = Play(), "supervisor/Z9"
+    refused = said(play, "JoinFleet", stranger, **JOIN, issued_by=stranger)
+    assert refused is not None
+    assert refused.startswith("unknown supervisor supervisor/Z9")

@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 import msgspec
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import Operation, Robot, robot_named
+from fsar_ledger.events.envelope import RECOVERY, Operation, Robot, robot_named
 from fsar_ledger.projections.execution import Action
 from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
@@ -298,15 +298,25 @@ def open_failure(state: State, action_id: str) -> Failure | None:
 
 
 def body(state: State, command: ActionCommand) -> Robot | None:
-    """Return the robot that has the action."""
+    """Return the robot that has the action; nobody waits for one that has left the fleet."""
     action = state.execution.actions.get(command.action_id)
-    return None if action is None else action.robot
+    return None if action is None else present(state.fleet, action.robot)
 
 
 def requester(state: State, command: ActionCommand) -> Robot | None:
-    """Return the robot whose step it is."""
+    """Return the robot whose step it is; nobody waits for one that has left the fleet."""
     request = state.request.open.get(command.action_id)
-    return None if request is None else request.requester
+    return None if request is None else present(state.fleet, request.requester)
+
+
+def present(fleet: Fleet, robot: Robot) -> Robot | None:
+    """Return the robot, None where it has left the fleet: a service then does its part."""
+    return None if robot in fleet.departed else robot
+
+
+def speaker(fleet: Fleet, robot: Robot) -> str:
+    """Return who speaks for the robot in its recovery: itself, or the recovery service once it has left the fleet."""
+    return RECOVERY if robot in fleet.departed else robot
 
 
 def target(state: State, command: ActionCommand) -> Robot | None:
@@ -330,7 +340,7 @@ def relay(state: State, command: ActionCommand) -> Robot | None:
 def next_in_task(state: State, command: BeginStep) -> Robot | None:
     """Return the robot that acts in the next step of the task, if there is one left."""
     task = state.task.get(command.task_id)
-    return None if task is None or task.step == len(task.steps) else acting(task, task.step)
+    return None if task is None or task.step == len(task.steps) else present(state.fleet, acting(task, task.step))
 
 
 def acting(task: Task, step: int) -> Robot:

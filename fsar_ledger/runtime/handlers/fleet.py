@@ -8,18 +8,39 @@ The commands here are public; `issued_by` is who gave it, None when that is not 
 from typing import Literal
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import Robot, Supervisor, local_supervisor
-from fsar_ledger.events.fleet import RobotJoined
-from fsar_ledger.events.registry import CapabilityInstalled, CapabilityRemoved
+from fsar_ledger.events.envelope import (
+    COORDINATION,
+    DEPARTED,
+    FLEET_SUPERVISOR,
+    RECOVERY,
+    Principal,
+    Robot,
+    Supervisor,
+    local_supervisor,
+)
+from fsar_ledger.events.execution import ExecutionFailed, ExecutionWithdrawn
+from fsar_ledger.events.fleet import Departure, RobotDeparted, RobotJoined, RobotReturned
+from fsar_ledger.events.recovery import RecoveryEscalated
+from fsar_ledger.events.registry import AvailabilityChanged, CapabilityInstalled, CapabilityRemoved
+from fsar_ledger.events.request import RequestClosed
+from fsar_ledger.events.task import TaskAbandoned
 from fsar_ledger.events.trust import InitialTrustSet
-from fsar_ledger.projections.execution import Execution
+from fsar_ledger.projections.execution import HELPING, Action, Execution, left_us
+from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import Contract, Registry, path_of, possesses, surface
+from fsar_ledger.projections.request import Request
+from fsar_ledger.projections.task import Task
 from fsar_ledger.projections.world import World
 
+from .assistance import help_failed, helped
+from .attribution import parties, recorded_by
+from .authority import released
 from .candidates import contradiction, version_of
-from .commands import Handlers
-from .public import PublicCommand, carried_out, made_from, unknown_robot
+from .commands import Handlers, acting
+from .execution import holds_robot
+from .public import PublicCommand, absent_robot, carried_out, made_from, not_in_charge, unknown_supervisor
+from .task import has_not_begun
 
 ExecutionState = Literal["off", "idle", "executing", "degraded", "failed"]
 
@@ -29,7 +50,8 @@ HANDLERS = Handlers()
 class JoinFleet(PublicCommand):
     """Register a robot in the domain's registry, under its own supervisor if it has one.
 
-    Paper: sec:discussion:heterogeneity.
+    One that has departed returns by the same command, as the same robot: its name is its own. Who knows the robot
+    recognises it by `public_key`, which is compared and nothing more. Paper: sec:discussion:heterogeneity.
     """
 
     robot: Robot
@@ -38,6 +60,14 @@ class JoinFleet(PublicCommand):
     supervisor: Supervisor | None = None
     domain: str = ""
     place: str | None = None
+    issued_by: Supervisor | None = None
+    public_key: str | None = None
+
+
+class LeaveFleet(PublicCommand):
+    """Take the robot out of the fleet, by its own word (`issued_by` None) or that of who is in charge of it."""
+
+    robot: Robot
     issued_by: Supervisor | None = None
 
 
@@ -93,16 +123,22 @@ def join_fleet(state: State, command: JoinFleet) -> tuple[Event, ...]:
     sec:discussion:heterogeneity (the text gives no direction).
     """
     robot, wrong = command.robot, None
+    if robot in state.fleet.departed:
+        return _return(state, command)
     if robot in state.fleet.robots:
         wrong = f"{robot} is a member already"
     elif not _is_robots_name(robot):
         wrong = f"{robot!r} is no robot's name, expected one such as robot/A1"
     elif not command.role or command.team < 1:
         wrong = f"role {command.role!r} of team {command.team}, expected a role and a team from 1"
-    elif command.supervisor not in (None, local_supervisor(robot)):
-        wrong = f"supervisor {command.supervisor}, expected {local_supervisor(robot)} or none"
+    elif not _may_supervise(command):
+        wrong = f"supervisor {command.supervisor}, expected {local_supervisor(robot)}, none, or who issues it"
+    elif (stranger := _stranger(state.fleet, command)) is not None:
+        wrong = stranger
     elif not all(path_of(command.domain)):
         wrong = f"domain {command.domain!r} is no path, expected one such as hall/cell, or nothing for the fleet's own"
+    elif command.public_key == "":
+        wrong = "an empty public key, expected one, or none"
     elif command.place == "":
         wrong = "an empty place, expected a name such as floor/2, or none for a fleet of one place"
     trust = [
@@ -110,6 +146,164 @@ def join_fleet(state: State, command: JoinFleet) -> tuple[Event, ...]:
         for is_trusting in (True, False)
     ]
     return carried_out(command, robot, wrong, command.issued_by, made_from(RobotJoined, command), *trust)
+
+
+def _return(state: State, command: JoinFleet) -> tuple[Event, ...]:
+    """Make the robot a member again, with its trust, if it is the one that departed."""
+    known, robot, by = state.fleet.robots[command.robot], command.robot, command.issued_by
+    wrong = None if by is None else not_in_charge(state.fleet, by, robot)
+    for name in ("role", "team", "supervisor", "domain", "place", "public_key"):
+        if wrong is None and getattr(command, name) != getattr(known, name):
+            wrong = (
+                f"{name} {getattr(command, name)}, expected {getattr(known, name)}: {robot} has departed, and its name "
+                "stays its own"
+            )
+    return carried_out(command, robot, wrong, by, returned(state, robot, by or robot))
+
+
+def returned(state: State, robot: Robot, decided_by: Principal | None) -> RobotReturned:
+    """Return the fact that the robot is a member again."""
+    return RobotReturned(robot=robot, fence=state.fleet.fences.get(robot, 0), decided_by=decided_by)
+
+
+@HANDLERS.decide(LeaveFleet)
+def leave_fleet(state: State, command: LeaveFleet) -> tuple[Event, ...]:
+    """Take the robot out of the fleet, with all that ends with it."""
+    robot, by = command.robot, command.issued_by
+    wrong = absent_robot(state.fleet, robot)
+    if wrong is None and by is not None:
+        wrong = not_in_charge(state.fleet, by, robot)
+    left = () if wrong is not None else departure(state, robot, "announced", by or robot, command.now_us)
+    return carried_out(command, robot, wrong, by, *left)
+
+
+# See docs/decisions/departures-are-fenced.md.
+def departure(state: State, robot: Robot, reason: Departure, decided_by: Principal, now_us: int) -> tuple[Event, ...]:
+    """Return the departure and what ends with it: nothing stays open that only this robot could end.
+
+    The registry lists it as offline; its claims are released; requests in flight to and from it end as
+    failure(departed); what it has begun has failed, and goes through recovery without it; a task that waits for it to
+    act is given up. What others have begun for it ends as it would have. Paper: sec:discussion:heterogeneity.
+    """
+    actions = [action for action in state.execution.actions.values() if action.stage != "withdrawn"]
+    by_turn = sorted(actions, key=lambda action: holds_robot(state.execution, action))  # the next has no turn meanwhile
+    waiting = [action for action in by_turn if has_not_begun(action) and robot in (action.robot, action.on_behalf_of)]
+    begun = [action for action in by_turn if action.robot == robot and not has_not_begun(action)]
+    ended = {action.action_id for action in (*waiting, *begun)}
+    claims = [claim for held in state.authority.claims.values() for claim in held]
+    return (
+        RobotDeparted(robot=robot, reason=reason, fence=state.fleet.fences.get(robot, 0) + 1, decided_by=decided_by),
+        *_offline(state, robot),
+        *released(one for one in claims if one.claimant == robot or one.subject.action_id in ended),
+        *_help_ends(state, robot),
+        *(event for action in begun for event in _cut_off(state, action, now_us)),
+        *(ExecutionWithdrawn(action.subject, action.robot) for action in waiting),
+        *(
+            closed_as_departed(state, request)
+            for request in state.request.open.values()
+            if _is_in_flight(state, request, robot)
+        ),
+        *(
+            TaskAbandoned(task.task_id)
+            for task in state.task.values()
+            if _waits_for(task, robot) and task.action_id not in {action.action_id for action in begun}
+        ),
+    )
+
+
+def _offline(state: State, robot: Robot) -> tuple[AvailabilityChanged, ...]:
+    """List what the robot advertises as offline, if there is a registry."""
+    shown = tuple(surface(state.registry, robot))
+    if "shared-registry" in state.fleet.without or all(record.availability == "offline" for record in shown):
+        return ()
+    if robot not in state.registry.silent:
+        return (AvailabilityChanged(robot=robot, capability=None, availability="offline", reason=DEPARTED),)
+    return tuple(
+        AvailabilityChanged(robot=robot, capability=record.capability, availability="offline", reason=DEPARTED)
+        for record in shown
+        if record.availability != "offline"
+    )
+
+
+def _help_ends(state: State, robot: Robot) -> tuple[Event, ...]:
+    """End the help that the robot gives, and the help that it is given."""
+    held = state.execution.current.get(robot, "")
+    helping = [(held.removeprefix(HELPING), robot)] if held.startswith(HELPING) else []
+    helping += [
+        (action_id, recovery.tried[-1])
+        for action_id, recovery in state.recovery.items()
+        if recovery.robot == robot and recovery.tried and recovery.tried[-1] != robot
+    ]
+    found = ((who, helped(state, action_id, who)) for action_id, who in helping)
+    return tuple(help_failed(*failure, who, DEPARTED) for who, failure in found if failure is not None)
+
+
+def _cut_off(state: State, action: Action, now_us: int) -> tuple[Event, ...]:
+    """Take from the robot what it has begun, which has failed: its recovery goes on without it.
+
+    What had failed before goes on from the level that it is at; the robot's own level is over.
+    """
+    withdrawn, recovery = ExecutionWithdrawn(action.subject, action.robot), state.recovery.get(action.action_id)
+    if recovery is not None:
+        if recovery.level != "local" or "layered-recovery" in state.fleet.without:
+            return (withdrawn,)
+        escalated = RecoveryEscalated(
+            subject=action.subject,
+            principals=parties(state, action).decided(RECOVERY),
+            robot=action.robot,
+            failure=recovery.failure,
+            level="local",
+            to_level="peer",
+            failed_action=action.action_id,
+            reason=DEPARTED,
+        )
+        return escalated, withdrawn
+    failed = ExecutionFailed(
+        subject=action.subject,
+        robot=action.robot,
+        failure=action.failures + 1,
+        cause=DEPARTED,
+        remaining_us=left_us(action, now_us) if action.stage == "running" else action.remaining_us,
+        detected_us=now_us,
+    )
+    return failed, withdrawn
+
+
+def _is_in_flight(state: State, request: Request, robot: Robot) -> bool:
+    """Tell whether the request waits for an answer, a turn or a result that the robot gives or is given."""
+    if request.is_over or request.is_unanswered or request.result is not None or not request.candidates:
+        return False
+    involved = (request.requester, request.candidates[0], None if request.is_relayed else request.relay)
+    action = state.execution.actions.get(request.action_id)
+    if action is None:
+        return robot in involved
+    return has_not_begun(action) and robot in (action.robot, action.on_behalf_of)
+
+
+def closed_as_departed(state: State, request: Request) -> RequestClosed:
+    """Return the end of the request: failure(departed). Paper: sec:discussion:heterogeneity."""
+    asked = request.target or request.candidates[0] if request.candidates else request.requester
+    named = recorded_by(state, request.requester, requested_by=request.requester, executed_by=asked)
+    return RequestClosed(request.request_subject, named.decided(COORDINATION), "failure", DEPARTED)
+
+
+def _waits_for(task: Task, robot: Robot) -> bool:
+    """Tell whether the robot acts in the step that the task is at."""
+    return task.step < len(task.steps) and acting(task, task.step) == robot
+
+
+def _may_supervise(command: JoinFleet) -> bool:
+    """Return whether the robot can be under this supervisor: its own, or a person who takes it, with others perhaps."""
+    named = command.supervisor
+    if named in (None, local_supervisor(command.robot)):
+        return True
+    is_person = f"{named}".startswith("supervisor/") and named != FLEET_SUPERVISOR and f"{named}" != "supervisor/"
+    return is_person and command.issued_by in (named, FLEET_SUPERVISOR)
+
+
+def _stranger(fleet: Fleet, command: JoinFleet) -> str | None:
+    """Return why who issues this is nobody whom the fleet knows, or None; the robot's supervisor becomes known."""
+    return None if command.issued_by in (None, command.supervisor) else unknown_supervisor(fleet, command.issued_by)
 
 
 def _is_robots_name(name: str) -> bool:
@@ -122,7 +316,7 @@ def _is_robots_name(name: str) -> bool:
 def install_capability(state: State, command: InstallCapability) -> tuple[Event, ...]:
     """Install the capability, advertised to nobody. Paper: sec:model:capability."""
     robot, capability = command.robot, command.capability
-    wrong = unknown_robot(state.fleet, robot)
+    wrong = absent_robot(state.fleet, robot)
     if wrong is None and possesses(state.registry, robot, capability):
         wrong = (
             f"{robot} possesses version {state.registry.modules[robot][capability].version} already, "
@@ -142,7 +336,7 @@ def remove_capability(state: State, command: RemoveCapability) -> tuple[Event, .
     """Remove the capability and its advertisement."""
     robot, capability = command.robot, command.capability
     wrong = (
-        unknown_robot(state.fleet, robot)
+        absent_robot(state.fleet, robot)
         or not_possessed(state.registry, robot, capability)
         or in_use(state.execution, robot, capability)
     )

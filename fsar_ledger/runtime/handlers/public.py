@@ -33,6 +33,12 @@ class Work(PublicCommand, gc=False):
     robot: Robot
 
 
+class RobotReport(PublicCommand, kw_only=True, gc=False):
+    """What a robot says of itself; one that has returned to the fleet says it under its `fence`."""
+
+    fence: int | None = None
+
+
 def made_from(kind: type[_Made], *sources: object, **others: object) -> _Made:
     """Return the event that has these fields, and all others, by their names, from the last source that has them."""
     shared = {name: getattr(one, name) for one in sources for name in kind.__struct_fields__ if hasattr(one, name)}
@@ -87,6 +93,27 @@ def unknown_robot(fleet: Fleet, *robots: str | None) -> str | None:
         if robot is not None and robot not in fleet.robots:
             return f"unknown robot {robot}, expected a member of the fleet"
     return None
+
+
+def absent_robot(fleet: Fleet, *robots: str | None) -> str | None:
+    """Return why to reject a command for which these robots must be there, or None (None names nobody)."""
+    refused = unknown_robot(fleet, *robots)
+    gone = next((f"{robot} has departed ({how})" for robot, how in fleet.departed.items() if robot in robots), None)
+    return refused if refused is not None or gone is None else f"{gone}, expected that it returns by JoinFleet first"
+
+
+def outdated(fleet: Fleet, robot: Robot, fence: int | None) -> str | None:
+    """Return why to reject what the robot says under this fencing number, or None.
+
+    What it said before it was declared departed is no answer to what it was asked since it returned.
+    """
+    now = fleet.fences.get(robot)
+    if (refused := absent_robot(fleet, robot)) is not None or fence == now:
+        return refused
+    return (
+        f"{robot} says so under {'no fencing number' if fence is None else f'fencing number {fence}'}, "
+        f"expected {'none' if now is None else f'{now}, which it was given when it returned'}"
+    )
 
 
 def unknown_supervisor(fleet: Fleet, supervisor: Supervisor | None) -> str | None:

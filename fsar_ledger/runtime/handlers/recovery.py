@@ -26,7 +26,7 @@ from fsar_ledger.projections.registry import Registry
 from fsar_ledger.projections.world import World
 
 from .commands import EndAttempt, Handlers, Scheduled, holds, lasts
-from .public import PublicCommand, made_from, not_in_charge, rejected, unknown_robot
+from .public import PublicCommand, RobotReport, made_from, not_in_charge, outdated, rejected, unknown_robot
 
 LEVELS: tuple[RecoveryLevel, ...] = get_args(RecoveryLevel)
 
@@ -43,7 +43,7 @@ class SetRecoveryBudget(PublicCommand):
     n_max: int
 
 
-class ReportFailure(PublicCommand):
+class ReportFailure(RobotReport):
     """Report that what the executor executes has failed."""
 
     robot: Robot
@@ -112,7 +112,7 @@ def failed(action: Action, cause: FailureCause, now_us: int) -> ExecutionFailed:
 @HANDLERS.decide(ReportFailure)
 def report_failure(state: State, command: ReportFailure) -> tuple[Event, ...]:
     """Fail the running execution as its own robot reports; recovery begins from there. Paper: sec:model:recovery."""
-    refused = unknown_robot(state.fleet, command.robot)
+    refused = outdated(state.fleet, command.robot, command.fence)
     action = state.execution.actions.get(command.action_id)
     if refused is None and action is None:
         refused = f"unknown or finished action {command.action_id}, expected one that is executing"

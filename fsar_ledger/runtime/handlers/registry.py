@@ -45,7 +45,7 @@ from .attribution import recorded_by
 from .candidates import Answer, Query, candidates, contradiction, is_range, version_of, weaker
 from .commands import Handlers, RobotCommand, Scheduled, named
 from .fleet import in_use, not_possessed
-from .public import PublicCommand, carried_out, made_from, rejected, unknown_robot
+from .public import PublicCommand, absent_robot, carried_out, made_from, rejected
 
 HANDLERS = Handlers()
 
@@ -94,7 +94,7 @@ class CacheRegistry(PublicCommand):
 def consult_registry(state: State, command: ConsultRegistry) -> tuple[Event, ...]:
     """Answer from the registry; finding nobody is an answer too."""
     query = command.query
-    wrong = unknown_robot(state.fleet, query.requester, command.cache_holder) or _malformed(query)
+    wrong = absent_robot(state.fleet, query.requester, command.cache_holder) or _malformed(query)
     if wrong is None and command.cache_holder is not None and command.cache_holder not in state.registry.caches:
         wrong = f"{command.cache_holder} has no copy of the registry, expected one that was taken"
     if wrong is not None:
@@ -121,7 +121,7 @@ def _malformed(query: Query) -> str | None:
 @HANDLERS.decide(CacheRegistry)
 def cache_registry(state: State, command: CacheRegistry) -> tuple[Event, ...]:
     """Give the holder a copy of the registry as it is now."""
-    wrong = unknown_robot(state.fleet, command.holder)
+    wrong = absent_robot(state.fleet, command.holder)
     return carried_out(command, command.holder, wrong, command.holder, RegistryCached(command.holder, command.now_us))
 
 
@@ -199,9 +199,7 @@ class FinishRollOut(RobotCommand):
 def advertise_capability(state: State, command: AdvertiseCapability) -> tuple[Event, ...]:
     """Advertise what the robot possesses, in terms that its module keeps. Paper: eq:advertise."""
     robot, capability = command.robot, command.capability
-    wrong = (
-        unknown_robot(state.fleet, robot) or not_possessed(state.registry, robot, capability) or _unheard_of(command)
-    )
+    wrong = absent_robot(state.fleet, robot) or not_possessed(state.registry, robot, capability) or _unheard_of(command)
     if wrong is None:
         module = state.registry.modules[robot][capability]
         contract = _contract(command, module)
@@ -216,7 +214,7 @@ def advertise_capability(state: State, command: AdvertiseCapability) -> tuple[Ev
 @HANDLERS.decide(WithdrawCapability)
 def withdraw_capability(state: State, command: WithdrawCapability) -> tuple[Event, ...]:
     """Take the capability off the robot's surface."""
-    wrong = unknown_robot(state.fleet, command.robot) or _not_advertised(
+    wrong = absent_robot(state.fleet, command.robot) or _not_advertised(
         state.registry, command.robot, command.capability
     )
     made = CapabilityWithdrawn(command.robot, command.capability, command.reason)
@@ -227,7 +225,7 @@ def withdraw_capability(state: State, command: WithdrawCapability) -> tuple[Even
 def report_availability(state: State, command: ReportAvailability) -> tuple[Event, ...]:
     """Tell the registry how available the robot says it is. Paper: sec:architecture:registry."""
     robot, capability = command.robot, command.capability
-    wrong = unknown_robot(state.fleet, robot) or _unknown("availability", command.availability, get_args(Availability))
+    wrong = absent_robot(state.fleet, robot) or _unknown("availability", command.availability, get_args(Availability))
     if wrong is None and capability is not None:
         wrong = _not_advertised(state.registry, robot, capability)
     elif wrong is None and not any(surface(state.registry, robot)):
@@ -247,7 +245,7 @@ def deprecate_capability(state: State, command: DeprecateCapability) -> tuple[Ev
     Paper: sec:discussion:continuity.
     """
     robot, capability = command.robot, command.capability
-    wrong = unknown_robot(state.fleet, robot) or _not_advertised(state.registry, robot, capability)
+    wrong = absent_robot(state.fleet, robot) or _not_advertised(state.registry, robot, capability)
     if wrong is None:
         record = advertisement(state.registry, robot, capability)
         assert record is not None
@@ -270,7 +268,7 @@ def upgrade_capability(state: State, command: UpgradeCapability) -> tuple[Event,
     Paper: sec:architecture:registry.
     """
     robot, capability = command.robot, command.capability
-    wrong = unknown_robot(state.fleet, robot) or not_possessed(state.registry, robot, capability)
+    wrong = absent_robot(state.fleet, robot) or not_possessed(state.registry, robot, capability)
     if wrong is None:
         module = state.registry.modules[robot][capability]
         contract = _contract(command, module)
@@ -299,10 +297,10 @@ def upgrade_capability(state: State, command: UpgradeCapability) -> tuple[Event,
 def finish_roll_out(state: State, command: FinishRollOut) -> tuple[Event, ...]:
     """Advertise the new version on the terms of the old one, unless that was withdrawn or replaced.
 
-    The availability that the robot has reported meanwhile is kept.
+    The availability that the robot has reported meanwhile is kept. One that has left does not finish it.
     """
     record = _rolling_out(state.registry, command.robot, command.capability)
-    if record is None:
+    if record is None or command.robot in state.fleet.departed:
         return ()
     module = state.registry.modules[command.robot][command.capability]
     availability = command.availability if record.availability == "restricted" else record.availability

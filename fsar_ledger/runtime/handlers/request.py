@@ -21,12 +21,14 @@ from .commands import Handlers
 from .policy import own_policy
 from .public import (
     PublicCommand,
+    RobotReport,
+    absent_robot,
     carried_out,
     expired_context,
     made_from,
+    outdated,
     rejected,
     unknown_capability,
-    unknown_robot,
     unknown_word,
 )
 
@@ -60,7 +62,7 @@ class AnswerOffer(PublicCommand):
     override: OverrideLevel | None = None
 
 
-class ReportResult(PublicCommand):
+class ReportResult(RobotReport):
     """Report how the action ended; a partial result names the postconditions that hold."""
 
     executor: Robot
@@ -94,7 +96,7 @@ def _impossible(state: State, command: RequestCapability) -> str | None:
 
     Whether it is admissible is for the executor to say.
     """
-    unknown = unknown_robot(state.fleet, command.requester, command.executor)
+    unknown = absent_robot(state.fleet, command.requester, command.executor)
     if unknown is not None:
         return unknown
     if command.requester == command.executor:
@@ -163,6 +165,10 @@ def answer_offer(state: State, command: AnswerOffer) -> tuple[Event, ...]:
 def report_result(state: State, command: ReportResult) -> tuple[Event, ...]:
     """Finish the execution with this result. Paper: sec:model:request, phase 5."""
     action = state.execution.actions.get(command.action_id)
+    executor, fleet = command.executor, state.fleet
+    refused = outdated(fleet, executor, command.fence) if executor in fleet.robots else None
+    if refused is not None:
+        return rejected(command, command.action_id, refused, executor)
     if action is None:
         return rejected(
             command, command.action_id, _not_executed(state.request.open.get(command.action_id)), command.executor

@@ -19,7 +19,7 @@ from fsar_ledger.projections.request import Request
 from fsar_ledger.projections.supervision import Supervision, density
 from fsar_ledger.runtime.ports import DISAPPROVES, PREFERS_OTHER, Ask
 
-from .commands import Handlers, Respond, Scheduled, at_once, nobody
+from .commands import Handlers, Respond, Scheduled, at_once, nobody, present
 from .public import PublicCommand, carried_out, made_from, not_in_charge, rejected, unknown_robot
 from .task import first_in_order
 
@@ -180,7 +180,7 @@ def on_call(state: State, event: SupervisorCalled, _now_us: int) -> tuple[Schedu
     action = state.execution.actions.get(event.subject.action_id)
     request = state.request.open.get(event.subject.action_id)
     if action is not None:
-        return awaiting(state, event, action.robot)
+        return awaiting(state, event, present(state.fleet, action.robot))
     return awaiting(state, event, None if request is None else request.target or request.requester)
 
 

@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityClaimed
-from fsar_ledger.events.envelope import COORDINATOR, Principals, Robot, Subject, robot_named
+from fsar_ledger.events.envelope import COORDINATION, COORDINATOR, Principals, Robot, Subject, robot_named
 from fsar_ledger.events.execution import ExecutionWithdrawn
 from fsar_ledger.events.request import SegmentTransferred
 from fsar_ledger.events.supervision import SupervisorCalled
@@ -38,10 +38,11 @@ from .commands import (
     named,
     next_in_task,
     nobody,
+    present,
     requester,
 )
 from .execution import holds_robot
-from .public import Work, made_from, rejected, unknown_capability, unknown_robot
+from .public import Work, absent_robot, made_from, rejected, unknown_capability
 
 HANDLERS = Handlers()
 
@@ -59,7 +60,7 @@ class SubmitTask(Work):
 @HANDLERS.decide(SubmitTask)
 def submit_task(state: State, command: SubmitTask) -> tuple[Event, ...]:
     """Record the task, whose first step will begin."""
-    reason = unknown_robot(state.fleet, command.robot) or _impossible(state, command)
+    reason = absent_robot(state.fleet, command.robot) or _impossible(state, command)
     if reason is not None:
         return rejected(command, command.task_id, reason, command.robot)
     team, due_us = state.fleet.robots[command.robot].team, command.now_us + command.budget_us
@@ -109,14 +110,15 @@ def _is_named(requests: Requests, task_id: str) -> bool:
 def begin_step(state: State, command: BeginStep) -> tuple[Event, ...]:
     """Begin the task's next step, complete the task, or give it up after so many budgets.
 
-    Nothing if the task has moved on by another way.
+    It is given up at once where the robot that acts in the step has left the fleet. Nothing if the task has moved on by
+    another way.
     """
     task = state.task.get(command.task_id)
     if task is None or task.action_id != command.after:
         return ()
     if task.step == len(task.steps):
         return (TaskCompleted(task.task_id),)
-    if command.now_us > given_up_us(task, state.fleet):
+    if acting(task, task.step) in state.fleet.departed or command.now_us > given_up_us(task, state.fleet):
         return (TaskAbandoned(task.task_id),)
     actor, capability, *target = task.steps[task.step].split(" ")
     attempt = task.attempt + 1
@@ -141,15 +143,16 @@ class TransferSegment(Command):
 def acted_last(state: State, command: TransferSegment) -> Robot | None:
     """Return the robot that acted in the last step of the open task that is done."""
     task = state.task.get(command.task_id)
-    return None if task is None else acting(task, task.step - 1)
+    return None if task is None else present(state.fleet, acting(task, task.step - 1))
 
 
 @HANDLERS.decide(TransferSegment, acted_last)
 def transfer_segment(state: State, command: TransferSegment) -> tuple[Event, ...]:
-    """Give the next segment to its robot, by word of the robot that acted until then."""
+    """Give the next segment to its robot, by word of the robot that acted until then, or for it if it has left."""
 
     def by_it(before: Robot, then: Robot) -> Principals:
-        return recorded_by(state, before, requested_by=before, executed_by=then).decided(before)
+        by = COORDINATION if before in state.fleet.departed else before
+        return recorded_by(state, before, requested_by=before, executed_by=then).decided(by)
 
     return transferred(state, command, by_it)
 
@@ -216,7 +219,7 @@ def on_transfer(state: State, event: SegmentTransferred, _now_us: int) -> tuple[
 def segment_message(state: State, event: SegmentTransferred) -> Ask:
     """Ask for the latency of the message that transfers the segment, from whoever decided it."""
     decided_by, before = event.principals.decided_by, acting(state.task[event.task_id], event.step - 2)
-    sender = COORDINATOR if decided_by == COORDINATOR else before
+    sender = decided_by if decided_by in (COORDINATOR, COORDINATION) else before
     return message(sender, f"{event.task_id}/{event.step}", "segment")
 
 
@@ -276,7 +279,7 @@ def _waiting(execution: Execution, requests: Requests, task_id: str) -> list[Act
     return [
         action
         for action in execution.actions.values()
-        if action.task_id == task_id and _has_not_begun(action) and _is_step(requests, action)
+        if action.task_id == task_id and has_not_begun(action) and _is_step(requests, action)
     ]
 
 
@@ -290,7 +293,8 @@ def _claims(authority: Authority, task_id: str, actions: set[str]) -> list[Autho
     ]
 
 
-def _has_not_begun(action: Action) -> bool:
+def has_not_begun(action: Action) -> bool:
+    """Tell whether the action waits for its robot, approaches or is held."""
     return action.stage in WAITING or (action.stage == "preempted" and not action.has_begun)
 
 

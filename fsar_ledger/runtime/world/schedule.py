@@ -10,7 +10,7 @@ from itertools import combinations, groupby
 from math import inf
 
 from fsar_ledger.designs import Scenario, Task, Workflow, registered
-from fsar_ledger.designs.constants import END_US, Constants, Load, Outages, WorldConstants
+from fsar_ledger.designs.constants import END_US, Constants, Load, Membership, Outages, WorldConstants
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import PolicyOutcome, PolicyScope, Robot, Supervisor, robot_named
 from fsar_ledger.events.world import (
@@ -24,6 +24,7 @@ from fsar_ledger.events.world import (
     PeersMet,
     PolicyWindowClosed,
     PolicyWindowOpened,
+    RobotCalledAway,
     RobotCameBack,
     RobotWentOff,
     RoutineDue,
@@ -64,6 +65,8 @@ def arrivals_expected(constants: Constants, fleet_size: int) -> float:
     rates: tuple[float, ...] = (world.context_rate_per_s, world.fleet_rule_rate_per_s, world.obstruction_rate_per_s)
     if outages is not None:
         rates = (*rates, outages.off_rate_per_s, outages.link_rate_per_s, outages.loss_rate_per_s)
+    if constants.membership is not None:
+        rates = (*rates, constants.membership.away_rate_per_s)
     one_robot = sum(_expected(_mean_s(rate), world.horizon_s) for rate in rates)
     pairs = crowd = 0.0
     of_team = team_size(constants.fleet)
@@ -121,6 +124,8 @@ def _disturbed(constants: Constants, key: bytes, scenario: Scenario, fleet_size:
                 facts += _absences(constants, key, member.supervisor, supervised[member.supervisor])
             if outages is not None:
                 facts += _outages(outages, key, name, world.horizon_s)
+            if constants.membership is not None:
+                facts += _departures(constants.membership, key, name, world.horizon_s)
         for one, other in combinations(there, 2):
             meetings = Stream(key, f"encounter/{one.name}/{other.name}")
             instants = _arrivals(meetings, world.encounter_mean_s, world.horizon_s)
@@ -268,6 +273,23 @@ def _outages(outages: Outages, key: bytes, robot: Robot, until_s: float) -> list
         facts += _spells(before, lengths, _mean_s(rate_per_s), mean_s, from_us, until_s, edges)
     lost = _arrivals(Stream(key, f"loss/{robot}"), _mean_s(outages.loss_rate_per_s), until_s - outages.from_s)
     return facts + [(from_us + after_us, ActuatorDegraded(robot, "lost")) for after_us in lost]
+
+
+def _departures(membership: Membership, key: bytes, robot: Robot, until_s: float) -> list[Fact]:
+    """Return the times for which the robot is away; who is called away knows it before it goes.
+
+    The world knows no fleet and no members: the robot is off meanwhile, as in an outage that lasts longer.
+    """
+    before, lengths = Stream(key, f"away/{robot}"), Stream(key, f"away-length/{robot}")
+    calls, notice_us = Stream(key, f"away-called/{robot}"), max(1, round(membership.notice_s * 1e6))
+    edges = (RobotWentOff(robot), RobotCameBack(robot))
+    rate_per_s, mean_s = membership.away_rate_per_s, membership.away_mean_s
+    spells, facts = _spells(before, lengths, _mean_s(rate_per_s), mean_s, 0, until_s, edges), list[Fact]()
+    for off, back in zip(spells[::2], spells[1::2], strict=True):
+        if calls.uniform() < membership.announced_share:
+            facts.append((max(1, off[0] - notice_us), RobotCalledAway(robot)))
+        facts += [off, back]
+    return facts
 
 
 def _spells(

@@ -100,7 +100,7 @@ def take_up(state: State, command: TakeUp) -> tuple[Event, ...]:
     )
     return (
         decided,
-        AuthorityClaimed(request.subject, "execution", robot, REASON),
+        AuthorityClaimed(subject=request.subject, dimension="execution", claimant=robot, reason=REASON),
         ActivityBroadcast(request.subject, robot, command.now_us),
         *_taken_over(state, action_id, robot),
         _queued(state, request, robot, name),

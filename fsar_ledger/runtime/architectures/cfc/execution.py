@@ -111,7 +111,7 @@ def safe_stop(state: State, command: SafeStop) -> tuple[Event, ...]:
                 wanted.append(("audit", local_supervisor(command.robot), command.window))
         known = {(claim.dimension, claim.claimant, claim.reason) for claim in state.authority.claims[action_id]}
         claimed += [
-            AuthorityClaimed(Subject(task_id, action_id), dimension, claimant, reason)
+            AuthorityClaimed(subject=Subject(task_id, action_id), dimension=dimension, claimant=claimant, reason=reason)
             for dimension, claimant, reason in wanted
             if (dimension, claimant, reason) not in known
         ]

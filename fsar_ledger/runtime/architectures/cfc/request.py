@@ -143,8 +143,8 @@ def command_reviewed(state: State, command: CommandReviewed, request: Request) -
 
 def _commanded(request: Request, robot: Robot, seen_busy: bool) -> tuple[Event, ...]:
     claims = (
-        AuthorityClaimed(request.subject, "execution", COORDINATOR, "command"),
-        AuthorityClaimed(request.subject, "override", COORDINATOR, "command"),
+        AuthorityClaimed(subject=request.subject, dimension="execution", claimant=COORDINATOR, reason="command"),
+        AuthorityClaimed(subject=request.subject, dimension="override", claimant=COORDINATOR, reason="command"),
     )
     if not request.is_delegated:
         decided = OwnStepDecided(Subject(request.task_id, None), by_coordinator(robot), request.capability)
@@ -181,7 +181,9 @@ def receive_command(state: State, command: ReceiveCommand) -> tuple[Event, ...]:
         return (_queued(request, robot),)
     other = state.execution.actions[running].subject
     return (
-        AuthorityClaimed(other, "execution", request.requester, AGAIN + request.action_id),
+        AuthorityClaimed(
+            subject=other, dimension="execution", claimant=request.requester, reason=AGAIN + request.action_id
+        ),
         SupervisorCalled(subject=request.subject, supervisor=FLEET_SUPERVISOR, purpose="ordering"),
     )
 

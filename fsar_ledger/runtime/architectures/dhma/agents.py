@@ -193,7 +193,7 @@ def claims(
     """Return the claims by these agents that they do not hold already."""
     known = {(claim.dimension, claim.claimant, claim.reason) for claim in authority.claims.get(action.action_id, ())}
     return [
-        AuthorityClaimed(action.subject, dimension, claimant, reason)
+        AuthorityClaimed(subject=action.subject, dimension=dimension, claimant=claimant, reason=reason)
         for claimant in claimants
         if (dimension, claimant, reason) not in known
     ]

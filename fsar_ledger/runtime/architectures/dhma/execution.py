@@ -103,7 +103,9 @@ def pass_execution(state: State, command: PassExecution) -> tuple[Event, ...]:
     if action is None:
         return ()
     receiver = agent(action.robot, command.receiver)
-    return (AuthorityClaimed(action.subject, "execution", receiver, command.receiver),)
+    return (
+        AuthorityClaimed(subject=action.subject, dimension="execution", claimant=receiver, reason=command.receiver),
+    )
 
 
 @HANDLERS.decide(AcknowledgeExecution, body)

@@ -226,7 +226,7 @@ def accept_award(state: State, _command: AcceptAward, request: Request) -> tuple
 
 
 def _claim(request: Request, dimension: Any, claimant: Principal, reason: str) -> AuthorityClaimed:
-    return AuthorityClaimed(request.subject, dimension, claimant, reason)
+    return AuthorityClaimed(subject=request.subject, dimension=dimension, claimant=claimant, reason=reason)
 
 
 def _parties(state: State, request: Request, near: Robot, executor: Robot | None) -> Parties:

@@ -47,13 +47,23 @@ class RememberPeer(RobotCommand):
 @HANDLERS.decide(Revoke, named)
 def revoke(state: State, command: Revoke) -> tuple[Event, ...]:
     """Let the requester claim override over what runs for it, until the next request boundary."""
+    if command.robot in state.fleet.departed:
+        return ()
     revoked: list[Event] = []
     for action in map(state.execution.actions.__getitem__, _claimed(state, command.robot)):
         claims = state.authority.claims[action.action_id]
         if action.robot != command.robot and all(
             claim.claimant != command.robot or claim.dimension != "override" for claim in claims
         ):
-            revoked.append(AuthorityClaimed(action.subject, "override", command.robot, "revocation"))
+            revoked.append(
+                AuthorityClaimed(
+                    subject=action.subject,
+                    dimension="override",
+                    claimant=command.robot,
+                    reason="revocation",
+                    fence=state.fleet.fences.get(command.robot),
+                )
+            )
     return tuple(revoked)
 
 
@@ -69,7 +79,7 @@ def answer_outsider(state: State, _command: AnswerOutsider, request: Request) ->
     if request.target is None:
         return ()
     subject, robot, peer, capability = request.subject, request.requester, request.target, request.capability
-    if "trust-evaluation" not in state.fleet.without:
+    if "trust-evaluation" not in state.fleet.without or peer in state.fleet.departed:
         unexecuted = recorded_by(state, robot, requested_by=robot, executed_by=None)
         return (
             _refused(state, request.task_id, robot, peer, capability),
@@ -85,9 +95,21 @@ def answer_outsider(state: State, _command: AnswerOutsider, request: Request) ->
         ),
         RequestAdmitted(subject=request.request_subject, principals=executing, outcome="allow"),
         RequestAccepted(request.request_subject, executing),
-        AuthorityClaimed(subject, "execution", peer, "acceptance"),
-        AuthorityClaimed(subject, "audit", robot, "no trust scope"),
-        AuthorityClaimed(subject, "audit", FLEET_SUPERVISOR, "no trust scope"),
+        AuthorityClaimed(
+            subject=subject,
+            dimension="execution",
+            claimant=peer,
+            reason="acceptance",
+            fence=state.fleet.fences.get(peer),
+        ),
+        AuthorityClaimed(
+            subject=subject,
+            dimension="audit",
+            claimant=robot,
+            reason="no trust scope",
+            fence=state.fleet.fences.get(robot),
+        ),
+        AuthorityClaimed(subject=subject, dimension="audit", claimant=FLEET_SUPERVISOR, reason="no trust scope"),
         ExecutionQueued(
             subject=subject,
             principals=parties,

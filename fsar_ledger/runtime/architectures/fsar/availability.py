@@ -2,24 +2,39 @@
 
 A robot reports a worn actuator; who got no answer reports silence. Paper: sec:architecture:registry.
 
+Members leave by their own word, or are found to have left: where robots are watched, one that sends no heartbeat is
+suspected, and then cleared by the next one or declared departed. A robot stops by itself what it does for the fleet
+when it has had no contact for so long, as the fleet then gives it to others. Paper: sec:discussion:heterogeneity.
+
 Reading R44: the paper marks a robot offline that leaves "through failure detection". Nobody sees that a robot is off.
-The registry has it offline from the moment at which somebody waited for its answer in vain until the robot's own word
-that it is back has come in.
+Without heartbeats, the registry has it offline from the moment at which somebody waited for its answer in vain until
+the robot's own word that it is back has come in.
 """
 
 from collections.abc import Iterable
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import Availability, Robot
+from fsar_ledger.events.envelope import REGISTRY, Availability, Robot
 from fsar_ledger.events.execution import ExecutionFailed
+from fsar_ledger.events.fleet import HeartbeatReceived, RobotCleared, RobotReturned, RobotSuspected
+from fsar_ledger.events.recovery import FailureResolved
 from fsar_ledger.events.registry import AvailabilityChanged
 from fsar_ledger.events.supervision import ActuatorServiced
-from fsar_ledger.events.world import LinkCameUp, RobotCameBack
+from fsar_ledger.events.world import LinkCameUp, RobotCalledAway, RobotCameBack, SnapshotPhaseSet
 from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import NO_ANSWER, Registry, surface
 from fsar_ledger.projections.world import World
-from fsar_ledger.runtime.handlers.commands import Handlers, RobotCommand, Scheduled, message, nobody
+from fsar_ledger.runtime.handlers.commands import (
+    ActionCommand,
+    Handlers,
+    RobotCommand,
+    Scheduled,
+    message,
+    nobody,
+    open_request,
+)
+from fsar_ledger.runtime.handlers.fleet import closed_as_departed, departure, returned
 
 HANDLERS = Handlers()
 
@@ -32,6 +47,34 @@ class ReportActuator(RobotCommand):
 
 class ReportBack(RobotCommand):
     """Deliver the robot's word that it can be asked again to the registry."""
+
+
+class Beat(RobotCommand):
+    """Deliver a heartbeat of the robot to the registry."""
+
+
+class Suspect(RobotCommand):
+    """Suspect the robot, if heartbeat `number` is still its last."""
+
+    number: int
+
+
+class DeclareDeparted(RobotCommand):
+    """Declare the suspected robot departed, if heartbeat `number` is still its last."""
+
+    number: int
+
+
+class TakeLeave(RobotCommand):
+    """Deliver the robot's word that it leaves to the registry."""
+
+
+class Rejoin(RobotCommand):
+    """Deliver the word of a robot that has been away to the registry."""
+
+
+class CloseDeparted(ActionCommand):
+    """Close the request for what nobody could take over from a robot that has left."""
 
 
 def found_silent(fleet: Fleet, registry: Registry, robots: Iterable[Robot]) -> tuple[AvailabilityChanged, ...]:
@@ -50,6 +93,8 @@ def report_back(state: State, command: ReportBack) -> tuple[AvailabilityChanged,
 
     What has become of its actuator since is kept.
     """
+    if command.robot in state.fleet.departed:
+        return ()
     return _present(state.registry, state.world, command.robot)
 
 
@@ -79,7 +124,8 @@ def report_actuator(state: State, command: ReportActuator) -> tuple[Event, ...]:
 
     A report that later facts have overtaken changes nothing. A report of a silent robot also says that it is back.
     """
-    if command.is_degraded != (command.robot in state.world.degraded):
+    is_overtaken = command.is_degraded != (command.robot in state.world.degraded)
+    if is_overtaken or command.robot in state.fleet.departed:
         return ()
     if command.robot in state.registry.silent:
         return _present(state.registry, state.world, command.robot, is_serviced=not command.is_degraded)
@@ -119,8 +165,115 @@ def _on_service(state: State, event: ActuatorServiced, now_us: int) -> tuple[Sch
     )
 
 
-@HANDLERS.react(RobotCameBack, LinkCameUp)
-def _on_back(state: State, event: RobotCameBack | LinkCameUp, now_us: int) -> tuple[Scheduled, ...]:
+@HANDLERS.react(RobotCameBack, LinkCameUp, RobotReturned)
+def _on_back(state: State, event: RobotCameBack | LinkCameUp | RobotReturned, now_us: int) -> tuple[Scheduled, ...]:
+    told = (message(event.robot, f"{event.robot}/{now_us}", "back"),)
+    if event.robot in state.fleet.departed and isinstance(event, RobotCameBack) and not state.fleet.is_live:
+        return (Scheduled(Rejoin(event.robot), 0, told),)
     if event.robot not in state.registry.silent:
         return ()
-    return (Scheduled(ReportBack(event.robot), 0, (message(event.robot, f"{event.robot}/{now_us}", "back"),)),)
+    return (Scheduled(ReportBack(event.robot), 0, told),)
+
+
+def heard(state: State, robot: Robot) -> tuple[HeartbeatReceived | RobotCleared, ...]:
+    """Return the facts of a heartbeat of a member."""
+    beat = HeartbeatReceived(robot, state.knowledge.heard.get(robot, 0) + 1)
+    return (beat, RobotCleared(robot)) if robot in state.knowledge.suspected else (beat,)
+
+
+@HANDLERS.decide(Beat, nobody)
+def receive_beat(state: State, command: Beat) -> tuple[Event, ...]:
+    """Record the heartbeat; a robot that was declared departed and is still there becomes a member again."""
+    robot = command.robot
+    left = state.fleet.departed.get(robot)
+    if left == "announced":
+        return ()
+    return (*(() if left is None else (returned(state, robot, REGISTRY),)), *heard(state, robot))
+
+
+def _is_missed(state: State, command: Suspect | DeclareDeparted) -> bool:
+    """Tell whether no heartbeat has come since; a robot that is really there and said that it goes off sends none."""
+    robot = command.robot
+    is_excused = robot in state.fleet.departed or (state.fleet.is_live and robot in state.world.off)
+    return state.knowledge.heard.get(robot, 0) == command.number and not is_excused
+
+
+@HANDLERS.decide(Suspect, nobody)
+def suspect(state: State, command: Suspect) -> tuple[RobotSuspected, ...]:
+    """Record that the robot may have left; it keeps all that it has."""
+    return (RobotSuspected(command.robot),) if _is_missed(state, command) else ()
+
+
+@HANDLERS.decide(DeclareDeparted, nobody)
+def declare_departed(state: State, command: DeclareDeparted) -> tuple[Event, ...]:
+    """Take the robot for departed, which it may not be: so its claims end under a fencing number."""
+    if not (_is_missed(state, command) and command.robot in state.knowledge.suspected):
+        return ()
+    return departure(state, command.robot, "silent", REGISTRY, command.now_us)
+
+
+@HANDLERS.decide(TakeLeave, nobody)
+def take_leave(state: State, command: TakeLeave) -> tuple[Event, ...]:
+    """Record that the robot leaves, by its own word."""
+    if command.robot in state.fleet.departed:
+        return ()
+    return departure(state, command.robot, "announced", command.robot, command.now_us)
+
+
+@HANDLERS.decide(Rejoin, nobody)
+def rejoin(state: State, command: Rejoin) -> tuple[Event, ...]:
+    """Make the robot a member again."""
+    if command.robot not in state.fleet.departed:
+        return ()
+    return (returned(state, command.robot, REGISTRY),)
+
+
+@HANDLERS.decide(CloseDeparted, nobody)
+def close_departed(state: State, command: CloseDeparted) -> tuple[Event, ...]:
+    """End the request as failure(departed); the step is begun again, where somebody can be asked."""
+    request = open_request(state, command.action_id)
+    return () if request is None or request.is_over else (closed_as_departed(state, request),)
+
+
+@HANDLERS.react(RobotCalledAway)
+def _on_call(state: State, event: RobotCalledAway, now_us: int) -> tuple[Scheduled, ...]:
+    if "shared-registry" in state.fleet.without:
+        return ()
+    return (Scheduled(TakeLeave(event.robot), 0, (message(event.robot, f"{event.robot}/{now_us}", "leave"),)),)
+
+
+@HANDLERS.react(SnapshotPhaseSet)
+def _first_beat(state: State, event: SnapshotPhaseSet, _now_us: int) -> tuple[Scheduled, ...]:
+    period_us = state.fleet.membership.heartbeat_us
+    if period_us == 0 or "shared-registry" in state.fleet.without:
+        return ()
+    after_us = max(2, event.phase_ppm * period_us // 1_000_000)
+    return (Scheduled(Beat(event.robot), after_us, (message(event.robot, f"{event.robot}/heartbeat", 1),)),)
+
+
+@HANDLERS.react(HeartbeatReceived)
+def _on_beat(state: State, event: HeartbeatReceived, now_us: int) -> tuple[Scheduled, ...]:
+    """Await the next heartbeat; a simulated robot sends it as long as periodic exchanges go on."""
+    structure, membership, robot = state.fleet.structure, state.fleet.membership, event.robot
+    missed = Scheduled(Suspect(robot, event.number), membership.suspect_us)
+    if state.fleet.is_live:
+        return (missed,)
+    if now_us > structure.watch_us and not state.task:
+        return ()
+    told = (message(robot, f"{robot}/heartbeat", event.number + 1),)
+    return (missed, Scheduled(Beat(robot), membership.heartbeat_us, told))
+
+
+@HANDLERS.react(RobotSuspected)
+def _on_suspicion(state: State, event: RobotSuspected, _now_us: int) -> tuple[Scheduled, ...]:
+    number = state.knowledge.heard.get(event.robot, 0)
+    return (Scheduled(DeclareDeparted(event.robot, number), state.fleet.membership.depart_us),)
+
+
+@HANDLERS.react(FailureResolved)
+def _on_resolved(state: State, event: FailureResolved, _now_us: int) -> tuple[Scheduled, ...]:
+    """Close the request for what a human has settled that had been taken from its robot."""
+    action = state.execution.actions.get(event.subject.action_id)
+    if event.level != "human" or action is None or action.stage != "withdrawn":
+        return ()
+    return (Scheduled(CloseDeparted(action.action_id)),)

@@ -93,7 +93,7 @@ def _relays(state: State, request: Request, name: Robot) -> list[Robot]:
     others = [
         peer
         for peer in state.fleet.robots
-        if peer not in (name, request.requester) and peer not in state.registry.silent
+        if peer not in (name, request.requester) and peer not in {**state.registry.silent, **state.fleet.departed}
     ]
     about = (request.capability, request.task_id)
     near = nearest_first(state.fleet, others, request.requester)

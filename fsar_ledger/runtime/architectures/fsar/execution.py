@@ -5,6 +5,7 @@ from fsar_ledger.events.authority import AuthorityClaimed
 from fsar_ledger.events.envelope import (
     FLEET_SUPERVISOR,
     POLICY,
+    Parties,
     PolicyOutcome,
     Principal,
     Principals,
@@ -113,13 +114,22 @@ def take_turn(state: State, _command: TakeTurn, action: Action) -> tuple[Event, 
         for claim in state.authority.claims.get(action.action_id, ())
     ):
         return (approach,)
-    parties = recorded_by(state, robot, requested_by=action.requested_by, executed_by=robot)
+    parties, fence = _named(state, action), state.fleet.fences.get(robot)
     return (
         RequestAccepted(RequestSubject(action.task_id, action.action_id, action.action_id), parties.decided(robot)),
-        AuthorityClaimed(action.subject, "execution", robot, "acceptance"),
-        AuthorityClaimed(action.subject, "override", robot, "acceptance"),
+        AuthorityClaimed(
+            subject=action.subject, dimension="execution", claimant=robot, reason="acceptance", fence=fence
+        ),
+        AuthorityClaimed(
+            subject=action.subject, dimension="override", claimant=robot, reason="acceptance", fence=fence
+        ),
         approach,
     )
+
+
+def _named(state: State, action: Action) -> Parties:
+    """Return whom the robot's own record of the action names."""
+    return recorded_by(state, action.robot, requested_by=action.requested_by, executed_by=action.robot)
 
 
 @HANDLERS.decide(StartAction, body)
@@ -171,7 +181,7 @@ def refuse_held(state: State, _command: RefuseHeld, action: Action) -> tuple[Eve
     if action.stage not in ("held", "polling"):
         return ()
     robot, subject = action.robot, RequestSubject(action.task_id, action.action_id, action.action_id)
-    parties = recorded_by(state, robot, requested_by=action.requested_by, executed_by=robot)
+    parties = _named(state, action)
     return (
         *release(state.authority, action.action_id),
         ExecutionWithdrawn(action.subject, robot),

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityRevoked
-from fsar_ledger.events.envelope import PolicyOutcome, Robot
+from fsar_ledger.events.envelope import DEPARTED, PolicyOutcome, Robot
 from fsar_ledger.events.recovery import AssistanceAdmitted
 from fsar_ledger.events.registry import RegistryQueried
 from fsar_ledger.projections.authority import Authority, right_of
@@ -71,6 +71,8 @@ def peer(state: State, action: Action, recovery: Recovery) -> HelperChoice:
     """
     if "shared-registry" in state.fleet.without:
         return HelperChoice(None, "no shared registry")
+    if action.stage == "withdrawn":
+        return HelperChoice(None, DEPARTED)
     found = _bodies(state, action) if recovery.cause == "obstruction" else _stand_ins(state, action, action.robot)
     return _first(state, action, action.robot, (one for one in found if one.robot not in recovery.tried), "peer")
 
@@ -93,7 +95,8 @@ def peer_query(state: State, action: Action, recovery: Recovery) -> tuple[Event,
 
     A robot that offers something of the kind that does not do what has failed is left out by its contract.
     """
-    if recovery.cause == "obstruction" or "shared-registry" in state.fleet.without:
+    is_asked = recovery.cause != "obstruction" and action.stage != "withdrawn"
+    if not is_asked or "shared-registry" in state.fleet.without:
         return ()
     found = list(_stand_ins(state, action, action.robot))
     fit = tuple(dict.fromkeys(one.robot for one in found if one.left_out_by is None))
@@ -131,7 +134,8 @@ def _bodies(state: State, action: Action) -> Iterator[Candidate]:
     for name in helpers(state.fleet, state.registry, action, "obstruction"):
         is_trusted = scope_of(state.trust, name, action.robot, *about) in ASSISTING_SCOPES
         by: Filter | None = None if is_trusted else "trust"
-        yield Candidate(name, action.capability, by if is_reachable(state.registry, name) else "availability")
+        is_there = name not in state.fleet.departed and is_reachable(state.registry, name)
+        yield Candidate(name, action.capability, by if is_there else "availability")
 
 
 def _stand_ins(state: State, action: Action, asking: Robot) -> Iterator[Candidate]:

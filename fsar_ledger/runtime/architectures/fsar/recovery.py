@@ -4,7 +4,7 @@ A failure creates no authority: the trust and the policy from before it decide w
 """
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import FLEET_SUPERVISOR, RECOVERY, Principals, RecoveryLevel, Robot
+from fsar_ledger.events.envelope import DEPARTED, FLEET_SUPERVISOR, RECOVERY, Principals, RecoveryLevel, Robot
 from fsar_ledger.events.execution import ExecutionFailed, ExecutionQueued, ExecutionWithdrawn
 from fsar_ledger.events.recovery import (
     AssistanceAdmitted,
@@ -43,6 +43,7 @@ from fsar_ledger.runtime.handlers.commands import (
     message,
     nobody,
     open_failure,
+    speaker,
 )
 from fsar_ledger.runtime.handlers.recovery import attempt_failed, attempt_succeeds, attempted, budget, end_of_attempt
 from fsar_ledger.runtime.handlers.supervision import supervisor_for
@@ -131,6 +132,8 @@ def start_recovery(state: State, command: StartRecovery, failure: Failure) -> tu
     if "layered-recovery" in state.fleet.without:
         called = SupervisorCalled(subject=action.subject, supervisor=FLEET_SUPERVISOR, purpose="recovery")
         return (_escalated(action, recovery, by_robot, "human", "no layered recovery"), called)
+    if action.stage == "withdrawn":
+        return (_escalated(action, recovery, parties(state, action).decided(RECOVERY), "peer", DEPARTED),)
     allowed = budget(state.budget, state.fleet, action.robot, "local")
     deadline_us = recovery.detected_us + allowed.t_max_us
     if allowed.n_max == 0 or command.now_us >= deadline_us:
@@ -277,7 +280,7 @@ def _handed_over(state: State, action: Action, recovery: Recovery, helper: Robot
     return (
         FailureResolved(action.subject, action.robot, recovery.failure, "fleet"),
         *release(state.authority, action.action_id),
-        ExecutionWithdrawn(action.subject, action.robot),
+        *(() if action.stage == "withdrawn" else (ExecutionWithdrawn(action.subject, action.robot),)),
         TaskStateTransferred(
             subject=action.subject, robot=action.robot, helper=helper, checkpoint=resume_at, completed=done
         ),
@@ -345,11 +348,11 @@ def _on_attempt_failed(state: State, event: RecoveryAttemptFailed, now_us: int) 
 
 @HANDLERS.react(RecoveryEscalated)
 def _on_escalation(state: State, event: RecoveryEscalated, now_us: int) -> tuple[Scheduled, ...]:
-    key = f"{event.failed_action}/{event.failure}"
+    key, by = f"{event.failed_action}/{event.failure}", speaker(state.fleet, event.robot)
     if event.to_level == "peer":
-        return _asking(state.fleet, state.recovery, event.failed_action, now_us, (message(event.robot, key, "peer"),))
+        return _asking(state.fleet, state.recovery, event.failed_action, now_us, (message(by, key, "peer"),))
     if event.to_level == "fleet":  # the peers' refusals come back before the orchestrator is asked
-        told = (message(event.robot, key, "answer"), message(event.robot, key, "fleet"))
+        told = (message(by, key, "answer"), message(by, key, "fleet"))
         last = Scheduled(
             ConsiderReassignment(event.failed_action, now_us, event.failure, is_last=True), state.fleet.answer_us, told
         )
@@ -379,8 +382,8 @@ def _on_no_help(state: State, event: AssistanceFailed | AssistanceDeclined, _now
     """Tell the robot, which turns to the next peer while the level's budget lasts."""
     recovery, key = state.recovery[event.subject.action_id], f"{event.subject.action_id}/{event.failure}"
     told = (
-        message(event.helper, key, f"no help/{event.helper}"),
-        message(event.robot, key, f"peer/{len(recovery.tried)}"),
+        message(speaker(state.fleet, event.helper), key, f"no help/{event.helper}"),
+        message(speaker(state.fleet, event.robot), key, f"peer/{len(recovery.tried)}"),
     )
     return _asking(state.fleet, state.recovery, event.subject.action_id, recovery.since_us, told)
 

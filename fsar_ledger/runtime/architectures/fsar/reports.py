@@ -6,6 +6,7 @@ for the robot: until then whatever waits for it waits, within the budgets of rec
 
 from collections.abc import Iterator
 from functools import cache
+from typing import get_args
 
 import msgspec
 
@@ -27,6 +28,7 @@ from fsar_ledger.events.world import (
     SupervisorReturned,
 )
 from fsar_ledger.projections.fold import State
+from fsar_ledger.projections.world import GRADES
 from fsar_ledger.runtime.handlers.assistance import help_failed, helped
 from fsar_ledger.runtime.handlers.attribution import recorded_by
 from fsar_ledger.runtime.handlers.commands import (
@@ -41,15 +43,18 @@ from fsar_ledger.runtime.handlers.commands import (
 )
 from fsar_ledger.runtime.handlers.public import (
     PublicCommand,
+    RobotReport,
+    absent_robot,
     carried_out,
     not_its_word,
+    outdated,
     rejected,
-    unknown_robot,
     unknown_supervisor,
     unknown_word,
 )
 from fsar_ledger.runtime.ports import UNKNOWN_US, Ask
 
+from .availability import heard
 from .execution import start
 from .helpers import agreed_to_help
 from .recovery import AskPeers, end_assistance, end_attempt
@@ -60,7 +65,7 @@ DECLINED = "declined"
 """The reason of a denial by a robot's own judgement, beyond what policy, trust and authority say."""
 
 
-class JudgeRequest(PublicCommand):
+class JudgeRequest(RobotReport):
     """Judge a request that came to the robot: it may refuse what all rules allow, and allows nothing that they deny."""
 
     robot: Robot
@@ -68,7 +73,7 @@ class JudgeRequest(PublicCommand):
     accepts: bool
 
 
-class JudgeAssistance(PublicCommand):
+class JudgeAssistance(RobotReport):
     """Answer whether the robot helps with the failure about which it was asked."""
 
     robot: Robot
@@ -76,7 +81,7 @@ class JudgeAssistance(PublicCommand):
     accepts: bool
 
 
-class ReportStart(PublicCommand):
+class ReportStart(RobotReport):
     """Begin to execute: the robot moves once this is not refused. Units: `lasts_us` microseconds; None: not known."""
 
     robot: Robot
@@ -84,7 +89,7 @@ class ReportStart(PublicCommand):
     lasts_us: int | None = None
 
 
-class ReportAttempt(PublicCommand):
+class ReportAttempt(RobotReport):
     """Report how the robot's own attempt to recover ended."""
 
     robot: Robot
@@ -92,7 +97,7 @@ class ReportAttempt(PublicCommand):
     succeeded: bool
 
 
-class ReportAssistance(PublicCommand):
+class ReportAssistance(RobotReport):
     """Report how the help with another robot's failure ended; where it did not help, by what cause."""
 
     robot: Robot
@@ -101,7 +106,7 @@ class ReportAssistance(PublicCommand):
     cause: str = "degradation"
 
 
-class ReportPresence(PublicCommand):
+class ReportPresence(RobotReport):
     """Report that the robot goes off, or is back."""
 
     robot: Robot
@@ -150,7 +155,7 @@ def judge_request(state: State, command: JudgeRequest) -> tuple[Event, ...]:
     """Evaluate the request as it is here and now, or deny it by the robot's own word. Paper: eq:admissible, phase 4."""
     request = state.request.open.get(command.action_id)
     executor = request.candidates[0] if request is not None and request.candidates else None
-    refused = unknown_robot(state.fleet, command.robot)
+    refused = outdated(state.fleet, command.robot, command.fence)
     if refused is None and (request is None or request.is_over or request.is_accepted):
         refused = f"unknown or settled request {command.action_id}, expected one that waits for {command.robot}"
     if refused is None and executor != command.robot:
@@ -168,8 +173,10 @@ def judge_request(state: State, command: JudgeRequest) -> tuple[Event, ...]:
 @HANDLERS.decide(JudgeAssistance)
 def judge_assistance(state: State, command: JudgeAssistance) -> tuple[Event, ...]:
     """Admit or decline by the robot's own word. Paper: sec:model:recovery, level 2."""
-    refused = unknown_robot(state.fleet, command.robot)
+    refused = outdated(state.fleet, command.robot, command.fence)
     failure = open_failure(state, command.action_id)
+    if refused is None and failure is not None and failure[0].stage == "withdrawn":
+        refused = f"{failure[0].robot} has departed, expected a robot that is there to be helped"
     if refused is None and (failure is None or failure[1].awaited != command.robot):
         refused = f"{command.robot} is not asked about {command.action_id}, expected the answer of who is"
     if refused is not None or failure is None:
@@ -180,10 +187,11 @@ def judge_assistance(state: State, command: JudgeAssistance) -> tuple[Event, ...
     return (AssistanceDeclined(action.subject, action.robot, command.robot, recovery.failure),)
 
 
-def _not_its_own(state: State, robot: Robot, action_id: str) -> str | None:
+def _not_its_own(state: State, command: ReportStart | ReportAttempt) -> str | None:
     """Return why the robot cannot report about the action, or None."""
+    robot, action_id = command.robot, command.action_id
     action = state.execution.actions.get(action_id)
-    refused = unknown_robot(state.fleet, robot)
+    refused = outdated(state.fleet, robot, command.fence)
     if refused is None and action is None:
         refused = f"unknown or finished action {action_id}, expected one of {robot}"
     if refused is None and action is not None and action.robot != robot:
@@ -194,7 +202,7 @@ def _not_its_own(state: State, robot: Robot, action_id: str) -> str | None:
 @HANDLERS.decide(ReportStart)
 def report_start(state: State, command: ReportStart) -> tuple[Event, ...]:
     """Start the action, or hold it where policy, as the robot knows it now, says so. Paper: sec:model:invariants."""
-    refused = _not_its_own(state, command.robot, command.action_id)
+    refused = _not_its_own(state, command)
     if refused is None and command.lasts_us is not None and command.lasts_us < 1:
         refused = f"a length of {command.lasts_us} microseconds, expected at least 1"
     if refused is None:
@@ -209,7 +217,7 @@ def report_start(state: State, command: ReportStart) -> tuple[Event, ...]:
 @HANDLERS.decide(ReportAttempt)
 def report_attempt(state: State, command: ReportAttempt) -> tuple[Event, ...]:
     """Resolve the failure, or go on with the next attempt or level. Paper: sec:model:recovery, level 1."""
-    refused = _not_its_own(state, command.robot, command.action_id)
+    refused = _not_its_own(state, command)
     recovery = state.recovery.get(command.action_id)
     if refused is None and (recovery is None or recovery.level != "local" or not recovery.number):
         refused = f"no attempt of {command.robot} is under way, expected one"
@@ -222,7 +230,8 @@ def report_attempt(state: State, command: ReportAttempt) -> tuple[Event, ...]:
 @HANDLERS.decide(ReportAssistance)
 def report_assistance(state: State, command: ReportAssistance) -> tuple[Event, ...]:
     """Free the helper, which resolved the failure or could not. Paper: sec:model:recovery, level 2."""
-    refused, failure = unknown_robot(state.fleet, command.robot), helped(state, command.action_id, command.robot)
+    failure = helped(state, command.action_id, command.robot)
+    refused = outdated(state.fleet, command.robot, command.fence)
     if refused is None and failure is None:
         refused = f"{command.robot} does not help with {command.action_id}, expected its helper"
     if refused is not None or failure is None:
@@ -236,12 +245,16 @@ def report_assistance(state: State, command: ReportAssistance) -> tuple[Event, .
 
 @HANDLERS.decide(ReportPresence)
 def report_presence(state: State, command: ReportPresence) -> tuple[Event, ...]:
-    """Record that the robot is off, or back."""
-    refused = unknown_robot(state.fleet, command.robot)
-    if refused is None and (command.robot in state.world.off) is not command.is_on:
-        refused = f"{command.robot} is {'on' if command.is_on else 'off'} already"
-    made = RobotCameBack(command.robot) if command.is_on else RobotWentOff(command.robot)
-    return carried_out(command, command.robot, refused, command.robot, made)
+    """Record that the robot is off, or back; where robots are watched, every word that it is on is a heartbeat."""
+    robot, is_off = command.robot, command.robot in state.world.off
+    refused = outdated(state.fleet, robot, command.fence)
+    beat = heard(state, robot) if command.is_on and state.fleet.membership.heartbeat_us > 0 else ()
+    if refused is None and is_off is not command.is_on and not beat:
+        refused = f"{robot} is {'on' if command.is_on else 'off'} already"
+    turned: tuple[Event, ...] = ()
+    if is_off is command.is_on:
+        turned = (RobotCameBack(robot) if command.is_on else RobotWentOff(robot),)
+    return carried_out(command, robot, refused, robot, *turned, *beat)
 
 
 @HANDLERS.decide(ReportShift)
@@ -257,9 +270,11 @@ def report_shift(state: State, command: ReportShift) -> tuple[Event, ...]:
 @HANDLERS.decide(ReportActuator)
 def report_actuator(state: State, command: ReportActuator) -> tuple[Event, ...]:
     """Record how far the robot's actuator is degraded, or that it has been serviced."""
-    refused = unknown_robot(state.fleet, command.robot)
+    refused = absent_robot(state.fleet, command.robot)
     if refused is None and command.grade is None and command.robot not in state.world.degraded:
         refused = f"the actuator of {command.robot} is sound already"
+    if refused is None and command.grade is not None:
+        refused = unknown_word("grade", command.grade, GRADES)
     made = ActuatorServiced(command.robot) if command.grade is None else ActuatorDegraded(command.robot, command.grade)
     return carried_out(command, command.robot, refused, command.robot, made)
 
@@ -267,16 +282,17 @@ def report_actuator(state: State, command: ReportActuator) -> tuple[Event, ...]:
 @HANDLERS.decide(ReportContext)
 def report_context(state: State, command: ReportContext) -> tuple[Event, ...]:
     """Record that the context has changed."""
-    refused = unknown_robot(state.fleet, command.robot)
+    refused = absent_robot(state.fleet, command.robot)
     return carried_out(command, command.robot, refused, command.robot, ContextChanged(command.robot))
 
 
 @HANDLERS.decide(ReportWindow)
 def report_window(state: State, command: ReportWindow) -> tuple[Event, ...]:
     """Record that the window opens, or closes."""
-    refused = unknown_robot(state.fleet, command.robot)
+    refused = absent_robot(state.fleet, command.robot)
     if refused is None and not command.window:
         refused = "the window has no name, expected one"
+    refused = refused or unknown_word("scope", command.scope, get_args(PolicyScope))
     made: Event = PolicyWindowClosed(command.robot, command.scope, command.window)
     if command.outcome is not None:
         refused = refused or unknown_word("outcome", command.outcome, ("review", "deny"))
@@ -324,6 +340,7 @@ def reject_word(_state: State, command: RejectWord) -> tuple[Event, ...]:
 def given(command: PublicCommand, issued_by: str, **about: object) -> CommandGiven:
     """Return the record of a command that was given; `about` are its other columns."""
     fields = {name: getattr(command, name) for name in own_fields(type(command))}
+    fields = {name: one for name, one in fields.items() if one is not None or name not in _ADDED}
     parameters = msgspec.json.encode(fields).decode()
     return msgspec.convert(
         {
@@ -335,6 +352,10 @@ def given(command: PublicCommand, issued_by: str, **about: object) -> CommandGiv
         },
         CommandGiven,
     )
+
+
+_ADDED = ("fence", "public_key")
+"""Fields that are left out where they say nothing, as in records from before they were there."""
 
 
 def own_fields(kind: type[PublicCommand]) -> list[str]:

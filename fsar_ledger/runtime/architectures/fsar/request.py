@@ -88,6 +88,8 @@ class AdmitReviewed(ActionCommand):
 @HANDLERS.decide_on(open_request, IssueRequest, requester)
 def issue_request(state: State, _command: IssueRequest, request: Request) -> tuple[Event, ...]:
     """Send the request with the requester's own policy; back off without a candidate."""
+    if request.is_over:  # a robot of it has left the fleet meanwhile
+        return ()
     if not request.candidates:
         return (unanswered(state, request),)
     robot, executor = request.requester, request.candidates[0]
@@ -110,6 +112,8 @@ def relay_request(state: State, _command: RelayRequest, request: Request) -> tup
         return ()
     if request.silent:  # too late, as of an executor
         return report_back(state, ReportBack(request.silent[0]))
+    if request.is_over:  # a robot of it has left the fleet meanwhile
+        return ()
     relay, about = request.relay, (request.capability, request.task_id)
     parties = recorded_by(state, relay, requested_by=request.requester, executed_by=request.candidates[0])
     subject, principals = request.request_subject, parties.decided(request.requester, relay)
@@ -289,7 +293,7 @@ def _on_denial(state: State, event: RequestDenied, now_us: int) -> tuple[Schedul
 
 @HANDLERS.react(RequestAdmitted, RequestCountered)
 def _let_pass(
-    state: State, event: RequestAdmitted | RequestCountered | RequestDenied, _now_us: int
+    state: State, event: RequestAdmitted | RequestCountered | RequestDenied | RequestClosed, _now_us: int
 ) -> tuple[Scheduled, ...]:
     """Evaluate again the requests that waited for one that H_F let go first."""
     if not state.contention.orders:
@@ -348,9 +352,10 @@ def _on_finish(state: State, event: ExecutionFinished, _now_us: int) -> tuple[Sc
 
 
 @HANDLERS.react(RequestClosed)
-def _on_close(state: State, event: RequestClosed, _now_us: int) -> tuple[Scheduled, ...]:
+def _on_close(state: State, event: RequestClosed, now_us: int) -> tuple[Scheduled, ...]:
     """Complete the step, or retry later a step that did not succeed."""
+    passed = _let_pass(state, event, now_us) if event.cause is not None else ()
     if not _is_step(state.task, state.request.open.get(event.subject.action_id)):
-        return ()
+        return passed
     done = Scheduled(CompleteStep(event.subject.action_id), 1, (at_once(event.principals.decided_by),))
-    return (done,) if event.result == "success" else _again(state, event.subject.action_id)
+    return (done,) if event.result == "success" else (*_again(state, event.subject.action_id), *passed)

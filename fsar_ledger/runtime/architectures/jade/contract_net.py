@@ -221,7 +221,7 @@ def receive_acceptance(state: State, command: ReceiveAcceptance, request: Reques
     return (
         RequestAccepted(request.request_subject, principals),
         *deferred,
-        AuthorityClaimed(request.subject, "execution", robot, "acceptance"),
+        AuthorityClaimed(subject=request.subject, dimension="execution", claimant=robot, reason="acceptance"),
         queued_for(state, request, parties, robot),
     )
 

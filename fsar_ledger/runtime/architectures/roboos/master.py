@@ -247,8 +247,8 @@ def send_subtask(state: State, command: SendSubtask, request: Request) -> tuple[
             seen_busy=entry(state, robot).availability == "busy",
         ),
         *written(state, robot, "busy", command.now_us),
-        AuthorityClaimed(request.subject, "execution", COORDINATOR, "dispatch"),
-        AuthorityClaimed(request.subject, "override", COORDINATOR, "dispatch"),
+        AuthorityClaimed(subject=request.subject, dimension="execution", claimant=COORDINATOR, reason="dispatch"),
+        AuthorityClaimed(subject=request.subject, dimension="override", claimant=COORDINATOR, reason="dispatch"),
     )
 
 

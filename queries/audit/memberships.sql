@@ -1,0 +1,45 @@
+-- Title: Who was a member when: joined, suspected, departed and returned
+-- Paper: eq:fleet, sec:discussion:heterogeneity
+-- Grain: one row per time for which a robot was a member: from its joining, or its return, to its departure
+-- Key: run_id, robot, began_seq
+-- Units: began_us, ended_us microseconds of run time; fence how often it had departed before; suspected, cleared how
+--   often within that time
+-- NULL: ended_us, how, ended_by while it is a member, to the end of the run; ended_by where the record names nobody
+-- Example: fsar-ledger query audit/memberships LEDGER --param run=RUN --param robot=robot/B1
+--   answers robot/B1, fence 0, began at 0.0 s, suspected 0, cleared 0
+-- Parameters: run: run = all, robot: robot = all
+WITH changes AS (
+    SELECT run_id, robot, seq, time_us, 'began' AS change, NULL AS how, NULL AS by_whom FROM robot_joined
+    UNION ALL
+    SELECT run_id, robot, seq, time_us, 'began' AS change, NULL AS how, NULL AS by_whom FROM robot_returned
+    UNION ALL
+    SELECT run_id, robot, seq, time_us, 'ended' AS change, reason AS how, decided_by AS by_whom FROM robot_departed
+    UNION ALL
+    SELECT run_id, robot, seq, time_us, 'suspected' AS change, NULL AS how, NULL AS by_whom FROM robot_suspected
+    UNION ALL
+    SELECT run_id, robot, seq, time_us, 'cleared' AS change, NULL AS how, NULL AS by_whom FROM robot_cleared
+),
+
+numbered AS (
+    SELECT
+        run_id, robot, seq, time_us, change, how, by_whom,
+        sum((change = 'ended')::INTEGER) OVER (
+            PARTITION BY run_id, robot ORDER BY seq ROWS BETWEEN UNBOUNDED PRECEDING AND CURRENT ROW
+        ) - (change = 'ended')::INTEGER AS fence
+    FROM changes
+    WHERE $run IN ('all', run_id) AND $robot IN ('all', robot)
+)
+
+SELECT
+    run_id, robot,
+    fence::BIGINT AS fence,
+    min(time_us) FILTER (WHERE change = 'began') AS began_us,
+    min(seq) FILTER (WHERE change = 'began') AS began_seq,
+    min(time_us) FILTER (WHERE change = 'ended') AS ended_us,
+    min(how) FILTER (WHERE change = 'ended') AS how,
+    min(by_whom) FILTER (WHERE change = 'ended') AS ended_by,
+    count(*) FILTER (WHERE change = 'suspected') AS suspected,
+    count(*) FILTER (WHERE change = 'cleared') AS cleared
+FROM numbered
+GROUP BY run_id, robot, fence
+HAVING count(*) FILTER (WHERE change = 'began') > 0

@@ -1,0 +1,48 @@
+-- Title: What robots did as members that they were not: after they departed, or under an old fencing number
+-- Paper: sec:discussion:heterogeneity, eq:auth
+-- Grain: one row per event by which a robot takes, begins or goes on with work for the fleet after it departed and
+--   before it returned; and per claim of a robot under a smaller number than its departures until then
+-- Key: run_id, seq
+-- Units: time_us microseconds of run time; fence the number of the claim, 0 where it has none; departures until then
+-- NULL: action_id where the record names none; fence of what is no claim
+-- Example: fsar-ledger query facts/acts_of_departed LEDGER
+WITH acts AS (
+    SELECT run_id, seq, time_us, 'RequestAccepted.v1' AS type, action_id, decided_by AS robot, NULL AS fence
+    FROM request_accepted
+    UNION ALL
+    SELECT run_id, seq, time_us, 'ApproachStarted.v1' AS type, action_id, robot, NULL AS fence
+    FROM approach_started
+    UNION ALL
+    SELECT run_id, seq, time_us, 'ExecutionStarted.v1' AS type, action_id, robot, NULL AS fence
+    FROM execution_started
+    UNION ALL
+    SELECT run_id, seq, time_us, 'ExecutionResumed.v1' AS type, action_id, robot, NULL AS fence
+    FROM execution_resumed
+    UNION ALL
+    SELECT run_id, seq, time_us, 'ExecutionFinished.v1' AS type, action_id, robot, NULL AS fence
+    FROM execution_finished
+    UNION ALL
+    SELECT run_id, seq, time_us, 'AssistanceAdmitted.v1' AS type, action_id, helper AS robot, NULL AS fence
+    FROM assistance_admitted
+    UNION ALL
+    SELECT
+        run_id, seq, time_us, 'AuthorityClaimed.v1' AS type, action_id, claimant AS robot, coalesce(fence, 0) AS fence
+    FROM authority_claimed
+),
+
+changes AS (
+    SELECT run_id, robot, seq, TRUE AS is_departure FROM robot_departed
+    UNION ALL
+    SELECT run_id, robot, seq, FALSE AS is_departure FROM robot_returned
+)
+
+SELECT
+    acts.run_id, acts.seq, acts.time_us, acts.type, acts.action_id, acts.robot, acts.fence,
+    arg_max(changes.is_departure, changes.seq) AS is_away,
+    count(*) FILTER (WHERE changes.is_departure) AS departures
+FROM acts
+INNER JOIN changes ON acts.run_id = changes.run_id AND acts.robot = changes.robot AND acts.seq > changes.seq
+GROUP BY ALL
+HAVING
+    arg_max(changes.is_departure, changes.seq)
+    OR acts.fence < count(*) FILTER (WHERE changes.is_departure)

@@ -1,0 +1,74 @@
+"""Who was a member when, and what is found of a robot that acts although it had left."""
+
+from typing import Any
+
+import pytest
+
+from tests.queries.histories import Row, S, act, answer, event, run
+
+B = "robot/B1"
+JOINED = event("RobotJoined", 0, robot=B, role="B", supervisor="supervisor/B1")
+
+
+def departed(at_s: int, fence: int = 1, reason: str = "silent") -> Row:
+    return event("RobotDeparted", at_s * S, robot=B, reason=reason, fence=fence, decided_by="service/registry")
+
+
+def returned(at_s: int, fence: int = 1) -> Row:
+    return event("RobotReturned", at_s * S, robot=B, fence=fence)
+
+
+def test_a_robot_has_a_row_for_each_time_for_which_it_was_a_member() -> None:
+    history = run(
+        JOINED,
+        event("RobotSuspected", 2 * S, robot=B),
+        event("RobotCleared", 3 * S, robot=B),
+        event("RobotSuspected", 5 * S, robot=B),
+        departed(9),
+        returned(20),
+        departed(30, 2, "announced"),
+    )
+    columns = ("robot", "fence", "began_us", "ended_us", "how", "suspected", "cleared")
+    assert answer("audit/memberships", history, columns=columns) == [
+        (B, 0, 0, 9 * S, "silent", 2, 1),
+        (B, 1, 20 * S, 30 * S, "announced", 0, 0),
+    ]
+
+
+def test_a_member_has_no_end() -> None:
+    assert answer("audit/memberships", run(JOINED), columns=("robot", "fence", "ended_us")) == [(B, 0, None)]
+
+
+def found(*events: Row) -> list[Any]:
+    return [row[0] for row in answer("invariants/i1_local_agent_coherence", run(JOINED, *events), columns=("found",))]
+
+
+def claimed(at_s: int, **fields: Any) -> Row:
+    return act("AuthorityClaimed", at_s * S, "t/1.1", claimant=B, dimension="execution", reason="acceptance", **fields)
+
+
+@pytest.mark.parametrize(
+    "does",
+    [
+        act("ExecutionStarted", 12 * S, "t/1.1", robot=B, on_behalf_of=B, capability="fly"),
+        act("ExecutionResumed", 12 * S, "t/1.1", robot=B),
+        act("ExecutionFinished", 12 * S, "t/1.1", robot=B),
+        act("ApproachStarted", 12 * S, "t/1.1", robot=B),
+        act("RequestAccepted", 12 * S, "t/1.1", decided_by=B, executed_by=B),
+        act("AssistanceAdmitted", 12 * S, "t/1.1", robot="robot/A1", helper=B),
+        claimed(12, fence=1),
+    ],
+)
+def test_a_robot_that_acts_after_it_departed_is_found_and_before_it_and_after_its_return_it_is_not(does: Row) -> None:
+    assert found(departed(9), does) == [f"{B} acts after it departed"]
+    assert found(does, departed(13)) == []
+    assert found(departed(9), returned(10), does) == []
+
+
+def test_a_claim_under_an_old_number_is_found() -> None:
+    twice = (departed(2), returned(3), departed(4, 2), returned(5, 2))
+    assert found(*twice, claimed(6, fence=1)) == [f"{B} claims authority under fencing number 1 after 2 departures"]
+    assert found(departed(2), returned(3), claimed(6)) == [
+        f"{B} claims authority under fencing number 0 after 1 departures"
+    ]
+    assert found(*twice, claimed(6, fence=2)) == []
