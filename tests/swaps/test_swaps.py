@@ -14,7 +14,7 @@ from tests.swaps.histories import digest, histories
 from tests.swaps.sites import MADE, PACKAGE, Swap, calls, swaps
 from tests.swaps.soak import expected, shows, untyped
 
-PINNED = "054055ef009dd98216730176d7ed78610aee10501f71f917dc23e6fcc449da21"
+PINNED = "d2981b7bf4b00baa1beab42df5376157ee5c2f1e3962a784c458f1b47b785380"
 """Of everything that the runs of the soak record."""
 
 KINDS = {"Robot", "Supervisor", "Service", "Agent", "Coordinator"}
