@@ -214,9 +214,9 @@ def demo(
     by_hand: bool = switch("Answer the calls to the fleet's supervisor yourself, in the console."),
     step: float = declare("SECONDS", "How long a robot takes for anything.", value=1.0),
 ) -> Played:
-    """Play four stories with robots that are processes, against a service, and put them on record.
+    """Play six stories with robots and people that are processes, against a service, and put them on record.
 
-    A door relay, a failure that only a person resolves, two robots at one door, and one that goes off under review.
+    A door relay, failures that only a person resolves, two robots at one door, one that goes off, one that leaves.
     Prints the address of the console, in which a person sees what happens, and answers with --by-hand.
 
     Raises:

@@ -68,8 +68,8 @@ async function look() {
     $("calls").replaceChildren(...state.calls.map((call) => card(call, state.now_us)));
   }
   $("robots").replaceChildren(...state.robots.map((one) => {
-    const does = element("td", one.is_off ? "off" : one.does ?? "nothing");
-    if (one.is_off) does.className = "off";
+    const does = element("td", one.does ?? "nothing");
+    if (one.is_away) does.className = "off";
     const name = element("th", one.robot);
     name.scope = "row";
     return element("tr", null, name, does, element("td", `${one.waiting}`), element("td", one.supervisor));
@@ -93,9 +93,36 @@ function note(columns) {
   while ($("events").childElementCount > MOST) $("events").lastElementChild.remove();
 }
 
+let drawn = null; // the page of the run, and the line by which it is fed
+let isStale = false;
+let isDrawing = false;
+window.addEventListener("message", (event) => {
+  if (drawn && !drawn.line && event.source === drawn.page && event.data === "drawn") [drawn.line] = event.ports;
+});
+
+async function draw() {
+  const page = await (await fetch((await ask("view", {})).page)).text();
+  return page.match(/<script[^>]* id="data"[^>]*>([^<]*)</)[1]; // which has no < of its own
+}
+
+// A long run takes long to draw: the service rests three times as long.
+async function redraw() {
+  isStale = true;
+  if (isDrawing) return;
+  isDrawing = true;
+  while (isStale && drawn?.line && !drawn.page.closed) {
+    isStale = false;
+    const began = performance.now();
+    await draw().then((data) => drawn.line.postMessage(data), () => {});
+    await new Promise((wake) => setTimeout(wake, Math.max(1000, 3 * (performance.now() - began))));
+  }
+  isDrawing = false;
+}
+
 let looking = null;
 function soon() {
   looking ??= setTimeout(() => { looking = null; look().catch(() => {}); }, 150);
+  redraw();
 }
 
 async function follow() {
@@ -209,6 +236,7 @@ $("govern").addEventListener("submit", (event) => {
 $("view").addEventListener("click", async (event) => {
   event.preventDefault();
   const page = window.open("", "_blank"); // at once: a browser blocks what opens later
+  drawn = { page, line: null };
   try {
     page.location = (await ask("view", {})).page;
   } catch (error) {

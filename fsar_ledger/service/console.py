@@ -51,12 +51,12 @@ class OpenCall(msgspec.Struct, frozen=True):
 
 
 class RobotSeen(msgspec.Struct, frozen=True):
-    """A robot: whom it answers to, whether it is off, what it does, and how many actions wait for it."""
+    """A robot: whom it answers to, whether it is away, what it does or why not, and how many actions wait for it."""
 
     robot: str
     role: str
     supervisor: str
-    is_off: bool
+    is_away: bool
     does: str | None
     waiting: int
 
@@ -105,9 +105,10 @@ def _asked(state: State, call: SupervisorCalled) -> tuple[str, str, tuple[Reply,
         title = f"{executor or 'A robot'} failed at {capability}, and nothing has helped. Is it resolved?"
         return title, "Recovery has reached its last level, a person.", (Reply("It is resolved", True),)
     other = call.competing or ""
-    title = f"Two commands want {executor or 'the same robot'}: {about} and {other}. Which goes first?"
+    title = f"Two requests want {executor or 'the same robot'}: {about} and {other}. Which goes first?"
     replies = tuple(Reply(f"{one} first", True, one) for one in (about, other) if one)
-    return title, "Commands of equal rank are ordered by the fleet's supervisor.", replies
+    why = "The fleet's supervisor orders requests for one robot when one of them is time-critical."
+    return title, why, replies
 
 
 def _parties(state: State, about: str) -> tuple[Robot | None, str, str | None]:
@@ -139,17 +140,20 @@ def _known(state: State, call: SupervisorCalled) -> Iterator[str]:
     about = call.subject.action_id
     executor, _, requester = _parties(state, about)
     task = state.task.get(call.subject.task_id)
-    if task is not None:
-        yield f"Task {task.task_id} of {task.robot}, step {task.step + 1} of {len(task.steps)}."
+    other = state.request.open.get(call.competing or "")
+    for one in (task, None if other is None else state.task.get(other.task_id)):
+        if one is not None:
+            urgent = ", time-critical" if one.is_time_critical else ""
+            yield f"Task {one.task_id} of {one.robot}, step {one.step + 1} of {len(one.steps)}{urgent}."
     if executor is not None and requester is not None and requester in state.fleet.robots:
         trusted = scope_of(state.trust, executor, recorded_robot(requester), None, None)
         yield f"{executor} trusts {requester}: {trusted}."
     if (recovery := state.recovery.get(about)) is not None:
         yield f"Cause: {recovery.cause or 'not known'}. Attempts of its own: {recovery.number}."
         yield f"Asked for help: {', '.join(recovery.tried) or 'nobody could help'}."
-    for robot in filter(None, (executor, requester)):
-        if robot in state.world.off:
-            yield f"{robot} is off."
+    for robot in (recorded_robot(name) for name in (executor, requester) if name is not None):
+        if (away := _away(state, robot)) is not None:
+            yield f"{robot} is away: {away}."
 
 
 def _robots(state: State) -> Iterator[RobotSeen]:
@@ -157,9 +161,19 @@ def _robots(state: State) -> Iterator[RobotSeen]:
         current = state.execution.current.get(robot)
         action = None if current is None else state.execution.actions.get(current)
         does = current if action is None else f"{action.capability} ({action.action_id}, {action.stage})"
+        away = _away(state, robot)
         waiting = len(state.execution.queues.get(robot, ()))
         supervisor = member.supervisor or FLEET_SUPERVISOR
-        yield RobotSeen(robot, member.role, supervisor, robot in state.world.off, does, waiting)
+        yield RobotSeen(robot, member.role, supervisor, away is not None, away or does, waiting)
+
+
+def _away(state: State, robot: Robot) -> str | None:
+    """Return how the robot is away, if it is."""
+    if (how := state.fleet.departed.get(robot)) is not None:
+        return f"has left the fleet ({how})"
+    if robot in state.knowledge.suspected:
+        return "not heard of any more"
+    return "off" if robot in state.world.off else None
 
 
 def page_file(name: str) -> bytes:

@@ -1,4 +1,4 @@
-"""A fleet to look at: four robots and a supervisor, each a process of its own that has only a token and the address.
+"""A fleet to look at: four robots and two supervisors, each a process of its own that has a token and the address.
 
 A robot is a program that follows the events that name it and answers what it is asked, as a real one would. It keeps no
 state that it could not have again from its events.
@@ -12,39 +12,43 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from threading import Event, Thread
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
 
 from .client import Client, FollowedEvent
 from .principals import add_principal
 
-HUMAN, HUB, TOKEN = "supervisor/fleet", "service/demo", "FSAR_LEDGER_TOKEN"
+HUMAN, OWN, HUB, TOKEN = "supervisor/fleet", "supervisor/C1", "service/demo", "FSAR_LEDGER_TOKEN"
+"""The fleet's supervisor, one of a single robot, and who brings the work."""
 
 
 class Story(msgspec.Struct, frozen=True):
     """What goes wrong at a robot: the cause at its n-th execution (from 1), and whether it can help.
 
-    `attempts`: whether its own attempts to recover succeed; `helps`: whether it agrees to help; `leaves_at`: during
-    this execution it goes off, and comes back after a while.
+    `attempts`: whether its own attempts to recover succeed; `helps`: whether it agrees to help; `off_at`: during this
+    execution it goes off, and comes back after a while; `leaves_at`: during this one it leaves the fleet, and returns.
     """
 
     fails_at: Mapping[int, str] = {}
     attempts: bool = False
     helps: bool = False
+    off_at: int = 0
     leaves_at: int = 0
 
 
 STORIES: Mapping[str, Story] = {
     "robot/A1": Story(),
     "robot/B1": Story(fails_at={2: "hinge jammed"}),
-    "robot/C1": Story(helps=True),
-    "robot/D1": Story(leaves_at=1),
+    "robot/C1": Story(fails_at={1: "wheel slips"}, helps=True),
+    "robot/D1": Story(off_at=1, leaves_at=2),
 }
 
 
 _PASSING = ("CommandGiven", "CommandRejected", "AuthorityClaimed", "AuthorityReleased")
 """What says nothing of where an action stands."""
+_JUDGED = ("RequestAdmitted", "RequestDenied", "RequestClosed")
+_MEMBER = ("role", "team", "supervisor", "domain", "place", "public_key")
 
 
 class Robot:
@@ -59,8 +63,12 @@ class Robot:
 
     def __init__(self, way: Client, name: str, story: Story, pause: Callable[[float], None]) -> None:
         self._way, self._name, self._story, self._pause = way, name, story, pause
+        self._asked: list[str] = []
+        self._withdrawn: set[str] = set()
         self._waiting: list[str] = []
         self._executions = 0
+        self._joined: dict[str, Any] = {}
+        self._is_away, self._fence = False, None
 
     def run(self, known: int) -> None:
         """Answer until the service is gone; of the first so many events only what is still open.
@@ -70,25 +78,55 @@ class Robot:
         latest: dict[str, FollowedEvent] = {}
         events = self._way.events(after=-1)
         for event in events:
+            self._learn(event)
             if event.type not in _PASSING and (action := _action(event)) is not None:
                 latest[action] = event
             if event.type == "ExecutionStarted" and event.columns.get("robot") == self._name:
                 self._executions += 1
             if event.seq >= known - 1:
                 break
+        if self._is_away:
+            self._return()
+        self._judge(*self._asked)
         for event in latest.values():
             if event.type == "ExecutionStarted" and event.columns.get("robot") == self._name:
                 self._finish(f"{_action(event)}")  # this program ended in the middle of it
             else:
                 self.answer(event)
         for event in events:
+            self._learn(event)
             self.answer(event)
+
+    def _learn(self, event: FollowedEvent) -> None:
+        """Keep what the event says of this robot itself, and of what it is asked."""
+        named, action = event.columns, f"{_action(event)}"
+        if event.type == "RequestIssued" and named.get("executed_by") == self._name:
+            self._asked.append(action)
+        elif event.type in _JUDGED and action in self._asked:
+            self._asked.remove(action)
+        elif event.type == "ExecutionWithdrawn" and named["robot"] == self._name:
+            self._withdrawn.add(action)
+        elif named.get("robot") == self._name and event.type in ("RobotJoined", "RobotDeparted", "RobotReturned"):
+            self._joined = self._joined or {name: named[name] for name in _MEMBER if name in named}
+            self._is_away = event.type == "RobotDeparted"
+            self._fence = named.get("fence")
+
+    def _judge(self, *actions: str) -> None:
+        """Accept what is asked; what had to wait for another is asked again when that one is decided."""
+        for action in actions:
+            self._say("JudgeRequest", action_id=action, accepts=True)
+
+    def _return(self) -> None:
+        self._way.give("JoinFleet", robot=self._name, **self._joined)
 
     def answer(self, event: FollowedEvent) -> None:
         """Answer one event."""
         action, mine, named = _action(event), self._name, event.columns
-        if event.type == "RequestIssued" and named.get("executed_by") == mine:
-            self._say("JudgeRequest", action_id=action, accepts=True)
+        if event.type == "RequestIssued" and action in self._asked:
+            self._pause(1)
+            self._judge(f"{action}")
+        elif event.type in _JUDGED or (event.type == "SupervisorResponded" and named["purpose"] == "ordering"):
+            self._judge(*self._asked)
         elif _can_begin(event) and named.get("robot") == mine:
             self._waiting.append(f"{action}")
             self._work()
@@ -100,7 +138,7 @@ class Robot:
         elif event.type == "AssistanceAdmitted" and named.get("helper") == mine:
             self._pause(1)
             self._say("ReportAssistance", action_id=action, succeeded=True)
-        elif event.type == "FailureResolved" and named.get("robot") == mine:
+        elif event.type == "FailureResolved" and named.get("robot") == mine and action not in self._withdrawn:
             self._finish(f"{action}")
         elif event.type == "ExecutionWithdrawn" and action in self._waiting:
             self._waiting.remove(f"{action}")
@@ -121,6 +159,11 @@ class Robot:
             self._say("ReportFailure", action_id=action, cause=cause)
             return
         if self._executions == self._story.leaves_at:
+            self._way.give("LeaveFleet", robot=self._name)
+            self._pause(4)
+            self._return()
+            return
+        if self._executions == self._story.off_at:
             self._say("ReportPresence", is_on=False)
             self._pause(4)
             self._say("ReportPresence", is_on=True)
@@ -128,10 +171,10 @@ class Robot:
 
     def _finish(self, action: str) -> None:
         self._pause(1)
-        self._way.give("ReportResult", executor=self._name, action_id=action, result="success")
+        self._way.give("ReportResult", executor=self._name, action_id=action, result="success", fence=self._fence)
 
     def _say(self, command: str, **fields: Any) -> bool:
-        return self._way.give(command, robot=self._name, **fields).rejected is None
+        return self._way.give(command, robot=self._name, fence=self._fence, **fields).rejected is None
 
 
 def _can_begin(event: FollowedEvent) -> bool:
@@ -145,23 +188,42 @@ def _action(event: FollowedEvent) -> str | None:
 
 
 def supervise(way: Client, name: str, after: float, pause: Callable[[float], None]) -> None:
-    """Answer each call to the supervisor after so many steps: approve it, or say that it is resolved.
+    """Answer each call to the supervisor after so many steps: approve, or let what is urgent go first.
 
     Raises: Refused: As `Robot.run`.
     """
+    urgent: set[str] = set()
     for event in way.events(after=-1):
-        if event.type == "SupervisorCalled" and event.columns["supervisor"] == name:
+        named = event.columns
+        if event.type == "TaskArrived" and named["is_time_critical"]:
+            urgent.add(named["task_id"])
+        if event.type == "SupervisorCalled" and named["supervisor"] == name:
             pause(after)
-            way.give("RespondToCall", supervisor=name, action_id=event.columns["action_id"], approves=True)
+            other = named.get("competing")
+            preferred = other if other is not None and other.partition("/")[0] in urgent else None
+            way.give("RespondToCall", supervisor=name, action_id=named["action_id"], approves=True, preferred=preferred)
 
 
-TASKS: Sequence[tuple[str, Sequence[tuple[str, Sequence[str]]]]] = (
-    ("a door relay", (("robot/A1", ("A navigate.indoor", "A door.open.secure B", "A navigate.indoor")),)),
-    ("a failure that only a person resolves", (("robot/A1", ("A door.open.secure B", "A navigate.indoor")),)),
-    ("two at one door", (("robot/A1", ("A door.open.secure B",)), ("robot/C1", ("C door.open.secure B",)))),
-    ("a robot that goes off, under review", (("robot/A1", ("A carry.heavy D", "A navigate.indoor")),)),
+class TaskOf(NamedTuple):
+    """A task of a story: whose it is, its steps, and whether it is time-critical."""
+
+    robot: str
+    steps: Sequence[str]
+    is_urgent: bool = False
+
+
+TASKS: Sequence[tuple[str, Sequence[TaskOf]]] = (
+    ("a door relay", [TaskOf("robot/A1", ("A navigate.indoor", "A door.open.secure B", "A navigate.indoor"))]),
+    ("a failure that only a person resolves", [TaskOf("robot/A1", ("A door.open.secure B", "A navigate.indoor"))]),
+    (
+        "two at one door, one of them urgent",
+        [TaskOf("robot/A1", ("A door.open.secure B",)), TaskOf("robot/C1", ("C door.open.secure B",), is_urgent=True)],
+    ),
+    ("a robot that goes off, under review", [TaskOf("robot/A1", ("A carry.heavy D", "A navigate.indoor"))]),
+    ("a failure for the robot's own supervisor", [TaskOf("robot/C1", ("C navigate.indoor",))]),
+    ("a robot that leaves, and returns", [TaskOf("robot/A1", ("A carry.heavy D",))]),
 )
-"""The stories of the demo: what is told, and for each task whose it is and its steps."""
+"""The stories of the demo: what is told, and its tasks."""
 REVIEWED = "robot/D1"
 """The robot whose every admission the fleet's supervisor wants to see."""
 
@@ -169,10 +231,16 @@ REVIEWED = "robot/D1"
 def play(hub: Client, number: int, budget_s: float) -> Iterator[str]:
     """Bring the tasks of the story with this number, and yield how each ends."""
     open_tasks: dict[str, int] = {}
-    for place, (robot, steps) in enumerate(TASKS[number][1], start=1):
+    for place, one in enumerate(TASKS[number][1], start=1):
         task = f"story{number + 1}-{place}"
         given = hub.give(
-            "SubmitTask", key=task, robot=robot, task_id=task, steps=steps, budget_us=round(budget_s * 1e6)
+            "SubmitTask",
+            key=task,
+            robot=one.robot,
+            task_id=task,
+            steps=one.steps,
+            budget_us=round(budget_s * 1e6),
+            is_time_critical=one.is_urgent,
         )
         open_tasks[task] = given.seq
     for event in hub.events(after=min(open_tasks.values())):
@@ -195,7 +263,7 @@ class Demo:
     def __init__(self, ledger: Path, by_hand: bool, step_s: float) -> None:
         self._ledger, self._by_hand, self._step_s = ledger, by_hand, step_s
         self._principals = ledger.with_name(f"{ledger.name}.principals")
-        self.tokens = {name: add_principal(self._principals, name) for name in (*STORIES, HUMAN, HUB)}
+        self.tokens = {name: add_principal(self._principals, name) for name in (*STORIES, HUMAN, OWN, HUB)}
         with socket.create_server(("127.0.0.1", 0)) as free:
             self.url = f"http://127.0.0.1:{free.getsockname()[1]}"
         self.processes: dict[str, subprocess.Popen[bytes]] = {}
@@ -207,7 +275,7 @@ class Demo:
         self._start("service")
         with self.way(HUMAN) as human:
             human.give("SetSupervisionDensity", issued_by=HUMAN, robot=REVIEWED, review_every=1, reason="demo")
-        for name in (*STORIES, *(() if self._by_hand else (HUMAN,))):
+        for name in (*STORIES, OWN, *(() if self._by_hand else (HUMAN,))):
             self._start(name)
         self._watch.start()
         return self
@@ -253,7 +321,7 @@ def main() -> None:
         time.sleep(seconds * float(step_s))
 
     with Client(url, os.environ[TOKEN]) as way:
-        if name == HUMAN:
+        if name in (HUMAN, OWN):
             supervise(way, name, 2, pause)
         else:
             Robot(way, name, STORIES[name], pause).run(way.known())

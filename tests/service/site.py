@@ -20,7 +20,7 @@ from fsar_ledger.service import server
 from fsar_ledger.service.client import Client, FollowedEvent
 from fsar_ledger.service.principals import Principals, add_principal
 
-NAMES = ("robot/A1", "robot/B1", "supervisor/A1", "supervisor/fleet", "service/hub", "auditor/anna")
+NAMES = ("robot/A1", "robot/B1", "robot/C1", "supervisor/A1", "supervisor/fleet", "service/hub", "auditor/anna")
 TASK: dict[str, Any] = {"robot": "robot/A1", "steps": ["A door.open.secure B"], "budget_us": 600_000_000}
 
 

@@ -15,7 +15,7 @@ import pytest
 import fsar_ledger
 from fsar_ledger.events.supervision import SupervisionDensitySet, SupervisorResponded
 from fsar_ledger.service.console import FILES, page_file
-from fsar_ledger.service.demo import HUB, HUMAN, STORIES, TASKS, Demo, play
+from fsar_ledger.service.demo import HUB, HUMAN, OWN, STORIES, TASKS, Demo, play
 from tests.service.site import TASK, Site, is_good
 
 pytestmark = pytest.mark.slow
@@ -61,6 +61,17 @@ def test_each_rule_that_asks_for_a_review_is_told(site: Site) -> None:
     assert call["why"] == (
         "A fleet rule asks for a review of everything at robot/B1; The local window night asks for a review at robot/B1"
     )
+
+
+def test_a_robot_that_is_away_is_shown_as_such_with_how(asked: Site) -> None:
+    asked.ways["robot/B1"].give("ReportPresence", robot="robot/B1", is_on=False)
+    [call] = overview(asked, HUMAN)["calls"]
+    assert call["known"][-1] == "robot/B1 is away: off."
+    asked.ways["robot/C1"].give("LeaveFleet", robot="robot/C1")
+    shown = {one["robot"]: (one["is_away"], one["does"]) for one in overview(asked, HUMAN)["robots"]}
+    assert shown["robot/A1"] == (False, None)
+    assert shown["robot/B1"] == (True, "off")
+    assert shown["robot/C1"] == (True, "has left the fleet (announced)")
 
 
 def test_the_page_is_closed_to_what_comes_from_elsewhere(site: Site) -> None:
@@ -133,6 +144,26 @@ def test_a_person_governs_and_hostile_names_are_text(asked: Site, browser: Any) 
     assert found == []
 
 
+def test_the_drawn_run_goes_on_as_the_run_does(asked: Site, browser: Any) -> None:
+    page, found = signed_in(browser, asked)
+    with page.expect_popup() as opened:
+        page.click("#view")
+    picture = opened.value
+    picture.wait_for_selector("body[data-ready]")
+    before = picture.inner_text("#facts")
+    picture.keyboard.press("ArrowRight")
+    chosen = picture.wait_for_selector("#event-title:text-matches('[0-9]')").inner_text()
+    asked.ways[HUMAN].give("RespondToCall", supervisor=HUMAN, action_id="t/1.1", approves=True)
+    count = len(asked.record.events)
+    picture.wait_for_selector(f"#facts:has-text('{count} events')")
+    assert f"{count} events" not in before
+    assert picture.inner_text("#event-title") == chosen
+    picture.evaluate("window.opener.postMessage('drawn', '*', [new MessageChannel().port2])")  # a second line is none
+    asked.ways[HUMAN].give("SetSupervisionDensity", issued_by=HUMAN, robot="robot/B1", review_every=2, reason="test")
+    picture.wait_for_selector(f"#facts:has-text('{len(asked.record.events)} events')")
+    assert found == []
+
+
 @pytest.mark.parametrize("width", [1280, 400])
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_everybody_can_use_it(asked: Site, browser: Any, width: int, scheme: str) -> None:
@@ -164,7 +195,7 @@ def test_it_connects_again_after_the_service_was_away(tmp_path: Path, browser: A
         page.wait_for_selector("#line:text-is('connected')", timeout=30_000)
 
 
-@pytest.mark.parametrize("killed", ["service", *STORIES, HUMAN])
+@pytest.mark.parametrize("killed", ["service", *STORIES, HUMAN, OWN])
 def test_the_demo_goes_on_when_a_process_is_killed(tmp_path: Path, killed: str) -> None:
     with Demo(tmp_path / "ledger", by_hand=False, step_s=0.1) as demo, demo.way(HUB) as hub:
         ended = list(play(hub, 0, 60))
@@ -185,6 +216,8 @@ def test_the_command_plays_its_stories(tmp_path: Path) -> None:
         "completed",
         "completed",
         "completed, completed",
+        "completed",
+        "completed",
         "completed",
     ]
     assert time.monotonic() - began < 60

@@ -9,7 +9,7 @@ import { showLegend } from "./legend";
 import { overview } from "./overview";
 import { showEvent, showMoment } from "./panels";
 import { listen } from "./pointer";
-import { begin, select } from "./state";
+import { begin, endOf, move, select } from "./state";
 import { showTables } from "./tables";
 
 const state = begin(load(byId("data").textContent ?? ""));
@@ -108,10 +108,40 @@ function introduce(): void {
     ? [...facts, `${run.events.length} events`, seconds(run.end, 1), ...clock(run, 0)].join(" · ")
     : differenceText();
   byId("run-id").textContent = state.page.runs.map((one) => one.run).join("\n");
-  for (const one of state.page.runs.filter((each, at) => at === 0 || each.root !== run.root)) {
-    const rows = one.isVerified ? "rows compared with this root" : "rows not compared with this root";
-    const words = `${one.ledger}: ${one.size} events, root ${one.root}, ${rows}`;
-    byId("standing").append(element("p", {}, words));
+  const ledgers = state.page.runs.filter((each, at) => at === 0 || each.root !== run.root);
+  byId("standing").replaceChildren(
+    ...ledgers.map((one) => {
+      const rows = one.isVerified ? "rows compared with this root" : "rows not compared with this root";
+      return element("p", {}, `${one.ledger}: ${one.size} events, root ${one.root}, ${rows}`);
+    }),
+  );
+}
+
+/** Take the run as it is by now, and keep what is looked at: the end stays in view where it was. */
+function grow(text: string): void {
+  const before = endOf(state.page);
+  state.page = load(text);
+  const by = endOf(state.page) - before;
+  if (state.to >= before) {
+    move(state, state.from === 0 ? 0 : state.from + by, state.to + by);
+  }
+  introduce();
+  showLegend(state.page);
+  if (!byId("filters").contains(document.activeElement)) {
+    showFilters(state.page, state.filters, changed);
+  }
+  changed();
+}
+
+/**
+ * Let who opened the page feed it with a run that goes on: the console of a service, which serves the page without an
+ * origin of its own. A page with an origin is not fed, since anybody can open it.
+ */
+function listenToOpener(): void {
+  if (window.opener !== null && window.origin === "null") {
+    const { port1, port2 } = new MessageChannel();
+    port1.onmessage = (event) => grow(`${event.data}`);
+    window.opener.postMessage("drawn", "*", [port2]);
   }
 }
 
@@ -135,3 +165,4 @@ document.addEventListener("keydown", (event) =>
 );
 new ResizeObserver(redraw).observe(byId("stage"));
 render();
+listenToOpener();
