@@ -199,7 +199,7 @@ function composed() {
   return found;
 }
 
-const GOVERNS = ["SetTrust", "SetSupervisionDensity", "SetPolicyRule", "GrantAuthority", "RevokeAuthority", "SetRoleTrust", "SetRolePolicyRule", "SetRecoveryBudget", "SetTrustThresholds", "ReportShift", "SubmitTask"];
+const GOVERNS = ["SetTrust", "SetSupervisionDensity", "SetPolicyRule", "GrantAuthority", "RevokeAuthority", "SetRoleTrust", "SetRolePolicyRule", "SetRecoveryBudget", "SetTrustThresholds", "ReportShift", "SubmitTask", "LeaveFleet"];
 async function enter() {
   try {
     await look();
