@@ -16,6 +16,8 @@ from typing import Any, NamedTuple
 
 import msgspec
 
+from fsar_ledger.designs.constants import Structure
+
 from .client import Client, FollowedEvent
 from .principals import add_principal
 
@@ -298,7 +300,8 @@ class Demo:
         if name == "service":
             port = self.url.rpartition(":")[2]
             principals = ("--principals", f"{self._principals}")
-            command = (*python, "fsar_ledger", "serve", f"{self._ledger}", *principals, "--port", port)
+            waits = f"structure.back_off_us={round(Structure().back_off_us * self._step_s)}"
+            command = (*python, "fsar_ledger", "serve", f"{self._ledger}", *principals, "--port", port, "--set", waits)
         environment = {**os.environ, TOKEN: self.tokens.get(name, "")}
         quiet = subprocess.DEVNULL
         self.processes[name] = subprocess.Popen(

@@ -195,12 +195,13 @@ def test_it_connects_again_after_the_service_was_away(tmp_path: Path, browser: A
         page.wait_for_selector("#line:text-is('connected')", timeout=30_000)
 
 
-@pytest.mark.parametrize("killed", ["service", *STORIES, HUMAN, OWN])
-def test_the_demo_goes_on_when_a_process_is_killed(tmp_path: Path, killed: str) -> None:
+def test_the_demo_goes_on_as_each_process_is_killed_in_turn(tmp_path: Path) -> None:
+    names, ended = ("service", *STORIES, HUMAN, OWN), list[str]()
     with Demo(tmp_path / "ledger", by_hand=False, step_s=0.1) as demo, demo.way(HUB) as hub:
-        ended = list(play(hub, 0, 60))
-        demo.processes[killed].send_signal(signal.SIGKILL)
+        ended += play(hub, 0, 60)
         for number in range(1, len(TASKS)):
+            for name in names[number - 1 :: len(TASKS) - 1]:  # it is away as the story begins
+                demo.processes[name].send_signal(signal.SIGKILL)
             ended += play(hub, number, 60)
     assert set(ended) == {"completed"}
     assert is_good(tmp_path / "ledger")
