@@ -56,8 +56,11 @@ PAGES = (
     *(DOCS / f"{name}.md" for name in WITH_OUTPUT.split()),
 )
 FORMAT = DOCS / "ledger-format.md"
-NEEDS_NO_SHELL = re.compile(r"fsar-ledger(?: (?:[\w./-]+|\"[^\"$`\\\\]*\"))+")
-"""One command of ours whose words are plain, or stand in quotes and mean themselves there."""
+NEEDS_NO_SHELL = re.compile(
+    r"(?P<call>fsar-ledger(?: (?:[\w./:=,-]+|\"[^\"$`\\]*\"))+)"
+    r"(?:(?P<code>; echo \"exit code \$\?\")| \| (?P<pipe>.*))?"
+)
+"""One command of ours whose words are plain or mean themselves in quotes; its exit code or a pipe may follow."""
 INTERNAL = {"about_run", "database"}
 """Methods of `Ledger` that only the command line and the report use."""
 DIGEST = re.compile(r"(?<![0-9a-zA-Z])(?=[0-9a-f]*[a-f])(?=[0-9a-f]*[0-9])[0-9a-f]{12,64}(?![0-9a-zA-Z])")
@@ -88,29 +91,36 @@ def answered(block: str, folder: Path) -> Iterator[str]:
     for command in re.findall(r"^\$ .*\n(?:>(?: .*)?\n)*", block, flags=re.MULTILINE):
         yield command
         text = "\n".join(line[2:] for line in command.splitlines())
-        yield called(text, folder) if NEEDS_NO_SHELL.fullmatch(text) else said_in_a_shell(text, folder)
+        plain = NEEDS_NO_SHELL.fullmatch(text)
+        if plain is None:
+            yield said_in_a_shell(text, folder)
+            continue
+        said, code = called(plain["call"], folder)
+        said += f"exit code {code}\n" if plain["code"] else ""
+        yield said_in_a_shell(plain["pipe"], folder, said) if plain["pipe"] else said
 
 
-def called(text: str, folder: Path) -> str:
-    """Return what a command of ours prints, run in this process, which has its libraries loaded."""
+def called(text: str, folder: Path) -> tuple[str, int]:
+    """Return what a command of ours prints and its exit code, run in this process, which has its libraries loaded."""
     before, cache = Path.cwd(), os.environ.get("XDG_CACHE_HOME", "")
     os.environ["XDG_CACHE_HOME"] = f"{folder}/.cache"  # so that no cache of other ledgers is used
     os.chdir(folder)
     try:
         with redirect_stdout(StringIO()) as said, redirect_stderr(said):
-            run(shlex.split(text)[1:])
-        return said.getvalue()
+            code = run(shlex.split(text)[1:])
+        return said.getvalue(), code
     finally:
         os.chdir(before)
         os.environ["XDG_CACHE_HOME"] = cache  # empty means unset
 
 
-def said_in_a_shell(text: str, folder: Path) -> str:
-    """Return what any other command prints, run by a shell."""
+def said_in_a_shell(text: str, folder: Path, given: str = "") -> str:
+    """Return what any other command prints that is given this text, run by a shell."""
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
     done = subprocess.run(
         ["sh", "-c", text],
         cwd=folder,
+        input=given,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,

@@ -16,16 +16,15 @@ if TYPE_CHECKING:
     from fsar_ledger.api.events import Events, LoggedEvent
     from fsar_ledger.api.explain import Account
     from fsar_ledger.api.federate import federate
-    from fsar_ledger.api.imports import import_records
     from fsar_ledger.api.key import key_new, key_public
     from fsar_ledger.api.ledger import Ledger, open_ledger
-    from fsar_ledger.api.record import record
-    from fsar_ledger.api.reproduce import Reproduced, reproduce
+    from fsar_ledger.api.prove import verify_proof
+    from fsar_ledger.api.record import import_records, record
+    from fsar_ledger.api.report import Reproduced, reproduce
     from fsar_ledger.api.serve import principal_new
     from fsar_ledger.api.simulate import Simulated, simulate
     from fsar_ledger.api.table import Table
     from fsar_ledger.api.verify import Verification
-    from fsar_ledger.api.verify_proof import verify_proof
     from fsar_ledger.api.witness import witness_new
     from fsar_ledger.base import errors
     from fsar_ledger.base.errors import FsarLedgerError
@@ -80,16 +79,15 @@ _HOMES = {
     "api.events": ("Events", "LoggedEvent"),
     "api.explain": ("Account",),
     "api.federate": ("federate",),
-    "api.imports": ("import_records",),
     "api.key": ("key_new", "key_public"),
     "api.ledger": ("Ledger", "open_ledger"),
-    "api.record": ("record",),
-    "api.reproduce": ("Reproduced", "reproduce"),
+    "api.prove": ("verify_proof",),
+    "api.record": ("import_records", "record"),
+    "api.report": ("Reproduced", "reproduce"),
     "api.serve": ("principal_new",),
     "api.simulate": ("Simulated", "simulate"),
     "api.table": ("Table",),
     "api.verify": ("Verification",),
-    "api.verify_proof": ("verify_proof",),
     "api.witness": ("witness_new",),
     "base.errors": ("FsarLedgerError",),
     "service.client": ("Client",),

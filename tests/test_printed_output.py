@@ -30,6 +30,15 @@ def test_a_here_document_keeps_its_empty_lines(tmp_path: Path) -> None:
     assert "".join(write["answered"](block, tmp_path)) == block.replace("old", "3")
 
 
+def test_a_plain_command_says_its_exit_code_and_goes_through_a_pipe_without_a_process(tmp_path: Path) -> None:
+    write = runpy.run_path(WRITE)
+    block = '$ fsar-ledger info gone; echo "exit code $?"\n$ fsar-ledger info --help | head -n 1 | cut -c 1-24\n'
+    _, refused, _, helped = write["answered"](block, tmp_path)
+    assert refused.startswith("fsar-ledger: gone: found no such path, ")
+    assert refused.endswith("\nexit code 2\n")
+    assert helped == "Usage: fsar-ledger info \n"
+
+
 def test_a_page_is_out_of_date_when_a_reader_would_notice_not_when_a_digest_changes() -> None:
     noticed = runpy.run_path(WRITE)["noticed"]
     first, second, third = ("0a" * 32, "1b" * 32, "2c" * 32)

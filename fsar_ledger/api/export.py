@@ -1,13 +1,14 @@
-"""The verb `export`: events, or the answer of a query, as a file; or a ledger in the format of another system."""
+"""The verbs `export` and `open`: a ledger, or an answer, as files for other programs."""
 
 from collections.abc import Iterator
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated
 
 import msgspec
 
 from fsar_ledger.base import printable
-from fsar_ledger.base.errors import UsageError, option
+from fsar_ledger.base.errors import QueryFailed, UsageError, WriteFailed, option
 from fsar_ledger.base.progress import Progress
 
 from .answers import Answer, Screen
@@ -15,9 +16,15 @@ from .names import Place, Run
 from .verbs import Option, ParameterOption, RawOption, Shows, declare, switch, verb
 
 if TYPE_CHECKING:
+    from fsar_ledger.metrics.database import Database
     from fsar_ledger.metrics.provenance import Provenance
 
     from .ledger import Ledger
+
+
+SUFFIX = ".duckdb"
+HEAD = "ledger_head"
+"""The table by which a file of ours is known."""
 
 
 class ExportResult(Answer, msgspec.Struct, frozen=True):
@@ -117,3 +124,134 @@ def export(
     if parameters:
         raise UsageError(f"export: found parameter {next(iter(parameters))} and no query, expected both or neither")
     return ExportResult(*write_events(ledger.path, file, raw=raw, demanded=ledger.demanded, progress=progress), file)
+
+
+class Opened(Answer, msgspec.Struct, frozen=True):
+    """The file, how many relations and macros it holds, which queries it does not, and the provenance."""
+
+    file: Path
+    relations: int
+    macros: int
+    not_included: tuple[str, ...]
+    provenance: "Provenance"
+
+    def text(self, _: Screen) -> Iterator[printable.SafeText]:
+        """Yield what the file holds."""
+        events = self.provenance.head.size if self.provenance.head else 0
+        yield printable.lines(
+            f"{self.file}: {self.relations:,} relations and {self.macros:,} macros over {events:,} events",
+            "a macro is called by its parameters, as `FROM denials(run := 1)`",
+        )
+        if self.not_included:
+            yield printable.line(f"not included: {', '.join(self.not_included)}, which need fsar-ledger itself")
+
+
+@verb("open out/ledger --out out/ledger.duckdb", takes=("verified",))
+def open(  # named as the command is
+    ledger: "Ledger",
+    out: Place | None = declare("FILE", "A .duckdb file; replaced if `open` wrote it.", "LEDGER.duckdb here"),
+    *,
+    progress: Annotated[Progress | None, Shows("written", "views and queries")] = None,
+) -> Opened:
+    """Write a small DuckDB file for other programs: every event view and query under its name.
+
+    DuckDB, notebooks, Polars and BI tools read the ledger through it and can join tables of their own. It reads the
+    segments in their present place, at the present head; `open` again after the ledger grew or moved.
+
+    Raises:
+        UsageError: The name does not end in .duckdb, lies inside a ledger, or is of a file that is not ours.
+        WriteFailed: The file cannot be written.
+        NotALedger, FormatVersionMismatch, LedgerCorrupted, SequenceConflict: As `connect`.
+    """
+    import duckdb
+
+    from fsar_ledger.metrics.database import connect
+
+    from .files import whole_file
+
+    place = ledger.path.resolve()
+    file = Path(f"{place.name}{SUFFIX}") if out is None else Path(out)
+    _require_ours(file)
+    with whole_file(file) as temporary, TemporaryDirectory(prefix="fsar-ledger-") as folder:
+        temporary.touch()
+        temporary.unlink()  # the system says better than DuckDB why there is no place for it
+        # DuckDB takes a `?` in a name for the end of it, and leaves its log where the name then leads.
+        link = Path(folder) / f"ledger{SUFFIX}"
+        link.symlink_to(temporary.absolute())
+        try:
+            with connect(place, 1, ledger.demanded, link) as database:
+                return _fill(database, place, file, progress)
+        except (duckdb.Error, QueryFailed) as problem:  # our own queries have no mistakes
+            said = str(problem).removeprefix("SQL: ").partition("\n")[0]
+            raise WriteFailed(
+                f"{file}: cannot be written ({said}); the file is as it was before: make room or choose another place"
+            ) from problem
+
+
+def _fill(database: "Database", ledger: Path, file: Path, progress: Progress | None) -> Opened:
+    """Make every relation and macro, and the tables that say what the file is."""
+    import pyarrow as pa
+
+    from fsar_ledger.base.progress import each
+    from fsar_ledger.metrics.provenance import Provenance
+
+    found = sorted(database.library.queries.values(), key=lambda query: bool(query.parameters))
+    left_out = []
+    for query in each(found, progress):
+        if not query.parameters:
+            database.prepare(query.relation)
+        elif not database.macro(query):
+            left_out.append(query)
+    asked = sum(bool(query.parameters) for query in found)
+    head = database.head
+    assert head is not None
+    database.hold(
+        HEAD,
+        pa.table(
+            {
+                "path": [str(ledger)],
+                "commits": [head.commits],
+                "events": [head.size],
+                "root": [head.root],
+                "rows_verified": [database.rows_verified],
+            }
+        ),
+    )
+    names = pa.array([query.relation for query in left_out], pa.string())
+    reasons = pa.array(["needs functions that only fsar-ledger has"] * len(left_out), pa.string())
+    database.hold("not_included", pa.table({"name": names, "reason": reasons}))
+    database.write_out()
+    provenance = Provenance(head, database.rows_verified)
+    return Opened(file, len(found) - asked, asked - len(left_out), tuple(names.to_pylist()), provenance)
+
+
+def _require_ours(file: Path) -> None:
+    import duckdb
+
+    from fsar_ledger.ledger.store.paths import require_outside
+    from fsar_ledger.metrics.sql_values import literal
+
+    if file.suffix != SUFFIX:
+        raise UsageError(
+            f"{file}: found a file name that ends in {file.suffix or 'nothing'!r}, expected {SUFFIX}; choose another "
+            "name"
+        )
+    if "\\" in str(file.absolute()):
+        raise UsageError(f"{file.absolute()}: found a backslash, which DuckDB takes for a slash; choose another place")
+    require_outside(file, option("out", file))
+    if file.is_dir():
+        raise UsageError(f"{file}: found a folder, expected the name of a file; choose another name")
+    if not file.exists():
+        return
+    try:
+        with duckdb.connect(literal(file), read_only=True) as connection:
+            is_ours = connection.execute(
+                "SELECT count(*) FROM duckdb_tables() WHERE table_name = ?", [HEAD]
+            ).fetchone() == (1,)
+    except duckdb.Error:
+        is_ours = False
+    if not is_ours:
+        raise UsageError(
+            f"{file}: found a file that `open` has not written, or that another program has open; close it there, or "
+            "choose another name"
+        )

@@ -21,13 +21,10 @@ from . import log as _log
 from . import maintain as _maintain
 from . import metrics as _metrics
 from . import multiverse as _multiverse
-from . import open as _open
 from . import prove as _prove
+from . import query as _query
 from . import report as _report
-from . import sql as _sql
 from . import state as _state
-from . import statistics as _statistics
-from . import step as _step
 from . import verify as _verify
 from . import view as _view
 from . import whatif as _whatif
@@ -206,7 +203,7 @@ class Ledger:
 
         return text_of(name)
 
-    sql = _sql.sql
+    sql = _query.sql
     requests = _explain.requests
     explain = _explain.explain
 
@@ -223,7 +220,7 @@ class Ledger:
         """
         return recorded(self, open_for_answers(self.path), run)
 
-    step = _step.step
+    step = _state.step
     state = _state.state
     why = _why.why
     verdicts = _why.verdicts
@@ -239,7 +236,7 @@ class Ledger:
     # --- judgement ---
 
     metrics = _metrics.metrics
-    statistics = _statistics.statistics
+    statistics = _metrics.statistics
     compare = _compare.compare
     audit = _audit.audit
     verify = _verify.verify
@@ -250,7 +247,7 @@ class Ledger:
     # --- files ---
 
     export = _export.export
-    open = _open.open
+    open = _export.open
     report = _report.report
     recover = _maintain.recover
     upgrade = _maintain.upgrade

@@ -1,17 +1,32 @@
-"""The verb `report`."""
+"""The verbs `report` and `reproduce`: typeset the evaluation, of one ledger or from the experiments on."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from .answers import Lines
-from .names import KindOfReport, Place
-from .verbs import Gives, Option, WorkersOption, declare, readers_of, verb
+import msgspec
+
+from fsar_ledger.base import printable
+from fsar_ledger.base.errors import option
+from fsar_ledger.base.printable import SafeText, counted
+
+from .answers import Answer, Lines, Screen
+from .names import KindOfReport, Names, Place, names_of
+from .simulate import CONTINUES
+from .verbs import AdoptOption, Gives, KeyOption, Option, WorkersOption, declare, readers_of, verb, workers_of
 
 if TYPE_CHECKING:
     from fsar_ledger.base.progress import Showing
+    from fsar_ledger.base.workers import WorkerPool
+    from fsar_ledger.ledger.log.note import Signer
+    from fsar_ledger.runtime.experiment import SimulationResult
+    from fsar_ledger.runtime.paper import Name, PaperLedger
 
     from .ledger import Ledger
+    from .table import Table
+
+
+SHOWN = ("architecture", "metric", "mean", "sd", "n", "ci_low", "ci_high")
 
 
 @verb(
@@ -89,3 +104,136 @@ def report(
         kind="paper" if kind is None and of_the_paper else kind,
     )
     return Lines(*(f"{one}" for one in (out, numbers) if one is not None))
+
+
+class Reproduced(Answer, msgspec.Struct, frozen=True):
+    """The result of `reproduce`: what was added to each ledger, by experiment, and the metrics of the results."""
+
+    folder: Path
+    made: "Mapping[Name, SimulationResult]"
+    metrics: "Table"
+
+    @property
+    def report(self) -> Path:
+        """Return the path of the PDF."""
+        return self.folder / "report.pdf"
+
+    @property
+    def ledgers(self) -> "dict[Name, Ledger]":
+        """Return the ledger of each experiment."""
+        from .ledger import Ledger
+
+        return {name: Ledger(self.folder / name) for name in self.made}
+
+    def text(self, screen: Screen) -> Iterator[SafeText]:
+        """Yield the metrics of the results, and where the report is."""
+        results = self.made["results"]
+        took = f"{results.head.size:,} events, root {results.head.root}, {screen.elapsed_s:.0f} s"
+        yield screen.table(self.metrics.rows(), SHOWN)
+        yield printable.lines(*beyond(results), "", took, str(self.report))
+
+
+@verb(
+    "reproduce",
+    "reproduce --out out/paper --only results --runs 20",
+    takes=("wide",),
+    after_interruption=CONTINUES,
+)
+def reproduce(
+    out: Place = declare("FOLDER", "Where the ledgers, the tables and the report go.", value="fsar-out"),
+    *,
+    only: Names = declare(
+        "EXPERIMENT", "results (always made), ablation, scaling or workflows; may be repeated.", "all"
+    ),
+    runs: int | None = declare(
+        "N", "Runs of each scenario, spread over the registered seeds.", "results 200, ablation 40, scaling 20"
+    ),
+    key: KeyOption = None,
+    adopt: AdoptOption = False,
+    workers: WorkersOption = None,
+    showing: Annotated["Showing | None", Gives("showing")] = None,
+) -> Reproduced:
+    """Run the paper's experiments, judge them and typeset the report.
+
+    FOLDER then holds report.pdf, its numbers as reproduction.json, metrics.csv, statistics.csv and a ledger of each
+    experiment: results/, ablation/, scaling/ and workflows/. The key signs results/ under its name NAME, and the others
+    under NAME/ablation, NAME/scaling and NAME/workflows, because no two ledgers may have one origin.
+
+    Raises:
+        UsageError: The folder is a ledger, or lies inside one.
+        InvalidExperiment: An experiment is unknown, or the number of runs impossible.
+    """
+    from fsar_ledger.base.progress import unseen
+    from fsar_ledger.base.workers import WorkerPool
+    from fsar_ledger.designs.registered import known
+    from fsar_ledger.ledger.store.paths import require_outside
+    from fsar_ledger.metrics.database import connect
+    from fsar_ledger.metrics.provenance import of_judgement
+    from fsar_ledger.metrics.results import MetricRow, StatisticRow, metric_rows, statistic_rows
+    from fsar_ledger.metrics.verified import ensure_verified
+    from fsar_ledger.report.build import write_report
+    from fsar_ledger.runtime.paper import NAMES, paper_ledger
+
+    from .files import write_csv
+    from .key import signer_of
+    from .table import Table, of_structs
+
+    folder, processes, signer, show = Path(out), workers_of(workers), signer_of(key, adopts=adopt), showing or unseen
+    require_outside(folder, option("out", folder))
+    wanted = known("experiment", names_of(only), NAMES)
+    experiments = [paper_ledger(name, runs) for name in NAMES if name == "results" or not wanted or name in wanted]
+    with WorkerPool(processes) as pool:
+        made = {
+            one.name: _carried_out(folder / one.name, one, pool, one.signer(signer), show, adopts=adopt)
+            for one in experiments
+        }
+    ledger = folder / "results"
+    with show("verified", "segments") as progress:
+        demanded = ensure_verified(ledger, processes, progress)
+    with connect(ledger, demanded=demanded) as database:
+        metrics, statistics = metric_rows(database, pools_seeds=True), statistic_rows(database, pools_seeds=True)
+        table = Table(of_structs(metrics, MetricRow), of_judgement(database))
+    write_csv(folder / "metrics.csv", table)
+    write_csv(folder / "statistics.csv", Table(of_structs(statistics, StatisticRow)))
+    write_report(
+        ledger,
+        folder / "report.pdf",
+        workers=processes,
+        demanded=demanded,
+        beside=[folder / one.name for one in experiments if one.name != "results"],
+        numbers_out=folder / "reproduction.json",
+        showing=show,
+    )
+    return Reproduced(folder, made, table)
+
+
+def _carried_out(
+    out: Path,
+    experiment: "PaperLedger",
+    workers: "WorkerPool",
+    signer: "Signer | None",
+    showing: "Showing",
+    *,
+    adopts: bool,
+) -> "SimulationResult":
+    """Append all parts of an experiment to its ledger, one after the other; return its head and counts then.
+
+    A signer signs the ledger of the results under its own name, and the others under names of their own.
+    """
+    from fsar_ledger.runtime.experiment import run_experiment
+
+    origin = experiment.origin if signer is None else None
+    for part in experiment.parts:
+        with showing(f"{experiment.name}: simulated", "batches") as progress:
+            made = run_experiment(out, part, workers, progress, signer, origin, adopts=adopts)
+    return msgspec.structs.replace(made, asked=experiment.size)
+
+
+def beyond(made: "SimulationResult") -> list[str]:
+    """Return a line on runs beyond those asked for, which are judged too; none where there are none."""
+    if not (more := made.held - made.asked):
+        return []
+    return [
+        f"the ledger holds {counted(more, 'run')} beyond the {made.asked:,} of the paper's experiment, and they are "
+        "judged here, too"
+    ]

@@ -48,10 +48,16 @@ FAMILIES = {
 }
 """What the commands do whose names begin with the same words."""
 HOMES = {
-    "study": ("fsar_ledger.studies.verbs", "fsar_ledger.api.multiverse"),
-    "import": ("fsar_ledger.api.imports",),
-    "principal": ("fsar_ledger.api.serve",),
     "demo": ("fsar_ledger.api.serve",),
+    "import": ("fsar_ledger.api.record",),
+    "open": ("fsar_ledger.api.export",),
+    "principal": ("fsar_ledger.api.serve",),
+    "reproduce": ("fsar_ledger.api.report",),
+    "sql": ("fsar_ledger.api.query",),
+    "statistics": ("fsar_ledger.api.metrics",),
+    "step": ("fsar_ledger.api.state",),
+    "study": ("fsar_ledger.studies.verbs", "fsar_ledger.api.multiverse"),
+    "verify-proof": ("fsar_ledger.api.prove",),
 }
 """The modules of verbs that are not those of the same name in the API."""
 
@@ -106,15 +112,15 @@ class Verbs(TyperGroup):
 
 def _verbs(name: str) -> list[Verb]:
     """Return the verbs whose names are or begin with this word, from the module that declares them."""
-    homes = HOMES.get(name, (f"fsar_ledger.api.{_module(name)}",))
+    homes = _homes(name)
     for home in homes:
         import_module(home)
     found = [one for one in VERBS.values() if one.name.partition(" ")[0] == name]
     return sorted(found, key=lambda one: homes.index(one.function.__module__))
 
 
-def _module(name: str) -> str:
-    return name.replace("-", "_")
+def _homes(name: str) -> tuple[str, ...]:
+    return HOMES.get(name, (f"fsar_ledger.api.{name}",))
 
 
 def _summary(name: str) -> str:
@@ -124,9 +130,8 @@ def _summary(name: str) -> str:
     """
     if name in FAMILIES:
         return FAMILIES[name]
-    module = HOMES.get(name, (f"fsar_ledger.api.{_module(name)}",))[0].rpartition(".")[2]
-    source = (Path(__file__).parents[1] / f"api/{module}.py").read_text("utf-8")
-    own = rf'^def {module}\(.*?"""(.*?)$'
+    source = (Path(__file__).parents[1] / f"api/{_homes(name)[0].rpartition('.')[2]}.py").read_text("utf-8")
+    own = rf'^def {name.replace("-", "_")}\(.*?"""(.*?)$'
     named = rf'^    name="{name}",$.*?^def \w+\(.*?"""(.*?)$'
     found = re.search(named, source, re.DOTALL | re.MULTILINE) or re.search(own, source, re.DOTALL | re.MULTILINE)
     assert found is not None  # a test reads the help

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from rich.progress import Progress as Bar
 
     from fsar_ledger.api.ledger import Ledger
-    from fsar_ledger.api.step import Steps
+    from fsar_ledger.api.state import Steps
     from fsar_ledger.api.table import Rows
     from fsar_ledger.metrics.provenance import Provenance
 

@@ -16,7 +16,7 @@ from fsar_ledger.base import printable
 from fsar_ledger.base.errors import UsageError
 
 if TYPE_CHECKING:
-    from fsar_ledger.api.step import Steps
+    from fsar_ledger.api.state import Steps
 
 AROUND = 200
 """Events that are listed before and after the place."""

@@ -8,7 +8,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from fsar_ledger.api.reproduce import beyond
+from fsar_ledger.api.report import beyond
 from fsar_ledger.api.simulate import before
 from fsar_ledger.designs.constants import Constants, Load, WorldConstants
 from fsar_ledger.events.envelope import Architecture

@@ -16,7 +16,7 @@ from textual.pilot import Pilot
 from textual.widgets import Input, Static
 
 from fsar_ledger import open_ledger
-from fsar_ledger.api.step import Steps
+from fsar_ledger.api.state import Steps
 from fsar_ledger.cli.stepper import Stepper
 from fsar_ledger.events.envelope import flat
 from fsar_ledger.events.request import RequestDenied

@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from fsar_ledger.api.imports import ImportResult, import_records
 from fsar_ledger.api.ledger import Ledger
+from fsar_ledger.api.record import ImportResult, import_records
 from fsar_ledger.base.errors import UsageError
 from fsar_ledger.sources import otlp
 from fsar_ledger.sources.adapter import Input, Record
