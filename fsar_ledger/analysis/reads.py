@@ -16,7 +16,7 @@ import msgspec
 from fsar_ledger.events import Event
 from fsar_ledger.events.knowledge import CopySynced
 from fsar_ledger.projections import fold
-from fsar_ledger.projections.fold import ROUTES, State, apply
+from fsar_ledger.projections.fold import ENDS, ROUTES, State, apply
 from fsar_ledger.projections.maps import SharedMap
 
 
@@ -253,7 +253,9 @@ def last_writes(events: Sequence[Event], asked: Iterable[tuple[Path, int]]) -> d
         root.at(path).changes = []
     state = State()
     for seq in range(max((seq for _, seq in whole), default=0)):
-        slots = [(slot, getattr(state, slot)) for slot, _ in ROUTES.get(type(events[seq]), ())]
+        kind = type(events[seq])
+        names = State.__slots__ if kind in ENDS else [slot for slot, _ in ROUTES.get(kind, ())]
+        slots = [(slot, getattr(state, slot)) for slot in names]
         apply(state, events[seq])
         for slot, before in slots:
             root.at((Step("field", slot),)).look(before, getattr(state, slot), seq)

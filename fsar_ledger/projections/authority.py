@@ -141,6 +141,16 @@ def evolve(state: Authority, event: HANDLES) -> Authority:
             assert_never(event)
 
 
+def since(known: Changes, number: int | None) -> Changes:
+    """Return the changes from this number on, which the oldest approval has; None: there is no approval."""
+    if number is None:
+        return Changes()
+    windows = {name: one for name, one in known.windows.items() if one >= number}
+    rules = {rule: one for rule, one in known.rules.items() if one >= number}
+    heard = {robot: one for robot, one in known.heard.items() if one >= number}
+    return Changes(known.count, windows, rules, heard)
+
+
 def _with(known: Changes, event: PolicyWindowOpened | PolicyRuleSet | RolePolicyRuleSet | FleetRuleLearned) -> Changes:
     """Return the changes with this one."""
     number, count = known.count, known.count + 1

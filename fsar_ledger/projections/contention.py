@@ -6,23 +6,14 @@ from typing import assert_never
 import msgspec
 from msgspec.structs import replace
 
-from fsar_ledger.events.request import RequestDeferred, RequestDenied, RequestUnanswered
+from fsar_ledger.events.request import RequestDeferred
 from fsar_ledger.events.supervision import SupervisorCalled, SupervisorResponded
 from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
 from fsar_ledger.events.world import TaskArrived
 
 from .maps import put
 
-HANDLES = (
-    SupervisorCalled
-    | SupervisorResponded
-    | RequestDeferred
-    | RequestDenied
-    | RequestUnanswered
-    | TaskArrived
-    | TaskCompleted
-    | TaskAbandoned
-)
+HANDLES = SupervisorCalled | SupervisorResponded | RequestDeferred | TaskArrived | TaskCompleted | TaskAbandoned
 
 
 class Order(msgspec.Struct, frozen=True, gc=False):
@@ -37,13 +28,11 @@ class Order(msgspec.Struct, frozen=True, gc=False):
 class Contention(msgspec.Struct, frozen=True, gc=False):
     """The competing requests and their order.
 
-    `orders`: the two actions -> their order; `arrived`: actions that wait at the executor for an order; `refused`:
-    actions that were denied or found nobody to ask, and no longer compete; `critical`: open tasks that are
-    time-critical.
+    `orders`: the two actions -> their order; `arrived`: actions that wait at the executor for an order; `critical`:
+    open tasks that are time-critical.
     """
 
     orders: Mapping[tuple[str, str], Order] = {}
-    refused: frozenset[str] = frozenset()
     arrived: frozenset[str] = frozenset()
     critical: frozenset[str] = frozenset()
 
@@ -74,9 +63,6 @@ def evolve(state: Contention, event: HANDLES) -> Contention:
                 order.other == event.subject.action_id and not order.is_answered for order in state.orders.values()
             )
             return replace(state, arrived=state.arrived | {event.subject.action_id}) if joins else state
-        case RequestDenied() | RequestUnanswered():
-            is_new = event.subject.action_id is not None and event.subject.action_id not in state.refused
-            return replace(state, refused=state.refused | {event.subject.action_id}) if is_new else state
         case TaskArrived():
             return replace(state, critical=state.critical | {event.task_id}) if event.is_time_critical else state
         case TaskCompleted() | TaskAbandoned():

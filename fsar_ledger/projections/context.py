@@ -12,7 +12,10 @@ from .maps import put
 HANDLES = TaskCompleted | TaskAbandoned
 
 Over = Mapping[str, bool]
-"""Whether the task was completed, by its name; a set would be copied with every task of a run that lasts."""
+"""Whether the task was completed, by its name, in the order of their ends; a live run knows the last 65,536.
+
+A set would be copied with every task of a run that lasts.
+"""
 
 INITIAL: Over = {}
 

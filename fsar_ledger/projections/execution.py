@@ -130,7 +130,7 @@ def evolve(state: Execution, event: HANDLES) -> Execution:
         case ExecutionStarted():
             return _staged(state, event, "running", ends_us=event.ends_us)
         case ExecutionFinished():
-            return _ended(state, event.subject.action_id)
+            return ended(state, event.subject.action_id)
         case ExecutionHeld():
             return _held(state, event)
         case ExecutionPaused():
@@ -159,7 +159,7 @@ def evolve(state: Execution, event: HANDLES) -> Execution:
 def _queued(state: Execution, event: ExecutionQueued) -> Execution:
     known = state.actions.get(event.subject.action_id)
     if known is not None and (known.stage != "withdrawn" or known.on_behalf_of != event.on_behalf_of):
-        state = _ended(state, known.action_id)  # another system's record: nothing told that it was taken from there
+        state = ended(state, known.action_id)  # another system's record: nothing told that it was taken from there
     action = Action(
         event.subject.task_id,
         event.subject.action_id,
@@ -194,7 +194,7 @@ def _queued(state: Execution, event: ExecutionQueued) -> Execution:
     return Execution(put(state.current, event.robot, event.subject.action_id), state.queues, actions, served)
 
 
-def _ended(state: Execution, action_id: str) -> Execution:
+def ended(state: Execution, action_id: str) -> Execution:
     """Forget the action, which occupies its robot no more."""
     known = state.actions.get(action_id)
     if known is None:

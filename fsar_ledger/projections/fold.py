@@ -4,10 +4,14 @@
 value. Types that no projection handles are records for audit, from which nothing follows inside the run.
 """
 
-from collections.abc import Callable, Iterable
-from typing import Any, get_args
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, TypeVar, get_args
+
+from msgspec.structs import replace
 
 from fsar_ledger.events import EVENT_TYPES, Event
+from fsar_ledger.events.request import OfferAnswered, RequestClosed, RequestDenied, RequestUnanswered
+from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
 
 from . import (
     authority,
@@ -27,6 +31,7 @@ from . import (
     trust,
     world,
 )
+from .maps import put, without
 
 _PROJECTIONS = (
     authority,
@@ -104,6 +109,8 @@ def apply(state: State, event: Event) -> None:
     """Apply the event to the state."""
     for slot, evolve in ROUTES.get(type(event), ()):
         setattr(state, slot, evolve(getattr(state, slot), event))
+    if type(event) in ENDS:
+        forget(state, event)
 
 
 def fold(events: Iterable[Event]) -> State:
@@ -112,3 +119,130 @@ def fold(events: Iterable[Event]) -> State:
     for event in events:
         apply(state, event)
     return state
+
+
+ENDS: frozenset[type[Event]] = frozenset(
+    {TaskCompleted, TaskAbandoned, RequestClosed, RequestDenied, RequestUnanswered, OfferAnswered}
+)
+"""After events of these types something may be over that a live run can forget."""
+LATE, NAMES = 1 << 10, 1 << 16
+"""What a live run knows of the past: all about so many tasks at least, and so many names, the last of each."""
+_Key = TypeVar("_Key")
+_Value = TypeVar("_Value")
+
+
+# See docs/decisions/live-runs-forget.md.
+def forget(state: State, event: Event) -> bool:
+    """Forget what has been over for long, if that is due in this run; return whether it was.
+
+    It is due in a live run after each 1,024 tasks, and when too many requests are known.
+    """
+    if not state.fleet.is_live:
+        return False
+    is_due = isinstance(event, TaskCompleted | TaskAbandoned) and len(state.context) % LATE == 0
+    if not is_due and len(state.request.open) < state.request.most:
+        return False
+    names = [*state.context]
+    late = {*names[-LATE:]}
+    _forget_requests(state, late)
+    _forget_actions(state, late)
+    _forget_questions(state)
+    _forget_contexts(state, set(names) - late)
+    state.context = _but(state.context, names[:-NAMES])
+    return True
+
+
+def _forget_requests(state: State, late: set[str]) -> None:
+    """Forget the requests of tasks that are over, and those of no step that are over but for the last."""
+    requests, open_ = state.request, state.request.open
+    there = {name: one for name, one in open_.items() if not _is_at_a_robot(state, name)}
+    adhoc = [one for one in there.values() if one.is_adhoc and (one.is_over or one.is_unanswered)][: -LATE // 2]
+    steps = [one for one in there.values() if not one.is_adhoc and _is_past(state, one.task_id, late)]
+    past = requests.past
+    for one in (*steps, *adhoc):
+        requests = request.removed(requests, one.action_id)
+    for one in adhoc:
+        task_id, _, step = one.action_id.partition("/")
+        for name in (one.action_id, f"{one.task_id}/", *([f"{task_id}/"] if step else [])):
+            past = put(without(past, name), name, True)
+    past = _but(past, [*past][:-NAMES])
+    state.request = replace(requests, past=past, most=max(request.MOST, 2 * len(requests.open)))
+
+
+def _is_at_a_robot(state: State, action_id: str) -> bool:
+    """Return whether a robot has the action, or its failure is being recovered."""
+    action = state.execution.actions.get(action_id)
+    return action_id in state.recovery or (action is not None and action.stage != "withdrawn")
+
+
+def _is_past(state: State, task_id: str, late: set[str]) -> bool:
+    return task_id not in state.task and task_id not in late
+
+
+def _forget_actions(state: State, late: set[str]) -> None:
+    """Forget the actions of such tasks that were taken from their robots, and recoveries of what nobody executes."""
+    for name, action in tuple(state.execution.actions.items()):
+        is_asked_for = name in state.request.open or _is_at_a_robot(state, name)
+        if not is_asked_for and _is_past(state, action.task_id, late):
+            state.execution = execution.ended(state.execution, name)
+    state.recovery = _but(state.recovery, [name for name in state.recovery if name not in state.execution.actions])
+
+
+def _forget_questions(state: State) -> None:
+    """Forget what supervisors were asked and have said, and who asked, about requests and actions that are gone."""
+    requests, actions, asked, order = state.request.open, state.execution.actions, state.supervision, state.contention
+    claims = state.authority
+    calls = [
+        number
+        for number, call in asked.calls.items()
+        if call.subject.action_id not in requests and call.subject.action_id not in actions
+    ]
+    approved = frozenset(name for name in asked.approved if name in requests or name in actions)
+    state.supervision = replace(asked, approved=approved, calls=_but(asked.calls, calls))
+    approvals = _but(claims.approvals, [one for one in claims.approvals if one not in requests and one not in actions])
+    changes = authority.since(claims.changes, min(approvals.values(), default=None))
+    state.authority = authority.Authority(claims.claims, claims.rights, approvals, changes)
+    state.contention = replace(
+        order,
+        orders=_but(order.orders, [pair for pair in order.orders if not any(one in requests for one in pair)]),
+        arrived=frozenset(name for name in order.arrived if name in requests),
+    )
+    state.trust = replace(
+        state.trust, asked=_but(state.trust.asked, [name for name in state.trust.asked if name not in requests])
+    )
+
+
+def _forget_contexts(state: State, gone: set[str]) -> None:
+    """Forget what was granted, ruled and trusted in these contexts alone."""
+    known, claims, rules = state.trust, state.authority, state.policy
+    rights = tuple(right for right in claims.rights if right.context not in gone)
+    state.authority = authority.Authority(claims.claims, rights, claims.approvals, claims.changes)
+    state.policy = policy.Policy(
+        _but(rules.rules, [rule for rule in rules.rules if rule[-1] in gone]),
+        _but(rules.of_roles, [rule for rule in rules.of_roles if rule[-1] in gone]),
+        rules.members,
+    )
+    if known.contexts & gone:
+        state.trust = replace(
+            known,
+            contexts=known.contexts - gone,
+            entries=_outside(known.entries, gone),
+            of_roles={**_outside(known.of_roles, gone)},
+            records=_but(known.records, [key for key in known.records if key[-1] in gone]),
+        )
+
+
+def _outside(entries: Mapping[_Key, trust.Entries], gone: set[str]) -> Mapping[_Key, trust.Entries]:
+    """Return the entries of trust that are not for one of these contexts alone."""
+    for key, about in tuple(entries.items()):
+        left = {one: scope for one, scope in about.items() if one[1] not in gone}
+        if len(left) < len(about):
+            entries = put(entries, key, left) if left else without(entries, key)
+    return entries
+
+
+def _but(entries: Mapping[_Key, _Value], keys: Iterable[_Key]) -> Mapping[_Key, _Value]:
+    """Return the mapping without these keys."""
+    for key in keys:
+        entries = without(entries, key)
+    return entries

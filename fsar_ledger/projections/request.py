@@ -71,11 +71,15 @@ HANDLES = (
 )
 
 
+MOST = 1 << 11
+"""Once so many requests are known, a live run forgets those that are over."""
+
+
 class Request(msgspec.Struct, frozen=True, gc=False):
     """The request for one action. `target` is the robot asked; `round` counts negotiations from 0.
 
     `is_adhoc`: it was issued on its own and is no step of a task, whatever its context; it is kept when it is over, so
-    that its name is not used again.
+    that its name is not used again, in a live run for a while (`fold.forget`).
     `offered` is the override level of the counter-offer that awaits an answer, `offers` the number of counter-offers.
     `result` is known once the execution is over. `is_over`: it was refused, closed or given up, and nothing more is
     decided about it.
@@ -134,10 +138,16 @@ class Request(msgspec.Struct, frozen=True, gc=False):
 
 
 class Requests(msgspec.Struct, frozen=True, gc=False):
-    """The open requests: `open`: action -> its request; `of_task`: task -> the action of its step's request."""
+    """The requests: `open`: action -> its request; `of_task`: task -> the action of its step's request.
+
+    `past`: what those of no step were called that are over and forgotten, and, ended by a slash, what no task may be
+    called because of them. When there are `most` in `open`, what is over is forgotten.
+    """
 
     open: Mapping[str, Request] = {}
     of_task: Mapping[str, str] = {}
+    past: Mapping[str, bool] = {}
+    most: int = MOST
 
 
 INITIAL = Requests()
@@ -151,7 +161,7 @@ def evolve(state: Requests, event: HANDLES) -> Requests:
         case ExecutionFinished() | RequestClosed() | RequestDenied():
             return _ended(state, event)
         case StepCompleted():
-            return _removed(state, event.subject.action_id)
+            return removed(state, event.subject.action_id)
         case TaskAbandoned():
             return _abandoned(state, event)
         case OutsiderRequestInjected():
@@ -201,7 +211,7 @@ def evolve(state: Requests, event: HANDLES) -> Requests:
 
 def _begun(state: Requests, event: StepBegan) -> Requests:
     """Begin the request for the step, which replaces the task's earlier one."""
-    others = _removed(state, state.of_task.get(event.subject.task_id))
+    others = removed(state, state.of_task.get(event.subject.task_id))
     begun = Request(
         event.subject.task_id,
         event.subject.action_id,
@@ -217,7 +227,7 @@ def _begun(state: Requests, event: StepBegan) -> Requests:
 def _abandoned(state: Requests, event: TaskAbandoned) -> Requests:
     """Keep the requests that a robot has, which continue or are withdrawn there; the rest get no answer."""
     known = state.open.get(state.of_task.get(event.task_id, ""))
-    return state if known is None or known.is_received else _removed(state, known.action_id)
+    return state if known is None or known.is_received else removed(state, known.action_id)
 
 
 def _injected(state: Requests, event: OutsiderRequestInjected) -> Requests:
@@ -293,7 +303,7 @@ def _issued(state: Requests, event: RequestIssued) -> Requests:
         "version": event.version,
     }
     adhoc = msgspec.structs.replace(begun, is_adhoc=True, **asked)
-    return Requests(put(state.open, action_id, adhoc), state.of_task)
+    return Requests(put(state.open, action_id, adhoc), state.of_task, state.past, state.most)
 
 
 def _ended(state: Requests, event: ExecutionFinished | RequestClosed | RequestDenied) -> Requests:
@@ -355,19 +365,21 @@ def _changed(state: Requests, action_id: str | None, **changes: object) -> Reque
     known = state.open.get(action_id or "")
     if known is None:
         return state
-    return Requests(put(state.open, known.action_id, msgspec.structs.replace(known, **changes)), state.of_task)
+    changed = put(state.open, known.action_id, msgspec.structs.replace(known, **changes))
+    return Requests(changed, state.of_task, state.past, state.most)
 
 
 def _of_step(state: Requests, request: Request) -> Requests:
     """Add the request of a task's step."""
-    return Requests(put(state.open, request.action_id, request), put(state.of_task, request.task_id, request.action_id))
+    of_task = put(state.of_task, request.task_id, request.action_id)
+    return Requests(put(state.open, request.action_id, request), of_task, state.past, state.most)
 
 
-def _removed(state: Requests, action_id: str | None) -> Requests:
+def removed(state: Requests, action_id: str | None) -> Requests:
     """Remove the action's request, if it has one."""
     known = state.open.get(action_id or "")
     if known is None:
         return state
     is_of_step = state.of_task.get(known.task_id) == known.action_id
     of_task = without(state.of_task, known.task_id) if is_of_step else state.of_task
-    return Requests(without(state.open, known.action_id), of_task)
+    return Requests(without(state.open, known.action_id), of_task, state.past, state.most)

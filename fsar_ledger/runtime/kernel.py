@@ -30,12 +30,12 @@ from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.events.world import LinkCameUp, RobotCameBack, RobotWentOff
 from fsar_ledger.ledger.rows.runs import LedgerRun
 from fsar_ledger.projections.fleet import NEVER_US
-from fsar_ledger.projections.fold import ROUTES, State, apply
+from fsar_ledger.projections.fold import ENDS, ROUTES, State, apply, forget
 from fsar_ledger.projections.world import is_linked
 
 from .agenda import Agenda, Pending
 from .architectures.handler_table import HandlerTable
-from .handlers.commands import Command, React, Scheduled
+from .handlers.commands import Command, React, Scheduled, is_idle
 from .ports import Ask, Environment
 
 _Plan = dict[type[Event], tuple[tuple[tuple[str, Callable[[Any, Any], Any]], ...], tuple[React, ...]]]
@@ -148,6 +148,8 @@ class Kernel:
             self._taken.append((self.first, array("q", self.times_us)))
             while self._taken[0][1][-1] < self.times_us[-1] - MOMENT_US:
                 self._taken.popleft()
+        if self._next_fact == len(self._facts):
+            self._facts, self._next_fact = (), 0  # a run that is made again has the commands of all its past
         found = LedgerRun("", self.times_us, self.caused_by, self.events, self.first)
         self.first += len(self.events)
         self.times_us, self.caused_by, self.events = [], [], []
@@ -270,6 +272,8 @@ class Kernel:
         routes, reacts = self._plan[type(event)]
         for slot, evolve in routes:
             setattr(state, slot, evolve(getattr(state, slot), event))
+        if type(event) in ENDS and forget(state, event):
+            self._pending.replace(one for one in self._pending if not is_idle(state, one[3].command))
         if reacts:
             self._react(reacts, event, time_us, self.first + len(self.events) - 1)
 

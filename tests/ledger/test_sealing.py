@@ -1,12 +1,14 @@
 """A full journal becomes a segment while commits go on: what is there meanwhile, and what no crash leaves."""
 
 import shutil
+import tracemalloc
 from collections.abc import Iterator
 from pathlib import Path
 from threading import Event
 from typing import Any
 from unittest.mock import patch
 
+import msgspec
 import pytest
 
 from fsar_ledger.base.errors import LedgerCorrupted
@@ -215,3 +217,24 @@ def test_a_placement_that_is_lost_takes_nothing_of_the_journal_with_it(chained: 
     (chained / CHAIN).write_bytes(b"".join(lines[:-1]))
     assert not verify(chained).ok
     assert judged(Case("without its placement", chained, False)).difference == ""
+
+
+def test_a_writer_keeps_nothing_of_commits_that_segments_hold_and_appends_the_same(tmp_path: Path) -> None:
+    whole = made_up_run("r", 2_400, 1)
+    path = tmp_path / "ledger"
+    sizes = []
+    tracemalloc.start()
+    try:
+        with Writer(path, ORIGIN) as writer:
+            for at in range(2_400):
+                writer.add([piece_of(msgspec.structs.replace(whole, goes_on=True), at, at + 1)])
+                if at % 800 == 799:
+                    writer.seal()
+                    sizes.append(tracemalloc.get_traced_memory()[0])
+            assert writer.head.commits == 2_400
+    finally:
+        tracemalloc.stop()
+    assert sizes[2] - sizes[1] < 800 * 32, f"{(sizes[2] - sizes[1]) / 800:.0f} bytes for each commit"
+    assert verify(path).ok
+    with Writer(path, ORIGIN) as writer:
+        assert (writer.head, writer.unfinished_runs()) == (view_of(path).head, {"r": 2_400})

@@ -103,7 +103,9 @@ class Writer:
             )
         if self._signer is not None and not self._adopts:
             require_own(view, self._signer.verifier)
-        return repair(view, is_alone=is_alone, settles=settles)
+        view = repair(view, is_alone=is_alone, settles=settles)
+        view.chain.let_go()
+        return view
 
     @property
     def head(self) -> Head:
@@ -350,7 +352,7 @@ class Writer:
         if self._signer is not None:
             signed = self._signer.sign(Checkpoint(self._origin, size, root))
             signature = base64.b64encode(signed.key_id + signed.data).decode()
-        return Commit(len(chain.commits), chain.sha256, release, rows, size, root.hex(), continues, goes_on, signature)
+        return Commit(chain.count, chain.sha256, release, rows, size, root.hex(), continues, goes_on, signature)
 
     def _place(
         self,
@@ -379,9 +381,10 @@ class Writer:
             self._write_checkpoint()
         except OSError as error:
             raise WriteFailed(
-                f"{self._path}: commit {len(chain.commits) - 1} was made, but the disk refused before it was safe "
+                f"{self._path}: commit {chain.count - 1} was made, but the disk refused before it was safe "
                 f"({error.strerror}); the next writer finishes it or finds it gone: run the same command again"
             ) from error
+        chain.let_go()
         self._is_broken = False
 
     def _grow_chain(self, lines: Sequence[bytes], frames: int, tree: Frontier) -> None:

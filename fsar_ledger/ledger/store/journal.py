@@ -206,7 +206,7 @@ class _Reading:
     def _number(self) -> int:
         """Return the number of the next commit."""
         known = self._expected()
-        return len(self._chain.commits) if known is None else known.number
+        return self._chain.count if known is None else known.number
 
     def is_whole(self) -> bool:
         """Return whether all of a file could be read that was on disk when it got its name."""
@@ -223,7 +223,7 @@ class _Reading:
                 return self._tell_first_wrong()  # it was on disk before what followed
             last = self.frames.pop()
             self._shas.pop()
-            self._chain.forget(len(self._chain.commits) - 1, self._shas[-1])
+            self._chain.forget(self._chain.count - 1, self._shas[-1])
             if self._has_wrong_root():
                 return self._tell_first_wrong()
             self.problem = _wrong_rows(JOURNAL, last.commit)
@@ -232,7 +232,7 @@ class _Reading:
             commit, self.is_damage = self.known[len(self.frames)], True
             self.problem = Problem(JOURNAL, "no rows of it", "those of each commit that no segment has", commit.number)
         start = len(self._text) - self.rest
-        if self.problem is not None and has_later_commit(self._text, start, len(self._chain.commits)):
+        if self.problem is not None and has_later_commit(self._text, start, self._chain.count):
             self.is_damage = True
         return None
 

@@ -46,6 +46,8 @@ class Chain:
     line; `going_on` are the runs of which later commits may hold more. The last append began when segments held the
     first `settled` events, and so when all that is derived from these was on disk.
 
+    There are `count` commits. `commits` are all of them, or the newest of them once those `let_go` are forgotten.
+
     Each frontier is compared with the root of its commit, unless it `trusts_frontiers`; then `has_right_tree` looks at
     the last one, which is what everything goes on from.
     """
@@ -54,6 +56,7 @@ class Chain:
         self.sha256 = manifest_sha256
         self._trusts_frontiers = trusts_frontiers
         self.commits: list[Commit] = []
+        self.count = 0
         self.placements: list[Placement] = []
         self.placed: list[Placement] = []
         self.added: list[Placement] = []
@@ -107,10 +110,16 @@ class Chain:
         for line, sha256, one in zip(lines, digests(lines), self.added, strict=True):
             yield line if sha256 == one.index_sha256 else b""
 
+    def let_go(self) -> None:
+        """Forget the commits whose rows segments hold, but for the last of these: who only appends needs no other."""
+        placed = bisect_left(self.commits, self.placed_size, key=lambda commit: commit.tree_size)
+        del self.commits[:placed]
+
     def forget(self, commits: int, sha256: str) -> None:
-        """Go back to this many commits, none of them placed since, and the line with this hash."""
-        if commits < len(self.commits):
+        """Go back to this many commits, none of them placed since or let go, and the line with this hash."""
+        if commits < self.count:
             del self.commits[commits:]
+            self.count = commits
             self.going_on = frozenset()
             for commit in self.commits:
                 self._go_on(commit)
@@ -121,6 +130,7 @@ class Chain:
         self.sha256 = sha256
         if isinstance(record, Commit):
             self.commits.append(record)
+            self.count += 1
             self._go_on(record)
             return
         self.placements.append(record)
@@ -152,8 +162,7 @@ class Chain:
             and [record.previous_sha256 for record in records] == [self.sha256, *hashes][:-1]
             and FINGERPRINTS.keys() >= {commit.release for commit in commits}
             and FINGERPRINTS.items() >= {(placement.release, placement.schema_sha256) for placement in placements}
-            and [commit.number for commit in commits]
-            == list(range(len(self.commits), len(self.commits) + len(commits)))
+            and [commit.number for commit in commits] == list(range(self.count, self.count + len(commits)))
             and [placement.number for placement in placements]
             == [len(self.placements) + at for at in range(len(placements))]
             and [placement.first for placement in placements] == firsts[:-1]
@@ -172,6 +181,7 @@ class Chain:
         if placements:
             self.sha256, self.settled, self.placed_size = hashes[-1], placements[-1].first, ends[-1]
         self.commits += commits
+        self.count += len(commits)
         self.placements += placements
         self.placed += placements
         self.added += placements
@@ -221,8 +231,8 @@ class Chain:
         return self._of_commit(record) if isinstance(record, Commit) else self._of_placement(record)
 
     def _of_commit(self, commit: Commit) -> Doubt | None:
-        if commit.number != len(self.commits):
-            return "number", commit.number, len(self.commits)
+        if commit.number != self.count:
+            return "number", commit.number, self.count
         if (rows := commit.tree_size - self.size) != commit.rows:
             return "rows", commit.rows, rows
         return self._of_runs(commit)
@@ -296,7 +306,7 @@ class Followed(msgspec.Struct, frozen=True):
 def follow(data: bytes, chain: Chain) -> Followed:
     """Add the lines in these bytes to the chain, up to the last whole append."""
     at = last = end = 0
-    commits, sha256 = len(chain.commits), chain.sha256
+    commits, sha256 = chain.count, chain.sha256
     problem: Problem | None = None
     for lines in _parts(data):
         hashes = digests(lines)
@@ -310,12 +320,12 @@ def follow(data: bytes, chain: Chain) -> Followed:
                 break
             at += len(line) + 1
             if isinstance(record, Placement):
-                last, end, commits, sha256 = end, at, len(chain.commits), chain.sha256
+                last, end, commits, sha256 = end, at, chain.count, chain.sha256
         if problem is not None:
             break
     else:
         if at < len(data):
-            problem = Problem(CHAIN, "a line without end", "whole lines", commit=len(chain.commits))
+            problem = Problem(CHAIN, "a line without end", "whole lines", commit=chain.count)
     chain.forget(commits, sha256)
     if problem is not None and (problem.field is not None or has_later_append(data, at)):
         return Followed(end, problem=problem, last=last)
@@ -337,7 +347,7 @@ def _parts(data: bytes) -> Iterator[list[bytes]]:
 
 def _add(record: Record | ValueError, sha256: str, chain: Chain) -> Problem | None:
     """Add the record of the next line, which has this SHA-256, or return what speaks against it."""
-    number = len(chain.commits)
+    number = chain.count
     if isinstance(record, ValueError):
         return Problem(CHAIN, f"no record ({record})", "one as it is written", commit=number)
     if (doubt := chain.doubt(record)) is None:

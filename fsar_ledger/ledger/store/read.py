@@ -76,7 +76,7 @@ class View(msgspec.Struct, frozen=True, dict=True):
         if not self.chain.commits:
             return EMPTY_HEAD
         last = self.chain.commits[-1]
-        return Head(len(self.chain.commits), last.tree_size, last.tree_root)
+        return Head(self.chain.count, last.tree_size, last.tree_root)
 
     @property
     def releases(self) -> list[str]:

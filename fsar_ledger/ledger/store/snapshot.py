@@ -74,7 +74,7 @@ def _settled(reader: "_Reader") -> Snapshot:
                 with disk.locked(reader.path / SEGMENTS, is_shared=True):
                     return reader.look(counts_hidden=reader.is_synced())
             continue
-        seen = snapshot.followed.end, len(snapshot.chain.commits)
+        seen = snapshot.followed.end, snapshot.chain.count
         # What was hidden at first may have been seen already, if a crash left it; what was hidden later may not.
         if snapshot.problem is None and (not reader.has_hidden or first not in (None, seen)):
             return snapshot
@@ -153,7 +153,7 @@ class _Reader:
             start + followed.last if followed.end else self._followed.last,
             is_hidden=is_hidden and start + followed.end == size,
         )
-        self._newest = len(self._chain.commits), self._chain.sha256
+        self._newest = self._chain.count, self._chain.sha256
         return size
 
 

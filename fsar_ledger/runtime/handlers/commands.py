@@ -185,6 +185,11 @@ class ExpireTask(Command):
     task_id: str
 
 
+def is_idle(state: State, command: Command) -> bool:
+    """Tell whether nothing will come of the command, however long it waits."""
+    return isinstance(command, ExpireTask) and command.task_id not in state.task
+
+
 class CompleteStep(ActionCommand):
     """Tell the acting robot that the step is done."""
 

@@ -112,7 +112,8 @@ def _impossible(state: State, command: RequestCapability) -> str | None:
     if ":" in command.action_id:
         return f"action name {command.action_id!r}, expected a name without a colon"
     task = command.action_id.rpartition("/")[0]
-    if command.action_id in state.request.open or task in state.task or task in state.context:
+    requests, taken = state.request, command.action_id
+    if taken in requests.open or taken in requests.past or task in state.task or task in state.context:
         return f"the name {command.action_id} is taken, expected a new one"
     return _broken_chain(state.execution, state.request, command)
 

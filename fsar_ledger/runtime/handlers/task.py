@@ -103,7 +103,10 @@ def _impossible(state: State, command: SubmitTask) -> str | None:
 
 def _is_named(requests: Requests, task_id: str) -> bool:
     """Tell whether a request has that context, or the name that a step of such a task would have."""
-    return any(request.task_id == task_id or name.startswith(task_id + "/") for name, request in requests.open.items())
+    steps = f"{task_id}/"
+    return steps in requests.past or any(
+        request.task_id == task_id or name.startswith(steps) for name, request in requests.open.items()
+    )
 
 
 @HANDLERS.decide(BeginStep, next_in_task)
@@ -170,8 +173,9 @@ def transferred(
 
 @HANDLERS.decide(ExpireTask, nobody)
 def expire_task(state: State, command: ExpireTask) -> tuple[Event, ...]:
-    """Give up the task, if it is still open."""
-    return () if state.task.get(command.task_id) is None else (TaskAbandoned(command.task_id),)
+    """Give up the task, if it is still open, and no later one that has its name."""
+    task = state.task.get(command.task_id)
+    return () if task is None or command.now_us <= given_up_us(task, state.fleet) else (TaskAbandoned(task.task_id),)
 
 
 @HANDLERS.decide(CompleteStep, requester)
