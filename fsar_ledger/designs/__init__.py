@@ -185,13 +185,30 @@ class Injection(Design, frozen=True):
     times: int = 1
 
 
+class OutsideCommand(Design, frozen=True):
+    """A command that comes to the run from outside then, and is decided as it is then.
+
+    `by` gives it; `parameters` are its fields, as JSON. A file has them as fields beside `command`. Units: `at_s` run
+    time in seconds.
+    """
+
+    at_s: float
+    command: str
+    by: str
+    parameters: str = "{}"
+
+
 class Scenario(Design, frozen=True):
-    """The tasks of each team, in a world with disturbances. The actuator of one `degradable` robot may degrade."""
+    """The tasks of each team, in a world with disturbances. The actuator of one `degradable` robot may degrade.
+
+    `commands` come to the run whoever works in it: they are not of each team.
+    """
 
     name: str
     tasks: tuple[Task, ...]
     injections: tuple[Injection, ...] = ()
     degradable: tuple[str, ...] = ()
+    commands: tuple[OutsideCommand, ...] = ()
 
 
 class Wear(Design, frozen=True):
