@@ -172,7 +172,7 @@ def _require_meant(rerun: Rerun, change: AnyChange) -> None:
     base = rerun.base
     last_us = base.record.times_us[-1]
     match change:
-        case Answer() if change.question.startswith(COMMAND) and base.recipe.live is not None:
+        case Answer() if change.question.startswith(COMMAND):
             if not matching_names(change.question, base.facts_by_name):
                 raise _unknown("command", change, change.question, list(base.facts_by_name))
         case Drop() | Move():

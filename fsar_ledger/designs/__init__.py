@@ -6,7 +6,14 @@ throughout. The structure is checked when a file or an event is read; `runtime.w
 
 import msgspec
 
-from fsar_ledger.events.envelope import PolicyOutcome, PolicyScope, TrustScope
+from fsar_ledger.events.envelope import (
+    OverrideLevel,
+    PolicyOutcome,
+    PolicyScope,
+    RecoveryLevel,
+    TrustScope,
+    Visibility,
+)
 from fsar_ledger.events.world import Grade
 
 
@@ -15,13 +22,17 @@ class Design(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defau
 
 
 class Robot(Design, frozen=True):
-    """One robot of each team: `east-door` of team 2 is `robot/east-door2`. Without a role, its name is its role."""
+    """One robot of each team: `east-door` of team 2 is `robot/east-door2`. Without a role, its name is its role.
+
+    `domain` is the path of the registry in which it advertises (`ward/night`); empty is the fleet's own.
+    """
 
     name: str
     capabilities: tuple[str, ...]
     role: str | None = None
     has_supervisor: bool = True  # else the fleet supervisor is in charge
     supervisor: str | None = None  # a person (`supervisor/NAME`) who may supervise several robots; None: one of its own
+    domain: str = ""
 
     @property
     def kind(self) -> str:
@@ -33,13 +44,16 @@ class Capability(Design, frozen=True):
     """Something that robots of the fleet can do.
 
     `postconditions` hold after it, in the order in which they come about; the roles in `visible_to` can discover it
-    (empty: all). Units: `lasts_s` seconds, shortest and longest; None: as in `world.durations`.
+    (empty: all), in the domains that `visibility` says, or where there is trust; a request may carry priority up to
+    `override_allowed`. Units: `lasts_s` seconds, shortest and longest; None: as in `world.durations`.
     """
 
     name: str
     postconditions: tuple[str, ...] = ()
     visible_to: tuple[str, ...] = ()
     lasts_s: tuple[float, float] | None = None
+    visibility: Visibility = "global"
+    override_allowed: OverrideLevel = "none"
 
 
 class Substitute(Design, frozen=True):
@@ -50,12 +64,16 @@ class Substitute(Design, frozen=True):
 
 
 class Trust(Design, frozen=True):
-    """Every robot of `role` trusts every robot of `peer_role`, and the other way round if it is mutual."""
+    """Every robot of `role` trusts every robot of `peer_role`, and the other way round if it is mutual.
+
+    Both are in the `domain`; empty is the whole fleet. What holds in a smaller domain comes first.
+    """
 
     role: str
     peer_role: str
     scope: TrustScope
     is_mutual: bool = False
+    domain: str = ""
 
 
 class TrustByRecord(Design, frozen=True):
@@ -69,12 +87,35 @@ class TrustByRecord(Design, frozen=True):
 
 
 class Policy(Design, frozen=True):
-    """A rule for every robot of a role, the robot's own (`local`) or the fleet's, for one capability or (None) all."""
+    """A rule for every robot of a role, the robot's own (`local`) or the fleet's, for one capability or (None) all.
+
+    The robots are in the `domain`; empty is the whole fleet. The rule of a smaller domain replaces it.
+    """
 
     role: str
     outcome: PolicyOutcome
     scope: PolicyScope = "local"
     capability: str | None = None
+    domain: str = ""
+
+
+class Density(Design, frozen=True):
+    """Every n-th admission by each robot of a role, or (None) of every role, is put before a supervisor; 0: none."""
+
+    review_every: int
+    role: str | None = None
+
+
+class Budget(Design, frozen=True):
+    """What a level of recovery may spend: by the robots of a role, or (None) of every role without a budget of its own.
+
+    Units: `time_s` seconds.
+    """
+
+    level: RecoveryLevel
+    time_s: float
+    attempts: int
+    role: str | None = None
 
 
 class OffShift(Design, frozen=True):
@@ -102,6 +143,8 @@ class Fleet(Design, frozen=True):
     trust: tuple[Trust, ...] = ()
     trust_by_record: TrustByRecord = TrustByRecord()
     policies: tuple[Policy, ...] = ()
+    density: tuple[Density, ...] = ()
+    budgets: tuple[Budget, ...] = ()
     off_shift: tuple[OffShift, ...] = ()
 
     @property
@@ -142,13 +185,30 @@ class Injection(Design, frozen=True):
     times: int = 1
 
 
+class OutsideCommand(Design, frozen=True):
+    """A command that comes to the run from outside then, and is decided as it is then.
+
+    `by` gives it; `parameters` are its fields, as JSON. A file has them as fields beside `command`. Units: `at_s` run
+    time in seconds.
+    """
+
+    at_s: float
+    command: str
+    by: str
+    parameters: str = "{}"
+
+
 class Scenario(Design, frozen=True):
-    """The tasks of each team, in a world with disturbances. The actuator of one `degradable` robot may degrade."""
+    """The tasks of each team, in a world with disturbances. The actuator of one `degradable` robot may degrade.
+
+    `commands` come to the run whoever works in it: they are not of each team.
+    """
 
     name: str
     tasks: tuple[Task, ...]
     injections: tuple[Injection, ...] = ()
     degradable: tuple[str, ...] = ()
+    commands: tuple[OutsideCommand, ...] = ()
 
 
 class Wear(Design, frozen=True):

@@ -5,6 +5,7 @@ another one; nothing else changes. Each is read once, when first used. An error 
 the nearest.
 """
 
+import json
 import re
 import tomllib
 from collections.abc import Sequence
@@ -17,7 +18,7 @@ import msgspec
 from fsar_ledger.base import printable
 from fsar_ledger.base.errors import InvalidExperiment, UsageError
 
-from . import Fleet, Scenario, Workflow
+from . import Fleet, OutsideCommand, Scenario, Workflow
 
 _T = TypeVar("_T")
 Field = tuple[str | int, ...]
@@ -68,10 +69,34 @@ def decoded(text: str, kind: type[_T], where: str) -> _T:
         at = _MANY_DIGITS.search(text)
         line = text.count("\n", 0, at.start() if at else 0) + 1
         raise UsageError(f"{where}:{line}: found {_UNREADABLE}, expected TOML of a {_what(kind)}") from error
+    if kind is Scenario:
+        found = _with_parameters(found, text, where)
     try:
         return msgspec.convert(found, kind)
     except msgspec.ValidationError as error:
-        raise UsageError(_worded(str(error), text, kind, where, found)) from error
+        field, value, expected = fault(str(error), kind, found)
+        about = at_line(where, text, field) if field else where
+        raise UsageError(f"{about}: found {value}, expected {expected}") from error
+
+
+def _with_parameters(found: dict[str, Any], text: str, where: str) -> dict[str, Any]:
+    """Return the scenario in which each command has its fields as JSON, as an event has them."""
+    commands = found.get("commands")
+    if not isinstance(commands, list):
+        return found
+    own = OutsideCommand.__struct_fields__[:-1]
+    folded: list[Any] = []
+    for number, one in enumerate(commands):
+        if isinstance(one, dict):
+            fields = {name: value for name, value in one.items() if name not in own}
+            try:
+                parameters = json.dumps(fields, ensure_ascii=False, default=str)
+            except ValueError as error:  # the only thing that Python refuses to write
+                about = at_line(where, text, ("commands", number))
+                raise UsageError(f"{about}: found {_UNREADABLE}, expected fields of a command") from error
+            one = {name: value for name, value in one.items() if name in own} | {"parameters": parameters}
+        folded.append(one)
+    return {**found, "commands": folded}
 
 
 def at_line(where: str, text: str, field: Field) -> str:
@@ -151,8 +176,8 @@ def _lines_before(lines: list[str], element: int) -> int:
     return 0
 
 
-def _worded(message: str, text: str, kind: type[Any], where: str, found: Any) -> str:
-    """Return msgspec's message reworded in our form: line, field, found, expected."""
+def fault(message: str, kind: type[Any], found: Any) -> tuple[Field, str, str]:
+    """Return what a message of msgspec is about: the field, what was found there, and what was expected."""
     parsed = _AT.match(message)
     assert parsed is not None
     what = parsed["what"]
@@ -163,11 +188,8 @@ def _worded(message: str, text: str, kind: type[Any], where: str, found: Any) ->
         field = (*field, named[1])
         if "unknown" in what:
             known = _fields(kind, field)
-            return (
-                f"{at_line(where, text, field)}: found an unknown field, expected one of {', '.join(known)}"
-                f"{printable.did_you_mean(named[1], known)}"
-            )
-        return f"{at_line(where, text, field)}: found nothing, expected a value: this field has no default"
+            return field, "an unknown field", f"one of {', '.join(known)}{printable.did_you_mean(named[1], known)}"
+        return field, "nothing", "a value: this field has no default"
     value: Any = found
     for part in field:
         value = value[part]
@@ -177,14 +199,13 @@ def _worded(message: str, text: str, kind: type[Any], where: str, found: Any) ->
     if what.startswith("Invalid enum value"):
         expected = f"one of {', '.join(_choices(kind, field))}"
         expected += printable.did_you_mean(str(value), _choices(kind, field))
-    about = f"{at_line(where, text, field)}: " if field else f"{where}: "
     try:
         shown = printable.value(str(value))
     except ValueError:  # TOML writes numbers of other bases, too, which Python reads and does not write
         shown = _UNREADABLE
     if isinstance(value, str) and not what.startswith("Invalid enum value"):
         shown = f'"{shown}"'  # a text where another type is expected
-    return f"{about}found {shown}, expected {_type(expected)}"
+    return field, shown, _type(expected)
 
 
 _TYPES = {

@@ -1,13 +1,14 @@
-"""Commands from outside: what was given to a live run, and what could not be carried out."""
+"""Commands from outside: what was given to a run, and what could not be carried out."""
 
 from .envelope import Event, Principal
 
 
 class CommandGiven(Event, frozen=True, kw_only=True):
-    """A command came to a live run; what it leads to is caused by this event. A live run is its commands.
+    """A command came to the run; what it leads to is caused by this event. A live run is its commands.
 
-    `issued_by` is who gave it, as the door knows them; `key` the name by which they tell whether it is the same one
-    again; `parameters` its fields, as JSON. Units: `source_time_us` run time at which they say that they gave it.
+    A simulated run has those of its scenario. `issued_by` is who gave it, as the door knows them; `key` the name by
+    which they tell whether it is the same one again; `parameters` its fields, as JSON. Units: `source_time_us` run time
+    at which they say that they gave it.
 
     Paper: sec:architecture:overview.
     """

@@ -53,7 +53,7 @@ from .changes import (
 from .live import command_given
 
 COMMAND = "command:"
-"""What the names of commands of a live run begin with."""
+"""What the names of commands from outside begin with."""
 MAX_TEXT = 10_000
 """Characters of a change; the longest, a task with its steps, has some hundreds."""
 MAX_SECONDS = 9_007_199_254

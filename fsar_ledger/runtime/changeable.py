@@ -13,7 +13,8 @@ Facts with their ends: `window:fleet/B1/0` and `window:local/A1/3` (a policy win
 | `approach:KEY`, `retry:KEY`, `execution:KEY` | how long a robot's body takes | a length, `never` |
 | `message:KEY` | how long a message takes | a length, `never` |
 
-In a live run the facts are its commands: `command:ReportStart/0` is the first `ReportStart`. Robots are asked
+Commands from outside are facts, too: `command:LeaveFleet/0` is the first `LeaveFleet` that a scenario gives. In a live
+run the facts are its commands: `command:ReportStart/0` is the first `ReportStart`. Robots are asked
 `admission:A1-1/2.1` (whether they take the request) and `help:KEY` (whether they help), too, which take `accept`.
 
 `deny` is no to a review; `other` puts the other of two competing actions first. To any other call they mean nothing.

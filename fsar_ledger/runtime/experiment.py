@@ -28,8 +28,20 @@ from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.record import Head
 from fsar_ledger.ledger.store.staging import stage
 
-from .simulation import COMMIT_EVENTS, MODEL_VERSION, Batch, RunSpec, Staging, plan_record, run_id, run_started
-from .world.checks import problems_of_design, problems_of_fleet
+from .handlers.public import commands
+from .own import problems_of_commands
+from .simulation import (
+    COMMIT_EVENTS,
+    MODEL_VERSION,
+    Batch,
+    RunSpec,
+    Staging,
+    handler_table_of,
+    plan_record,
+    run_id,
+    run_started,
+)
+from .world.checks import Problem, problems_of_design, problems_of_fleet
 from .world.founding import team_size
 from .world.schedule import happening
 
@@ -106,13 +118,30 @@ class Experiment(msgspec.Struct, frozen=True):
                     f"scenario {name}: found fleet {printable.value(fleet.name)}, expected the paper's, for which the "
                     "scenario is written; use your own --scenario with your own --fleet"
                 )
-            for problem in problems_of_design(scenario, fleet or registered.fleet()):
+            problems = [*problems_of_design(scenario, fleet or registered.fleet())]
+            if isinstance(scenario, Scenario):
+                problems += problems_of_commands(scenario, fleet or registered.fleet())
+                problems += self._undecided(scenario)
+            for problem in problems:
                 if own is not None:
                     raise InvalidExperiment(f"scenario {printable.value(own.name)}: {problem}")
                 where = registered.at(scenario, problem.field)
                 raise InvalidExperiment(f"{where}: found {problem.found}, expected {problem.expected}")
         if (own or fleet) and (found := len(write_constants(self.constants))) > MAX_OWN:
             raise InvalidExperiment(f"fleet and scenario: found {found:,} characters, expected at most {MAX_OWN:,}")
+
+    def _undecided(self, scenario: Scenario) -> Iterator[Problem]:
+        """Yield the commands of the scenario that an architecture does not decide."""
+        for number, one in enumerate(scenario.commands):
+            for architecture in self.architectures:
+                kind, decides = commands().get(one.command), handler_table_of(architecture).decides
+                if kind is not None and kind not in decides:
+                    able = [name for name, known in commands().items() if known in decides]
+                    yield Problem(
+                        ("commands", number, "command"),
+                        f"{one.command}, which architecture {architecture} does not decide",
+                        f"one of {', '.join(sorted(able))}, or --architecture fsar, which decides every command",
+                    )
 
     def _require_mechanisms(self) -> None:
         """Check that every architecture has the mechanisms that are taken out of it."""

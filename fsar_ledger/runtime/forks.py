@@ -19,7 +19,6 @@ from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.projections.fleet import NEVER_US, Fleet
 
-from .architectures.fsar.reports import given
 from .change_texts import COMMAND, altered, fact_of
 from .changeable import (
     EditedEnvironment,
@@ -44,6 +43,7 @@ from .changes import (
     seconds_text,
 )
 from .handlers.policy import SetPolicyRule
+from .handlers.public import given
 from .handlers.recovery import SetRecoveryBudget
 from .handlers.supervision import SetSupervisionDensity
 from .handlers.trust import SetTrust
@@ -146,9 +146,10 @@ def edited_environment(recipe: Recipe) -> EditedEnvironment:
         facts = _continued(facts, tuple(era.facts), from_us)
     of_facts = [one for one in recipe.changes if isinstance(one, Drop | Move | Add)]
     answers = [one for one in recipe.changes if isinstance(one, Answer)]
+    facts = _altered(facts, answers)
     if recipe.live is None:
         return EditedEnvironment(usual, edited_facts(facts, of_facts), answers)
-    facts = edited_facts(_altered(facts, answers), of_facts, recipe.live.until_us)
+    facts = edited_facts(facts, of_facts, recipe.live.until_us)
     fleet = fleet_founding(recipe.spec.fleet_size, recipe.constants)[1].fleet
     for change in recipe.changes:
         if isinstance(change, Commanded):

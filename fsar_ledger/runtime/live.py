@@ -26,9 +26,9 @@ from fsar_ledger.ledger.rows.runs import LedgerRun
 from fsar_ledger.projections.fleet import NEVER_US
 from fsar_ledger.projections.fold import State
 
-from .architectures.fsar.reports import commands, given, read
 from .changeable import question_name
 from .handlers.commands import ActionCommand, Command, Respond, Scheduled
+from .handlers.public import commands, given, read
 from .handlers.request import ReportResult
 from .kernel import Kernel
 from .ports import ANSWERS_LATER, AS_USUAL, Ask, Fact, LiveEnvironment

@@ -14,11 +14,12 @@ import msgspec
 
 from fsar_ledger.base import printable
 from fsar_ledger.base.errors import InvalidExperiment, UsageError
-from fsar_ledger.designs import Fleet, Scenario, registered
-from fsar_ledger.designs.constants import SIGNED, Constants, with_all_groups
-from fsar_ledger.designs.registered import at_line, read_design
+from fsar_ledger.designs import Fleet, OutsideCommand, Scenario, registered
+from fsar_ledger.designs.constants import DURATIONS, END_US, SIGNED, Constants, with_all_groups
+from fsar_ledger.designs.registered import Field, at_line, fault, read_design
 from fsar_ledger.metrics.constant_names import names_of_constants
 
+from .handlers.public import commands, own_fields, with_nulls
 from .world.checks import Problem, problems_of_fleet, problems_of_scenario
 
 _PART = re.compile(r'\.?([A-Za-z_]\w*)|\["([^"]+)"\]')
@@ -49,6 +50,7 @@ def with_own(
         design, text = read_design(path, Scenario)
         against = own_fleet or registered.fleet()
         _require(path, text, problems_of_scenario(design, against))
+        _require(path, text, problems_of_commands(design, against))
         if design.name in registered.scenarios():
             _require(path, text, [_taken(design.name, registered.scenarios())])
         own = design
@@ -85,6 +87,56 @@ def _require(path: Path, text: str, problems: Iterator[Problem] | list[Problem])
         raise UsageError(
             f"{at_line(str(path), text, problem.field)}: found {problem.found}, expected {problem.expected}"
         )
+
+
+def problems_of_commands(scenario: Scenario, fleet: Fleet) -> Iterator[Problem]:
+    """Yield the problems of the commands that a scenario gives, in the order of its fields.
+
+    Whether one can be carried out is decided when it comes, on record.
+    """
+    for number, one in enumerate(scenario.commands):
+        about: Field = ("commands", number)
+        end_s = END_US / 1e6
+        if not 0 <= one.at_s <= end_s:
+            yield Problem((*about, "at_s"), printable.number(one.at_s), f"seconds from 0 to {end_s:g}")
+        if not (re.fullmatch(r"(robot|supervisor|service)/\S+", one.by) and one.by.isprintable()):
+            yield Problem((*about, "by"), printable.value(one.by), "who gives it, as robot/A1 or supervisor/fleet")
+        if one.command not in commands():
+            hint = printable.did_you_mean(one.command, commands()) or ";"
+            names = ", ".join(sorted(commands()))
+            yield Problem(
+                (*about, "command"), printable.value(one.command), f"a command that exists{hint} known are {names}"
+            )
+        else:
+            yield from _problems_of_fields(about, one, fleet)
+
+
+def _problems_of_fields(about: Field, one: OutsideCommand, fleet: Fleet) -> Iterator[Problem]:
+    """Yield which fields the command cannot have."""
+    kind = commands()[one.command]
+    try:
+        fields = msgspec.json.decode(one.parameters, type=dict[str, Any])
+    except msgspec.MsgspecError:
+        yield Problem((*about, "parameters"), printable.value(one.parameters), "the fields of the command, as JSON")
+        return
+    known = own_fields(kind)
+    if unknown := [name for name in fields if name not in known]:
+        hint = printable.did_you_mean(unknown[0], known)
+        yield Problem((*about, unknown[0]), "an unknown field", f"one of {', '.join(known)}{hint}")
+        return
+    try:
+        fields = with_nulls(kind, fields)
+        msgspec.convert(fields, kind)
+    except msgspec.ValidationError as error:
+        field, found, expected = fault(str(error), kind, fields)
+        yield Problem((*about, *field), found, expected)
+    for name, text in fields.items():
+        if isinstance(text, str) and not text.isprintable():
+            yield Problem((*about, name), printable.value(text), "characters that can be printed")
+    lengths = {*dict(DURATIONS), *(capability.name for capability in fleet.capabilities)}
+    if one.command == "InstallCapability" and (name := str(fields.get("capability"))) not in lengths:
+        expected = f"one whose length is known ({', '.join(sorted(lengths))}); the fleet's file says how long one takes"
+        yield Problem((*about, "capability"), printable.value(name), expected)
 
 
 def _taken(name: str, names: Sequence[str]) -> Problem:

@@ -15,6 +15,7 @@ from contextlib import suppress
 from typing import NamedTuple, get_args
 
 from fsar_ledger.events import Event
+from fsar_ledger.events.command import CommandGiven
 from fsar_ledger.events.envelope import flat
 from fsar_ledger.events.world import WorldEvent
 from fsar_ledger.ledger.rows.codec import LedgerRun
@@ -26,8 +27,8 @@ from .kernel import Kernel, is_same_batch
 from .ports import AS_USUAL, DISAPPROVES, PREFERS_OTHER, Ask, Fact
 from .world.draws import FOREVER_US
 
-FACTS = frozenset(get_args(WorldEvent))
-"""The types of events that the world makes by itself."""
+FACTS = frozenset({*get_args(WorldEvent), CommandGiven})
+"""The types of events that come from outside the run: what the world does by itself, and commands."""
 _SPAN_US = 1 << 42
 """Longer than any run: what is due after some spans is due at a time to be found."""
 _MOST_WAITS = 20

@@ -9,8 +9,7 @@ import msgspec
 
 import fsar_ledger
 from fsar_ledger.events import CONCERNS
-from fsar_ledger.runtime.architectures.fsar.reports import commands, own_fields
-from fsar_ledger.runtime.handlers.public import PublicCommand
+from fsar_ledger.runtime.handlers.public import PublicCommand, commands, own_fields
 
 from .principals import KINDS
 

@@ -27,8 +27,8 @@ from fsar_ledger.base.errors import FsarLedgerError, UsageError
 from fsar_ledger.base.printable import did_you_mean
 from fsar_ledger.events import CONCERN_OF, CONCERNS, Event
 from fsar_ledger.events.envelope import flat
-from fsar_ledger.runtime.architectures.fsar.reports import commands
 from fsar_ledger.runtime.federation import Federation
+from fsar_ledger.runtime.handlers.public import commands
 from fsar_ledger.runtime.live import Decision, command_given
 from fsar_ledger.sources.columns import object_of
 

@@ -98,11 +98,26 @@ def test_the_line_of_a_field_is_found_in_tables_inside_a_list_and_under_dotted_k
             'bodies = ["porter"]',
             'boddies = ["porter"]',
             "my.toml:2: boddies: found an unknown field, expected one of name, robots, capabilities, bodies, "
-            "substitutes, trust, trust_by_record, policies, off_shift; did you mean bodies?",
+            "substitutes, trust, trust_by_record, policies, density, budgets, off_shift; did you mean bodies?",
         ),
         ('bodies = ["porter"]', 'bodies = "porter"', 'my.toml:2: bodies: found "porter", expected a list in [ ]'),
         ('"door.lock",\n]', "7,\n]", "my.toml:12: robots[1].capabilities[1]: found 7, expected text in quotes"),
         ('name = "door"\n', "", "my.toml:8: robots[1].name: found nothing, expected a value"),
+        (
+            "to_s = 9.5",
+            'to_s = 9.5\n[[budgets]]\nlevel = "locl"\ntime_s = 5\nattempts = 1',
+            "my.toml:30: budgets[0].level: found locl, expected one of local, peer, fleet, human; did you mean local?",
+        ),
+        (
+            "to_s = 9.5",
+            "to_s = 9.5\n[[density]]\nreview_evry = 2",
+            "my.toml:30: density[0].review_evry: found an unknown field, expected one of review_every, role; did you",
+        ),
+        (
+            "lasts_s = [1, 2.5]",
+            'lasts_s = [1, 2.5]\nvisibility = "domains"',
+            "my.toml:21: capabilities[1].visibility: found domains, expected one of global, domain, trust-gated; did",
+        ),
         ("from_s = 5", 'from_s = "5"', 'my.toml:27: off_shift[0].from_s: found "5", expected a number'),
         (
             "lasts_s = [1, 2.5]",
@@ -161,6 +176,57 @@ def test_a_number_of_thousands_of_digits_is_refused_with_its_line(digits: str, s
             "to_s = 9.5",
             '[[policies]]\nrole = "doors"\noutcome = "deny"',
             "policies[0].role: found doors, expected one of the roles",
+        ),
+        ('name = "door"\n', 'name = "door"\ndomain = "/a"\n', "robots[1].domain: found /a, expected a path of names"),
+        (
+            "to_s = 9.5",
+            '[[policies]]\nrole = "door"\noutcome = "deny"\ndomain = "ward"',
+            "policies[0].domain: found ward, expected one of the domains of the fleet's robots, or one around them (",
+        ),
+        (
+            "to_s = 9.5",
+            '[[trust]]\nrole = "door"\npeer_role = "porter"\nscope = "task"\ndomain = "ward"',
+            "trust[0].domain: found ward, expected one of the domains",
+        ),
+        (
+            "to_s = 9.5",
+            '[[density]]\nrole = "dor"\nreview_every = 1',
+            "density[0].role: found dor, expected one of the",
+        ),
+        (
+            "to_s = 9.5",
+            "[[density]]\nreview_every = -1",
+            "density[0].review_every: found -1, expected one admission in",
+        ),
+        (
+            "to_s = 9.5",
+            "[[density]]\nreview_every = 1\n[[density]]\nreview_every = 2",
+            "density[1]: found a second density of every role, expected each once",
+        ),
+        (
+            "to_s = 9.5",
+            '[[budgets]]\nlevel = "human"\ntime_s = 0.5\nattempts = 1',
+            "budgets[0].time_s: found 0.5, expected seconds from 1 to 1800 at level human",
+        ),
+        (
+            "to_s = 9.5",
+            '[[budgets]]\nlevel = "peer"\ntime_s = inf\nattempts = 1',
+            "budgets[0].time_s: found inf, expected seconds from 0 to 1800 at level peer",
+        ),
+        (
+            "to_s = 9.5",
+            '[[budgets]]\nlevel = "human"\ntime_s = 5\nattempts = 0',
+            "budgets[0].attempts: found 0, expected at least 1 at level human",
+        ),
+        (
+            "to_s = 9.5",
+            '[[budgets]]\nlevel = "peer"\ntime_s = 5\nattempts = 0\nrole = "lift"',
+            "budgets[0].role: found lift, expected one of the roles",
+        ),
+        (
+            "to_s = 9.5",
+            '[[budgets]]\nlevel = "peer"\ntime_s = 5\nattempts = 0\n' * 2,
+            "budgets[1]: found a second budget of every role at level peer, expected each once",
         ),
         (
             "to_s = 9.5",

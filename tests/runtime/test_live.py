@@ -34,11 +34,8 @@ from fsar_ledger.runtime.architectures.fsar.reports import (
     ReportPresence,
     ReportStart,
     ReportWindow,
-    commands,
-    given,
-    read,
 )
-from fsar_ledger.runtime.handlers.public import PublicCommand, speaker
+from fsar_ledger.runtime.handlers.public import PublicCommand, commands, given, read, speaker
 from fsar_ledger.runtime.handlers.recovery import ReportFailure
 from fsar_ledger.runtime.handlers.request import ReportResult
 from fsar_ledger.runtime.handlers.supervision import RespondToCall

@@ -7,8 +7,7 @@ import pytest
 
 from fsar_ledger.events.command import CommandGiven, CommandRejected
 from fsar_ledger.events.envelope import FLEET_SUPERVISOR
-from fsar_ledger.runtime.architectures.fsar.reports import commands
-from fsar_ledger.runtime.handlers.public import PublicCommand, speaker
+from fsar_ledger.runtime.handlers.public import PublicCommand, commands, speaker
 from fsar_ledger.runtime.live import command_given
 from fsar_ledger.runtime.run_replay import replay_run
 from tests.runtime.test_live import A, B, Play, S, at_the_door

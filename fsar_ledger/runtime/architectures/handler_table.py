@@ -10,6 +10,7 @@ from fsar_ledger.runtime.handlers import (
     execution,
     fleet,
     policy,
+    public,
     recovery,
     registry,
     request,
@@ -29,8 +30,8 @@ from fsar_ledger.runtime.handlers.commands import (
 )
 from fsar_ledger.runtime.handlers.public import PublicCommand
 
-COMMON = (task, execution, supervision)
-"""What every architecture has: tasks, bodies, supervisors, and what becomes of a task that is given up."""
+COMMON = (task, execution, supervision, public)
+"""What every architecture has: tasks, bodies, supervisors, a door for commands, what becomes of a task given up."""
 
 EXPECTED: tuple[type[Command], ...] = (TakeTurn, StartAction, DecideRoutine)
 """What the shared modules give, and each architecture decides in its own way."""

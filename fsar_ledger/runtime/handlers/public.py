@@ -1,13 +1,16 @@
-"""Commands from outside: the event that one becomes, and why one is rejected.
+"""Commands from outside: their record, the event that one becomes, and why one is rejected.
 
 A command that cannot be executed is recorded and has no effect. Paper: sec:architecture:overview.
 """
 
-from collections.abc import Iterable
-from typing import Protocol, TypeVar
+from collections.abc import Iterable, Mapping
+from functools import cache
+from typing import Protocol, TypeVar, get_args
+
+import msgspec
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.command import CommandRejected
+from fsar_ledger.events.command import CommandGiven, CommandRejected
 from fsar_ledger.events.envelope import FLEET_SUPERVISOR, Principal, Robot, Supervisor, supervisor_named
 from fsar_ledger.projections.context import Over
 from fsar_ledger.projections.fleet import Fleet
@@ -15,9 +18,10 @@ from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import Registry
 from fsar_ledger.projections.trust import is_within
 
-from .commands import Command
+from .commands import Command, Handlers, Scheduled, nobody
 
 _Made = TypeVar("_Made", bound=Event)
+HANDLERS = Handlers()
 
 
 class PublicCommand(Command, kw_only=True, gc=False):
@@ -25,6 +29,14 @@ class PublicCommand(Command, kw_only=True, gc=False):
 
     A command that cannot be carried out is rejected as an event, and changes nothing.
     """
+
+
+class RejectWord(Command):
+    """Reject what a principal said in the name of another. Paper: sec:model:invariants."""
+
+    name: str
+    reason: str
+    given_by: Principal
 
 
 class Work(PublicCommand, gc=False):
@@ -184,3 +196,84 @@ def not_for_roles(state: State, supervisor: Supervisor, domain: str, *roles: str
     for role in roles:
         refused = refused or unknown_word("role", role, sorted({robot.role for robot in inside}))
     return refused
+
+
+@HANDLERS.react(CommandGiven)
+def _on_command(state: State, event: CommandGiven, _now_us: int) -> tuple[Scheduled, ...]:
+    """Decide the command in the next microsecond; nothing where the record holds none that can be read."""
+    kind = commands().get(event.command)
+    if kind is None:
+        return ()
+    try:
+        command = read(kind, event.parameters)
+    except msgspec.ValidationError:
+        return ()
+    if (refused := not_its_word(state.fleet, event.issued_by, command)) is not None:
+        return (Scheduled(RejectWord(name=event.command, reason=refused, given_by=event.issued_by)),)
+    return (Scheduled(command),)
+
+
+@HANDLERS.decide(RejectWord, nobody)
+def reject_word(_state: State, command: RejectWord) -> tuple[Event, ...]:
+    """Record that the word of another was not taken."""
+    return (
+        CommandRejected(
+            command=command.name, subject=command.given_by, reason=command.reason, issued_by=command.given_by
+        ),
+    )
+
+
+def given(command: PublicCommand, issued_by: str, **about: object) -> CommandGiven:
+    """Return the record of a command that was given; `about` are its other columns."""
+    fields = {name: getattr(command, name) for name in own_fields(type(command))}
+    fields = {name: one for name, one in fields.items() if one is not None or name not in _ADDED}
+    parameters = msgspec.json.encode(fields).decode()
+    return msgspec.convert(
+        {
+            "type": CommandGiven.__struct_config__.tag,
+            "command": type(command).__name__,
+            "issued_by": issued_by,
+            "parameters": parameters,
+            **about,
+        },
+        CommandGiven,
+    )
+
+
+_ADDED = ("fence", "public_key")
+"""Fields that are left out where they say nothing, as in records from before they were there."""
+
+
+def own_fields(kind: type[PublicCommand]) -> list[str]:
+    """Return what a command of this kind says, without what the run stamps."""
+    return [name for name in kind.__struct_fields__ if name not in Command.__struct_fields__]
+
+
+def read(kind: type[PublicCommand], parameters: str) -> PublicCommand:
+    """Return the command with these fields, as JSON. Raises: msgspec.ValidationError for what it cannot have."""
+    found = msgspec.json.decode(parameters, type=dict[str, object])
+    known = own_fields(kind)
+    if unknown := sorted(found.keys() - set(known)):
+        raise msgspec.ValidationError(f"found {unknown[0]!s:.80}, expected some of {', '.join(known)}")
+    return msgspec.convert(found, kind)
+
+
+def with_nulls(kind: type[PublicCommand], fields: Mapping[str, object]) -> dict[str, object]:
+    """Return the fields of a command in a file, which has no null: what is left out and may be null is."""
+    may_be = (one.name for one in msgspec.structs.fields(kind) if one.required and type(None) in get_args(one.type))
+    return dict.fromkeys(may_be) | dict(fields)
+
+
+def given_in_file(command: str, by: str, parameters: str) -> CommandGiven:
+    """Return the record of a command that a scenario's file gives. Raises: KeyError, msgspec.MsgspecError for none."""
+    kind = commands()[command]
+    fields = with_nulls(kind, msgspec.json.decode(parameters, type=dict[str, object]))
+    return given(read(kind, msgspec.json.encode(fields).decode()), by)
+
+
+@cache
+def commands() -> dict[str, type[PublicCommand]]:
+    """Return the commands that can be given, by name: all that FSAR decides."""
+    from fsar_ledger.runtime.architectures.fsar import FSAR
+
+    return {one.__name__: one for one in FSAR.decides if issubclass(one, PublicCommand)}

@@ -9,11 +9,13 @@ from fsar_ledger.base import printable
 from fsar_ledger.designs import Fleet, Robot, Scenario, Task, Workflow
 from fsar_ledger.designs.constants import DURATIONS, END_US
 from fsar_ledger.designs.registered import Field, field_name
+from fsar_ledger.projections.trust import is_within
 
 _NAME = re.compile(r"[a-z][a-z0-9-]{0,38}[a-z0-9]")
 _ROBOT = re.compile(r"[A-Za-z](?:[A-Za-z0-9_-]{0,38}[A-Za-z])?")
 _ROLE = re.compile(r"[A-Za-z](?:[A-Za-z0-9_-]{0,38}[A-Za-z0-9])?")
 _CAPABILITY = re.compile(r"[a-z][a-z0-9_-]*(?:\.[a-z0-9_-]+)+")
+_DOMAIN = re.compile(r"(?:[A-Za-z0-9][A-Za-z0-9_-]{0,39}(?:/[A-Za-z0-9][A-Za-z0-9_-]{0,39})*)?")
 _CONDITION = re.compile(r"[a-z][a-z0-9_-]*(?:\.[a-z0-9_-]+)*")
 MOST_TIMES = 1_000
 
@@ -48,6 +50,8 @@ def problems_of_fleet(fleet: Fleet) -> Iterator[Problem]:
             )
             if not robot.has_supervisor or robot.supervisor == "fleet":
                 yield Problem(where, printable.value(robot.supervisor), "none: the fleet supervisor is in charge")
+        path = "a path of names with / between, such as ward/night, or nothing for the fleet's own registry"
+        yield from _named((*about, "domain"), robot.domain, _DOMAIN, path)
         yield from _each((*about, "capabilities"), robot.capabilities, capabilities, "the capabilities of the fleet")
     yield from _problems_of_capabilities(fleet, capabilities)
     yield from _each(("bodies",), fleet.bodies, fleet.roles, "the roles of the fleet")
@@ -62,6 +66,8 @@ def problems_of_fleet(fleet: Fleet) -> Iterator[Problem]:
         if policy.capability is not None:
             where = ("policies", at, "capability")
             yield from _known(where, policy.capability, capabilities, "the capabilities of the fleet")
+        yield from _within(("policies", at, "domain"), policy.domain, fleet)
+    yield from _problems_of_spending(fleet)
     yield from _problems_of_shifts(fleet)
 
 
@@ -85,19 +91,49 @@ def _problems_of_capabilities(fleet: Fleet, names: Sequence[str]) -> Iterator[Pr
 
 
 def _problems_of_trust(fleet: Fleet) -> Iterator[Problem]:
-    given: set[tuple[str, str]] = set()
+    given: set[tuple[str, str, str]] = set()
     for at, trust in enumerate(fleet.trust):
         about: Field = ("trust", at)
         yield from _known((*about, "role"), trust.role, fleet.roles, "the roles of the fleet")
         yield from _known((*about, "peer_role"), trust.peer_role, fleet.roles, "the roles of the fleet")
-        pairs = {(trust.role, trust.peer_role), *([(trust.peer_role, trust.role)] if trust.is_mutual else [])}
+        yield from _within((*about, "domain"), trust.domain, fleet)
+        pairs = {(trust.role, trust.peer_role, trust.domain)}
+        if trust.is_mutual:
+            pairs.add((trust.peer_role, trust.role, trust.domain))
         if pairs & given:
-            role, peer_role = min(pairs & given)
+            role, peer_role, _ = min(pairs & given)
             yield Problem((*about, "role"), f"trust of {role} in {peer_role} a second time", "one entry for each pair")
         given |= pairs
     for name in ("promote_after", "downgrade_after"):
         if (number := getattr(fleet.trust_by_record, name)) < 0:
             yield Problem(("trust_by_record", name), f"{number}", "so many results in a row, or 0: never")
+
+
+def _problems_of_spending(fleet: Fleet) -> Iterator[Problem]:
+    """Yield the problems of how often supervisors are asked, and of what recovery may spend."""
+    for at, density in enumerate(fleet.density):
+        about: Field = ("density", at)
+        if density.role is not None:
+            yield from _known((*about, "role"), density.role, fleet.roles, "the roles of the fleet")
+        if density.role in [one.role for one in fleet.density[:at]]:
+            yield Problem(about, f"a second density of {density.role or 'every role'}", "each once")
+        if density.review_every < 0:
+            yield Problem((*about, "review_every"), f"{density.review_every}", "one admission in so many, or 0: none")
+    for at, budget in enumerate(fleet.budgets):
+        about = ("budgets", at)
+        if budget.role is not None:
+            yield from _known((*about, "role"), budget.role, fleet.roles, "the roles of the fleet")
+        if (budget.role, budget.level) in [(one.role, one.level) for one in fleet.budgets[:at]]:
+            yield Problem(
+                about, f"a second budget of {budget.role or 'every role'} at level {budget.level}", "each once"
+            )
+        least = 1 if budget.level == "human" else 0  # a failure that nobody else resolved must reach somebody
+        end_s = END_US / 1e6
+        if not least <= budget.time_s <= end_s:
+            expected = f"seconds from {least} to {end_s:g} at level {budget.level}"
+            yield Problem((*about, "time_s"), printable.number(budget.time_s), expected)
+        if budget.attempts < least:
+            yield Problem((*about, "attempts"), f"{budget.attempts}", f"at least {least} at level {budget.level}")
 
 
 def _problems_of_shifts(fleet: Fleet) -> Iterator[Problem]:
@@ -138,7 +174,7 @@ def problems_of_scenario(scenario: Scenario, fleet: Fleet) -> Iterator[Problem]:
             asked, target = robots[injection.requester], robots[injection.target]
             has = f"the capabilities of {target.name}"
             yield from _known((*about, "capability"), injection.capability, target.capabilities, has)
-            if asked is target or _trusts(fleet, target.kind, asked.kind):
+            if asked is target or _trusts(fleet, target, asked):
                 expected = "two robots of which the target's role does not trust the requester's"
                 yield Problem((*about, "requester"), f"{asked.name}, whom {target.name} trusts", expected)
         if not 1 <= injection.times <= MOST_TIMES:
@@ -198,15 +234,22 @@ def _problems_of_step(field: Field, step: str, robots: dict[str, Robot], fleet: 
         yield Problem(field, f"{actor} as its own target", f"{actor} {capability} for its own step, or another robot")
 
 
-def _trusts(fleet: Fleet, role: str, peer_role: str) -> bool:
-    return any(
-        one.scope != "none"
-        and (
-            (one.role, one.peer_role) == (role, peer_role)
-            or (one.is_mutual and (one.peer_role, one.role) == (role, peer_role))
-        )
+def _trusts(fleet: Fleet, robot: Robot, peer: Robot) -> bool:
+    """Tell whether the robot trusts the peer at the founding: the entry of the smallest domain of both holds."""
+    roles = robot.kind, peer.kind
+    entries = [
+        (len(one.domain), one.scope)
         for one in fleet.trust
-    )
+        if roles == (one.role, one.peer_role) or (one.is_mutual and roles == (one.peer_role, one.role))
+        if is_within(robot.domain, one.domain) and is_within(peer.domain, one.domain)
+    ]
+    return max(entries, default=(0, "none"), key=lambda entry: entry[0])[1] != "none"
+
+
+def _within(field: Field, domain: str, fleet: Fleet) -> Iterator[Problem]:
+    if not any(is_within(robot.domain, domain) for robot in fleet.robots):
+        found = tuple(dict.fromkeys(robot.domain for robot in fleet.robots if robot.domain))
+        yield from _known(field, domain, found, "the domains of the fleet's robots, or one around them")
 
 
 def _named(field: Field, name: str, pattern: re.Pattern[str], expected: str) -> Iterator[Problem]:

@@ -1,5 +1,6 @@
 """The fleet at its beginning. Paper: sec:prototype:design."""
 
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 from fsar_ledger import designs
@@ -9,7 +10,9 @@ from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import Robot, Supervisor, local_supervisor, robot_named, supervisor_named
 from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.events.policy import RolePolicyRuleSet
+from fsar_ledger.events.recovery import RecoveryBudgetSet
 from fsar_ledger.events.registry import CapabilityAdvertised, CapabilityInstalled
+from fsar_ledger.events.supervision import SupervisionDensitySet
 from fsar_ledger.events.trust import RoleTrustSet, TrustThresholdsSet
 
 FLOOR_TEAMS = WorldConstants().floor_teams
@@ -63,6 +66,7 @@ def founding(fleet_size: int, floor_teams: int = FLOOR_TEAMS, fleet: Fleet | Non
             role=one.design.kind,
             team=one.team,
             supervisor=one.supervisor,
+            domain=one.design.domain,
             place=f"floor/{floor_of(one.team, floor_teams)}" if has_floors else None,
         )
         for one in everyone
@@ -85,18 +89,52 @@ def founding(fleet_size: int, floor_teams: int = FLOOR_TEAMS, fleet: Fleet | Non
             capability=capability.name,
             visible_to=capability.visible_to,
             postconditions=capability.postconditions,
+            override_allowed=capability.override_allowed,
+            visibility=capability.visibility,
         )
         for name, capability in possessed
     ]
+    return (*joined, *_trust_and_rules(design), *_spending(design, everyone))
+
+
+def _trust_and_rules(design: Fleet) -> Iterator[Event]:
+    """Yield whom the robots trust, and the rules that hold for them."""
     # See docs/decisions/trust-and-rules-are-by-role.md.
     for trust in design.trust:
-        joined.append(RoleTrustSet(role=trust.role, peer_role=trust.peer_role, scope=trust.scope))
+        pairs = [(trust.role, trust.peer_role)]
         if trust.is_mutual and trust.role != trust.peer_role:
-            joined.append(RoleTrustSet(role=trust.peer_role, peer_role=trust.role, scope=trust.scope))
+            pairs.append((trust.peer_role, trust.role))
+        for role, peer_role in pairs:
+            yield RoleTrustSet(role=role, peer_role=peer_role, scope=trust.scope, domain=trust.domain)
     if (by_record := design.trust_by_record) != TrustByRecord():
-        joined.append(TrustThresholdsSet(by_record.promote_after, by_record.downgrade_after, None))
-    joined += [
-        RolePolicyRuleSet(scope=policy.scope, role=policy.role, outcome=policy.outcome, capability=policy.capability)
-        for policy in design.policies
-    ]
-    return tuple(joined)
+        yield TrustThresholdsSet(by_record.promote_after, by_record.downgrade_after, None)
+    for policy in design.policies:
+        yield RolePolicyRuleSet(
+            scope=policy.scope,
+            role=policy.role,
+            outcome=policy.outcome,
+            domain=policy.domain,
+            capability=policy.capability,
+        )
+
+
+def _spending(design: Fleet, everyone: Sequence[Member]) -> Iterator[Event]:
+    """Yield how often supervisors are asked, and what recovery may spend, where the fleet's design says so."""
+    for density in design.density:
+        of_role: list[Robot | None] = [one.name for one in everyone if one.design.kind == density.role]
+        for robot in of_role if density.role is not None else [None]:
+            yield SupervisionDensitySet(
+                robot=robot, review_every=density.review_every, decided_by=None, reason="founding"
+            )
+    own = {(one.role, one.level) for one in design.budgets}
+    for budget in design.budgets:
+        for one in everyone:
+            is_own, kind = budget.role is not None, one.design.kind
+            if budget.role == kind or (not is_own and (kind, budget.level) not in own):
+                yield RecoveryBudgetSet(
+                    robot=one.name,
+                    level=budget.level,
+                    t_max_us=round(budget.time_s * 1e6),
+                    n_max=budget.attempts,
+                    decided_by=None,
+                )

@@ -34,6 +34,7 @@ from fsar_ledger.events.world import (
     SyncPhaseSet,
     TaskArrived,
 )
+from fsar_ledger.runtime.handlers.public import given_in_file
 from fsar_ledger.runtime.ports import Fact
 
 from .draws import FOREVER_US, Stream, run_key
@@ -132,6 +133,9 @@ def _disturbed(constants: Constants, key: bytes, scenario: Scenario, fleet_size:
             facts += [(time_us, PeersMet(one.name, other.name)) for time_us in instants]
     for team in range(1, working + 1):
         facts += _tasks(world, key, scenario, team, constants.load or Load())
+    facts += [
+        (max(1, round(one.at_s * 1e6)), given_in_file(one.command, one.by, one.parameters)) for one in scenario.commands
+    ]
     facts.sort(key=lambda fact: fact[0])
     return _apart(facts)
 

@@ -4,15 +4,10 @@ Each is a command from outside by the robot itself. A robot that judges, starts 
 for the robot: until then whatever waits for it waits, within the budgets of recovery and of answers.
 """
 
-from collections.abc import Iterator
-from functools import cache
 from typing import get_args
 
-import msgspec
-
 from fsar_ledger.events import Event
-from fsar_ledger.events.command import CommandGiven, CommandRejected
-from fsar_ledger.events.envelope import PolicyOutcome, PolicyScope, Principal, Robot, Supervisor
+from fsar_ledger.events.envelope import PolicyOutcome, PolicyScope, Robot, Supervisor
 from fsar_ledger.events.recovery import AssistanceDeclined, AssistanceRequested
 from fsar_ledger.events.request import RequestDenied
 from fsar_ledger.events.supervision import ActuatorServiced
@@ -32,13 +27,11 @@ from fsar_ledger.projections.world import GRADES
 from fsar_ledger.runtime.handlers.assistance import help_failed, helped
 from fsar_ledger.runtime.handlers.attribution import recorded_by
 from fsar_ledger.runtime.handlers.commands import (
-    Command,
     EndAssistance,
     EndAttempt,
     Handlers,
     Scheduled,
     StartAction,
-    nobody,
     open_failure,
 )
 from fsar_ledger.runtime.handlers.public import (
@@ -46,7 +39,6 @@ from fsar_ledger.runtime.handlers.public import (
     RobotReport,
     absent_robot,
     carried_out,
-    not_its_word,
     outdated,
     rejected,
     unknown_supervisor,
@@ -140,14 +132,6 @@ class ReportWindow(PublicCommand):
     scope: PolicyScope
     window: str
     outcome: PolicyOutcome | None
-
-
-class RejectWord(Command):
-    """Reject what a principal said in the name of another. Paper: sec:model:invariants."""
-
-    name: str
-    reason: str
-    given_by: Principal
 
 
 @HANDLERS.decide(JudgeRequest)
@@ -310,74 +294,3 @@ def _on_question(state: State, event: AssistanceRequested, _now_us: int) -> tupl
     asked, since_us = len(state.recovery[event.failed_action].tried), event.since_us or 0
     late = AskPeers(event.failed_action, since_us, asked, event.failure, is_last=True)
     return (Scheduled(late, state.fleet.answer_us, ask=Ask("decision", "help", f"{event.failed_action}/late")),)
-
-
-@HANDLERS.react(CommandGiven)
-def _on_command(state: State, event: CommandGiven, _now_us: int) -> tuple[Scheduled, ...]:
-    """Decide the command in the next microsecond; nothing where the record holds none that can be read."""
-    kind = commands().get(event.command)
-    if kind is None:
-        return ()
-    try:
-        command = read(kind, event.parameters)
-    except msgspec.ValidationError:
-        return ()
-    if (refused := not_its_word(state.fleet, event.issued_by, command)) is not None:
-        return (Scheduled(RejectWord(name=event.command, reason=refused, given_by=event.issued_by)),)
-    return (Scheduled(command),)
-
-
-@HANDLERS.decide(RejectWord, nobody)
-def reject_word(_state: State, command: RejectWord) -> tuple[Event, ...]:
-    """Record that the word of another was not taken."""
-    return (
-        CommandRejected(
-            command=command.name, subject=command.given_by, reason=command.reason, issued_by=command.given_by
-        ),
-    )
-
-
-def given(command: PublicCommand, issued_by: str, **about: object) -> CommandGiven:
-    """Return the record of a command that was given; `about` are its other columns."""
-    fields = {name: getattr(command, name) for name in own_fields(type(command))}
-    fields = {name: one for name, one in fields.items() if one is not None or name not in _ADDED}
-    parameters = msgspec.json.encode(fields).decode()
-    return msgspec.convert(
-        {
-            "type": CommandGiven.__struct_config__.tag,
-            "command": type(command).__name__,
-            "issued_by": issued_by,
-            "parameters": parameters,
-            **about,
-        },
-        CommandGiven,
-    )
-
-
-_ADDED = ("fence", "public_key")
-"""Fields that are left out where they say nothing, as in records from before they were there."""
-
-
-def own_fields(kind: type[PublicCommand]) -> list[str]:
-    """Return what a command of this kind says, without what the run stamps."""
-    return [name for name in kind.__struct_fields__ if name not in Command.__struct_fields__]
-
-
-def read(kind: type[PublicCommand], parameters: str) -> PublicCommand:
-    """Return the command with these fields, as JSON. Raises: msgspec.ValidationError for what it cannot have."""
-    found = msgspec.json.decode(parameters, type=dict[str, object])
-    known = own_fields(kind)
-    if unknown := sorted(found.keys() - set(known)):
-        raise msgspec.ValidationError(f"found {unknown[0]!s:.80}, expected some of {', '.join(known)}")
-    return msgspec.convert(found, kind)
-
-
-@cache
-def commands() -> dict[str, type[PublicCommand]]:
-    """Return the commands that can be given, by name."""
-
-    def below(kind: type[PublicCommand]) -> Iterator[type[PublicCommand]]:
-        for one in kind.__subclasses__():
-            yield from below(one) if one.__subclasses__() else (one,)
-
-    return {one.__name__: one for one in below(PublicCommand)}
