@@ -256,7 +256,7 @@ def present(ledger: "Ledger") -> "tuple[View, Provenance]":
 
 def recorded(ledger: "Ledger", view: "View", run: "Run") -> "LedgerRun":
     """Return the record of a run. Raises: UsageError if there is no such run."""
-    from fsar_ledger.analysis.records import record_of
+    from fsar_ledger.ledger.store.locations import record_of
 
     return record_of(view, run_in(view, run, ledger.demanded))
 
