@@ -92,8 +92,6 @@ def hold_segments(
     ]
     if chosen is not None:
         database.hold("run_numbers", chosen.run_numbers)
-    elif types:
-        _number_runs(database, segments, is_stored=database.is_for_others)
     name = _BY_RUN if types is not None and _CONTINUED in types else "events"
     if holding:
         _hold_newest(database, parts, holding, where, name)
@@ -101,15 +99,16 @@ def hold_segments(
         database.define(name, "\nUNION ALL\n".join(_select(*part) for part in parts))
         if alike.keys() == {(FINGERPRINTS[RELEASE], False, False)}:
             database.source = _read(database, segments)
-    if name == _BY_RUN:
-        _join_continued(database)
+    continued = _join_continued(database) if name == _BY_RUN else ()
+    if chosen is None and types:
+        _number_runs(database, segments, continued, is_stored=database.is_for_others)
 
 
 # See docs/decisions/cut-runs-are-judged-whole.md.
-def _join_continued(database: Database) -> None:
+def _join_continued(database: Database) -> list[str]:
     """Make `events` of the rows by run: runs that continue each other are one, with the name of the last of them.
 
-    Its seqs count on, as `ledger.rows.runs.continuing` has it.
+    Its seqs count on, as `ledger.rows.runs.continuing` has it. Returns the names of the others.
     """
     database.source = None
     continues = dict(
@@ -119,8 +118,8 @@ def _join_continued(database: Database) -> None:
     sizes = dict(
         database.direct(f"SELECT run_id, max(seq) + 1 FROM {_BY_RUN} WHERE run_id IN ({names}) GROUP BY run_id")
     )
-    places = pa.Table.from_pylist(_places(continues, sizes), _PLACES)
-    database.hold("run_places", places)
+    places = _places(continues, sizes)
+    database.hold("run_places", pa.Table.from_pylist(places, _PLACES))
     values = {
         "run_id": "coalesce(place.whole, one.run_id)",
         "seq": "one.seq + coalesce(place.shift, 0)",
@@ -132,6 +131,7 @@ def _join_continued(database: Database) -> None:
         f"SELECT {columns} FROM {_BY_RUN} AS one LEFT JOIN run_places AS place ON one.run_id = place.run_id "
         "WHERE one.seq > 0 OR place.is_first IS DISTINCT FROM FALSE",
     )
+    return [f"{place['run_id']}" for place in places if place["run_id"] != place["whole"]]
 
 
 _PLACES = pa.schema([("run_id", pa.string()), ("whole", pa.string()), ("shift", pa.int64()), ("is_first", pa.bool_())])
@@ -170,8 +170,6 @@ def hold_dataset(database: Database, stored: Any, segments: Sequence[Path]) -> N
     Raises: as `_upcast`.
     """
     types = _types(database, segments)
-    if types:
-        _number_runs(database, segments, is_stored=True)
     holding = _holding(database, segments, types)
     name = _BY_RUN if types is not None and _CONTINUED in types else "events"
     if not holding:
@@ -179,12 +177,17 @@ def hold_dataset(database: Database, stored: Any, segments: Sequence[Path]) -> N
     else:
         database.hold(_DATASET, stored)
         _hold_newest(database, [(_DATASET, frozenset(COLUMNS))], holding, name=name)
-    if name == _BY_RUN:
-        _join_continued(database)
+    continued = _join_continued(database) if name == _BY_RUN else ()
+    if types:
+        _number_runs(database, segments, continued, is_stored=True)
 
 
-def _number_runs(database: Database, segments: Sequence[Path], *, is_stored: bool = False) -> None:
+def _number_runs(
+    database: Database, segments: Sequence[Path], continued: Sequence[str] = (), *, is_stored: bool = False
+) -> None:
     """Make `run_numbers` the runs in the order in which these segments hold their first events.
+
+    Those that others continue are counted, and left out.
 
     The relation `events` has no order: it reads rows of different releases one after the other. With `is_stored` the
     segments are read now, and never again.
@@ -194,7 +197,7 @@ def _number_runs(database: Database, segments: Sequence[Path], *, is_stored: boo
     database.define(
         "run_numbers",
         f"SELECT run_id, row_number() OVER (ORDER BY {order}) AS number FROM {source} WHERE seq = 0 AND type NOT IN "
-        f"({listed(sorted(STANDS_ALONE))})",
+        f"({listed(sorted(STANDS_ALONE))})" + (f" QUALIFY run_id NOT IN ({listed(continued)})" if continued else ""),
         is_stored=is_stored,
     )
 

@@ -92,6 +92,28 @@ def chain_of(view: View, run: str) -> list[str]:
     return found
 
 
+def place_counted_on(view: View, run: str, seq: int) -> int:
+    """As `place_of`, of an event whose seq counts on over the runs that this one continues."""
+    before = 0
+    for name in chain_of(view, run):
+        size = sum(part.block.rows for part in view.parts(name))
+        if name != run and seq - before >= size:
+            before += size - 1
+            continue
+        try:
+            return place_of(view, name, seq - before)
+        except KeyError:
+            raise KeyError(before + size) from None
+    raise KeyError(0)
+
+
+def seq_counted_on(view: View, run: str, seq: int) -> int:
+    """Return the seq of this event of the run, counted on over those that it continues; its event 0 is not counted."""
+    earlier = chain_of(view, run)[:-1]
+    before = sum(sum(part.block.rows for part in view.parts(name)) - 1 for name in earlier)
+    return before + max(seq, 1 if earlier else 0)
+
+
 def continued_runs(view: View, run: str | None = None) -> dict[str, str]:
     """Return by its name each run that continues another, or this run if it does, and the name of the other.
 
