@@ -120,7 +120,7 @@ def log(
         with ledger.database() as database:
             return timeline(database, asked_of(database, ledger.path, ALL, since, until, robot, about))
     with ledger.about_run(run) as (database, name, _):
-        since = _beginning(database) if since is None else since
+        since = _beginning(database) if since is None and until is None else since
         return timeline(database, asked_of(database, ledger.path, name, since, until, robot, about))
 
 

@@ -206,6 +206,8 @@ class Federation:
 
     def _cut_if_due(self) -> None:
         """Cut the run at the last moment at which it is to be cut, if that lies between its beginning and now."""
+        if not self._cuts_us:
+            return
         now_us = self._now_us() + self._epoch_us
         days = (now_us - now_us % DAY_US, now_us - now_us % DAY_US - DAY_US)
         passed = [day_us + at_us - self._epoch_us for day_us in days for at_us in self._cuts_us]

@@ -92,6 +92,14 @@ def chain_of(view: View, run: str) -> list[str]:
     return found
 
 
+def whole_of(view: View, run: str) -> str:
+    """Return the last of the runs that continue this one, so that all of them are read with it; itself if none does."""
+    later = {before: name for name, before in continued_runs(view).items() if is_earlier(view, before, name)}
+    while run in later:
+        run = later[run]
+    return run
+
+
 def place_counted_on(view: View, run: str, seq: int) -> int:
     """As `place_of`, of an event whose seq counts on over the runs that this one continues."""
     before = 0
@@ -122,7 +130,10 @@ def continued_runs(view: View, run: str | None = None) -> dict[str, str]:
     numbers = range(len(view.releases)) if run is None else view.segments_of(view.parts(run)[:1])
     found: dict[str, str] = {}
     for number in numbers:
-        if "continues" in SCHEMAS[view.releases[number]].names:
+        if "continues" not in SCHEMAS[view.releases[number]].names:
+            continue
+        column = view.table(number, ["continues"])["continues"]
+        if column.null_count < len(column):
             table = view.table(number, ["run_id", "seq", "continues"])
             table = table.filter(pc.and_(pc.is_valid(table["continues"]), pc.equal(table["seq"], 1)))
             found.update(zip(table["run_id"].to_pylist(), table["continues"].to_pylist(), strict=True))
