@@ -7,49 +7,32 @@ import numpy as np
 import pyarrow.compute as pc
 
 from fsar_ledger.base import printable
-from fsar_ledger.base.errors import UsageError
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.ledger.rows import codec, segment
 from fsar_ledger.ledger.rows.codec import LedgerRun, encode_coded
-from fsar_ledger.ledger.rows.runs import whole
+from fsar_ledger.ledger.store.locations import chain_of
 from fsar_ledger.ledger.store.read import View
 from fsar_ledger.metrics.database import Database, from_table
 from fsar_ledger.metrics.results import typed
 
 
-def record_of(view: View, run: str, size: int | None = None) -> LedgerRun:
-    """Return the events of the run of this name; only the segments that hold it are decoded.
-
-    With `size`, only those among the first so many events of the ledger; event 0 must be one of them.
-
-    Raises:
-        UsageError: The ledger has no such run.
-        LedgerCorrupted: A segment cannot be read.
-    """
-    pieces: list[LedgerRun] = []
-    for number in view.segments_of(view.parts(run)):
-        table = segment.read_table(view.segment(number))
-        table = table.slice(0, len(table) if size is None else max(0, size - view.first(number)))
-        pieces += codec.decode(table.filter(pc.equal(table.column("run_id"), run)), is_whole=False)
-    if not pieces:
-        raise _missing(view, run)
-    return whole(pieces)
-
-
 def commits_of(view: View, run: str) -> list[tuple[int, int]]:
     """Return for each commit that holds events of the run the seq of the first of them and its number, from 0.
 
-    Raises: as `record_of`.
+    Those of the runs that it continues come first, and seqs count on. Raises: as `record_of`.
     """
     found: dict[int, int] = {}
     sizes = np.array([commit.tree_size for commit in view.commits])
-    for number in view.segments_of(view.parts(run)):
-        table = segment.read_table(view.segment(number), ["run_id", "seq"])
-        places = np.flatnonzero(pc.equal(table.column("run_id"), run).to_numpy())
-        commits, at = np.unique(np.searchsorted(sizes, view.first(number) + places, side="right"), return_index=True)
-        found.update(zip(commits.tolist(), table.column("seq").to_numpy()[places[at]].tolist(), strict=True))
-    if not found:
-        raise _missing(view, run)
+    shift = 0
+    for name in chain_of(view, run):
+        parts = view.parts(name)
+        for number in view.segments_of(parts):
+            table = segment.read_table(view.segment(number), ["run_id", "seq"])
+            places = np.flatnonzero(pc.equal(table.column("run_id"), name).to_numpy())
+            commits, at = np.unique(np.searchsorted(sizes, places + view.first(number), "right"), return_index=True)
+            seqs = np.maximum(table.column("seq").to_numpy()[places[at]], 1 if shift else 0) + shift
+            found.update(zip(commits.tolist(), seqs.tolist(), strict=True))
+        shift += sum(part.block.rows for part in parts) - 1
     return [(seq, commit) for commit, seq in found.items()]
 
 
@@ -59,10 +42,6 @@ def starts_of(view: View) -> Iterator[tuple[str, RunStarted]]:
         for run in codec.decode(table.filter(pc.equal(table.column("seq"), 0))):
             if isinstance(run.events[0], RunStarted):
                 yield run.run_id, run.events[0]
-
-
-def _missing(view: View, run: str) -> UsageError:
-    return UsageError(f"{view.path}: run {printable.value(run)}: there is no such run")
 
 
 MAX_WORDS = 1_000

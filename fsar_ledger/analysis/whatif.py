@@ -13,6 +13,7 @@ from fsar_ledger.base.errors import UsageError, option
 from fsar_ledger.base.memory import without_collection
 from fsar_ledger.ledger.rows.codec import LedgerRun, encode_coded
 from fsar_ledger.ledger.store.append import Writer
+from fsar_ledger.ledger.store.locations import continued_by, record_of
 from fsar_ledger.ledger.store.read import View
 from fsar_ledger.ledger.store.record import Head
 from fsar_ledger.ledger.store.staging import stage
@@ -280,7 +281,11 @@ def runs_of(view: View, architectures: Sequence[str], kinds: Sequence[str] = ("s
 def fork_pairs(view: View, runs: Sequence[str], changes: Changes) -> Iterator[Pair]:
     """Yield these runs of a ledger, each with its fork. Raises: UsageError if one cannot be made again."""
     asked = set(runs)
-    records = (record for record in view.runs() if record.run_id in asked)
+    records = (
+        record_of(view, record.run_id) if continued_by(record) else record
+        for record in view.runs()
+        if record.run_id in asked
+    )
     return forks_of((base_of_record(record, view.head.root) for record in records), changes)
 
 

@@ -3,6 +3,7 @@
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from datetime import time as clock_time
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from threading import Thread
@@ -11,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, BinaryIO
 import msgspec
 
 from fsar_ledger.base import printable
-from fsar_ledger.base.errors import UsageError
+from fsar_ledger.base.errors import UsageError, option
 from fsar_ledger.base.printable import SafeText
 
 from .answers import Answer, Screen
@@ -27,6 +28,11 @@ FLEET: Any = declare("FLEET", "A .toml file with your own fleet, or the name of 
 ROBOTS: Any = declare("N", "How many robots it has.", "one team", least=1)
 SETTINGS: Any = declare("NAME=VALUE", "Set a constant, as `simulate` does; may be repeated.", flag="--set")
 ORIGIN_NAME: Any = declare("NAME", "Publish a new ledger under this name.", "the key's name, else a general one")
+CUT: Any = declare(
+    "WHEN",
+    "Cut the run into runs that continue each other: daily, or at times in UTC, as in 06:00,14:00,22:00.",
+    "never",
+)
 """The options of a fleet that is really there, by whichever door it is governed."""
 TICK_S = 0.1
 """How often what is due by itself is decided while no command comes."""
@@ -43,6 +49,7 @@ def federate(
     settings: Sequence[str] = (),
     origin: str | None = None,
     key: Place | None = None,
+    cut: str | None = None,
     clock: Callable[[], int] = time.time_ns,
     on_commit: Callable[[int, bytes], None] | None = None,
 ) -> "Federation":
@@ -50,17 +57,18 @@ def federate(
 
     Args:
         out: A new folder, or that of a ledger.
-        run: The name of the run; one that is there goes on.
+        run: The name of the run; one that is there goes on, or the newest of those that continue it.
         fleet: The .toml file of a fleet (docs/own-fleet.md), or the name of a registered one; None: the paper's.
         robots: How many robots it has; None: one team.
         settings: Constants as NAME=VALUE, such as the budgets of recovery.
         origin: Publish a new ledger under this name.
         key: The file of the key that signs.
+        cut: When the run is cut: `daily`, or times of the day in UTC (`06:00,14:00`); None: only by `Federation.cut`.
         clock: The time in nanoseconds since 1970.
         on_commit: As `Federation`.
 
     Raises:
-        UsageError: The fleet cannot be read or has another number of robots; or as `Federation`.
+        UsageError: The fleet cannot be read or has another number of robots, or `cut` is no time; or as `Federation`.
     """
     from fsar_ledger.designs.constants import Constants
     from fsar_ledger.ledger.store.keys import read_signer
@@ -76,7 +84,29 @@ def federate(
         raise UsageError(f"robots: found {count}, expected a multiple of {team}, the robots of a team")
     signer = None if key is None else read_signer(Path(key))
     origin = kept_origin(Path(out)) or origin
-    return Federation(Path(out), run, constants, count, clock, origin=origin, signer=signer, on_commit=on_commit)
+    return Federation(
+        Path(out),
+        run,
+        constants,
+        count,
+        clock,
+        origin=origin,
+        signer=signer,
+        on_commit=on_commit,
+        cuts_us=() if cut is None else _times_us(cut),
+    )
+
+
+def _times_us(cut: str) -> tuple[int, ...]:
+    """Return these times of the day, in microseconds after midnight. Raises: UsageError."""
+    try:
+        times = [clock_time.fromisoformat(one.strip()) for one in ("00:00" if cut == "daily" else cut).split(",")]
+        if any(one.tzinfo is not None for one in times):
+            raise ValueError
+    except ValueError as error:
+        expected = "daily, or times of the day in UTC as in 06:00,14:00"
+        raise UsageError(f"{option('cut', printable.value(cut))}: expected {expected}") from error
+    return tuple(((one.hour * 60 + one.minute) * 60 + one.second) * 1_000_000 for one in times)
 
 
 class Decisions(Answer):
@@ -182,6 +212,7 @@ def federate_lines(
     settings: Names = SETTINGS,
     origin: str | None = ORIGIN_NAME,
     key: KeyOption = None,
+    cut: str | None = CUT,
 ) -> Decisions:
     """Govern a fleet that is really there: commands come from standard input, decisions go to standard output.
 
@@ -192,5 +223,6 @@ def federate_lines(
         UsageError: The fleet cannot be read or has another number of robots, or the run is not live.
         WriteFailed: A write failed; what is committed stays.
     """
-    one = federate(out, run=run, fleet=fleet, robots=robots, settings=names_of(settings) or (), origin=origin, key=key)
+    given = names_of(settings) or ()
+    one = federate(out, run=run, fleet=fleet, robots=robots, settings=given, origin=origin, key=key, cut=cut)
     return Decisions(one, sys.stdin.buffer)

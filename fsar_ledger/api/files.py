@@ -17,7 +17,6 @@ import pyarrow.compute as pc
 import pyarrow.csv as pa_csv
 import pyarrow.parquet as pq
 
-from fsar_ledger.analysis.records import record_of
 from fsar_ledger.base.errors import UsageError, WriteFailed, option
 from fsar_ledger.base.memory import unfinished
 from fsar_ledger.base.progress import Progress, each
@@ -25,6 +24,7 @@ from fsar_ledger.exports import Written, mcap, ocel, otlp
 from fsar_ledger.exports.folders import write_delta
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.rows.schema import SCHEMA
+from fsar_ledger.ledger.store.locations import record_of
 from fsar_ledger.ledger.store.paths import require_outside
 from fsar_ledger.metrics.provenance import Provenance
 from fsar_ledger.metrics.sandbox import SENT_BYTES, slices

@@ -159,7 +159,8 @@ class Ledger:
         with ExitStack() as stack:
             if asked:  # a question about one run reads that run
                 [(parameter, run)] = asked.items()
-                database, full, _ = stack.enter_context(self.about_run(run))  # type: ignore[arg-type]
+                view = open_for_answers(self.path)
+                database, full, _ = stack.enter_context(about_run(view, run, self.demanded, is_whole=True))
                 parameters = {**parameters, parameter: full}
             else:
                 database = stack.enter_context(self.database())

@@ -14,6 +14,7 @@ from .names import Names, Run, Time
 from .verbs import Gives, declare, switch, verb
 
 if TYPE_CHECKING:
+    from fsar_ledger.metrics.database import Database
     from fsar_ledger.metrics.provenance import Provenance
 
     from .ledger import Ledger
@@ -119,7 +120,14 @@ def log(
         with ledger.database() as database:
             return timeline(database, asked_of(database, ledger.path, ALL, since, until, robot, about))
     with ledger.about_run(run) as (database, name, _):
+        since = _beginning(database) if since is None and until is None else since
         return timeline(database, asked_of(database, ledger.path, name, since, until, robot, about))
+
+
+def _beginning(database: "Database") -> Time:
+    """Return when the run begins, if it continues another one."""
+    [row] = database.rows("SELECT max(time_us) AS time_us FROM run_continued")
+    return None if row["time_us"] is None else f"{row['time_us'] / 1_000_000:.6f}"
 
 
 def stream_log(

@@ -120,16 +120,18 @@ def chosen_in(view: "View", asked: object, demanded: str | None) -> str:
 
 
 @contextmanager
-def about_run(view: "View", asked: object, demanded: str | None) -> Iterator[AboutRun]:
-    """Yield what there is about a run, the first if none is asked for.
+def about_run(view: "View", asked: object, demanded: str | None, *, is_whole: bool = False) -> Iterator[AboutRun]:
+    """Yield what there is about a run, the first if none is asked for; `is_whole`: with the runs that continue it.
 
     Raises:
         UsageError: As `chosen_in`.
         LedgerCorrupted, SequenceConflict: As `connect_run`.
     """
+    from fsar_ledger.ledger.store.locations import whole_of
     from fsar_ledger.metrics.database import connect_run
 
     run = chosen_in(view, asked, demanded)
+    run = whole_of(view, run) if is_whole else run
     with connect_run(view, run, demanded) as database:
         number = view.ordinal_of(run)
         yield AboutRun(database, run, number if number and not view.has_run(f"{number}") else None)
@@ -256,7 +258,7 @@ def present(ledger: "Ledger") -> "tuple[View, Provenance]":
 
 def recorded(ledger: "Ledger", view: "View", run: "Run") -> "LedgerRun":
     """Return the record of a run. Raises: UsageError if there is no such run."""
-    from fsar_ledger.analysis.records import record_of
+    from fsar_ledger.ledger.store.locations import record_of
 
     return record_of(view, run_in(view, run, ledger.demanded))
 

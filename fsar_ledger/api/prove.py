@@ -136,10 +136,11 @@ def asked_event(view: "View", event: str, demanded: str | None) -> tuple[str | N
 
 def found_event(view: "View", run: str | None, seq: str, demanded: str | None) -> tuple[str, int]:
     """Return run and seq of the event that `asked_event` gave. Raises: UsageError if there is no such event."""
-    from fsar_ledger.ledger.store.locations import event_at
+    from fsar_ledger.ledger.store.locations import event_at, seq_counted_on
 
     found = event_at(view, _index_of(view, run, seq, demanded))
-    return str(found["run_id"]), int(str(found["seq"]))
+    name = str(found["run_id"])
+    return (name, seq_counted_on(view, name, int(str(found["seq"])))) if run is None else (run, int(seq))
 
 
 def _index_of(view: "View", run: str | None, seq: str, demanded: str | None) -> int:
@@ -148,7 +149,7 @@ def _index_of(view: "View", run: str | None, seq: str, demanded: str | None) -> 
     Raises:
         UsageError: There is no such event.
     """
-    from fsar_ledger.ledger.store.locations import place_of
+    from fsar_ledger.ledger.store.locations import place_counted_on
     from fsar_ledger.metrics.verified import is_verified
 
     from .lookup import resting_on_rows
@@ -161,7 +162,7 @@ def _index_of(view: "View", run: str | None, seq: str, demanded: str | None) -> 
         return int(seq)
     with resting_on_rows(is_verified(view, demanded)):
         try:
-            return place_of(view, run, int(seq[: MAX_DIGITS + 1]))
+            return place_counted_on(view, run, int(seq[: MAX_DIGITS + 1]))
         except KeyError as error:
             (events,) = error.args
             raise UsageError(

@@ -15,7 +15,7 @@ from fsar_ledger.base.errors import FsarLedgerError, UsageError, option
 from fsar_ledger.base.printable import SafeText
 
 from .answers import Answer, Plain, Screen
-from .federate import CONTINUES, FLEET, ORIGIN_NAME, ROBOTS, SETTINGS, federate
+from .federate import CONTINUES, CUT, FLEET, ORIGIN_NAME, ROBOTS, SETTINGS, federate
 from .files import write_text
 from .ledger import open_ledger
 from .names import Names, Place, names_of
@@ -113,6 +113,7 @@ def serve_federation(
     settings: Names = SETTINGS,
     origin: str | None = ORIGIN_NAME,
     key: KeyOption = None,
+    cut: str | None = CUT,
     host: str = declare("ADDRESS", "The address to listen at.", value="127.0.0.1"),
     port: int = declare("N", "The port to listen at; 0 takes a free one.", least=0, most=65535, value=0),
     rate: int = declare("N", "How many commands a second each principal may give.", least=1, value=100),
@@ -136,7 +137,8 @@ def serve_federation(
         from fsar_ledger.witness.policy import read_policy
 
         read_policy(Path(policy))  # so that what is wrong with it is told before anything begins
-    given = {"fleet": fleet, "robots": robots, "settings": names_of(settings) or (), "origin": origin, "key": key}
+    settings = names_of(settings) or ()
+    given = {"fleet": fleet, "robots": robots, "settings": settings, "origin": origin, "key": key, "cut": cut}
     files = [None if file is None else Path(file) for file in (certificate, certificate_key)]
     return ServedFederation(
         Path(out),

@@ -95,8 +95,9 @@ def state(
         UsageError: There is no such run, robot or decider, `at` is no time of the run, or the run came later.
     """
     from fsar_ledger.analysis.moments import Timeline, beliefs
-    from fsar_ledger.analysis.records import commits_of, record_of
+    from fsar_ledger.analysis.records import commits_of
     from fsar_ledger.analysis.situation import situation
+    from fsar_ledger.ledger.store.locations import record_of
     from fsar_ledger.metrics.provenance import of_run
 
     from .lookup import about_run, clock, present, robot_of, time_of

@@ -171,8 +171,8 @@ def _write(out: Path, content: bytes) -> None:
 
 def _shown(ledger: "Ledger", asked: Run | None) -> "tuple[PageOptions, Provenance]":
     """Return a run with all that is drawn of it, and the provenance of that."""
-    from fsar_ledger.analysis.records import record_of
     from fsar_ledger.events import ALONE, CONCERNS
+    from fsar_ledger.ledger.store.locations import record_of
     from fsar_ledger.view.drawn import PageOptions, drawn, words_of
 
     from .events import asked_of, timeline

@@ -168,8 +168,8 @@ def whatif(
             the ledger itself, or lies inside one, or the run is live.
         WriteFailed: `out` cannot be written.
     """
-    from fsar_ledger.analysis.records import record_of
     from fsar_ledger.analysis.whatif import answers_of, changes_of, commit_pairs, effects, fork_of, fork_pairs, runs_of
+    from fsar_ledger.ledger.store.locations import record_of
     from fsar_ledger.ledger.store.paths import require_outside
 
     from .diff import difference_of

@@ -91,6 +91,9 @@ def _asked(
         "KIND", "Instead of an event: list violation, conflict, late, unattributed, or an invariant, as i4."
     ),
 ) -> Answer:
+    from fsar_ledger.ledger.store.locations import whole_of
+
+    from .lookup import present
     from .table import Listing
 
     if (event is None) == (verdict is None):
@@ -101,7 +104,7 @@ def _asked(
         return why(ledger, event, depth=depth)
     if run is None:
         raise UsageError(f"--verdict {verdict}: expected the run, too; give --run RUN")
-    name = ledger.record(run).run_id
+    name = whole_of(present(ledger)[0], ledger.record(run).run_id)
 
     def hint(screen: Screen, first: Row) -> str:
         asked = f"{printable.word(screen.path)} {screen.event_word(name, first['seq'])}"
@@ -174,7 +177,7 @@ def verdicts(ledger: "Ledger", run: Run, kind: str) -> "Table":
     from .lookup import about_run, present
     from .table import Table
 
-    with about_run(present(ledger)[0], run, ledger.demanded) as (database, name, _):
+    with about_run(present(ledger)[0], run, ledger.demanded, is_whole=True) as (database, name, _):
         rows, query = verdict_rows(database, name, kind)
         return Table(rows, of_rows(database, query, name))
 

@@ -94,6 +94,7 @@ CONCERNS: tuple[str, ...] = (
 
 BESIDE: Mapping[str, str | None] = {
     "RunStarted": None,
+    "RunContinued": None,
     "ExperimentPlanned": None,
     "SourceOpened": None,
     "Observed": None,

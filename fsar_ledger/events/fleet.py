@@ -42,6 +42,20 @@ class RunStarted(Event, frozen=True, kw_only=True, tag="RunStarted.v2"):
     epoch: str | None = None
 
 
+class RunContinued(Event, frozen=True, kw_only=True):
+    """The run goes on where another one ended: event 1 of it, after an event 0 that is like that of the other.
+
+    `continues` is the other run, `continues_seq` the number of its last event, and `continues_root` the root (hex) of
+    the ledger that had it then. `state_sha256` is the digest of all that was known and pending, from which this run
+    goes on (`runtime/snapshot.py`). Times count on. What was pending and comes about here is caused by this event.
+    """
+
+    continues: str
+    continues_seq: int
+    continues_root: str
+    state_sha256: str
+
+
 class RobotJoined(Event, frozen=True, kw_only=True):
     """A robot has joined the fleet, under its own supervisor H_i if it has one. Paper: eq:fleet, eq:runtime.
 

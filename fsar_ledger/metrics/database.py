@@ -1,6 +1,7 @@
 """Open databases over the rows of a ledger, or over rows in memory."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import TypeVar
 
@@ -10,6 +11,7 @@ import pyarrow as pa
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.rows.schema import SCHEMA
 from fsar_ledger.ledger.store.derived import Extent
+from fsar_ledger.ledger.store.locations import chain_of, continued_runs
 from fsar_ledger.ledger.store.paths import SEGMENTS, segment_bytes
 from fsar_ledger.ledger.store.read import View
 
@@ -73,7 +75,7 @@ def connect_view(
 
 
 def connect_run(view: View, run: str, demanded: str | None = None) -> Database:
-    """Open a database over the events of this run; only the segments that hold it are read.
+    """Open a database over the events of this run, and of those that it continues; only their segments are read.
 
     `run_numbers` has this run alone.
 
@@ -82,12 +84,14 @@ def connect_run(view: View, run: str, demanded: str | None = None) -> Database:
         SequenceConflict: As `is_verified`.
     """
     rows_verified = is_verified_for_runs(view, demanded)
-    held = view.segments_of(view.parts(run))
+    runs = chain_of(view, run)
+    held = view.segments_of([part for name in runs for part in view.parts(name)])
     segments = [view.segment(number) for number in held]
     database = Database(view.head, segments, rows_verified=rows_verified)
     ordinal, releases = view.ordinal_of(run), view.releases
     numbers = _numbers([run] if ordinal else [], ordinal)
-    _fill(database, segments, [releases[number] for number in held], relation.RowFilter(relation.of_run(run), numbers))
+    chosen = relation.RowFilter(relation.of_runs(runs), numbers)
+    _fill(database, segments, [releases[number] for number in held], chosen)
     return database
 
 
@@ -108,7 +112,9 @@ class Slices:
         # A bomb has many rows in few bytes, and nothing to be judged: to judge it in parts would take longer.
         is_long = view.head.size > most and segment_bytes(view.path) > LEAST_BYTES * view.head.size
         self._extents = view.extents() if is_long else []
-        self._slices = list(parts_of(self._extents, lambda one: one.rows, most))
+        wholes = _continuing(self._extents, continued_runs(view) if is_long else {})
+        parts = parts_of(wholes, lambda whole: sum(one.rows for one in whole), most)
+        self._slices = [list(chain.from_iterable(part)) for part in parts]
 
     def __len__(self) -> int:
         return max(1, len(self._slices))
@@ -136,6 +142,16 @@ class Slices:
         chosen = relation.RowFilter(relation.OF_NUMBERED, _numbers(names), whole)
         _fill(database, [*held.values()], [releases[number] for number in held], chosen)
         return database
+
+
+def _continuing(extents: Iterable[Extent], continues: Mapping[str, str]) -> list[list[Extent]]:
+    """Return where runs are, those together that continue each other, in the order in which the first of them begin."""
+    found: dict[str, list[Extent]] = {}
+    first: dict[str, str] = {}
+    for one in extents:
+        whole = first[one.run] = first.get(continues.get(one.run, ""), one.run)
+        found.setdefault(whole, []).append(one)
+    return list(found.values())
 
 
 def parts_of(every: Iterable[_One], size_of: Callable[[_One], int], most: int) -> Iterator[list[_One]]:

@@ -14,6 +14,7 @@ import pyarrow as pa
 
 from fsar_ledger.base.errors import FsarLedgerError, LedgerCorrupted
 from fsar_ledger.events import ADDITIONS
+from fsar_ledger.events.fleet import RunContinued
 from fsar_ledger.ledger.rows.codec import upcast_rows
 from fsar_ledger.ledger.rows.schema import (
     COLUMNS,
@@ -31,7 +32,8 @@ from .connection import Database
 from .library import SQL_TYPES
 from .sql_values import listed, literal, parquet, quoted, written
 
-_DATASET, _UPCAST, _AS_STORED = "events_dataset", "events_upcast", "events_as_stored"
+_DATASET, _UPCAST, _AS_STORED, _BY_RUN = "events_dataset", "events_upcast", "events_as_stored", "events_by_run"
+_CONTINUED = f"{RunContinued.__struct_config__.tag}"
 
 
 class RowFilter(NamedTuple):
@@ -46,9 +48,9 @@ class RowFilter(NamedTuple):
     whole: frozenset[Path] = frozenset()
 
 
-def of_run(run: str) -> str:
-    """Return the condition that a row is of this run."""
-    return f"run_id = {quoted(run)}"
+def of_runs(runs: Sequence[str]) -> str:
+    """Return the condition that a row is of one of these runs."""
+    return f"run_id IN ({listed(runs)})" if len(runs) > 1 else f"run_id = {quoted(runs[0])}"
 
 
 OF_NUMBERED = "run_id IN (SELECT run_numbers.run_id FROM run_numbers)"
@@ -90,14 +92,64 @@ def hold_segments(
     ]
     if chosen is not None:
         database.hold("run_numbers", chosen.run_numbers)
-    elif types:
-        _number_runs(database, segments, is_stored=database.is_for_others)
+    name = _BY_RUN if types is not None and _CONTINUED in types else "events"
     if holding:
-        _hold_newest(database, parts, holding, where)
-        return
-    database.define("events", "\nUNION ALL\n".join(_select(*part) for part in parts))
-    if alike.keys() == {(FINGERPRINTS[RELEASE], False, False)}:
-        database.source = _read(database, segments)
+        _hold_newest(database, parts, holding, where, name)
+    else:
+        database.define(name, "\nUNION ALL\n".join(_select(*part) for part in parts))
+        if alike.keys() == {(FINGERPRINTS[RELEASE], False, False)}:
+            database.source = _read(database, segments)
+    continued = _join_continued(database) if name == _BY_RUN else ()
+    if chosen is None and types:
+        _number_runs(database, segments, continued, is_stored=database.is_for_others)
+
+
+# See docs/decisions/cut-runs-are-judged-whole.md.
+def _join_continued(database: Database) -> list[str]:
+    """Make `events` of the rows by run: runs that continue each other are one, with the name of the last of them.
+
+    Its seqs count on, as `ledger.rows.runs.continuing` has it. Returns the names of the others.
+    """
+    database.source = None
+    continues = dict(
+        database.direct(f"SELECT run_id, continues FROM {_BY_RUN} WHERE type = {quoted(_CONTINUED)} AND seq = 1")
+    )
+    names = listed(sorted({*continues, *continues.values()})) or "NULL"
+    sizes = dict(
+        database.direct(f"SELECT run_id, max(seq) + 1 FROM {_BY_RUN} WHERE run_id IN ({names}) GROUP BY run_id")
+    )
+    places = _places(continues, sizes)
+    database.hold("run_places", pa.Table.from_pylist(places, _PLACES))
+    values = {
+        "run_id": "coalesce(place.whole, one.run_id)",
+        "seq": "one.seq + coalesce(place.shift, 0)",
+        "caused_by": "CASE WHEN one.caused_by > 0 THEN one.caused_by + coalesce(place.shift, 0) ELSE one.caused_by END",
+    }
+    columns = ", ".join(values.get(name, f'one."{name}"') + f' AS "{name}"' for name in COLUMNS)
+    database.define(
+        "events",
+        f"SELECT {columns} FROM {_BY_RUN} AS one LEFT JOIN run_places AS place ON one.run_id = place.run_id "
+        "WHERE one.seq > 0 OR place.is_first IS DISTINCT FROM FALSE",
+    )
+    return [f"{place['run_id']}" for place in places if place["run_id"] != place["whole"]]
+
+
+_PLACES = pa.schema([("run_id", pa.string()), ("whole", pa.string()), ("shift", pa.int64()), ("is_first", pa.bool_())])
+
+
+def _places(continues: Mapping[str, str], sizes: Mapping[str, int]) -> list[dict[str, object]]:
+    """Return for each run its place in each whole, given which run continues which, and how many events each has."""
+    found: list[dict[str, object]] = []
+    for last in sorted(sizes.keys() - set(continues.values())):
+        chain = [last]
+        while (before := continues.get(chain[0])) in sizes and before not in chain:
+            chain.insert(0, f"{before}")
+        size = 0
+        for run in chain:
+            shift = size - 1 if size else 0
+            found.append({"run_id": run, "whole": last, "shift": shift, "is_first": not size})
+            size = shift + sizes[run]
+    return found
 
 
 def _read(database: Database, paths: Sequence[Path], *options: str) -> str:
@@ -118,18 +170,24 @@ def hold_dataset(database: Database, stored: Any, segments: Sequence[Path]) -> N
     Raises: as `_upcast`.
     """
     types = _types(database, segments)
-    if types:
-        _number_runs(database, segments, is_stored=True)
     holding = _holding(database, segments, types)
+    name = _BY_RUN if types is not None and _CONTINUED in types else "events"
     if not holding:
-        database.hold("events", stored)
-        return
-    database.hold(_DATASET, stored)
-    _hold_newest(database, [(_DATASET, frozenset(COLUMNS))], holding)
+        database.hold(name, stored)
+    else:
+        database.hold(_DATASET, stored)
+        _hold_newest(database, [(_DATASET, frozenset(COLUMNS))], holding, name=name)
+    continued = _join_continued(database) if name == _BY_RUN else ()
+    if types:
+        _number_runs(database, segments, continued, is_stored=True)
 
 
-def _number_runs(database: Database, segments: Sequence[Path], *, is_stored: bool = False) -> None:
+def _number_runs(
+    database: Database, segments: Sequence[Path], continued: Sequence[str] = (), *, is_stored: bool = False
+) -> None:
     """Make `run_numbers` the runs in the order in which these segments hold their first events.
+
+    Those that others continue are counted, and left out.
 
     The relation `events` has no order: it reads rows of different releases one after the other. With `is_stored` the
     segments are read now, and never again.
@@ -139,7 +197,7 @@ def _number_runs(database: Database, segments: Sequence[Path], *, is_stored: boo
     database.define(
         "run_numbers",
         f"SELECT run_id, row_number() OVER (ORDER BY {order}) AS number FROM {source} WHERE seq = 0 AND type NOT IN "
-        f"({listed(sorted(STANDS_ALONE))})",
+        f"({listed(sorted(STANDS_ALONE))})" + (f" QUALIFY run_id NOT IN ({listed(continued)})" if continued else ""),
         is_stored=is_stored,
     )
 
@@ -149,8 +207,9 @@ def _hold_newest(
     parts: Sequence[tuple[str, frozenset[str]]],
     holding: Mapping[str, Sequence[Path]],
     where: str = "",
+    name: str = "events",
 ) -> None:
-    """Make the rows of these relations, which have these columns, the database's `events`.
+    """Make the rows of these relations, which have these columns, the database's relation of this name.
 
     Bring retired types up to date, of the rows with this condition.
     """
@@ -162,7 +221,7 @@ def _hold_newest(
     if (newest := _upcast(others)) is not None:
         database.hold(_UPCAST, newest)
         selects.append(f"SELECT * FROM {_UPCAST}{where}")
-    database.define("events", "\nUNION ALL\n".join(selects))
+    database.define(name, "\nUNION ALL\n".join(selects))
     # Most types have no retired rows. Their views need not read types that are made row by row, of which DuckDB knows
     # nothing before it has read the rest.
     database.define(_AS_STORED, "\nUNION ALL\n".join(_select(*part) for part in parts))

@@ -29,6 +29,7 @@ from typing import Any, NamedTuple
 from fsar_ledger.base.errors import UsageError
 from fsar_ledger.events import Event
 from fsar_ledger.events.command import CommandGiven
+from fsar_ledger.events.fleet import RunContinued
 from fsar_ledger.events.world import (
     ActuatorDegraded,
     ContextChanged,
@@ -96,11 +97,13 @@ _ENDS: dict[type[Event], Callable[[Any], str]] = {
 
 @lru_cache(maxsize=64)
 def facts_by_name(facts: tuple[Fact, ...]) -> FactPositions:
-    """Return the places of the facts by name."""
+    """Return the places of the facts by name; that the run was cut has none, since it decides nothing."""
     found: dict[str, tuple[int, ...]] = {}
     counts: Counter[str] = Counter()
     for at, (_, fact) in enumerate(facts):
         kind = type(fact)
+        if kind is RunContinued:
+            continue
         if kind in _WHOLE:
             name = _WHOLE[kind](fact)
         elif kind in _COUNTED:

@@ -6,6 +6,7 @@ says, it is refused.
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from itertools import count, takewhile
 from pathlib import Path
 from threading import RLock
 from typing import TypeVar
@@ -18,11 +19,12 @@ from fsar_ledger.base.printable import value
 from fsar_ledger.designs.constants import Constants
 from fsar_ledger.events import Event
 from fsar_ledger.events.command import CommandGiven
-from fsar_ledger.events.fleet import RunStarted
+from fsar_ledger.events.fleet import RunContinued, RunStarted
 from fsar_ledger.ledger.log.note import Signer
 from fsar_ledger.ledger.opening import open_ledger
-from fsar_ledger.ledger.rows.runs import LedgerRun
+from fsar_ledger.ledger.rows.runs import LedgerRun, counted_on
 from fsar_ledger.ledger.store.append import Writer
+from fsar_ledger.ledger.store.locations import chain_of, record_of
 from fsar_ledger.ledger.store.read import View
 from fsar_ledger.projections.fold import State
 
@@ -34,6 +36,7 @@ from .run_replay import replay_run
 ORIGIN = "fsar-ledger/live"
 KEEP_AFTER, KEEP_AT_END = 1 << 16, 1 << 13
 """So many events after the newest snapshot there is another; at the end, so many are made again in a moment."""
+DAY_US = 86_400_000_000
 KEYS = 1 << 16
 """Of so many of the last commands with a key it is known what became of them; one that is older is a new command."""
 
@@ -46,14 +49,15 @@ class Federation:
 
     Args:
         path: The ledger; made if there is none.
-        run: The name of the run; one that is there goes on.
+        run: The name of the run; one that is there goes on, and the newest of those that continue each other.
         constants: The fleet and what it may spend; those of a run that goes on are on record.
         robots: How many robots the fleet has.
         clock: The time in nanoseconds since 1970.
         origin: The name under which a new ledger is published.
         signer: The key that signs.
         on_commit: Called after each commit with the seq of its first event and its rows, as they are hashed, a line
-            each.
+            each. Seqs count on over runs that continue each other.
+        cuts_us: When the run is cut (`cut`): microseconds after midnight in UTC.
 
     Raises:
         UsageError: Another run has this name, or would go on otherwise than it was recorded.
@@ -71,20 +75,23 @@ class Federation:
         origin: str | None = None,
         signer: Signer | None = None,
         on_commit: Callable[[int, bytes], None] | None = None,
+        cuts_us: Sequence[int] = (),
     ) -> None:
-        self._on_commit = on_commit
-        self.run, self._path, self._clock, self._lock = run, path, clock, RLock()
+        self._on_commit, self._cuts_us = on_commit, tuple(sorted(cuts_us))
+        self._path, self._clock, self._lock = path, clock, RLock()
+        self._before = 0  # how many events the runs have that this one continues, but for its event 0
         self._has_failed = False
         self._kept = 0  # how many events the newest snapshot knows
         self._keys: dict[tuple[str, str], tuple[tuple[str, str], Decision]] = {}
         self._writer = Writer(path, origin or (signer.verifier.name if signer else ORIGIN), signer)
         try:
             view = open_ledger(path)
-            if view.has_run(run):
+            self.run, self._first = newest_of(view, run)
+            if view.has_run(self.run):
                 if not self._recall(view):
-                    self._resume(next(one for one in view.runs() if one.run_id == run))
+                    self._resume(view)
             else:
-                self._epoch_us = clock() // 1_000
+                self._epoch_us, self._began_us = clock() // 1_000, 0
                 epoch = utc.shown(utc.EPOCH + self._epoch_us * utc.MICROSECOND)
                 self._started = live_started(constants, robots, epoch)
                 self._live = LiveRun(self._started, constants)
@@ -100,7 +107,7 @@ class Federation:
 
     @property
     def size(self) -> int:
-        """How many events the run has."""
+        """How many events the run has, with those of the runs that it continues."""
         return self._live.kernel.first + len(self._live.kernel.events)
 
     def ask(self, question: Callable[[State, int], _Answer]) -> _Answer:
@@ -142,6 +149,7 @@ class Federation:
         """
         with self._lock:
             self._require_whole()
+            self._cut_if_due()
             decisions = [self._decided(command) for command in commands]
             self._commit()
             return decisions
@@ -171,8 +179,41 @@ class Federation:
         """Decide what is due by now, such as a budget that has run out; return the events, which are on disk."""
         with self._lock:
             self._require_whole()
+            self._cut_if_due()
             self._live.advance(self._now_us())
             return self._commit()
+
+    def cut(self) -> str:
+        """Let the run end here, and go on as another one; return its name.
+
+        What is open goes on in it: `RunContinued` says where from. Seqs and times count on. Raises: WriteFailed.
+        """
+        with self._lock:
+            self._require_whole()
+            self._cut(self._now_us())
+            return self.run
+
+    def _cut(self, now_us: int) -> None:
+        self._live.advance(now_us - 1)
+        self._commit()
+        earlier, seq = self.run, self.size - 1 - self._before
+        view = open_ledger(self._path)
+        self._live.cut(now_us - 1, earlier, seq, self._writer.head.root)
+        self._before += seq
+        self.run = next(name for number in count(2) if not view.has_run(name := f"{self._first}.{number}"))
+        self._commit()
+        self._keep()
+
+    def _cut_if_due(self) -> None:
+        """Cut the run at the last moment at which it is to be cut, if that lies between its beginning and now."""
+        if not self._cuts_us:
+            return
+        now_us = self._now_us() + self._epoch_us
+        days = (now_us - now_us % DAY_US, now_us - now_us % DAY_US - DAY_US)
+        passed = [day_us + at_us - self._epoch_us for day_us in days for at_us in self._cuts_us]
+        last_us = max((one for one in passed if one + self._epoch_us <= now_us), default=0)
+        if last_us - 1 > self._began_us:
+            self._cut(last_us)
 
     def close(self) -> None:
         """Close the ledger. A federation of the same run continues it."""
@@ -195,13 +236,23 @@ class Federation:
         piece = self._live.take(self.run)
         if piece.events:
             self._has_failed = True  # until it is on disk, the run knows what nobody may act on
-            self._writer.commit([piece])
+            begins = isinstance(piece.events[0], RunContinued)
+            own = counted_on(piece, -self._before) if self._before else piece
+            self._writer.commit([self._begun(own) if begins else own])
             self._has_failed = False
+            if begins:
+                self._began_us = piece.times_us[0]
             if self.size - self._kept >= KEEP_AFTER:
                 self._keep()
             if self._on_commit is not None:
-                self._on_commit(piece.first, self._writer.newest_rows())
+                rows = self._writer.newest_rows()
+                self._on_commit(piece.first, rows.partition(b"\n")[2] if begins else rows)
         return tuple(piece.events)
+
+    def _begun(self, piece: LedgerRun) -> LedgerRun:
+        """Return what begins a run that continues another: event 0, like that of the other, before this piece."""
+        times_us, causes = (piece.times_us[0], *piece.times_us), (None, *piece.caused_by)
+        return LedgerRun(self.run, times_us, causes, (self._started, *piece.events), goes_on=True)
 
     def _require_whole(self) -> None:
         if self._has_failed:
@@ -212,7 +263,7 @@ class Federation:
 
     def _keep(self) -> None:
         """Keep where the run stands, for the next federation of it."""
-        known = (self._started, self._live.kernel.known(), self._keys)
+        known = (self._started, self._live.kernel.known(), self._keys, self._before, self._began_us)
         snapshot.save(self._path, self.run, self._writer.head, known)
         self._kept = self.size
 
@@ -220,22 +271,25 @@ class Federation:
         """Go on from the snapshot, if it counts and what the ledger has after it is made again as it is."""
         with suppress(Exception):  # then the run is made again from its beginning
             if (found := snapshot.load(view, self.run)) is not None:
-                (started, known, keys), record = found
+                (started, known, keys, before, began_us), record = found
+                record = None if record is None else counted_on(record, before)
                 live = LiveRun(started, recorded_constants(started, known[0]), record, known)
                 made = live.take(self.run)
                 if record is None or _is_same(made, record):
-                    self._live, self._kept, self._keys = live, known[0], keys
-                    self._begin(started)
+                    self._live, self._kept, self._keys, self._before = live, known[0], keys, before
+                    self._begin(started, began_us)
                     for key, said in ({} if record is None else decisions_by_key(record, KEYS)).items():
                         self._remember(key, said)
                     return True
         return False
 
-    def _begin(self, started: RunStarted) -> None:
-        self._started = started
+    def _begin(self, started: RunStarted, began_us: int) -> None:
+        self._started, self._began_us = started, began_us
         self._epoch_us = (utc.parsed(f"{started.epoch}") - utc.EPOCH) // utc.MICROSECOND
 
-    def _resume(self, record: LedgerRun) -> None:
+    def _resume(self, view: View) -> None:
+        record = record_of(view, self.run)
+        own = sum(part.block.rows for part in view.parts(self.run))
         started = record.events[0]
         if not isinstance(started, RunStarted) or started.source != SOURCE or started.epoch is None:
             raise UsageError(f"run {value(self.run)}: found a run that is not live, expected a new name or one that is")
@@ -247,9 +301,18 @@ class Federation:
         if live is None or not _is_same(made, record):
             difference = replay_run(record)
             raise UsageError(f"run {value(self.run)} cannot go on, since it would go on otherwise: {difference}")
-        self._live = live
-        self._begin(started)
+        self._live, self._before = live, len(record.events) - own
+        self._begin(started, record.times_us[self._before + 1] if self._before else 0)
         self._keys = decisions_by_key(record, KEYS)
+
+
+def newest_of(view: View, run: str) -> tuple[str, str]:
+    """Return the newest of the runs that continue each other, of which one has this name, and the first of them."""
+    first = newest = chain_of(view, run)[0] if view.has_run(run) else run
+    for later in takewhile(view.has_run, (f"{first}.{number}" for number in count(2))):
+        if chain_of(view, later)[-2:] == [newest, later]:
+            newest = later
+    return newest, first
 
 
 def _is_same(made: LedgerRun, record: LedgerRun) -> bool:

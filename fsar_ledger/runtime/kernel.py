@@ -26,7 +26,7 @@ from operator import itemgetter
 from typing import Any
 
 from fsar_ledger.events import EVENT_TYPES, Event
-from fsar_ledger.events.fleet import RunStarted
+from fsar_ledger.events.fleet import RunContinued, RunStarted
 from fsar_ledger.events.world import LinkCameUp, RobotCameBack, RobotWentOff
 from fsar_ledger.ledger.rows.runs import LedgerRun
 from fsar_ledger.projections.fleet import NEVER_US
@@ -86,6 +86,7 @@ class Kernel:
         self._serial = 0
         self._submitted_us: list[int] = []  # a heap: when commands from outside are due
         self._taken: deque[tuple[int, array[int]]] = deque()  # first seq and times of what was taken out in a moment
+        self._cut = 0  # the seq at which the run was last cut
         if founded is None:
             self._batch(founding, 0, None)
         else:
@@ -113,9 +114,9 @@ class Kernel:
         Raises:
             ValueError: The time is not after what has happened.
         """
-        if time_us <= self._last_us:
-            raise ValueError(f"found a command at {time_us} microseconds, expected it after {self._last_us}")
-        while self._submitted_us and self._submitted_us[0] <= self._last_us:
+        if time_us <= self.last_us:
+            raise ValueError(f"found a command at {time_us} microseconds, expected it after {self.last_us}")
+        while self._submitted_us and self._submitted_us[0] <= self.last_us:
             heappop(self._submitted_us)
         while self._is_taken(time_us):
             time_us += 1
@@ -127,7 +128,7 @@ class Kernel:
     def happen(self, time_us: int, fact: Event) -> int:
         """Let this happen then, or as soon as nothing else does, after all that is due until then; return its seq."""
         self.run(time_us)
-        time_us = max(time_us, self._last_us + 1)
+        time_us = max(time_us, self.last_us + 1)
         self._apply_fact(fact, time_us)
         return self.first + len(self.events) - 1
 
@@ -138,7 +139,7 @@ class Kernel:
         return has_fact or time_us in self._submitted_us
 
     @property
-    def _last_us(self) -> int:
+    def last_us(self) -> int:
         """When the last event happened."""
         return self.times_us[-1] if self.times_us else self._taken[-1][1][-1]
 
@@ -157,12 +158,19 @@ class Kernel:
 
     def known(self) -> tuple[Any, ...]:
         """Return all that the run knows once its events were taken out, for `recall`; it must not be changed."""
-        return self.first, self.state, self._pending, self._held_back, self._serial, self._submitted_us, self._taken
+        pending = self._pending, self._held_back, self._serial, self._submitted_us
+        return self.first, self.state, pending, self._taken, self._cut
 
     def recall(self, known: tuple[Any, ...]) -> None:
         """Go on from what a run of the same architecture knew."""
         self.times_us, self.caused_by, self.events = [], [], []
-        self.first, self.state, self._pending, self._held_back, self._serial, self._submitted_us, self._taken = known
+        self.first, self.state, pending, self._taken, self._cut = known
+        self._pending, self._held_back, self._serial, self._submitted_us = pending
+
+    def stands(self, time_us: int) -> tuple[Any, ...]:
+        """Return from what the run goes on after this time: its state, and what is pending, without its numbers."""
+        later = sorted((one for one in self._pending if one[0] > time_us), key=lambda one: one[:2])
+        return self.state, [(one[0], one[3]) for one in later], [(one[0], one[3]) for one in self._held_back]
 
     def _time_of(self, seq: int) -> int:
         """Return when the event happened; 0 for one that was taken out and is more than a moment ago."""
@@ -258,6 +266,8 @@ class Kernel:
 
     def _batch(self, events: Sequence[Event], time_us: int, cause: int | None) -> None:
         first = self.first + len(self.events)
+        if cause and cause < self._cut:
+            cause = self._cut
         for event in events:
             self._record(event, time_us, cause)
             if type(event) in _TURNS:  # as a robot has reported
@@ -344,6 +354,8 @@ class Kernel:
         self._record(fact, time_us, 0)
         if type(fact) in _TURNS:
             self._turn(fact, time_us)
+        elif type(fact) is RunContinued:
+            self._cut = self.first + len(self.events) - 1
 
     def _turn(self, fact: Event, time_us: int) -> None:
         """Keep the commands that the fact stops, and schedule again those that it brings back."""

@@ -20,7 +20,7 @@ from fsar_ledger.events import CONCERNS, Event
 from fsar_ledger.events.command import CommandGiven, CommandRejected
 from fsar_ledger.events.envelope import Robot
 from fsar_ledger.events.execution import ExecutionResumed, ExecutionStarted
-from fsar_ledger.events.fleet import RunStarted
+from fsar_ledger.events.fleet import RunContinued, RunStarted
 from fsar_ledger.events.recovery import AssistanceRequested
 from fsar_ledger.ledger.rows.runs import LedgerRun
 from fsar_ledger.projections.fleet import NEVER_US
@@ -33,6 +33,7 @@ from .handlers.request import ReportResult
 from .kernel import Kernel
 from .ports import ANSWERS_LATER, AS_USUAL, Ask, Fact, LiveEnvironment
 from .simulation import MODEL_VERSION, constants_text, fleet_founding, handler_table_of
+from .snapshot import state_sha256
 
 ARCHITECTURE = "fsar"
 """Whose handlers govern a live run: those of the others speak for their robots."""
@@ -107,15 +108,25 @@ class LiveRun:
         """Decide all that is due by then, such as a budget that has run out."""
         self.kernel.run(time_us)
 
+    def cut(self, time_us: int, run: str, seq: int, root: str) -> None:
+        """Cut the run then: all that is due until then has been decided, and what follows is another run's.
+
+        Until the cut it has this name and this number of its last event, in a ledger of this root.
+        """
+        time_us = max(time_us, self.kernel.last_us + 1)
+        digest = state_sha256(self.kernel.stands(time_us))
+        cut = RunContinued(continues=run, continues_seq=seq, continues_root=root, state_sha256=digest)
+        self.kernel.happen(time_us, cut)
+
     def take(self, run_id: str) -> LedgerRun:
         """Take out the events since the last call, to be recorded under this name; the run goes on."""
         return msgspec.structs.replace(self.kernel.take(), run_id=run_id, goes_on=True)
 
 
-def commands_of(record: LedgerRun) -> tuple[tuple[int, CommandGiven], ...]:
-    """Return the commands on record, each with its time."""
+def commands_of(record: LedgerRun) -> tuple[Fact, ...]:
+    """Return the commands on record, and where the run was cut, each with its time."""
     pairs = zip(record.times_us, record.events, strict=True)
-    return tuple((time_us, event) for time_us, event in pairs if isinstance(event, CommandGiven))
+    return tuple((time_us, event) for time_us, event in pairs if isinstance(event, CommandGiven | RunContinued))
 
 
 def decisions_by_key(record: LedgerRun, most: int) -> dict[tuple[str, str], tuple[tuple[str, str], Decision]]:

@@ -27,7 +27,7 @@ The record also holds the length of an execution, as `ends_us`. It is drawn agai
 record would be to believe the decision in question.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import ExitStack
 from itertools import repeat
 from pathlib import Path
@@ -37,11 +37,13 @@ import msgspec
 from fsar_ledger.base.memory import without_collection
 from fsar_ledger.base.workers import WorkerPool
 from fsar_ledger.events import ALONE
-from fsar_ledger.events.fleet import RunStarted
+from fsar_ledger.events.fleet import RunContinued, RunStarted
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows import segment
 from fsar_ledger.ledger.rows.codec import LedgerRun, decode
 from fsar_ledger.ledger.rows.runs import joined
+from fsar_ledger.ledger.store.locations import continued_by, continued_runs, is_earlier, record_of
+from fsar_ledger.ledger.store.read import View
 from fsar_ledger.ledger.verify.report import MAX_PROBLEMS
 
 from .recipes import (
@@ -114,7 +116,8 @@ def replay(
     found: list[Difference] = []
     worlds: list[WorldConstantsUsed] = []
     whole = runs = events = 0
-    for done, result in enumerate(_replayed(str(path), files, max(1, workers), is_recorded), start=1):
+    continued = frozenset(before for run, before in continued_runs(view).items() if is_earlier(view, before, run))
+    for done, result in enumerate(_replayed(str(path), files, max(1, workers), is_recorded, continued), start=1):
         found += result.differences
         worlds += result.worlds
         whole, runs, events = whole + result.ok, runs + result.runs, events + result.events
@@ -128,9 +131,11 @@ def _within(path: Path, file: Path) -> str:
     return str(file.relative_to(path) if file.is_relative_to(path) else file)
 
 
-def _replayed(path: str, files: list[tuple[str, ...]], workers: int, is_recorded: bool) -> Iterator[CommitReport]:
+def _replayed(
+    path: str, files: list[tuple[str, ...]], workers: int, is_recorded: bool, continued: frozenset[str]
+) -> Iterator[CommitReport]:
     """Yield the report of each group of segments, in order."""
-    asked = repeat(path), range(len(files)), files, repeat(is_recorded)
+    asked = repeat(path), range(len(files)), files, repeat(is_recorded), repeat(continued)
     with ExitStack() as stack:
         if workers > 1 and len(files) > 1:
             pool = stack.enter_context(WorkerPool(min(workers, len(files))))
@@ -140,10 +145,17 @@ def _replayed(path: str, files: list[tuple[str, ...]], workers: int, is_recorded
 
 
 @without_collection()  # a run makes no cyclic garbage
-def replay_commit(path: str, number: int, files: tuple[str, ...], is_recorded: bool = False) -> CommitReport:
+def replay_commit(
+    path: str,
+    number: int,
+    files: tuple[str, ...],
+    is_recorded: bool = False,
+    continued: Collection[str] = (),
+) -> CommitReport:
     """Return the report on the runs of one commit, in these files of the ledger; other arguments as of `replay`.
 
-    Files are those that share runs, and `number` counts such groups.
+    Files are those that share runs, and `number` counts such groups. Runs of `continued` are left to those that
+    continue them.
 
     Never raises.
     """
@@ -152,11 +164,16 @@ def replay_commit(path: str, number: int, files: tuple[str, ...], is_recorded: b
     runs = events = 0
     try:
         for record in _runs_in(Path(path), files):
-            difference = replay_run(record, is_recorded)
+            if record.run_id in continued:
+                continue
+            if continued_by(record) is None:
+                difference, parts, size = replay_run(record, is_recorded), 1, len(record.events)
+            else:
+                difference, parts, size = _replay_chain(open_ledger(Path(path)), record.run_id)
             if difference is None and type(record.events[0]) in ALONE:
                 continue
             if difference is None:
-                runs, events = runs + 1, events + len(record.events)
+                runs, events = runs + parts, events + size
                 starts += [event for event in record.events[:1] if isinstance(event, RunStarted)]
             else:
                 found.append(msgspec.structs.replace(difference, commit=number, segment=files[0]))
@@ -165,6 +182,18 @@ def replay_commit(path: str, number: int, files: tuple[str, ...], is_recorded: b
             Difference(None, None, None, None, "runs that can be replayed", error_text(error), number, files[0])
         )
     return CommitReport(tuple(found), constants_used(starts), runs, events)
+
+
+def _replay_chain(view: View, run: str) -> tuple[Difference | None, int, int]:
+    """Replay a run from the beginning of those that it continues; return how many they are, and their events, too."""
+    record, roots = record_of(view, run), {commit.tree_root for commit in view.commits}
+    cuts = [(seq, event) for seq, event in enumerate(record.events) if isinstance(event, RunContinued)]
+    difference = replay_run(record)
+    for seq, cut in cuts:
+        if difference is None and cut.continues_root not in roots:
+            expected = "a root that the ledger had after a commit"
+            difference = Difference(run, seq, "continues_root", None, expected, repr(cut.continues_root))
+    return difference, len(cuts) + 1, len(record.events) + len(cuts)
 
 
 def _runs_in(path: Path, files: tuple[str, ...]) -> Iterator[LedgerRun]:

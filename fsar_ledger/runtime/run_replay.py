@@ -11,8 +11,9 @@ from fsar_ledger.designs.constants import Constants
 from fsar_ledger.events import ALONE, Event
 from fsar_ledger.events.configuration import FULL, Configuration
 from fsar_ledger.events.envelope import flat
-from fsar_ledger.events.fleet import RunStarted
+from fsar_ledger.events.fleet import RunContinued, RunStarted
 from fsar_ledger.ledger.rows.codec import LedgerRun
+from fsar_ledger.ledger.store.locations import continued_by
 from fsar_ledger.projections.fold import State
 
 from .changeable import EditedEnvironment
@@ -29,6 +30,7 @@ from .recipes import (
 )
 from .recorded import FACTS, RecordedEnvironment, RecordedKernel, recorded_environment
 from .simulation import fleet_founding, founding_of, handler_table_of, plan_mismatch, run_id
+from .snapshot import state_sha256
 from .world.founding import founding
 from .world.schedule import schedule
 
@@ -249,8 +251,23 @@ class _LiveReplay(_Replay):
         made = live_started(constants, started.fleet_size or 0, started.epoch)
         super().__init__(record, (ARCHITECTURE, FULL), LiveEnvironment(commands_of(record)), (made, *events), founded)
 
+        self._before = 0  # how many events the runs before the last cut have
+
     def run_to_end(self) -> None:
         self.run(self._stored.times_us[-1])
+
+    def _apply_fact(self, fact: Event, time_us: int) -> None:
+        if isinstance(fact, RunContinued):
+            seq = len(self.events)
+            last, digest = seq - 1 - self._before, state_sha256(self.stands(time_us))
+            for name, found, made in (
+                ("continues_seq", fact.continues_seq, last),
+                ("state_sha256", fact.state_sha256, digest),
+            ):
+                if found != made:
+                    raise _Mismatch(self._stored.run_id, seq, name, "live.LiveRun.cut", f"{made!r}", f"{found!r}")
+            self._before += last
+        super()._apply_fact(fact, time_us)
 
 
 def _name(function: Callable[..., object]) -> str:
@@ -268,6 +285,9 @@ def _start_replay(record: LedgerRun, is_recorded: bool) -> _Replay:
     started = record.events[0]
     if not isinstance(started, RunStarted):
         raise _Mismatch(record.run_id, 0, "type", None, "RunStarted.v2", _at(started, record.times_us[0]))
+    if (before := continued_by(record)) is not None:
+        expected = "a run that the ledger holds before this one, since this one goes on from its state"
+        raise _Mismatch(record.run_id, 1, "continues", None, expected, f"{before!r}")
     try:
         if started.kind == "live" and started.source == SOURCE:
             return _LiveReplay(record, started, recorded_constants(started, len(record.events)))

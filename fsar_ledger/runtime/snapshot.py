@@ -8,6 +8,8 @@ import hashlib
 import io
 import os
 import pickle
+from collections import deque
+from collections.abc import Mapping
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
@@ -21,6 +23,7 @@ from fsar_ledger.ledger.rows.runs import LedgerRun, joined
 from fsar_ledger.ledger.rows.schema import SCHEMA
 from fsar_ledger.ledger.store.read import View
 from fsar_ledger.ledger.store.record import Head
+from fsar_ledger.projections.fold import State
 
 _ROOMS = ("runtime", "projections", "events", "designs")
 _KNOWN = (
@@ -96,6 +99,43 @@ class _Known(pickle.Unpickler):
         if isinstance(found, type) or (module, name) in _LIBRARY:
             return found
         raise pickle.UnpicklingError(f"found {module}.{name}, expected a value")
+
+
+def state_sha256(stands: object) -> str:
+    """Return the digest, in hex, of where a run stands (`Kernel.stands`): SHA-256 of it as JSON.
+
+    A structure is its name and the fields that are not as by default, so that one more field with a default changes
+    nothing. Members of a set are sorted; all else has an order of its own.
+
+    Raises: TypeError for what is no value.
+    """
+    return hashlib.sha256(msgspec.json.encode(_plain(stands))).hexdigest()
+
+
+def _plain(found: Any) -> Any:
+    match found:
+        case None | bool() | int() | float() | str():
+            return found
+        case tuple() | list() | deque():
+            return [_plain(one) for one in found]
+        case frozenset():
+            return sorted(map(_plain, found), key=msgspec.json.encode)
+        case Mapping():
+            return [[_plain(key), _plain(one)] for key, one in found.items()]
+        case msgspec.Struct():
+            usual = {field.name: field.default for field in msgspec.structs.fields(type(found))}
+            return [type(found).__name__, *_unusual(found, usual)]
+        case State():
+            initial = State()
+            return _unusual(found, {slot: getattr(initial, slot) for slot in sorted(State.__slots__)})
+        case _:
+            raise TypeError(f"found {type(found).__name__}, expected a value")
+
+
+def _unusual(found: Any, usual: Mapping[str, Any]) -> list[Any]:
+    """Return the fields, with these usual values, that have others."""
+    pairs = ((name, getattr(found, name), one) for name, one in usual.items())
+    return [[name, _plain(own)] for name, own, one in pairs if type(own) is not type(one) or own != one]
 
 
 @cache

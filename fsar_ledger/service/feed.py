@@ -19,8 +19,9 @@ import msgspec
 from fsar_ledger.base.errors import FsarLedgerError, WriteFailed
 from fsar_ledger.events.command import CommandGiven
 from fsar_ledger.ledger.opening import open_ledger
+from fsar_ledger.ledger.store.locations import chain_of
 from fsar_ledger.projections.fold import State
-from fsar_ledger.runtime.federation import Federation
+from fsar_ledger.runtime.federation import Federation, newest_of
 from fsar_ledger.runtime.live import Decision
 
 TICK_S = 0.05
@@ -43,7 +44,7 @@ class Busy(Exception):
 
 
 class Row(NamedTuple):
-    """An event: its seq within the run, and its bytes as the ledger hashes them, in JSON."""
+    """An event: its seq, which counts on where the run was cut, and its bytes as the ledger hashes them, in JSON."""
 
     seq: int
     data: bytes
@@ -94,10 +95,15 @@ class Feed:
     def recorded(self, seq: int) -> Sequence[Row]:
         """Return the rows from this seq to the end of a part of the ledger. Raises: LedgerCorrupted."""
         view = open_ledger(self._ledger)
-        for part in view.parts(self._run):
-            if part.block.end > seq:
-                rows = ((_PLACE.decode(row), row) for row in view.rows(part.first, part.end))
-                return [Row(at.seq, row) for at, row in rows if at.run_id == self._run and at.seq >= seq]
+        before = 0
+        for run in chain_of(view, newest_of(view, self._run)[0]):
+            parts = view.parts(run)
+            for part in parts:
+                if before + part.block.end > seq:
+                    rows = ((_PLACE.decode(row), row) for row in view.rows(part.first, part.end))
+                    own = ((before + at.seq, row) for at, row in rows if at.run_id == run and (at.seq or not before))
+                    return [Row(at, row) for at, row in own if at >= seq]
+            before += sum(part.block.rows for part in parts) - 1
         return ()
 
 

@@ -9,7 +9,8 @@
 SELECT told.*
 FROM (
     VALUES
-    ('RunStarted.v2', 'run', 'run', 'begins', 'begins'), ('RobotDeparted.v1', 'robot', 'robot', 'departs', 'reason'),
+    ('RunStarted.v2', 'run', 'run', 'begins', 'begins'), ('RunContinued.v1', 'run', 'run', 'goes on from', 'from'),
+    ('RobotDeparted.v1', 'robot', 'robot', 'departs', 'reason'),
     ('ExperimentPlanned.v1', 'experiment', 'experiment', 'is planned', 'planned'),
     ('RobotJoined.v1', 'robot', 'robot', 'joins the fleet as', 'role'),
     ('HeartbeatReceived.v1', 'robot', 'registry', 'is there', NULL),

@@ -230,6 +230,34 @@ def joined(pieces: Sequence[LedgerRun]) -> LedgerRun:
     )
 
 
+def continuing(parts: Sequence[LedgerRun]) -> LedgerRun:
+    """Return runs, each of which continues the one before, as the one run that they are, with the name of the last.
+
+    Its seqs count on: event 0 of each but the first, which is like that of the first, is left out.
+
+    Raises: LedgerCorrupted if one has another event 0.
+    """
+    pieces, size = [parts[0]], len(parts[0].events)
+    for part in parts[1:]:
+        if part.events[0] != parts[0].events[0]:
+            raise LedgerCorrupted(
+                f"run {printable.value(part.run_id)}, seq 0: found another event than event 0 of run "
+                f"{printable.value(parts[0].run_id)}, which it continues, expected the same"
+            )
+        pieces.append(counted_on(part, size - 1))
+        size += len(pieces[-1].events)
+    return msgspec.structs.replace(joined(pieces), run_id=parts[-1].run_id)
+
+
+def counted_on(part: LedgerRun, by: int) -> LedgerRun:
+    """Return a part of a run that continues another with its seqs so much higher, or lower, and without its event 0."""
+    without = 0 if part.first else 1
+    causes = [cause + by if cause else cause for cause in part.caused_by[without:]]
+    return LedgerRun(
+        part.run_id, part.times_us[without:], causes, part.events[without:], part.first + without + by, part.goes_on
+    )
+
+
 def whole(pieces: Sequence[LedgerRun]) -> LedgerRun:
     """Return the run of all its pieces that a ledger holds. Raises: LedgerCorrupted if one of them is missing."""
     next_seq = 0

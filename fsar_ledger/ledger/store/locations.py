@@ -12,11 +12,13 @@ from typing import NamedTuple
 import msgspec
 import pyarrow.compute as pc
 
-from fsar_ledger.base.errors import LedgerCorrupted
-from fsar_ledger.ledger.rows import segment
+from fsar_ledger.base import printable
+from fsar_ledger.base.errors import LedgerCorrupted, UsageError
+from fsar_ledger.events.fleet import RunContinued
+from fsar_ledger.ledger.rows import codec, segment
 from fsar_ledger.ledger.rows.blocks import BLOCK_COLUMNS, Block, Runs, blocks_of
-from fsar_ledger.ledger.rows.runs import Flaw
-from fsar_ledger.ledger.rows.schema import concerns_admitted
+from fsar_ledger.ledger.rows.runs import Flaw, LedgerRun, continuing, whole
+from fsar_ledger.ledger.rows.schema import SCHEMAS, concerns_admitted
 from fsar_ledger.ledger.store.derived import Index, require_lines
 from fsar_ledger.ledger.store.read import View
 
@@ -46,6 +48,101 @@ def place_of(view: View, run: str, seq: int) -> int:
 def event_at(view: View, place: int) -> dict[str, object]:
     """Return the event with this index in the ledger, as it is stored. Raises: LedgerCorrupted."""
     return msgspec.json.decode(view.event(place), type=dict[str, object])
+
+
+def record_of(view: View, run: str, size: int | None = None) -> LedgerRun:
+    """Return the events of the run of this name, with those of the runs that it continues, as `continuing` does.
+
+    Only the segments that hold them are decoded. With `size`, only those among the first so many events of the ledger;
+    event 0 must be one of them.
+
+    Raises:
+        UsageError: The ledger has no such run.
+        LedgerCorrupted: A segment cannot be read.
+    """
+    records = [_own_record(view, run, size)]
+    while (before := continued_by(records[0])) is not None and is_earlier(view, before, records[0].run_id):
+        records.insert(0, _own_record(view, before, size))
+    return continuing(records)
+
+
+def _own_record(view: View, run: str, size: int | None) -> LedgerRun:
+    pieces: list[LedgerRun] = []
+    for number in view.segments_of(view.parts(run)):
+        table = segment.read_table(view.segment(number))
+        table = table.slice(0, len(table) if size is None else max(0, size - view.first(number)))
+        pieces += codec.decode(table.filter(pc.equal(table.column("run_id"), run)), is_whole=False)
+    if not pieces:
+        raise UsageError(f"{view.path}: run {printable.value(run)}: there is no such run")
+    return whole(pieces)
+
+
+def continued_by(record: LedgerRun) -> str | None:
+    """Return the name of the run that the one on record continues; None if it begins by itself."""
+    second = record.events[1] if len(record.events) > 1 else None
+    return second.continues if isinstance(second, RunContinued) else None
+
+
+def chain_of(view: View, run: str) -> list[str]:
+    """Return the runs that this one continues, the first first, as far as the ledger holds them, and itself."""
+    found, continues = [run], continued_runs(view, run)
+    while (before := continues.get(found[0])) is not None and is_earlier(view, before, found[0]):
+        found.insert(0, before)
+        continues = continued_runs(view, before)
+    return found
+
+
+def whole_of(view: View, run: str) -> str:
+    """Return the last of the runs that continue this one, so that all of them are read with it; itself if none does."""
+    later = {before: name for name, before in continued_runs(view).items() if is_earlier(view, before, name)}
+    while run in later:
+        run = later[run]
+    return run
+
+
+def place_counted_on(view: View, run: str, seq: int) -> int:
+    """As `place_of`, of an event whose seq counts on over the runs that this one continues."""
+    before = 0
+    for name in chain_of(view, run):
+        size = sum(part.block.rows for part in view.parts(name))
+        if name != run and seq - before >= size:
+            before += size - 1
+            continue
+        try:
+            return place_of(view, name, seq - before)
+        except KeyError:
+            raise KeyError(before + size) from None
+    raise KeyError(0)
+
+
+def seq_counted_on(view: View, run: str, seq: int) -> int:
+    """Return the seq of this event of the run, counted on over those that it continues; its event 0 is not counted."""
+    earlier = chain_of(view, run)[:-1]
+    before = sum(sum(part.block.rows for part in view.parts(name)) - 1 for name in earlier)
+    return before + max(seq, 1 if earlier else 0)
+
+
+def continued_runs(view: View, run: str | None = None) -> dict[str, str]:
+    """Return by its name each run that continues another, or this run if it does, and the name of the other.
+
+    Raises: LedgerCorrupted as `View.table`.
+    """
+    numbers = range(len(view.releases)) if run is None else view.segments_of(view.parts(run)[:1])
+    found: dict[str, str] = {}
+    for number in numbers:
+        if "continues" not in SCHEMAS[view.releases[number]].names:
+            continue
+        column = view.table(number, ["continues"])["continues"]
+        if column.null_count < len(column):
+            table = view.table(number, ["run_id", "seq", "continues"])
+            table = table.filter(pc.and_(pc.is_valid(table["continues"]), pc.equal(table["seq"], 1)))
+            found.update(zip(table["run_id"].to_pylist(), table["continues"].to_pylist(), strict=True))
+    return found if run is None else {name: before for name, before in found.items() if name == run}
+
+
+def is_earlier(view: View, one: str, other: str) -> bool:
+    """Return whether the ledger holds this run, and held it before the other: so no run continues itself."""
+    return 0 < view.ordinal_of(one) < view.ordinal_of(other)
 
 
 def compare_index(view: View) -> bool:

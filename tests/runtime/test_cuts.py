@@ -1,0 +1,374 @@
+"""A live run that is cut goes on as another run: it decides as the uncut one, and is judged with it as one run."""
+
+import random
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+
+import fsar_ledger
+from fsar_ledger.base.errors import LedgerCorrupted, UsageError
+from fsar_ledger.events.command import CommandGiven
+from fsar_ledger.events.fleet import RunContinued, RunStarted
+from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
+from fsar_ledger.ledger.opening import open_ledger
+from fsar_ledger.ledger.rows.runs import LedgerRun
+from fsar_ledger.ledger.store.append import Writer
+from fsar_ledger.ledger.store.locations import record_of
+from fsar_ledger.metrics.database import Database, Slices, connect
+from fsar_ledger.metrics.invariants import audit_rows, invariants
+from fsar_ledger.metrics.library import Query, library
+from fsar_ledger.metrics.relation import _places
+from fsar_ledger.runtime.federation import Federation
+from fsar_ledger.runtime.snapshot import place
+from tests.runtime.test_live import STEPS, A
+from tests.runtime.test_live_forks_at_random import busy
+
+EPOCH_US = 1_772_359_200_000_000  # 2026-03-01T10:00:00Z
+S = 1_000_000
+
+
+class Day:
+    """A federation whose clock is set to the time of each command. `run` is its name, `run.2` what continues it."""
+
+    def __init__(self, ledger: Path, **given: Any) -> None:
+        self.ledger, self.now_us, self._given = ledger, 0, given
+        self.one = self.opened()
+
+    def opened(self) -> Federation:
+        return fsar_ledger.federate(self.ledger, run="hall", clock=self._clock, **self._given)
+
+    def _clock(self) -> int:
+        return (EPOCH_US + self.now_us) * 1_000
+
+    def at(self, time_us: int) -> "Day":
+        self.now_us = time_us
+        self.one.advance()
+        return self
+
+    def again(self) -> "Day":
+        """Another process opens the ledger."""
+        self.one.close()
+        self.one = self.opened()
+        return self
+
+    def brings(self, task: str, key: str | None = None) -> Any:
+        return self.one.give("SubmitTask", A, key=key, robot=A, task_id=task, steps=STEPS, budget_us=600 * S)
+
+    def plays(self, commands: Sequence[tuple[int, CommandGiven]], cuts: Iterable[int] = (), ends_us: int = 0) -> "Day":
+        """Give the commands at their times; before these of them, by number, the run is cut."""
+        held = set(cuts)
+        for number, (time_us, command) in enumerate(commands):
+            self.now_us = time_us
+            if number in held:
+                self.one.cut()
+                self.again()
+            self.one.decide(command)
+            self.now_us = time_us + S // 2
+            self.one.advance()
+        self.now_us = max(self.now_us, ends_us)
+        self.one.advance()
+        self.one.close()
+        return self
+
+    @property
+    def record(self) -> LedgerRun:
+        return record_of(open_ledger(self.ledger), self.one.run)
+
+
+def commands_of(seed: int) -> tuple[list[tuple[int, CommandGiven]], int]:
+    """What everybody says in a busy fleet, and when the run has ended."""
+    record = busy(seed).record
+    pairs = zip(record.times_us, record.events, strict=True)
+    return [(time_us, event) for time_us, event in pairs if isinstance(event, CommandGiven)], record.times_us[-1]
+
+
+def without_cuts(record: LedgerRun) -> list[tuple[int, Any]]:
+    pairs = zip(record.times_us, record.events, strict=True)
+    return [(time_us, event) for time_us, event in pairs if not isinstance(event, RunContinued)]
+
+
+@pytest.fixture(scope="module")
+def halls(tmp_path_factory: pytest.TempPathFactory) -> tuple[Day, Day]:
+    """The same commands, given to a run that is not cut, and to one that is cut twice."""
+    commands, ends_us = commands_of(2)
+    folder = tmp_path_factory.mktemp("halls")
+    whole = Day(folder / "whole").plays(commands, ends_us=ends_us)
+    return whole, Day(folder / "cut").plays(commands, (20, 50), ends_us)
+
+
+def replayed(ledger: Path) -> str:
+    """What the replay finds, in words; empty: that all is as recorded."""
+    found = fsar_ledger.Ledger(ledger).verify(replay=True)
+    assert found.report.ok, found.problems
+    return "" if found.ok else "\n".join(map(str, found.replay.differences))  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize("seed", [1, 2, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(3, 20))])
+def test_a_run_that_is_cut_anywhere_decides_as_the_uncut_one_and_both_replay(tmp_path: Path, seed: int) -> None:
+    commands, ends_us = commands_of(seed)
+    cuts = random.Random(seed).sample(range(1, len(commands)), 3)
+    whole = Day(tmp_path / "whole").plays(commands, ends_us=ends_us)
+    cut = Day(tmp_path / "cut").plays(commands, cuts, ends_us)
+    assert cut.one.run == "hall.4"
+    assert without_cuts(cut.record) == without_cuts(whole.record)
+    assert len(cut.record.events) == len(whole.record.events) + 3
+    assert replayed(whole.ledger) == replayed(cut.ledger) == ""
+
+
+def test_a_run_goes_on_from_the_state_of_the_one_before_however_it_is_opened(tmp_path: Path) -> None:
+    day = Day(tmp_path / "ledger")
+    first = day.brings("t", key="k")
+    assert day.at(5 * S).one.cut() == "hall.2"
+    place(day.ledger, "hall.2").unlink()  # so that all of it is made again
+    for _ in range(2):
+        day.again()
+        assert day.one.run == "hall.2"
+        assert day.brings("t", key="k").events == first.events, "it is known that it was given"
+        assert day.brings("t").rejected is not None, "a name of the run before is not used again"
+    day.at(2_000 * S)
+    assert any(isinstance(event, TaskAbandoned) for event in day.record.events), "what was due then is due here"
+    assert replayed(day.ledger) == ""
+
+
+def test_the_new_run_says_which_it_continues_and_begins_as_that_one(halls: tuple[Day, Day]) -> None:
+    view = open_ledger(halls[1].ledger)
+    parts = {one.run_id: one for one in view.runs()}
+    assert list(parts) == ["hall", "hall.2", "hall.3"]
+    for before, name in (("hall", "hall.2"), ("hall.2", "hall.3")):
+        started, continued = parts[name].events[:2]
+        assert started == parts["hall"].events[0]
+        assert isinstance(continued, RunContinued)
+        assert (continued.continues, continued.continues_seq) == (before, len(parts[before].events) - 1)
+        assert continued.continues_root in {commit.tree_root for commit in view.commits}
+        assert parts[name].times_us[0] > parts[before].times_us[-1]
+
+
+def rows_of(database: Database, query: Query, uncut: dict[int, int | None]) -> Counter[tuple[object, ...]]:
+    """The rows of a query, with each seq as in the uncut run, and without what cannot be the same in both."""
+
+    def seq(found: object) -> object:
+        return [seq(one) for one in found] if isinstance(found, list) else uncut.get(found, found)  # type: ignore[call-overload]
+
+    rows = database.query(query.name).to_pylist()
+    return Counter(
+        tuple(
+            f"{seq(value)}" if "seq" in name or name == "made_by" else f"{value}"
+            for name, value in row.items()
+            if not name.endswith("run_id") and name not in ("number", "caused_by")
+        )
+        for row in rows
+        if "RunContinued" not in f"{row.get('type')}"
+    )
+
+
+NAMES_SEQS_IN_TEXT = {"facts/mechanism_decisions"}
+JUDGES = ("invariants/", "metrics/", "facts/verdict_events", "facts/late_tasks", "facts/claims", "cases/")
+
+
+def compare(halls: tuple[Day, Day], queries: Iterable[Query]) -> int:
+    """Compare what the queries answer about both runs; return how many gave rows."""
+    uncut: dict[int, int | None] = {}
+    for seq, event in enumerate(halls[1].record.events):
+        cuts = sum(1 for one in uncut.values() if one is None)
+        uncut[seq] = None if isinstance(event, RunContinued) else seq - cuts
+    given = 0
+    with connect(halls[0].ledger) as whole, connect(halls[1].ledger) as cut:
+        for query in queries:
+            expected, found = rows_of(whole, query, {}), rows_of(cut, query, uncut)
+            if query.name not in {*NAMES_SEQS_IN_TEXT, "staging/run_continued"}:
+                assert found == expected, query.name
+            given += bool(found)
+    return given
+
+
+def test_every_judge_says_the_same_of_the_cut_run_and_of_the_uncut_one(halls: tuple[Day, Day]) -> None:
+    queries = [one for one in library().queries.values() if one.name.startswith(JUDGES) and not one.parameters]
+    assert compare(halls, queries) > 15
+
+
+@pytest.mark.slow
+def test_every_query_says_the_same_of_the_cut_run_and_of_the_uncut_one(halls: tuple[Day, Day]) -> None:
+    assert compare(halls, [one for one in library().queries.values() if not one.parameters]) > 100
+
+
+def test_judged_by_itself_the_second_run_would_be_broken(halls: tuple[Day, Day]) -> None:
+    """What the join is for: without it, work that began before the cut is an offence after it."""
+    with connect(halls[1].ledger) as database:
+        database.prepare("SELECT * FROM events")
+        alone = database.direct(
+            "SELECT count(*) FROM events_by_run WHERE run_id = 'hall.3' AND type = 'RobotJoined.v1'"
+        )
+        [row] = database.rows("SELECT count(*) AS robots FROM robot_joined WHERE run_id = 'hall.3'")
+    assert (alone, row["robots"]) == ([(0,)], 4)
+
+
+def test_slices_keep_runs_that_continue_each_other_together(
+    halls: tuple[Day, Day], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("fsar_ledger.metrics.database.LEAST_BYTES", -1)
+    sliced = Slices(open_ledger(halls[1].ledger), most=10)
+    assert sliced._slices
+    rows = audit_rows(sliced, invariants())
+    with connect(halls[0].ledger) as whole:
+        assert [msgspec.structs.replace(row, first_run=None) for row in rows] == audit_rows([whole], invariants())
+
+
+def test_one_asks_about_any_of_them(halls: tuple[Day, Day]) -> None:
+    ledger = fsar_ledger.Ledger(halls[1].ledger)
+    cuts = [seq for seq, event in enumerate(halls[1].record.events) if isinstance(event, RunContinued)]
+    lines = ledger.log("hall.2").rows()
+    assert [row["seq"] for row in lines] == list(range(cuts[0], cuts[1])), "from its beginning on, counted on"
+    assert lines[0]["message"] == "goes on from: hall"
+    assert [row["seq"] for row in ledger.log("hall").rows()] == list(range(cuts[0]))
+    then = ledger.state("hall.2", at=lines[0]["time_s"])
+    assert (then.seq, then.standing) == (cuts[0], ledger.state("hall").standing), (
+        "as it was at the end of the one before"
+    )
+    assert ledger.why(("hall.3", cuts[1] + 1)).made[0].seq == cuts[1] + 1
+    assert ledger.why(f"hall.3:{cuts[1] + 1}").seq == cuts[1] + 1
+    assert {row["run_id"] for row in ledger.query("audit/memberships", run="hall").rows()} == {"hall.3"}
+    with pytest.raises(UsageError, match="events in the run, expected a seq from 0 to"):
+        ledger.why("hall.3:4000")
+
+
+def other(parts: list[LedgerRun], **fields: object) -> list[LedgerRun]:
+    """The runs, of which the second says something else of how it continues."""
+    first, second, *rest = parts
+    started, continued, *events = second.events
+    changed = msgspec.structs.replace(continued, **fields)
+    return [first, msgspec.structs.replace(second, events=[started, changed, *events]), *rest]
+
+
+@pytest.mark.parametrize(
+    ("fields", "field"),
+    [
+        ({"state_sha256": "0" * 64}, "state_sha256"),
+        ({"continues_seq": 3}, "continues_seq"),
+        ({"continues_root": "0" * 64}, "continues_root"),
+        ({"continues": "another"}, "continues"),
+        ({"continues": "hall.2"}, "continues"),
+    ],
+)
+def test_a_run_that_says_otherwise_how_it_continues_is_found(
+    halls: tuple[Day, Day], tmp_path: Path, fields: dict[str, object], field: str
+) -> None:
+    parts = list(open_ledger(halls[1].ledger).runs())
+    assert f"field {field}: found" in replayed(written(tmp_path / "other", other(parts, **fields)))
+
+
+def test_a_run_whose_past_was_changed_is_found(halls: tuple[Day, Day], tmp_path: Path) -> None:
+    first, *rest = open_ledger(halls[1].ledger).runs()
+    tasks = [seq for seq, event in enumerate(first.events) if type(event).__name__ == "TaskArrived"]
+    shorter = [event for seq, event in enumerate(first.events) if seq != tasks[-1]]
+    changed = LedgerRun("hall", first.times_us[:-1], first.caused_by[:-1], shorter, goes_on=True)
+    assert "found" in replayed(written(tmp_path / "other", [changed, *rest]))
+
+
+def test_a_run_that_begins_otherwise_than_the_one_that_it_continues_is_refused(
+    halls: tuple[Day, Day], tmp_path: Path
+) -> None:
+    first, second, *rest = open_ledger(halls[1].ledger).runs()
+    started = second.events[0]
+    assert isinstance(started, RunStarted)
+    changed = [msgspec.structs.replace(started, fleet_size=8), *second.events[1:]]
+    ledger = written(tmp_path / "other", [first, msgspec.structs.replace(second, events=changed), *rest])
+    with pytest.raises(LedgerCorrupted, match="which it continues, expected the same"):
+        record_of(open_ledger(ledger), "hall.2")
+    assert "which it continues, expected the same" in replayed(ledger)
+
+
+def written(ledger: Path, runs: Iterable[LedgerRun]) -> Path:
+    """A ledger of these runs, a commit for each."""
+    with Writer(ledger, "tests/cut") as writer:
+        for run in runs:
+            writer.commit([run])
+    return ledger
+
+
+def test_runs_that_claim_to_continue_each_other_in_a_circle_are_read_as_they_are() -> None:
+    assert _places({"a": "b", "b": "a"}, {"a": 5, "b": 5}) == []
+    [last, *_] = reversed(_places({"c": "a", "a": "b", "b": "a"}, {"a": 5, "b": 5, "c": 5}))
+    assert last["run_id"] == "c"
+
+
+HOUR = 3_600 * S
+
+
+def cuts_of(day: Day) -> list[float]:
+    """When the run was cut, in hours after 10:00."""
+    pairs = zip(day.record.times_us, day.record.events, strict=True)
+    return [round(time_us / HOUR, 6) for time_us, event in pairs if isinstance(event, RunContinued)]
+
+
+def test_a_run_that_is_cut_daily_is_cut_at_midnight_and_once_for_days_without_anybody(tmp_path: Path) -> None:
+    day = Day(tmp_path / "ledger", cut="daily")
+    day.at(13 * HOUR).brings("t1")
+    assert day.one.run == "hall"
+    day.at(15 * HOUR).again().at(16 * HOUR).brings("t2")
+    assert day.one.run == "hall.2"
+    day.at(37 * HOUR)
+    assert day.one.run == "hall.2"
+    day.again().at(110 * HOUR).at(111 * HOUR)
+    assert (day.one.run, cuts_of(day)) == ("hall.3", [14, 110])
+    assert replayed(day.ledger) == ""
+
+
+def test_a_run_is_cut_at_the_end_of_each_shift(tmp_path: Path) -> None:
+    day = Day(tmp_path / "ledger", cut="06:00, 14:00,22:00")
+    for hour in range(26):
+        day.at(hour * HOUR).again()
+    assert cuts_of(day) == [4, 12, 20]
+
+
+@pytest.mark.parametrize("cut", ["", "weekly", "24:00", "06:00,,14:00", "06:00+01:00", "06:00Z"])
+def test_what_is_no_time_of_the_day_is_refused(tmp_path: Path, cut: str) -> None:
+    with pytest.raises(UsageError, match="expected daily, or times of the day"):
+        Day(tmp_path / "ledger", cut=cut)
+    assert not (tmp_path / "ledger").exists()
+
+
+def test_the_name_of_a_run_that_has_nothing_to_do_with_it_is_left_to_it(tmp_path: Path) -> None:
+    fsar_ledger.federate(tmp_path / "ledger", run="hall.2").close()
+    day = Day(tmp_path / "ledger")
+    assert day.one.cut() == "hall.3"
+    assert day.again().one.run == "hall.3"
+    assert fsar_ledger.federate(tmp_path / "ledger", run="hall.2").run == "hall.2"
+
+
+def test_a_run_that_was_continued_goes_on_in_the_one_that_continues_it(tmp_path: Path) -> None:
+    day = Day(tmp_path / "ledger")
+    day.one.cut()
+    assert day.one.cut() == "hall.3"
+    day.one.close()
+    with fsar_ledger.federate(day.ledger, run="hall.2") as one:
+        assert one.run == "hall.3"
+
+
+def test_who_follows_the_events_sees_them_count_on(tmp_path: Path) -> None:
+    seen: list[tuple[int, int]] = []
+    day = Day(tmp_path / "ledger", on_commit=lambda first, rows: seen.append((first, rows.count(b"\n"))))
+    day.brings("t1")
+    day.at(S).one.cut()
+    day.at(2 * S).brings("t2")
+    assert [first for first, _ in seen] == [sum(rows for _, rows in seen[:at]) for at in range(len(seen))]
+    assert sum(rows for _, rows in seen) == day.one.size == len(day.record.events)
+
+
+def test_a_task_that_began_in_one_run_and_ended_in_the_next_is_no_lost_outcome(tmp_path: Path) -> None:
+    day = Day(tmp_path / "ledger")
+    day.now_us = S
+    day.one.give("SubmitTask", A, robot=A, task_id="t", steps=("A navigate.indoor",), budget_us=600 * S)
+    day.at(2 * S).one.give("ReportStart", A, robot=A, action_id="t/1.1")
+    day.at(3 * S).one.cut()
+    day.at(4 * S).one.give("ReportResult", A, executor=A, action_id="t/1.1", result="success")
+    assert any(isinstance(event, TaskCompleted) for event in day.record.events)
+    with connect(day.ledger) as database:
+        assert database.query("facts/late_tasks").num_rows == 0
+        [row] = database.rows("SELECT value, denominator FROM coordination_success")
+        assert (row["value"], row["denominator"]) == (1, 1)
+        rows = audit_rows([database], invariants())
+    assert all(row.holds is not False for row in rows)
