@@ -10,7 +10,6 @@ from msgspec import structs
 from fsar_ledger.base import printable
 from fsar_ledger.base.printable import SafeText, counted
 from fsar_ledger.base.progress import Progress
-from fsar_ledger.metrics.multiverse import Cell, Multiverse, Ranking, ReadingNames
 
 from .answers import Answer, Row, Screen
 from .names import Names, Place, by_scenario, names_of, pools_seeds
@@ -18,6 +17,7 @@ from .verbs import ROWS, ByOption, PoolOption, Shows, declare, verb
 
 if TYPE_CHECKING:
     from fsar_ledger.metrics.comparability import DifferingWorlds
+    from fsar_ledger.metrics.multiverse import Cell, Ranking, Reading, ReadingNames, Universe
     from fsar_ledger.metrics.provenance import Provenance
     from fsar_ledger.metrics.results import StatisticRow
 
@@ -184,13 +184,19 @@ def _alone(rows: "Sequence[StatisticRow]") -> list[str]:
     return [f"Holm adjusts each metric that the paper does not print by itself: {', '.join(names)}"] if names else []
 
 
-class MultiverseResult(Answer, Multiverse, frozen=True, kw_only=True):
-    """A `Multiverse` with its provenance."""
+class MultiverseResult(Answer, msgspec.Struct, frozen=True):
+    """The readings, the range of each cell, the rankings, the mean in each universe, and their provenance."""
 
+    readings: "tuple[Reading, ...]"
+    cells: "tuple[Cell, ...]"
+    rankings: "tuple[Ranking, ...]"
+    universes: "tuple[Universe, ...]"
     provenance: "Provenance"
 
     def table(self) -> "Table":
         """Return the cells as a table."""
+        from fsar_ledger.metrics.multiverse import Cell
+
         from .table import Table, of_structs
 
         return Table(of_structs(self.cells, Cell), self.provenance)
@@ -201,9 +207,11 @@ class MultiverseResult(Answer, Multiverse, frozen=True, kw_only=True):
         Raises: WriteFailed if the file cannot be written.
         """
         from fsar_ledger.base.publishing import publish
+        from fsar_ledger.metrics.multiverse import Multiverse
         from fsar_ledger.report import study_charts
 
-        publish(Path(file), study_charts.curves(self))
+        found = Multiverse(self.readings, self.cells, self.rankings, self.universes)
+        publish(Path(file), study_charts.curves(found))
 
     def text(self, screen: Screen) -> Iterator[SafeText]:
         """Yield the ranges, the rankings and the readings as tables."""
@@ -255,10 +263,10 @@ def multiverse(
     with ledger.database() as database:
         every = tuple(row["metric"] for row in database.rows("SELECT metric FROM metric_definitions ORDER BY position"))
         found = read(database, known("metric", names_of(metric), every), pools_seeds=pooled, progress=progress)
-        return MultiverseResult(**structs.asdict(found), provenance=of_judgement(database))
+        return MultiverseResult(found.readings, found.cells, found.rankings, found.universes, of_judgement(database))
 
 
-def _verdicts(rankings: Sequence[Ranking]) -> Iterator[str]:
+def _verdicts(rankings: "Sequence[Ranking]") -> Iterator[str]:
     """Yield in how many rankings FSAR is best, and in how many our order stays, under every combination."""
     for what, count in (
         ("FSAR is the best one", "fsar_best"),
@@ -283,11 +291,11 @@ def _columns(rows: Sequence[Row], columns: tuple[str, ...]) -> list[str]:
     return [columns[0], *telling, *columns[1:], *(name for name in WHERE_ANY if any(row.get(name) for row in rows))]
 
 
-def _named(row: Ranking) -> Row:
+def _named(row: "Ranking") -> Row:
     changed, not_best = _texts(row.changed_under), _texts(row.fsar_not_best_under)
     return {**structs.asdict(row), "changed_under": changed, "fsar_not_best_under": not_best}
 
 
-def _texts(sets: tuple[ReadingNames, ...] | None) -> str | None:
+def _texts(sets: "tuple[ReadingNames, ...] | None") -> str | None:
     """Return the combinations in words; None where there are none, or nothing can be said."""
     return "; ".join(" + ".join(names) or OURS for names in sets) if sets else None
