@@ -163,9 +163,7 @@ def query(
 
         refusal = f"query {name} --show: found --json, --csv or --ndjson, expected none of them; SQL is text"
         return Plain(text_of(f"{name}"), refusal)
-    assert ledger is not None and not isinstance(
-        ledger, str | PathLike
-    )  # `_arrange` requires it, and the command line opens it
+    assert not isinstance(ledger, str | PathLike | None)  # `_arrange` requires it, and the command line opens it
     if file is not None:
         return _of_file(ledger, Path(file), seconds, memory_mib)
     return ledger.query(f"{name}", **(parameters or {}))
