@@ -138,8 +138,6 @@ def queries_page() -> str:
         "`fsar-ledger query NAME LEDGER` answers each; the last part of a name is enough. "
         "In `sql` the last part is the name of a view, or with parameters that of a macro: `FROM denials(run := 1)`.",
         "",
-    ]
-    lines += [
         "Written by `docs/write.py` from the headers of `queries/`. The key tells any two rows apart; a column of it "
         "that ends in `?` may be NULL, which is a value like others there.",
         "",

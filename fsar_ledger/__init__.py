@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from fsar_ledger.api.events import Events, LoggedEvent
     from fsar_ledger.api.explain import Account
     from fsar_ledger.api.federate import federate
-    from fsar_ledger.api.key import key_new, key_public
+    from fsar_ledger.api.key import key_new, key_public, witness_new
     from fsar_ledger.api.ledger import Ledger, open_ledger
     from fsar_ledger.api.prove import verify_proof
     from fsar_ledger.api.record import import_records, record
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from fsar_ledger.api.simulate import Simulated, simulate
     from fsar_ledger.api.table import Table
     from fsar_ledger.api.verify import Verification
-    from fsar_ledger.api.witness import witness_new
     from fsar_ledger.base import errors
     from fsar_ledger.base.errors import FsarLedgerError
     from fsar_ledger.service.client import Client
@@ -79,7 +78,7 @@ _HOMES = {
     "api.events": ("Events", "LoggedEvent"),
     "api.explain": ("Account",),
     "api.federate": ("federate",),
-    "api.key": ("key_new", "key_public"),
+    "api.key": ("key_new", "key_public", "witness_new"),
     "api.ledger": ("Ledger", "open_ledger"),
     "api.prove": ("verify_proof",),
     "api.record": ("import_records", "record"),
@@ -88,7 +87,6 @@ _HOMES = {
     "api.simulate": ("Simulated", "simulate"),
     "api.table": ("Table",),
     "api.verify": ("Verification",),
-    "api.witness": ("witness_new",),
     "base.errors": ("FsarLedgerError",),
     "service.client": ("Client",),
     "studies.calibration": ("calibrate",),

@@ -20,7 +20,7 @@ import pyarrow.parquet as pq
 from fsar_ledger.base.errors import UsageError, WriteFailed, option
 from fsar_ledger.base.memory import unfinished
 from fsar_ledger.base.progress import Progress, each
-from fsar_ledger.exports import Written, mcap, ocel, otlp
+from fsar_ledger.exports import Written, documents, mcap
 from fsar_ledger.exports.folders import write_delta
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.rows.schema import SCHEMA
@@ -268,8 +268,8 @@ def _written(view: "View", file: Path, format: str, run: str | None, progress: P
             return mcap.write(temporary, view, _tables(view, run, progress))
         runs = _runs(view, progress) if run is None else [record_of(view, run)]
         if format == "otlp":
-            return otlp.write(temporary, runs)
-        return ocel.write(temporary, runs, {name: at for at, name in enumerate(view.run_names.runs, start=1)})
+            return documents.write_otlp(temporary, runs)
+        return documents.write_ocel(temporary, runs, {name: at for at, name in enumerate(view.run_names.runs, start=1)})
 
 
 def _runs(view: "View", progress: Progress | None) -> "Iterator[LedgerRun]":

@@ -17,10 +17,10 @@ from . import diff as _diff
 from . import explain as _explain
 from . import export as _export
 from . import info as _info
+from . import key as _key
 from . import log as _log
 from . import maintain as _maintain
 from . import metrics as _metrics
-from . import multiverse as _multiverse
 from . import prove as _prove
 from . import query as _query
 from . import report as _report
@@ -29,7 +29,6 @@ from . import verify as _verify
 from . import view as _view
 from . import whatif as _whatif
 from . import why as _why
-from . import witness as _witness
 from .lookup import AboutRun, about_run, numbers_of, parameters_of, recorded, robot_of, run_of, time_of
 from .names import Place, Run, Time
 from .verbs import readers_of
@@ -242,8 +241,8 @@ class Ledger:
     audit = _audit.audit
     verify = _verify.verify
     prove = _prove.prove
-    witness_ask = _witness.witness_ask
-    multiverse = _multiverse.multiverse
+    witness_ask = _key.witness_ask
+    multiverse = _metrics.multiverse
 
     # --- files ---
 

@@ -4,6 +4,7 @@ import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from datetime import UTC, timedelta
+from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -265,6 +266,6 @@ def recorded(ledger: "Ledger", view: "View", run: "Run") -> "LedgerRun":
 
 def ledgers_of(ledger: "Ledger", other: "Ledger | Place | None") -> "list[Ledger]":
     """Return the ledger, and the other one if it is given, opened."""
-    from .ledger import Ledger
-
-    return [ledger] if other is None else [ledger, other if isinstance(other, Ledger) else Ledger(other)]
+    if other is None:
+        return [ledger]
+    return [ledger, type(ledger)(other) if isinstance(other, str | PathLike) else other]

@@ -4,6 +4,7 @@ import sys
 from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from itertools import groupby
+from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -155,8 +156,6 @@ def query(
     The packaged queries are SQL files; the header of each says what its rows and its NULLs mean. They have no time
     limit, only that of --memory. A file of your own runs locked down, as with `sql`.
     """
-    from .ledger import Ledger
-
     if list:
         return Queries(events=all)
     if show:
@@ -164,7 +163,7 @@ def query(
 
         refusal = f"query {name} --show: found --json, --csv or --ndjson, expected none of them; SQL is text"
         return Plain(text_of(f"{name}"), refusal)
-    assert isinstance(ledger, Ledger)  # `_arrange` requires it, and the command line opens it
+    assert not isinstance(ledger, str | PathLike | None)  # `_arrange` requires it, and the command line opens it
     if file is not None:
         return _of_file(ledger, Path(file), seconds, memory_mib)
     return ledger.query(f"{name}", **(parameters or {}))

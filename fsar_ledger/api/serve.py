@@ -17,10 +17,10 @@ from fsar_ledger.base.printable import SafeText
 from .answers import Answer, Plain, Screen
 from .federate import CONTINUES, CUT, FLEET, ORIGIN_NAME, ROBOTS, SETTINGS, federate
 from .files import write_text
+from .key import witness_ask
 from .ledger import open_ledger
 from .names import Names, Place, names_of
 from .verbs import Gives, KeyOption, Option, argument, declare, switch, verb
-from .witness import witness_ask
 
 if TYPE_CHECKING:
     from fsar_ledger.runtime.federation import Federation

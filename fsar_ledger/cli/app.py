@@ -56,8 +56,9 @@ HOMES = {
     "sql": ("fsar_ledger.api.query",),
     "statistics": ("fsar_ledger.api.metrics",),
     "step": ("fsar_ledger.api.state",),
-    "study": ("fsar_ledger.studies.verbs", "fsar_ledger.api.multiverse"),
+    "study": ("fsar_ledger.studies.verbs", "fsar_ledger.api.metrics"),
     "verify-proof": ("fsar_ledger.api.prove",),
+    "witness": ("fsar_ledger.api.key",),
 }
 """The modules of verbs that are not those of the same name in the API."""
 

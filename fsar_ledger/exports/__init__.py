@@ -1,4 +1,4 @@
-"""A ledger in the formats of other systems, one file a format: what `export --as` writes, and what the formats share.
+"""A ledger in the formats of other systems, by kind of file: what `export --as` writes, and what the formats share.
 
 An event names robots and other principals, tasks, actions and requests, each in its role. Which columns name a
 principal follows from the types of the events' fields; the others are listed.

@@ -1,4 +1,4 @@
-"""The verbs `study run NAME` and `study show`. `study run multiverse` is a verb of a ledger (`api/multiverse.py`)."""
+"""The verbs `study run NAME` and `study show`. `study run multiverse` is a verb of a ledger (`api/metrics.py`)."""
 
 from collections.abc import Iterator
 from pathlib import Path

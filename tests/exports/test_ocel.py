@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 import fsar_ledger
-from fsar_ledger.exports import ocel
+from fsar_ledger.exports import documents
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from tests.exports.conftest import Asked
 from tests.exports.test_shared import NAMES
@@ -94,13 +94,13 @@ def test_one_run_has_the_names_that_it_has_among_all(ledger: fsar_ledger.Ledger,
 
 
 def test_events_have_the_time_of_day_of_a_run_that_has_one(at_noon: LedgerRun, tmp_path: Path) -> None:
-    written = ocel.write(tmp_path / "noon.json", [at_noon], {at_noon.run_id: 1})
+    written = documents.write_ocel(tmp_path / "noon.json", [at_noon], {at_noon.run_id: 1})
     events = json.loads((tmp_path / "noon.json").read_text())["events"]
     assert len(events) == written.events
     assert events[0]["time"] == "2026-03-01T12:00:00.000000Z"
 
 
 def test_no_run_is_an_empty_log(tmp_path: Path) -> None:
-    ocel.write(tmp_path / "empty.json", [], {})
+    documents.write_ocel(tmp_path / "empty.json", [], {})
     found = json.loads((tmp_path / "empty.json").read_text())
     assert found == {"events": [], "objects": [], "eventTypes": [], "objectTypes": []}

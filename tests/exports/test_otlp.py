@@ -10,7 +10,7 @@ import pytest
 
 import fsar_ledger
 from fsar_ledger.events.envelope import flat
-from fsar_ledger.exports import otlp
+from fsar_ledger.exports import documents
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from tests.exports.conftest import Asked
 
@@ -155,7 +155,7 @@ def test_what_an_event_ended_is_not_open(runs: list[LedgerRun], tmp_path: Path) 
     end = kinds.index("ExecutionFinished") + 1
     assert "StepCompleted" not in kinds[:end]
     cut = LedgerRun(run.run_id, run.times_us[:end], run.caused_by[:end], run.events[:end])
-    otlp.write(tmp_path / "ended.json", [cut])
+    documents.write_otlp(tmp_path / "ended.json", [cut])
     spans = [values_of(span.attributes) for span in spans_of(read(tmp_path / "ended.json"))]
     finished = flat(run.events[end - 1])["action_id"]
     assert [span["fsar.open"] for span in spans if span.get("fsar.action_id") == finished] == [False]
@@ -164,7 +164,7 @@ def test_what_an_event_ended_is_not_open(runs: list[LedgerRun], tmp_path: Path) 
 
 def test_an_execution_that_has_not_ended_is_open_until_the_last_event(at_noon: LedgerRun, tmp_path: Path) -> None:
     """And its times are those of the day."""
-    told = otlp.write(tmp_path / "open.json", [at_noon])
+    told = documents.write_otlp(tmp_path / "open.json", [at_noon])
     root, *spans = spans_of(read(tmp_path / "open.json"))
     noon_ns = 1_772_366_400 * 10**9
     assert {values_of(span.attributes)["fsar.open"] for span in spans} == {True}

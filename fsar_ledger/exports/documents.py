@@ -1,15 +1,21 @@
-"""Runs as traces: OTLP in JSON (opentelemetry.io/docs/specs/otlp), for whatever shows spans.
+"""Runs as one document of JSON: OCEL 2.0 (ocel-standard.org), and traces as OTLP (opentelemetry.io/docs/specs/otlp).
 
-A run is one trace, because what its tasks share (windows, outages, the order of supervisors) would be lost in traces of
-tasks alone. Its root span has a child for each task, which has one for each action. An event is a span event of its
-action, else of its task, else of the run, with all of its fields; a cause that lies in another span is a link, too.
-Attributes have the names of OpenTelemetry's conventions for generative AI where these fit: a robot is an agent, a task
-its invocation, an action the execution of a tool, which is the capability.
+In a log of OCEL, for process mining, an event that names an object is an event; what it names are its objects, each
+with its role as the qualifier of the relation. All names begin with the number of the run, since robots of two runs are
+not the same. The rest of an event's fields are its attributes: lists as JSON text, times in microseconds of run time.
+
+In OTLP, for whatever shows spans, a run is one trace, because what its tasks share (windows, outages, the order of
+supervisors) would be lost in traces of tasks alone. Its root span has a child for each task, which has one for each
+action. An event is a span event of its action, else of its task, else of the run, with all of its fields; a cause that
+lies in another span is a link, too. Attributes have the names of OpenTelemetry's conventions for generative AI where
+these fit: a robot is an agent, a task its invocation, an action the execution of a tool, which is the capability.
 """
 
-from collections.abc import Iterable, Iterator
+import shutil
+from collections.abc import Iterable, Iterator, Mapping
 from hashlib import sha256
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import Any, NamedTuple
 
 import msgspec
@@ -18,8 +24,10 @@ from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import flat
 from fsar_ledger.ledger.rows.codec import LedgerRun
 
-from . import TOLD, Written, elements, epoch_us
+from . import NAMING, TOLD, Written, elements, epoch_us, named_in, rfc3339
 
+RUN = [{"name": "run_id", "type": "string"}]
+"""The attributes of every type of object."""
 INTERNAL = 1
 """SPAN_KIND_INTERNAL."""
 ERROR = 2
@@ -28,6 +36,96 @@ FAILURES = frozenset({"RequestDenied", "RequestUnanswered", "ExecutionWithdrawn"
 """The types of events that end a task or an action without its result."""
 ENDS = FAILURES | {"ExecutionFinished", "RequestClosed", "StepCompleted", "TaskCompleted"}
 """All types of events that end a task or an action."""
+
+
+class _Ocel:
+    """What was found in the runs so far: counts, types of events with the types of their attributes, of objects."""
+
+    def __init__(self, numbers: Mapping[str, int]) -> None:
+        self.events = self.left_out = self.objects = 0
+        self.event_types: dict[str, dict[str, str]] = {}
+        self.object_types: set[str] = set()
+        self._numbers = numbers
+
+    def events_of(self, run: LedgerRun, objects: dict[str, str]) -> Iterator[dict[str, Any]]:
+        """Yield the events of a run that name objects, and put these into `objects`, by label with their kinds."""
+        number = self._numbers.get(run.run_id, 0)
+        start_us = epoch_us(run.run_id, getattr(run.events[0], "epoch", None))
+        for seq, (event, time_us) in enumerate(zip(run.events, run.times_us, strict=True)):
+            columns = flat(event)
+            named = named_in(columns)
+            if not named:
+                self.left_out += 1
+                continue
+            self.events += 1
+            objects.update({one.label: one.kind for one in named})
+            kind = type(event).__name__
+            envelope = {"run_id": run.run_id, "seq": seq, "caused_by": run.caused_by[seq]}
+            yield {
+                "id": f"{number}:{seq}",
+                "type": kind,
+                "time": rfc3339(start_us + time_us),
+                "attributes": list(self._attributes(kind, envelope | columns)),
+                "relationships": [
+                    {"objectId": f"{number}:{one.label}", "qualifier": role} for one, role in named.items()
+                ],
+            }
+
+    def objects_of(self, run: LedgerRun, objects: Mapping[str, str]) -> Iterator[dict[str, Any]]:
+        """Yield the objects of a run, from their labels and kinds."""
+        number = self._numbers.get(run.run_id, 0)
+        self.objects += len(objects)
+        self.object_types.update(objects.values())
+        for label, kind in objects.items():
+            about = {"name": "run_id", "time": rfc3339(0), "value": run.run_id}
+            yield {"id": f"{number}:{label}", "type": kind, "attributes": [about], "relationships": []}
+
+    def _attributes(self, kind: str, columns: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+        types = self.event_types.setdefault(kind, {})
+        for name, value in columns.items():
+            if value is None or name in NAMING:
+                continue
+            if isinstance(value, tuple):
+                value = msgspec.json.encode(value).decode()
+            types[name] = "boolean" if isinstance(value, bool) else "integer" if isinstance(value, int) else "string"
+            yield {"name": name, "value": value}
+
+    def types(self) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+        """Return the types of the events and of the objects, as the format has them."""
+        return (
+            [
+                {"name": kind, "attributes": [{"name": name, "type": one} for name, one in sorted(types.items())]}
+                for kind, types in sorted(self.event_types.items())
+            ],
+            [{"name": kind, "attributes": RUN} for kind in sorted(self.object_types)],
+        )
+
+
+def write_ocel(out: Path, runs: Iterable[LedgerRun], numbers: Mapping[str, int]) -> Written:
+    """Write the runs to this path; memory holds one of them. `numbers` has the number of each run.
+
+    Raises: OSError, or UsageError as `epoch_us`.
+    """
+    log = _Ocel(numbers)
+    with out.open("wb") as file, TemporaryFile() as kept:  # the objects, which come after all events
+
+        def events() -> Iterator[dict[str, Any]]:
+            for run in runs:
+                objects: dict[str, str] = {}
+                yield from log.events_of(run, objects)
+                between = b",\n" if kept.tell() else b""
+                kept.write(between + b"".join(elements(log.objects_of(run, objects))) if objects else b"")
+
+        file.write(b'{"events":[')
+        file.writelines(elements(events()))
+        file.write(b'],\n"objects":[')
+        kept.seek(0)
+        shutil.copyfileobj(kept, file)
+        event_types, object_types = map(msgspec.json.encode, log.types())
+        file.write(b'],\n"eventTypes":' + event_types + b',\n"objectTypes":' + object_types + b"}\n")
+    return Written(
+        log.events, (f"{log.objects:,} objects", f"{log.left_out:,} events name no object and are not in it", TOLD)
+    )
 
 
 class _Key(NamedTuple):
@@ -54,7 +152,7 @@ class _Span(msgspec.Struct):
     about: dict[str, str] = {}
 
 
-class _Counts(msgspec.Struct):
+class _Traces(msgspec.Struct):
     """What was written: spans, those that nothing ended, span events, links."""
 
     spans: int = 0
@@ -63,9 +161,9 @@ class _Counts(msgspec.Struct):
     links: int = 0
 
 
-def write(out: Path, runs: Iterable[LedgerRun]) -> Written:
+def write_otlp(out: Path, runs: Iterable[LedgerRun]) -> Written:
     """Write a trace for each run to this path; memory holds one of them. Raises: OSError, UsageError as `epoch_us`."""
-    counts = _Counts()
+    counts = _Traces()
     with out.open("wb") as file:
         file.write(b'{"resourceSpans":[')
         file.writelines(elements(_resource(run, counts) for run in runs))
@@ -82,7 +180,7 @@ def write(out: Path, runs: Iterable[LedgerRun]) -> Written:
     )
 
 
-def _resource(run: LedgerRun, counts: _Counts) -> dict[str, Any]:
+def _resource(run: LedgerRun, counts: _Traces) -> dict[str, Any]:
     """Return the spans of a run, under a resource that says which run it is."""
     trace = sha256(run.run_id.encode() + b"\0" + msgspec.json.encode(run.events[0])).hexdigest()[:32]
     about = {f"fsar.{name}": value for name, value in flat(run.events[0]).items() if name != "observes"}
@@ -123,7 +221,7 @@ def _follow(span: _Span, event: Event, columns: dict[str, Any], seq: int) -> Non
             span.about.setdefault(name, columns[name])
 
 
-def _spans(run: LedgerRun, trace: str, counts: _Counts) -> Iterator[dict[str, Any]]:
+def _spans(run: LedgerRun, trace: str, counts: _Traces) -> Iterator[dict[str, Any]]:
     spans, keys = _grouped(run)
     start_us = epoch_us(run.run_id, getattr(run.events[0], "epoch", None))
     times = [f"{(start_us + time_us) * 1_000}" for time_us in run.times_us]
