@@ -4,15 +4,18 @@
 # PYTHON=python3.12 make test   uses another interpreter; the default is the first of these that is new enough.
 # JOBS=4 make test              runs the tests in more processes.
 # STEPS=1000000 make soak-federation   plays longer.
+# MINUTES=6 make soak-load             is done sooner; so is TASKS=50000 make soak-tests.
 
 PYTHON ?= $(shell for python in python3 python3.11 python3.12 python3.13 python3.14 python; do \
 	if $$python -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null; then echo $$python; break; fi; done)
 JOBS ?= 2
 OUT ?= fsar-out
 STEPS ?= 100000
+MINUTES ?= 30
+TASKS ?= 200000
 
 # Recipes read it from their environment, quoted, since a folder may have any name.
-export OUT
+export OUT MINUTES TASKS
 
 # Tests start hundreds of processes: keep compiled modules, whatever the shell says.
 unexport PYTHONDONTWRITEBYTECODE
@@ -25,7 +28,7 @@ READY := .venv/.ready
 READY_TEST := .venv/.ready-test
 READY_ALL := .venv/.ready-all
 
-SOAKS := soak-tests soak-federation soak-crash soak-beside soak-damage soak-verifier soak-agreement soak-flips soak-readers \
+SOAKS := soak-tests soak-federation soak-load soak-crash soak-beside soak-damage soak-verifier soak-agreement soak-flips soak-readers \
 	soak-foreign soak-reverts soak-swaps
 
 .DEFAULT_GOAL := help
@@ -107,12 +110,16 @@ soak: $(SOAKS)
 
 # The tests that make test-all leaves out because each takes minutes.
 soak-tests: $(READY_TEST)
-	$(BIN)/pytest -n $(JOBS) -m soak
+	$(BIN)/pytest -n $(JOBS) -m soak --ignore tests/service/test_load.py
 
 # Take 200,000 random steps in random fleets whose robots leave and return: the ten invariants hold, nothing waits for who
 # has left, and the live state equals the rebuilt one.
 soak-federation: $(READY_TEST)
 	$(BIN)/python -m tests.runtime.test_federation_model $(STEPS)
+
+# Put the service under load for so many minutes: what it has done leaves nothing in its memory.
+soak-load: $(READY_ALL)
+	$(BIN)/pytest -s -m soak tests/service/test_load.py
 
 # Inject a fault at every call of an append and of its recovery, cut the power, kill 2,000 processes, of
 # appends, the journal, sealing and compaction: nothing is lost, nothing torn.

@@ -38,6 +38,7 @@ _KNOWN = (
 _LIBRARY = {
     ("array", "array"),
     ("array", "_array_reconstructor"),
+    ("collections", "OrderedDict"),
     ("collections", "deque"),
     ("msgspec._utils", "rebuild"),
 }

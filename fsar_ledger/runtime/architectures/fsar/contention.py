@@ -76,10 +76,7 @@ def _rivals(state: State, request: Request, executor: Robot) -> list[Request]:
     found = []
     for other in state.request.open.values():
         is_settled = (
-            other.is_accepted
-            or other.is_over
-            or other.is_unanswered
-            or other.action_id in state.execution.actions
+            other.is_accepted or other.is_over or other.is_unanswered or other.action_id in state.execution.actions
         )
         is_same_robot = other.candidates[0] == executor if other.candidates else other.capability == request.capability
         is_urgent = is_critical(state.task, request.task_id) or is_critical(state.task, other.task_id)
