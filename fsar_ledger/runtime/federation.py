@@ -7,7 +7,7 @@ says, it is refused.
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from itertools import count, takewhile
+from itertools import count
 from pathlib import Path
 from threading import RLock
 from typing import TypeVar
@@ -25,7 +25,7 @@ from fsar_ledger.ledger.log.note import Signer
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows.runs import LedgerRun, counted_on
 from fsar_ledger.ledger.store.append import Writer
-from fsar_ledger.ledger.store.locations import chain_of, record_of
+from fsar_ledger.ledger.store.locations import chain_of, record_of, whole_of
 from fsar_ledger.ledger.store.read import View
 from fsar_ledger.projections.fold import State
 
@@ -202,7 +202,8 @@ class Federation:
         view = open_ledger(self._path)
         self._live.cut(now_us - 1, earlier, seq, self._writer.head.root)
         self._before += seq
-        self.run = next(name for number in count(2) if not view.has_run(name := f"{self._first}.{number}"))
+        number = int(earlier.removeprefix(f"{self._first}.")) if earlier != self._first else 1
+        self.run = next(name for later in count(number + 1) if not view.has_run(name := f"{self._first}.{later}"))
         self._commit()
         self._keep()
 
@@ -310,11 +311,9 @@ class Federation:
 
 def newest_of(view: View, run: str) -> tuple[str, str]:
     """Return the newest of the runs that continue each other, of which one has this name, and the first of them."""
-    first = newest = chain_of(view, run)[0] if view.has_run(run) else run
-    for later in takewhile(view.has_run, (f"{first}.{number}" for number in count(2))):
-        if chain_of(view, later)[-2:] == [newest, later]:
-            newest = later
-    return newest, first
+    if not view.has_run(run):
+        return run, run
+    return whole_of(view, run), chain_of(view, run)[0]
 
 
 def _is_same(made: LedgerRun, record: LedgerRun) -> bool:

@@ -42,7 +42,7 @@ from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows import segment
 from fsar_ledger.ledger.rows.codec import LedgerRun, decode
 from fsar_ledger.ledger.rows.runs import joined
-from fsar_ledger.ledger.store.locations import continued_by, continued_runs, is_earlier, record_of
+from fsar_ledger.ledger.store.locations import continued_by, earlier_runs, record_of
 from fsar_ledger.ledger.store.read import View
 from fsar_ledger.ledger.verify.report import MAX_PROBLEMS
 
@@ -116,7 +116,7 @@ def replay(
     found: list[Difference] = []
     worlds: list[WorldConstantsUsed] = []
     whole = runs = events = 0
-    continued = frozenset(before for run, before in continued_runs(view).items() if is_earlier(view, before, run))
+    continued = frozenset(earlier_runs(view).values())
     for done, result in enumerate(_replayed(str(path), files, max(1, workers), is_recorded, continued), start=1):
         found += result.differences
         worlds += result.worlds

@@ -10,6 +10,7 @@ from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import msgspec
+import pyarrow as pa
 import pyarrow.compute as pc
 
 from fsar_ledger.base import printable
@@ -60,21 +61,16 @@ def record_of(view: View, run: str, size: int | None = None) -> LedgerRun:
         UsageError: The ledger has no such run.
         LedgerCorrupted: A segment cannot be read.
     """
-    records = [_own_record(view, run, size)]
-    while (before := continued_by(records[0])) is not None and is_earlier(view, before, records[0].run_id):
-        records.insert(0, _own_record(view, before, size))
-    return continuing(records)
-
-
-def _own_record(view: View, run: str, size: int | None) -> LedgerRun:
-    pieces: list[LedgerRun] = []
-    for number in view.segments_of(view.parts(run)):
+    names = chain_of(view, run)
+    pieces: dict[str, list[LedgerRun]] = {name: [] for name in names}
+    for number in view.segments_of([part for name in names for part in view.parts(name)]):
         table = segment.read_table(view.segment(number))
         table = table.slice(0, len(table) if size is None else max(0, size - view.first(number)))
-        pieces += codec.decode(table.filter(pc.equal(table.column("run_id"), run)), is_whole=False)
-    if not pieces:
+        for piece in codec.decode(table.filter(pc.is_in(table["run_id"], pa.array(names))), is_whole=False):
+            pieces[piece.run_id].append(piece)
+    if not pieces[run]:
         raise UsageError(f"{view.path}: run {printable.value(run)}: there is no such run")
-    return whole(pieces)
+    return continuing([whole(pieces[name]) for name in names])
 
 
 def continued_by(record: LedgerRun) -> str | None:
@@ -85,19 +81,31 @@ def continued_by(record: LedgerRun) -> str | None:
 
 def chain_of(view: View, run: str) -> list[str]:
     """Return the runs that this one continues, the first first, as far as the ledger holds them, and itself."""
-    found, continues = [run], continued_runs(view, run)
-    while (before := continues.get(found[0])) is not None and is_earlier(view, before, found[0]):
-        found.insert(0, before)
-        continues = continued_runs(view, before)
-    return found
+    continues = continued_runs(view, run)
+    if not continues:
+        return [run]
+    before, found = earlier_runs(view), [run]
+    while found[-1] in before:
+        found.append(before[found[-1]])
+    return found[::-1]
 
 
 def whole_of(view: View, run: str) -> str:
     """Return the last of the runs that continue this one, so that all of them are read with it; itself if none does."""
-    later = {before: name for name, before in continued_runs(view).items() if is_earlier(view, before, name)}
+    later = {before: one for one, before in earlier_runs(view).items()}
     while run in later:
         run = later[run]
     return run
+
+
+def earlier_runs(view: View) -> dict[str, str]:
+    """Return by its name each run that continues one that the ledger held before it, and the name of that one.
+
+    So no run continues itself. Raises: As `continued_runs`.
+    """
+    continues = continued_runs(view)
+    places = {run: place for place, run in enumerate(view.run_names.runs)} if continues else {}
+    return {run: before for run, before in continues.items() if places.get(before, len(places)) < places[run]}
 
 
 def place_counted_on(view: View, run: str, seq: int) -> int:
@@ -138,11 +146,6 @@ def continued_runs(view: View, run: str | None = None) -> dict[str, str]:
             table = table.filter(pc.and_(pc.is_valid(table["continues"]), pc.equal(table["seq"], 1)))
             found.update(zip(table["run_id"].to_pylist(), table["continues"].to_pylist(), strict=True))
     return found if run is None else {name: before for name, before in found.items() if name == run}
-
-
-def is_earlier(view: View, one: str, other: str) -> bool:
-    """Return whether the ledger holds this run, and held it before the other: so no run continues itself."""
-    return 0 < view.ordinal_of(one) < view.ordinal_of(other)
 
 
 def compare_index(view: View) -> bool:
