@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import pytest
 
 from fsar_ledger import Ledger
-from fsar_ledger.analysis.records import Line, record_of
+from fsar_ledger.analysis.records import Line
 from fsar_ledger.analysis.why import DecisionTrace, Read, decisions, first_of, reasons
 from fsar_ledger.api.why import Tree, why_of
 from fsar_ledger.base.errors import UsageError
@@ -17,6 +17,7 @@ from fsar_ledger.events.envelope import Robot, Supervisor
 from fsar_ledger.events.fleet import RobotJoined, RunStarted
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.rows.codec import LedgerRun
+from fsar_ledger.ledger.store.locations import record_of
 from fsar_ledger.metrics.invariants import JUDGES, verdict_kinds
 from fsar_ledger.metrics.provenance import Provenance
 from fsar_ledger.view.why import figure
