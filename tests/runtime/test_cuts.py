@@ -232,6 +232,10 @@ def test_one_asks_about_any_of_them(halls: tuple[Day, Day]) -> None:
     assert ledger.why(("hall.3", cuts[1] + 1)).made[0].seq == cuts[1] + 1
     assert ledger.why(f"hall.3:{cuts[1] + 1}").seq == cuts[1] + 1
     assert {row["run_id"] for row in ledger.query("audit/memberships", run="hall").rows()} == {"hall.3"}
+    for name in ("hall", "hall.2", "hall.3"):
+        told = [(one.seq, one.event) for one in ledger.events(name)]
+        assert told == list(enumerate(halls[1].record.events))
+        assert len(ledger.events(name).table().rows()) == len(told)
     with pytest.raises(UsageError, match="events in the run, expected a seq from 0 to"):
         ledger.why("hall.3:4000")
 
