@@ -19,6 +19,7 @@ from fsar_ledger.events.envelope import flat
 from fsar_ledger.ledger.opening import Pause, growth, open_for_answers
 from fsar_ledger.ledger.rows import codec
 from fsar_ledger.ledger.rows.schema import COLUMNS, ENVELOPE, SCHEMA
+from fsar_ledger.ledger.store.locations import chain_of, record_of
 from fsar_ledger.ledger.store.read import View
 from fsar_ledger.metrics import relation
 from fsar_ledger.metrics.connection import Value
@@ -126,7 +127,7 @@ class Events:
     """Some events of a ledger; every method reads the ledger anew.
 
     Iterating yields a `LoggedEvent` for each, run by run in commit order, with one commit in memory at a time. Events
-    of retired types come as their newest version.
+    of retired types come as their newest version. Of one run, those that it continues come first, and seqs count on.
     """
 
     def __init__(self, path: Path, meant: Filter, demanded: str | None = None) -> None:
@@ -135,16 +136,21 @@ class Events:
     def __iter__(self) -> Iterator[LoggedEvent]:
         view = open_for_answers(self._path)
         is_verified(view, self._demanded)
+        for run in self._runs(view):
+            rows = zip(run.times_us, run.caused_by, run.events, strict=True)
+            for seq, (time_us, caused_by, event) in enumerate(rows):
+                if self._meant.takes(time_us, event):
+                    yield LoggedEvent(run.run_id, seq, time_us, caused_by, event)
+
+    def _runs(self, view: View) -> Iterator[codec.LedgerRun]:
+        if self._meant.run is not None and len(chain_of(view, self._meant.run)) > 1:
+            yield record_of(view, self._meant.run)
+            return
         for table in view.tables():
             if self._meant.run is not None:
                 table = table.filter(pc.equal(table.column("run_id"), self._meant.run))
-                if not table.num_rows:
-                    continue
-            for run in codec.decode(table):
-                rows = zip(run.times_us, run.caused_by, run.events, strict=True)
-                for seq, (time_us, caused_by, event) in enumerate(rows):
-                    if self._meant.takes(time_us, event):
-                        yield LoggedEvent(run.run_id, seq, time_us, caused_by, event)
+            if table.num_rows:
+                yield from codec.decode(table)
 
     def table(self) -> Table:
         """Return a row for each event, by run and seq; columns that its type does not have are NULL."""

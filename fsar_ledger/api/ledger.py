@@ -98,13 +98,17 @@ class Ledger:
         Raises:
             UsageError: There is no such run or robot, `since` is after the last event, or `until` not after `since`.
         """
+        from fsar_ledger.ledger.store.locations import whole_of
+
         from .events import Events, Filter, span
 
         since_us, until_us = span(since, until)
         name = None
         if run is not None or robot is not None or since is not None:
             with self.database() as database:
-                name = None if run is None else run_of(database, run, self.path)
+                if run is not None:
+                    view = open_for_answers(self.path)
+                    name = run_of(database, whole_of(view, run) if run in view.run_names.runs else run, self.path)
                 robot = None if robot is None else robot_of(database, robot, name)
                 time_of(database, "since", since, name)
         return Events(self.path, Filter(name, since_us, until_us, robot), self.demanded)

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
+import duckdb
 import msgspec
 import pytest
 
@@ -231,8 +232,22 @@ def test_one_asks_about_any_of_them(halls: tuple[Day, Day]) -> None:
     assert ledger.why(("hall.3", cuts[1] + 1)).made[0].seq == cuts[1] + 1
     assert ledger.why(f"hall.3:{cuts[1] + 1}").seq == cuts[1] + 1
     assert {row["run_id"] for row in ledger.query("audit/memberships", run="hall").rows()} == {"hall.3"}
+    for name in ("hall", "hall.2", "hall.3"):
+        told = [(one.seq, one.event) for one in ledger.events(name)]
+        assert told == list(enumerate(halls[1].record.events))
+        assert len(ledger.events(name).table().rows()) == len(told)
     with pytest.raises(UsageError, match="events in the run, expected a seq from 0 to"):
         ledger.why("hall.3:4000")
+
+
+def test_sql_and_a_file_of_duckdb_see_one_run(halls: tuple[Day, Day], tmp_path: Path) -> None:
+    asked = "SELECT run_id, count(*) AS events, max(seq) AS last FROM events GROUP BY run_id"
+    size = len(halls[1].record.events)
+    ledger = fsar_ledger.Ledger(halls[1].ledger)
+    assert ledger.sql(asked).rows() == [{"run_id": "hall.3", "events": size, "last": size - 1}]
+    ledger.open(tmp_path / "cut.duckdb")
+    with duckdb.connect(str(tmp_path / "cut.duckdb"), read_only=True) as file:
+        assert file.sql(asked).fetchall() == [("hall.3", size, size - 1)]
 
 
 def other(parts: list[LedgerRun], **fields: object) -> list[LedgerRun]:
