@@ -50,6 +50,8 @@ def federate(
     origin: str | None = None,
     key: Place | None = None,
     cut: str | None = None,
+    isolated: str | None = None,
+    of: Place | None = None,
     clock: Callable[[], int] = time.time_ns,
     on_commit: Callable[[int, bytes], None] | None = None,
 ) -> "Federation":
@@ -64,15 +66,19 @@ def federate(
         origin: Publish a new ledger under this name.
         key: The file of the key that signs.
         cut: When the run is cut: `daily`, or times of the day in UTC (`06:00,14:00`); None: only by `Federation.cut`.
+        isolated: The robot that goes on alone, without the federation, if the run is its own.
+        of: The ledger with the fleet's run, or the copy of it that this robot keeps.
         clock: The time in nanoseconds since 1970.
         on_commit: As `Federation`.
 
     Raises:
-        UsageError: The fleet cannot be read or has another number of robots, or `cut` is no time; or as `Federation`.
+        UsageError: The fleet cannot be read or has another number of robots, `cut` is no time, or only one of
+            `isolated` and `of` is given; or as `Federation` or `isolation_of`.
     """
     from fsar_ledger.designs.constants import Constants
     from fsar_ledger.ledger.store.keys import read_signer
     from fsar_ledger.runtime.federation import Federation
+    from fsar_ledger.runtime.isolation import isolation_of
     from fsar_ledger.runtime.own import with_own
     from fsar_ledger.runtime.world.founding import team_size
     from fsar_ledger.sources.recorder import kept_origin
@@ -82,6 +88,9 @@ def federate(
     count = team if robots is None else robots
     if count < 1 or count % team:
         raise UsageError(f"robots: found {count}, expected a multiple of {team}, the robots of a team")
+    if (isolated is None) is not (of is None):
+        raise UsageError("isolated and of: found one of them, expected both, or none")
+    alone = None if isolated is None or of is None else isolation_of(Path(of), isolated)
     signer = None if key is None else read_signer(Path(key))
     origin = kept_origin(Path(out)) or origin
     return Federation(
@@ -94,6 +103,7 @@ def federate(
         signer=signer,
         on_commit=on_commit,
         cuts_us=() if cut is None else _times_us(cut),
+        isolation=alone,
     )
 
 

@@ -2,9 +2,10 @@
 
 from typing import Literal
 
-from .envelope import Event, Principal, Robot, Supervisor
+from .envelope import ActionId, Event, Principal, Robot, Subject, Supervisor, TaskId
 
 Departure = Literal["announced", "silent"]
+IsolatedResult = Literal["success", "failure"]
 
 
 class RunStarted(Event, frozen=True, kw_only=True, tag="RunStarted.v2"):
@@ -117,6 +118,58 @@ class RobotReturned(Event, frozen=True, kw_only=True):
     robot: Robot
     fence: int
     decided_by: Principal | None
+
+
+class IsolationBegan(Event, frozen=True, kw_only=True):
+    """Without the federation, the robot goes on with its own work alone: the first event after a founding at time 0.
+
+    The founding states again, as the fleet's run `fleet_run` had it until its event `fleet_seq`, in a ledger of the
+    root `fleet_root` (hex), what the robot is, has and may do, and its own tasks that wait for it. The fleet's run may
+    go on beside this one. Times are those of the fleet's run. `fence` is the number under which the robot reports,
+    None where it has never departed.
+    """
+
+    robot: Robot
+    fleet_run: str
+    fleet_seq: int
+    fleet_root: str
+    fence: int | None = None
+
+
+class IsolationEnded(Event, frozen=True, kw_only=True):
+    """The robot has handed over what it did by itself, in a run of its own, to the fleet.
+
+    `isolated_run` is that run, `isolated_seq` the number of its last event, and `isolated_root` the root (hex) of its
+    ledger. Units: `since_us` run time at which it began, as the robot says.
+    """
+
+    robot: Robot
+    isolated_run: str
+    isolated_seq: int
+    isolated_root: str
+    since_us: int
+
+
+class IsolatedResultAccepted(Event, frozen=True, kw_only=True):
+    """What the robot did by itself counts in the fleet: a success completes the step, a failure leaves it to be done.
+
+    `isolated_run` is where it did so.
+    """
+
+    subject: Subject[TaskId, ActionId]
+    robot: Robot
+    result: IsolatedResult
+    isolated_run: str
+
+
+class IsolatedResultOvertaken(Event, frozen=True, kw_only=True):
+    """What the robot did by itself does not count in the fleet, which has gone on otherwise meanwhile."""
+
+    subject: Subject[TaskId, ActionId]
+    robot: Robot
+    result: IsolatedResult
+    isolated_run: str
+    reason: str
 
 
 class ExperimentPlanned(Event, frozen=True, kw_only=True):

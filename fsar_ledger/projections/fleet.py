@@ -11,11 +11,11 @@ from fsar_ledger.designs.constants import Constants, Membership, Outages, Struct
 from fsar_ledger.designs.dials import Alliance, Jade, Roboos
 from fsar_ledger.events.configuration import removed_mechanisms
 from fsar_ledger.events.envelope import Robot, Supervisor
-from fsar_ledger.events.fleet import Departure, RobotDeparted, RobotJoined, RobotReturned, RunStarted
+from fsar_ledger.events.fleet import Departure, IsolationBegan, RobotDeparted, RobotJoined, RobotReturned, RunStarted
 
 from .maps import put, without
 
-HANDLES = RunStarted | RobotJoined | RobotDeparted | RobotReturned
+HANDLES = RunStarted | RobotJoined | RobotDeparted | RobotReturned | IsolationBegan
 NEVER_US = 2**63 - 1
 """Later than any time that can be stored."""
 
@@ -39,7 +39,9 @@ class Fleet(msgspec.Struct, frozen=True, dict=True):
 
     `departed`: robot that has left and not returned -> how; `fences`: robot -> its departures so far. `bodies` are the
     roles whose robots can clear an obstruction; `substitutes` maps a capability to the one that can replace it.
-    `is_live`: the robots are really there. Units: `answer_us` microseconds that a robot waits for an answer.
+    `is_live`: the robots are really there. `isolated`: the robot that is alone, without the federation.
+
+    Units: `answer_us` microseconds that a robot waits for an answer.
     """
 
     without: frozenset[str] = frozenset()
@@ -56,6 +58,7 @@ class Fleet(msgspec.Struct, frozen=True, dict=True):
     jade: Jade = Jade()
     alliance: Alliance = Alliance()
     roboos: Roboos = Roboos()
+    isolated: Robot | None = None
 
     @cached_property
     def teams(self) -> dict[int, frozenset[Robot]]:
@@ -108,6 +111,9 @@ def evolve(state: Fleet, event: HANDLES) -> Fleet:
             return msgspec.structs.replace(state, departed=departed, fences=put(state.fences, event.robot, event.fence))
         case RobotReturned():
             return msgspec.structs.replace(state, departed=without(state.departed, event.robot))
+        case IsolationBegan():
+            fences = {} if event.fence is None else {event.robot: event.fence}
+            return msgspec.structs.replace(state, isolated=event.robot, fences=fences)
         case _:
             assert_never(event)
 

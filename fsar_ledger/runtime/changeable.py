@@ -29,7 +29,7 @@ from typing import Any, NamedTuple
 from fsar_ledger.base.errors import UsageError
 from fsar_ledger.events import Event
 from fsar_ledger.events.command import CommandGiven
-from fsar_ledger.events.fleet import RunContinued
+from fsar_ledger.events.fleet import IsolationBegan, RunContinued
 from fsar_ledger.events.world import (
     ActuatorDegraded,
     ContextChanged,
@@ -102,7 +102,7 @@ def facts_by_name(facts: tuple[Fact, ...]) -> FactPositions:
     counts: Counter[str] = Counter()
     for at, (_, fact) in enumerate(facts):
         kind = type(fact)
-        if kind is RunContinued:
+        if kind in (RunContinued, IsolationBegan):
             continue
         if kind in _WHOLE:
             name = _WHOLE[kind](fact)

@@ -10,7 +10,7 @@ from contextlib import suppress
 from itertools import count
 from pathlib import Path
 from threading import RLock
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import msgspec
 
@@ -30,7 +30,8 @@ from fsar_ledger.ledger.store.read import View
 from fsar_ledger.projections.fold import State
 
 from . import snapshot
-from .live import SOURCE, Decision, LiveRun, command_given, decisions_by_key, live_started
+from .isolation import Isolation, handed_over
+from .live import AT_ONCE_US, SOURCE, Decision, LiveRun, command_given, decisions_by_key, live_started
 from .recipes import recorded_constants
 from .run_replay import replay_run
 
@@ -59,6 +60,7 @@ class Federation:
         on_commit: Called after each commit with the seq of its first event and its rows, as they are hashed, a line
             each. Seqs count on over runs that continue each other.
         cuts_us: When the run is cut (`cut`): microseconds after midnight in UTC.
+        isolation: From what a robot alone goes on, if the run is its own (`isolation_of`).
 
     Raises:
         UsageError: Another run has this name, or would go on otherwise than it was recorded.
@@ -77,6 +79,7 @@ class Federation:
         signer: Signer | None = None,
         on_commit: Callable[[int, bytes], None] | None = None,
         cuts_us: Sequence[int] = (),
+        isolation: Isolation | None = None,
     ) -> None:
         self._on_commit, self._cuts_us = on_commit, tuple(sorted(cuts_us))
         self._path, self._clock, self._lock = path, clock, RLock()
@@ -93,14 +96,25 @@ class Federation:
                 if not self._recall(view):
                     self._resume(view)
             else:
-                self._epoch_us, self._began_us = clock() // 1_000, 0
-                epoch = utc.shown(utc.EPOCH + self._epoch_us * utc.MICROSECOND)
-                self._started = live_started(constants, robots, epoch)
-                self._live = LiveRun(self._started, constants)
+                self._found(constants, robots, isolation)
                 self._commit()
         except BaseException:
             self._writer.close()
             raise
+
+    def _found(self, constants: Constants, robots: int, isolation: Isolation | None) -> None:
+        """Begin a new run: of a fleet from now on, or of a robot alone in the time of its fleet's run."""
+        now_us = self._clock() // 1_000
+        if isolation is None:
+            epoch = utc.shown(utc.EPOCH + now_us * utc.MICROSECOND)
+            self._begin(live_started(constants, robots, epoch), 0)
+            self._epoch_us = now_us
+            self._live = LiveRun(self._started, constants)
+            return
+        self._begin(live_started(isolation.constants, 1, isolation.epoch), 0)
+        self._live = LiveRun(self._started, isolation.constants, alone=isolation.founding)
+        self._live.kernel.happen(now_us - self._epoch_us, isolation.began)
+        self._live.advance(self._live.kernel.last_us + AT_ONCE_US)
 
     @property
     def state(self) -> State:
@@ -217,6 +231,14 @@ class Federation:
         last_us = max((one for one in passed if one + self._epoch_us <= now_us), default=0)
         if last_us - 1 > self._began_us:
             self._cut(last_us)
+
+    def to_hand_over(self) -> dict[str, Any]:
+        """Return the fields of the `HandOver` with which a robot alone hands this run over to its fleet.
+
+        Raises: UsageError where the run is not that of a robot alone.
+        """
+        with self._lock:
+            return handed_over(open_ledger(self._path), self.run)
 
     def close(self) -> None:
         """Close the ledger. A federation of the same run continues it."""

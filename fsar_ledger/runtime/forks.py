@@ -129,7 +129,7 @@ def kernel_of(recipe: Recipe, edited: World) -> Kernel:
     """Return the run at its founding in this environment, with all commands that are to come."""
     if recipe.live is not None:
         assert isinstance(edited, EditedEnvironment)
-        events, founded = fleet_founding(recipe.spec.fleet_size, recipe.constants)
+        events, founded = fleet_founding(recipe.spec.fleet_size, recipe.constants, recipe.live.alone)
         return LiveKernel(((started_of(recipe), *events), founded), edited.facts, recipe.live, edited.answer_anew)
     table = handler_table_of(recipe.spec.architecture, recipe.spec.configuration)
     founding, founded = founding_of(recipe.spec, recipe.constants)
@@ -150,7 +150,7 @@ def edited_environment(recipe: Recipe) -> EditedEnvironment:
     if recipe.live is None:
         return EditedEnvironment(usual, edited_facts(facts, of_facts), answers)
     facts = edited_facts(facts, of_facts, recipe.live.until_us)
-    fleet = fleet_founding(recipe.spec.fleet_size, recipe.constants)[1].fleet
+    fleet = fleet_founding(recipe.spec.fleet_size, recipe.constants, recipe.live.alone)[1].fleet
     for change in recipe.changes:
         if isinstance(change, Commanded):
             asked = _commanded(fleet, change)

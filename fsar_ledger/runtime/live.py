@@ -20,7 +20,7 @@ from fsar_ledger.events import CONCERNS, Event
 from fsar_ledger.events.command import CommandGiven, CommandRejected
 from fsar_ledger.events.envelope import Robot
 from fsar_ledger.events.execution import ExecutionResumed, ExecutionStarted
-from fsar_ledger.events.fleet import RunContinued, RunStarted
+from fsar_ledger.events.fleet import IsolationBegan, RunContinued, RunStarted
 from fsar_ledger.events.recovery import AssistanceRequested
 from fsar_ledger.ledger.rows.runs import LedgerRun
 from fsar_ledger.projections.fleet import NEVER_US
@@ -28,6 +28,7 @@ from fsar_ledger.projections.fold import State
 
 from .changeable import question_name
 from .handlers.commands import ActionCommand, Command, Respond, Scheduled
+from .handlers.isolation import founded_alone
 from .handlers.public import commands, given, read
 from .handlers.request import ReportResult
 from .kernel import Kernel
@@ -38,6 +39,7 @@ from .snapshot import state_sha256
 ARCHITECTURE = "fsar"
 """Whose handlers govern a live run: those of the others speak for their robots."""
 SOURCE = "fsar-ledger"
+GIVEN = (CommandGiven, RunContinued, IsolationBegan)  # what comes from outside in a live run
 AT_ONCE_US = 1_000
 """What follows from a command within this time has followed when it is answered, a step that begins, for one."""
 
@@ -80,12 +82,15 @@ class LiveRun:
         constants: Constants,
         record: LedgerRun | None = None,
         known: tuple[Any, ...] | None = None,
+        alone: tuple[Event, ...] = (),
     ) -> None:
         """Begin the run, or make it again from the commands on its record, until the last of its events.
 
-        `known`: what the run knew before the record (`Kernel.known`); None: the record is all of it.
+        `known`: what the run knew before the record (`Kernel.known`); None: the record is all of it. `alone`: what
+        founds the run of a robot alone, if that is not on the record.
         """
-        events, founded = fleet_founding(started.fleet_size or 0, constants)
+        alone = alone or founded_alone(() if record is None else record.events)
+        events, founded = fleet_founding(started.fleet_size or 0, constants, alone)
         environment = LiveEnvironment(() if record is None else commands_of(record))
         self.kernel = Kernel(handler_table_of(ARCHITECTURE), environment, (started, *events), founded)
         if known is not None:
@@ -124,9 +129,9 @@ class LiveRun:
 
 
 def commands_of(record: LedgerRun) -> tuple[Fact, ...]:
-    """Return the commands on record, and where the run was cut, each with its time."""
+    """Return the commands on record, and where the run was cut or its robot left alone, each with its time."""
     pairs = zip(record.times_us, record.events, strict=True)
-    return tuple((time_us, event) for time_us, event in pairs if isinstance(event, CommandGiven | RunContinued))
+    return tuple((time_us, event) for time_us, event in pairs if isinstance(event, GIVEN))
 
 
 def decisions_by_key(record: LedgerRun, most: int) -> dict[tuple[str, str], tuple[tuple[str, str], Decision]]:
@@ -193,6 +198,7 @@ class LiveRecord(msgspec.Struct, frozen=True):
     carried_out: Mapping[tuple[int, CommandGiven], bool]
     until_us: int
     asked: Mapping[Asked, Sequence[int]] | None = None
+    alone: tuple[Event, ...] = ()
 
 
 def live_record(record: LedgerRun, started: RunStarted) -> LiveRecord:
@@ -205,7 +211,8 @@ def live_record(record: LedgerRun, started: RunStarted) -> LiveRecord:
         for seq, event in enumerate(record.events)
         if isinstance(event, CommandGiven) and seq not in refused
     }
-    return LiveRecord(started, commands_of(record), carried_out, record.times_us[-1])
+    last_us, alone = record.times_us[-1], founded_alone(record.events)
+    return LiveRecord(started, commands_of(record), carried_out, last_us, alone=alone)
 
 
 class End(NamedTuple):

@@ -19,6 +19,7 @@ from fsar_ledger.projections.fold import State
 from .changeable import EditedEnvironment
 from .forks import command, edited_environment, last_shared, run_to_end
 from .handlers.commands import Command, Decide
+from .handlers.isolation import founded_alone
 from .live import ARCHITECTURE, SOURCE, commands_of, live_started
 from .ports import Environment, LiveEnvironment
 from .recipes import (
@@ -247,7 +248,7 @@ class _LiveReplay(_Replay):
     """The replay of a live run from the commands on its record, until the last of its events."""
 
     def __init__(self, record: LedgerRun, started: RunStarted, constants: Constants) -> None:
-        events, founded = fleet_founding(started.fleet_size or 0, constants)
+        events, founded = fleet_founding(started.fleet_size or 0, constants, founded_alone(record.events))
         made = live_started(constants, started.fleet_size or 0, started.epoch)
         super().__init__(record, (ARCHITECTURE, FULL), LiveEnvironment(commands_of(record)), (made, *events), founded)
 

@@ -108,8 +108,15 @@ def founding_of(spec: RunSpec, constants: Constants) -> tuple[tuple[Event, ...],
     return (run_started(spec, constants), *events), founded
 
 
-def fleet_founding(fleet_size: int, constants: Constants) -> tuple[tuple[Event, ...], State]:
-    """Return the events after event 0 with which a fleet of this size is founded, and the state after them."""
+def fleet_founding(
+    fleet_size: int, constants: Constants, alone: tuple[Event, ...] = ()
+) -> tuple[tuple[Event, ...], State]:
+    """Return the events after event 0 with which a fleet of this size is founded, and the state after them.
+
+    `alone`: those that found the run of a robot alone instead (`handlers.isolation`).
+    """
+    if alone:
+        return alone, fold(alone)
     fleet = (fleet_size, constants.world.floor_teams, constants.fleet)
     return _founding(*fleet), _founded(*fleet)
 

@@ -11,6 +11,9 @@ FROM (
     VALUES
     ('RunStarted.v2', 'run', 'run', 'begins', 'begins'), ('RunContinued.v1', 'run', 'run', 'goes on from', 'from'),
     ('RobotDeparted.v1', 'robot', 'robot', 'departs', 'reason'),
+    ('IsolationBegan.v1', 'robot', 'robot', 'is alone', 'from'), ('IsolationEnded.v1', 'robot', 'robot', 'is back', 'from'),
+    ('IsolatedResultAccepted.v1', 'robot', 'robot', 'accepted', 'result'),
+    ('IsolatedResultOvertaken.v1', 'robot', 'robot', 'overtaken', 'reason'),
     ('ExperimentPlanned.v1', 'experiment', 'experiment', 'is planned', 'planned'),
     ('RobotJoined.v1', 'robot', 'robot', 'joins the fleet as', 'role'),
     ('HeartbeatReceived.v1', 'robot', 'registry', 'is there', NULL),

@@ -19,7 +19,7 @@ WITH told AS (
         words.sender, words.receiver, words.detail,
         MAP {
             'begins': coalesce(nullif(concat_ws(' ', architecture, configuration, scenario), ''), source),
-            'format': format, 'kind': kind, 'from': continues,
+            'format': format, 'kind': kind, 'from': coalesce(continues, fleet_run, isolated_run), 'result': result,
             'planned': run_count || ' runs of each architecture, configuration and scenario',
             'role': role, 'capability': capability, 'availability': availability, 'scope': scope, 'window': "window",
             'thresholds': promote_after || ' successes promote, ' || downgrade_after || ' failures downgrade',

@@ -167,11 +167,12 @@ def holds(key: str) -> Ask:
 class BeginStep(Command):
     """Turn to the task's next step, or to the same one after the attempt `after` failed.
 
-    An empty `after`: no attempt of this step was made.
+    An empty `after`: no attempt of this step was made. `step` counts the steps done by then; None: any number.
     """
 
     task_id: str
     after: str = ""
+    step: int | None = None
 
 
 def begin_again(fleet: Fleet, task_id: str, action_id: str) -> Scheduled:

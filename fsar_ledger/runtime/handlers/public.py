@@ -88,6 +88,9 @@ def not_its_word(fleet: Fleet, given_by: str, command: PublicCommand) -> str | N
     Work may also come from a service, or from a supervisor of the robot. Paper: sec:model:invariants.
     """
     named = speaker(command)
+    alone = fleet.isolated
+    if alone is not None and given_by not in (alone, fleet.robots[alone].supervisor):
+        return f"{given_by} is not there, expected {alone}, which is alone, or its own supervisor"
     if given_by == named or (named is None and given_by.startswith((SERVICE, "supervisor/", "robot/"))):
         return None
     if isinstance(command, Work) and command.robot in fleet.robots:

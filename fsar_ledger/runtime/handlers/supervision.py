@@ -53,6 +53,8 @@ def supervisor_for(state: State, robot: Robot, is_cross_robot: bool) -> Supervis
     Paper: sec:model:supervision.
     """
     own = state.fleet.robots[robot].supervisor
+    if state.fleet.isolated == robot and own is not None:
+        return own  # nobody else can be reached
     if is_cross_robot or own is None or own in state.world.off_shift:
         return FLEET_SUPERVISOR
     return own

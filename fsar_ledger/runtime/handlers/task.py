@@ -18,10 +18,11 @@ from fsar_ledger.events.task import StepBegan, StepCompleted, TaskAbandoned, Tas
 from fsar_ledger.events.world import TaskArrived
 from fsar_ledger.projections.authority import Authority
 from fsar_ledger.projections.execution import Action, Execution
+from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import possesses
 from fsar_ledger.projections.request import Requests
-from fsar_ledger.projections.task import Tasks, given_up_us
+from fsar_ledger.projections.task import Task, Tasks, given_up_us
 from fsar_ledger.runtime.ports import Ask
 
 from .attribution import recorded_by
@@ -109,6 +110,16 @@ def _is_named(requests: Requests, task_id: str) -> bool:
     )
 
 
+def is_own_step(task: Task, step: int, robot: Robot) -> bool:
+    """Tell whether the robot acts in the step, counted from 0, and does it itself."""
+    return 0 <= step < len(task.steps) and acting(task, step) == robot and task.steps[step].count(" ") == 1
+
+
+def is_within_reach(fleet: Fleet, task: Task) -> bool:
+    """Tell whether the task's next step can begin: a robot that is alone does only what needs nobody else."""
+    return fleet.isolated is None or is_own_step(task, task.step, fleet.isolated)
+
+
 @HANDLERS.decide(BeginStep, next_in_task)
 def begin_step(state: State, command: BeginStep) -> tuple[Event, ...]:
     """Begin the task's next step, complete the task, or give it up after so many budgets.
@@ -117,12 +128,14 @@ def begin_step(state: State, command: BeginStep) -> tuple[Event, ...]:
     another way.
     """
     task = state.task.get(command.task_id)
-    if task is None or task.action_id != command.after:
+    if task is None or task.action_id != command.after or command.step not in (None, task.step):
         return ()
     if task.step == len(task.steps):
         return (TaskCompleted(task.task_id),)
     if acting(task, task.step) in state.fleet.departed or command.now_us > given_up_us(task, state.fleet):
         return (TaskAbandoned(task.task_id),)
+    if not is_within_reach(state.fleet, task):
+        return ()
     actor, capability, *target = task.steps[task.step].split(" ")
     attempt = task.attempt + 1
     return (
@@ -210,8 +223,8 @@ def on_completed(state: State, event: StepCompleted, _now_us: int) -> tuple[Sche
     """Schedule the next step; where another robot acts in it, its segment is transferred first."""
     task = state.task[event.subject.task_id]
     if task.step == len(task.steps) or acting(task, task.step) == acting(task, task.step - 1):
-        return (Scheduled(BeginStep(task.task_id), 1),)
-    return (Scheduled(TransferSegment(task.task_id), 1),)
+        return (Scheduled(BeginStep(task.task_id, step=task.step), 1),)
+    return (Scheduled(TransferSegment(task.task_id), 1),) if state.fleet.isolated is None else ()
 
 
 @HANDLERS.react(SegmentTransferred)

@@ -4,7 +4,7 @@ Paper: eq:federation, eq:fleet-model.
 """
 
 from fsar_ledger.runtime.architectures.handler_table import COMMON, PUBLIC, HandlerTable
-from fsar_ledger.runtime.handlers import assistance
+from fsar_ledger.runtime.handlers import assistance, isolation
 
 from . import authority, availability, discovery, execution, recovery, reports, request
 
@@ -18,5 +18,6 @@ FSAR: HandlerTable = HandlerTable.of(
     recovery,
     availability,
     reports,
+    isolation,
     *PUBLIC,
 )

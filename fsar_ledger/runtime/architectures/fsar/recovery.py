@@ -45,6 +45,7 @@ from fsar_ledger.runtime.handlers.commands import (
     open_failure,
     speaker,
 )
+from fsar_ledger.runtime.handlers.isolation import outward_alone
 from fsar_ledger.runtime.handlers.recovery import attempt_failed, attempt_succeeds, attempted, budget, end_of_attempt
 from fsar_ledger.runtime.handlers.supervision import supervisor_for
 from fsar_ledger.runtime.ports import ANSWERS_LATER, Ask
@@ -204,6 +205,8 @@ def ask_peers(state: State, command: AskPeers, failure: Failure) -> tuple[Event,
     ):
         return ()
     named = parties(state, action)
+    if action.robot == state.fleet.isolated:
+        return outward_alone(state, action, recovery)
     by_service = named.decided(RECOVERY)
     if _is_exhausted(state.budget, state.fleet, action, "peer", command.now_us - command.since_us, len(recovery.tried)):
         return (_escalated(action, recovery, by_service, "fleet", EXHAUSTED),)
@@ -318,11 +321,11 @@ def _to_human(state: State, action: Action, recovery: Recovery, reason: str) -> 
 def call_next(state: State, command: CallNext, failure: Failure) -> tuple[Event, ...]:
     """Call H_F after a supervisor who has not resolved the failure in time, while the level's budget lasts."""
     action, recovery = failure
-    if (recovery.failure, recovery.calls) != (command.failure, command.calls):
+    most = budget(state.budget, state.fleet, action.robot, "human").n_max
+    if (recovery.failure, recovery.calls) != (command.failure, command.calls) or recovery.calls >= most:
         return ()
-    if recovery.calls >= budget(state.budget, state.fleet, action.robot, "human").n_max:
-        return ()
-    return (SupervisorCalled(subject=action.subject, supervisor=FLEET_SUPERVISOR, purpose="recovery"),)
+    supervisor = supervisor_for(state, action.robot, is_cross_robot=True)
+    return (SupervisorCalled(subject=action.subject, supervisor=supervisor, purpose="recovery"),)
 
 
 @HANDLERS.react(ExecutionFailed)
@@ -364,8 +367,7 @@ def _asking(
     fleet: Fleet, recoveries: Recoveries, action_id: str, since_us: int, told: tuple[Ask, ...]
 ) -> tuple[Scheduled, ...]:
     """Schedule the question to the peers, and the end of the time for their answers."""
-    recovery = recoveries[action_id]
-    asked = len(recovery.tried)
+    recovery, asked = recoveries[action_id], len(recoveries[action_id].tried)
     help_ = Ask("decision", "help", f"{action_id}/{recovery.failure}/{asked}")
     last = Scheduled(AskPeers(action_id, since_us, asked, recovery.failure, is_last=True), fleet.answer_us, told, help_)
     return (Scheduled(AskPeers(action_id, since_us, asked), 0, told, help_), last)

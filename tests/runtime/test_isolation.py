@@ -1,0 +1,184 @@
+"""A robot without the federation goes on alone, in a run of its own, and hands it over once the federation is back."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import fsar_ledger
+from fsar_ledger.base.errors import UsageError
+from fsar_ledger.events.fleet import IsolatedResultAccepted, IsolatedResultOvertaken, IsolationBegan, IsolationEnded
+from fsar_ledger.events.recovery import RecoveryEscalated
+from fsar_ledger.events.supervision import SupervisorCalled
+from fsar_ledger.events.task import TaskCompleted
+from fsar_ledger.ledger.opening import open_ledger
+from fsar_ledger.ledger.store.locations import record_of
+from fsar_ledger.runtime.run_replay import replay_run
+from tests.queries.histories import S, act, answer, event, run
+
+A, B = "robot/A1", "robot/B1"
+DRIVE = "A navigate.indoor"
+
+
+class Site:
+    """A fleet, and robot A1 that may go on alone; a second passes with each command."""
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.now = path, 1_772_359_200
+        self.hall = self.opened("hall", "morning")
+
+    def opened(self, folder: str, name: str, **given: Any) -> Any:
+        return fsar_ledger.federate(self.path / folder, run=name, clock=lambda: self.now * 10**9, **given)
+
+    def alone(self) -> Any:
+        return self.opened("a1", "A1", isolated=A, of=self.path / "hall")
+
+    def tell(self, one: Any, who: str, command: str, **fields: Any) -> Any:
+        self.now += 1
+        return one.give(command, by=who, **fields)
+
+    def task(self, one: Any, *steps: str, name: str = "t1") -> Any:
+        return self.tell(one, A, "SubmitTask", robot=A, task_id=name, steps=list(steps), budget_us=600_000_000)
+
+    def does(self, one: Any, action_id: str) -> Any:
+        assert self.tell(one, A, "ReportStart", robot=A, action_id=action_id).rejected is None
+        return self.tell(one, A, "ReportResult", executor=A, action_id=action_id, result="success")
+
+
+@pytest.fixture
+def site(tmp_path: Path) -> Site:
+    return Site(tmp_path)
+
+
+def of(decision: Any, kind: type) -> list[Any]:
+    return [one for one in (*decision.events, *decision.followed) if isinstance(one, kind)]
+
+
+def record(path: Path, name: str) -> Any:
+    return record_of(open_ledger(path), name)
+
+
+def test_it_does_its_own_steps_alone_and_the_fleet_accepts_them(site: Site) -> None:
+    site.task(site.hall, DRIVE, DRIVE)
+    with site.alone() as own:
+        site.does(own, "t1/1.1")
+        assert of(site.does(own, "t1/2.1"), TaskCompleted)
+        fields = own.to_hand_over()
+    done = site.tell(site.hall, A, "HandOver", **fields)
+    assert [one.subject.action_id for one in of(done, IsolatedResultAccepted)] == ["t1/1.1", "t1/2.1"]
+    assert of(done, TaskCompleted)
+    [ended] = of(done, IsolationEnded)
+    view = open_ledger(site.path / "a1")
+    assert (ended.isolated_root, ended.isolated_seq) == (view.head.root, view.head.size - 1)
+
+
+def test_each_run_replays_for_itself(site: Site) -> None:
+    site.task(site.hall, DRIVE)
+    head = open_ledger(site.path / "hall").head
+    with site.alone() as own:
+        site.does(own, "t1/1.1")
+        fields = own.to_hand_over()
+    site.tell(site.hall, A, "HandOver", **fields)
+    alone = record(site.path / "a1", "A1")
+    [began] = [one for one in alone.events if isinstance(one, IsolationBegan)]
+    assert (began.fleet_run, began.fleet_seq, began.fleet_root) == ("morning", head.size - 1, head.root)
+    assert replay_run(alone) is None
+    assert replay_run(record(site.path / "hall", "morning")) is None
+
+
+def test_its_run_goes_on_when_it_is_opened_again(site: Site) -> None:
+    site.task(site.hall, DRIVE)
+    site.alone().close()
+    with site.alone() as own:
+        assert of(site.does(own, "t1/1.1"), TaskCompleted)
+
+
+def test_what_needs_others_is_not_begun(site: Site) -> None:
+    site.task(site.hall, DRIVE, "A door.open.secure B")
+    with site.alone() as own:
+        site.does(own, "t1/1.1")
+        assert own.state.task["t1"].step == 1
+        assert own.state.request.open == {}
+        assert site.task(own, "A door.open.secure B", name="t2").rejected
+
+
+def test_nobody_but_the_robot_and_its_supervisor_is_there(site: Site) -> None:
+    with site.alone() as own:
+        refused = site.tell(own, "supervisor/fleet", "ReportShift", supervisor="supervisor/fleet", is_on=False)
+        assert refused.rejected.startswith("supervisor/fleet is not there")
+        on = site.tell(own, "supervisor/A1", "ReportShift", supervisor="supervisor/A1", is_on=False)
+        assert on.rejected is None
+
+
+def test_its_recovery_ends_with_its_own_supervisor(site: Site) -> None:
+    site.task(site.hall, DRIVE)
+    with site.alone() as own:
+        site.tell(own, A, "ReportStart", robot=A, action_id="t1/1.1")
+        site.tell(own, A, "ReportFailure", robot=A, action_id="t1/1.1", cause="stuck")
+        while not of(
+            last := site.tell(own, A, "ReportAttempt", robot=A, action_id="t1/1.1", succeeded=False), SupervisorCalled
+        ):
+            assert last.rejected is None
+    assert [one.supervisor for one in of(last, SupervisorCalled)] == ["supervisor/A1"]
+    assert [one.to_level for one in of(last, RecoveryEscalated)] == ["peer", "fleet", "human"]
+    assert {one.principals.decided_by for one in of(last, RecoveryEscalated)} == {A}
+
+
+def test_what_the_fleet_has_done_meanwhile_overtakes_it(site: Site) -> None:
+    site.task(site.hall, DRIVE)
+    with site.alone() as own:
+        site.does(own, "t1/1.1")
+        fields = own.to_hand_over()
+    site.does(site.hall, "t1/1.1")
+    found = of(site.tell(site.hall, A, "HandOver", **fields), IsolatedResultOvertaken)
+    assert [one.reason for one in found] == ["the task is completed"]
+
+
+def test_what_it_did_before_it_was_declared_departed_does_not_count(site: Site) -> None:
+    site.task(site.hall, DRIVE)
+    with site.alone() as own:
+        site.does(own, "t1/1.1")
+        fields = own.to_hand_over()
+    site.tell(site.hall, A, "LeaveFleet", robot=A)
+    assert site.tell(site.hall, A, "HandOver", **fields).rejected
+    site.tell(site.hall, A, "JoinFleet", robot=A, role="A", team=1, supervisor="supervisor/A1")
+    found = of(site.tell(site.hall, A, "HandOver", **fields, fence=1), IsolatedResultOvertaken)
+    assert [one.reason for one in found] == ["the robot has departed since, so its claims are old"]
+
+
+def test_nobody_else_hands_it_over(site: Site) -> None:
+    with site.alone() as own:
+        fields = own.to_hand_over()
+    assert (
+        site.tell(site.hall, B, "HandOver", **fields).rejected == "robot/B1 speaks for robot/A1, expected its own word"
+    )
+
+
+def test_a_result_that_nobody_can_read_is_refused(site: Site) -> None:
+    with site.alone() as own:
+        fields = own.to_hand_over()
+    refused = site.tell(site.hall, A, "HandOver", **{**fields, "results": ["t1 well"]}).rejected
+    assert refused == "result 't1 well', expected a step and success or failure, as t1/2 success"
+
+
+def test_a_robot_outside_the_fleet_has_nothing_to_go_on_from(site: Site) -> None:
+    with pytest.raises(UsageError, match="found no fleet with robot/Z9"):
+        site.opened("z", "Z9", isolated="robot/Z9", of=site.path / "hall")
+    with pytest.raises(UsageError, match="expected both"):
+        site.opened("z", "Z9", isolated=A)
+
+
+def alone(decided_by: str) -> Any:
+    began = event("IsolationBegan", 0, robot=A, fleet_run="morning", fleet_seq=9, fleet_root="00")
+    return run(
+        event("RobotJoined", 0, robot=A, role="A", supervisor="supervisor/A1"),
+        began,
+        act("OwnStepDecided", S, "t/1.1", decided_by=decided_by, executed_by=A, path=(decided_by,)),
+    )
+
+
+def test_own_steps_of_a_robot_alone_are_cases_of_a1_and_nobody_else_decides_them() -> None:
+    assert answer("invariants/a1_local_runtime_self_sufficiency", alone(A), columns=("seq",)) == []
+    found = answer("invariants/a1_local_runtime_self_sufficiency", alone("service/coordination"), columns=("found",))
+    assert len(found) == 1
+    assert answer("audit/isolations", alone(A), columns=("robot", "fleet_run")) == [(A, "morning")]
