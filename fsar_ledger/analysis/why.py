@@ -22,7 +22,7 @@ from fsar_ledger.runtime.handlers.commands import Command, Decide, React, Schedu
 from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.ports import Ask, Environment, LiveEnvironment
 from fsar_ledger.runtime.recipes import CannotReplay, Recipe, recipe_of, started_of
-from fsar_ledger.runtime.simulation import fleet_founding, founding_of, handler_table_of
+from fsar_ledger.runtime.simulation import founding_of, handler_table_of
 
 from .reads import ABSENT, LastWrite, Path, Reads, last_writes
 
@@ -100,10 +100,8 @@ class _ObservedKernel(Kernel):
         self._answers: dict[int, tuple[Ask, int | None]] = {}
         self._released: dict[int, tuple[Command, list[int]]] = {}
         environment: Environment = self.edited if recipe.live is None else LiveEnvironment(recipe.live.commands)
-        events, founded = founding_of(recipe.spec, recipe.constants)
-        if recipe.live is not None and recipe.live.alone:
-            after, founded = fleet_founding(1, recipe.constants, recipe.live.alone)
-            events = (*events[:1], *after)
+        alone = () if recipe.live is None else recipe.live.alone
+        events, founded = founding_of(recipe.spec, recipe.constants, alone)
         table = handler_table_of(recipe.spec.architecture, recipe.spec.configuration)
         super().__init__(table, environment, (started_of(recipe, started), *events[1:]), founded)
         command(self, recipe)

@@ -102,9 +102,9 @@ def _world(world: WorldConstants, fleet: Fleet | None) -> WorldConstants:
     return msgspec.structs.replace(world, durations=world.durations + own)
 
 
-def founding_of(spec: RunSpec, constants: Constants) -> tuple[tuple[Event, ...], State]:
+def founding_of(spec: RunSpec, constants: Constants, alone: tuple[Event, ...] = ()) -> tuple[tuple[Event, ...], State]:
     """Return the events with which the run begins, and the state after all of them but the first."""
-    events, founded = fleet_founding(spec.fleet_size, constants)
+    events, founded = fleet_founding(spec.fleet_size, constants, alone)
     return (run_started(spec, constants), *events), founded
 
 
