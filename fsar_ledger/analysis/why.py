@@ -100,8 +100,7 @@ class _ObservedKernel(Kernel):
         self._answers: dict[int, tuple[Ask, int | None]] = {}
         self._released: dict[int, tuple[Command, list[int]]] = {}
         environment: Environment = self.edited if recipe.live is None else LiveEnvironment(recipe.live.commands)
-        alone = () if recipe.live is None else recipe.live.alone
-        events, founded = founding_of(recipe.spec, recipe.constants, alone)
+        events, founded = founding_of(recipe.spec, recipe.constants, recipe.live.alone if recipe.live else ())
         table = handler_table_of(recipe.spec.architecture, recipe.spec.configuration)
         super().__init__(table, environment, (started_of(recipe, started), *events[1:]), founded)
         command(self, recipe)
