@@ -6,7 +6,7 @@
 -- NULL: detail when the words say everything; otherwise the field whose value follows them
 -- Example: fsar-ledger query facts/occurrence_words LEDGER
 -- A claim of authority that revokes nothing reads as here; one that does is in message_words.
-SELECT told.*
+SELECT told.type, told.sender, told.receiver, told.words, told.detail
 FROM (
     VALUES
     ('RunStarted.v2', 'run', 'run', 'begins', 'begins'), ('RunContinued.v1', 'run', 'run', 'goes on from', 'from'),
@@ -42,7 +42,7 @@ FROM (
     ('SourceClosed.v1', 'source', 'source', 'has no more records', NULL)
 ) AS told (type, sender, receiver, words, detail)
 UNION ALL
-SELECT type, 'robot' AS sender, 'robot' AS receiver, words, detail
+SELECT own.type, 'robot' AS sender, 'robot' AS receiver, own.words, own.detail
 FROM (
     VALUES
     ('RobotDeparted.v1', 'departs', 'reason'), ('IsolationBegan.v1', 'is alone', 'from'),
