@@ -18,7 +18,6 @@ from .answers import Answer, Plain, Screen
 from .federate import CONTINUES, CUT, FLEET, ORIGIN_NAME, ROBOTS, SETTINGS, federate
 from .files import write_text
 from .key import witness_ask
-from .ledger import open_ledger
 from .names import Names, Place, names_of
 from .verbs import Gives, KeyOption, Option, argument, declare, switch, verb
 
@@ -74,6 +73,8 @@ class ServedFederation(Answer):
     def _ask_witnesses(self, ended: Event) -> None:
         """Have the newest checkpoint cosigned every so often, as `witness ask` does, until it has ended."""
         kept = self._out.with_name(f"{self._out.name}.cosigned")
+        from .ledger import open_ledger
+
         while not ended.wait(self._given["witness_every"]):
             try:
                 found = witness_ask(open_ledger(self._out), self._given["policy"])
@@ -82,6 +83,8 @@ class ServedFederation(Answer):
                 self._given["say"](f"witnesses: {error}")
 
     def _viewed(self) -> str:
+        from .ledger import open_ledger
+
         with TemporaryDirectory() as folder:
             page = Path(folder) / "run.html"
             open_ledger(self._out).view(page, run=self._run)
