@@ -16,8 +16,6 @@ from fsar_ledger.base.printable import SafeText
 
 from .answers import Answer, Plain, Screen
 from .federate import CONTINUES, CUT, FLEET, ORIGIN_NAME, ROBOTS, SETTINGS, federate
-from .files import write_text
-from .key import witness_ask
 from .names import Names, Place, names_of
 from .verbs import Gives, KeyOption, Option, argument, declare, switch, verb
 
@@ -72,9 +70,11 @@ class ServedFederation(Answer):
 
     def _ask_witnesses(self, ended: Event) -> None:
         """Have the newest checkpoint cosigned every so often, as `witness ask` does, until it has ended."""
-        kept = self._out.with_name(f"{self._out.name}.cosigned")
+        from .files import write_text
+        from .key import witness_ask
         from .ledger import open_ledger
 
+        kept = self._out.with_name(f"{self._out.name}.cosigned")
         while not ended.wait(self._given["witness_every"]):
             try:
                 found = witness_ask(open_ledger(self._out), self._given["policy"])
