@@ -6,8 +6,7 @@
 -- NULL: detail when the words say everything; otherwise the field whose value follows them
 -- Example: fsar-ledger query facts/occurrence_words LEDGER
 -- A claim of authority that revokes nothing reads as here; one that does is in message_words.
-SELECT told.*
-FROM (
+SELECT told.* FROM (
     VALUES
     ('RunStarted.v2', 'run', 'run', 'begins', 'begins'), ('RunContinued.v1', 'run', 'run', 'goes on from', 'from'),
     ('RobotDeparted.v1', 'robot', 'robot', 'departs', 'reason'),
