@@ -6,6 +6,7 @@
 import os
 import re
 import shlex
+import shutil
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -129,6 +130,8 @@ def copied(place: Path) -> Path:
     for name in ("queries", "reports"):
         (tree / "fsar_ledger" / name).unlink()
     (site / "sitecustomize.py").write_text(_HOMES.format(tree=str(tree)), "utf-8")
+    if (known := ROOT / ".mypy_cache").is_dir():  # of files by their hashes: what a page changes is checked anew
+        shutil.copytree(known, tree / known.name)
     return tree
 
 

@@ -43,7 +43,7 @@ def report(
     *,
     beside: Sequence[Place] = declare(
         "LEDGER",
-        "Another ledger to show, of ablations, larger fleets or workflows; may be repeated.",
+        "Another ledger to show, of ablations, larger fleets, workflows or the scenario churn; may be repeated.",
         "none; their sections are omitted",
         flag="--with",
         value=(),
@@ -66,10 +66,10 @@ def report(
     """Typeset the evaluation, or an audit of the ledger, as a PDF.
 
     In the paper's report each number of the paper stands beside the ledger's, with its interval and a verdict; the runs
-    of all seeds are taken together. Ablations, larger fleets and workflows have sections of their own where this
-    ledger, or one given by --with, holds them. The audit report is about any ledger: who asked whom, what was denied
-    under which rule, what supervisors decided, violations, conflicts and invariants with the events behind them, and
-    what was not observed. All rows are compared with their root first, as `verify` does.
+    of all seeds are taken together. Ablations, larger fleets, workflows and members that come and go have sections of
+    their own where this ledger, or one given by --with, holds them. The audit report is about any ledger: who asked
+    whom, what was denied under which rule, what supervisors decided, violations, conflicts and invariants with the
+    events behind them, and what was not observed. All rows are compared with their root first, as `verify` does.
 
     Raises:
         UsageError: The kind is unknown, or options of the paper's report are given for an audit report.

@@ -16,9 +16,6 @@ from fsar_ledger.base.printable import SafeText
 
 from .answers import Answer, Plain, Screen
 from .federate import CONTINUES, CUT, FLEET, ORIGIN_NAME, ROBOTS, SETTINGS, federate
-from .files import write_text
-from .key import witness_ask
-from .ledger import open_ledger
 from .names import Names, Place, names_of
 from .verbs import Gives, KeyOption, Option, argument, declare, switch, verb
 
@@ -73,6 +70,10 @@ class ServedFederation(Answer):
 
     def _ask_witnesses(self, ended: Event) -> None:
         """Have the newest checkpoint cosigned every so often, as `witness ask` does, until it has ended."""
+        from .files import write_text
+        from .key import witness_ask
+        from .ledger import open_ledger
+
         kept = self._out.with_name(f"{self._out.name}.cosigned")
         while not ended.wait(self._given["witness_every"]):
             try:
@@ -82,6 +83,8 @@ class ServedFederation(Answer):
                 self._given["say"](f"witnesses: {error}")
 
     def _viewed(self) -> str:
+        from .ledger import open_ledger
+
         with TemporaryDirectory() as folder:
             page = Path(folder) / "run.html"
             open_ledger(self._out).view(page, run=self._run)

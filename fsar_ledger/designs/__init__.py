@@ -201,7 +201,8 @@ class OutsideCommand(Design, frozen=True):
 class Scenario(Design, frozen=True):
     """The tasks of each team, in a world with disturbances. The actuator of one `degradable` robot may degrade.
 
-    `commands` come to the run whoever works in it: they are not of each team.
+    `commands` come to the run whoever works in it: they are not of each team. `settings` are constants that the
+    scenario is played with, as `--set` takes them.
     """
 
     name: str
@@ -209,6 +210,7 @@ class Scenario(Design, frozen=True):
     injections: tuple[Injection, ...] = ()
     degradable: tuple[str, ...] = ()
     commands: tuple[OutsideCommand, ...] = ()
+    settings: tuple[str, ...] = ()
 
 
 class Wear(Design, frozen=True):

@@ -66,6 +66,7 @@ ASKED: Mapping[str, str] = {
     "recordings": "audit/recordings",
     "by_field": "audit/attributability_by_field",
     "by_day": "audit/events_by_day",
+    "departures": "audit/churn",
 }
 """The queries whose whole answers the sections select from, by the name of the relation."""
 SELECTED: Mapping[str, tuple[str, str]] = {

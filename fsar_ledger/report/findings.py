@@ -1,7 +1,7 @@
 """What is read from the ledgers: the printed numbers beside ours, and what sections select from.
 
 The parts beside the results are read here, each from whichever ledger holds such runs: FSAR without a mechanism, larger
-fleets, every architecture without one mechanism, and the paper's workflows.
+fleets, every architecture without one mechanism, the paper's workflows, and members that come and go.
 """
 
 import types
@@ -49,7 +49,7 @@ class Head(msgspec.Struct, frozen=True):
 class Findings(msgspec.Struct, frozen=True, kw_only=True):
     """Everything that the report shows of one head of a ledger, and of the ledgers beside it.
 
-    heads: by part (results, ablation, scaling, mechanisms, workflows), of the ledger that gives it.
+    heads: by part (results, ablation, scaling, mechanisms, workflows, churn), of the ledger that gives it.
     numbers: every printed number of the tables that there are runs for, with ours.
     relations: what the packaged queries answered about these runs, by name.
     sources: these queries, with all that they read.
@@ -145,6 +145,9 @@ GROUPS_SQL = """
     WHERE list_contains($names, runs.scenario)
     GROUP BY made_alike ORDER BY count(*) DESC, min(run_id)
 """
+CHURN_SQL = """
+    SELECT run_id, architecture, configuration, fleet_size FROM runs WHERE scenario = 'churn' ORDER BY number
+"""
 FIRST_SQL = """
     SELECT min_by(events.action_id, events.seq) AS action, min(events.run_id) AS run
     FROM events
@@ -194,17 +197,20 @@ def read_ledger(ledger: Path, demanded: str | None, *, is_workflows: bool = Fals
             found |= experiments_of(database)
     if not found:
         raise UsageError(
-            f"--with {ledger}: found no run of a workflow, without a mechanism, or of another fleet than of four "
-            "robots, expected some of these; `fsar-ledger reproduce` makes such ledgers"
+            f"--with {ledger}: found no run of a workflow, without a mechanism, of another fleet than of four robots, "
+            "or of the scenario churn, expected some of these; `fsar-ledger reproduce` makes all but the last"
         )
     return found
 
 
 def experiments_of(database: Database) -> dict[str, Part]:
-    """Return the ablation, the scaling and the mechanisms that this ledger holds. Raises: as `Database.rows`."""
+    """Return the parts of other runs than the paper's table and workflows that this ledger holds.
+
+    Raises: as `Database.rows`.
+    """
     found = {}
     has_ablations = _has(database, "architecture = 'fsar' AND fleet_size = 4", list(CONFIGURATIONS[1:]))
-    has_fleets = _has(database, "fleet_size <> 4", [FULL])
+    has_fleets = _has(database, "fleet_size <> 4 AND scenario IS DISTINCT FROM 'churn'", [FULL])
     rows = dialled_rows(database, pools_seeds=True) if has_ablations or has_fleets else []
     if has_ablations and (ablation := _ablation(database, rows)):
         found["ablation"] = ablation
@@ -212,6 +218,9 @@ def experiments_of(database: Database) -> dict[str, Part]:
         found["scaling"] = scaling
     if _has(database, "fleet_size = 4", WITHOUT_ONE) and (part := _mechanisms(database)):
         found["mechanisms"] = part
+    if (churned := database.table(CHURN_SQL)).num_rows:
+        relations = {"churned": churned, "departures": database.query("audit/churn")}
+        found["churn"] = Part(ledger_head(database, None), (), relations)
     return found
 
 

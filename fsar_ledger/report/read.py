@@ -59,6 +59,7 @@ QUERIES = {
     "scaling": ("metrics/metrics_by_dial", "metrics/coordination_cost", "statistics/drawn_experiments"),
     "mechanisms": ("statistics/mechanism_differences",),
     "workflows": ("tables/mechanism_coverage", "audit/requests", "audit/request_timeline", "audit/failure_timeline"),
+    "churn": ("audit/churn",),
 }
 """The queries that each part of the report reads directly; these read others."""
 

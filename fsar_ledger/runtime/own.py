@@ -31,7 +31,8 @@ def with_own(
 ) -> tuple[Constants, tuple[str, ...]]:
     """Return the constants with the designer's own parts, and the names of the scenarios.
 
-    A scenario or fleet that ends in `.toml` is a file, else the name of a registered one. `settings` are `NAME=VALUE`.
+    A scenario or fleet that ends in `.toml` is a file, else the name of a registered one. `settings` are `NAME=VALUE`;
+    they go before those of the scenario.
 
     Raises:
         UsageError: a file cannot be read, or its content is impossible (with line and field); a name is unknown; a
@@ -39,6 +40,15 @@ def with_own(
     """
     own_fleet = _fleet(fleet)
     own: Scenario | None = None
+    constants = with_settings(constants, settings)
+    for name in scenarios:
+        played_with = registered.scenario(name).settings if name in registered.scenarios() else ()
+        if played_with and len(scenarios) > 1:
+            raise UsageError(
+                f"--scenario {name}: found {len(scenarios)} scenarios, expected this one alone, which has constants of "
+                "its own; run the others separately"
+            )
+        constants = with_settings(constants, _others(played_with, settings))
     for name in scenarios:
         if not is_file(name):
             continue
@@ -54,8 +64,19 @@ def with_own(
         if design.name in registered.scenarios():
             _require(path, text, [_taken(design.name, registered.scenarios())])
         own = design
-    found = msgspec.structs.replace(with_settings(constants, settings), scenario=own, fleet=own_fleet)
+        for number, setting in enumerate(_others(design.settings, settings)):
+            try:
+                constants = with_settings(constants, (setting,))
+            except UsageError as error:
+                raise UsageError(f"{at_line(str(path), text, ('settings', number))}: {error}") from error
+    found = msgspec.structs.replace(constants, scenario=own, fleet=own_fleet)
     return found, tuple(scenarios) if own is None else (own.name,)
+
+
+def _others(of_scenario: Sequence[str], settings: Sequence[str]) -> list[str]:
+    """Return the settings of a scenario whose constants are not set otherwise."""
+    set_already = {one.partition("=")[0] for one in settings}
+    return [one for one in of_scenario if one.partition("=")[0] not in set_already]
 
 
 def is_file(name: str) -> bool:

@@ -4,7 +4,7 @@ A reaction cannot know how long a message, a robot or a human takes, or what com
 environment of the run answers. The clock is the kernel's own, so a fixed time is asked of nobody.
 
 A robot or a human who is really there answers when it does: the environment gives no answer then, nothing is scheduled,
-and what was asked for comes by a command from outside (`handlers/reports.py`).
+and what was asked for comes by a command from outside (`handlers/public.py`).
 """
 
 from collections.abc import Sequence

@@ -62,7 +62,8 @@ def save(ledger: Path, run: str, head: Head, known: object) -> None:
     temporary = path.with_suffix(f".{os.getpid()}")
     with suppress(OSError):
         path.parent.mkdir(exist_ok=True)
-        temporary.write_bytes(line + b"\n" + data)
+        with temporary.open("wb") as file:
+            file.writelines((line, b"\n", data))
         temporary.replace(path)
 
 

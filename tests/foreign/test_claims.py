@@ -1,7 +1,8 @@
 """Not observed is not "allow", not "idle" and not zero: whatever is asked of a run that lacks a concern."""
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import cache
 from pathlib import Path
 
 import pyarrow as pa
@@ -51,13 +52,13 @@ def test_a_query_says_null_of_what_is_not_observed_and_names_it(database: Databa
 ABOUT_ALL = {name: query for name, query in library().queries.items() if name not in {*BY_RUN, *OF_GAPS}}
 DRAWN = [name for name, query in ABOUT_ALL.items() if query.relation.startswith(("drawn_", "cluster_"))]
 """Queries that draw millions of rows from few, and take as long as all others together."""
-Answers = dict[str, list[dict[str, object]]]
 
 
 @pytest.fixture(scope="module")
-def observed(runs: list[LedgerRun]) -> Answers:
+def observed(runs: list[LedgerRun]) -> Iterator[Callable[[str], list[dict[str, object]]]]:
+    """What a query that is not about one run answers where everything is observed, asked once."""
     with from_table(without(runs, None, WHOLE)) as made:
-        return {name: answer_about_all_runs(made, name) for name in ABOUT_ALL}
+        yield cache(lambda name: answer_about_all_runs(made, name))
 
 
 def answer_about_all_runs(database: Database, name: str) -> list[dict[str, object]]:
@@ -76,11 +77,11 @@ def answer_about_all_runs(database: Database, name: str) -> list[dict[str, objec
     ],
 )
 def test_a_query_about_all_runs_names_what_is_not_observed(
-    runs: list[LedgerRun], observed: Answers, concern: str, names: list[str]
+    runs: list[LedgerRun], observed: Callable[[str], list[dict[str, object]]], concern: str, names: list[str]
 ) -> None:
     assert names
     with from_table(without(runs, concern, WHOLE)) as part:
-        other = [name for name in names if answer_about_all_runs(part, name) != observed[name]]
+        other = [name for name in names if answer_about_all_runs(part, name) != observed(name)]
         said = {name: {one.concern for one in unobserved(part, ABOUT_ALL[name])} for name in other}
     assert [name for name in other if concern not in said[name]] == []
 

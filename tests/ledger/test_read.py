@@ -1,6 +1,7 @@
 """A reader gets a segment only if it is the very file that was committed; each file is read for that once."""
 
 import os
+import threading
 from collections.abc import Callable
 from pathlib import Path
 
@@ -9,6 +10,9 @@ import pytest
 
 from fsar_ledger.base.errors import LedgerCorrupted
 from fsar_ledger.ledger.opening import open_for_answers, open_ledger
+from fsar_ledger.ledger.rows.codec import encode
+from fsar_ledger.ledger.rows.segment import to_parquet
+from fsar_ledger.ledger.store.staging import materialized
 from tests.ledger.forgery import segment_at, staged_at
 from tests.ledger.samples import ORIGIN, made_up_run
 
@@ -88,3 +92,20 @@ def test_a_checkpoint_that_is_no_note_of_the_newest_commits_is_refused(path: Pat
     (path / "checkpoint").unlink()
     with pytest.raises(LedgerCorrupted, match=r"checkpoint: .*found no file"):
         open_for_answers(path)
+
+
+def test_threads_that_read_a_journal_as_a_segment_for_the_first_time_read_all_of_it() -> None:
+    for number in range(20):
+        table = encode([made_up_run(f"r{number}", 40, number)])
+        start, found = threading.Barrier(8), list[bytes]()
+
+        def read(table: pa.Table = table, start: threading.Barrier = start, found: list[bytes] = found) -> None:
+            start.wait()
+            found.append(materialized(table).read_bytes())
+
+        threads = [threading.Thread(target=read) for _ in range(8)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        assert found == [to_parquet(table)] * 8

@@ -81,6 +81,7 @@ def whole(ledger: Path, workflows: Path) -> Findings:
         "costs": costs,
         "differences": differences,
         "digests": pa.table({"digests": [["one"]]}),
+        **_churn(),
     }
     return msgspec.structs.replace(replaced(found, **replacing), heads=heads, numbers=tuple(numbers))
 
@@ -97,6 +98,13 @@ def _costs(of: Sequence[tuple[str, int]]) -> pa.Table:
     with from_rows((), threads=1) as empty:
         columns = empty.table("SELECT * FROM coordination_cost").schema
     return pa.Table.from_pylist([row | {"architecture": name, "fleet_size": size} for name, size in of], schema=columns)
+
+
+def _churn() -> dict[str, pa.Table]:
+    with from_rows((), threads=1) as empty:
+        nothing_came_of_it = empty.query("audit/churn").schema.empty_table()
+    run = {"run_id": "c", "architecture": "fsar", "configuration": "full", "fleet_size": 8}
+    return {"churned": pa.Table.from_pylist([run]), "departures": nothing_came_of_it}
 
 
 def typeset(document: Document | AuditDocument, folder: Path, kind: str) -> Any:

@@ -13,7 +13,7 @@ from typing import Any, get_args
 import msgspec
 import pytest
 
-from fsar_ledger.designs.constants import Constants, Outages
+from fsar_ledger.designs.constants import Constants, Membership, Outages
 from fsar_ledger.events import Event
 from fsar_ledger.events.configuration import PAPER_ARCHITECTURES
 from fsar_ledger.events.envelope import Architecture, Robot, flat, with_columns
@@ -50,6 +50,7 @@ from tests.sure import known
 CONSTANTS = Constants()
 FACTS: tuple[type[Event], ...] = get_args(WorldEvent)
 AWAY = RunSpec(9, "fsar", "full", "fleet-contention", 4, 7)
+CALLED = RunSpec(9, "fsar", "full", "door-relay", 4, 7)
 SPECS = [
     *(
         RunSpec(9, architecture, "full", scenario, 4, 1)
@@ -60,13 +61,18 @@ SPECS = [
     RunSpec(9, "fsar", "full", "workflow-layered-recovery", 4, 0),
     RunSpec(9, "cfc", "full", "mixed-trust-inspection", 8, 0),
     AWAY,
+    CALLED,
 ]
 Invent = Callable[[Sequence[Fact]], Sequence[Fact]]
 
 
 def constants_of(spec: RunSpec) -> Constants:
-    """Our own, but for one run in which robots and links fail."""
-    return Constants(outages=Outages(0.02, 8.0, 0.03, 6.0)) if spec is AWAY else CONSTANTS
+    """Our own, but for one run in which robots and links fail, and one in which robots are called away."""
+    other = {
+        AWAY: Constants(outages=Outages(0.02, 8.0, 0.03, 6.0)),
+        CALLED: Constants(membership=Membership(0.02, announced_share=1.0)),
+    }
+    return other.get(spec, CONSTANTS)
 
 
 def world_of(spec: RunSpec) -> tuple[Fact, ...]:

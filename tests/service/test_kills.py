@@ -6,6 +6,7 @@ import subprocess
 import sys
 import threading
 import time
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -55,6 +56,10 @@ def test_it_ends_when_it_is_told_with_the_ledger_closed(tmp_path: Path, how: sig
     assert is_good(one.ledger)
 
 
+def _has(found: list[str], more_than: int) -> bool:
+    return len(found) > more_than
+
+
 def _killed(tmp_path: Path, kills: int) -> None:
     """Kill the service so often under load; what was acknowledged is on record, once."""
     tokens = {name: add_principal(tmp_path / "principals", name) for name in ("robot/A1", "robot/B1", "robot/C1")}
@@ -78,7 +83,9 @@ def _killed(tmp_path: Path, kills: int) -> None:
         if not number:
             for thread in threads:
                 thread.start()
-        time.sleep(0.2 + 0.37 * (number % 5) / 5)
+        enough = len(acknowledged) + 10
+        until(partial(_has, acknowledged, enough), 60)
+        time.sleep(0.37 * (number % 5) / 5)
         one.end(signal.SIGKILL)
     one = Process(tmp_path, port)
     is_over.set()

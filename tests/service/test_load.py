@@ -19,8 +19,8 @@ MINUTES = float(os.environ.get("MINUTES", "30"))
 TEAMS = 16
 KNOWN = 70_000
 """After so many commands the service knows as many keys and holds as many rows of its newest events as it ever will."""
-MOST_KIB = 40.0
-"""A command that left half a KiB would be 500 for a thousand."""
+MOST_KIB = 128.0
+"""A thousand commands are 250 tasks, whose names take 50 until 65,536 are known. Half a KiB a command would be 500."""
 
 
 class Load:

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from functools import lru_cache
 from io import BytesIO
 from pathlib import Path
+from threading import Lock
 from typing import NamedTuple
 
 import msgspec
@@ -216,6 +217,7 @@ _PARSE = pyarrow.json.ParseOptions(
 )
 _BLOCK_BYTES = 1 << 24
 _folders: list[str] = []  # of this process, for rows of journals
+_folder_lock = Lock()
 
 
 def table_of(path: Path, lines: bytes) -> pa.Table:
@@ -284,11 +286,14 @@ def require_staged(ledger: Path, staged: Staged) -> None:
 
 def materialized(table: pa.Table) -> Path:
     """Write these rows as a segment into a folder of this process, and return it."""
-    if not _folders:
-        _folders.append(tempfile.mkdtemp(prefix="fsar-ledger-"))
-        atexit.register(shutil.rmtree, _folders[0], ignore_errors=True)
     data = segment.to_parquet(table)
-    path = Path(_folders[0]) / f"{sha256_hex(data)}.parquet"
-    if not path.exists():
-        path.write_bytes(data)
+    with _folder_lock:  # and renamed when it is whole, so that nobody reads half a file
+        if not _folders:
+            _folders.append(tempfile.mkdtemp(prefix="fsar-ledger-"))
+            atexit.register(shutil.rmtree, _folders[0], ignore_errors=True)
+        path = Path(_folders[0]) / f"{sha256_hex(data)}.parquet"
+        if not path.exists():
+            part = path.with_suffix(".part")
+            part.write_bytes(data)
+            part.replace(path)
     return path

@@ -1,0 +1,48 @@
+-- Title: What came of robots that left: how often they departed and returned, and what ended with that
+-- Paper: sec:discussion:heterogeneity
+-- Grain: one row per run in which a robot went off, was called away, was suspected, departed or returned
+-- Key: run_id
+-- Units: counts. away: times that a robot went off; announced, found_out: departures by a word, or by silence;
+--   suspected, cleared, returned: robots each time; requests_failed: requests that ended as failure(departed);
+--   tasks_recovered, tasks_abandoned: tasks of facts/tasks_of_departed that were completed, or given up;
+--   acts: as in facts/acts_of_departed
+-- NULL: none
+-- Example: fsar-ledger query audit/churn LEDGER --param run=RUN
+--   answers nothing, since no robot leaves in the paper's scenarios; those of the scenario churn do
+-- Parameters: run: run = all
+WITH counted AS (
+    SELECT run_id, 'away' AS what FROM robot_went_off
+    UNION ALL
+    SELECT run_id, 'called' AS what FROM robot_called_away
+    UNION ALL
+    SELECT run_id, if(reason = 'announced', 'announced', 'found_out') AS what FROM robot_departed
+    UNION ALL
+    SELECT run_id, 'suspected' AS what FROM robot_suspected
+    UNION ALL
+    SELECT run_id, 'cleared' AS what FROM robot_cleared
+    UNION ALL
+    SELECT run_id, 'returned' AS what FROM robot_returned
+    UNION ALL
+    SELECT run_id, 'failed' AS what FROM request_closed
+    WHERE result = 'failure' AND cause = 'departed'
+    UNION ALL
+    SELECT run_id, outcome AS what FROM tasks_of_departed
+    UNION ALL
+    SELECT run_id, 'acts' AS what FROM acts_of_departed
+)
+
+SELECT
+    run_id,
+    count(*) FILTER (what = 'away') AS away,
+    count(*) FILTER (what = 'announced') AS announced,
+    count(*) FILTER (what = 'found_out') AS found_out,
+    count(*) FILTER (what = 'suspected') AS suspected,
+    count(*) FILTER (what = 'cleared') AS cleared,
+    count(*) FILTER (what = 'returned') AS returned,
+    count(*) FILTER (what = 'failed') AS requests_failed,
+    count(*) FILTER (what = 'completed') AS tasks_recovered,
+    count(*) FILTER (what = 'abandoned') AS tasks_abandoned,
+    count(*) FILTER (what = 'acts') AS acts
+FROM counted
+WHERE $run IN ('all', run_id)
+GROUP BY run_id

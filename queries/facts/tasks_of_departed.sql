@@ -1,0 +1,68 @@
+-- Title: Tasks that a departure hit: what a robot did for them was cut off, or nobody was there to act
+-- Paper: sec:discussion:heterogeneity
+-- Grain: one row per task with a request that ended as failure(departed), or with an execution, a recovery or a help
+--   that a departure ended, or that was given up while a robot of one of its steps had departed
+-- Key: run_id, task_id
+-- Units: hit_seq, ended_seq positions in the run
+-- NULL: hit_seq where nothing but the giving up is on record; ended_seq, outcome of a task that is open to the end
+-- Example: fsar-ledger query facts/tasks_of_departed LEDGER
+WITH cut_off AS (
+    SELECT run_id, task_id, min(seq) AS hit_seq
+    FROM (
+        SELECT run_id, task_id, seq FROM request_closed
+        WHERE result = 'failure' AND cause = 'departed'
+        UNION ALL
+        SELECT run_id, task_id, seq FROM execution_failed
+        WHERE cause = 'departed'
+        UNION ALL
+        SELECT run_id, task_id, seq FROM recovery_escalated
+        WHERE reason = 'departed'
+        UNION ALL
+        SELECT run_id, task_id, seq FROM assistance_failed
+        WHERE cause = 'departed'
+    ) AS causes
+    GROUP BY run_id, task_id
+),
+
+gone AS (
+    SELECT departed.run_id, departed.robot, departed.seq, min(returned.seq) AS until_seq
+    FROM robot_departed AS departed
+    LEFT JOIN robot_returned AS returned
+        ON departed.run_id = returned.run_id AND departed.robot = returned.robot AND departed.seq < returned.seq
+    GROUP BY departed.run_id, departed.robot, departed.seq
+),
+
+acting AS (
+    SELECT DISTINCT run_id, task_id, 'robot/' || split_part(unnest(steps), ' ', 1) || team AS robot FROM task_arrived
+),
+
+ends AS (
+    SELECT run_id, task_id, seq, 'completed' AS outcome FROM task_completed
+    UNION ALL
+    SELECT run_id, task_id, seq, 'abandoned' AS outcome FROM task_abandoned
+),
+
+waited AS (
+    SELECT DISTINCT ends.run_id, ends.task_id
+    FROM ends
+    INNER JOIN acting ON ends.run_id = acting.run_id AND ends.task_id = acting.task_id
+    INNER JOIN gone ON acting.run_id = gone.run_id AND acting.robot = gone.robot
+    WHERE ends.outcome = 'abandoned' AND ends.seq > gone.seq AND ends.seq < coalesce(gone.until_seq, ends.seq + 1)
+),
+
+arrived AS (
+    SELECT run_id, task_id FROM task_arrived
+),
+
+hit AS (
+    SELECT run_id, task_id FROM cut_off
+    UNION
+    SELECT run_id, task_id FROM waited
+)
+
+SELECT
+    hit.run_id, hit.task_id, cut_off.hit_seq, ends.seq AS ended_seq, ends.outcome
+FROM hit
+INNER JOIN arrived ON hit.run_id = arrived.run_id AND hit.task_id = arrived.task_id
+LEFT JOIN cut_off ON hit.run_id = cut_off.run_id AND hit.task_id = cut_off.task_id
+LEFT JOIN ends ON hit.run_id = ends.run_id AND hit.task_id = ends.task_id
