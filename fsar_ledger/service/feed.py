@@ -20,6 +20,7 @@ from fsar_ledger.base.errors import FsarLedgerError, WriteFailed
 from fsar_ledger.events.command import CommandGiven
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.store.locations import chain_of
+from fsar_ledger.ledger.store.read import View
 from fsar_ledger.projections.fold import State
 from fsar_ledger.runtime.federation import Federation, newest_of
 from fsar_ledger.runtime.live import Decision
@@ -68,6 +69,7 @@ class Feed:
         self._ledger, self._run = ledger, run
         self._kept: deque[Row] = deque(maxlen=KEPT)
         self._grown = asyncio.Event()
+        self._runs: list[str] = []  # that continue each other, when last looked for
         self.end = 0
 
     def publish(self, first: int, rows: bytes) -> None:
@@ -95,16 +97,24 @@ class Feed:
     def recorded(self, seq: int) -> Sequence[Row]:
         """Return the rows from this seq to the end of a part of the ledger. Raises: LedgerCorrupted."""
         view = open_ledger(self._ledger)
-        before = 0
-        for run in chain_of(view, newest_of(view, self._run)[0]):
-            parts = view.parts(run)
-            for part in parts:
-                if before + part.block.end > seq:
-                    rows = ((_PLACE.decode(row), row) for row in view.rows(part.first, part.end))
-                    own = ((before + at.seq, row) for at, row in rows if at.run_id == run and (at.seq or not before))
-                    return [Row(at, row) for at, row in own if at >= seq]
-            before += sum(part.block.rows for part in parts) - 1
-        return ()
+        if not (rows := _rows_in(view, self._runs, seq)):  # to look for the runs is to look into all segments
+            self._runs = chain_of(view, newest_of(view, self._run)[0])
+            rows = _rows_in(view, self._runs, seq)
+        return rows
+
+
+def _rows_in(view: View, runs: Sequence[str], seq: int) -> Sequence[Row]:
+    """Return the rows from this seq to the end of a part of these runs; none if they end before."""
+    before = 0
+    for run in runs:
+        parts = view.parts(run)
+        for part in parts:
+            if before + part.block.end > seq:
+                rows = ((_PLACE.decode(row), row) for row in view.rows(part.first, part.end))
+                own = ((before + at.seq, row) for at, row in rows if at.run_id == run and (at.seq or not before))
+                return [Row(at, row) for at, row in own if at >= seq]
+        before += sum(part.block.rows for part in parts) - 1
+    return ()
 
 
 class Decider:

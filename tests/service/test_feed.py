@@ -1,0 +1,20 @@
+"""What is told to who follows a run, of events that are no longer in memory."""
+
+from pathlib import Path
+
+import fsar_ledger
+from fsar_ledger.service.feed import Feed
+
+
+def test_who_follows_a_run_from_its_beginning_is_told_of_each_event_once_also_over_cuts(tmp_path: Path) -> None:
+    feed, told = Feed(tmp_path / "hall", "hall"), list[int]()
+    with fsar_ledger.federate(tmp_path / "hall", run="hall") as hall:
+        for number in range(3):
+            for part in range(2):
+                hall.give("ReportContext", by="robot/A1", robot="robot/A1", key=f"{number}/{part}")
+            while rows := feed.recorded(len(told)):
+                told += [row.seq for row in rows]
+            hall.cut()
+        while rows := feed.recorded(len(told)):
+            told += [row.seq for row in rows]
+        assert told == list(range(hall.size))
