@@ -33,6 +33,8 @@ CUT: Any = declare(
     "Cut the run into runs that continue each other: daily, or at times in UTC, as in 06:00,14:00,22:00.",
     "never",
 )
+ISOLATED: Any = declare("ROBOT", "Go on with this robot alone, without the federation; needs --of.")
+OF: Any = declare("LEDGER", "The ledger with the fleet's run, or the robot's copy, from which it goes on alone.")
 """The options of a fleet that is really there, by whichever door it is governed."""
 TICK_S = 0.1
 """How often what is due by itself is decided while no command comes."""
@@ -76,6 +78,7 @@ def federate(
             `isolated` and `of` is given; or as `Federation` or `isolation_of`.
     """
     from fsar_ledger.designs.constants import Constants
+    from fsar_ledger.ledger.opening import open_ledger
     from fsar_ledger.ledger.store.keys import read_signer
     from fsar_ledger.runtime.federation import Federation
     from fsar_ledger.runtime.isolation import isolation_of
@@ -83,28 +86,34 @@ def federate(
     from fsar_ledger.runtime.world.founding import team_size
     from fsar_ledger.sources.recorder import kept_origin
 
+    if (isolated is None) is not (of is None):
+        raise UsageError(f"{option('isolated')} and {option('of')}: found one of them, expected both, or none")
+    if isolated is not None and (fleet is not None or robots is not None or settings):
+        raise UsageError(f"{option('isolated')}: found a fleet or settings beside it, expected those of the ledger")
     constants, _ = with_own(Constants(), (), fleet, settings)
     team = team_size(constants.fleet)
     count = team if robots is None else robots
     if count < 1 or count % team:
         raise UsageError(f"robots: found {count}, expected a multiple of {team}, the robots of a team")
-    if (isolated is None) is not (of is None):
-        raise UsageError("isolated and of: found one of them, expected both, or none")
-    alone = None if isolated is None or of is None else isolation_of(Path(of), isolated)
-    signer = None if key is None else read_signer(Path(key))
-    origin = kept_origin(Path(out)) or origin
-    return Federation(
-        Path(out),
+    place, signer = Path(out), None if key is None else read_signer(Path(key))
+    kept = kept_origin(place)
+    goes_on = kept is not None and open_ledger(place).has_run(run)
+    federation = Federation(
+        place,
         run,
         constants,
         count,
         clock,
-        origin=origin,
+        origin=kept or origin,
         signer=signer,
         on_commit=on_commit,
         cuts_us=() if cut is None else _times_us(cut),
-        isolation=alone,
+        isolation=None if isolated is None or of is None or goes_on else isolation_of(Path(of), isolated),
     )
+    if isolated is not None and federation.state.fleet.isolated != isolated:
+        federation.close()
+        raise UsageError(f"{out}: run {printable.value(run)}: found another run, expected that of {isolated} alone")
+    return federation
 
 
 def _times_us(cut: str) -> tuple[int, ...]:
@@ -223,6 +232,8 @@ def federate_lines(
     origin: str | None = ORIGIN_NAME,
     key: KeyOption = None,
     cut: str | None = CUT,
+    isolated: str | None = ISOLATED,
+    of: Place | None = OF,
 ) -> Decisions:
     """Govern a fleet that is really there: commands come from standard input, decisions go to standard output.
 
@@ -234,5 +245,6 @@ def federate_lines(
         WriteFailed: A write failed; what is committed stays.
     """
     given = names_of(settings) or ()
-    one = federate(out, run=run, fleet=fleet, robots=robots, settings=given, origin=origin, key=key, cut=cut)
+    founded: dict[str, Any] = {"fleet": fleet, "robots": robots, "settings": given, "isolated": isolated, "of": of}
+    one = federate(out, run=run, origin=origin, key=key, cut=cut, **founded)
     return Decisions(one, sys.stdin.buffer)

@@ -15,7 +15,7 @@ from fsar_ledger.base.errors import FsarLedgerError, UsageError, option
 from fsar_ledger.base.printable import SafeText
 
 from .answers import Answer, Plain, Screen
-from .federate import CONTINUES, CUT, FLEET, ORIGIN_NAME, ROBOTS, SETTINGS, federate
+from .federate import CONTINUES, CUT, FLEET, ISOLATED, OF, ORIGIN_NAME, ROBOTS, SETTINGS, federate
 from .names import Names, Place, names_of
 from .verbs import Gives, KeyOption, Option, argument, declare, switch, verb
 
@@ -117,6 +117,8 @@ def serve_federation(
     origin: str | None = ORIGIN_NAME,
     key: KeyOption = None,
     cut: str | None = CUT,
+    isolated: str | None = ISOLATED,
+    of: Place | None = OF,
     host: str = declare("ADDRESS", "The address to listen at.", value="127.0.0.1"),
     port: int = declare("N", "The port to listen at; 0 takes a free one.", least=0, most=65535, value=0),
     rate: int = declare("N", "How many commands a second each principal may give.", least=1, value=100),
@@ -142,6 +144,7 @@ def serve_federation(
         read_policy(Path(policy))  # so that what is wrong with it is told before anything begins
     settings = names_of(settings) or ()
     given = {"fleet": fleet, "robots": robots, "settings": settings, "origin": origin, "key": key, "cut": cut}
+    given |= {"isolated": isolated, "of": of}
     files = [None if file is None else Path(file) for file in (certificate, certificate_key)]
     return ServedFederation(
         Path(out),

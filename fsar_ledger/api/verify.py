@@ -19,6 +19,7 @@ from .verbs import Gives, Shows, TrustedKeyOption, WorkersOption, declare, reade
 if TYPE_CHECKING:
     from fsar_ledger.ledger.store.problem import Problem
     from fsar_ledger.ledger.verify.report import VerifyReport
+    from fsar_ledger.runtime.isolation import FleetComparison
     from fsar_ledger.runtime.replay import ReplayReport
     from fsar_ledger.witness.answers import WitnessAnswer
 
@@ -28,8 +29,9 @@ if TYPE_CHECKING:
 class Verification(Answer, msgspec.Struct, frozen=True):
     """The findings of `verify`.
 
-    `report` comes from deriving everything again, `replay` from playing the runs again, `witnessed` from witnesses.
-    None means not asked for. `path` is the ledger; `is_recorded`: the runs were played in the world on record.
+    `report` comes from deriving everything again, `replay` from playing the runs again, `witnessed` from witnesses,
+    `fleet` from the ledger of a lone robot's fleet. None means not asked for. `path` is the ledger; `is_recorded`: the
+    runs were played in the world on record.
     """
 
     report: "VerifyReport"
@@ -37,6 +39,7 @@ class Verification(Answer, msgspec.Struct, frozen=True):
     witnessed: "WitnessAnswer | None" = None
     path: Path = Path()
     is_recorded: bool = False
+    fleet: "FleetComparison | None" = None
 
     @property
     def ok(self) -> bool:
@@ -44,6 +47,7 @@ class Verification(Answer, msgspec.Struct, frozen=True):
         return (
             self.report.ok
             and (self.replay is None or self.replay.ok)
+            and (self.fleet is None or self.fleet.ok)
             and (self.witnessed is None or self.witnessed.is_enough)
         )
 
@@ -62,7 +66,7 @@ class Verification(Answer, msgspec.Struct, frozen=True):
         """The error that names each place in doubt."""
         if not self.report.ok:
             return LedgerCorrupted(*self._lines())
-        if self.replay is not None and not self.replay.ok:
+        if (self.replay is not None and not self.replay.ok) or (self.fleet is not None and not self.fleet.ok):
             return ReplayMismatch(*self._lines())
         if self.witnessed is not None and not self.witnessed.is_enough:
             return LedgerCorrupted(self.witnessed.doubt(self.path))
@@ -73,6 +77,8 @@ class Verification(Answer, msgspec.Struct, frozen=True):
         more: dict[str, object] = {} if self.replay is None else {"replay": self.replay}
         if self.witnessed is not None:
             more["witnessed"] = self.witnessed.json()
+        if self.fleet is not None:
+            more["fleet"] = self.fleet
         head = {"size": self.report.events, "root": self.report.root}
         return {"head": head, **msgspec.to_builtins(self.report), "ok": self.ok, **more}
 
@@ -82,14 +88,20 @@ class Verification(Answer, msgspec.Struct, frozen=True):
         yield printable.lines(*self._lines(), *witnessed)
 
     def _lines(self) -> list[str]:
-        ledger, report, again = self.path, self.report, self.replay
-        lines = _of_report(ledger, report)
+        report = _of_report(self.path, self.report)
+        asked = [self._replay_lines(self.replay), self._fleet_lines(self.fleet)]
+        doubts = [line for one in (self.replay, self.fleet) if one is not None for line in map(str, one.differences)]
+        return [*(doubts or report), *(line for lines in asked for line in lines)]
+
+    def _replay_lines(self, again: "ReplayReport | None") -> list[str]:
+        """Return what the replay says beside its differences."""
+        ledger, report = self.path, self.report
         if again is None:
-            return lines
+            return []
         if not report.ok:
-            return [*lines, f"{ledger}: not replayed, as its rows are in doubt"]
+            return [f"{ledger}: not replayed, as its rows are in doubt"]
         if again.ok and not report.runs:
-            return [*lines, "replayed: nothing; the ledger holds no run", *again.remarks]
+            return ["replayed: nothing; the ledger holds no run", *again.remarks]
         if again.ok:
             makers = (
                 "the handlers make them in the world on record; whether it was the world of the seed, this does not "
@@ -98,7 +110,6 @@ class Verification(Answer, msgspec.Struct, frozen=True):
                 else "the world and the handlers make them"
             )
             return [
-                *lines,
                 f"replayed: all {again.events:,} events of {counted(again.runs, 'run')} are as {makers}",
                 *again.remarks,
             ]
@@ -106,15 +117,26 @@ class Verification(Answer, msgspec.Struct, frozen=True):
             f"{report.runs - again.runs:,} of {report.runs:,} runs" if report.runs > again.runs else "what was planned"
         )
         return [
-            *map(str, again.differences),
-            f"{ledger}: consistent, but replay doubts {count}; do not rely on what they say happened and was decided",
+            f"{ledger}: consistent, but replay doubts {count}; do not rely on what they say happened and was decided"
         ]
+
+    def _fleet_lines(self, fleet: "FleetComparison | None") -> list[str]:
+        """Return what the comparison with the fleet's ledger says beside its differences."""
+        if fleet is None:
+            return []
+        if not self.report.ok:
+            return [f"{self.path}: not compared with its fleet, as its rows are in doubt"]
+        if not fleet.ok:
+            return [f"{self.path}: its fleet's ledger says otherwise; do not rely on what is said of a robot alone"]
+        agreed = f"{counted(fleet.runs, 'founding')} and {counted(fleet.handed_over, 'hand-over')}"
+        return [f"compared with its fleet: {agreed} are as both ledgers have them"]
 
 
 @verb(
     "verify out/ledger",
     "verify out/ledger --quick --json",
     "verify out/ledger --replay",
+    "verify out/a1 --of out/hall",
     "cp out/ledger/checkpoint monday    # keep it elsewhere; later:",
     "verify out/ledger --anchor monday --trusted-key out/fleet.key.pub",
     "verify out/ledger --witness-policy witnesses.policy --cosigned out/cosigned",
@@ -138,6 +160,9 @@ def verify(
         "Also play every run again: each recorded decision must be what the handlers decide from the recorded world."
     ),
     recorded: bool = switch("With --replay: take what the world did and answered from the ledger, not from the seed."),
+    of: Place | None = declare(
+        "LEDGER", "Also compare what a robot alone went on from, and handed over, with this ledger of its fleet."
+    ),
     workers: WorkersOption = None,
     progress: Annotated[Progress | None, Shows("verified", "segments", {"replay": "verified and replayed"})] = None,
     now_s: Annotated[int | None, Gives("now")] = None,
@@ -160,6 +185,8 @@ def verify(
 
     if recorded and not replay:
         raise UsageError(f"{option('recorded')}: expected it with {option('replay')}, of which it says in which world")
+    if quick and of is not None:
+        raise UsageError(f"{option('quick')} and {option('of')}: expected one of them; a quick look reads no rows")
     if quick and replay:
         raise UsageError(
             f"{option('quick')} and {option('replay')}: expected one of them; a quick look reads no rows, a replay "
@@ -174,7 +201,19 @@ def verify(
     asked = VerifyOptions(quick, trusted, kept, seen.evidence.checkpoints if seen is not None else ())
     report = full_verify(place, readers_of(workers, place), progress, asked)
     again = replayed(place, report, workers, progress, recorded) if replay else None
-    return Verification(report, again, seen, place, recorded)
+    compared = None if of is None else _compared(place, Path(of), report, workers)
+    return Verification(report, again, seen, place, recorded, compared)
+
+
+def _compared(ledger: Path, fleet: Path, report: "VerifyReport", workers: int | None) -> "FleetComparison":
+    """Compare with the fleet's ledger, once both are verified. Raises: LedgerCorrupted for the fleet's."""
+    from fsar_ledger.metrics.verified import full_verify
+    from fsar_ledger.runtime.isolation import FleetComparison, compared_with_fleet
+
+    theirs = full_verify(fleet, readers_of(workers, fleet), None)
+    if not theirs.ok:
+        raise LedgerCorrupted(*_of_report(fleet, theirs))
+    return compared_with_fleet(ledger, fleet) if report.ok else FleetComparison(0, 0, ())
 
 
 def replayed(

@@ -11,11 +11,19 @@ from fsar_ledger.designs.constants import Constants, Membership, Outages, Struct
 from fsar_ledger.designs.dials import Alliance, Jade, Roboos
 from fsar_ledger.events.configuration import removed_mechanisms
 from fsar_ledger.events.envelope import Robot, Supervisor
-from fsar_ledger.events.fleet import Departure, IsolationBegan, RobotDeparted, RobotJoined, RobotReturned, RunStarted
+from fsar_ledger.events.fleet import (
+    Departure,
+    IsolationBegan,
+    IsolationEnded,
+    RobotDeparted,
+    RobotJoined,
+    RobotReturned,
+    RunStarted,
+)
 
 from .maps import put, without
 
-HANDLES = RunStarted | RobotJoined | RobotDeparted | RobotReturned | IsolationBegan
+HANDLES = RunStarted | RobotJoined | RobotDeparted | RobotReturned | IsolationBegan | IsolationEnded
 NEVER_US = 2**63 - 1
 """Later than any time that can be stored."""
 
@@ -39,7 +47,8 @@ class Fleet(msgspec.Struct, frozen=True, dict=True):
 
     `departed`: robot that has left and not returned -> how; `fences`: robot -> its departures so far. `bodies` are the
     roles whose robots can clear an obstruction; `substitutes` maps a capability to the one that can replace it.
-    `is_live`: the robots are really there. `isolated`: the robot that is alone, without the federation.
+    `is_live`: the robots are really there. `isolated`: the robot that is alone, without the federation; `handed_over`:
+    robot -> its run alone that it has handed over last.
 
     Units: `answer_us` microseconds that a robot waits for an answer.
     """
@@ -59,6 +68,7 @@ class Fleet(msgspec.Struct, frozen=True, dict=True):
     alliance: Alliance = Alliance()
     roboos: Roboos = Roboos()
     isolated: Robot | None = None
+    handed_over: Mapping[Robot, str] = {}
 
     @cached_property
     def teams(self) -> dict[int, frozenset[Robot]]:
@@ -114,6 +124,9 @@ def evolve(state: Fleet, event: HANDLES) -> Fleet:
         case IsolationBegan():
             fences = {} if event.fence is None else {event.robot: event.fence}
             return msgspec.structs.replace(state, isolated=event.robot, fences=fences)
+        case IsolationEnded():
+            handed_over = put(state.handed_over, event.robot, event.isolated_run)
+            return msgspec.structs.replace(state, handed_over=handed_over)
         case _:
             assert_never(event)
 

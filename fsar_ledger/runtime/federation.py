@@ -66,7 +66,7 @@ class Federation:
         on_commit: Called after each commit with the seq of its first event and its rows, as they are hashed, a line
             each. Seqs count on over runs that continue each other.
         cuts_us: When the run is cut (`cut`): microseconds after midnight in UTC.
-        isolation: From what a robot alone goes on, if the run is its own (`isolation_of`).
+        isolation: From what a robot alone goes on, if the run is its own and new (`isolation_of`).
 
     Raises:
         UsageError: Another run has this name, or would go on otherwise than it was recorded.

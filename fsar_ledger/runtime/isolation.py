@@ -1,25 +1,31 @@
-"""A robot alone and its fleet: what it goes on from, and what it hands over, each read from a ledger."""
+"""A robot alone and its fleet: what it goes on from, and what it hands over, each read from a ledger, and compared."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
+
+import msgspec
 
 from fsar_ledger.base.errors import UsageError
 from fsar_ledger.base.printable import value
 from fsar_ledger.designs.constants import Constants
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import recorded_robot
+from fsar_ledger.events.command import CommandGiven
+from fsar_ledger.events.envelope import Robot, recorded_robot
 from fsar_ledger.events.execution import ExecutionFinished
-from fsar_ledger.events.fleet import IsolationBegan, RunStarted
+from fsar_ledger.events.fleet import IsolationBegan, IsolationEnded, RunStarted
 from fsar_ledger.events.task import StepCompleted
 from fsar_ledger.ledger.opening import open_ledger
-from fsar_ledger.ledger.store.locations import record_of
+from fsar_ledger.ledger.rows.runs import LedgerRun
+from fsar_ledger.ledger.store.locations import chain_of, record_of, seq_counted_on, whole_of
 from fsar_ledger.ledger.store.read import View
 from fsar_ledger.projections.fold import fold
 
-from .handlers.isolation import restated
+from .handlers.isolation import HandOver, restated
+from .handlers.public import read
 from .live import SOURCE
-from .recipes import recorded_constants
+from .recipes import CannotReplay, recorded_constants
+from .run_replay import Difference
 
 
 class Isolation(NamedTuple):
@@ -29,6 +35,19 @@ class Isolation(NamedTuple):
     founding: tuple[Event, ...]
     constants: Constants
     epoch: str
+
+
+class FleetComparison(msgspec.Struct, frozen=True):
+    """What `compared_with_fleet` finds. `runs` of robots alone were compared, and `handed_over` of them so far."""
+
+    runs: int
+    handed_over: int
+    differences: tuple[Difference, ...]
+
+    @property
+    def ok(self) -> bool:
+        """Return whether nothing differs."""
+        return not self.differences
 
 
 # See docs/decisions/robots-alone-have-runs-of-their-own.md.
@@ -41,41 +60,61 @@ def isolation_of(path: Path, robot: str) -> Isolation:
     """
     view = open_ledger(path)
     run = view.run_names.runs[-1] if view.run_names.runs else ""
-    record = record_of(view, run)
-    started, member = record.events[0], recorded_robot(robot)
+    return _isolation(view, run, recorded_robot(robot), view.head.size, view.head.root)
+
+
+def _isolation(view: View, run: str, robot: Robot, size: int, root: str) -> Isolation:
+    """As `isolation_of`, by this run among the first `size` events of the ledger."""
+    record = record_of(view, run, size)
+    started = record.events[0]
     if not isinstance(started, RunStarted) or started.source != SOURCE or started.epoch is None:
-        raise UsageError(f"{path}: run {value(run)}: found a run that is not live, expected the fleet's")
+        raise UsageError(f"{view.path}: run {value(run)}: found a run that is not live, expected the fleet's")
     state = fold(record.events)
-    if member not in state.fleet.robots or state.fleet.isolated is not None:
-        raise UsageError(f"{path}: run {value(run)}: found no fleet with {value(robot)}, expected one that it is in")
-    own = sum(part.block.rows for part in view.parts(run))
+    if robot not in state.fleet.robots or state.fleet.isolated is not None:
+        raise UsageError(
+            f"{view.path}: run {value(run)}: found no fleet with {value(robot)}, expected one that it is in"
+        )
     began = IsolationBegan(
-        robot=member,
+        robot=robot,
         fleet_run=run,
-        fleet_seq=own - 1,
-        fleet_root=view.head.root,
-        fence=state.fleet.fences.get(member),
+        fleet_seq=_last_seq(view, record),
+        fleet_root=root,
+        fence=state.fleet.fences.get(robot),
     )
     constants = recorded_constants(started, len(record.events))
-    return Isolation(began, restated(record.events, state, member), constants, started.epoch)
+    return Isolation(began, restated(record.events, state, robot), constants, started.epoch)
+
+
+def _last_seq(view: View, record: LedgerRun) -> int:
+    """Return the seq of the record's last event in its own run, which may continue others."""
+    return len(record.events) - seq_counted_on(view, record.run_id, 1)
 
 
 def handed_over(view: View, run: str) -> dict[str, Any]:
     """Return the fields of the `HandOver` of this run of a robot alone. Raises: UsageError where it is none."""
-    record = record_of(view, run)
-    began = next((seq for seq, one in enumerate(record.events) if isinstance(one, IsolationBegan)), 0)
-    alone = record.events[began]
-    if not isinstance(alone, IsolationBegan):
+    return _handed_over(view, run, view.head.size, view.head.root)
+
+
+def _handed_over(view: View, run: str, size: int, root: str) -> dict[str, Any]:
+    record = record_of(view, run, size)
+    seq, alone = _began(record)
+    if alone is None:
         raise UsageError(f"run {value(run)}: found the run of a fleet, expected that of a robot alone")
     return {
         "robot": alone.robot,
         "isolated_run": run,
-        "isolated_seq": sum(part.block.rows for part in view.parts(run)) - 1,
-        "isolated_root": view.head.root,
-        "since_us": record.times_us[began],
+        "isolated_seq": _last_seq(view, record),
+        "isolated_root": root,
+        "since_us": record.times_us[seq],
         "since_fence": alone.fence,
-        "results": _results(record.events[began:]),
+        "results": _results(record.events[seq:]),
     }
+
+
+def _began(record: LedgerRun) -> tuple[int, IsolationBegan | None]:
+    """Return where the run of a robot alone begins after its founding, and that event; None: it is none."""
+    found = ((seq, event) for seq, event in enumerate(record.events) if isinstance(event, IsolationBegan))
+    return next(found, (0, None))
 
 
 def _results(events: Sequence[Event]) -> tuple[str, ...]:
@@ -87,3 +126,101 @@ def _results(events: Sequence[Event]) -> tuple[str, ...]:
             found.pop(step, None)
             found[step] = "success" if isinstance(event, StepCompleted) else "failure"
     return tuple(f"{step} {result}" for step, result in found.items())
+
+
+def compared_with_fleet(path: Path, fleet: Path) -> FleetComparison:
+    """Compare the runs of robots alone in the ledger `path` with the ledger of their fleet.
+
+    What founds each must be what the fleet's ledger said when it had the root that is named, and what was handed over
+    what the robot's ledger said when it had that root. Both ledgers are assumed to verify.
+
+    Raises:
+        UsageError: No run of the ledger is that of a robot alone.
+        NotALedger, LedgerCorrupted: As `open_ledger`.
+    """
+    own, theirs = open_ledger(path), open_ledger(fleet)
+    whole = dict.fromkeys(whole_of(own, run) for run in own.run_names.runs)
+    records = [record for record in (record_of(own, run) for run in whole) if _began(record)[1] is not None]
+    if not records:
+        raise UsageError(f"{path}: found no run of a robot alone, expected one to compare with {fleet}")
+    differences: list[Difference] = []
+    count = 0
+    for record in records:
+        differences += _founding_differences(record, theirs)
+        ended = _handings_over(record, chain_of(own, record.run_id), theirs)
+        count += bool(ended)
+        differences += [one for run, seq, command in ended for one in _handing_differences(run, seq, command, own)]
+    return FleetComparison(len(records), count, tuple(differences))
+
+
+def _founding_differences(record: LedgerRun, fleet: View) -> Iterator[Difference]:
+    """Yield where what founds the run of a robot alone is not what the fleet's ledger says."""
+    seq, began = _began(record)
+    started = record.events[0]
+    assert began is not None
+    assert isinstance(started, RunStarted)
+    size = _sizes(fleet).get(began.fleet_root)
+    if size is None or not fleet.has_run(began.fleet_run):
+        known = f"a run of {fleet.path}, and a root that it had after a commit"
+        yield Difference(record.run_id, seq, "fleet_root", None, known, f"{began.fleet_run}, {began.fleet_root}")
+        return
+    try:
+        theirs = _isolation(fleet, began.fleet_run, began.robot, size, began.fleet_root)
+    except (UsageError, CannotReplay) as error:
+        yield Difference(record.run_id, seq, "fleet_run", None, "a live run of the robot's fleet", f"{error}")
+        return
+    expected = (theirs.epoch, theirs.constants, theirs.founding, theirs.began)
+    found = (started.epoch, recorded_constants(started, len(record.events)), tuple(record.events[1:seq]), began)
+    for name, mine, other in zip(("epoch", "parameters", "founding", "began"), found, expected, strict=True):
+        if mine != other:
+            yield _difference(record.run_id, {"founding": 1, "began": seq}.get(name, 0), name, mine, other)
+
+
+def _difference(run: str, seq: int, name: str, found: Any, expected: Any) -> Difference:
+    """Return the difference; of two foundings, that of the first event in which they differ."""
+    if name != "founding":
+        return Difference(run, seq, name, None, _shown(expected), _shown(found))
+    same = next((at for at, pair in enumerate(zip(found, expected, strict=False)) if pair[0] != pair[1]), None)
+    at = min(len(found), len(expected)) if same is None else same
+    missing = "the end of the founding"
+    wanted, there = (_shown(events[at]) if at < len(events) else missing for events in (expected, found))
+    return Difference(run, seq + at, None, None, wanted, there)
+
+
+def _shown(one: Any) -> str:
+    return value(repr(one))
+
+
+def _sizes(view: View) -> Mapping[str, int]:
+    """Return by its root the size of the ledger after each commit."""
+    return {commit.tree_root: commit.tree_size for commit in view.commits}
+
+
+def _handings_over(record: LedgerRun, names: Sequence[str], fleet: View) -> list[tuple[str, int, HandOver]]:
+    """Return each command, with its run and seq, by which the fleet was told what the robot did in these runs."""
+    _, began = _began(record)
+    if began is None or not fleet.has_run(began.fleet_run):
+        return []
+    theirs = record_of(fleet, whole_of(fleet, began.fleet_run))
+    found = []
+    for seq, event in enumerate(theirs.events):
+        if isinstance(event, IsolationEnded) and event.robot == began.robot and event.isolated_run in names:
+            cause = theirs.caused_by[seq]
+            given = None if cause is None else theirs.events[cause]
+            if isinstance(given, CommandGiven):
+                command = read(HandOver, given.parameters)
+                assert isinstance(command, HandOver)
+                found.append((theirs.run_id, cause or 0, command))
+    return found
+
+
+def _handing_differences(run: str, seq: int, command: HandOver, own: View) -> Iterator[Difference]:
+    """Yield where what was handed over is not what the robot's own ledger says."""
+    size = _sizes(own).get(command.isolated_root)
+    if size is None:
+        expected = f"a root that {own.path} had after a commit"
+        yield Difference(run, seq, "isolated_root", None, expected, command.isolated_root)
+        return
+    for name, expected in _handed_over(own, command.isolated_run, size, command.isolated_root).items():
+        if getattr(command, name) != expected:
+            yield Difference(run, seq, name, None, f"{expected!r}", f"{getattr(command, name)!r}")

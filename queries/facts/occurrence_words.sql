@@ -45,7 +45,7 @@ UNION ALL
 SELECT own.type, 'robot' AS sender, 'robot' AS receiver, own.words, own.detail
 FROM (
     VALUES
-    ('RobotDeparted.v1', 'departs', 'reason'), ('IsolationBegan.v1', 'is alone', 'from'),
+    ('RobotDeparted.v1', 'departs', 'reason'), ('IsolationBegan.v1', 'goes on alone', 'from'),
     ('IsolationEnded.v1', 'is back', 'from'), ('IsolatedResultAccepted.v1', 'accepted', 'result'),
     ('IsolatedResultOvertaken.v1', 'overtaken', 'reason'), ('RobotJoined.v1', 'joins the fleet as', 'role'),
     ('RobotSuspected.v1', 'suspected', NULL), ('RobotReturned.v1', 'returns', NULL),

@@ -52,6 +52,8 @@ RECORDS_ONLY = {
     *("SourceOpened", "Observed", "SourceClosed"),  # what a source said, whatever is derived from it
     "CommandGiven",
     "RunContinued",  # with the state of another run
+    "IsolatedResultAccepted",
+    "IsolatedResultOvertaken",
 }
 
 
@@ -98,7 +100,11 @@ def emitted() -> set[type[Event]]:
 
 
 def test_every_event_type_is_emitted_by_some_run(emitted: set[type[Event]]) -> None:
-    of_other_runs = {"SourceOpened", "Observed", "SourceClosed", "CommandGiven", "RunContinued"}
+    of_other_runs = {
+        *("SourceOpened", "Observed", "SourceClosed"),
+        *("CommandGiven", "RunContinued"),
+        *("IsolationBegan", "IsolationEnded", "IsolatedResultAccepted", "IsolatedResultOvertaken"),
+    }
     assert {event_type.__name__ for event_type in EVENT_TYPES} - {
         event_type.__name__ for event_type in emitted
     } == of_other_runs

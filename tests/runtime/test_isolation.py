@@ -4,15 +4,19 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from msgspec.structs import replace
 
 import fsar_ledger
 from fsar_ledger.base.errors import UsageError
 from fsar_ledger.events.fleet import IsolatedResultAccepted, IsolatedResultOvertaken, IsolationBegan, IsolationEnded
 from fsar_ledger.events.recovery import RecoveryEscalated
+from fsar_ledger.events.registry import CapabilityInstalled
 from fsar_ledger.events.supervision import SupervisorCalled
 from fsar_ledger.events.task import TaskCompleted
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.store.locations import record_of
+from fsar_ledger.runtime.federation import Federation
+from fsar_ledger.runtime.isolation import isolation_of
 from fsar_ledger.runtime.run_replay import replay_run
 from tests.queries.histories import S, act, answer, event, run
 
@@ -166,6 +170,138 @@ def test_a_robot_outside_the_fleet_has_nothing_to_go_on_from(site: Site) -> None
         site.opened("z", "Z9", isolated="robot/Z9", of=site.path / "hall")
     with pytest.raises(UsageError, match="expected both"):
         site.opened("z", "Z9", isolated=A)
+
+
+def test_a_run_is_handed_over_once(site: Site) -> None:
+    site.task(site.hall, DRIVE)
+    with site.alone() as own:
+        site.does(own, "t1/1.1")
+        fields = own.to_hand_over()
+    assert site.tell(site.hall, A, "HandOver", **fields).rejected is None
+    again = site.tell(site.hall, A, "HandOver", **fields)
+    assert again.rejected == "A1 was handed over before, expected a run that was not"
+
+
+def test_the_fleet_does_not_know_a_task_that_came_while_the_robot_was_alone(site: Site) -> None:
+    with site.alone() as own:
+        site.task(own, DRIVE, name="t9")
+        site.does(own, "t9/1.1")
+        fields = own.to_hand_over()
+    found = of(site.tell(site.hall, A, "HandOver", **fields), IsolatedResultOvertaken)
+    assert [(one.subject.task_id, one.reason) for one in found] == [("t9", "the fleet does not know the task")]
+
+
+def test_a_failure_alone_is_recorded_and_leaves_the_step_to_be_done(site: Site) -> None:
+    site.task(site.hall, DRIVE)
+    with site.alone() as own:
+        fields = own.to_hand_over()
+    done = site.tell(site.hall, A, "HandOver", **{**fields, "results": ["t1/1 failure"]})
+    assert [one.result for one in of(done, IsolatedResultAccepted)] == ["failure"]
+    assert site.hall.state.task["t1"].step == 0
+    assert of(site.does(site.hall, "t1/1.1"), TaskCompleted)
+
+
+def test_a_robot_alone_goes_on_with_the_fleet_of_the_ledger_and_with_its_own_run(site: Site) -> None:
+    with pytest.raises(UsageError, match="isolated: found a fleet or settings beside it"):
+        site.opened("a1", "A1", isolated=A, of=site.path / "hall", robots=4)
+    site.hall.close()
+    with pytest.raises(UsageError, match="run morning: found another run, expected that of robot/A1 alone"):
+        site.opened("hall", "morning", isolated=A, of=site.path / "hall")
+    with pytest.raises(UsageError, match="found no fleet with robot/Z9"):
+        site.opened("z", "Z9", isolated="robot/Z9", of=site.path / "hall")
+    assert not (site.path / "z").exists()
+
+
+# --- both ledgers beside each other ---
+
+
+def compared(site: Site) -> list[str]:
+    found = fsar_ledger.open_ledger(site.path / "a1").verify(of=site.path / "hall")
+    assert found.fleet is not None
+    assert found.ok is not bool(found.fleet.differences)
+    return [f"{one.seq} {one.field}" for one in found.fleet.differences]
+
+
+def handed(site: Site, **changed: Any) -> None:
+    site.task(site.hall, DRIVE)
+    with site.alone() as own:
+        site.does(own, "t1/1.1")
+        fields = own.to_hand_over()
+    assert site.tell(site.hall, A, "HandOver", **{**fields, **changed}).rejected is None
+
+
+def test_what_was_handed_over_as_it_is_on_record_agrees(site: Site) -> None:
+    handed(site)
+    site.task(site.hall, DRIVE, name="t2")
+    assert compared(site) == []
+    found = fsar_ledger.open_ledger(site.path / "a1").verify(of=site.path / "hall").fleet
+    assert found is not None
+    assert (found.runs, found.handed_over) == (1, 1)
+
+
+@pytest.mark.parametrize(
+    ("name", "changed"),
+    [
+        ("results", ["t1/1 failure"]),
+        ("results", []),
+        ("since_us", 5),
+        ("isolated_seq", 3),
+        ("isolated_root", "0" * 64),
+    ],
+)
+def test_who_hands_over_anything_else_than_is_on_record_is_found(site: Site, name: str, changed: Any) -> None:
+    handed(site, **{name: changed})
+    assert [one.rpartition(" ")[2] for one in compared(site)] == [name]
+
+
+def founded_otherwise(site: Site, **changed: Any) -> None:
+    found = isolation_of(site.path / "hall", A)
+    began = replace(found.began, **{name: one for name, one in changed.items() if name != "founding"})
+    founding = changed.get("founding", lambda events: events)(found.founding)
+    Federation(
+        site.path / "a1",
+        "A1",
+        found.constants,
+        1,
+        lambda: site.now * 10**9,
+        isolation=found._replace(began=began, founding=founding),
+    ).close()
+
+
+def test_a_robot_that_gives_itself_what_it_does_not_have_is_found(site: Site) -> None:
+    founded_otherwise(
+        site,
+        founding=lambda events: tuple(
+            replace(event, capability="carry.heavy")
+            if isinstance(event, CapabilityInstalled) and event.capability == "carry.package"
+            else event
+            for event in events
+        ),
+    )
+    assert compared(site) == ["3 None"]
+    site.hall.close()
+
+
+@pytest.mark.parametrize(
+    ("changed", "found"),
+    [
+        ({"fleet_root": "0" * 64}, "fleet_root"),
+        ({"fleet_run": "evening"}, "fleet_root"),
+        ({"fleet_seq": 1}, "began"),
+        ({"fence": 7}, "began"),
+    ],
+)
+def test_a_robot_that_names_another_beginning_is_found(site: Site, changed: dict[str, Any], found: str) -> None:
+    founded_otherwise(site, **changed)
+    assert [one.rpartition(" ")[2] for one in compared(site)] == [found]
+
+
+def test_a_ledger_without_a_robot_alone_has_nothing_to_compare(site: Site) -> None:
+    site.alone().close()
+    with pytest.raises(UsageError, match="found no run of a robot alone"):
+        fsar_ledger.open_ledger(site.path / "hall").verify(of=site.path / "a1")
+    with pytest.raises(UsageError, match="quick and of: expected one of them"):
+        fsar_ledger.open_ledger(site.path / "a1").verify(of=site.path / "hall", quick=True)
 
 
 def alone(decided_by: str) -> Any:

@@ -168,6 +168,8 @@ def hand_over(state: State, command: HandOver) -> tuple[Event, ...]:
         refused = f"{command.robot} is alone, expected the fleet's run"
     if refused is None and not command.isolated_run:
         refused = "the run has no name, expected that of the robot's own"
+    if refused is None and state.fleet.handed_over.get(command.robot) == command.isolated_run:
+        refused = f"{command.isolated_run} was handed over before, expected a run that was not"
     unread = next((one for one in command.results if _read(one) is None), None)
     if refused is None and unread is not None:
         refused = f"result {unread!r}, expected a step and success or failure, as t1/2 success"
