@@ -5,6 +5,7 @@
 -- Units: began_us, ended_us microseconds of run time; accepted, overtaken how many results
 -- NULL: fleet_run in a fleet's run; ended_us, accepted, overtaken in the run of a robot alone, which does not know
 -- Example: fsar-ledger query audit/isolations LEDGER
+--   answers nothing, since no robot of the paper goes on alone
 WITH results AS (
     SELECT run_id, caused_by, 1 AS accepted, 0 AS overtaken FROM isolated_result_accepted
     UNION ALL

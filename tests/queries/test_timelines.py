@@ -199,6 +199,8 @@ SILENT = {  # what names an action and is not told: claims, queues, plans and mo
     "AuthorityReleased",
     "BidReceived",
     "ExecutionQueued",
+    "IsolatedResultAccepted",  # of a step of its own
+    "IsolatedResultOvertaken",
     "MotivationBegan",
     "NeedEnded",
     "StepBegan",

@@ -154,7 +154,7 @@ def test_in_dhma_the_next_attempt_follows_the_refused_own_step_and_the_call_with
 def test_a_new_task_and_a_finished_step_are_followed_by_no_attempt_in_particular() -> None:
     assert begins(FSAR, given("fsar"), ARRIVED) == [BeginStep("A1-1", "")]
     assert begins(FSAR, given("fsar", ARRIVED, began(FIRST)), StepCompleted(Subject("A1-1", FIRST))) == [
-        BeginStep("A1-1", "")
+        BeginStep("A1-1", "", step=1)
     ]
 
 

@@ -108,6 +108,7 @@ REPORTS: tuple[tuple[str, str, dict[str, Any]], ...] = (
     ("ReportActuator", B, {"robot": B}),
     ("ReportShift", H_B, {"supervisor": H_B, "is_on": False}),
     ("ReportShift", H_B, {"supervisor": H_B, "is_on": True}),
+    ("HandOver", B, {"robot": B, "isolated_run": "B1", "isolated_seq": 9, "isolated_root": "0" * 64, "since_us": 0}),
     ("ReportPresence", B, {"robot": B, "is_on": False}),
     ("ReportPresence", B, {"robot": B, "is_on": True}),
     ("InstallCapability", B, {"robot": B, "capability": "carry.heavy", "version": "1.0.0"}),
