@@ -15,6 +15,7 @@ import pytest
 import typer
 from typer.main import get_command
 
+import fsar_ledger
 from fsar_ledger.cli.app import app, run
 from fsar_ledger.ledger.log.note import parse_note
 from fsar_ledger.ledger.store.keys import read_verifier
@@ -297,6 +298,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (path / "witnesses.policy").write_text(f"log {read_verifier(key + '.pub')}\nwitness w1 {cosigner.key}\nquorum w1\n")
     names = [part for name in ("door-relay", "layered-recovery", "human-supervision") for part in ("--workflow", name)]
     assert run(["simulate", str(path / "out" / "workflows"), *names]) == 0
+    hall = path / "out" / "hall"
+    fsar_ledger.federate(hall, run="morning").close()
+    fsar_ledger.federate(path / "out" / "a1", run="A1", isolated="robot/A1", of=hall).close()
     return path
 
 

@@ -15,13 +15,15 @@ from fsar_ledger.base import printable
 from fsar_ledger.base.errors import UsageError, option
 from fsar_ledger.base.printable import SafeText
 
-from .answers import Answer, Screen
-from .names import Names, Place, names_of
+from .answers import Answer, Plain, Screen
+from .names import Names, Place, Run, names_of
 from .verbs import KeyOption, argument, declare, verb
 
 if TYPE_CHECKING:
     from fsar_ledger.events import Event
     from fsar_ledger.runtime.federation import Federation
+
+    from .ledger import Ledger
 
 CONTINUES = "every decision that was printed is on disk, and the same command continues the run"
 FLEET: Any = declare("FLEET", "A .toml file with your own fleet, or the name of a registered one.")
@@ -248,3 +250,37 @@ def federate_lines(
     founded: dict[str, Any] = {"fleet": fleet, "robots": robots, "settings": given, "isolated": isolated, "of": of}
     one = federate(out, run=run, origin=origin, key=key, cut=cut, **founded)
     return Decisions(one, sys.stdin.buffer)
+
+
+RUN: Any = declare("RUN", "The run of a robot alone: its number, its name, or a unique part of it.", "the newest")
+
+
+def _handed_over_line(ledger: "Ledger", *, run: Run | None = RUN) -> Answer:
+    fields = hand_over(ledger, run=run)
+    return Plain(msgspec.json.encode({"command": "HandOver", "by": fields["robot"], **fields}).decode() + "\n")
+
+
+@verb(
+    "hand-over out/a1    # a line for `fsar-ledger federate out/hall morning`",
+    name="hand-over",
+    takes=(),
+    call=_handed_over_line,
+)
+def hand_over(ledger: "Ledger", *, run: Run | None = RUN) -> dict[str, Any]:
+    """Give the command by which a robot that was alone hands its run over to its fleet.
+
+    It is printed in a line, as `federate` takes it; in Python, its fields are returned. The fleet accepts each result,
+    or says what has overtaken it.
+
+    Raises:
+        UsageError: There is no such run, or it is not that of a robot alone.
+    """
+    from fsar_ledger.ledger.store.locations import whole_of
+    from fsar_ledger.runtime.isolation import handed_over
+
+    from .lookup import present, run_in
+
+    view, _ = present(ledger)
+    names = view.run_names.runs
+    name = run_in(view, run, ledger.demanded) if run is not None or not names else names[-1]
+    return handed_over(view, whole_of(view, name))

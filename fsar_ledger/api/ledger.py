@@ -16,6 +16,7 @@ from . import compare as _compare
 from . import diff as _diff
 from . import explain as _explain
 from . import export as _export
+from . import federate as _federate
 from . import info as _info
 from . import key as _key
 from . import log as _log
@@ -236,6 +237,8 @@ class Ledger:
     bisect = _bisect.bisect
     view = _view.view
     trace = _view.trace
+
+    hand_over = _federate.hand_over
 
     # --- judgement ---
 

@@ -27,7 +27,7 @@ from .terminal import OutputClosed, say, show
 
 INTERRUPTED = 130
 GROUPS = {
-    "Record": ("simulate", "record", "import", "federate", "serve", "principal", "demo"),
+    "Record": ("simulate", "record", "import", "federate", "hand-over", "serve", "principal", "demo"),
     "Ask": (
         *("info", "metrics", "statistics", "compare"),
         *("query", "sql", "export", "open", "explain", "log"),
@@ -49,6 +49,7 @@ FAMILIES = {
 """What the commands do whose names begin with the same words."""
 HOMES = {
     "demo": ("fsar_ledger.api.serve",),
+    "hand-over": ("fsar_ledger.api.federate",),
     "import": ("fsar_ledger.api.record",),
     "open": ("fsar_ledger.api.export",),
     "principal": ("fsar_ledger.api.serve",),

@@ -31,7 +31,7 @@ from fsar_ledger.ledger.store.read import View
 from fsar_ledger.projections.fold import State
 
 from . import snapshot
-from .isolation import Isolation, handed_over
+from .isolation import Isolation
 from .live import AT_ONCE_US, SOURCE, Decision, LiveRun, command_given, decisions_by_key, live_started
 from .recipes import recorded_constants
 from .run_replay import replay_run
@@ -243,14 +243,6 @@ class Federation:
         last_us = max((one for one in passed if one + self._epoch_us <= now_us), default=0)
         if last_us - 1 > self._began_us:
             self._cut(last_us)
-
-    def to_hand_over(self) -> dict[str, Any]:
-        """Return the fields of the `HandOver` with which a robot alone hands this run over to its fleet.
-
-        Raises: UsageError where the run is not that of a robot alone.
-        """
-        with self._lock:
-            return handed_over(open_ledger(self._path), self.run)
 
     def close(self) -> None:
         """Close the ledger. A federation of the same run continues it."""

@@ -55,6 +55,7 @@ def live(place: Path) -> Iterator[tuple[object, ...]]:
     """Calls of what serves live fleets."""
     yield from (("serve", place / FOLDER, "--principals", place / EVIL), ("demo", place / EVIL, "--step", 0))
     yield "principal", "new", place / "principals", EVIL
+    yield "hand-over", place / FOLDER, "--run", EVIL
 
 
 def calls(ledger: Path, call: Call, place: Path) -> Iterator[tuple[object, ...]]:

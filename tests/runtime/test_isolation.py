@@ -37,6 +37,9 @@ class Site:
     def alone(self) -> Any:
         return self.opened("a1", "A1", isolated=A, of=self.path / "hall")
 
+    def to_hand_over(self) -> Any:
+        return fsar_ledger.open_ledger(self.path / "a1").hand_over()
+
     def tell(self, one: Any, who: str, command: str, **fields: Any) -> Any:
         self.now += 1
         return one.give(command, by=who, **fields)
@@ -67,7 +70,7 @@ def test_it_does_its_own_steps_alone_and_the_fleet_accepts_them(site: Site) -> N
     with site.alone() as own:
         site.does(own, "t1/1.1")
         assert of(site.does(own, "t1/2.1"), TaskCompleted)
-        fields = own.to_hand_over()
+        fields = site.to_hand_over()
     done = site.tell(site.hall, A, "HandOver", **fields)
     assert [one.subject.action_id for one in of(done, IsolatedResultAccepted)] == ["t1/1.1", "t1/2.1"]
     assert of(done, TaskCompleted)
@@ -81,7 +84,7 @@ def test_each_run_replays_for_itself(site: Site) -> None:
     head = open_ledger(site.path / "hall").head
     with site.alone() as own:
         site.does(own, "t1/1.1")
-        fields = own.to_hand_over()
+        fields = site.to_hand_over()
     site.tell(site.hall, A, "HandOver", **fields)
     alone = record(site.path / "a1", "A1")
     [began] = [one for one in alone.events if isinstance(one, IsolationBegan)]
@@ -132,7 +135,7 @@ def test_what_the_fleet_has_done_meanwhile_overtakes_it(site: Site) -> None:
     site.task(site.hall, DRIVE)
     with site.alone() as own:
         site.does(own, "t1/1.1")
-        fields = own.to_hand_over()
+        fields = site.to_hand_over()
     site.does(site.hall, "t1/1.1")
     found = of(site.tell(site.hall, A, "HandOver", **fields), IsolatedResultOvertaken)
     assert [one.reason for one in found] == ["the task is completed"]
@@ -142,7 +145,7 @@ def test_what_it_did_before_it_was_declared_departed_does_not_count(site: Site) 
     site.task(site.hall, DRIVE)
     with site.alone() as own:
         site.does(own, "t1/1.1")
-        fields = own.to_hand_over()
+        fields = site.to_hand_over()
     site.tell(site.hall, A, "LeaveFleet", robot=A)
     assert site.tell(site.hall, A, "HandOver", **fields).rejected
     site.tell(site.hall, A, "JoinFleet", robot=A, role="A", team=1, supervisor="supervisor/A1")
@@ -151,16 +154,16 @@ def test_what_it_did_before_it_was_declared_departed_does_not_count(site: Site) 
 
 
 def test_nobody_else_hands_it_over(site: Site) -> None:
-    with site.alone() as own:
-        fields = own.to_hand_over()
+    with site.alone():
+        fields = site.to_hand_over()
     assert (
         site.tell(site.hall, B, "HandOver", **fields).rejected == "robot/B1 speaks for robot/A1, expected its own word"
     )
 
 
 def test_a_result_that_nobody_can_read_is_refused(site: Site) -> None:
-    with site.alone() as own:
-        fields = own.to_hand_over()
+    with site.alone():
+        fields = site.to_hand_over()
     refused = site.tell(site.hall, A, "HandOver", **{**fields, "results": ["t1 well"]}).rejected
     assert refused == "result 't1 well', expected a step and success or failure, as t1/2 success"
 
@@ -176,7 +179,7 @@ def test_a_run_is_handed_over_once(site: Site) -> None:
     site.task(site.hall, DRIVE)
     with site.alone() as own:
         site.does(own, "t1/1.1")
-        fields = own.to_hand_over()
+        fields = site.to_hand_over()
     assert site.tell(site.hall, A, "HandOver", **fields).rejected is None
     again = site.tell(site.hall, A, "HandOver", **fields)
     assert again.rejected == "A1 was handed over before, expected a run that was not"
@@ -186,15 +189,15 @@ def test_the_fleet_does_not_know_a_task_that_came_while_the_robot_was_alone(site
     with site.alone() as own:
         site.task(own, DRIVE, name="t9")
         site.does(own, "t9/1.1")
-        fields = own.to_hand_over()
+        fields = site.to_hand_over()
     found = of(site.tell(site.hall, A, "HandOver", **fields), IsolatedResultOvertaken)
     assert [(one.subject.task_id, one.reason) for one in found] == [("t9", "the fleet does not know the task")]
 
 
 def test_a_failure_alone_is_recorded_and_leaves_the_step_to_be_done(site: Site) -> None:
     site.task(site.hall, DRIVE)
-    with site.alone() as own:
-        fields = own.to_hand_over()
+    with site.alone():
+        fields = site.to_hand_over()
     done = site.tell(site.hall, A, "HandOver", **{**fields, "results": ["t1/1 failure"]})
     assert [one.result for one in of(done, IsolatedResultAccepted)] == ["failure"]
     assert site.hall.state.task["t1"].step == 0
@@ -226,7 +229,7 @@ def handed(site: Site, **changed: Any) -> None:
     site.task(site.hall, DRIVE)
     with site.alone() as own:
         site.does(own, "t1/1.1")
-        fields = own.to_hand_over()
+        fields = site.to_hand_over()
     assert site.tell(site.hall, A, "HandOver", **{**fields, **changed}).rejected is None
 
 
