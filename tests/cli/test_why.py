@@ -46,7 +46,7 @@ def test_an_event_is_told_with_its_triggers_reads_and_answers(call: Call, ledger
     assert lines[0].startswith(f"run 1, {RUN}")
     assert re.match(rf" +{request_seq} .* request: ", lines[2])
     assert "triggers, the last one first" in lines
-    assert "decided by architectures.fsar.request.issue_request on IssueRequest" in lines
+    assert "decided by architectures.fsar.discovery.issue_request on IssueRequest" in lines
     assert any(line.startswith("asked network: message:") for line in lines)
     assert any(re.match(r"read of \d+  \d", line) for line in lines)
     assert "read, and nothing had written it" in lines

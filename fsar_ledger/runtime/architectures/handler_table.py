@@ -53,11 +53,11 @@ class HandlerTable(msgspec.Struct, frozen=True, eq=False):
     @classmethod
     def of(
         cls,
-        *modules: ModuleType,
+        *modules: ModuleType | Handlers,
         own: dict[type[Command], Decide] | None = None,
         instead: dict[React, React] | None = None,
     ) -> "HandlerTable":
-        """Collect the `HANDLERS` of the modules.
+        """Collect the `HANDLERS` of the modules; the module that makes the table gives its own ones as they are.
 
         `own` are commands of shared modules that the architecture decides in its own way; `instead` maps shared
         reactions to the architecture's own.
@@ -71,9 +71,10 @@ class HandlerTable(msgspec.Struct, frozen=True, eq=False):
         actors: dict[type[Command], Actor] = {}
         replaced: set[React] = set()
         for module in modules:
-            handlers: Handlers = module.HANDLERS
+            handlers: Handlers = module if isinstance(module, Handlers) else module.HANDLERS
             for command in handlers.decides.keys() & decides.keys():
-                raise ValueError(f"{module.__name__}: {command.__name__} is decided twice")
+                again = handlers.decides[command]
+                raise ValueError(f"{again.__module__}.{again.__name__}: {command.__name__} is decided twice")
             decides |= handlers.decides
             actors |= handlers.actors
             for event, react in handlers.reacts.items():
