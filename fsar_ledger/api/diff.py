@@ -1,7 +1,7 @@
 """The verb `diff`: in what two runs differ, where they part with what led there, what they came to; how that is told."""
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Annotated
 
 import msgspec
@@ -212,7 +212,7 @@ def _changed(
 
 
 def _line(
-    one: "Difference", first: "LedgerRun", second: "LedgerRun", lines: "Mapping[tuple[str, int], Line]"
+    one: "Difference", first: "LedgerRun", second: "LedgerRun", lines: "dict[tuple[str, int], Line]"
 ) -> DifferenceLine:
     from fsar_ledger.analysis.difference import FIRST, SECOND
 

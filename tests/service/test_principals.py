@@ -10,7 +10,7 @@ import pytest
 from fsar_ledger.base.errors import UsageError, WriteFailed
 from fsar_ledger.runtime.handlers.public import commands, own_fields
 from fsar_ledger.runtime.live import command_given
-from fsar_ledger.service.openapi import described, page
+from fsar_ledger.service.pages import described, page
 from fsar_ledger.service.principals import KINDS, Principals, add_principal
 
 
