@@ -14,7 +14,8 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from fsar_ledger.base.errors import InvalidRun, LedgerCorrupted, UnknownEventTag
-from fsar_ledger.events import EVENT_TYPES, UPCASTS
+from fsar_ledger.events import EVENT_TYPES
+from fsar_ledger.events.retired import UPCASTS
 from fsar_ledger.ledger.log import hashing
 from fsar_ledger.ledger.log.hashing import HASH_BYTES
 from fsar_ledger.ledger.rows import canonical
