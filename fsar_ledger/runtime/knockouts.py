@@ -26,6 +26,7 @@ from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.recovery import Recovery
 from fsar_ledger.projections.world import in_force
+from fsar_ledger.runtime.architectures import HandlerTable
 from fsar_ledger.runtime.architectures.cfc import coordinator
 from fsar_ledger.runtime.architectures.cfc import execution as cfc_execution
 from fsar_ledger.runtime.architectures.cfc import request as cfc_request
@@ -37,7 +38,6 @@ from fsar_ledger.runtime.architectures.dhma import request as dhma_request
 from fsar_ledger.runtime.architectures.fsar import authority as fsar_authority
 from fsar_ledger.runtime.architectures.fsar import request as fsar_request
 from fsar_ledger.runtime.architectures.fsar.execution import ready, start_under
-from fsar_ledger.runtime.architectures.handler_table import HandlerTable
 from fsar_ledger.runtime.handlers.admissibility import holding
 from fsar_ledger.runtime.handlers.attribution import parties, recorded_by
 from fsar_ledger.runtime.handlers.commands import (

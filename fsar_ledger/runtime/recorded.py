@@ -21,7 +21,7 @@ from fsar_ledger.events.world import WorldEvent
 from fsar_ledger.ledger.rows.codec import LedgerRun
 
 from .agenda import Pending
-from .architectures.handler_table import HandlerTable
+from .architectures import HandlerTable
 from .handlers.commands import Scheduled
 from .kernel import Kernel, is_same_batch
 from .ports import AS_USUAL, DISAPPROVES, PREFERS_OTHER, Ask, Fact

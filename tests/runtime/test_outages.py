@@ -43,7 +43,7 @@ from fsar_ledger.events.world import (
 from fsar_ledger.ledger.rows.codec import LedgerRun, decode, encode
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.world import World, evolve
-from fsar_ledger.runtime.architectures.handler_table import HandlerTable
+from fsar_ledger.runtime.architectures import HandlerTable
 from fsar_ledger.runtime.handlers import execution, task
 from fsar_ledger.runtime.handlers.commands import BeginStep, Command, Handlers, Scheduled, StartAction
 from fsar_ledger.runtime.handlers.public import PublicCommand

@@ -19,7 +19,7 @@ from fsar_ledger.events.task import TaskCompleted
 from fsar_ledger.events.world import WorldEvent
 from fsar_ledger.ledger.rows.codec import LedgerRun, encode
 from fsar_ledger.metrics.results import metric_rows
-from fsar_ledger.runtime.architectures.handler_table import HandlerTable
+from fsar_ledger.runtime.architectures import HandlerTable
 from fsar_ledger.runtime.handlers.commands import StartAction, TakeTurn
 from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.ports import Ask, Fact

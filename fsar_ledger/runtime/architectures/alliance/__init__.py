@@ -40,7 +40,7 @@ from fsar_ledger.events.world import ContextChanged
 from fsar_ledger.projections.execution import Action
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.motivation import action_of
-from fsar_ledger.runtime.architectures.handler_table import COMMON, HandlerTable
+from fsar_ledger.runtime.architectures import COMMON, HandlerTable
 from fsar_ledger.runtime.handlers.commands import (
     ActionCommand,
     Command,

@@ -1,6 +1,6 @@
 """Centralized fleet controller: one coordinator decides everything on synced copies; robots only execute."""
 
-from fsar_ledger.runtime.architectures.handler_table import COMMON, HandlerTable
+from fsar_ledger.runtime.architectures import COMMON, HandlerTable
 from fsar_ledger.runtime.handlers import assistance
 
 from . import coordinator, execution, request

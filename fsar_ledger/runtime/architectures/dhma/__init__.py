@@ -1,6 +1,6 @@
 """Decomposition-heavy multi-agent fleet: every robot is four fleet-visible agents that negotiate."""
 
-from fsar_ledger.runtime.architectures.handler_table import COMMON, HandlerTable
+from fsar_ledger.runtime.architectures import COMMON, HandlerTable
 
 from . import agents, execution, recovery, request
 

@@ -46,7 +46,7 @@ from fsar_ledger.events.world import ContextChanged, OutsiderRequestInjected
 from fsar_ledger.projections.execution import Action
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.request import Request
-from fsar_ledger.runtime.architectures.handler_table import COMMON, HandlerTable
+from fsar_ledger.runtime.architectures import COMMON, HandlerTable
 from fsar_ledger.runtime.handlers.authority import release
 from fsar_ledger.runtime.handlers.commands import (
     ActionCommand,

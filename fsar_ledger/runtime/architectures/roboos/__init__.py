@@ -8,7 +8,7 @@ violations are structural; the dial `gate` adds a check of the robot's own polic
 task, never a requester or a supervisor (slaver/run.py, _send_result).
 """
 
-from fsar_ledger.runtime.architectures.handler_table import COMMON, HandlerTable
+from fsar_ledger.runtime.architectures import COMMON, HandlerTable
 from fsar_ledger.runtime.handlers import assistance
 
 from . import master, robot
