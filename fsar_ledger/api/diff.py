@@ -1,4 +1,4 @@
-"""The verb `diff`: in what two runs differ, where they part with what led there, what they came to; how that is told."""
+"""The verb `diff`: in what two runs differ, where they part and what led there, and what they came to."""
 
 from collections import Counter
 from collections.abc import Iterator, Sequence

@@ -19,9 +19,8 @@ from fsar_ledger.events.world import (
     ObstructionAppeared,
 )
 from fsar_ledger.projections.fold import State, fold
-from fsar_ledger.runtime.architectures.roboos import ROBOOS
-from fsar_ledger.runtime.architectures.roboos.master import SendSubtask
-from fsar_ledger.runtime.architectures.roboos.robot import StartChecklist, TakeSubtask
+from fsar_ledger.runtime.architectures.roboos import ROBOOS, StartChecklist
+from fsar_ledger.runtime.architectures.roboos.master import SendSubtask, TakeSubtask
 from fsar_ledger.runtime.handlers.commands import (
     DetectObstruction,
     FinishAttempt,
