@@ -14,8 +14,8 @@ from .names import Place, Run
 from .verbs import Option, argument, declare, verb
 
 if TYPE_CHECKING:
+    from fsar_ledger.analysis import Line
     from fsar_ledger.analysis.difference import Difference, OutcomesDiff
-    from fsar_ledger.analysis.records import Line
     from fsar_ledger.events import Event
     from fsar_ledger.ledger.rows.codec import LedgerRun
     from fsar_ledger.metrics.provenance import Provenance
@@ -153,8 +153,8 @@ def difference_of(
 
     Raises: as `Database.rows`.
     """
+    from fsar_ledger.analysis import lines_from
     from fsar_ledger.analysis.difference import FIRST, KINDS, SECOND, align, chain, outcomes_diff, until_the_end
-    from fsar_ledger.analysis.records import lines_from
     from fsar_ledger.ledger.rows.codec import encode_coded
     from fsar_ledger.metrics.database import from_table
     from fsar_ledger.runtime.forks import until

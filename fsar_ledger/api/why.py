@@ -14,7 +14,7 @@ from .names import Place, Run
 from .verbs import WIDE, argument, declare, verb
 
 if TYPE_CHECKING:
-    from fsar_ledger.analysis.records import Line
+    from fsar_ledger.analysis import Line
     from fsar_ledger.analysis.why import DecisionTrace, Read
     from fsar_ledger.ledger.rows.codec import LedgerRun
     from fsar_ledger.metrics.provenance import Provenance
@@ -199,7 +199,7 @@ def why_of(record: "LedgerRun", provenance: "Provenance", seq: int, depth: int |
     Raises:
         UsageError: There is no such event, the depth is not positive, or the run cannot be made again as recorded.
     """
-    from fsar_ledger.analysis.records import lines_of
+    from fsar_ledger.analysis import lines_of
     from fsar_ledger.analysis.why import reasons
 
     if depth is not None and depth < 1:

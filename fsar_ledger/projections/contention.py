@@ -11,7 +11,7 @@ from fsar_ledger.events.supervision import SupervisorCalled, SupervisorResponded
 from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
 from fsar_ledger.events.world import TaskArrived
 
-from .maps import put
+from . import put
 
 HANDLES = SupervisorCalled | SupervisorResponded | RequestDeferred | TaskArrived | TaskCompleted | TaskAbandoned
 

@@ -13,7 +13,7 @@ from fsar_ledger.events.configuration import removed_mechanisms
 from fsar_ledger.events.envelope import Robot, Supervisor
 from fsar_ledger.events.fleet import Departure, RobotDeparted, RobotJoined, RobotReturned, RunStarted
 
-from .maps import put, without
+from . import put, without
 
 HANDLES = RunStarted | RobotJoined | RobotDeparted | RobotReturned
 NEVER_US = 2**63 - 1

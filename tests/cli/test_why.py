@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import pytest
 
 from fsar_ledger import Ledger
-from fsar_ledger.analysis.records import Line
+from fsar_ledger.analysis import Line
 from fsar_ledger.analysis.why import DecisionTrace, Read, decisions, first_of, reasons
 from fsar_ledger.api.why import Tree, Why, why_of
 from fsar_ledger.base.errors import UsageError
