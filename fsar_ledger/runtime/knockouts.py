@@ -26,10 +26,9 @@ from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.recovery import Recovery
 from fsar_ledger.projections.world import in_force
-from fsar_ledger.runtime.architectures import HandlerTable
+from fsar_ledger.runtime.architectures import HandlerTable, cfc
 from fsar_ledger.runtime.architectures.cfc import coordinator
 from fsar_ledger.runtime.architectures.cfc import execution as cfc_execution
-from fsar_ledger.runtime.architectures.cfc import request as cfc_request
 from fsar_ledger.runtime.architectures.cfc.execution import HANDLERS, GoOnWithoutHelp, go_on_without_help
 from fsar_ledger.runtime.architectures.dhma import Dispute, agents
 from fsar_ledger.runtime.architectures.dhma import execution as dhma_execution
@@ -306,8 +305,8 @@ _OF_CFC = (
         "synced-copies",
         "cfc",
         {
-            coordinator.ProcessWork: _now(cfc_request.process),
-            cfc_request.CommandReviewed: _now(cfc_request.command_reviewed),
+            coordinator.ProcessWork: _now(cfc.process),
+            cfc.CommandReviewed: _now(cfc.command_reviewed),
             DecideRoutine: _now(cfc_execution.decide_routine),
         },
     ),
