@@ -19,7 +19,6 @@ from fsar_ledger.events.retired import UPCASTS
 from fsar_ledger.ledger.log import hashing
 from fsar_ledger.ledger.log.hashing import HASH_BYTES
 from fsar_ledger.ledger.rows import canonical
-from fsar_ledger.ledger.rows.arrow import Codes, Positions, Texts, Values, array_of, bits, require_exact
 from fsar_ledger.ledger.rows.check import first_flaw, run_starts
 from fsar_ledger.ledger.rows.compiled import plain_rows, plain_table
 from fsar_ledger.ledger.rows.runs import (
@@ -45,6 +44,8 @@ from fsar_ledger.ledger.rows.schema import (
     STORED,
     StoredType,
 )
+
+from . import Codes, Positions, Texts, Values, array_of, bits, require_exact
 
 __all__ = [
     "SCHEMA",
