@@ -28,7 +28,7 @@ from fsar_ledger.projections.fold import State, fold
 
 from .architectures import HandlerTable
 from .kernel import Kernel
-from .world.draws import Draws, SimulatedEnvironment, run_key
+from .world import Draws, SimulatedEnvironment, run_key
 from .world.founding import founding
 from .world.schedule import schedule
 

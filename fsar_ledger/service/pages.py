@@ -24,7 +24,8 @@ from fsar_ledger.projections.task import given_up_us
 from fsar_ledger.projections.trust import scope_of
 from fsar_ledger.runtime.handlers.public import PublicCommand, commands, own_fields
 from fsar_ledger.runtime.handlers.supervision import is_settled
-from fsar_ledger.service.principals import KINDS
+
+from . import KINDS
 
 FILES = {
     "/console": ("console.html", "text/html"),

@@ -51,7 +51,7 @@ from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.ports import Ask, Fact
 from fsar_ledger.runtime.run_replay import replay_run
 from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, handler_table_of, simulate_run
-from fsar_ledger.runtime.world.draws import Draws, SimulatedEnvironment, Stream, run_key
+from fsar_ledger.runtime.world import Draws, SimulatedEnvironment, Stream, run_key
 from fsar_ledger.runtime.world.schedule import schedule
 from tests import past
 from tests.runtime.histories import started
