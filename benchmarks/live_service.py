@@ -29,7 +29,7 @@ from starlette.routing import Route
 import fsar_ledger
 from benchmarks.table import note
 from fsar_ledger.ledger.store.staging import rows_of
-from fsar_ledger.service.principals import Principals, add_principal
+from fsar_ledger.service import Principals, add_principal
 from fsar_ledger.service.server import Service
 
 BODY = b'{"robot":"robot/A1"}'

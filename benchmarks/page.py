@@ -12,7 +12,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from fsar_ledger.view.drawn import page as page_of
+from fsar_ledger.view import page as page_of
 from tests.view.browser import Tab, chromium, press
 from tests.view.conftest import a_run, shown
 

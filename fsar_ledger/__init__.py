@@ -30,10 +30,9 @@ if TYPE_CHECKING:
     from fsar_ledger.service.client import Client
     from fsar_ledger.studies.calibration import calibrate
     from fsar_ledger.studies.comparison import judge
-    from fsar_ledger.studies.ensemble import ensemble
     from fsar_ledger.studies.placebo import placebo
     from fsar_ledger.studies.predictions import predict
-    from fsar_ledger.studies.ranking import ranking
+    from fsar_ledger.studies.robustness import ensemble, ranking
     from fsar_ledger.studies.sensitivity import sensitivity
     from fsar_ledger.studies.systems import systems
 
@@ -91,10 +90,9 @@ _HOMES = {
     "service.client": ("Client",),
     "studies.calibration": ("calibrate",),
     "studies.comparison": ("judge",),
-    "studies.ensemble": ("ensemble",),
     "studies.placebo": ("placebo",),
     "studies.predictions": ("predict",),
-    "studies.ranking": ("ranking",),
+    "studies.robustness": ("ensemble", "ranking"),
     "studies.sensitivity": ("sensitivity",),
     "studies.systems": ("systems",),
 }

@@ -16,11 +16,10 @@ from fsar_ledger.metrics.study_results import packaged, rules
 from fsar_ledger.studies import result
 from fsar_ledger.studies.calibration import calibrate
 from fsar_ledger.studies.comparison import judge
-from fsar_ledger.studies.ensemble import ensemble
 from fsar_ledger.studies.placebo import placebo
 from fsar_ledger.studies.predictions import predict
-from fsar_ledger.studies.ranking import ranking
 from fsar_ledger.studies.result import KINDS
+from fsar_ledger.studies.robustness import ensemble, ranking
 from fsar_ledger.studies.sensitivity import sensitivity
 from fsar_ledger.studies.systems import systems
 from tests.history import ROOT, results_of

@@ -21,7 +21,7 @@ from fsar_ledger.ledger.log.note import parse_note
 from fsar_ledger.ledger.store.keys import read_verifier
 from fsar_ledger.metrics.library import library
 from fsar_ledger.studies.result import KINDS
-from fsar_ledger.witness.protocol import Cosigner
+from fsar_ledger.witness import Cosigner
 from tests.cli.conftest import SMALL
 from tests.ledger.keep_release import LEDGERS
 from tests.sources.vda import honest_night, written

@@ -38,8 +38,8 @@ from fsar_ledger.runtime.forks import edited_environment, kernel_of, run_to_end,
 from fsar_ledger.runtime.live import LiveKernel
 from fsar_ledger.runtime.ports import Ask
 
+from . import lines_of
 from .fork_base import Rerun
-from .records import lines_of
 
 _COMPARISON = re.compile(r"\s*([A-Za-z_0-9/]+)\s*(>=|<=|!=|<>|=|==|>|<)\s*(-?[0-9]+(?:\.[0-9]+)?)\s*")
 _SELECT = re.compile(r"\s*(SELECT|WITH|FROM)\b", re.IGNORECASE)

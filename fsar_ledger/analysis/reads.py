@@ -15,9 +15,8 @@ import msgspec
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.knowledge import CopySynced
-from fsar_ledger.projections import fold
+from fsar_ledger.projections import SharedMap, fold
 from fsar_ledger.projections.fold import ENDS, ROUTES, State, apply
-from fsar_ledger.projections.maps import SharedMap
 
 
 class Absent(Enum):

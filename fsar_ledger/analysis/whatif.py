@@ -26,8 +26,8 @@ from fsar_ledger.runtime.experiment import ORIGIN
 from fsar_ledger.runtime.forks import Fork
 from fsar_ledger.runtime.live import SOURCE
 
+from . import starts_of
 from .fork_base import Base, base_of_record, rerun
-from .records import starts_of
 
 EVENTS_AT_ONCE = 200_000
 """Events of pairs that are judged together."""

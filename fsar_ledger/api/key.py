@@ -19,8 +19,8 @@ from .verbs import Gives, Option, argument, declare, verb
 if TYPE_CHECKING:
     from fsar_ledger.ledger.log.note import Checkpoint, Signer, VerifierKey
     from fsar_ledger.ledger.verify.report import Anchor
+    from fsar_ledger.witness import WitnessKey
     from fsar_ledger.witness.cosign import Cosigned
-    from fsar_ledger.witness.protocol import WitnessKey
 
     from .ledger import Ledger
 
@@ -184,7 +184,7 @@ class Served(Answer):
 
     def text(self, _: Screen) -> Iterator[SafeText]:
         """Show the public key and the URL, then serve; nothing is left to yield."""
-        from fsar_ledger.witness.protocol import read_log_key
+        from fsar_ledger.witness import read_log_key
         from fsar_ledger.witness.server import Service, WitnessServer
         from fsar_ledger.witness.state import open_state
 

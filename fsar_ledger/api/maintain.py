@@ -18,7 +18,7 @@ from .verbs import Option, Shows, TrustedKeyOption, WorkersOption, declare, read
 
 if TYPE_CHECKING:
     from fsar_ledger.ledger.store.record import Head
-    from fsar_ledger.ledger.verify.recover import Recovery, Step
+    from fsar_ledger.ledger.verify import Recovery, Step
     from fsar_ledger.ledger.verify.report import VerifyOptions
     from fsar_ledger.ledger.verify.trusted import Later
 
@@ -131,7 +131,7 @@ def _recovered(
     workers: int | None,
     progress: Progress | None,
 ) -> Recovered:
-    from fsar_ledger.ledger.verify.recover import recover
+    from fsar_ledger.ledger.verify import recover
     from fsar_ledger.ledger.verify.report import VerifyOptions
 
     asked = VerifyOptions(trusted=trusted_of(trusted_key), anchor=anchor_of(anchor))

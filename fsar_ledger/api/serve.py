@@ -42,7 +42,7 @@ class ServedFederation(Answer):
     def text(self, _: Screen) -> Iterator[SafeText]:
         """Show the address, then serve; nothing is left to yield."""
         require_service()
-        from fsar_ledger.service.principals import Principals
+        from fsar_ledger.service import Principals
         from fsar_ledger.service.server import Service
 
         def opened(on_commit: Callable[[int, bytes], None]) -> "Federation":
@@ -186,7 +186,7 @@ def principal_new(
         UsageError: No principal can have this name, or the file holds something else.
         WriteFailed: The file cannot be written.
     """
-    from fsar_ledger.service.principals import add_principal
+    from fsar_ledger.service import add_principal
 
     return add_principal(Path(file), name)
 

@@ -94,8 +94,8 @@ def state(
     Raises:
         UsageError: There is no such run, robot or decider, `at` is no time of the run, or the run came later.
     """
+    from fsar_ledger.analysis import commits_of
     from fsar_ledger.analysis.moments import Timeline, beliefs
-    from fsar_ledger.analysis.records import commits_of
     from fsar_ledger.analysis.situation import situation
     from fsar_ledger.ledger.store.locations import record_of
     from fsar_ledger.metrics.provenance import of_run
@@ -241,8 +241,8 @@ class Steps:
 
     def __init__(self, record: "LedgerRun", provenance: "Provenance", at_us: int | None) -> None:
         """Begin after the last event of that time; None: at event 0. Raises: as `Database.rows`."""
+        from fsar_ledger.analysis import lines_of
         from fsar_ledger.analysis.moments import Timeline, Walk
-        from fsar_ledger.analysis.records import lines_of
         from fsar_ledger.analysis.situation import Coverage
         from fsar_ledger.metrics.provenance import of_run
 

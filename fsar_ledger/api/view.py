@@ -14,7 +14,7 @@ from .verbs import Option, declare, verb
 
 if TYPE_CHECKING:
     from fsar_ledger.metrics.provenance import Provenance
-    from fsar_ledger.view.drawn import PageOptions
+    from fsar_ledger.view import PageOptions
 
     from .ledger import Ledger
 
@@ -101,7 +101,7 @@ def view(
         WriteFailed: The file cannot be written.
     """
     from fsar_ledger.runtime.forks import parts_at
-    from fsar_ledger.view.drawn import page
+    from fsar_ledger.view import page
 
     file = Path(out)
     require_picture(file, PAGE, "out")
@@ -135,12 +135,12 @@ def trace(ledger: "Ledger", out: Place, run: Run | None = None) -> Picture:
         UsageError: There is no such run, or `out` has another suffix or lies inside a ledger.
         WriteFailed: The file cannot be written.
     """
-    from fsar_ledger.view import drawn
+    from fsar_ledger.view import trace as trace_of
 
     file = Path(out)
     require_picture(file, TRACE, "out")
     shown, provenance = _shown(ledger, run)
-    content = drawn.trace(shown.drawn)
+    content = trace_of(shown.drawn)
     _write(file, content)
     return Picture(file, len(content), (shown.drawn.run.run_id,), None, provenance)
 
@@ -173,7 +173,7 @@ def _shown(ledger: "Ledger", asked: Run | None) -> "tuple[PageOptions, Provenanc
     """Return a run with all that is drawn of it, and the provenance of that."""
     from fsar_ledger.events import ALONE, CONCERNS
     from fsar_ledger.ledger.store.locations import record_of
-    from fsar_ledger.view.drawn import PageOptions, drawn, words_of
+    from fsar_ledger.view import PageOptions, drawn, words_of
 
     from .events import asked_of, timeline
     from .lookup import about_run, present

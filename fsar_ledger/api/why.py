@@ -14,7 +14,7 @@ from .names import Place, Run
 from .verbs import WIDE, argument, declare, verb
 
 if TYPE_CHECKING:
-    from fsar_ledger.analysis.records import Line
+    from fsar_ledger.analysis import Line
     from fsar_ledger.analysis.why import DecisionTrace, Read
     from fsar_ledger.ledger.rows.codec import LedgerRun
     from fsar_ledger.metrics.provenance import Provenance
@@ -61,12 +61,23 @@ class Why(Answer, msgspec.Struct, frozen=True, kw_only=True):
             WriteFailed: The file cannot be written.
         """
         from fsar_ledger.base.publishing import publish
-        from fsar_ledger.view.why import figure
+        from fsar_ledger.report.sequence import arcs
 
         place, form = figure_place(file, kind)
         if place.suffix[1:] != form:
             raise UsageError(f"--{kind} {file}: expected a name that ends in .{kind}")
-        publish(place, figure(self.seq, self.made, self.lines, form))
+        links, said = _links(self.seq, self.made), _said(self.made)
+        named = ((seq, self.lines[seq]) for seq in sorted({self.seq, *(end for link in links for end in link[:2])}))
+        rows = [
+            {
+                "seq": seq,
+                "time_s": line.time_s,
+                "words": f"{line.action_id}  {line.text}" if line.action_id else line.text,
+                "read": said.get(seq, ""),
+            }
+            for seq, line in named
+        ]
+        publish(place, arcs(rows, links, self.seq, form))
 
     def document(self, _: Screen) -> Mapping[str, object]:
         """Return how the event came about, and every event that is named."""
@@ -188,7 +199,7 @@ def why_of(record: "LedgerRun", provenance: "Provenance", seq: int, depth: int |
     Raises:
         UsageError: There is no such event, the depth is not positive, or the run cannot be made again as recorded.
     """
-    from fsar_ledger.analysis.records import lines_of
+    from fsar_ledger.analysis import lines_of
     from fsar_ledger.analysis.why import reasons
 
     if depth is not None and depth < 1:
@@ -202,6 +213,28 @@ def why_of(record: "LedgerRun", provenance: "Provenance", seq: int, depth: int |
     lines = lines_of([record], [(record.run_id, one) for one in found.seqs])
     by_seq = {seq: line for (_, seq), line in sorted(lines.items())}
     return Why(**msgspec.structs.asdict(found), lines=by_seq, provenance=provenance)
+
+
+def _links(seq: int, made: "Sequence[DecisionTrace]") -> list[tuple[int, int, bool]]:
+    """Return each pair of an event and what rests on it, and whether it triggered it; the asked one for its batch."""
+    links = []
+    for one in made:
+        effect = seq if one is made[0] else one.seq
+        links += [(cause, effect, cause == one.triggered_by) for cause in one.rests_on]
+    return links
+
+
+def _said(made: "Sequence[DecisionTrace]") -> dict[int, str]:
+    """Return by event what the decision in question read of it."""
+    found: dict[int, dict[str, dict[str, None]]] = {}
+    for read in (*made[0].scheduled_reads, *made[0].reads):
+        for seq in (read.written_by, *read.elements):
+            if seq is not None:
+                found.setdefault(seq, {}).setdefault(read.place, {})[read.name] = None
+    return {
+        seq: "read: " + "; ".join(f"{place}: {printable.some(names)}" for place, names in places.items())
+        for seq, places in found.items()
+    }
 
 
 class Tree:

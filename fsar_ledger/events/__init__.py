@@ -1,11 +1,10 @@
 """Typed events: the facts a ledger holds.
 
-One file per concept, earlier versions in `retired.py`; imports msgspec only.
+One file per concept; imports msgspec only. Earlier versions are in `retired.py`, for those who read what is stored.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from types import ModuleType
-from typing import Any
 
 from . import (
     authority,
@@ -24,7 +23,6 @@ from . import (
     world,
 )
 from .envelope import Event
-from .retired import RETIRED_TYPES, UPCASTERS, Addition, additions, upcasters_of
 
 _MODULES = (
     fleet,
@@ -61,17 +59,6 @@ EVENT_TYPES: tuple[type[Event], ...] = tuple(
     sorted((kind for module in _MODULES for kind in _types_in(module)), key=ALONE.__contains__)
 )
 """Every event type that the file of a concern defines; plans come last."""
-
-_STEPS = upcasters_of(EVENT_TYPES, RETIRED_TYPES, UPCASTERS)
-
-UPCASTS: Mapping[type[Event], tuple[Callable[[Any], Event], ...]] = {
-    cls: tuple(step.change for step in steps) for cls, steps in _STEPS.items()
-}
-"""The changes that turn an event of each retired type into a current one, built and checked at import."""
-
-ADDITIONS: Mapping[type[Event], Addition] = additions(_STEPS)
-"""The retired types that become current by adding fields alone, which SQL does in place."""
-
 
 # See docs/decisions/unobserved-is-null.md.
 CONCERNS: tuple[str, ...] = (
@@ -133,13 +120,10 @@ A type that describes the run itself has none: every run has it, whatever it obs
 """
 
 __all__ = [
-    "ADDITIONS",
     "ALONE",
     "BESIDE",
     "CONCERNS",
     "CONCERN_OF",
     "EVENT_TYPES",
-    "RETIRED_TYPES",
-    "UPCASTS",
     "Event",
 ]

@@ -12,6 +12,7 @@ from typing import Any, Generic, Literal, NamedTuple, TypeAlias, TypeVar, Union,
 
 import msgspec
 
+from . import EVENT_TYPES
 from .envelope import Event
 from .fleet import RunStarted
 
@@ -222,3 +223,13 @@ RETIRED_TYPES: tuple[type[Event], ...] = (RunStartedV1,)
 
 UPCASTERS: tuple[Upcaster[Any, Any], ...] = (adding(RunStartedV1, RunStarted, observes=_OBSERVED_BY_V1),)
 """The step from each retired type to its next version."""
+
+_STEPS = upcasters_of(EVENT_TYPES, RETIRED_TYPES, UPCASTERS)
+
+UPCASTS: Mapping[type[Event], tuple[Callable[[Any], Event], ...]] = {
+    cls: tuple(step.change for step in steps) for cls, steps in _STEPS.items()
+}
+"""The changes that turn an event of each retired type into a current one, built and checked at import."""
+
+ADDITIONS: Mapping[type[Event], Addition] = additions(_STEPS)
+"""The retired types that become current by adding fields alone, which SQL does in place."""

@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 import pyarrow as pa
 
 from fsar_ledger.base.errors import FsarLedgerError, LedgerCorrupted
-from fsar_ledger.events import ADDITIONS
 from fsar_ledger.events.fleet import RunContinued
+from fsar_ledger.events.retired import ADDITIONS
 from fsar_ledger.ledger.rows.codec import upcast_rows
 from fsar_ledger.ledger.rows.schema import (
     COLUMNS,

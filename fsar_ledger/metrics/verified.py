@@ -33,8 +33,7 @@ import pyarrow as pa
 from fsar_ledger import __version__
 from fsar_ledger.base.errors import LedgerCorrupted, QueryFailed, SequenceConflict, UsageError
 from fsar_ledger.ledger.log.hashing import sha256_hex
-from fsar_ledger.ledger.rows import canonical
-from fsar_ledger.ledger.rows.arrow import numbers, validity, whole
+from fsar_ledger.ledger.rows import canonical, numbers, validity, whole
 from fsar_ledger.ledger.rows.schema import COLUMNS
 from fsar_ledger.ledger.store import disk
 from fsar_ledger.ledger.store.locations import compare_index

@@ -13,7 +13,7 @@ from fsar_ledger.events.policy import PolicyRuleSet, RolePolicyRuleSet
 from fsar_ledger.events.supervision import SupervisorResponded
 from fsar_ledger.events.world import PolicyWindowOpened
 
-from .maps import put, without
+from . import put, without
 from .policy import RoleRule, Rule, key_of
 
 HANDLES = (

@@ -9,7 +9,7 @@ from typing import NamedTuple
 from fsar_ledger.events.envelope import RecoveryLevel, Robot
 from fsar_ledger.events.recovery import RecoveryBudgetSet
 
-from .maps import put
+from . import put
 
 HANDLES = RecoveryBudgetSet
 

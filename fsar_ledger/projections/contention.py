@@ -11,7 +11,7 @@ from fsar_ledger.events.supervision import SupervisorCalled, SupervisorResponded
 from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
 from fsar_ledger.events.world import TaskArrived
 
-from .maps import put
+from . import put
 
 HANDLES = SupervisorCalled | SupervisorResponded | RequestDeferred | TaskArrived | TaskCompleted | TaskAbandoned
 
@@ -38,6 +38,28 @@ class Contention(msgspec.Struct, frozen=True, gc=False):
 
 
 INITIAL = Contention()
+
+
+def order_of(contention: Contention, one: str, other: str) -> Order | None:
+    """Return the order of two competing actions, whichever of them put it before H_F; None if neither has."""
+    orders = contention.orders
+    return orders.get((one, other)) or orders.get((other, one))
+
+
+def in_order(contention: Contention, action_id: str, preferred: str | None) -> tuple[str, ...]:
+    """Return the requests that waited for H_F's answer about this action, in the order that H_F gave."""
+    called = [pair for pair in contention.orders if pair[0] == action_id]
+    if not called:
+        return ()
+    waiting = [name for name in called[-1] if name in contention.arrived]
+    return tuple(sorted(waiting, key=lambda name: name != preferred))
+
+
+def held_up(contention: Contention, action_id: str | None) -> tuple[str, ...]:
+    """Return the requests that waited for this one because H_F lets it go first."""
+    orders = contention.orders.values()
+    pairs = [(order.action_id, order.other) for order in orders if order.is_answered and order.preferred == action_id]
+    return tuple(name for pair in pairs for name in pair if name != action_id and name in contention.arrived)
 
 
 def evolve(state: Contention, event: HANDLES) -> Contention:

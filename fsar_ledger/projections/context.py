@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
 
-from .maps import put
+from . import put
 
 HANDLES = TaskCompleted | TaskAbandoned
 

@@ -24,8 +24,8 @@ from fsar_ledger.events.execution import (
 )
 from fsar_ledger.events.recovery import AssistanceAdmitted, AssistanceEnded, AssistanceFailed
 
+from . import put, without
 from .authority import rank
-from .maps import put, without
 
 AtRobot = (
     ApproachStarted

@@ -21,7 +21,7 @@ from fsar_ledger.events.fleet import (
     RunStarted,
 )
 
-from .maps import put, without
+from . import put, without
 
 HANDLES = RunStarted | RobotJoined | RobotDeparted | RobotReturned | IsolationBegan | IsolationEnded
 NEVER_US = 2**63 - 1

@@ -23,15 +23,16 @@ from . import (
     knowledge,
     motivation,
     policy,
+    put,
     recovery,
     registry,
     request,
     supervision,
     task,
     trust,
+    without,
     world,
 )
-from .maps import put, without
 
 _PROJECTIONS = (
     authority,

@@ -18,7 +18,7 @@ from fsar_ledger.events.knowledge import (
 )
 from fsar_ledger.events.world import SyncPhaseSet
 
-from .maps import put
+from . import put
 
 HANDLES = (
     SyncPhaseSet

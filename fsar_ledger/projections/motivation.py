@@ -15,8 +15,8 @@ from fsar_ledger.events.execution import ApproachStarted, ExecutionFinished, Exe
 from fsar_ledger.events.knowledge import ActivityBroadcast, ActivityHeard, MotivationBegan, NeedEnded
 from fsar_ledger.events.task import TaskAbandoned
 
+from . import put, without
 from .execution import Execution
-from .maps import put, without
 
 HANDLES = (
     MotivationBegan

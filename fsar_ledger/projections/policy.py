@@ -10,7 +10,7 @@ from fsar_ledger.events.envelope import PolicyOutcome, PolicyScope, Robot
 from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.events.policy import PolicyRuleSet, RolePolicyRuleSet
 
-from .maps import put
+from . import put
 from .trust import Member, around
 from .world import stricter
 

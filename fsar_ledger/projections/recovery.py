@@ -17,7 +17,7 @@ from fsar_ledger.events.recovery import (
 )
 from fsar_ledger.events.supervision import SupervisorCalled
 
-from .maps import put, without
+from . import put, without
 
 HANDLES = (
     ExecutionFailed

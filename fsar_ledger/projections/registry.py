@@ -18,7 +18,7 @@ from fsar_ledger.events.registry import (
     RegistryCached,
 )
 
-from .maps import put, without
+from . import put, without
 from .trust import Member
 
 HANDLES = (

@@ -41,7 +41,7 @@ from fsar_ledger.events.supervision import SupervisorCalled
 from fsar_ledger.events.task import StepBegan, StepCompleted, TaskAbandoned
 from fsar_ledger.events.world import OutsiderRequestInjected
 
-from .maps import put, without
+from . import put, without
 
 HANDLES = (
     StepBegan

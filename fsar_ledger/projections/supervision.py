@@ -11,7 +11,7 @@ from fsar_ledger.events.recovery import FailureResolved
 from fsar_ledger.events.request import RequestAdmitted
 from fsar_ledger.events.supervision import Purpose, SupervisionDensitySet, SupervisorCalled, SupervisorResponded
 
-from .maps import put, without
+from . import put, without
 
 HANDLES = SupervisorCalled | SupervisorResponded | SupervisionDensitySet | RequestAdmitted | FailureResolved
 

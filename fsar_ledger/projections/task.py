@@ -11,8 +11,8 @@ from fsar_ledger.events.envelope import Robot, recorded_robot
 from fsar_ledger.events.task import StepBegan, StepCompleted, TaskAbandoned, TaskCompleted, TaskPlanned
 from fsar_ledger.events.world import TaskArrived
 
+from . import put, without
 from .fleet import NEVER_US, Fleet
-from .maps import put, without
 
 HANDLES = TaskArrived | TaskPlanned | StepBegan | StepCompleted | TaskCompleted | TaskAbandoned
 

@@ -14,7 +14,7 @@ from fsar_ledger.events.request import RequestClosed, RequestDenied, RequestIssu
 from fsar_ledger.events.trust import InitialTrustSet, RoleTrustSet, TrustSet, TrustThresholdsSet
 from fsar_ledger.events.world import OutsiderRequestInjected
 
-from .maps import put, without
+from . import put, without
 
 Result = RequestIssued | OutsiderRequestInjected | RequestDenied | RequestClosed | ExecutionFailed | AuthorityRevoked
 HANDLES = RobotJoined | TrustSet | RoleTrustSet | InitialTrustSet | TrustThresholdsSet | Result

@@ -23,7 +23,7 @@ from fsar_ledger.events.world import (
     SupervisorReturned,
 )
 
-from .maps import put, without
+from . import put, without
 
 HANDLES = (
     PolicyWindowOpened

@@ -1,14 +1,17 @@
-"""Draw the timeline of a request and of the recovery of a failure. The same rows give the same bytes.
+"""Draw the timeline of a request, of the recovery of a failure, and of what an event rests on.
+
+The same rows give the same bytes.
 
 Texts from a ledger are escaped and cut (`figures.label`), and only as many steps are drawn as keep a figure below a
 megabyte; the rest is counted. `sequence` draws life lines and messages (`queries/audit/request_timeline.sql`), `ladder`
-the levels of recovery (`queries/audit/failure_timeline.sql`). Lengths are in inches; a figure grows with its rows.
+the levels of recovery (`queries/audit/failure_timeline.sql`), `arcs` events and what joins them. Lengths are in inches;
+a figure grows with its rows.
 """
 
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from itertools import groupby
+from itertools import accumulate, groupby
 from typing import Any
 
 from fsar_ledger.base import printable
@@ -39,6 +42,12 @@ GOOD_RESULTS = ("success", "resolved", "helped")
 MAX_STEPS, MAX_LANES, MAX_LETTERS = 120, 12, 8_000  # a letter takes some 90 bytes of SVG
 MAX_NAME, MAX_WORDS, MAX_LINE = 40, 240, 80  # characters of a principal, of a step's text, of a line of it in a box
 NAMES = ("sender", "receiver", "decided_by", "level", "to_level")
+ROW = 0.2  # the first line of an event that arcs lead to
+ARCS, ARC_TIME, ARC_SEQ = 1.5, 0.75, 0.45  # columns for arcs, times and seqs
+ARC_WORDS, ARC_READ = 4.6, 3.6  # the texts beside them
+ARC_LETTERS = 82, 62  # characters of a line of each text
+MAX_EVENTS, MAX_TEXT = 60, 300
+TRIGGER, READS, ROOT = "#1f4e79", "#b07a2a", "#f3e6f0"
 
 
 # See docs/decisions/verdicts-are-not-logged.md. Python only draws.
@@ -268,3 +277,58 @@ def _outcome(row: Row) -> str:
     until = f" at {row['until_s']:.3f} s" if row["result"] in GOOD_RESULTS and row["until_s"] is not None else ""
     achieved = f": {row['achieved']}" if row["achieved"] else ""
     return "\n".join(textwrap.wrap(f"{row['result']}{achieved}{until}", 34))
+
+
+def arcs(rows: Sequence[Row], links: Sequence[tuple[int, int, bool]], asked: int, kind: str = "svg") -> bytes:
+    """Draw events in order of time, the last of them as many as fit, joined by arcs: what the asked one rests on.
+
+    Each row holds seq, time_s, words, and read: what the decision in question read of the event. Each link has a cause,
+    its effect, and whether that was triggered (blue) or read what the cause wrote (brown).
+    """
+    shown = rows[-MAX_EVENTS:]
+    texts = [(_wrapped(row["words"], ARC_LETTERS[0]), _wrapped(row["read"], ARC_LETTERS[1])) for row in shown]
+    heights = [ROW + LINE * (max(len(words), len(read), 1) - 1) for words, read in texts]
+    *starts, end = accumulate(heights, initial=0.15 + ROW)
+    tops = {row["seq"]: top for row, top in zip(shown, starts, strict=True)}
+    with figures.plain_canvas(ARCS + ARC_TIME + ARC_SEQ + ARC_WORDS + ARC_READ, end + 0.1) as (figure, axes):
+        left_out = f"; {len(rows) - len(shown):,} earlier events are not drawn" if len(shown) < len(rows) else ""
+        said = f"blue: triggered; brown: wrote what was read{left_out}"
+        axes.text(ARCS, 0.08, said, color=QUIET, va="top", linespacing=1.1, **TEXT)
+        for row, (words, read) in zip(shown, texts, strict=True):
+            _event(axes, row, tops[row["seq"]], words, read, is_asked=row["seq"] == asked)
+        for cause, effect, is_trigger in links:
+            if cause in tops:
+                _arc(axes, tops[cause], tops[effect], end, TRIGGER if is_trigger else READS)
+        return figures.rendered(figure, kind)
+
+
+def _wrapped(text: str, letters: int) -> list[str]:
+    return textwrap.wrap(figures.label(text, MAX_TEXT), letters)
+
+
+def _event(axes: Any, row: Row, top: float, words: Sequence[str], read: Sequence[str], *, is_asked: bool) -> None:
+    if is_asked:
+        from matplotlib.patches import Rectangle
+
+        tall = ROW + LINE * (max(len(words), len(read)) - 1)
+        width = ARC_TIME + ARC_SEQ + ARC_WORDS + ARC_READ
+        axes.add_patch(Rectangle((ARCS, top - 0.04), width, tall, facecolor=ROOT, zorder=0))
+    left, below = ARCS + ARC_TIME, {"va": "top", "linespacing": 1.1, **TEXT}
+    axes.text(left, top, f"{row['time_s']:.3f} s", ha="right", color=QUIET, **below)
+    axes.text(left + ARC_SEQ, top, f"{row['seq']}", ha="right", color=QUIET, **below)
+    left += ARC_SEQ + 0.1
+    axes.text(left, top, "\n".join(words), weight="bold" if is_asked else "normal", **below)
+    axes.text(left + ARC_WORDS, top, "\n".join(read), color=READS, **below)
+
+
+def _arc(axes: Any, above: float, below: float, height: float, colour: str) -> None:
+    """Draw an arc at the left from one row down to another, the wider the longer it is."""
+    from matplotlib.patches import PathPatch
+    from matplotlib.path import Path
+
+    start, end = above + ROW / 3, below + ROW / 3
+    reach = ARCS - 0.08 - (0.25 + (ARCS - 0.45) * (end - start) / height)
+    points = [(ARCS - 0.05, start), (reach, start), (reach, end), (ARCS - 0.05, end)]
+    codes = [Path.MOVETO, Path.CURVE4, Path.CURVE4, Path.CURVE4]
+    axes.add_patch(PathPatch(Path(points, codes), facecolor="none", edgecolor=colour, linewidth=0.8, alpha=0.8))
+    axes.plot([ARCS - 0.05], [end], marker=">", markersize=3, color=colour)

@@ -54,7 +54,7 @@ from fsar_ledger.events.world import (
 
 from .changes import MODEL, NEVER, Answer, seconds_text
 from .ports import AS_USUAL, DISAPPROVES, PREFERS_OTHER, Ask, Fact, World
-from .world.draws import FOREVER_US, Draws
+from .world import FOREVER_US, Draws
 
 FactPositions = dict[str, tuple[int, ...]]
 """By name, the places of its facts among all facts of the run: one, or a beginning and an end."""

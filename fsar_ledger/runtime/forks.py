@@ -52,7 +52,7 @@ from .live import End, LiveKernel
 from .ports import Fact, World
 from .recipes import Recipe, base_of, constants_by_time, require_possible, started_of, with_changes
 from .simulation import draws_of, environment_of, fleet_founding, founding_of, handler_table_of, run_id
-from .world.draws import Draws, SimulatedEnvironment
+from .world import Draws, SimulatedEnvironment
 
 
 def edited_facts(facts: Sequence[Fact], changes: Sequence[OfFacts], last_us: int = END_US) -> tuple[Fact, ...]:

@@ -34,7 +34,7 @@ from fsar_ledger.projections.fold import ENDS, ROUTES, State, apply, forget
 from fsar_ledger.projections.world import is_linked
 
 from .agenda import Agenda, Pending
-from .architectures.handler_table import HandlerTable
+from .architectures import HandlerTable
 from .handlers.commands import Command, React, Scheduled, is_idle
 from .ports import Ask, Environment
 

@@ -26,18 +26,16 @@ from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.recovery import Recovery
 from fsar_ledger.projections.world import in_force
+from fsar_ledger.runtime.architectures import HandlerTable, cfc
 from fsar_ledger.runtime.architectures.cfc import coordinator
 from fsar_ledger.runtime.architectures.cfc import execution as cfc_execution
-from fsar_ledger.runtime.architectures.cfc import request as cfc_request
 from fsar_ledger.runtime.architectures.cfc.execution import HANDLERS, GoOnWithoutHelp, go_on_without_help
-from fsar_ledger.runtime.architectures.dhma import agents
+from fsar_ledger.runtime.architectures.dhma import Dispute, agents
 from fsar_ledger.runtime.architectures.dhma import execution as dhma_execution
-from fsar_ledger.runtime.architectures.dhma import recovery as dhma_recovery
 from fsar_ledger.runtime.architectures.dhma import request as dhma_request
 from fsar_ledger.runtime.architectures.fsar import authority as fsar_authority
 from fsar_ledger.runtime.architectures.fsar import request as fsar_request
 from fsar_ledger.runtime.architectures.fsar.execution import ready, start_under
-from fsar_ledger.runtime.architectures.handler_table import HandlerTable
 from fsar_ledger.runtime.handlers.admissibility import holding
 from fsar_ledger.runtime.handlers.attribution import parties, recorded_by
 from fsar_ledger.runtime.handlers.commands import (
@@ -307,8 +305,8 @@ _OF_CFC = (
         "synced-copies",
         "cfc",
         {
-            coordinator.ProcessWork: _now(cfc_request.process),
-            cfc_request.CommandReviewed: _now(cfc_request.command_reviewed),
+            coordinator.ProcessWork: _now(cfc.process),
+            cfc.CommandReviewed: _now(cfc.command_reviewed),
             DecideRoutine: _now(cfc_execution.decide_routine),
         },
     ),
@@ -362,7 +360,7 @@ _policy_now = partial(on_view, "knowledge", _snapshots_of_now)
 _OF_DHMA = (
     Knockout("acknowledged-handoffs", "dhma", {dhma_execution.PassExecution: _passed_at_once}),
     Knockout("planner-claims", "dhma", change=leaving_out(AuthorityClaimed, agents.EngagePlanner)),
-    Knockout("recovery-disputes", "dhma", {dhma_recovery.Dispute: decide_nothing}),
+    Knockout("recovery-disputes", "dhma", {Dispute: decide_nothing}),
     Knockout("contract-questioning", "dhma", change=leaving_out(ContractQuestioned, agents.EngagePlanner)),
     Knockout(
         "policy-snapshots",

@@ -21,11 +21,11 @@ from fsar_ledger.events.world import WorldEvent
 from fsar_ledger.ledger.rows.codec import LedgerRun
 
 from .agenda import Pending
-from .architectures.handler_table import HandlerTable
+from .architectures import HandlerTable
 from .handlers.commands import Scheduled
 from .kernel import Kernel, is_same_batch
 from .ports import AS_USUAL, DISAPPROVES, PREFERS_OTHER, Ask, Fact
-from .world.draws import FOREVER_US
+from .world import FOREVER_US
 
 FACTS = frozenset({*get_args(WorldEvent), CommandGiven})
 """The types of events that come from outside the run: what the world does by itself, and commands."""

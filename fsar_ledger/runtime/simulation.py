@@ -26,9 +26,9 @@ from fsar_ledger.ledger.rows.runs import joined, piece
 from fsar_ledger.ledger.store.staging import Staged, stage
 from fsar_ledger.projections.fold import State, fold
 
-from .architectures.handler_table import HandlerTable
+from .architectures import HandlerTable
 from .kernel import Kernel
-from .world.draws import Draws, SimulatedEnvironment, run_key
+from .world import Draws, SimulatedEnvironment, run_key
 from .world.founding import founding
 from .world.schedule import schedule
 

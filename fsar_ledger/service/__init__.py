@@ -1,1 +1,117 @@
-"""The service of a live federation: robots, people and programs give it commands over HTTP, and follow its events."""
+"""The service of a live federation: robots, people and programs give it commands over HTTP, and follow its events.
+
+Here is who may speak to it: a file of principals, each with the hash of a token that it alone knows. A token is 256
+random bits, so its SHA-256 tells nobody anything, and no slower hash is needed. It has a public part by which its line
+is found, and a secret that is compared in constant time.
+"""
+
+import hashlib
+import hmac
+import os
+import secrets
+from pathlib import Path
+
+import msgspec
+
+from fsar_ledger.base.errors import UsageError, WriteFailed
+from fsar_ledger.base.printable import value
+
+KINDS = {
+    "robot": "a robot speaks for itself, and sees the events that name it",
+    "supervisor": "a person answers calls and governs the robots that they supervise",
+    "service": "a program brings work to robots",
+    "auditor": "reads, and gives no command",
+}
+MAX_NAME = 200
+_DUMMY = hashlib.sha256(b"").hexdigest()
+
+
+class Principal(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A line of the file: the name, the public part of its token, and the SHA-256 of the secret part (hex)."""
+
+    principal: str
+    token_id: str
+    sha256: str
+
+    @property
+    def kind(self) -> str:
+        """Return whether it is a robot, a supervisor, a service or an auditor."""
+        return self.principal.partition("/")[0]
+
+
+def add_principal(path: Path, name: str) -> str:
+    """Add the principal to the file, which is made if there is none, and return its token, which is kept nowhere.
+
+    A principal can have several tokens, so that one can be replaced: remove its line and it is void at once.
+
+    Raises:
+        UsageError: No principal can have this name, or the file holds something else.
+        WriteFailed: The file cannot be written.
+    """
+    kind, slash, rest = name.partition("/")
+    if kind not in KINDS or not slash or not rest or not rest.isprintable() or " " in rest or len(name) > MAX_NAME:
+        raise UsageError(
+            f"NAME {value(name)}: expected a kind and a name, such as robot/A1; the kinds are {', '.join(KINDS)}"
+        )
+    if path.exists():
+        _read(path)
+    token_id, secret = secrets.token_hex(8), secrets.token_urlsafe(32)
+    line = msgspec.json.encode(Principal(name, token_id, hashlib.sha256(secret.encode()).hexdigest())) + b"\n"
+    try:
+        file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
+        try:
+            os.write(file, line)
+            os.fsync(file)
+        finally:
+            os.close(file)
+    except OSError as error:
+        raise WriteFailed(f"{value(str(path))}: the principal was not added ({error.strerror})") from error
+    return f"fsar.{token_id}.{secret}"
+
+
+class Principals:
+    """The principals in a file, which is read again when it changes. Raises: UsageError if it holds something else."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._changed_ns = self._changed()
+        self._by_id = _read(path)
+
+    def __len__(self) -> int:
+        return len(self._by_id)
+
+    def known(self, authorization: str) -> Principal | None:
+        """Return whose token this header has (`Bearer fsar.ID.SECRET`), or None if it is nobody's."""
+        if (changed_ns := self._changed()) != self._changed_ns:
+            self._by_id, self._changed_ns = _read(self._path), changed_ns
+        scheme, _, token = authorization.partition(" ")
+        parts = token.strip().split(".")
+        is_formed = scheme.lower() == "bearer" and len(parts) == 3 and parts[0] == "fsar"
+        found = self._by_id.get(parts[1]) if is_formed else None
+        digest = hashlib.sha256(parts[-1].encode(errors="surrogateescape")).hexdigest()
+        is_right = hmac.compare_digest(digest, found.sha256 if found is not None else _DUMMY)
+        return found if is_right else None
+
+    def _changed(self) -> int:
+        try:
+            return self._path.stat().st_mtime_ns
+        except OSError:
+            return -1
+
+
+def _read(path: Path) -> dict[str, Principal]:
+    """Return the principals by the public parts of their tokens."""
+    try:
+        lines = path.read_bytes().splitlines()
+    except OSError as error:
+        raise UsageError(
+            f"{value(str(path))}: {error.strerror}, expected a file that `fsar-ledger principal new` made"
+        ) from error
+    found: dict[str, Principal] = {}
+    for number, line in enumerate(lines, start=1):
+        try:
+            one = msgspec.json.decode(line, type=Principal)
+        except (msgspec.DecodeError, UnicodeDecodeError) as error:
+            raise UsageError(f"{value(str(path))}:{number}: {error}; expected a principal in a line of JSON") from error
+        found[one.token_id] = one
+    return found

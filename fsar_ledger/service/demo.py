@@ -18,8 +18,8 @@ import msgspec
 
 from fsar_ledger.designs.constants import Structure
 
+from . import add_principal
 from .client import Client, FollowedEvent
-from .principals import add_principal
 
 HUMAN, OWN, HUB, TOKEN = "supervisor/fleet", "supervisor/C1", "service/demo", "FSAR_LEDGER_TOKEN"
 """The fleet's supervisor, one of a single robot, and who brings the work."""

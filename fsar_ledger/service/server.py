@@ -32,10 +32,9 @@ from fsar_ledger.runtime.handlers.public import commands
 from fsar_ledger.runtime.live import Decision, command_given
 from fsar_ledger.sources.columns import object_of
 
-from .console import FILES, overview, page_file
+from . import Principal, Principals
 from .feed import Busy, Decider, Feed, Row
-from .openapi import described, page
-from .principals import Principal, Principals
+from .pages import FILES, described, overview, page, page_file
 from .transport import EventStream, LimitedProtocol, Put
 
 MAX_BODY, MAX_KEY = 1 << 16, 200

@@ -1,4 +1,4 @@
-"""How far an import came: what the ledger holds of its run, read from the run alone."""
+"""What the ledger holds of a run from outside: how far it is, and how far an import came, read from the run alone."""
 
 from collections.abc import Iterator
 from hashlib import sha256
@@ -7,14 +7,46 @@ from pathlib import Path
 import msgspec
 
 from fsar_ledger.base import utc
+from fsar_ledger.base.errors import InvalidRun, UsageError
+from fsar_ledger.base.printable import counted, value
+from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.ledger.opening import open_ledger
+from fsar_ledger.ledger.rows.runs import LedgerRun
+from fsar_ledger.ledger.store.append import Writer
+from fsar_ledger.ledger.store.locations import place_of
 
 from .adapter import UNREADABLE
 from .columns import Declared
-from .recorder import stored_run
 
 BYTES = "bytes"
 """Under this name an unreadable record says its length: a line that was not whole yet is known by it again."""
+
+
+class Stored(msgspec.Struct, frozen=True):
+    """A run as the ledger holds it: its beginning, how many events it has, and the time of the last."""
+
+    started: RunStarted
+    size: int
+    last_us: int
+
+
+def stored_run(path: Path, run: str) -> Stored | None:
+    """Return the run as the ledger holds it, None if it does not.
+
+    Raises: LedgerCorrupted; UsageError if another run has this name than one that a recorder or an import began.
+    """
+    view = open_ledger(path)
+    if not view.has_run(run):
+        return None
+    parts = view.parts(run)
+    row = msgspec.json.decode(view.event(place_of(view, run, 0)), type=dict[str, object])
+    if row["type"] != RunStarted.__struct_config__.tag or row.get("kind") != "foreign":
+        raise UsageError(
+            f"run {value(run)}: found a run that was not recorded from outside, expected a new name or one that was"
+        )
+    own = {name: row[name] for name in ("type", *RunStarted.__struct_fields__) if name in row}
+    started = msgspec.convert(own, RunStarted)
+    return Stored(started, sum(part.block.rows for part in parts), parts[-1].block.last_us)
 
 
 class _Row(msgspec.Struct):
@@ -121,3 +153,20 @@ def _rows(path: Path, run: str) -> Iterator[tuple[_Row, bytes]]:
             row = decoder.decode(line)
             if row.run_id == run:
                 yield row, line
+
+
+def commit(writer: Writer, path: Path, run: LedgerRun) -> None:
+    """Commit this part of a run whole, durably.
+
+    Raises: UsageError if the run has other events than those before it, since somebody else adds to it; as `Writer`.
+    """
+    try:
+        writer.commit([run])
+    except InvalidRun as error:
+        stored = stored_run(path, run.run_id)
+        if (size := stored.size if stored is not None else 0) == run.first:
+            raise
+        raise UsageError(
+            f"run {value(run.run_id)}: found {counted(size, 'event')} on file, expected {run.first:,}; another process "
+            "adds to this run: let one end before the other begins"
+        ) from error

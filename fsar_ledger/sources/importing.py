@@ -32,8 +32,8 @@ from fsar_ledger.ledger.store.append import Writer
 
 from .adapter import UNREADABLE, Adapter, Derived, Input, Record
 from .columns import Declared, declared, storable, storable_text, text_of
-from .held import BYTES, Held, held
-from .recorder import commit, kept_origin
+from .held import BYTES, Held, commit, held
+from .recorder import kept_origin
 
 ORIGIN = "fsar-ledger/imported"
 COMMIT_EVENTS, COMMIT_BYTES = 4_096, 1 << 21

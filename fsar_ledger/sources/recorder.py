@@ -10,24 +10,21 @@ from datetime import UTC, datetime
 from pathlib import Path
 from threading import RLock
 
-import msgspec
-
 from fsar_ledger.base import utc
 from fsar_ledger.base.errors import FsarLedgerError, InvalidRun, UsageError
-from fsar_ledger.base.printable import counted, value
+from fsar_ledger.base.printable import value
 from fsar_ledger.events import CONCERN_OF, Event
 from fsar_ledger.events.envelope import flat, recorded_robot
 from fsar_ledger.events.fleet import RobotJoined, RunStarted
 from fsar_ledger.events.source import Observed, SourceClosed, SourceOpened
 from fsar_ledger.ledger.log.note import Signer
-from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows.runs import LedgerRun, first_unfit, refusal
 from fsar_ledger.ledger.store.append import Writer
-from fsar_ledger.ledger.store.locations import place_of
 from fsar_ledger.ledger.store.manifest import parse_manifest, read_manifest
 from fsar_ledger.ledger.store.paths import MANIFEST
 
 from .columns import Declared, declared, event_of, storable_text
+from .held import commit, stored_run
 from .names import PrivateNames
 
 ORIGIN = "fsar-ledger/recorded"
@@ -36,14 +33,6 @@ FORMAT = "fsar-ledger/1"
 
 Fleet = Mapping[str, str] | Iterable[RobotJoined]
 """The robots: role by name, without supervisors and teams, or what is known of their joining."""
-
-
-class Stored(msgspec.Struct, frozen=True):
-    """A run as the ledger holds it: its beginning, how many events it has, and the time of the last."""
-
-    started: RunStarted
-    size: int
-    last_us: int
 
 
 class Recorder:
@@ -302,42 +291,6 @@ class Recorder:
         first = self._next if self._batch is None else self._next - len(rows)
         times, causes, events = (list(column) for column in zip(*rows, strict=True))
         commit(self._writer, self._path, LedgerRun(self.run, times, causes, events, first, goes_on=True))
-
-
-def commit(writer: Writer, path: Path, run: LedgerRun) -> None:
-    """Commit this part of a run whole, durably.
-
-    Raises: UsageError if the run has other events than those before it, since somebody else adds to it; as `Writer`.
-    """
-    try:
-        writer.commit([run])
-    except InvalidRun as error:
-        stored = stored_run(path, run.run_id)
-        if (size := stored.size if stored is not None else 0) == run.first:
-            raise
-        raise UsageError(
-            f"run {value(run.run_id)}: found {counted(size, 'event')} on file, expected {run.first:,}; another process "
-            "adds to this run: let one end before the other begins"
-        ) from error
-
-
-def stored_run(path: Path, run: str) -> Stored | None:
-    """Return the run as the ledger holds it, None if it does not.
-
-    Raises: LedgerCorrupted; UsageError if another run has this name than one that a recorder or an import began.
-    """
-    view = open_ledger(path)
-    if not view.has_run(run):
-        return None
-    parts = view.parts(run)
-    row = msgspec.json.decode(view.event(place_of(view, run, 0)), type=dict[str, object])
-    if row["type"] != RunStarted.__struct_config__.tag or row.get("kind") != "foreign":
-        raise UsageError(
-            f"run {value(run)}: found a run that was not recorded from outside, expected a new name or one that was"
-        )
-    own = {name: row[name] for name in ("type", *RunStarted.__struct_fields__) if name in row}
-    started = msgspec.convert(own, RunStarted)
-    return Stored(started, sum(part.block.rows for part in parts), parts[-1].block.last_us)
 
 
 def kept_origin(path: Path) -> str | None:

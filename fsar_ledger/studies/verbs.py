@@ -83,7 +83,7 @@ def ranking(out: OutOption, workers: WorkersOption = None, progress: Points = No
     points FSAR is the best of the three in each metric, in what share the paper's order is right, and how often each
     cannot be told. An interrupted study continues where it stopped.
     """
-    from .ranking import ranking as study
+    from .robustness import ranking as study
 
     return ResultTables(study(out, workers=workers, progress=progress), f"{out}")
 
@@ -134,7 +134,7 @@ def ensemble(
     each verdict on a cell, each sign of a comparison and each rank agrees. An interrupted study continues where it
     stopped.
     """
-    from .ensemble import ensemble as study
+    from .robustness import ensemble as study
 
     return ResultTables(study(out, calibration, workers=workers, progress=progress), f"{out}")
 

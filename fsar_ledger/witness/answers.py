@@ -21,9 +21,9 @@ from fsar_ledger.ledger.store.manifest import parse_manifest, read_manifest
 from fsar_ledger.ledger.store.paths import MANIFEST
 from fsar_ledger.ledger.verify.report import Anchor
 
+from . import checkpoint_path, parse_cosigned
 from .cosign import NoAnswer, ask, ask_all
 from .policy import Policy, Witness, read_policy
-from .protocol import checkpoint_path, parse_cosigned
 
 _LAST_SECOND = 253_402_300_799  # of the year 9999
 

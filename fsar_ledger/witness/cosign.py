@@ -21,7 +21,8 @@ from fsar_ledger.ledger.log.note import Note, Signature
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.store.read import View
 from fsar_ledger.witness.policy import Policy, Witness
-from fsar_ledger.witness.protocol import ADD_CHECKPOINT, MAX_BODY_BYTES, SIZE, Answer, Request, parse_cosigned
+
+from . import ADD_CHECKPOINT, MAX_BODY_BYTES, SIZE, Answer, Request, parse_cosigned
 
 ANSWER_S = 10.0
 """Seconds after which a witness that has not answered counts as silent."""

@@ -20,7 +20,8 @@ import msgspec
 from fsar_ledger.base.errors import UsageError
 from fsar_ledger.ledger.log.note import VerifierKey
 from fsar_ledger.ledger.store import disk
-from fsar_ledger.witness.protocol import WitnessKey, parse_vkey
+
+from . import WitnessKey, parse_vkey
 
 _NONE = "none"
 _WHITE = " \t"

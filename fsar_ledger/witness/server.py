@@ -19,8 +19,9 @@ from typing import Any
 
 from fsar_ledger.base.errors import UsageError, WriteFailed
 from fsar_ledger.ledger.log.note import Note, VerifierKey
-from fsar_ledger.witness.protocol import ADD_CHECKPOINT, MAX_BODY_BYTES, Answer, judge, origin_hash, parse_request
 from fsar_ledger.witness.state import State
+
+from . import ADD_CHECKPOINT, MAX_BODY_BYTES, Answer, judge, origin_hash, parse_request
 
 Clock = Callable[[], int]
 """A function that returns the time in seconds since 1970."""

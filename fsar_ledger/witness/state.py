@@ -24,7 +24,8 @@ from pathlib import Path
 from fsar_ledger.base.errors import LedgerCorrupted, UsageError, WriteFailed
 from fsar_ledger.ledger.log.note import KEY_BYTES, Checkpoint, Note, Signature, VerifierKey, is_name
 from fsar_ledger.ledger.store import disk
-from fsar_ledger.witness.protocol import Cosigner, WitnessKey, origin_hash, parse_cosigned, parse_secret, secret_text
+
+from . import Cosigner, WitnessKey, origin_hash, parse_cosigned, parse_secret, secret_text
 
 SECRET = "witness.key"
 PUBLIC = SECRET + ".pub"

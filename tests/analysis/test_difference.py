@@ -6,7 +6,7 @@ from itertools import pairwise
 import pytest
 
 from fsar_ledger.analysis.difference import align, chain
-from fsar_ledger.analysis.difference_text import difference_text
+from fsar_ledger.api.diff import difference_of
 from fsar_ledger.events.world import TaskArrived
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.runtime.forks import until
@@ -82,9 +82,9 @@ def test_of_a_run_that_ends_before_all_has_happened_no_more_is_told_than_had_com
     late = 0
     for run in runs:
         ends_us = run.times_us[-1] // 3
-        assert difference_text(run, until(run, ends_us), ends_us).differences == (), "what comes later is not missing"
+        assert difference_of(run, until(run, ends_us), (), ends_us).differences == (), "what comes later is not missing"
         edited = planted(until(run, ends_us), 3, 1).run
-        whole, ended = difference_text(run, edited).consequences, difference_text(run, edited, ends_us).consequences
+        whole, ended = difference_of(run, edited, ()).consequences, difference_of(run, edited, (), ends_us).consequences
         assert whole is not None
         assert ended is not None
         assert {one.second for one in ended.metrics} == {None}

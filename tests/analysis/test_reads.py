@@ -13,9 +13,9 @@ from fsar_ledger.events.envelope import Robot
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.events.world import PolicyWindowClosed, PolicyWindowOpened
 from fsar_ledger.ledger.rows.codec import LedgerRun
+from fsar_ledger.projections import SharedMap
 from fsar_ledger.projections.execution import Action, Execution
 from fsar_ledger.projections.fold import State, apply, fold
-from fsar_ledger.projections.maps import SharedMap
 from fsar_ledger.projections.world import World
 from fsar_ledger.runtime.handlers.commands import Command, Decide, Scheduled
 from fsar_ledger.runtime.knockouts import KNOCKOUTS

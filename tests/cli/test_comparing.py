@@ -15,7 +15,7 @@ from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.runtime.experiment import ORIGIN, Experiment
 from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.simulation import RunSpec, founding_of, handler_table_of, run_id, run_started, simulate_run
-from fsar_ledger.runtime.world.draws import Draws, SimulatedEnvironment, run_key
+from fsar_ledger.runtime.world import Draws, SimulatedEnvironment, run_key
 from fsar_ledger.runtime.world.schedule import schedule
 from tests.cli.conftest import Call, one_message
 

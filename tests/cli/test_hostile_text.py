@@ -17,7 +17,7 @@ from fsar_ledger.designs.constants import Constants
 from fsar_ledger.ledger.log.note import Signer
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
-from fsar_ledger.witness.protocol import Cosigner
+from fsar_ledger.witness import Cosigner
 from tests.cli.conftest import Call
 from tests.ledger.hostile import relabelled, stage_anything
 from tests.terminal import CLAIM, PAINT, POISON, painted, screen_of

@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 import pytest
 
 from fsar_ledger import Ledger
-from fsar_ledger.analysis.records import Line
+from fsar_ledger.analysis import Line
 from fsar_ledger.analysis.why import DecisionTrace, Read, decisions, first_of, reasons
-from fsar_ledger.api.why import Tree, why_of
+from fsar_ledger.api.why import Tree, Why, why_of
 from fsar_ledger.base.errors import UsageError
 from fsar_ledger.events.envelope import Robot, Supervisor
 from fsar_ledger.events.fleet import RobotJoined, RunStarted
@@ -20,7 +20,6 @@ from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.store.locations import record_of
 from fsar_ledger.metrics.invariants import JUDGES, verdict_kinds
 from fsar_ledger.metrics.provenance import Provenance
-from fsar_ledger.view.why import figure
 from tests.analysis.conftest import OUTAGES, simulated
 from tests.cli.conftest import Call, one_message
 from tests.ledger.samples import append_all
@@ -46,7 +45,7 @@ def test_an_event_is_told_with_its_triggers_reads_and_answers(call: Call, ledger
     assert lines[0].startswith(f"run 1, {RUN}")
     assert re.match(rf" +{request_seq} .* request: ", lines[2])
     assert "triggers, the last one first" in lines
-    assert "decided by architectures.fsar.request.issue_request on IssueRequest" in lines
+    assert "decided by architectures.fsar.discovery.issue_request on IssueRequest" in lines
     assert any(line.startswith("asked network: message:") for line in lines)
     assert any(re.match(r"read of \d+  \d", line) for line in lines)
     assert "read, and nothing had written it" in lines
@@ -108,12 +107,14 @@ def test_the_figure_is_drawn_beside_the_text(call: Call, ledger: Path, tmp_path:
     assert file.read_bytes() == first
 
 
-def test_text_in_a_figure_is_escaped() -> None:
+def test_text_in_a_figure_is_escaped(tmp_path: Path) -> None:
     line = Line("r", 3, 1.0, "<script>$a$", "robot/A1", "robot/A1", "&\x1b[31m", None)
     cause = Line("r", 1, 0.5, None, "robot/A1", "robot/A1", "]]>", None)
     entry = Read("request[<b>]", "has x", None, True, 1, ())
     made = DecisionTrace(seq=3, count=1, origin="decision", handler="h", command="C", triggered_by=1, reads=(entry,))
-    drawn = figure(3, (made,), {1: cause, 3: line}).decode()
+    found = Why(run="r", seq=3, triggers=(1,), made=(made,), lines={1: cause, 3: line}, provenance=Provenance())
+    found.draw(tmp_path / "why.svg")
+    drawn = (tmp_path / "why.svg").read_text("utf-8")
     assert "<script>" not in drawn
     assert "<b>" not in drawn
     assert "\x1b" not in drawn

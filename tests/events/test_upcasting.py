@@ -5,8 +5,17 @@ from typing import Any, Literal
 
 import pytest
 
-from fsar_ledger.events import EVENT_TYPES, RETIRED_TYPES, UPCASTS, Event
-from fsar_ledger.events.retired import Addition, Upcaster, Value, adding, additions, upcasters_of
+from fsar_ledger.events import EVENT_TYPES, Event
+from fsar_ledger.events.retired import (
+    RETIRED_TYPES,
+    UPCASTS,
+    Addition,
+    Upcaster,
+    Value,
+    adding,
+    additions,
+    upcasters_of,
+)
 
 
 class MovedV1(Event, frozen=True, tag="Moved.v1"):

@@ -26,8 +26,7 @@ from fsar_ledger.ledger.store.paths import CHAIN, INDEX, JOURNAL, NODES
 from fsar_ledger.ledger.store.proof import check_proof, prove
 from fsar_ledger.ledger.store.read import View
 from fsar_ledger.ledger.store.staging import stage
-from fsar_ledger.ledger.verify import verify
-from fsar_ledger.ledger.verify.recover import recover
+from fsar_ledger.ledger.verify import recover, verify
 from fsar_ledger.ledger.verify.report import VerifyOptions, read_anchor
 from tests.ledger.samples import ORIGIN, append_all, contents, made_up_run
 from tests.ledger.test_plan_rows import PLAN, of

@@ -9,8 +9,7 @@ from fsar_ledger.ledger.rows.runs import piece
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.paths import CHAIN, NODES
 from fsar_ledger.ledger.store.staging import stage
-from fsar_ledger.ledger.verify import verify
-from fsar_ledger.ledger.verify.recover import recover
+from fsar_ledger.ledger.verify import recover, verify
 from fsar_ledger.ledger.verify.report import Anchor, VerifyOptions, VerifyReport, read_anchor
 from fsar_ledger.ledger.verify.trusted import FITS, NO_SEGMENT
 from tests.ledger.agreement import with_value

@@ -10,8 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fsar_ledger.ledger.rows import canonical, segment
-from fsar_ledger.ledger.rows.arrow import Columns
+from fsar_ledger.ledger.rows import Columns, canonical, segment
 from fsar_ledger.ledger.rows.codec import encode
 from fsar_ledger.ledger.rows.compiled import IS_COMPILED
 from fsar_ledger.ledger.rows.schema import COLUMNS, SCHEMA

@@ -12,8 +12,7 @@ from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.paths import JOURNAL
 from fsar_ledger.ledger.store.staging import stage
-from fsar_ledger.ledger.verify import verify
-from fsar_ledger.ledger.verify.recover import recover
+from fsar_ledger.ledger.verify import recover, verify
 from tests.ledger.damage import LEDGERS, write_closed
 from tests.ledger.forgery import segment_at, staged_at
 from tests.ledger.samples import ORIGIN, append_all, contents, made_up_batches

@@ -10,8 +10,7 @@ import pytest
 
 from fsar_ledger.base.errors import WriteFailed
 from fsar_ledger.ledger.log.hashing import sha256_hex
-from fsar_ledger.ledger.verify import verify
-from fsar_ledger.ledger.verify.recover import recover
+from fsar_ledger.ledger.verify import recover, verify
 from tests.ledger.faults import Fault, FaultyOs, Killed, calls_of, in_place_of_os
 from tests.ledger.power import Disk, choices
 from tests.ledger.samples import append_all, contents, made_up_batches

@@ -14,8 +14,7 @@ from fsar_ledger.ledger.log.hashing import sha256_hex
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.store.manifest import read_manifest
 from fsar_ledger.ledger.store.read import open_chain
-from fsar_ledger.ledger.verify import verify
-from fsar_ledger.ledger.verify.recover import recover
+from fsar_ledger.ledger.verify import recover, verify
 from fsar_ledger.ledger.verify.report import MAX_PROBLEMS, VerifyOptions, read_anchor
 from fsar_ledger.ledger.verify.trusted import FITS, NO_SEGMENT
 from tests.ledger.damage import SIGNER

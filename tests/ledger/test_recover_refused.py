@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from fsar_ledger.base.errors import FsarLedgerError, WriteFailed
-from fsar_ledger.ledger.verify.recover import recover
+from fsar_ledger.ledger.verify import recover
 from tests.ledger.damage import SIGNER, piece, write_cut_short
 from tests.ledger.faults import Fault, FaultyOs, Killed, calls_of, in_place_of_os
 from tests.ledger.samples import append_all, contents

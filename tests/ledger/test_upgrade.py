@@ -16,8 +16,7 @@ from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.v1 import upgrade
-from fsar_ledger.ledger.verify import verify
-from fsar_ledger.ledger.verify.recover import recover
+from fsar_ledger.ledger.verify import recover, verify
 from tests.ledger.keep_release import LEDGERS
 from tests.ledger.samples import ORIGIN, contents
 

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fsar_ledger import projections
 from fsar_ledger.designs.constants import Constants
 from fsar_ledger.events.configuration import PAPER_ARCHITECTURES
-from fsar_ledger.projections import maps
-from fsar_ledger.projections.maps import SharedMap, among, put, without
+from fsar_ledger.projections import SharedMap, among, put, without
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
 
 CHANGES = st.lists(st.tuples(st.integers(0, 12), st.one_of(st.none(), st.integers())), max_size=60)
@@ -54,7 +54,7 @@ def test_every_version_stays_what_it_was_whichever_is_changed_or_read(
 ) -> None:
     versions: list[tuple[SharedMap[int, int], dict[int, int]]] = [(SharedMap.of(begin), begin)]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(maps, "_SHARED_FROM", 7)
+        patch.setattr(projections, "_SHARED_FROM", 7)
         for key, value in changes:
             found, expected = versions[-1] if chance.random() < 0.8 else chance.choice(versions)
             if value is not None:
@@ -113,5 +113,5 @@ def test_a_run_is_the_same_whatever_the_size_of_a_large_mapping(
 ) -> None:
     spec = RunSpec(11, architecture, "full", "door-relay", 16, 0)
     expected = simulate_run(spec, Constants())
-    monkeypatch.setattr(maps, "_SHARED_FROM", 2)
+    monkeypatch.setattr(projections, "_SHARED_FROM", 2)
     assert simulate_run(spec, Constants()) == expected

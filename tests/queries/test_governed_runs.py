@@ -8,9 +8,9 @@ from fsar_ledger.events.supervision import SupervisionDensitySet
 from fsar_ledger.events.trust import TrustThresholdsSet
 from fsar_ledger.ledger.rows.codec import encode
 from fsar_ledger.metrics.invariants import audit_rows, invariants
+from fsar_ledger.runtime.architectures import HandlerTable
 from fsar_ledger.runtime.architectures.fsar import FSAR
 from fsar_ledger.runtime.architectures.fsar.request import EvaluateRequest, evaluate_request
-from fsar_ledger.runtime.architectures.handler_table import HandlerTable
 from fsar_ledger.runtime.handlers.commands import StartAction
 from tests import past
 from tests.queries.histories import S

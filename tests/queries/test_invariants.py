@@ -12,7 +12,7 @@ from fsar_ledger.ledger.rows.codec import encode
 from fsar_ledger.ledger.rows.schema import LAYOUTS
 from fsar_ledger.metrics.invariants import audit_rows, chosen, invariants
 from fsar_ledger.metrics.library import library
-from fsar_ledger.runtime.architectures.handler_table import HandlerTable
+from fsar_ledger.runtime.architectures import HandlerTable
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
 from tests.queries.defects import (
     Row,

@@ -12,9 +12,9 @@ from fsar_ledger.events.recovery import RecoveryEscalated
 from fsar_ledger.events.request import RequestAccepted
 from fsar_ledger.ledger.rows.codec import encode
 from fsar_ledger.metrics.invariants import audit_rows, chosen, invariants
+from fsar_ledger.runtime.architectures import HandlerTable
 from fsar_ledger.runtime.architectures.fsar import FSAR
 from fsar_ledger.runtime.architectures.fsar.execution import start as start_as_fsar
-from fsar_ledger.runtime.architectures.handler_table import HandlerTable
 from fsar_ledger.runtime.handlers.commands import DecideRoutine, StartAction
 from fsar_ledger.runtime.handlers.execution import started
 from tests.queries.test_invariants import RUNS, record

@@ -7,8 +7,9 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pytest
 
-from fsar_ledger.events import BESIDE, CONCERNS, EVENT_TYPES, RETIRED_TYPES
+from fsar_ledger.events import BESIDE, CONCERNS, EVENT_TYPES
 from fsar_ledger.events.configuration import PAPER_ARCHITECTURES
+from fsar_ledger.events.retired import RETIRED_TYPES
 from fsar_ledger.ledger.rows.codec import encode
 from fsar_ledger.ledger.rows.schema import LAYOUTS
 from fsar_ledger.metrics.database import Database

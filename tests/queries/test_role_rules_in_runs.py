@@ -11,8 +11,8 @@ from fsar_ledger.ledger.rows.codec import LedgerRun, encode
 from fsar_ledger.metrics.database import Database, from_table
 from fsar_ledger.metrics.invariants import chosen
 from fsar_ledger.projections import policy
+from fsar_ledger.runtime.architectures import HandlerTable
 from fsar_ledger.runtime.architectures.fsar import FSAR
-from fsar_ledger.runtime.architectures.handler_table import HandlerTable
 from fsar_ledger.runtime.handlers.commands import StartAction
 from fsar_ledger.runtime.handlers.fleet import InstallCapability, JoinFleet
 from fsar_ledger.runtime.handlers.policy import SetPolicyRule, SetRolePolicyRule

@@ -23,7 +23,7 @@ from fsar_ledger.runtime.architectures.fsar import FSAR
 from fsar_ledger.runtime.handlers.commands import Command
 from fsar_ledger.runtime.handlers.public import PublicCommand
 from fsar_ledger.runtime.kernel import Kernel
-from fsar_ledger.runtime.world.draws import Draws, SimulatedEnvironment, run_key
+from fsar_ledger.runtime.world import Draws, SimulatedEnvironment, run_key
 from tests import past
 
 CAPABILITIES = ("navigate.indoor", "carry.package", "door.open.secure", "grasp.robust", "carry.heavy")

@@ -158,7 +158,7 @@ FORGERIES = {
         restated(ACCEPTED, decided_by="robot/C1"), ACCEPTED, "decided_by", "fsar.execution.take_turn"
     ),
     "a request in the name of another": Forgery(
-        restated(ISSUED, requested_by="robot/C1"), ISSUED, "requested_by", "fsar.request.issue_request"
+        restated(ISSUED, requested_by="robot/C1"), ISSUED, "requested_by", "fsar.discovery.issue_request"
     ),
     "no supervisor is named": Forgery(
         restated(STARTED, supervised_by=None), STARTED, "supervised_by", "fsar.execution.start"

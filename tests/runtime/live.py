@@ -7,11 +7,11 @@ from fsar_ledger.designs.constants import Constants
 from fsar_ledger.events import Event
 from fsar_ledger.events.command import CommandRejected
 from fsar_ledger.projections.fold import State
+from fsar_ledger.runtime.architectures import HandlerTable
 from fsar_ledger.runtime.architectures.fsar import FSAR
-from fsar_ledger.runtime.architectures.handler_table import HandlerTable
 from fsar_ledger.runtime.handlers.commands import Command, Scheduled
 from fsar_ledger.runtime.kernel import Kernel
-from fsar_ledger.runtime.world.draws import Draws, SimulatedEnvironment, run_key
+from fsar_ledger.runtime.world import Draws, SimulatedEnvironment, run_key
 from tests.runtime.histories import happen, started
 from tests.sure import only
 

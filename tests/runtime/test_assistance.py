@@ -5,8 +5,8 @@ from fsar_ledger.events.envelope import FailureCause, Robot, Subject, Supervisor
 from fsar_ledger.events.recovery import AssistanceAdmitted, AssistanceFailed, AssistanceRequested, RecoveryEscalated
 from fsar_ledger.events.world import ActuatorDegraded, Grade, ObstructionAppeared, RobotWentOff
 from fsar_ledger.projections.fold import State, apply
+from fsar_ledger.runtime.architectures.cfc import process
 from fsar_ledger.runtime.architectures.cfc.coordinator import ProcessWork
-from fsar_ledger.runtime.architectures.cfc.request import process
 from fsar_ledger.runtime.architectures.fsar import FSAR
 from fsar_ledger.runtime.architectures.fsar.recovery import AskPeers, ask_peers
 from fsar_ledger.runtime.handlers.commands import EndAssistance, StopAssistance

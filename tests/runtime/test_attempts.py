@@ -17,10 +17,10 @@ from fsar_ledger.events.request import (
 from fsar_ledger.events.task import StepBegan, StepCompleted, TaskCompleted
 from fsar_ledger.events.world import PolicyWindowClosed
 from fsar_ledger.projections.fold import State, apply
+from fsar_ledger.runtime.architectures import HandlerTable
 from fsar_ledger.runtime.architectures.dhma import DHMA
 from fsar_ledger.runtime.architectures.fsar import FSAR
 from fsar_ledger.runtime.architectures.fsar.request import AdmitReviewed, EvaluateRequest
-from fsar_ledger.runtime.architectures.handler_table import HandlerTable
 from fsar_ledger.runtime.handlers.commands import BeginStep, Command, StartAction, TakeTurn
 from fsar_ledger.runtime.handlers.request import ReportResult, RequestCapability
 from fsar_ledger.runtime.handlers.supervision import RespondToCall

@@ -11,10 +11,9 @@ from fsar_ledger.events.recovery import RecoveryAttemptFailed
 from fsar_ledger.events.request import CommandIssued, GapDetected, RequestDenied
 from fsar_ledger.events.world import ActuatorDegraded, ObstructionAppeared
 from fsar_ledger.projections.fold import State, apply
-from fsar_ledger.runtime.architectures.cfc import CFC
+from fsar_ledger.runtime.architectures.cfc import CFC, QueueOrdered, ReceiveCommand
 from fsar_ledger.runtime.architectures.cfc.coordinator import ProcessWork, ReachCoordinator, Sync, until_next_sync_us
 from fsar_ledger.runtime.architectures.cfc.execution import ReachHelper, SafeStop
-from fsar_ledger.runtime.architectures.cfc.request import QueueOrdered, ReceiveCommand
 from fsar_ledger.runtime.handlers.commands import (
     CloseExecution,
     DecideRoutine,

@@ -10,7 +10,7 @@ from fsar_ledger.events.knowledge import BidReceived, PlannerEngaged, SnapshotTa
 from fsar_ledger.events.request import AwardMade
 from fsar_ledger.events.world import ObstructionAppeared, OutsiderRequestInjected
 from fsar_ledger.projections.fold import State, apply
-from fsar_ledger.runtime.architectures.dhma import DHMA
+from fsar_ledger.runtime.architectures.dhma import DHMA, Dispute, Escalate, StartRecovery
 from fsar_ledger.runtime.architectures.dhma.agents import EngagePlanner, TakeSnapshot
 from fsar_ledger.runtime.architectures.dhma.execution import (
     AcknowledgeExecution,
@@ -19,7 +19,6 @@ from fsar_ledger.runtime.architectures.dhma.execution import (
     RunOutsider,
     SettleBooking,
 )
-from fsar_ledger.runtime.architectures.dhma.recovery import Dispute, Escalate, StartRecovery
 from fsar_ledger.runtime.architectures.dhma.request import AcceptAward, Award, CallForProposals, EvaluateBid
 from fsar_ledger.runtime.handlers.commands import (
     CloseExecution,

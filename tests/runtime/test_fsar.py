@@ -10,7 +10,7 @@ from fsar_ledger.events.request import RequestAccepted, RequestAdmitted, Request
 from fsar_ledger.events.world import SupervisorLeft
 from fsar_ledger.projections.fold import apply
 from fsar_ledger.runtime.architectures.fsar.authority import Revoke, revoke
-from fsar_ledger.runtime.architectures.fsar.discovery import DetectGap, detect_gap
+from fsar_ledger.runtime.architectures.fsar.discovery import DetectGap, IssueRequest, detect_gap, issue_request
 from fsar_ledger.runtime.architectures.fsar.execution import (
     DecideOwnStep,
     decide_own_step,
@@ -20,9 +20,7 @@ from fsar_ledger.runtime.architectures.fsar.execution import (
 )
 from fsar_ledger.runtime.architectures.fsar.request import (
     EvaluateRequest,
-    IssueRequest,
     evaluate_request,
-    issue_request,
 )
 from fsar_ledger.runtime.handlers.authority import close_execution
 from fsar_ledger.runtime.handlers.commands import CloseExecution, DecideRoutine, StartAction, TakeTurn

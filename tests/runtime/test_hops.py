@@ -15,7 +15,7 @@ from fsar_ledger.runtime.architectures.dhma import agents
 from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.ports import Ask
 from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, kernel
-from fsar_ledger.runtime.world.draws import Draws, SimulatedEnvironment, run_key
+from fsar_ledger.runtime.world import Draws, SimulatedEnvironment, run_key
 from tests.sure import known
 
 HOP = re.compile(r"(.*)/hop(\D*)(\d*)$")

@@ -42,7 +42,7 @@ from fsar_ledger.runtime.simulation import (
     run_started,
     simulate_run,
 )
-from fsar_ledger.runtime.world.draws import Draws, SimulatedEnvironment, run_key
+from fsar_ledger.runtime.world import Draws, SimulatedEnvironment, run_key
 from fsar_ledger.runtime.world.schedule import schedule
 from tests.runtime.forgeries import changed, dropped
 from tests.sure import known

@@ -43,7 +43,7 @@ from fsar_ledger.events.world import (
 from fsar_ledger.ledger.rows.codec import LedgerRun, decode, encode
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.world import World, evolve
-from fsar_ledger.runtime.architectures.handler_table import HandlerTable
+from fsar_ledger.runtime.architectures import HandlerTable
 from fsar_ledger.runtime.handlers import execution, task
 from fsar_ledger.runtime.handlers.commands import BeginStep, Command, Handlers, Scheduled, StartAction
 from fsar_ledger.runtime.handlers.public import PublicCommand
@@ -51,7 +51,7 @@ from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.ports import Ask, Fact
 from fsar_ledger.runtime.run_replay import replay_run
 from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, handler_table_of, simulate_run
-from fsar_ledger.runtime.world.draws import Draws, SimulatedEnvironment, Stream, run_key
+from fsar_ledger.runtime.world import Draws, SimulatedEnvironment, Stream, run_key
 from fsar_ledger.runtime.world.schedule import schedule
 from tests import past
 from tests.runtime.histories import started

@@ -32,7 +32,7 @@ from fsar_ledger.runtime.simulation import (
     run_id,
     simulate_run,
 )
-from fsar_ledger.runtime.world.draws import Draws
+from fsar_ledger.runtime.world import Draws
 from tests.cli.conftest import Call, call, one_message  # noqa: F401
 from tests.quick import few
 from tests.runtime.forgeries import FORGERIES, HONEST, changed, dropped, seq_of

@@ -22,9 +22,9 @@ from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.ledger.verify import verify
 from fsar_ledger.projections.fold import State
+from fsar_ledger.runtime.architectures import HandlerTable
 from fsar_ledger.runtime.architectures.fsar import FSAR
 from fsar_ledger.runtime.architectures.fsar.request import EvaluateRequest
-from fsar_ledger.runtime.architectures.handler_table import HandlerTable
 from fsar_ledger.runtime.experiment import ORIGIN, Experiment, run_experiment, workflow_experiment
 from fsar_ledger.runtime.handlers.commands import Command, Decide
 from fsar_ledger.runtime.knockouts import KNOCKOUTS, Knockout

@@ -17,8 +17,8 @@ from fsar_ledger.events.envelope import Architecture, Robot, Scenario
 from fsar_ledger.events.world import LinkCameUp, LinkWentDown, RobotCameBack, RobotWentOff
 from fsar_ledger.ledger.rows.codec import LedgerRun, decode, encode
 from fsar_ledger.projections.fold import State, fold
+from fsar_ledger.runtime.architectures import HandlerTable
 from fsar_ledger.runtime.architectures.fsar.execution import decide_routine
-from fsar_ledger.runtime.architectures.handler_table import HandlerTable
 from fsar_ledger.runtime.handlers.commands import DecideRoutine
 from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, handler_table_of, kernel, simulate_run
 from tests.quick import few

@@ -19,12 +19,12 @@ from fsar_ledger.events.task import TaskCompleted
 from fsar_ledger.events.world import WorldEvent
 from fsar_ledger.ledger.rows.codec import LedgerRun, encode
 from fsar_ledger.metrics.results import metric_rows
-from fsar_ledger.runtime.architectures.handler_table import HandlerTable
+from fsar_ledger.runtime.architectures import HandlerTable
 from fsar_ledger.runtime.handlers.commands import StartAction, TakeTurn
 from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.ports import Ask, Fact
 from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, handler_table_of, kernel, simulate_run
-from fsar_ledger.runtime.world.draws import Draws, SimulatedEnvironment, Stream, run_key
+from fsar_ledger.runtime.world import Draws, SimulatedEnvironment, Stream, run_key
 from fsar_ledger.runtime.world.schedule import schedule
 from tests.recycled import from_table
 from tests.runtime.histories import finished

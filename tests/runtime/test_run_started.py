@@ -7,9 +7,9 @@ import msgspec
 import pytest
 
 from fsar_ledger.designs.constants import Constants, Load, Range, WorldConstants, read_constants, write_constants
-from fsar_ledger.events import CONCERNS, UPCASTS
+from fsar_ledger.events import CONCERNS
 from fsar_ledger.events.fleet import RunStarted
-from fsar_ledger.events.retired import RunStartedV1
+from fsar_ledger.events.retired import UPCASTS, RunStartedV1
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.rows.schema import LAYOUTS

@@ -30,7 +30,7 @@ from fsar_ledger.events.world import (
 from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.ports import Fact
 from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, founding_of, handler_table_of
-from fsar_ledger.runtime.world.draws import Draws, SimulatedEnvironment, run_key
+from fsar_ledger.runtime.world import Draws, SimulatedEnvironment, run_key
 from fsar_ledger.runtime.world.schedule import schedule
 from tests import past
 from tests.runtime.live import of

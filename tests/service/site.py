@@ -16,9 +16,8 @@ import fsar_ledger
 from fsar_ledger.events.command import CommandGiven
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows.runs import LedgerRun
-from fsar_ledger.service import server
+from fsar_ledger.service import Principals, add_principal, server
 from fsar_ledger.service.client import Client, FollowedEvent
-from fsar_ledger.service.principals import Principals, add_principal
 
 NAMES = ("robot/A1", "robot/B1", "robot/C1", "supervisor/A1", "supervisor/fleet", "service/hub", "auditor/anna")
 TASK: dict[str, Any] = {"robot": "robot/A1", "steps": ["A door.open.secure B"], "budget_us": 600_000_000}

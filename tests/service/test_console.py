@@ -14,8 +14,8 @@ import pytest
 
 import fsar_ledger
 from fsar_ledger.events.supervision import SupervisionDensitySet, SupervisorResponded
-from fsar_ledger.service.console import FILES, page_file
 from fsar_ledger.service.demo import HUB, HUMAN, OWN, STORIES, TASKS, Demo, play
+from fsar_ledger.service.pages import FILES, page_file
 from tests.service.site import TASK, Site, is_good
 
 pytestmark = pytest.mark.slow

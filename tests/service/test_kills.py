@@ -14,8 +14,8 @@ import pytest
 import fsar_ledger
 from fsar_ledger.events.command import CommandGiven
 from fsar_ledger.ledger.opening import open_ledger
+from fsar_ledger.service import add_principal
 from fsar_ledger.service.client import Client
-from fsar_ledger.service.principals import add_principal
 from tests.service.site import TASK, is_good, until
 from tests.witness.processes import honest
 

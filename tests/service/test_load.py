@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from fsar_ledger.service import add_principal
 from fsar_ledger.service.client import Client
-from fsar_ledger.service.principals import add_principal
 from tests.running import rss_kib
 from tests.service.test_kills import Process
 

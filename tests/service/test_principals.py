@@ -10,8 +10,8 @@ import pytest
 from fsar_ledger.base.errors import UsageError, WriteFailed
 from fsar_ledger.runtime.handlers.public import commands, own_fields
 from fsar_ledger.runtime.live import command_given
-from fsar_ledger.service.openapi import described, page
-from fsar_ledger.service.principals import KINDS, Principals, add_principal
+from fsar_ledger.service import KINDS, Principals, add_principal
+from fsar_ledger.service.pages import described, page
 
 
 def test_a_token_is_that_of_its_principal_alone(tmp_path: Path) -> None:

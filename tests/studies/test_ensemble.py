@@ -13,10 +13,10 @@ from fsar_ledger.metrics.robustness import CellSpread, Ensemble
 from fsar_ledger.metrics.study_results import Calibration, Parameter, Residual, encoded, read
 from fsar_ledger.metrics.verdicts import MARGINS, published
 from fsar_ledger.runtime.simulation import MODEL_VERSION
-from fsar_ledger.studies import ensemble as study
-from fsar_ledger.studies.ensemble import ensemble, normal_sample, points_around
+from fsar_ledger.studies import robustness as study
 from fsar_ledger.studies.evaluations import CELLS, Answer, Question
 from fsar_ledger.studies.factors import FREE, at, point_of, value_of
+from fsar_ledger.studies.robustness import ensemble, normal_sample, points_around
 
 SAMPLE = SampleAround(seed=5, size=256, runs=1, spread=1.0)
 

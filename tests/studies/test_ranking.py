@@ -11,11 +11,11 @@ from fsar_ledger.metrics.registration import Sample, registration
 from fsar_ledger.metrics.robustness import RankCounts, Ranking
 from fsar_ledger.metrics.study_results import read
 from fsar_ledger.metrics.verdicts import MARGINS, published
-from fsar_ledger.studies import ranking as study
+from fsar_ledger.studies import robustness as study
 from fsar_ledger.studies.evaluations import CELLS, Answer, Question
 from fsar_ledger.studies.factors import FREE, point_of, points_over_ranges, value_of
-from fsar_ledger.studies.ranking import ALL, IN_PAPER, ranking, ranks
 from fsar_ledger.studies.result import grounds, stale
+from fsar_ledger.studies.robustness import ALL, IN_PAPER, ranking, ranks
 
 PAPER: Answer = tuple(published()[cell].value for cell in CELLS)
 

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 import fsar_ledger
-from fsar_ledger.view.drawn import page as page_of
+from fsar_ledger.view import page as page_of
 from tests.ledger.hostile import relabelled
 from tests.view.conftest import a_run, plain_words, shown
 

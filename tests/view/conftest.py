@@ -6,7 +6,7 @@ import pytest
 
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
-from fsar_ledger.view.drawn import PageOptions, Words, drawn
+from fsar_ledger.view import PageOptions, Words, drawn
 from tests.runtime.pinned import PINNED
 
 ARCHITECTURES = ("fsar", "cfc", "dhma")

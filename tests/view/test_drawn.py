@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from fsar_ledger.ledger.rows.codec import LedgerRun
-from fsar_ledger.view.drawn import Words, drawn, trace, type_name
+from fsar_ledger.view import Words, drawn, trace, type_name
 from tests.view.conftest import ARCHITECTURES, plain_words
 
 FIELDS = {

@@ -12,7 +12,7 @@ from msgspec.structs import replace
 from fsar_ledger.designs.constants import Constants
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
-from fsar_ledger.view.drawn import Words, page, type_name
+from fsar_ledger.view import Words, page, type_name
 from tests.ledger.hostile import relabelled
 from tests.view.conftest import ARCHITECTURES, a_run, plain_words, shown
 

@@ -11,7 +11,7 @@ import pytest
 from fsar_ledger.ledger.log.hashing import parents
 from fsar_ledger.ledger.log.merkle import consistency_proof, leaf_hash, root
 from fsar_ledger.ledger.log.note import Checkpoint, Note, Signer
-from fsar_ledger.witness.protocol import Request, WitnessKey
+from fsar_ledger.witness import Request, WitnessKey
 from fsar_ledger.witness.server import Service, WitnessServer
 from fsar_ledger.witness.state import State, new_state, open_state
 from tests.cli.conftest import call as call  # re-exported as a fixture

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from fsar_ledger.ledger.log.note import Checkpoint, Note
-from fsar_ledger.witness.protocol import Cosigner, parse_request
+from fsar_ledger.witness import Cosigner, parse_request
 
 LIAR = Cosigner("example.org/liar", bytes([7] * 32))
 STRANGER = Cosigner("example.org/liar", bytes([8] * 32))

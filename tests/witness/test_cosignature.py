@@ -6,7 +6,7 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from fsar_ledger.base.errors import LedgerCorrupted, UsageError
 from fsar_ledger.ledger.log.note import Checkpoint, Note, Signature, VerifierKey
-from fsar_ledger.witness.protocol import (
+from fsar_ledger.witness import (
     MAX_TIME_S,
     Cosigner,
     WitnessKey,

@@ -4,8 +4,8 @@ from pathlib import Path
 import pytest
 
 from fsar_ledger.base.errors import UsageError
+from fsar_ledger.witness import Cosigner
 from fsar_ledger.witness.policy import Policy, parse_policy, read_policy
-from fsar_ledger.witness.protocol import Cosigner
 from tests.witness.conftest import LOG, ORIGIN, STRANGER
 
 KEYS = [Cosigner(f"example.org/w{number}", bytes([number] * 32)).key for number in range(6)]

@@ -16,7 +16,7 @@ import pytest
 from fsar_ledger.ledger.log.note import parse_note
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.staging import stage
-from fsar_ledger.witness.protocol import parse_cosigned, parse_secret
+from fsar_ledger.witness import parse_cosigned, parse_secret
 from fsar_ledger.witness.state import new_state, open_state
 from tests.cli.conftest import Call, Called, in_a_process, one_message
 from tests.ledger.damage import SIGNER, write_ledger

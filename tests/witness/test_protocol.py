@@ -6,7 +6,7 @@ import pytest
 
 from fsar_ledger.ledger.log.merkle import EMPTY_ROOT
 from fsar_ledger.ledger.log.note import Checkpoint, Note, Signature, Signer
-from fsar_ledger.witness.protocol import MAX_BODY_BYTES, Answer, Request, checkpoint_path, judge, parse_request
+from fsar_ledger.witness import MAX_BODY_BYTES, Answer, Request, checkpoint_path, judge, parse_request
 from tests.witness.conftest import LOG, ORIGIN, STRANGER, Log
 
 GROWING = Log(20)

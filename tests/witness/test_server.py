@@ -9,8 +9,8 @@ from http.client import HTTPConnection
 import pytest
 
 from fsar_ledger.base.errors import UsageError
+from fsar_ledger.witness import MAX_BODY_BYTES, checkpoint_path
 from fsar_ledger.witness import server as module
-from fsar_ledger.witness.protocol import MAX_BODY_BYTES, checkpoint_path
 from fsar_ledger.witness.server import WitnessServer
 from tests.witness.conftest import ORIGIN, Log, Open, serving
 

@@ -8,7 +8,7 @@ import pytest
 
 from fsar_ledger.base.errors import LedgerCorrupted, UsageError, WriteFailed
 from fsar_ledger.ledger.log.note import Note
-from fsar_ledger.witness.protocol import Request, origin_hash, parse_vkey
+from fsar_ledger.witness import Request, origin_hash, parse_vkey
 from fsar_ledger.witness.server import Service
 from fsar_ledger.witness.state import new_state, open_state
 from tests.witness.conftest import NOW_S, ORIGIN, STRANGER, Log, Open, at_work

@@ -12,10 +12,11 @@ import msgspec
 import numpy as np
 import pyarrow as pa
 
-from fsar_ledger.ledger.rows.arrow import coded, numbers, places, whole
 from fsar_ledger.ledger.rows.check import run_starts
 from fsar_ledger.ledger.rows.runs import Flaw
 from fsar_ledger.ledger.rows.schema import CONCERNED, STANDS_ALONE, concerns_admitted
+
+from . import coded, numbers, places, whole
 
 
 class Block(msgspec.Struct, frozen=True, omit_defaults=True):

@@ -14,10 +14,11 @@ import pyarrow as pa
 
 from fsar_ledger.ledger.log import hashing
 from fsar_ledger.ledger.log.hashing import leaves_of
-from fsar_ledger.ledger.rows.arrow import Columns, coded, numbers, places, taken, validity, whole
 from fsar_ledger.ledger.rows.bounds import has_more_text_than, text_bytes
 from fsar_ledger.ledger.rows.compiled import codec
 from fsar_ledger.ledger.rows.schema import COLUMNS, ENVELOPE, SCHEMA, STORED, StoredType
+
+from . import Columns, coded, numbers, places, taken, validity, whole
 
 _ENCODER = msgspec.json.Encoder()
 _SORTING_ENCODER = msgspec.json.Encoder(order="sorted")

@@ -7,7 +7,6 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from fsar_ledger.events import CONCERNS
-from fsar_ledger.ledger.rows.arrow import Columns, Mask, coded, numbers, places, taken, validity, whole
 from fsar_ledger.ledger.rows.runs import Flaw
 from fsar_ledger.ledger.rows.schema import (
     CODED_SCHEMA,
@@ -23,6 +22,8 @@ from fsar_ledger.ledger.rows.schema import (
     STORED,
     Field,
 )
+
+from . import Columns, Mask, coded, numbers, places, taken, validity, whole
 
 Integers: TypeAlias = "np.ndarray[tuple[int], np.dtype[np.int64]]"
 

@@ -14,11 +14,11 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from fsar_ledger.base.errors import InvalidRun, LedgerCorrupted, UnknownEventTag
-from fsar_ledger.events import EVENT_TYPES, UPCASTS
+from fsar_ledger.events import EVENT_TYPES
+from fsar_ledger.events.retired import UPCASTS
 from fsar_ledger.ledger.log import hashing
 from fsar_ledger.ledger.log.hashing import HASH_BYTES
 from fsar_ledger.ledger.rows import canonical
-from fsar_ledger.ledger.rows.arrow import Codes, Positions, Texts, Values, array_of, bits, require_exact
 from fsar_ledger.ledger.rows.check import first_flaw, run_starts
 from fsar_ledger.ledger.rows.compiled import plain_rows, plain_table
 from fsar_ledger.ledger.rows.runs import (
@@ -44,6 +44,8 @@ from fsar_ledger.ledger.rows.schema import (
     STORED,
     StoredType,
 )
+
+from . import Codes, Positions, Texts, Values, array_of, bits, require_exact
 
 __all__ = [
     "SCHEMA",

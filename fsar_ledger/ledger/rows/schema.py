@@ -27,8 +27,9 @@ import msgspec
 import pyarrow as pa
 from msgspec import inspect
 
-from fsar_ledger.events import ALONE, CONCERN_OF, EVENT_TYPES, RETIRED_TYPES, Event
+from fsar_ledger.events import ALONE, CONCERN_OF, EVENT_TYPES, Event
 from fsar_ledger.events.envelope import Part
+from fsar_ledger.events.retired import RETIRED_TYPES
 
 Kind = Literal["string", "integer", "boolean", "strings"]
 

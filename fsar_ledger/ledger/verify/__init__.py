@@ -4,28 +4,45 @@ Without a signature or an anchor this proves that nothing was altered, removed o
 last record vouches for. Rewriting every record, or removing the newest ones, is caught by a trusted key (nobody else
 can sign other records) and by an anchor, an earlier checkpoint kept elsewhere.
 
+To recover is to finish or set aside what a crash left, to explain what was altered, and to delete nothing:
+
+1. First find what can be trusted, without changing anything (`trusted.py`). If nothing is to be mended, that is all.
+2. If it is the whole ledger, committed segments move into place, and what can be derived from the commits
+   (ledger.json, nodes, index, checkpoint) is made again where it is wrong. Everything else is set aside: it moves to
+   `LEDGER.set-aside/NNN/` under the same name. A crash may follow any step; the next recovery goes on from there.
+3. If it is not, the ledger stays as it is, as evidence; `into` copies the trusted commits to a new ledger, byte for
+   byte.
+
 ```
 chain     one look at the ledger, segment by segment
 segment   one segment: what a worker does
 report    what is asked, what was found, who signed, and whether the ledger only grew
-recover   finishes or sets aside what a crash left; deletes nothing
 trusted   how much of a ledger can be trusted, mended or copied
 ```
 """
 
+import fcntl
 import os
-from contextlib import suppress
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from itertools import count
 from pathlib import Path
+from typing import Literal
 
-from fsar_ledger.base.errors import NotALedger, WorkerDied
+import msgspec
+
+from fsar_ledger.base.errors import LedgerCorrupted, NotALedger, UsageError, WorkerDied, WriteFailed, option
 from fsar_ledger.base.progress import Progress
 from fsar_ledger.ledger.store import disk, growing
 from fsar_ledger.ledger.store.manifest import refuse_version_1
 from fsar_ledger.ledger.store.paths import CHAIN, INDEX, JOURNAL, MANIFEST, NODES, SEALING, SEGMENTS, require_created
 from fsar_ledger.ledger.store.problem import Problem, unexpected
+from fsar_ledger.ledger.store.record import Head
 from fsar_ledger.ledger.store.snapshot import read_checkpoint
 from fsar_ledger.ledger.verify.chain import Verification
 from fsar_ledger.ledger.verify.report import MAX_PROBLEMS, VerifyOptions, VerifyReport
+from fsar_ledger.ledger.verify.trusted import Did, Found, Later, find_trusted, mend, write_copy
 
 
 def verify(
@@ -89,3 +106,187 @@ def _look(path: Path, workers: int, progress: Progress | None, asked: VerifyOpti
     except (Exception, RecursionError) as error:  # a check that fails unexpectedly is still a finding
         problems = (*verification.problems[: MAX_PROBLEMS - 1], unexpected(str(path), None, error))
         return VerifyReport(False, problems, 0, 0, 0, None, is_quick=verification.asked.is_quick)
+
+
+Outcome = Literal["whole", "mended", "damaged", "continued"]
+
+
+class Step(msgspec.Struct, frozen=True):
+    """One thing that was done: to which file of the ledger, and where the file is now."""
+
+    did: Did
+    file: str
+    to: str
+
+
+class Recovery(msgspec.Struct, frozen=True):
+    """What `recover` found and did.
+
+    `outcome`: the ledger was *whole* already, or is so again (*mended*); or it is *damaged* and was not touched, with
+    the trusted commits in a new ledger (*continued*) if that was asked for. `head` is that of the trusted commits.
+    `problems` are those of the first commit after them, `later` each commit after them, judged on its own. `anchored`
+    counts the trusted events that the anchor vouches for, None if it cannot or none was given. `report` is what
+    `verify` says about the whole, the mended or the new ledger.
+    """
+
+    outcome: Outcome
+    head: Head
+    steps: tuple[Step, ...] = ()
+    problems: tuple[Problem, ...] = ()
+    later: tuple[Later, ...] = ()
+    anchored: int | None = None
+    report: VerifyReport | None = None
+
+
+def recover(
+    path: Path,
+    workers: int = 1,
+    progress: Progress | None = None,
+    asked: VerifyOptions | None = None,
+    into: Path | None = None,
+) -> Recovery:
+    """Mend the ledger so that it verifies, or leave it as it is and report what of it can be trusted.
+
+    Args:
+        path: The directory of the ledger.
+        workers: Processes that read segments.
+        progress: Called with (segments done, segments in all), from the beginning each time that they are read.
+        asked: A key that must have signed, an earlier checkpoint.
+        into: Where the trusted commits of a damaged ledger go; nothing may be there yet.
+
+    Raises:
+        NotALedger, FormatVersionMismatch: There is no ledger that this version reads, or its creation was interrupted
+            before anything was in it.
+        UsageError: Something is at `into` already, or it is within the ledger, or the anchor is not a checkpoint.
+        LedgerCorrupted: No commit can be trusted, so there is nothing to copy; or files changed while they were read.
+        WriteFailed: Another writer is at work, or the disk refused; what was done so far stays, and the next recovery
+            goes on.
+    """
+    asked = asked or VerifyOptions()
+    require_ledger(path)
+    _require_free(path, into)
+    if asked.anchor is not None and asked.anchor.note is None:
+        raise UsageError(
+            f"{option('anchor', asked.anchor.file)}: found {asked.anchor.reason}, expected a checkpoint of this ledger"
+        )
+    with _alone(path):
+        trusted = find_trusted(path, workers, progress, asked)
+        if trusted.problems:
+            report = _copy(path, trusted, into, workers, progress, asked) if into is not None else None
+            outcome: Outcome = "damaged" if into is None else "continued"
+            return Recovery(
+                outcome, trusted.head, (), trusted.problems, tuple(trusted.later()), trusted.anchored, report
+            )
+        if trusted.is_whole:
+            return Recovery("whole", trusted.head, anchored=trusted.anchored, report=trusted.report)
+        mending = _Mending(path)
+        with disk.refusals(path, "mending"):
+            mend(trusted, mending.set_aside, mending.did)
+            for folder in (path, path / SEGMENTS) if mending.steps else ():
+                disk.sync_folder(folder)
+        report = verify(path, workers, progress, asked)
+    outcome = "damaged" if not report.ok else "mended" if mending.steps else "whole"
+    return Recovery(
+        outcome, trusted.head, tuple(mending.steps), report.problems, anchored=trusted.anchored, report=report
+    )
+
+
+def _require_free(path: Path, into: Path | None) -> None:
+    if into is None:
+        return
+    if os.path.lexists(into):
+        raise UsageError(f"{option('into', into)}: found something there, expected a free path; give another one")
+    if path.resolve() in into.resolve().parents:
+        raise UsageError(
+            f"{option('into', into)}: found a path within {path}, expected one outside of it; give another one"
+        )
+
+
+@contextmanager
+def _alone(path: Path) -> Iterator[None]:
+    """Lock out writers, where the file system has locks. Raises: WriteFailed if one is at work, or locking fails."""
+    with disk.refusals(path, "locking"):
+        handle = os.open(path, os.O_RDONLY | os.O_DIRECTORY)  # not ledger.json, which may be missing or replaced
+    try:
+        _lock(path, handle)
+        yield
+    finally:
+        disk.close(handle)
+
+
+def _lock(path: Path, handle: int) -> None:
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        raise WriteFailed(
+            f"{path}: found a writer at work, expected none; wait until it ends, or end it, and run it again"
+        ) from error
+    except OSError:  # the file system has no locks
+        return
+
+
+class _Mending:
+    """The steps on one ledger. A crash may follow any of them; all of them can be repeated."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.steps: list[Step] = []
+        self._aside: Path | None = None
+
+    def did(self, did: Did, file: str, to: str) -> None:
+        """Note what was done."""
+        self.steps.append(Step(did, file, to))
+
+    def set_aside(self, name: str) -> None:
+        """Move the file beside the ledger, durably, under the same name below the first free number."""
+        if self._aside is None:
+            self._aside = _new_folder(self.path)
+        target = self._aside / name
+        disk.make_folder(target.parent)
+        disk.move(self.path / name, target)
+        self.steps.append(Step("set aside", name, str(target)))
+
+
+def _new_folder(ledger: Path) -> Path:
+    """Make a new folder beside the ledger, durably."""
+    real = ledger.resolve() if ledger.is_symlink() or ledger.name in ("", "..") else ledger
+    top = real.with_name(f"{real.name}.set-aside")
+    disk.make_folder(top)
+    for number in count():
+        with suppress(FileExistsError):
+            os.mkdir(top / f"{number:03d}")
+            disk.sync_folder(top)
+            return top / f"{number:03d}"
+    raise AssertionError("count() never ends")
+
+
+def _copy(
+    path: Path, trusted: Found, into: Path, workers: int, progress: Progress | None, asked: VerifyOptions
+) -> VerifyReport:
+    """Copy the trusted commits to a new ledger, byte for byte, and verify it; on failure nothing is there."""
+    if not trusted.head.commits:
+        raise LedgerCorrupted(
+            f"{trusted.problems[0]}\n{path}: found no commit that can be trusted, expected one to copy to {into}; "
+            "begin a new ledger there"
+        )
+    work = disk.temporary_name(into)
+    note = asked.anchor.note if asked.anchor is not None else None
+    if note is not None and note.checkpoint.size > trusted.head.size:
+        asked = msgspec.structs.replace(asked, anchor=None)
+    try:
+        with disk.refusals(into, "copying the trusted commits"):
+            disk.make_folder(into.parent)
+            write_copy(trusted, work)
+        report = verify(work, workers, progress, asked)
+        if not report.ok:
+            raise LedgerCorrupted(
+                f"{report.problems[0]}\n{path}: found other files than a moment ago, expected nobody else to write; "
+                "run it again"
+            )
+        with disk.refusals(into, "naming the new ledger"):
+            os.rename(work, into)
+            disk.sync_folder(into.absolute().parent)
+    except BaseException:
+        shutil.rmtree(work, ignore_errors=True)
+        raise
+    return report

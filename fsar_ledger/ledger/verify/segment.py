@@ -17,8 +17,7 @@ import pyarrow.parquet as pq
 
 from fsar_ledger.base.errors import LedgerCorrupted
 from fsar_ledger.base.workers import WorkerPool
-from fsar_ledger.ledger.rows import canonical
-from fsar_ledger.ledger.rows.arrow import Columns
+from fsar_ledger.ledger.rows import Columns, canonical
 from fsar_ledger.ledger.rows.blocks import Block, blocks_of
 from fsar_ledger.ledger.rows.check import first_flaw
 from fsar_ledger.ledger.rows.layout import Layout, check_layout, read_layout

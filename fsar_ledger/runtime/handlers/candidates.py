@@ -10,9 +10,9 @@ from typing import Literal, get_args
 import msgspec
 
 from fsar_ledger.events.envelope import Availability, OverrideLevel, Robot
+from fsar_ledger.projections import among
 from fsar_ledger.projections.execution import Execution
 from fsar_ledger.projections.fold import State
-from fsar_ledger.projections.maps import among
 from fsar_ledger.projections.policy import ruled
 from fsar_ledger.projections.registry import (
     Advertisement,

@@ -1,5 +1,5 @@
 /**
- * The data of the page, as `fsar_ledger/view/drawn.py` writes it, and runs as the page uses them.
+ * The data of the page, as `fsar_ledger/view/__init__.py` writes it, and runs as the page uses them.
  *
  * Units: microseconds.
  */

@@ -23,7 +23,7 @@ from fsar_ledger.runtime.handlers.commands import (
 from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.ports import Fact
 from fsar_ledger.runtime.simulation import RunSpec, founding_of, simulate_run
-from fsar_ledger.runtime.world.draws import Draws, SimulatedEnvironment, run_key
+from fsar_ledger.runtime.world import Draws, SimulatedEnvironment, run_key
 from tests import past
 from tests.runtime import live
 from tests.runtime.histories import ARRIVED, DELEGATED_STEP, started

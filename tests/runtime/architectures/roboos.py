@@ -19,9 +19,8 @@ from fsar_ledger.events.world import (
     ObstructionAppeared,
 )
 from fsar_ledger.projections.fold import State, fold
-from fsar_ledger.runtime.architectures.roboos import ROBOOS
-from fsar_ledger.runtime.architectures.roboos.master import SendSubtask
-from fsar_ledger.runtime.architectures.roboos.robot import StartChecklist, TakeSubtask
+from fsar_ledger.runtime.architectures.roboos import ROBOOS, StartChecklist
+from fsar_ledger.runtime.architectures.roboos.master import SendSubtask, TakeSubtask
 from fsar_ledger.runtime.handlers.commands import (
     DetectObstruction,
     FinishAttempt,
@@ -31,7 +30,7 @@ from fsar_ledger.runtime.handlers.commands import (
 from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.ports import Fact
 from fsar_ledger.runtime.simulation import RunSpec, run_started
-from fsar_ledger.runtime.world.draws import Draws, SimulatedEnvironment, run_key
+from fsar_ledger.runtime.world import Draws, SimulatedEnvironment, run_key
 from fsar_ledger.runtime.world.founding import founding
 from tests import past
 from tests.runtime import live

@@ -18,8 +18,7 @@ from fsar_ledger.events.recovery import RecoveryAttempted
 from fsar_ledger.events.task import TaskAbandoned
 from fsar_ledger.events.world import ObstructionAppeared
 from fsar_ledger.projections.fold import State
-from fsar_ledger.runtime.architectures.alliance import ALLIANCE
-from fsar_ledger.runtime.architectures.alliance.execution import EndTry, StartWork, TryAgain
+from fsar_ledger.runtime.architectures.alliance import ALLIANCE, EndTry, StartWork, TryAgain
 from fsar_ledger.runtime.handlers.commands import ResumeAction
 from tests import past
 from tests.runtime.architectures.test_alliance import (

@@ -21,11 +21,11 @@ from fsar_ledger.events.world import (
     ObstructionAppeared,
 )
 from fsar_ledger.projections.fold import State
+from fsar_ledger.runtime.architectures.jade import DecideOwnStep, GiveUp, ReceiveFailure
 from fsar_ledger.runtime.architectures.jade.contract_net import (
     CallForProposals,
     EvaluateCall,
 )
-from fsar_ledger.runtime.architectures.jade.execution import DecideOwnStep, GiveUp, ReceiveFailure
 from fsar_ledger.runtime.handlers.commands import (
     BeginStep,
     DetectObstruction,

@@ -23,10 +23,10 @@ from fsar_ledger.events.world import (
     OutsiderRequestInjected,
     SupervisorLeft,
 )
+from fsar_ledger.runtime.architectures.jade import DecideOwnStep
 from fsar_ledger.runtime.architectures.jade.contract_net import (
     EvaluateCall,
 )
-from fsar_ledger.runtime.architectures.jade.execution import DecideOwnStep
 from fsar_ledger.runtime.handlers.commands import (
     BeginStep,
     DecideRoutine,

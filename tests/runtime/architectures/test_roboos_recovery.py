@@ -29,15 +29,8 @@ from fsar_ledger.events.world import (
     RobotWentOff,
 )
 from fsar_ledger.projections.fold import State
-from fsar_ledger.runtime.architectures.roboos import ROBOOS
-from fsar_ledger.runtime.architectures.roboos.master import PlanTask, is_shown_idle
-from fsar_ledger.runtime.architectures.roboos.robot import (
-    AskAnother,
-    GoOnWithoutHelp,
-    ReachHelper,
-    TakeSubtask,
-    checklist,
-)
+from fsar_ledger.runtime.architectures.roboos import ROBOOS, AskAnother, GoOnWithoutHelp, ReachHelper, checklist
+from fsar_ledger.runtime.architectures.roboos.master import PlanTask, TakeSubtask, is_shown_idle
 from fsar_ledger.runtime.handlers.commands import (
     DecideRoutine,
     EndAttempt,

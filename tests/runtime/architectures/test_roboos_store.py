@@ -21,11 +21,11 @@ from fsar_ledger.runtime.architectures.roboos.master import (
     Heartbeat,
     SendSubtask,
     TakeResult,
+    TakeSubtask,
     entry,
     is_shown_idle,
     is_stored,
 )
-from fsar_ledger.runtime.architectures.roboos.robot import TakeSubtask
 from tests import past
 from tests.runtime.architectures.roboos import (
     ACTION,

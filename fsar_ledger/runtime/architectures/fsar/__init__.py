@@ -3,7 +3,7 @@
 Paper: eq:federation, eq:fleet-model.
 """
 
-from fsar_ledger.runtime.architectures.handler_table import COMMON, PUBLIC, HandlerTable
+from fsar_ledger.runtime.architectures import COMMON, PUBLIC, HandlerTable
 from fsar_ledger.runtime.handlers import assistance, isolation
 
 from . import authority, availability, discovery, execution, recovery, reports, request

@@ -1,12 +1,12 @@
-"""FSAR: a robot that lacks a capability asks the registry, or the peers it met, who could help.
+"""FSAR: a robot that lacks a capability asks the registry, or the peers it met, who could help, and then one of these.
 
-Paper: sec:model:request, phases 1 and 2.
+Paper: sec:model:request, phases 1 to 3.
 """
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import Robot
+from fsar_ledger.events.envelope import REGISTRY, Robot
 from fsar_ledger.events.registry import RegistryQueried
-from fsar_ledger.events.request import GapDetected, PeerSought, RequestUnanswered
+from fsar_ledger.events.request import GapDetected, PeerSought, RequestIssued, RequestUnanswered
 from fsar_ledger.events.task import StepBegan
 from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
@@ -23,6 +23,7 @@ from fsar_ledger.runtime.handlers.commands import (
     open_request,
     requester,
 )
+from fsar_ledger.runtime.handlers.policy import own_policy
 from fsar_ledger.runtime.handlers.registry import queried
 from fsar_ledger.runtime.handlers.trust import trusts
 
@@ -37,6 +38,10 @@ class DetectGap(ActionCommand):
 
 class QueryRegistry(ActionCommand):
     """Deliver the query to the registry."""
+
+
+class IssueRequest(ActionCommand):
+    """Deliver the answer to the requester."""
 
 
 def discover(state: State, request: Request) -> tuple[Answer, Robot | None]:
@@ -173,6 +178,26 @@ def query_registry(state: State, _command: QueryRegistry, request: Request) -> t
     return (queried(state, query, answer, request.task_id, request.action_id, relay),)
 
 
+@HANDLERS.decide_on(open_request, IssueRequest, requester)
+def issue_request(state: State, _command: IssueRequest, request: Request) -> tuple[Event, ...]:
+    """Send the request with the requester's own policy; back off without a candidate."""
+    if request.is_over:  # a robot of it has left the fleet meanwhile
+        return ()
+    if not request.candidates:
+        return (unanswered(state, request),)
+    robot, executor = request.requester, request.candidates[0]
+    parties = recorded_by(state, robot, requested_by=robot, executed_by=executor)
+    return (
+        RequestIssued(
+            subject=request.request_subject,
+            principals=parties.decided(robot),
+            capability=request.capability,
+            carried_policy=own_policy(state.policy, state.world, robot, request.capability, request.task_id),
+            relay=request.relay,
+        ),
+    )
+
+
 @HANDLERS.react(StepBegan)
 def _on_step(_state: State, event: StepBegan, _now_us: int) -> tuple[Scheduled, ...]:
     return (Scheduled(DetectGap(event.subject.action_id)),) if event.target_role is not None else ()
@@ -194,3 +219,15 @@ def _on_gap(state: State, event: GapDetected, _now_us: int) -> tuple[Scheduled, 
             (message(event.principals.requested_by, event.subject.action_id, 0),),
         ),
     )
+
+
+@HANDLERS.react(RegistryQueried)
+def _on_answer(state: State, event: RegistryQueried, _now_us: int) -> tuple[Scheduled, ...]:
+    if (
+        event.subject.task_id not in state.task or event.subject.action_id in state.recovery
+    ):  # an outsider's request is nobody's step; recovery asks for itself
+        return ()
+    assert event.subject.action_id is not None
+    if "shared-registry" in state.fleet.without:
+        return (Scheduled(IssueRequest(event.subject.action_id)),)
+    return (Scheduled(IssueRequest(event.subject.action_id), 0, (message(REGISTRY, event.subject.action_id, 1),)),)

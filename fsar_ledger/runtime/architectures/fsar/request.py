@@ -1,9 +1,17 @@
-"""FSAR: a delegated step is a governed request between two robots. Paper: sec:model:request, eq:admissible."""
+"""FSAR: a delegated step is a governed request between two robots, from its way to the executor on.
+
+Paper: sec:model:request (phases 4 and 5), eq:admissible.
+
+H_F orders two requests for one robot when one of them is time-critical (sec:prototype:workflows, Workflow 3). The
+policy resolver's outcome is then `review`: the request that was evaluated first calls H_F and the other joins the call.
+Both are evaluated again in the order that H_F has given: the second waits until the first is admitted or refused. A
+request that has not reached the executor by then holds nobody up. Without a time-critical task, requests wait in order
+of arrival.
+"""
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import COORDINATION, FLEET_SUPERVISOR, REGISTRY, Parties, Robot
+from fsar_ledger.events.envelope import COORDINATION, FLEET_SUPERVISOR, Parties, Principals, Robot
 from fsar_ledger.events.execution import ExecutionFinished, ExecutionPreempted
-from fsar_ledger.events.registry import RegistryQueried
 from fsar_ledger.events.request import (
     OfferAnswered,
     PeerSought,
@@ -17,6 +25,7 @@ from fsar_ledger.events.request import (
     RequestUnanswered,
 )
 from fsar_ledger.events.supervision import SupervisorCalled, SupervisorResponded
+from fsar_ledger.projections.contention import Contention, Order, held_up, in_order, order_of
 from fsar_ledger.projections.execution import Execution, left_us
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.request import Request
@@ -43,18 +52,14 @@ from fsar_ledger.runtime.handlers.commands import (
 from fsar_ledger.runtime.handlers.execution import queued
 from fsar_ledger.runtime.handlers.policy import conflict, own_policy
 from fsar_ledger.runtime.handlers.supervision import is_due_for_review
+from fsar_ledger.runtime.handlers.task import is_critical
 from fsar_ledger.runtime.handlers.trust import trusts
 from fsar_ledger.runtime.ports import Ask
 
 from .availability import ReportBack, found_silent, report_back
-from .contention import held_up, in_order, put_in_order
 from .discovery import unanswered
 
 HANDLERS = Handlers()
-
-
-class IssueRequest(ActionCommand):
-    """Deliver the answer to the requester."""
 
 
 class RelayRequest(ActionCommand):
@@ -83,26 +88,6 @@ class AdmitReviewed(ActionCommand):
     """Take a supervisor's decision on what policy or supervision density wanted reviewed."""
 
     approves: bool = True
-
-
-@HANDLERS.decide_on(open_request, IssueRequest, requester)
-def issue_request(state: State, _command: IssueRequest, request: Request) -> tuple[Event, ...]:
-    """Send the request with the requester's own policy; back off without a candidate."""
-    if request.is_over:  # a robot of it has left the fleet meanwhile
-        return ()
-    if not request.candidates:
-        return (unanswered(state, request),)
-    robot, executor = request.requester, request.candidates[0]
-    parties = recorded_by(state, robot, requested_by=robot, executed_by=executor)
-    return (
-        RequestIssued(
-            subject=request.request_subject,
-            principals=parties.decided(robot),
-            capability=request.capability,
-            carried_policy=own_policy(state.policy, state.world, robot, request.capability, request.task_id),
-            relay=request.relay,
-        ),
-    )
 
 
 @HANDLERS.decide_on(open_request, RelayRequest, relay)
@@ -204,7 +189,65 @@ def _judged(
         return (RequestCountered(subject, principals, round=request.offers + 1, override=found.override),)
     if found.verdict == "review" or (not is_reviewed and is_due_for_review(state.supervision, executor)):
         return (SupervisorCalled(subject=request.subject, supervisor=FLEET_SUPERVISOR, purpose="review"),)
-    return put_in_order(state, request, executor, principals) or _admitted(state, request, found, now_us)
+    return _put_in_order(state, request, executor, principals) or _admitted(state, request, found, now_us)
+
+
+def _put_in_order(state: State, request: Request, executor: Robot, principals: Principals) -> tuple[Event, ...]:
+    """Call H_F to order this admissible request and its rival, or let it wait; do nothing without a rival.
+
+    It waits for H_F's answer, or for the rival that H_F lets go first.
+
+    Reading: a request competes from the detection of its gap until the executor has admitted it.
+    """
+    rivals = _rivals(state, request, executor)
+    if not rivals:
+        return ()
+    orders = [
+        (order, rival)
+        for rival in rivals
+        if (order := order_of(state.contention, request.action_id, rival.action_id)) is not None
+    ]
+    if any(not order.is_answered or _goes_first(state.contention, order, rival) for order, rival in orders):
+        return (RequestDeferred(request.request_subject, principals),)
+    if orders:
+        return ()
+    return (
+        SupervisorCalled(
+            subject=request.subject,
+            supervisor=FLEET_SUPERVISOR,
+            purpose="ordering",
+            robot=executor,
+            competing=rivals[0].action_id,
+        ),
+    )
+
+
+def _goes_first(contention: Contention, order: Order, rival: Request) -> bool:
+    """Tell whether the rival that H_F lets go first is itself still waiting for the executor."""
+    return order.preferred == rival.action_id and rival.action_id in contention.arrived and rival.offered is None
+
+
+def _rivals(state: State, request: Request, executor: Robot) -> list[Request]:
+    """Return the unadmitted requests of other tasks for the same robot, where either is time-critical."""
+    if not state.contention.critical:
+        return []
+    found = []
+    for other in state.request.open.values():
+        is_settled = (
+            other.is_accepted or other.is_over or other.is_unanswered or other.action_id in state.execution.actions
+        )
+        is_same_robot = other.candidates[0] == executor if other.candidates else other.capability == request.capability
+        is_urgent = is_critical(state.task, request.task_id) or is_critical(state.task, other.task_id)
+        if (
+            other.task_id != request.task_id
+            and other.task_id in state.task
+            and other.is_delegated
+            and not is_settled
+            and is_same_robot
+            and is_urgent
+        ):
+            found.append(other)
+    return found
 
 
 def _parties(state: State, request: Request, executor: Robot) -> Parties:
@@ -247,18 +290,6 @@ def close_request(state: State, _command: CloseRequest, request: Request) -> tup
 def _is_step(tasks: Tasks, request: Request | None) -> bool:
     """Tell whether the request is a step of an open task, not an outsider's or a robot's own."""
     return request is not None and not request.is_adhoc and request.task_id in tasks
-
-
-@HANDLERS.react(RegistryQueried)
-def _on_answer(state: State, event: RegistryQueried, _now_us: int) -> tuple[Scheduled, ...]:
-    if (
-        event.subject.task_id not in state.task or event.subject.action_id in state.recovery
-    ):  # an outsider's request is nobody's step; recovery asks for itself
-        return ()
-    assert event.subject.action_id is not None
-    if "shared-registry" in state.fleet.without:
-        return (Scheduled(IssueRequest(event.subject.action_id)),)
-    return (Scheduled(IssueRequest(event.subject.action_id), 0, (message(REGISTRY, event.subject.action_id, 1),)),)
 
 
 @HANDLERS.react(RequestIssued)

@@ -4,10 +4,198 @@ Sources: JADE 4.6.5 (`src/jade/...`, as named in each module) and the FIPA stand
 SC00030H (iterated contract net). What they leave open is a dial (`designs.dials.Jade`) or a choice of ours, said where
 it is made. JADE says nothing of robots: one agent for each robot is the plainest reading, four are DHMA's choice.
 Paper: tab:baseline_context.
+
+Here is what a robot does alone: its own steps, what it has promised, what fails, and whoever is not trusted.
+
+Its own policy is asked once: when it decides about a step of its own, or proposes to do another's (`contract_net`).
+What starts later starts, whatever has become of policy since; nobody knows the fleet's rule, and no agent asks for its
+owner's consent, so a review means no. A rule that the fleet declares is therefore broken here, and so is a window that
+opens between the proposal and the start: such a number is structural. JADE says nothing of motions: ours is that the
+robot looks at its own policy before each.
+
+A change of context pauses a robot until it has planned again, and leaves the contract standing: the protocol knows no
+renegotiation after the acceptance (FIPA SC00029H).
+
+A failure ends the contract and goes to the initiator, which calls for proposals again. The contractor sends FAILURE
+(`jade/proto/ContractNetResponder.java`) and has done with the action; `handleFailure` of the initiator is an empty
+hook, and the protocol has no recovery, no supervisor and no level of recovery. So nothing here resolves a failure: it
+stays unresolved on record, also where another contractor then does the step from the beginning. (Containment is
+therefore 0 by construction, and reassignment latency has no value.) The next round is FIPA's iterated contract net
+(SC00030H; `newIteration`): a cfp to the rest of the agents that are listed, else to the same ones again. After the dial
+`rounds` the step is tried anew, after the back-off (ours). So is a step of the robot's own, for which there is nobody
+to call (ours).
+
+Who is not trusted is served as anybody else. The yellow pages show every entry to everybody, and base JADE has no
+permissions, so an outsider's call reaches the agent; it is served if that agent's own policy allows. With JADE-S (dial
+`permissions`) it is refused. The outsider names the agent itself, so it calls that one, without a search.
 """
 
-from fsar_ledger.runtime.architectures.handler_table import COMMON, HandlerTable
+from fsar_ledger.events import Event
+from fsar_ledger.events.envelope import Principals, RequestSubject, Robot
+from fsar_ledger.events.execution import (
+    ExecutionFailed,
+    ExecutionPaused,
+    ExecutionWithdrawn,
+    OwnStepDecided,
+    RoutinePerformed,
+    RoutineWithheld,
+)
+from fsar_ledger.events.request import ContractVoided, RequestDenied
+from fsar_ledger.events.task import StepBegan
+from fsar_ledger.events.world import ContextChanged, OutsiderRequestInjected
+from fsar_ledger.projections.execution import Action
+from fsar_ledger.projections.fold import State
+from fsar_ledger.projections.request import Request
+from fsar_ledger.runtime.architectures import COMMON, HandlerTable
+from fsar_ledger.runtime.handlers.authority import release
+from fsar_ledger.runtime.handlers.commands import (
+    ActionCommand,
+    Command,
+    Decide,
+    DecideRoutine,
+    Handlers,
+    Scheduled,
+    StartAction,
+    TakeTurn,
+    begin_again,
+    body,
+    known_action,
+    message,
+    named,
+    open_request,
+    requester,
+)
+from fsar_ledger.runtime.handlers.execution import approach, pause_running, resume_when_replanned, start
+from fsar_ledger.runtime.handlers.policy import own_policy
+from fsar_ledger.runtime.handlers.task import TransferSegment, transferred
 
-from . import contract_net, directory, execution
+from . import contract_net, directory
+from .contract_net import CallForProposals, queued_for
+from .directory import recorded
 
-JADE: HandlerTable = HandlerTable.of(*COMMON, directory, contract_net, execution, own=execution.OWN)
+HANDLERS = Handlers()
+
+OWN_STEP = "own step"  # why a step of the robot's own is denied: by its own policy
+
+
+class DecideOwnStep(ActionCommand):
+    """Decide about a step of the robot's own."""
+
+
+@HANDLERS.decide_on(open_request, DecideOwnStep, requester)
+def decide_own_step(state: State, _command: DecideOwnStep, request: Request) -> tuple[Event, ...]:
+    """Decide to do the step if the robot's own policy allows it now; else it is tried again after the back-off."""
+    robot = request.requester
+    parties = recorded(state, robot, requested_by=robot, executed_by=robot)
+    principals = parties.decided(robot)
+    if own_policy(state.policy, state.world, robot, request.capability, request.task_id) != "allow":
+        return (RequestDenied(RequestSubject(request.task_id, request.action_id, None), principals, OWN_STEP),)
+    decided = OwnStepDecided(request.subject, principals, request.capability)
+    return (decided, queued_for(state, request, parties, robot))
+
+
+@HANDLERS.decide(DecideRoutine, named)
+def decide_routine(state: State, command: DecideRoutine) -> tuple[Event, ...]:
+    """Perform the routine operation; a motion only if the robot's own policy allows it."""
+    robot = command.robot
+    principals = recorded(state, robot, requested_by=robot, executed_by=robot).decided(robot)
+    is_free = command.operation == "sensing" or own_policy(state.policy, state.world, robot, None, None) == "allow"
+    kind = RoutinePerformed if is_free else RoutineWithheld
+    return (kind(principals, robot, command.operation),)
+
+
+def transfer_segment(state: State, command: TransferSegment) -> tuple[Event, ...]:
+    """Give the next segment to its robot, by word of the robot that acted until then."""
+
+    def by_it(before: Robot, then: Robot) -> Principals:
+        return recorded(state, before, requested_by=before, executed_by=then).decided(before)
+
+    return transferred(state, command, by_it)
+
+
+@HANDLERS.react(StepBegan)
+def _on_step(_state: State, event: StepBegan, _now_us: int) -> tuple[Scheduled, ...]:
+    return (Scheduled(DecideOwnStep(event.subject.action_id)),) if event.target_role is None else ()
+
+
+@HANDLERS.react(RequestDenied)
+def _on_denial(state: State, event: RequestDenied, _now_us: int) -> tuple[Scheduled, ...]:
+    """Try a step of the robot's own again after the back-off; what an agent refuses, it says in its reply."""
+    if event.reason != OWN_STEP or event.subject.task_id is None or event.subject.action_id is None:
+        return ()
+    return (begin_again(state.fleet, event.subject.task_id, event.subject.action_id),)
+
+
+HANDLERS.decide(TakeTurn, body)(approach)
+HANDLERS.decide(StartAction, body)(start)
+HANDLERS.react(ExecutionPaused)(resume_when_replanned)
+HANDLERS.react(ContextChanged)(pause_running)
+OWN: dict[type[Command], Decide] = {TransferSegment: transfer_segment}
+
+
+class GiveUp(ActionCommand):
+    """Give up the action that has failed."""
+
+    failure: int
+
+
+class ReceiveFailure(ActionCommand):
+    """Deliver the contractor's FAILURE to the initiator."""
+
+    robot: Robot
+    round: int
+
+
+@HANDLERS.decide_on(known_action, GiveUp, body)
+def give_up(state: State, command: GiveUp, action: Action) -> tuple[Event, ...]:
+    """End the robot's claim and free it: what it had done of the action is lost."""
+    if action.stage != "failed" or action.failures != command.failure:
+        return ()
+    withdrawn = ExecutionWithdrawn(action.subject, action.robot, command.failure)
+    return (*release(state.authority, action.action_id), withdrawn)
+
+
+@HANDLERS.decide_on(open_request, ReceiveFailure, requester)
+def receive_failure(_state: State, command: ReceiveFailure, request: Request) -> tuple[Event, ...]:
+    """End the contract with the robot that has failed."""
+    if command.round != request.round:
+        return ()
+    return (ContractVoided(request.subject, command.robot),)
+
+
+@HANDLERS.react(ExecutionFailed)
+def _on_failure(state: State, event: ExecutionFailed, _now_us: int) -> tuple[Scheduled, ...]:
+    action_id = event.subject.action_id
+    given_up, request = Scheduled(GiveUp(action_id, event.failure)), state.request.open.get(action_id)
+    if request is None or not request.is_delegated:
+        return (given_up,)
+    told = message(event.robot, f"{action_id}/{event.failure}", "report")
+    return (given_up, Scheduled(ReceiveFailure(action_id, event.robot, request.round), 0, (told,)))
+
+
+@HANDLERS.react(ContractVoided)
+def _on_void(state: State, event: ContractVoided, _now_us: int) -> tuple[Scheduled, ...]:
+    """Call the rest, unless the task is over or this was the last round."""
+    request = state.request.open.get(event.subject.action_id)
+    if request is None or request.task_id not in state.task:
+        return ()
+    if request.round < state.fleet.jade.rounds:
+        return (Scheduled(CallForProposals(request.action_id)),)
+    return (begin_again(state.fleet, request.task_id, request.action_id),)
+
+
+@HANDLERS.react(ExecutionWithdrawn)
+def _on_withdrawal(state: State, event: ExecutionWithdrawn, _now_us: int) -> tuple[Scheduled, ...]:
+    """Try a step of the robot's own, which it gave up, again after the back-off."""
+    request = state.request.open.get(event.subject.action_id)
+    if event.failure is None or request is None or request.is_delegated:
+        return ()
+    return (begin_again(state.fleet, request.task_id, request.action_id),)
+
+
+@HANDLERS.react(OutsiderRequestInjected)
+def _on_outsider(_state: State, event: OutsiderRequestInjected, _now_us: int) -> tuple[Scheduled, ...]:
+    return (Scheduled(CallForProposals(event.task_id)),)
+
+
+JADE: HandlerTable = HandlerTable.of(*COMMON, directory, contract_net, HANDLERS, own=OWN)

@@ -1,4 +1,4 @@
-"""RoboOS: the master plans a whole task, sends one subtask after the other, and takes the results; its store.
+"""RoboOS: the master plans a whole task, sends subtasks to robots one by one, and takes the results; its store.
 
 Source: master/agents/agent.py, publish_global_task and _handle_result.
 
@@ -26,6 +26,12 @@ until the next heartbeat, and an entry that has expired comes back neither by a 
 
 `idle` is the availability `ready` here. Reading and writing the store takes no time: the source has it beside the
 master. While the fleet has no task, heartbeats go on and are not recorded: the last one on record does not expire.
+
+A robot serves one subtask at a time, in order of arrival, and sends one result back. Source: slaver/run.py, handle_task
+and _execute_task: one agent and one lock a robot. Nothing is checked. Our choices: with the dial `gate`, a subtask is
+refused on arrival, and a refusal is a result like any other; a subtask of a task that was given up comes back as a
+result, too. The source has no way to cancel one; here a queued one is withdrawn with its task, as under every
+architecture (reading R3), which is kinder where tasks run late.
 """
 
 from fsar_ledger.events import Event
@@ -37,12 +43,22 @@ from fsar_ledger.events.envelope import (
     Principals,
     RequestSubject,
     Robot,
+    Subject,
     robot_named,
+)
+from fsar_ledger.events.execution import (
+    ExecutionFinished,
+    ExecutionWithdrawn,
 )
 from fsar_ledger.events.knowledge import StoreEntryWritten
 from fsar_ledger.events.request import CommandIssued, RequestDenied
 from fsar_ledger.events.task import StepBegan, StepCompleted, TaskAbandoned, TaskPlanned
-from fsar_ledger.events.world import OutsiderRequestInjected, RobotCameBack, SnapshotPhaseSet, TaskArrived
+from fsar_ledger.events.world import (
+    OutsiderRequestInjected,
+    RobotCameBack,
+    SnapshotPhaseSet,
+    TaskArrived,
+)
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.request import Request
 from fsar_ledger.projections.task import Task
@@ -57,10 +73,13 @@ from fsar_ledger.runtime.handlers.commands import (
     RobotCommand,
     Scheduled,
     at_once,
+    message,
     named,
     nobody,
     open_request,
 )
+from fsar_ledger.runtime.handlers.execution import queued
+from fsar_ledger.runtime.handlers.policy import own_policy
 from fsar_ledger.runtime.handlers.task import begin_step, on_arrival, on_completed
 
 NO_CHANNEL = "no channel"
@@ -170,6 +189,13 @@ class BeginSubtask(BeginStep):
 
 class SendSubtask(ActionCommand):
     """Send the step to the robot that the plan names."""
+
+
+class TakeSubtask(ActionCommand):
+    """Take the subtask that the master has sent."""
+
+    task_id: str
+    robot: Robot
 
 
 class TakeResult(ActionCommand):
@@ -299,6 +325,50 @@ def _on_arrival(state: State, event: TaskArrived, now_us: int) -> tuple[Schedule
 def _on_completed(_state: State, event: StepCompleted, _now_us: int) -> tuple[Scheduled, ...]:
     """Schedule the next step; the plan names its robot, so no segment is handed over."""
     return (Scheduled(BeginSubtask(event.subject.task_id)),)
+
+
+@HANDLERS.decide(TakeSubtask, named)
+def take_subtask(state: State, command: TakeSubtask) -> tuple[Event, ...]:
+    """Queue the subtask behind the lock; with the gate, refuse what the robot's own policy denies."""
+    request, robot = open_request(state, command.action_id), command.robot
+    if request is None:  # its task was given up meanwhile
+        return (ExecutionWithdrawn(Subject(command.task_id, command.action_id), robot),)
+    if not may(state, robot, request.capability, request.task_id):
+        subject = RequestSubject(request.task_id, request.action_id, None)
+        return (RequestDenied(subject, on_record(robot).decided(robot), "policy"),)
+    return (queued(request, on_record(robot), robot, is_supervised=False),)
+
+
+def may(state: State, robot: Robot, capability: str | None, context: str | None) -> bool:
+    """Tell whether the robot does it: always, unless it has a gate and its own policy denies."""
+    if not state.fleet.roboos.gate:
+        return True
+    return own_policy(state.policy, state.world, robot, capability, context) != "deny"
+
+
+@HANDLERS.react(CommandIssued)
+def _on_command(_state: State, event: CommandIssued, _now_us: int) -> tuple[Scheduled, ...]:
+    task_id, action_id = event.subject.task_id, event.subject.action_id
+    take = TakeSubtask(action_id, task_id, event.robot)
+    return (Scheduled(take, 0, (message(COORDINATOR, action_id, 1),)),)
+
+
+@HANDLERS.react(ExecutionFinished, ExecutionWithdrawn)
+def _on_end(_state: State, event: ExecutionFinished | ExecutionWithdrawn, _now_us: int) -> tuple[Scheduled, ...]:
+    return _reported(event.subject.action_id, event.subject.task_id, event.robot)
+
+
+@HANDLERS.react(RequestDenied)
+def _on_refusal(_state: State, event: RequestDenied, _now_us: int) -> tuple[Scheduled, ...]:
+    task_id, action_id, robot = event.subject.task_id, event.subject.action_id, event.principals.executed_by
+    if task_id is None or action_id is None or robot is None:  # an outsider's
+        return ()
+    return _reported(action_id, task_id, robot)
+
+
+def _reported(action_id: str, task_id: str, robot: Robot) -> tuple[Scheduled, ...]:
+    """Send the master the one message that a subtask brings back."""
+    return (Scheduled(TakeResult(action_id, task_id, robot), 0, (message(robot, action_id, 4),)),)
 
 
 INSTEAD: dict[React, React] = {on_arrival: _on_arrival, on_completed: _on_completed}
