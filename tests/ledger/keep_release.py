@@ -9,6 +9,7 @@ import shutil
 import sys
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import msgspec
 
@@ -69,7 +70,7 @@ def kept_runs() -> list[LedgerRun]:
     return [plan_record(Experiment(("fsar", "cfc"), ("failure-recovery-chain", "door-relay"), 1, 7).plan()), *runs]
 
 
-def give_commands(hall: Federation, more: Iterable[tuple[str, str, dict[str, object]]]) -> None:
+def give_commands(hall: Federation, more: Iterable[tuple[str, str, dict[str, Any]]]) -> None:
     """Give these commands: who gives it, its name and fields. Raises: SystemExit if one is rejected."""
     for by, command, fields in more:
         if (reason := hall.give(command, by, **fields).rejected) is not None:
@@ -86,11 +87,11 @@ def keep_live_run(path: Path, signer: Signer) -> tuple[str, ...]:
     def clock() -> int:
         return now_s * 1_000_000_000
 
-    def brings(task: str, step: str, budget_s: int) -> tuple[str, str, dict[str, object]]:
+    def brings(task: str, step: str, budget_s: int) -> tuple[str, str, dict[str, Any]]:
         fields = {"robot": carrier, "task_id": task, "steps": [step], "budget_us": budget_s * 1_000_000}
         return carrier, "SubmitTask", fields
 
-    def says(who: str, command: str, task: str, **fields: object) -> tuple[str, str, dict[str, object]]:
+    def says(who: str, command: str, task: str, **fields: Any) -> tuple[str, str, dict[str, Any]]:
         role = "executor" if command == "ReportResult" else "robot"
         return who, command, {role: who, "action_id": f"{task}/1.1", **fields}
 

@@ -5,6 +5,7 @@ The ledger that today's code would keep is one of them.
 
 import shutil
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import pytest
@@ -103,7 +104,7 @@ def test_both_parts_are_judged_as_one(case: tuple[Path, Kept]) -> None:
 def test_it_goes_on(case: tuple[Path, Kept], tmp_path: Path) -> None:
     shutil.copytree(case[0], tmp_path / "ledger")
     size = len(record_of(open_ledger(case[0]), "live.2").events)
-    task: dict[str, object] = {"task_id": "t1", "steps": ("A navigate.indoor",), "budget_us": 60_000_000}
+    task: dict[str, Any] = {"task_id": "t1", "steps": ("A navigate.indoor",), "budget_us": 60_000_000}
     signer, now_s = Signer(ORIGIN, SECRET), EPOCH_S + 3_600
     with Federation(tmp_path / "ledger", "live", Constants(), 4, lambda: now_s * 10**9, signer=signer) as hall:
         assert (hall.run, hall.size) == ("live.2", size)
