@@ -43,7 +43,7 @@ from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows import segment
 from fsar_ledger.ledger.rows.codec import LedgerRun, decode
 from fsar_ledger.ledger.rows.runs import joined
-from fsar_ledger.ledger.store.locations import continued_by, earlier_runs, record_of
+from fsar_ledger.ledger.store.locations import chain_of, continued_by, earlier_runs, places_of, record_of
 from fsar_ledger.ledger.store.read import View
 from fsar_ledger.ledger.verify.report import MAX_PROBLEMS
 
@@ -188,7 +188,7 @@ def replay_commit(
             if record.run_id in continued:
                 continue
             if continued_by(record) is None:
-                difference, parts, size = replay_run(record, is_recorded), 1, len(record.events)
+                difference, parts, size = replay_run(record, is_recorded) or _cut_within(record), 1, len(record.events)
             else:
                 difference, parts, size = _replay_chain(open_ledger(Path(path)), record.run_id, digests)
             if difference is None and type(record.events[0]) in ALONE:
@@ -205,14 +205,25 @@ def replay_commit(
     return CommitReport(tuple(found), constants_used(starts), runs, events, tuple(digests))
 
 
+def _cut_within(record: LedgerRun, runs: int = 1) -> Difference | None:
+    """Return the difference if the record of so many runs has more cuts than are between them."""
+    cuts = [seq for seq, event in enumerate(record.events) if isinstance(event, RunContinued)]
+    if len(cuts) < runs or type(record.events[0]) in ALONE:
+        return None
+    return Difference(record.run_id, cuts[runs - 1], "type", None, "a cut at event 1 of a run alone", "another one")
+
+
 def _replay_chain(view: View, run: str, digests: list[ForeignDigest]) -> tuple[Difference | None, int, int]:
     """Replay a run from the beginning of those that it continues; return how many they are, and their events, too."""
-    record, roots = record_of(view, run), {commit.tree_root for commit in view.commits}
+    record, sizes = record_of(view, run), {commit.tree_root: commit.tree_size for commit in view.commits}
     cuts = [(seq, event) for seq, event in enumerate(record.events) if isinstance(event, RunContinued)]
-    difference = replay_run(record, digests=digests)
-    for seq, cut in cuts:
-        if difference is None and cut.continues_root not in roots:
-            expected = "a root that the ledger had after a commit"
+    runs = chain_of(view, run)
+    difference = replay_run(record, digests=digests) or _cut_within(record, len(runs))
+    places = places_of(view, runs)
+    for before, later, (seq, cut) in zip(runs, runs[1:], cuts, strict=False):
+        size = sizes.get(cut.continues_root, -1)
+        if difference is None and not places[before].last < size <= places[later].first:
+            expected = f"the root of the ledger when run {value(before)} had ended, before run {value(later)}"
             difference = Difference(run, seq, "continues_root", None, expected, repr(cut.continues_root))
     return difference, len(cuts) + 1, len(record.events) + len(cuts)
 

@@ -17,7 +17,8 @@ from fsar_ledger.ledger.rows.runs import LedgerRun
 from fsar_ledger.projections.request import Requests
 from fsar_ledger.runtime.live import state_shape
 from fsar_ledger.runtime.snapshot import shape_of, state_sha256
-from tests.runtime.test_cuts import Day, S, other, written
+from tests.runtime.test_cuts import Day, S
+from tests.runtime.test_wrong_cuts import other, written
 
 OTHER_SHAPE, OTHER_DIGEST = "0123456789abcdef", "0" * 64
 
@@ -69,10 +70,10 @@ def test_who_makes_up_another_shape_alone_is_seen(parts: list[LedgerRun], tmp_pa
 
 
 def test_another_shape_hides_nothing_else(parts: list[LedgerRun], tmp_path: Path) -> None:
-    told = other(parts, state_sha256=OTHER_DIGEST, state_shape=OTHER_SHAPE, continues_seq=3)
+    told = other(parts, state_sha256=OTHER_DIGEST, state_shape=OTHER_SHAPE, continues_root=OTHER_DIGEST)
     found = fsar_ledger.Ledger(written(tmp_path / "other", told)).verify(replay=True)
     assert found.replay is not None
-    assert [one.field for one in found.replay.differences] == ["continues_seq"]
+    assert [one.field for one in found.replay.differences] == ["continues_root"]
 
 
 def test_a_ledger_of_a_version_that_kept_the_state_by_another_name_is_not_accused(
