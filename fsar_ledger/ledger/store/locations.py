@@ -6,7 +6,7 @@ of one; its rows are there, and lead to the root.
 A writer asks which runs there are, and how far they go: a run goes on where it stopped.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import msgspec
@@ -21,7 +21,7 @@ from fsar_ledger.ledger.rows import codec, segment
 from fsar_ledger.ledger.rows.blocks import BLOCK_COLUMNS, Block, Runs, blocks_of
 from fsar_ledger.ledger.rows.runs import Flaw, LedgerRun, continuing, whole
 from fsar_ledger.ledger.rows.schema import SCHEMAS, concerns_admitted
-from fsar_ledger.ledger.store.derived import Index, require_lines
+from fsar_ledger.ledger.store.derived import Index, groups_of, require_lines
 from fsar_ledger.ledger.store.read import View
 
 
@@ -110,10 +110,49 @@ def chain_of(view: View, run: str) -> list[str]:
 
 def whole_of(view: View, run: str) -> str:
     """Return the last of the runs that continue this one, so that all of them are read with it; itself if none does."""
-    later = {before: one for one, before in earlier_runs(view).items()}
-    while run in later:
-        run = later[run]
-    return run
+    return wholes_of(view).get(run, run)
+
+
+def wholes_of(view: View) -> Mapping[str, str]:
+    """Return by its name each run that continues another or is continued, and the last of those that do."""
+    found: dict[str, str] = {}
+    for run, before in reversed([*earlier_runs(view).items()]):  # in the order in which they begin
+        found[before] = found.setdefault(run, run)
+    return found
+
+
+def whole_runs(view: View) -> Iterator[LedgerRun]:
+    """Yield every run as `View.runs`, and runs that continue each other as one. Raises: as that, and `continuing`."""
+    wholes, held = wholes_of(view), dict[str, list[LedgerRun]]()
+    for run in view.runs():
+        whole = wholes.get(run.run_id, run.run_id)
+        held.setdefault(whole, []).append(run)
+        if run.run_id == whole:
+            yield continuing(held.pop(whole))
+
+
+def whole_groups(view: View) -> list[tuple[int, ...]]:
+    """As `View.groups`; runs that continue each other are in one of them."""
+    wholes = wholes_of(view)
+    if not wholes:
+        return view.groups()
+    names = (table["run_id"].unique().to_pylist() for table in view.tables(["run_id"]))
+    return groups_of([wholes.get(run, run) for run in runs] for runs in names)
+
+
+def counted_rows(view: View, rows: pa.Table) -> pa.Table:
+    """Return these columns `run_id` and `seq` of stored events as readers of whole runs have them.
+
+    Event 0 of a run that continues another, which they leave out, has the seq of event 1.
+    """
+    wholes = wholes_of(view)
+    if not wholes:
+        return rows
+    before = {run: seq_counted_on(view, run, 1) - 1 for run in rows["run_id"].unique().to_pylist() if run in wholes}
+    pairs = zip(rows["run_id"].to_pylist(), rows["seq"].to_pylist(), strict=True)
+    counted = ((run, max(seq, 1) + before[run] if before.get(run) else seq) for run, seq in pairs)
+    found = [(wholes.get(run, run), seq) for run, seq in counted]
+    return pa.table([[run for run, _ in found], [seq for _, seq in found]], schema=rows.schema)
 
 
 def earlier_runs(view: View) -> Mapping[str, str]:
