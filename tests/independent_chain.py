@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import independent_parquet  # type: ignore[import-not-found]
+from independent_cuts import Cuts, goes_on_from  # type: ignore[import-not-found]
 from independent_tree import Forest, places_between  # type: ignore[import-not-found]
 from independent_verifier import (  # type: ignore[import-not-found]
     COUNT,
@@ -164,6 +165,7 @@ class Verifier:
         self.seqs: dict[str, int] = {}
         self.observed: dict[str, set[str]] = {}
         self.alone: set[str] = set()
+        self.cuts = Cuts()
         own = types["types"] if types is not None else {}
         self.concerns = {name: one["concern"] for name, one in own.items() if "concern" in one}
         self.records = {
@@ -482,6 +484,7 @@ class Verifier:
                 new = {"run": run, "first": row["seq"], "rows": 0, "first_us": us, **is_alone}
                 block = blocks.setdefault(run, new)
                 block |= {"rows": block["rows"] + 1, "last_us": us}
+                block |= goes_on_from(row)
             line = canonical({"blocks": list(blocks.values()), "first": one["first"]}) + b"\n"
             if (len(line), sha256(line).hex()) != (one["index_bytes"], one["index_sha256"]):
                 raise ProblemError("chain.jsonl", "another line of the index", f"{line!r:.200}")
@@ -510,8 +513,10 @@ class Verifier:
                     self.observed[run] = {*row["observes"], *admitted}
                 elif run in self.observed and self.concerns.get(row["type"]) not in {None, *self.observed[run]}:
                     flaw = f"type {row['type']}", "an event of a concern that its run observes"
+                flaw = flaw or self.cuts.flaw(row, self.alone)
                 if flaw is not None:
                     raise ProblemError(where, *flaw, commit["number"], run, seq)
+                self.cuts.add(row)
                 seen.setdefault(run, seq)
                 self.seqs[run] = seq + 1
                 if row["type"] in self.stand_alone:

@@ -13,7 +13,7 @@ from fsar_ledger.base.errors import UsageError, option
 from fsar_ledger.base.memory import without_collection
 from fsar_ledger.ledger.rows.codec import LedgerRun, encode_coded
 from fsar_ledger.ledger.store.append import Writer
-from fsar_ledger.ledger.store.locations import continued_by, record_of
+from fsar_ledger.ledger.store.locations import continued_by, earlier_runs, record_of
 from fsar_ledger.ledger.store.read import View
 from fsar_ledger.ledger.store.record import Head
 from fsar_ledger.ledger.store.staging import stage
@@ -257,12 +257,15 @@ def answers_of(model: str | None) -> tuple[str, ...]:
 
 
 def runs_of(view: View, architectures: Sequence[str], kinds: Sequence[str] = ("simulated",)) -> list[str]:
-    """Return the runs of these kinds and architectures, or all, but no forks.
+    """Return the runs of these kinds and architectures, or all, but no forks and none that another continues.
 
     Raises:
         UsageError: There is none.
     """
-    starts = [(run, one) for run, one in starts_of(view) if one.kind in kinds and not one.changes]
+    continued = {*earlier_runs(view).values()}
+    starts = [
+        (run, one) for run, one in starts_of(view) if one.kind in kinds and not one.changes and run not in continued
+    ]
     starts = [(run, one) for run, one in starts if one.kind != "live" or one.source == SOURCE]
     names = {started.architecture or "" for _, started in starts}
     for asked in architectures:

@@ -136,11 +136,15 @@ def diff(
     Raises:
         UsageError: There is no such run.
     """
-    from .lookup import ledgers_of, present
+    from .lookup import ledgers_of, present, recorded
 
     ledgers = ledgers_of(ledger, other)
-    provenances = tuple(present(one)[1] for one in ledgers)
-    return difference_of(ledger.record(first), ledgers[-1].record(second), provenances)
+    found = [present(one) for one in ledgers]
+    records = [
+        recorded(one, view, run, is_whole=True)
+        for one, (view, _), run in ((ledger, found[0], first), (ledgers[-1], found[-1], second))
+    ]
+    return difference_of(records[0], records[1], tuple(provenance for _, provenance in found))
 
 
 def difference_of(

@@ -19,7 +19,14 @@ from fsar_ledger.events.envelope import flat
 from fsar_ledger.ledger.opening import Pause, growth, open_for_answers
 from fsar_ledger.ledger.rows import codec
 from fsar_ledger.ledger.rows.schema import COLUMNS, ENVELOPE, SCHEMA
-from fsar_ledger.ledger.store.locations import chain_of, record_of
+from fsar_ledger.ledger.store.locations import (
+    chain_of,
+    counted_rows,
+    record_of,
+    whole_groups,
+    whole_runs,
+    wholes_of,
+)
 from fsar_ledger.ledger.store.read import View
 from fsar_ledger.metrics import relation
 from fsar_ledger.metrics.connection import Value
@@ -146,6 +153,9 @@ class Events:
         if self._meant.run is not None and len(chain_of(view, self._meant.run)) > 1:
             yield record_of(view, self._meant.run)
             return
+        if self._meant.run is None and wholes_of(view):
+            yield from whole_runs(view)
+            return
         for table in view.tables():
             if self._meant.run is not None:
                 table = table.filter(pc.equal(table.column("run_id"), self._meant.run))
@@ -251,7 +261,7 @@ def stream(
     """
     for view, first in growth(ledger, pause):
         provenance = Provenance(view.head, is_verified(view, demanded), None, about.not_observed)
-        for group in view.groups():
+        for group in whole_groups(view):
             if view.end(group[-1]) > first:
                 yield Table(_lines_in(view, group, asked, first), provenance)
 
@@ -278,7 +288,8 @@ def _lines_in(view: View, group: Sequence[int], asked: LogRequest, first: int) -
         relation.hold_segments(database, segments, [releases[number] for number in group])
         if view.first(group[0]) >= first:
             return _lines(database, asked)
-        database.hold("untold", pa.concat_tables(view.tables_from(first, ["run_id", "seq"])))
+        untold = pa.concat_tables(view.tables_from(first, ["run_id", "seq"]))
+        database.hold("untold", counted_rows(view, untold))
         return _lines(database, asked, "(run_id, seq) IN (SELECT run_id, seq FROM untold)")
 
 

@@ -172,7 +172,7 @@ def explain(
     Raises:
         UsageError: There is no such request, several runs have it, it has not failed, or both or neither are named.
     """
-    with ledger.about_run(run, request or failure) as about:
+    with ledger.about_run(run, request or failure, is_whole=True) as about:
         return _account(about, ledger.path, request, failure)
 
 
@@ -186,7 +186,7 @@ def _requests(ledger: "Ledger", run: Run | None) -> "tuple[str, Table]":
 
     from .table import Table
 
-    with ledger.about_run(run) as (database, name, _):
+    with ledger.about_run(run, is_whole=True) as (database, name, _):
         rows = database.query("audit/requests", {"run": name, "action": "all"})
         return name, Table(rows, of_rows(database, TIMELINE, name))
 

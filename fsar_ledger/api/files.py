@@ -24,7 +24,7 @@ from fsar_ledger.exports import Written, documents, mcap
 from fsar_ledger.exports.folders import write_delta
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.rows.schema import SCHEMA
-from fsar_ledger.ledger.store.locations import record_of
+from fsar_ledger.ledger.store.locations import chain_of, record_of, whole_of, whole_runs, wholes_of
 from fsar_ledger.ledger.store.paths import require_outside
 from fsar_ledger.metrics.provenance import Provenance
 from fsar_ledger.metrics.sandbox import SENT_BYTES, slices
@@ -243,11 +243,13 @@ def write_as(
             "runs, too; expected one of them: leave the run out, and select it in the table"
         )
     view, provenance = present(ledger)
-    name = None if run is None else run_in(view, run, ledger.demanded)
+    name = None if run is None else whole_of(view, run_in(view, run, ledger.demanded))
     if format == "perfetto":
         name = name or _only_run(view)
         trace(ledger, file, name)
-        return Written(sum(one.rows for one in view.extents() if one.run == name), ()), provenance
+        runs = [] if name is None else chain_of(view, name)
+        events = sum(part.block.rows for run in runs for part in view.parts(run))
+        return Written(events - len(runs[1:]), ()), provenance
     try:
         return _written(view, file, format, name, progress), provenance
     except ImportError as error:
@@ -275,7 +277,7 @@ def _written(view: "View", file: Path, format: str, run: str | None, progress: P
 def _runs(view: "View", progress: Progress | None) -> "Iterator[LedgerRun]":
     """Yield every run, and report progress in commits."""
     ends, done = [commit.tree_size for commit in view.commits], 0
-    for run in view.runs():
+    for run in whole_runs(view):
         yield run
         done += len(run.events)
         if progress is not None:
@@ -284,15 +286,17 @@ def _runs(view: "View", progress: Progress | None) -> "Iterator[LedgerRun]":
 
 def _tables(view: "View", run: str | None, progress: Progress | None) -> Iterable[pa.Table]:
     """Yield the stored rows, or those of one run, a table for each segment that has any."""
-    numbers = range(len(view.releases)) if run is None else view.segments_of(view.parts(run))
-    for number in each(numbers, progress):
+    runs = [] if run is None else chain_of(view, run)
+    parts = [part for one in runs for part in view.parts(one)]
+    for number in each(range(len(view.releases)) if run is None else view.segments_of(parts), progress):
         table = view.table(number)
-        yield table if run is None else table.filter(pc.equal(table.column("run_id"), run))
+        yield table if run is None else table.filter(pc.is_in(table.column("run_id"), pa.array(runs)))
 
 
 def _only_run(view: "View") -> str | None:
     """Return the only run; None if there is none at all. Raises: UsageError if there are several."""
-    names = view.run_names.runs
+    wholes = wholes_of(view)
+    names = [name for name in view.run_names.runs if wholes.get(name, name) == name]
     if len(names) > 1:
         raise UsageError(
             f"{option('format', 'perfetto')}: found {len(names):,} runs and none that is asked for, expected one, as a "

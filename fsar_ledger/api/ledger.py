@@ -123,18 +123,19 @@ class Ledger:
         return view.run_names.numbers()
 
     @contextmanager
-    def about_run(self, run: Run | None, action: str | None = None) -> "Iterator[AboutRun]":
+    def about_run(self, run: Run | None, action: str | None = None, *, is_whole: bool = False) -> "Iterator[AboutRun]":
         """Yield what there is about one run; without a run, the database is perhaps over all events.
 
         Args:
             run: The run; None: the only one with this action or, without an action, the first.
             action: As `run` says.
+            is_whole: With the runs that continue it.
 
         Raises:
             UsageError: There is no such run, or none or several have the action.
         """
         if run is not None or not action:
-            with about_run(open_for_answers(self.path), run, self.demanded) as found:
+            with about_run(open_for_answers(self.path), run, self.demanded, is_whole=is_whole) as found:
                 yield found
             return
         from .explain import run_with

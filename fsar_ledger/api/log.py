@@ -106,6 +106,8 @@ def log(
 ) -> "Table":
     """Show a run event by event: who told whom what, or did what, and when.
 
+    A run that continues another is shown from there on, its seqs counted on; without RUN all of it is shown.
+
     The words are those of `explain`. A line has the number of the event in its run, the time in seconds, the action,
     who tells whom (one name for a robot's own deed, or what befell it), what, and what else the record says. `?` is
     not on record.
@@ -120,7 +122,7 @@ def log(
         with ledger.database() as database:
             return timeline(database, asked_of(database, ledger.path, ALL, since, until, robot, about))
     with ledger.about_run(run) as (database, name, _):
-        since = _beginning(database) if since is None and until is None else since
+        since = _beginning(database) if run is not None and since is None and until is None else since
         return timeline(database, asked_of(database, ledger.path, name, since, until, robot, about))
 
 

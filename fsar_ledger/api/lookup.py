@@ -107,7 +107,7 @@ def no_run(ledger: Path) -> str:
 
 
 def chosen_in(view: "View", asked: object, demanded: str | None) -> str:
-    """Return the full name of the run that was asked for, or of the first.
+    """Return the full name of the run that was asked for, or of the first, with those that continue it.
 
     Raises: UsageError if there is none, or as `is_verified`.
     """
@@ -117,7 +117,11 @@ def chosen_in(view: "View", asked: object, demanded: str | None) -> str:
         if not view.run_names.runs:
             require_runs(view)
             raise UsageError(no_run(view.path))
-        return view.run_names.runs[0] if asked is None else run_in(view, asked, demanded)
+        if asked is not None:
+            return run_in(view, asked, demanded)
+        from fsar_ledger.ledger.store.locations import whole_of
+
+        return whole_of(view, view.run_names.runs[0])
 
 
 @contextmanager
@@ -257,11 +261,15 @@ def present(ledger: "Ledger") -> "tuple[View, Provenance]":
     return view, Provenance(view.head, is_verified(view, ledger.demanded))
 
 
-def recorded(ledger: "Ledger", view: "View", run: "Run") -> "LedgerRun":
-    """Return the record of a run. Raises: UsageError if there is no such run."""
-    from fsar_ledger.ledger.store.locations import record_of
+def recorded(ledger: "Ledger", view: "View", run: "Run", *, is_whole: bool = False) -> "LedgerRun":
+    """Return the record of a run; `is_whole`: with the runs that continue it.
 
-    return record_of(view, run_in(view, run, ledger.demanded))
+    Raises: UsageError if there is no such run.
+    """
+    from fsar_ledger.ledger.store.locations import record_of, whole_of
+
+    name = run_in(view, run, ledger.demanded)
+    return record_of(view, whole_of(view, name) if is_whole else name)
 
 
 def ledgers_of(ledger: "Ledger", other: "Ledger | Place | None") -> "list[Ledger]":

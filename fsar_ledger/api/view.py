@@ -179,7 +179,7 @@ def _shown(ledger: "Ledger", asked: Run | None) -> "tuple[PageOptions, Provenanc
     from .lookup import about_run, present
 
     held, _ = present(ledger)
-    with about_run(held, asked, ledger.demanded) as (database, name, number):
+    with about_run(held, asked, ledger.demanded, is_whole=True) as (database, name, number):
         told = timeline(database, asked_of(database, ledger.path, name, None, None, None, None))
     run = record_of(held, name)
     if type(run.events[0]) in ALONE:

@@ -48,13 +48,15 @@ class RunContinued(Event, frozen=True, kw_only=True):
 
     `continues` is the other run, `continues_seq` the number of its last event, and `continues_root` the root (hex) of
     the ledger that had it then. `state_sha256` is the digest of all that was known and pending, from which this run
-    goes on (`runtime/snapshot.py`). Times count on. What was pending and comes about here is caused by this event.
+    goes on (`runtime/snapshot.py`), and `state_shape` names the shape in which it was kept: in another one the digest
+    of the same may be another. Times count on. What was pending and comes about here is caused by this event.
     """
 
     continues: str
     continues_seq: int
     continues_root: str
     state_sha256: str
+    state_shape: str
 
 
 class RobotJoined(Event, frozen=True, kw_only=True):

@@ -22,6 +22,7 @@ import msgspec
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import flat
+from fsar_ledger.events.fleet import RunContinued
 from fsar_ledger.ledger.rows.codec import LedgerRun
 
 from . import NAMING, TOLD, Written, elements, epoch_us, named_in, rfc3339
@@ -182,7 +183,8 @@ def write_otlp(out: Path, runs: Iterable[LedgerRun]) -> Written:
 
 def _resource(run: LedgerRun, counts: _Traces) -> dict[str, Any]:
     """Return the spans of a run, under a resource that says which run it is."""
-    trace = sha256(run.run_id.encode() + b"\0" + msgspec.json.encode(run.events[0])).hexdigest()[:32]
+    name = next((event.continues for event in run.events if isinstance(event, RunContinued)), run.run_id)
+    trace = sha256(name.encode() + b"\0" + msgspec.json.encode(run.events[0])).hexdigest()[:32]
     about = {f"fsar.{name}": value for name, value in flat(run.events[0]).items() if name != "observes"}
     resource = {"service.name": "fsar-ledger", "service.instance.id": run.run_id, **about}
     return {

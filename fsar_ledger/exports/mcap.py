@@ -13,6 +13,7 @@ import pyarrow as pa
 
 from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.rows.schema import COLUMNS, ENVELOPE
+from fsar_ledger.ledger.store.locations import counted_rows
 from fsar_ledger.ledger.store.read import View
 
 from . import OTHER, PRINCIPALS, TOLD, Written, epoch_us, named_in
@@ -58,8 +59,9 @@ def write(out: Path, view: View, tables: Iterable[pa.Table]) -> Written:
         writer.start(profile="", library="fsar-ledger")
         written = _Messages(writer)
         for table in tables:
-            for line in canonical.from_table(table.combine_chunks()):
-                written.add(line)
+            places = counted_rows(view, table.select(["run_id", "seq"])).to_pylist()
+            for line, place in zip(canonical.from_table(table.combine_chunks()), places, strict=True):
+                written.add(line, place["run_id"], place["seq"])
         note = view.note()
         if note is not None:
             writer.add_attachment(0, 0, "checkpoint", "text/plain", str(note).encode())
@@ -88,8 +90,8 @@ class _Messages:
         number: int = self._writer.register_schema(name, "jsonschema", msgspec.json.encode(schema))
         return number
 
-    def add(self, line: bytes) -> None:
-        """Write the messages of one event, given as the canonical bytes of its row."""
+    def add(self, line: bytes, whole: str, seq: int) -> None:
+        """Write the messages of one event, given as the canonical bytes of its row: event `seq` of the run `whole`."""
         row: dict[str, Any] = msgspec.json.decode(line)
         run = row["run_id"]
         if run not in self.epochs_us:
@@ -103,15 +105,15 @@ class _Messages:
             "timestamp": {"sec": time_ns // 10**9, "nsec": time_ns % 10**9},
             "level": WARNING if kind.endswith(WARNED) else INFO,
             "message": " ".join([kind, *(f"{name}={_text(value)}" for name, value in fields.items())]),
-            "file": run,
-            "line": row["seq"],
+            "file": whole,
+            "line": seq,
         }
         names = [one.label for one in named_in(fields) if one.kind in (*PRINCIPALS, OTHER)]
         self.unnamed += not names
         self.logs += len(names)
         for name in names:
             data = msgspec.json.encode({**message, "name": name})
-            self._writer.add_message(self._channel(name), time_ns, data, time_ns, row["seq"])
+            self._writer.add_message(self._channel(name), time_ns, data, time_ns, seq)
 
     def _channel(self, name: str) -> int:
         if name not in self.channels:

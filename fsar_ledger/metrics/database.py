@@ -11,7 +11,7 @@ import pyarrow as pa
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.rows.schema import SCHEMA
 from fsar_ledger.ledger.store.derived import Extent
-from fsar_ledger.ledger.store.locations import chain_of, continued_runs
+from fsar_ledger.ledger.store.locations import chain_of, earlier_runs
 from fsar_ledger.ledger.store.paths import SEGMENTS, segment_bytes
 from fsar_ledger.ledger.store.read import View
 
@@ -66,6 +66,7 @@ def connect_view(
 ) -> Database:
     """Open a database over this head, as `connect`. Raises: LedgerCorrupted, SequenceConflict."""
     rows_verified = is_verified(view, demanded)
+    earlier_runs(view)  # what `relation` puts together follows one another
     segments = view.segments()
     database = Database(view.head, segments, threads, rows_verified=rows_verified, file=file)
     stay = view.path / SEGMENTS
@@ -112,7 +113,7 @@ class Slices:
         # A bomb has many rows in few bytes, and nothing to be judged: to judge it in parts would take longer.
         is_long = view.head.size > most and segment_bytes(view.path) > LEAST_BYTES * view.head.size
         self._extents = view.extents() if is_long else []
-        wholes = _continuing(self._extents, continued_runs(view) if is_long else {})
+        wholes = _continuing(self._extents, earlier_runs(view) if is_long else {})
         parts = parts_of(wholes, lambda whole: sum(one.rows for one in whole), most)
         self._slices = [list(chain.from_iterable(part)) for part in parts]
 

@@ -12,10 +12,12 @@ from typing import Any, NamedTuple
 
 import pyarrow as pa
 
+from fsar_ledger.base import printable
 from fsar_ledger.base.errors import FsarLedgerError, LedgerCorrupted
 from fsar_ledger.events.fleet import RunContinued
 from fsar_ledger.events.retired import ADDITIONS
 from fsar_ledger.ledger.rows.codec import upcast_rows
+from fsar_ledger.ledger.rows.runs import unlike_beginning
 from fsar_ledger.ledger.rows.schema import (
     COLUMNS,
     FINGERPRINTS,
@@ -115,6 +117,7 @@ def _join_continued(database: Database) -> list[str]:
         database.direct(f"SELECT run_id, continues FROM {_BY_RUN} WHERE type = {quoted(_CONTINUED)} AND seq = 1")
     )
     names = listed(sorted({*continues, *continues.values()})) or "NULL"
+    _require_alike(database, continues, names)
     sizes = dict(
         database.direct(f"SELECT run_id, max(seq) + 1 FROM {_BY_RUN} WHERE run_id IN ({names}) GROUP BY run_id")
     )
@@ -132,6 +135,26 @@ def _join_continued(database: Database) -> list[str]:
         "WHERE one.seq > 0 OR place.is_first IS DISTINCT FROM FALSE",
     )
     return [f"{place['run_id']}" for place in places if place["run_id"] != place["whole"]]
+
+
+def _require_alike(database: Database, continues: Mapping[str, str], names: str) -> None:
+    """Require that runs continue different ones, whose event 0 is like their own. Raises: LedgerCorrupted."""
+    own = ("run_id", "time_us")
+    columns = ", ".join(f'"{name}"' for name in COLUMNS if name not in own)
+    rows = database.direct(
+        f"SELECT run_id, CAST(({columns}) AS VARCHAR) FROM {_BY_RUN} WHERE seq = 0 AND run_id IN ({names})"
+    )
+    begins: dict[str, str] = dict(rows)
+    for run, before in continues.items():
+        if before not in begins:
+            continue
+        if begins[run] != begins[before]:
+            raise LedgerCorrupted(unlike_beginning(run, before))
+        if other := [one for one in continues if one != run and continues[one] == before]:
+            raise LedgerCorrupted(
+                f"run {printable.value(run)}: found that it continues run {printable.value(before)}, as run "
+                f"{printable.value(other[0])} does, expected one that does; run fsar-ledger verify"
+            )
 
 
 _PLACES = pa.schema([("run_id", pa.string()), ("whole", pa.string()), ("shift", pa.int64()), ("is_first", pa.bool_())])

@@ -23,6 +23,7 @@ import pyarrow as pa
 
 from fsar_ledger.base.errors import QueryFailed
 from fsar_ledger.ledger.opening import open_for_answers
+from fsar_ledger.ledger.store.locations import earlier_runs
 from fsar_ledger.ledger.store.record import Head
 
 from .connection import first_damage
@@ -91,6 +92,7 @@ def stream_untrusted(
     with closing(_Process(limits)) as process:  # it starts while the ledger is opened
         view = open_for_answers(ledger)
         rows_verified = is_verified(view, demanded)
+        earlier_runs(view)
         segments = view.segments()
         process.send(msgspec.json.encode(Question([str(path.resolve()) for path in segments], sql, limits)))
         parts = _parts(process, segments)

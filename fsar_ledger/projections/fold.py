@@ -54,10 +54,16 @@ _PROJECTIONS = (
 )
 
 
+SLOTS: Mapping[str, Any] = {
+    one.__name__.rpartition(".")[2]: one.__annotations__.get("INITIAL", type(one.INITIAL)) for one in _PROJECTIONS
+}
+"""The slots of a state, and the type of each."""
+
+
 class State:
     """All projections of one run, each in a slot of its name. `apply` replaces them; the values never change."""
 
-    __slots__ = tuple(projection.__name__.rpartition(".")[2] for projection in _PROJECTIONS)
+    __slots__ = tuple(SLOTS)
 
     def __init__(self) -> None:
         self.authority = authority.INITIAL

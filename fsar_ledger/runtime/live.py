@@ -9,6 +9,7 @@ import sys
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from functools import cache
 from typing import Any, NamedTuple
 
 import msgspec
@@ -34,7 +35,7 @@ from .handlers.request import ReportResult
 from .kernel import Kernel
 from .ports import ANSWERS_LATER, AS_USUAL, Ask, Fact, LiveEnvironment
 from .simulation import MODEL_VERSION, constants_text, fleet_founding, handler_table_of
-from .snapshot import state_sha256
+from .snapshot import shape_of, state_sha256
 
 ARCHITECTURE = "fsar"
 """Whose handlers govern a live run: those of the others speak for their robots."""
@@ -119,13 +120,18 @@ class LiveRun:
         Until the cut it has this name and this number of its last event, in a ledger of this root.
         """
         time_us = max(time_us, self.kernel.last_us + 1)
-        digest = state_sha256(self.kernel.stands(time_us))
-        cut = RunContinued(continues=run, continues_seq=seq, continues_root=root, state_sha256=digest)
-        self.kernel.happen(time_us, cut)
+        digest = {"state_sha256": state_sha256(self.kernel.stands(time_us)), "state_shape": state_shape()}
+        self.kernel.happen(time_us, RunContinued(continues=run, continues_seq=seq, continues_root=root, **digest))
 
     def take(self, run_id: str) -> LedgerRun:
         """Take out the events since the last call, to be recorded under this name; the run goes on."""
         return msgspec.structs.replace(self.kernel.take(), run_id=run_id, goes_on=True)
+
+
+@cache
+def state_shape() -> str:
+    """Return the shape (`shape_of`) in which a live run keeps its state and what is pending."""
+    return shape_of((State, Scheduled, *handler_table_of(ARCHITECTURE).decides))
 
 
 def commands_of(record: LedgerRun) -> tuple[Fact, ...]:

@@ -27,7 +27,7 @@ The record also holds the length of an execution, as `ends_us`. It is drawn agai
 record would be to believe the decision in question.
 """
 
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import ExitStack
 from itertools import repeat
 from pathlib import Path
@@ -35,6 +35,7 @@ from pathlib import Path
 import msgspec
 
 from fsar_ledger.base.memory import without_collection
+from fsar_ledger.base.printable import counted, value
 from fsar_ledger.base.workers import WorkerPool
 from fsar_ledger.events import ALONE
 from fsar_ledger.events.fleet import RunContinued, RunStarted
@@ -42,16 +43,17 @@ from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows import segment
 from fsar_ledger.ledger.rows.codec import LedgerRun, decode
 from fsar_ledger.ledger.rows.runs import joined
-from fsar_ledger.ledger.store.locations import continued_by, earlier_runs, record_of
+from fsar_ledger.ledger.store.locations import chain_of, continued_by, earlier_runs, places_of, record_of
 from fsar_ledger.ledger.store.read import View
 from fsar_ledger.ledger.verify.report import MAX_PROBLEMS
 
+from .live import state_shape
 from .recipes import (
     WorldConstantsUsed,
     constants_used,
     remarks_on,
 )
-from .run_replay import Difference, error_text, replay_run
+from .run_replay import Difference, ForeignDigest, error_text, replay_run
 
 
 class ReplayReport(msgspec.Struct, frozen=True):
@@ -59,7 +61,8 @@ class ReplayReport(msgspec.Struct, frozen=True):
 
     Units: `commits`, `runs` and `events` (of runs) count what replay made exactly as recorded.
 
-    `remarks` do not cast doubt on a run: they name constants that are not this version's.
+    `remarks` do not cast doubt on a run: they name constants that are not this version's, and digests of a state in a
+    shape that is not.
     """
 
     ok: bool
@@ -73,13 +76,14 @@ class ReplayReport(msgspec.Struct, frozen=True):
 class CommitReport(msgspec.Struct, frozen=True):
     """The result of `replay_commit`: as `ReplayReport`, for one commit.
 
-    `worlds` are those of the runs that replayed as recorded.
+    `worlds` and `digests` are those of the runs that replayed as recorded.
     """
 
     differences: tuple[Difference, ...]
     worlds: tuple[WorldConstantsUsed, ...]
     runs: int
     events: int
+    digests: tuple[ForeignDigest, ...] = ()
 
     @property
     def ok(self) -> bool:
@@ -115,15 +119,31 @@ def replay(
     files = [tuple(_within(path, view.segment(number)) for number in group) for group in groups]
     found: list[Difference] = []
     worlds: list[WorldConstantsUsed] = []
+    digests: list[ForeignDigest] = []
     whole = runs = events = 0
     continued = frozenset(earlier_runs(view).values())
     for done, result in enumerate(_replayed(str(path), files, max(1, workers), is_recorded, continued), start=1):
         found += result.differences
         worlds += result.worlds
+        digests += result.digests
         whole, runs, events = whole + result.ok, runs + result.runs, events + result.events
         if progress is not None:
             progress(done, len(files))
-    return ReplayReport(not found, tuple(found[:MAX_PROBLEMS]), whole, runs, events, remarks_on(worlds))
+    remarks = (*remarks_on(worlds), *_remarks_on_digests(digests))
+    return ReplayReport(not found, tuple(found[:MAX_PROBLEMS]), whole, runs, events, remarks)
+
+
+def _remarks_on_digests(found: Sequence[ForeignDigest]) -> Iterator[str]:
+    """Yield what is to be said of the digests of a state in another shape, if there are any."""
+    unlike = [one for one in found if not one.is_same]
+    if found:
+        first = (unlike or found)[0]
+        told = f"{len(unlike):,} not compared" if unlike else "the same here"
+        yield (
+            f"state at cuts: {counted(len(found), 'digest')} of a state that was kept in another shape "
+            f"({value(first.shape)}, here {value(state_shape())}): {told}, first of run {value(first.run)}, seq "
+            f"{first.seq}; all from which it follows was made again"
+        )
 
 
 def _within(path: Path, file: Path) -> str:
@@ -161,15 +181,16 @@ def replay_commit(
     """
     found: list[Difference] = []
     starts: list[RunStarted] = []
+    digests: list[ForeignDigest] = []
     runs = events = 0
     try:
         for record in _runs_in(Path(path), files):
             if record.run_id in continued:
                 continue
             if continued_by(record) is None:
-                difference, parts, size = replay_run(record, is_recorded), 1, len(record.events)
+                difference, parts, size = replay_run(record, is_recorded) or _cut_within(record), 1, len(record.events)
             else:
-                difference, parts, size = _replay_chain(open_ledger(Path(path)), record.run_id)
+                difference, parts, size = _replay_chain(open_ledger(Path(path)), record.run_id, digests)
             if difference is None and type(record.events[0]) in ALONE:
                 continue
             if difference is None:
@@ -181,17 +202,28 @@ def replay_commit(
         found.append(
             Difference(None, None, None, None, "runs that can be replayed", error_text(error), number, files[0])
         )
-    return CommitReport(tuple(found), constants_used(starts), runs, events)
+    return CommitReport(tuple(found), constants_used(starts), runs, events, tuple(digests))
 
 
-def _replay_chain(view: View, run: str) -> tuple[Difference | None, int, int]:
+def _cut_within(record: LedgerRun, runs: int = 1) -> Difference | None:
+    """Return the difference if the record of so many runs has more cuts than are between them."""
+    cuts = [seq for seq, event in enumerate(record.events) if isinstance(event, RunContinued)]
+    if len(cuts) < runs or type(record.events[0]) in ALONE:
+        return None
+    return Difference(record.run_id, cuts[runs - 1], "type", None, "a cut at event 1 of a run alone", "another one")
+
+
+def _replay_chain(view: View, run: str, digests: list[ForeignDigest]) -> tuple[Difference | None, int, int]:
     """Replay a run from the beginning of those that it continues; return how many they are, and their events, too."""
-    record, roots = record_of(view, run), {commit.tree_root for commit in view.commits}
+    record, sizes = record_of(view, run), {commit.tree_root: commit.tree_size for commit in view.commits}
     cuts = [(seq, event) for seq, event in enumerate(record.events) if isinstance(event, RunContinued)]
-    difference = replay_run(record)
-    for seq, cut in cuts:
-        if difference is None and cut.continues_root not in roots:
-            expected = "a root that the ledger had after a commit"
+    runs = chain_of(view, run)
+    difference = replay_run(record, digests=digests) or _cut_within(record, len(runs))
+    places = places_of(view, runs)
+    for before, later, (seq, cut) in zip(runs, runs[1:], cuts, strict=False):
+        size = sizes.get(cut.continues_root, -1)
+        if difference is None and not places[before].last < size <= places[later].first:
+            expected = f"the root of the ledger when run {value(before)} had ended, before run {value(later)}"
             difference = Difference(run, seq, "continues_root", None, expected, repr(cut.continues_root))
     return difference, len(cuts) + 1, len(record.events) + len(cuts)
 

@@ -20,7 +20,7 @@ from .changeable import EditedEnvironment
 from .forks import command, edited_environment, last_shared, run_to_end
 from .handlers.commands import Command, Decide
 from .handlers.isolation import founded_alone
-from .live import ARCHITECTURE, SOURCE, commands_of, live_started
+from .live import ARCHITECTURE, SOURCE, commands_of, live_started, state_shape
 from .ports import Environment, LiveEnvironment
 from .recipes import (
     CannotReplay,
@@ -78,10 +78,21 @@ def _replay_plan(record: LedgerRun) -> Difference | None:
     )
 
 
-def replay_run(record: LedgerRun, is_recorded: bool = False) -> Difference | None:
+class ForeignDigest(msgspec.Struct, frozen=True):
+    """The digest of a state that was kept in another shape than here, and whether it is the same here."""
+
+    run: str
+    seq: int
+    shape: str
+    is_same: bool
+
+
+def replay_run(
+    record: LedgerRun, is_recorded: bool = False, digests: list[ForeignDigest] | None = None
+) -> Difference | None:
     """Return the first difference between the record and what world and handlers make, or None. Never raises.
 
-    With `is_recorded` the world is that of the record.
+    With `is_recorded` the world is that of the record. `digests` gets those of a state in another shape.
     """
     one: _Replay | None = None
     try:
@@ -90,6 +101,8 @@ def replay_run(record: LedgerRun, is_recorded: bool = False) -> Difference | Non
         one = _start_replay(record, is_recorded)
         one.run_to_end()
         one.require_end()
+        if digests is not None:
+            digests += one.digests
     except _Mismatch as stopped:
         return stopped.difference
     except Exception as error:
@@ -128,6 +141,7 @@ class _Replay(RecordedKernel):
         self._deciding: Callable[..., object] = founding
         self._environment, self._facts = environment, environment.facts
         self.later_us = environment.later_us if isinstance(environment, RecordedEnvironment) else {}
+        self.digests: list[ForeignDigest] = []
         self._silent: list[tuple[int, Decide]] = []  # decisions since the last event, which made none
         for seq, event in enumerate(events):
             self._require(seq, event, 0, None if seq == 0 else 0)
@@ -260,12 +274,15 @@ class _LiveReplay(_Replay):
     def _apply_fact(self, fact: Event, time_us: int) -> None:
         if isinstance(fact, RunContinued):
             seq = len(self.events)
-            last, digest = seq - 1 - self._before, state_sha256(self.stands(time_us))
-            for name, found, made in (
-                ("continues_seq", fact.continues_seq, last),
-                ("state_sha256", fact.state_sha256, digest),
+            last, digest, shape = seq - 1 - self._before, state_sha256(self.stands(time_us)), fact.state_shape
+            is_same, is_foreign = digest == fact.state_sha256, shape != state_shape()
+            if is_foreign:  # what it covers was made again event by event
+                self.digests.append(ForeignDigest(self._stored.run_id, seq, shape, is_same))
+            for name, found, made, is_right in (
+                ("continues_seq", fact.continues_seq, last, fact.continues_seq == last),
+                ("state_sha256", fact.state_sha256, digest, is_same or is_foreign),
             ):
-                if found != made:
+                if not is_right:
                     raise _Mismatch(self._stored.run_id, seq, name, "live.LiveRun.cut", f"{made!r}", f"{found!r}")
             self._before += last
         super()._apply_fact(fact, time_us)

@@ -9,11 +9,12 @@ import io
 import os
 import pickle
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
-from typing import Any
+from types import UnionType
+from typing import Annotated, Any, Literal, NewType, Union, get_args, get_origin
 
 import msgspec
 import pyarrow.compute as pc
@@ -23,7 +24,7 @@ from fsar_ledger.ledger.rows.runs import LedgerRun, joined
 from fsar_ledger.ledger.rows.schema import SCHEMA
 from fsar_ledger.ledger.store.read import View
 from fsar_ledger.ledger.store.record import Head
-from fsar_ledger.projections.fold import State
+from fsar_ledger.projections.fold import SLOTS, State
 
 _ROOMS = ("runtime", "projections", "events", "designs")
 _KNOWN = (
@@ -125,19 +126,65 @@ def _plain(found: Any) -> Any:
         case Mapping():
             return [[_plain(key), _plain(one)] for key, one in found.items()]
         case msgspec.Struct():
-            usual = {field.name: field.default for field in msgspec.structs.fields(type(found))}
-            return [type(found).__name__, *_unusual(found, usual)]
+            return [type(found).__name__, *_unusual(found)]
         case State():
-            initial = State()
-            return _unusual(found, {slot: getattr(initial, slot) for slot in sorted(State.__slots__)})
+            return _unusual(found)
         case _:
             raise TypeError(f"found {type(found).__name__}, expected a value")
 
 
-def _unusual(found: Any, usual: Mapping[str, Any]) -> list[Any]:
-    """Return the fields, with these usual values, that have others."""
-    pairs = ((name, getattr(found, name), one) for name, one in usual.items())
-    return [[name, _plain(own)] for name, own, one in pairs if type(own) is not type(one) or own != one]
+def _unusual(found: Any) -> list[Any]:
+    """Return the fields that have other values than by default."""
+    kind: Any = type(found)
+    pairs = ((name, getattr(found, name), usual) for name, _, usual in _fields(kind))
+    return [[name, _plain(own)] for name, own, usual in pairs if type(own) is not type(usual) or own != usual]
+
+
+@cache
+def _fields(kind: Any) -> tuple[tuple[str, Any, Any], ...]:
+    """Return the name, type and default of each field; `msgspec.NODEFAULT` where there is none."""
+    if kind is State:
+        initial = State()
+        return tuple((slot, SLOTS[slot], getattr(initial, slot)) for slot in sorted(SLOTS))
+    return tuple(
+        (one.name, one.type, one.default if one.default_factory is msgspec.NODEFAULT else one.default_factory())
+        for one in msgspec.structs.fields(kind)
+    )
+
+
+def shape_of(kinds: Iterable[Any]) -> str:
+    """Return the shape of these types and of those of their fields: 16 hex digits, of all names, types and defaults.
+
+    Where it is another one, `state_sha256` of the same state may be, too.
+    """
+    known: dict[Any, Any] = {}
+    for kind in kinds:
+        _type_text(kind, known)
+    lines = sorted({msgspec.json.encode(one) for one in known.values()})
+    return hashlib.sha256(b"\n".join(lines)).hexdigest()[:16]
+
+
+def _type_text(kind: Any, known: dict[Any, Any]) -> str:
+    """Return the type as text, the same in every version of Python, and add its fields to what is known of types."""
+    origin, of = get_origin(kind) or kind, get_args(kind)
+    if isinstance(kind, NewType):
+        return _type_text(kind.__supertype__, known)
+    if origin is Annotated:
+        return _type_text(of[0], known)
+    if origin is Literal:
+        return "|".join(sorted({type(one).__name__ for one in of}))
+    texts = [_type_text(one, known) for one in of]
+    if origin in (Union, UnionType):
+        return "|".join(sorted({*texts}))
+    name = "..." if origin is Ellipsis else origin.__name__
+    if origin not in known and (origin is State or isinstance(origin, type(msgspec.Struct))):
+        known[origin] = None  # it may be a field of itself
+        fields = [
+            [field, _type_text(of, known), None if usual is msgspec.NODEFAULT else [_plain(usual)]]
+            for field, of, usual in _fields(origin)
+        ]
+        known[origin] = [name, *fields]
+    return f"{name}[{', '.join(texts)}]" if texts else name
 
 
 @cache

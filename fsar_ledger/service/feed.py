@@ -97,7 +97,7 @@ class Feed:
     def recorded(self, seq: int) -> Sequence[Row]:
         """Return the rows from this seq to the end of a part of the ledger. Raises: LedgerCorrupted."""
         view = open_ledger(self._ledger)
-        if not (rows := _rows_in(view, self._runs, seq)):  # to look for the runs is to look into all segments
+        if not (rows := _rows_in(view, self._runs, seq)):  # to look for the runs is to look for all
             self._runs = chain_of(view, newest_of(view, self._run)[0])
             rows = _rows_in(view, self._runs, seq)
         return rows

@@ -5,20 +5,24 @@ are; `kept.json`, what the ledger is known to hold. If event types changed since
 columns to the package. It never overwrites anything.
 """
 
+import shutil
 import sys
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import msgspec
 
 import fsar_ledger
 from fsar_ledger.designs.constants import Constants
 from fsar_ledger.ledger.log.note import Signer
+from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows.runs import LedgerRun, piece
 from fsar_ledger.ledger.rows.schema import LAYOUTS, RELEASE, SCHEMA, Field, StoredType, described
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.runtime.experiment import Experiment
+from fsar_ledger.runtime.federation import Federation
 from fsar_ledger.runtime.simulation import RunSpec, plan_record, simulate_run
 from tests.ledger.samples import run_of_every_type
 
@@ -28,16 +32,21 @@ COLUMNS = ROOT / "fsar_ledger" / "ledger" / "rows" / "columns"
 
 ORIGIN = "example.org/kept"
 SECRET = bytes(range(32))  # public: these signatures only show that old ones still verify
+EPOCH_S = 1_772_359_200  # 2026-03-01T10:00:00Z
 
 
 class Kept(msgspec.Struct, frozen=True):
-    """What a kept ledger holds: counts, the Merkle root in hex, and the key that signed it."""
+    """What a kept ledger holds: counts, the Merkle root in hex, and the key that signed it.
+
+    `continued`: those of the runs that another one of them continues.
+    """
 
     commits: int
     events: int
     runs: tuple[str, ...]
     root: str
     key: str
+    continued: tuple[str, ...] = ()
 
 
 def stored_types(layouts: Iterable[StoredType]) -> dict[str, dict[str, str]]:
@@ -61,8 +70,49 @@ def kept_runs() -> list[LedgerRun]:
     return [plan_record(Experiment(("fsar", "cfc"), ("failure-recovery-chain", "door-relay"), 1, 7).plan()), *runs]
 
 
+def give_commands(hall: Federation, more: Iterable[tuple[str, str, dict[str, Any]]]) -> None:
+    """Give these commands: who gives it, its name and fields. Raises: SystemExit if one is rejected."""
+    for by, command, fields in more:
+        if (reason := hall.give(command, by, **fields).rejected) is not None:
+            raise SystemExit(f"{command} of {by}: found that it is rejected, {reason}; expected one that is decided")
+
+
+def keep_live_run(path: Path, signer: Signer) -> tuple[str, ...]:
+    """Append a live run that is cut while an action is recovered, another is asked for and a task is due later.
+
+    Returns the names of its two parts.
+    """
+    carrier, door, now_s = "robot/A1", "robot/B1", EPOCH_S
+
+    def clock() -> int:
+        return now_s * 1_000_000_000
+
+    def brings(task: str, step: str, budget_s: int) -> tuple[str, str, dict[str, Any]]:
+        fields = {"robot": carrier, "task_id": task, "steps": [step], "budget_us": budget_s * 1_000_000}
+        return carrier, "SubmitTask", fields
+
+    def says(who: str, command: str, task: str, **fields: Any) -> tuple[str, str, dict[str, Any]]:
+        role = "executor" if command == "ReportResult" else "robot"
+        return who, command, {role: who, "action_id": f"{task}/1.1", **fields}
+
+    with Federation(path, "live", Constants(), 4, clock, signer=signer) as hall:
+        give_commands(hall, [brings("t1", "A door.open.secure B", 600)])
+        give_commands(hall, [says(door, "JudgeRequest", "t1", accepts=True), says(door, "ReportStart", "t1")])
+        give_commands(hall, [says(door, "ReportFailure", "t1", cause="hinge jammed")])
+        give_commands(hall, [brings("t2", "A navigate.indoor", 60), brings("t3", "A door.open.secure B", 600)])
+        before, now_s = hall.run, now_s + 2
+        after = hall.cut()
+        give_commands(hall, [says(door, "JudgeRequest", "t3", accepts=True)])
+        give_commands(hall, [says(door, "ReportAttempt", "t1", succeeded=True)])
+        give_commands(hall, [says(door, "ReportResult", "t1", result="success"), says(door, "ReportStart", "t3")])
+        now_s += 130  # t2 was never begun
+        give_commands(hall, [says(door, "ReportResult", "t3", result="success")])
+    shutil.rmtree(path.with_name(f"{path.name}.snapshots"))
+    return before, after
+
+
 def write_ledger(path: Path) -> Kept:
-    """Write a small signed ledger: a run that spans commits, compacted segments and a journal."""
+    """Write a small signed ledger: a run that spans commits, compacted segments, a journal, and a live run in it."""
     *whole, cut, last = kept_runs()
     half, signer = len(cut.events) // 2, Signer(ORIGIN, SECRET)
     with Writer(path, ORIGIN, signer) as writer:
@@ -74,9 +124,9 @@ def write_ledger(path: Path) -> Kept:
         writer.seal()
         for at in range(0, len(last.events), 50):
             writer.add([piece(last, at, at + 50)])
-        head = writer.head
-    names = tuple(run.run_id for run in (*whole[1:], cut, last))
-    return Kept(head.commits, head.size, names, head.root, str(signer.verifier))
+    live = keep_live_run(path, signer)
+    names, head = (*(run.run_id for run in (*whole[1:], cut, last)), *live), open_ledger(path).head
+    return Kept(head.commits, head.size, names, head.root, str(signer.verifier), live[:-1])
 
 
 def keep(version: str, ledgers: Path = LEDGERS, columns: Path = COLUMNS) -> None:

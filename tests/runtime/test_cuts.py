@@ -11,18 +11,16 @@ import msgspec
 import pytest
 
 import fsar_ledger
-from fsar_ledger.base.errors import LedgerCorrupted, UsageError
+from fsar_ledger.base.errors import UsageError
 from fsar_ledger.events.command import CommandGiven
-from fsar_ledger.events.fleet import RunContinued, RunStarted
+from fsar_ledger.events.fleet import RunContinued
 from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows.runs import LedgerRun
-from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.locations import record_of
 from fsar_ledger.metrics.database import Database, Slices, connect
 from fsar_ledger.metrics.invariants import audit_rows, invariants
 from fsar_ledger.metrics.library import Query, library
-from fsar_ledger.metrics.relation import _places
 from fsar_ledger.runtime.federation import Federation
 from fsar_ledger.runtime.snapshot import place
 from tests.runtime.test_live import STEPS, A
@@ -248,66 +246,6 @@ def test_sql_and_a_file_of_duckdb_see_one_run(halls: tuple[Day, Day], tmp_path: 
     ledger.open(tmp_path / "cut.duckdb")
     with duckdb.connect(str(tmp_path / "cut.duckdb"), read_only=True) as file:
         assert file.sql(asked).fetchall() == [("hall.3", size, size - 1)]
-
-
-def other(parts: list[LedgerRun], **fields: object) -> list[LedgerRun]:
-    """The runs, of which the second says something else of how it continues."""
-    first, second, *rest = parts
-    started, continued, *events = second.events
-    changed = msgspec.structs.replace(continued, **fields)
-    return [first, msgspec.structs.replace(second, events=[started, changed, *events]), *rest]
-
-
-@pytest.mark.parametrize(
-    ("fields", "field"),
-    [
-        ({"state_sha256": "0" * 64}, "state_sha256"),
-        ({"continues_seq": 3}, "continues_seq"),
-        ({"continues_root": "0" * 64}, "continues_root"),
-        ({"continues": "another"}, "continues"),
-        ({"continues": "hall.2"}, "continues"),
-    ],
-)
-def test_a_run_that_says_otherwise_how_it_continues_is_found(
-    halls: tuple[Day, Day], tmp_path: Path, fields: dict[str, object], field: str
-) -> None:
-    parts = list(open_ledger(halls[1].ledger).runs())
-    assert f"field {field}: found" in replayed(written(tmp_path / "other", other(parts, **fields)))
-
-
-def test_a_run_whose_past_was_changed_is_found(halls: tuple[Day, Day], tmp_path: Path) -> None:
-    first, *rest = open_ledger(halls[1].ledger).runs()
-    tasks = [seq for seq, event in enumerate(first.events) if type(event).__name__ == "TaskArrived"]
-    shorter = [event for seq, event in enumerate(first.events) if seq != tasks[-1]]
-    changed = LedgerRun("hall", first.times_us[:-1], first.caused_by[:-1], shorter, goes_on=True)
-    assert "found" in replayed(written(tmp_path / "other", [changed, *rest]))
-
-
-def test_a_run_that_begins_otherwise_than_the_one_that_it_continues_is_refused(
-    halls: tuple[Day, Day], tmp_path: Path
-) -> None:
-    first, second, *rest = open_ledger(halls[1].ledger).runs()
-    started = second.events[0]
-    assert isinstance(started, RunStarted)
-    changed = [msgspec.structs.replace(started, fleet_size=8), *second.events[1:]]
-    ledger = written(tmp_path / "other", [first, msgspec.structs.replace(second, events=changed), *rest])
-    with pytest.raises(LedgerCorrupted, match="which it continues, expected the same"):
-        record_of(open_ledger(ledger), "hall.2")
-    assert "which it continues, expected the same" in replayed(ledger)
-
-
-def written(ledger: Path, runs: Iterable[LedgerRun]) -> Path:
-    """A ledger of these runs, a commit for each."""
-    with Writer(ledger, "tests/cut") as writer:
-        for run in runs:
-            writer.commit([run])
-    return ledger
-
-
-def test_runs_that_claim_to_continue_each_other_in_a_circle_are_read_as_they_are() -> None:
-    assert _places({"a": "b", "b": "a"}, {"a": 5, "b": 5}) == []
-    [last, *_] = reversed(_places({"c": "a", "a": "b", "b": "a"}, {"a": 5, "b": 5, "c": 5}))
-    assert last["run_id"] == "c"
 
 
 HOUR = 3_600 * S

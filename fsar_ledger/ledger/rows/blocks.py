@@ -12,11 +12,14 @@ import msgspec
 import numpy as np
 import pyarrow as pa
 
+from fsar_ledger.events.fleet import RunContinued
 from fsar_ledger.ledger.rows.check import run_starts
 from fsar_ledger.ledger.rows.runs import Flaw
 from fsar_ledger.ledger.rows.schema import CONCERNED, STANDS_ALONE, concerns_admitted
 
 from . import coded, numbers, places, whole
+
+_CONTINUED = f"{RunContinued.__struct_config__.tag}"
 
 
 class Block(msgspec.Struct, frozen=True, omit_defaults=True):
@@ -24,7 +27,8 @@ class Block(msgspec.Struct, frozen=True, omit_defaults=True):
 
     `observes` are the concerns that the run's events may have, as event 0 says; None if that is elsewhere or says
     nothing. `concerns` are those of the block's events, left out where event 0 is in the block, because the table alone
-    shows whether they fit. `is_alone` is true for a single event that stands alone.
+    shows whether they fit. `is_alone` is true for a single event that stands alone. `goes_on_from` is what event 1
+    says, if it is in the block: the run that this one continues, and the last seq of that.
     """
 
     run: str
@@ -35,6 +39,7 @@ class Block(msgspec.Struct, frozen=True, omit_defaults=True):
     observes: tuple[str, ...] | None = None
     concerns: tuple[str, ...] = ()
     is_alone: bool = False
+    goes_on_from: tuple[str, int] | None = None
 
     @property
     def end(self) -> int:
@@ -54,6 +59,7 @@ def by_run(blocks: Iterable[Block]) -> tuple[Block, ...]:
             before.first_us if before else block.first_us,
             block.last_us,
             is_alone=block.is_alone,
+            goes_on_from=before.goes_on_from or block.goes_on_from if before else block.goes_on_from,
         )
     return tuple(joined.values())
 
@@ -73,6 +79,7 @@ def blocks_of(table: pa.Table) -> Iterator[Block]:
         concerns: set[str] = set()
         if first:
             concerns = {CONCERNED.get(tags[code], "") for code in np.unique(codes[start:end]).tolist()} - {""}
+        has_second = first <= 1 < first + end - start and _CONTINUED in tags
         observed = None if first else concerns_admitted(observes[start].as_py(), records[start].as_py())
         yield Block(
             runs[start].as_py(),
@@ -83,10 +90,17 @@ def blocks_of(table: pa.Table) -> Iterator[Block]:
             observed,
             tuple(sorted(concerns)),
             tags[codes[start]] in STANDS_ALONE,
+            _goes_on_from(table, start + 1 - first) if has_second else None,
         )
 
 
-BLOCK_COLUMNS = ["run_id", "seq", "time_us", "type", "observes", "records"]
+def _goes_on_from(table: pa.Table, row: int) -> tuple[str, int] | None:
+    """Return what this row, event 1 of a run, says of where the run goes on from."""
+    values = [table.column(name)[row].as_py() for name in ("type", "continues", "continues_seq")]
+    return (f"{values[1]}", int(values[2])) if values[0] == _CONTINUED else None
+
+
+BLOCK_COLUMNS = ["run_id", "seq", "time_us", "type", "observes", "records", "continues", "continues_seq"]
 """What `blocks_of` reads of a table."""
 
 
@@ -104,6 +118,7 @@ class Runs:
 
     def __init__(self) -> None:
         self.known: dict[str, Known] = {}
+        self.continued: dict[str, str] = {}  # by its name each run that another continues, and the other
 
     def flaw(self, block: Block) -> Flaw | None:
         """Return why the block cannot follow those added so far; None if it can."""
@@ -115,6 +130,8 @@ class Runs:
             if known is not None and block.first == 0:
                 return Flaw(-1, block.run, 0, "run_id", f"run {block.run} once more", f"its seq {expected}, or no more")
             return Flaw(-1, block.run, block.first, "seq", f"{block.first}", f"{expected}")
+        if (flaw := self._wrongly_continued(block, known)) is not None:
+            return flaw
         if known is None or known.observes is None:
             return None
         for concern in block.concerns:
@@ -129,6 +146,32 @@ class Runs:
                 )
         return None
 
+    # See docs/decisions/cut-runs-are-judged-whole.md.
+    def _wrongly_continued(self, block: Block, known: Known | None) -> Flaw | None:
+        """Return why the block cannot be of its run, by which run continues which; None if it can.
+
+        Of a run that is not there nothing is known, but that it cannot come later.
+        """
+        if (other := self.continued.get(block.run)) is not None:
+            late = "its first event" if known is None else "more events of the run"
+            expected = f"none after run {other!r}, which continues it"
+            return Flaw(-1, block.run, block.first, "run_id", late, expected)
+        if block.goes_on_from is None:
+            return None
+        run, last = block.goes_on_from
+        before, other = self.known.get(run), self.continued.get(run)
+        if run == block.run or (before is not None and before.is_alone):
+            return Flaw(-1, block.run, 1, "continues", repr(run), "another run")
+        if before is None:
+            return None
+        if other is not None:
+            return Flaw(-1, block.run, 1, "continues", repr(run), f"a run that none continues, as {other!r} does")
+        if before.next != last + 1:
+            return Flaw(-1, block.run, 1, "continues_seq", f"{last}", f"{before.next - 1}, the last of run {run!r}")
+        if (begun_us := known.last_us if known else block.first_us) < before.last_us:
+            return Flaw(-1, block.run, 1, "time_us", f"{begun_us}", f"no less than at the end of run {run!r}")
+        return None
+
     def backwards(self, block: Block) -> Flaw | None:
         """Return that the block's time runs backwards from the run's last event, which no writer stores."""
         known = self.known.get(block.run)
@@ -141,3 +184,5 @@ class Runs:
         known = self.known.get(block.run)
         observes = block.observes if known is None else known.observes
         self.known[block.run] = Known(block.end, block.last_us, observes, block.is_alone)
+        if block.goes_on_from is not None:
+            self.continued[block.goes_on_from[0]] = block.run

@@ -240,13 +240,18 @@ def continuing(parts: Sequence[LedgerRun]) -> LedgerRun:
     pieces, size = [parts[0]], len(parts[0].events)
     for part in parts[1:]:
         if part.events[0] != parts[0].events[0]:
-            raise LedgerCorrupted(
-                f"run {printable.value(part.run_id)}, seq 0: found another event than event 0 of run "
-                f"{printable.value(parts[0].run_id)}, which it continues, expected the same"
-            )
+            raise LedgerCorrupted(unlike_beginning(part.run_id, parts[0].run_id))
         pieces.append(counted_on(part, size - 1))
         size += len(pieces[-1].events)
     return msgspec.structs.replace(joined(pieces), run_id=parts[-1].run_id)
+
+
+def unlike_beginning(run: str, before: str) -> str:
+    """Say that a run begins otherwise than the one that it continues."""
+    return (
+        f"run {printable.value(run)}, seq 0: found another event than event 0 of run {printable.value(before)}, which "
+        "it continues, expected the same; run fsar-ledger verify --replay"
+    )
 
 
 def counted_on(part: LedgerRun, by: int) -> LedgerRun:

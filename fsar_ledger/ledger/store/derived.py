@@ -8,7 +8,7 @@ signature binds a placement: a reader compares it with the rows where no look ha
 
 import os
 from bisect import bisect_right
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import lru_cache
 from itertools import accumulate
 from pathlib import Path
@@ -21,7 +21,8 @@ from fsar_ledger.ledger.log import merkle, pack
 from fsar_ledger.ledger.log.hashing import HASH_BYTES, leaves_of, sha256_hex
 from fsar_ledger.ledger.log.merkle import Frontier
 from fsar_ledger.ledger.rows import canonical
-from fsar_ledger.ledger.rows.blocks import Block, blocks_of, by_run
+from fsar_ledger.ledger.rows.blocks import Block, Runs, blocks_of, by_run
+from fsar_ledger.ledger.rows.runs import Flaw
 from fsar_ledger.ledger.store import disk, growing
 from fsar_ledger.ledger.store.links import Chain
 from fsar_ledger.ledger.store.paths import CHAIN, INDEX, NODES
@@ -169,9 +170,9 @@ class _NamedLine(msgspec.Struct):
 
 _LINE, _NAMED = msgspec.json.Decoder(IndexLine), msgspec.json.Decoder(_NamedLine)
 
-_BEGINNING, _PLAN = b'{"first":0,"first_us":', b'"is_alone":true,'
-"""What the blocks of runs and plans begin with where these begin, and what those of plans have, too. No name has them:
-there each quotation mark comes after a backslash."""
+_BEGINNING, _PLAN, _GOES_ON = b'{"first":0,"first_us":', b'"is_alone":true,', b'"goes_on_from":'
+"""What the blocks of runs and plans begin with where these begin, and what those of plans, and of runs that continue
+others, have, too. No name has them: there each quotation mark comes after a backslash."""
 
 
 def index_line(first: int, blocks: Sequence[Block]) -> bytes:
@@ -247,6 +248,7 @@ class Index:
         self._ends = list(accumulate(map(len, lines)))
         self._ordinals: dict[str, int] = {}  # of runs that were asked for
         self._found: dict[str, list[int]] = {}  # for each of them, the lines that name it
+        self._earlier: Mapping[str, str] | Flaw | None = None
 
     def run_names(self) -> RunNames:
         """Return the names of the runs and plans, in the order of their first events."""
@@ -269,6 +271,18 @@ class Index:
         if not self._text.startswith(_BEGINNING, first) or _PLAN in self._text[first:at]:
             return 0
         return self._text.count(_BEGINNING, 0, at) - self._text.count(_PLAN, 0, at)
+
+    def continues(self) -> dict[str, str]:
+        """Return by its name each run that says that it continues another, and the name of that."""
+        lines = [_LINE.decode(self._lines[number]) for number in self._lines_with(_GOES_ON)]
+        blocks = [block for line in lines for block in line.blocks]
+        return {one.run: one.goes_on_from[0] for one in blocks if one.goes_on_from is not None}
+
+    def earlier(self) -> Mapping[str, str] | Flaw:
+        """As `continues`, of runs that are here; or why one does not follow. Where no run says so, it costs nothing."""
+        if self._earlier is None:
+            self._earlier = _earlier(self.blocks()) if (continues := self.continues()) else continues
+        return self._earlier
 
     def blocks(self) -> Iterator[Block]:
         """Yield the blocks of all lines."""
@@ -298,6 +312,15 @@ class Index:
             number = bisect_right(self._ends, at)
             yield number
             at = self._text.find(name, self._ends[number])
+
+
+def _earlier(blocks: Iterable[Block]) -> Mapping[str, str] | Flaw:
+    runs = Runs()
+    for block in blocks:
+        if (flaw := runs.flaw(block)) is not None:
+            return flaw
+        runs.add(block)
+    return {later: run for run, later in runs.continued.items() if run in runs.known}
 
 
 def _of_run(run: str) -> bytes:

@@ -6,10 +6,11 @@ of one; its rows are there, and lead to the root.
 A writer asks which runs there are, and how far they go: a run goes on where it stopped.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import msgspec
+import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
@@ -20,7 +21,7 @@ from fsar_ledger.ledger.rows import codec, segment
 from fsar_ledger.ledger.rows.blocks import BLOCK_COLUMNS, Block, Runs, blocks_of
 from fsar_ledger.ledger.rows.runs import Flaw, LedgerRun, continuing, whole
 from fsar_ledger.ledger.rows.schema import SCHEMAS, concerns_admitted
-from fsar_ledger.ledger.store.derived import Index, require_lines
+from fsar_ledger.ledger.store.derived import Index, groups_of, require_lines
 from fsar_ledger.ledger.store.read import View
 
 
@@ -44,6 +45,26 @@ def place_of(view: View, run: str, seq: int) -> int:
     raise LedgerCorrupted(
         f"{view.path}: found no event {seq} of run {run} where the index says that it is; run fsar-ledger verify"
     )
+
+
+class Places(NamedTuple):
+    """The indexes in the ledger of the first and the last event of a run."""
+
+    first: int
+    last: int
+
+
+def places_of(view: View, runs: Sequence[str]) -> dict[str, Places]:
+    """Return where these runs begin and end. Raises: LedgerCorrupted if a segment cannot be read."""
+    found: dict[str, Places] = {}
+    for number in view.segments_of([part for run in runs for part in view.parts(run)]):
+        names = view.table(number, ["run_id"])["run_id"]
+        rows = pa.table({"run": names, "row": np.arange(len(names))}).filter(pc.is_in(names, pa.array(runs)))
+        ends = rows.group_by("run").aggregate([("row", "min"), ("row", "max")]).to_pylist()
+        for run, first, last in ((one["run"], one["row_min"], one["row_max"]) for one in ends):
+            begun = found[run].first if run in found else view.first(number) + first
+            found[run] = Places(begun, view.first(number) + last)
+    return found
 
 
 def event_at(view: View, place: int) -> dict[str, object]:
@@ -81,9 +102,6 @@ def continued_by(record: LedgerRun) -> str | None:
 
 def chain_of(view: View, run: str) -> list[str]:
     """Return the runs that this one continues, the first first, as far as the ledger holds them, and itself."""
-    continues = continued_runs(view, run)
-    if not continues:
-        return [run]
     before, found = earlier_runs(view), [run]
     while found[-1] in before:
         found.append(before[found[-1]])
@@ -92,20 +110,63 @@ def chain_of(view: View, run: str) -> list[str]:
 
 def whole_of(view: View, run: str) -> str:
     """Return the last of the runs that continue this one, so that all of them are read with it; itself if none does."""
-    later = {before: one for one, before in earlier_runs(view).items()}
-    while run in later:
-        run = later[run]
-    return run
+    return wholes_of(view).get(run, run)
 
 
-def earlier_runs(view: View) -> dict[str, str]:
-    """Return by its name each run that continues one that the ledger held before it, and the name of that one.
+def wholes_of(view: View) -> Mapping[str, str]:
+    """Return by its name each run that continues another or is continued, and the last of those that do."""
+    found: dict[str, str] = {}
+    for run, before in reversed([*earlier_runs(view).items()]):  # in the order in which they begin
+        found[before] = found.setdefault(run, run)
+    return found
 
-    So no run continues itself. Raises: As `continued_runs`.
+
+def whole_runs(view: View) -> Iterator[LedgerRun]:
+    """Yield every run as `View.runs`, and runs that continue each other as one. Raises: as that, and `continuing`."""
+    wholes, held = wholes_of(view), dict[str, list[LedgerRun]]()
+    for run in view.runs():
+        whole = wholes.get(run.run_id, run.run_id)
+        held.setdefault(whole, []).append(run)
+        if run.run_id == whole:
+            yield continuing(held.pop(whole))
+
+
+def whole_groups(view: View) -> list[tuple[int, ...]]:
+    """As `View.groups`; runs that continue each other are in one of them."""
+    wholes = wholes_of(view)
+    if not wholes:
+        return view.groups()
+    names = (table["run_id"].unique().to_pylist() for table in view.tables(["run_id"]))
+    return groups_of([wholes.get(run, run) for run in runs] for runs in names)
+
+
+def counted_rows(view: View, rows: pa.Table) -> pa.Table:
+    """Return these columns `run_id` and `seq` of stored events as readers of whole runs have them.
+
+    Event 0 of a run that continues another, which they leave out, has the seq of event 1.
     """
-    continues = continued_runs(view)
-    places = {run: place for place, run in enumerate(view.run_names.runs)} if continues else {}
-    return {run: before for run, before in continues.items() if places.get(before, len(places)) < places[run]}
+    wholes = wholes_of(view)
+    if not wholes:
+        return rows
+    before = {run: seq_counted_on(view, run, 1) - 1 for run in rows["run_id"].unique().to_pylist() if run in wholes}
+    pairs = zip(rows["run_id"].to_pylist(), rows["seq"].to_pylist(), strict=True)
+    counted = ((run, max(seq, 1) + before[run] if before.get(run) else seq) for run, seq in pairs)
+    found = [(wholes.get(run, run), seq) for run, seq in counted]
+    return pa.table([[run for run, _ in found], [seq for _, seq in found]], schema=rows.schema)
+
+
+def earlier_runs(view: View) -> Mapping[str, str]:
+    """Return by its name each run that continues another one of the ledger, and the name of that.
+
+    Raises:
+        LedgerCorrupted: One does not follow the run that it says it continues; or as `View.index`.
+    """
+    if not any("continues" in SCHEMAS[release].names for release in {*view.releases}):
+        return {}
+    found = view.index.earlier()
+    if isinstance(found, Flaw):
+        raise LedgerCorrupted(f"{view.path}: {found}; run fsar-ledger verify")
+    return found
 
 
 def place_counted_on(view: View, run: str, seq: int) -> int:
@@ -128,24 +189,6 @@ def seq_counted_on(view: View, run: str, seq: int) -> int:
     earlier = chain_of(view, run)[:-1]
     before = sum(sum(part.block.rows for part in view.parts(name)) - 1 for name in earlier)
     return before + max(seq, 1 if earlier else 0)
-
-
-def continued_runs(view: View, run: str | None = None) -> dict[str, str]:
-    """Return by its name each run that continues another, or this run if it does, and the name of the other.
-
-    Raises: LedgerCorrupted as `View.table`.
-    """
-    numbers = range(len(view.releases)) if run is None else view.segments_of(view.parts(run)[:1])
-    found: dict[str, str] = {}
-    for number in numbers:
-        if "continues" not in SCHEMAS[view.releases[number]].names:
-            continue
-        column = view.table(number, ["continues"])["continues"]
-        if column.null_count < len(column):
-            table = view.table(number, ["run_id", "seq", "continues"])
-            table = table.filter(pc.and_(pc.is_valid(table["continues"]), pc.equal(table["seq"], 1)))
-            found.update(zip(table["run_id"].to_pylist(), table["continues"].to_pylist(), strict=True))
-    return found if run is None else {name: before for name, before in found.items() if name == run}
 
 
 def compare_index(view: View) -> bool:
@@ -190,6 +233,7 @@ class ExistingRuns:
         self._runs = Runs()
         view.believe_index()
         self._index: Index | None = view.index  # None once all of it is read
+        self._runs.continued = {before: run for run, before in view.index.continues().items()}
         self._sought: set[str] = set()
         self._indexed: set[str] = set()  # what these observe is not known: the index does not say it
 
@@ -247,7 +291,8 @@ class ExistingRuns:
             if block.run in seen:
                 return Flaw(-1, block.run, block.first, "run_id", "the run twice in one commit", "each run once")
             seen.add(block.run)
-            self._seek(block.run)
+            for run in (block.run, *(block.goes_on_from or ())[:1]):
+                self._seek(f"{run}")
             if block.first and block.run in self._indexed:
                 self._read_beginning(block.run, view)
             if (flaw := self._runs.flaw(block) or self._runs.backwards(block)) is not None:

@@ -20,7 +20,7 @@ import pyarrow.json
 
 from fsar_ledger.base.errors import CommitTooLarge, InvalidRun, LedgerCorrupted, WriteFailed
 from fsar_ledger.events import CONCERNS
-from fsar_ledger.events.fleet import RunStarted
+from fsar_ledger.events.fleet import RunContinued, RunStarted
 from fsar_ledger.ledger.log.hashing import HASH_BYTES, sha256_hex
 from fsar_ledger.ledger.rows import canonical, segment
 from fsar_ledger.ledger.rows.blocks import Block, blocks_of
@@ -200,7 +200,14 @@ def _block(run: LedgerRun, marks: int) -> Block:
         _observes(run),
         _concerns(marks) if run.first else (),
         not run.first and _TAG_OF[type(run.events[0])] in STANDS_ALONE,
+        _goes_on_from(run),
     )
+
+
+def _goes_on_from(run: LedgerRun) -> tuple[str, int] | None:
+    """Return what event 1 says, if it is here: the run that this one continues, and the last seq of that."""
+    second = run.events[1 - run.first] if run.first <= 1 < run.first + len(run.events) else None
+    return (second.continues, second.continues_seq) if isinstance(second, RunContinued) else None
 
 
 def _observes(run: LedgerRun) -> tuple[str, ...] | None:
