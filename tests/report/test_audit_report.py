@@ -151,6 +151,7 @@ def test_the_kind_can_be_chosen(gates: dict[str, Path], ledger: Path, tmp_path: 
     assert "claims" in json.loads((tmp_path / "paper.json").read_text())
 
 
+@pytest.mark.slow
 def test_an_option_of_the_papers_report_asks_for_that_report(
     gates: dict[str, Path], workflows: Path, tmp_path: Path
 ) -> None:
