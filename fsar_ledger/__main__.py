@@ -31,7 +31,10 @@ def main() -> None:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # threads take time to start; no matrix here is worth one
     gc.set_threshold(50_000, 20, 100)  # imports make many objects and little garbage
     try:
+        from .base.memory import leave_out_pandas
         from .cli.app import run
+
+        leave_out_pandas()
     except KeyboardInterrupt:
         say("interrupted; nothing was changed")
         sys.exit(130)

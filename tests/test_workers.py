@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from concurrent.futures import Future
+from importlib import import_module
 from multiprocessing import spawn
 from pathlib import Path
 from typing import Any
@@ -111,6 +112,11 @@ def test_a_worker_killed_halfway_through_its_answer_does_not_hang_the_pool() -> 
             pool.submit(killed_halfway_through_its_answer).result(timeout=30)
         with pytest.raises(WorkerDied, match="signal 9"):
             waiting.result(timeout=30)
+
+
+def test_a_worker_loads_no_pandas_whoever_asks_for_it() -> None:
+    with WorkerPool(1) as pool, pytest.raises(ImportError, match="no command uses it"):
+        pool.submit(import_module, "pandas").result()
 
 
 def test_a_process_that_cannot_be_started_is_reported() -> None:

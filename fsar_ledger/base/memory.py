@@ -1,5 +1,7 @@
 """Limits the memory of this process, so that a command that needs more ends with a message; pauses its collector.
 
+It also leaves out a large library that another one would load for nothing.
+
 It counts the memory that this process and its children hold, without shared libraries. Address space is not memory: the
 libraries reserve ten times what they use. So the operating system's limit is only a safety net, set far above, for what
 grows between two checks.
@@ -8,10 +10,13 @@ grows between two checks.
 import gc
 import os
 import resource
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from importlib.machinery import ModuleSpec
 from pathlib import Path
+from typing import Any, NoReturn
 
 CHECK_S = 0.02
 """Seconds between two checks: memory fills at some GiB a second."""
@@ -136,3 +141,27 @@ def without_collection() -> Iterator[None]:
     finally:
         if was_enabled:
             gc.enable()
+
+
+class _NoPandas:
+    """Finds pandas, and cannot load it."""
+
+    @classmethod
+    def find_spec(cls, name: str, *_: object) -> ModuleSpec | None:
+        loader: Any = cls
+        return ModuleSpec(name, loader) if name == "pandas" else None
+
+    @staticmethod
+    def create_module(spec: ModuleSpec) -> NoReturn:
+        raise ImportError("found pandas, expected none: no command uses it", name=spec.name)
+
+    exec_module = create_module
+
+
+def leave_out_pandas() -> None:
+    """Let pyarrow do without pandas, which it loads, where there is one, to look at its first list of values.
+
+    That takes as long as all other imports of a command together. It is for processes that are ours alone: no command
+    and no worker uses pandas.
+    """
+    sys.meta_path.insert(0, _NoPandas)

@@ -22,6 +22,7 @@ from types import ModuleType
 from typing import Any, ParamSpec, TypeVar
 
 from fsar_ledger.base.errors import WorkerDied
+from fsar_ledger.base.memory import leave_out_pandas
 
 _P = ParamSpec("_P")
 _T = TypeVar("_T")
@@ -211,6 +212,7 @@ def _death_message(process: int | None, found: str) -> str:
 
 def _work(pipe: Connection) -> None:
     """Answer calls until the pipe ends."""
+    leave_out_pandas()
     threading.Thread(target=_end_with_parent, daemon=True).start()
     with suppress(EOFError, OSError):  # the pool is gone
         while True:

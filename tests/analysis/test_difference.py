@@ -78,6 +78,7 @@ def test_a_chain_leads_from_an_event_to_a_fact_of_the_world(runs: list[LedgerRun
     assert chain(run, 0) == [0]
 
 
+@pytest.mark.slow
 def test_of_a_run_that_ends_before_all_has_happened_no_more_is_told_than_had_come_about(runs: list[LedgerRun]) -> None:
     late = 0
     for run in runs:

@@ -77,7 +77,7 @@ def test_a_notebook_holds_no_output(name: str) -> None:
     assert [cell for cell in notebook["cells"] if cell.get("outputs") or cell.get("execution_count")] == []
 
 
-@pytest.mark.parametrize("name", few(NOTEBOOKS, ["tour.ipynb"]))
+@pytest.mark.parametrize("name", few(NOTEBOOKS, []))
 def test_a_notebook_runs_in_a_kernel(tmp_path: Path, name: str) -> None:
     client = pytest.importorskip("nbclient", reason="the notebook extra is not installed")
     nbformat = pytest.importorskip("nbformat", reason="the notebook extra is not installed")

@@ -46,6 +46,7 @@ def both(tmp_path_factory: pytest.TempPathFactory) -> tuple[Ledger, Ledger]:
     return Ledger(folder / "whole"), Ledger(folder / "pieces")
 
 
+@pytest.mark.slow
 def test_every_answer_is_that_of_whole_runs(both: tuple[Ledger, Ledger]) -> None:
     whole, pieces = both
     assert pieces.metrics().rows() == whole.metrics().rows()

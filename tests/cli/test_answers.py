@@ -52,6 +52,12 @@ def test_the_version_is_told_without_typer() -> None:
     assert done.stdout == f"fsar-ledger {__version__}\nFalse\n"
 
 
+def test_a_command_answers_without_pandas_which_pyarrow_would_load(call: Call, ledger: Path, tmp_path: Path) -> None:
+    (tmp_path / "pandas.py").write_text("raise SystemExit('pandas is loaded')")
+    called = in_a_process("metrics", ledger, "--json", surroundings={"PYTHONPATH": str(tmp_path)}).good()
+    assert called.out == call("metrics", ledger, "--json").out
+
+
 def test_no_arguments_show_the_help(call: Call) -> None:
     assert call().out == call("--help").out
     assert call("--help").out.startswith("Usage: fsar-ledger")

@@ -140,6 +140,7 @@ def test_a_cause_is_told_with_the_call_that_takes_it_away(call: Call, ledger: Pa
     assert told["chances"] == []
 
 
+@pytest.mark.slow
 def test_where_nothing_is_a_cause_the_point_of_no_return_comes_first(call: Call, ledger: Path) -> None:
     always = "coordination_success >= 0"
     answer = call("cause", ledger, "--run", "1", "--outcome", always, "--futures", "2").good()

@@ -41,7 +41,7 @@ def test_reproduce_can_be_repeated(paper: Path) -> None:
     out = paper / "fsar-out"
     before = {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()}
     assert {"report.pdf", "reproduction.json"} <= before.keys()
-    assert ask("reproduce", "--out", out, "--runs", 1, "--key", paper / "fleet.key").code == 0
+    assert ask("reproduce", "--out", out, "--runs", 1, "--workers", 1, "--key", paper / "fleet.key").code == 0
     assert {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()} == before
 
 

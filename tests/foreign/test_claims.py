@@ -163,6 +163,7 @@ def test_log_explain_and_view_name_what_is_not_observed(ledgers: dict[str, Path]
     assert names == ({concern} if any(CONCERN_OF.get(tag.partition(".")[0]) == concern for tag in rests) else set())
 
 
+@pytest.mark.slow
 def test_a_request_of_which_nothing_tells_the_end_has_no_result(ledgers: dict[str, Path]) -> None:
     found = open_ledger(ledgers["execution"]).requests(1).rows()
     assert {row["result"] for row in found} >= {None}

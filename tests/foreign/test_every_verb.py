@@ -45,6 +45,7 @@ def test_every_verb_answers_about_records_in_any_order(
         assert found.code in VERBS[verb][0], f"{words}\n{found.code} {found.err}"
 
 
+@pytest.mark.slow
 def test_nothing_is_said_of_a_concern_that_the_source_does_not_record(
     ledgers: dict[int, tuple[Path, list[LedgerRun]]],
 ) -> None:

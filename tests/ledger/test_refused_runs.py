@@ -15,7 +15,7 @@ from fsar_ledger.base.errors import InvalidRun, UsageError
 from fsar_ledger.events.envelope import with_columns
 from fsar_ledger.ledger.rows.check import first_flaw
 from fsar_ledger.ledger.rows.codec import LedgerRun, encode
-from fsar_ledger.ledger.rows.schema import LAYOUTS, OPENINGS, STANDS_ALONE, STORED, StoredType
+from fsar_ledger.ledger.rows.schema import COLUMNS, LAYOUTS, OPENINGS, PAYLOAD, STANDS_ALONE, STORED, StoredType
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.ledger.verify import verify
@@ -105,6 +105,20 @@ def test_closed_lists_are_the_same_for_writer_and_verifier() -> None:
         ):
             encode([with_event(good, 0, with_columns(event, **{field.name: "perhaps"}))])
         assert expected in str(first_flaw(changed(table, field.name, 0, "perhaps")))
+
+
+def test_a_row_by_itself_has_the_values_of_its_type_and_no_other() -> None:
+    """As in a journal, of which each commit is looked at by itself."""
+    rows, values = encode([RUN]), {"string": "text", "integer": 1, "boolean": True, "strings": ["text"]}
+    types = [type(event) for event in RUN.events]
+    for layout in (one for one in LAYOUTS.values() if one.cls in types):
+        alone = rows.slice(types.index(layout.cls), 1)
+        assert first_flaw(alone, is_whole=False) is None
+        for field in layout.fields:
+            flaw = first_flaw(changed(alone, field.name, 0, None), is_whole=False)
+            assert (flaw is None) is field.is_nullable, field.name
+        name = next(name for name in PAYLOAD if name not in {field.name for field in layout.fields})
+        assert "has no such field" in str(first_flaw(changed(alone, name, 0, values[COLUMNS[name]]), is_whole=False))
 
 
 @pytest.mark.parametrize("event", [Stranger("robot/A1"), "RunStarted.v1", None, {}, Stranger])

@@ -7,6 +7,7 @@ import re
 from collections import Counter
 from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -102,7 +103,9 @@ def blind(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return ledger
 
 
+@cache
 def audit_of(ledger: Path) -> AuditDocument:
+    """What the report says of a ledger that no test changes, made once."""
     return AuditDocument(gather_audit(ledger))
 
 
@@ -148,6 +151,7 @@ def test_the_kind_can_be_chosen(gates: dict[str, Path], ledger: Path, tmp_path: 
     assert "claims" in json.loads((tmp_path / "paper.json").read_text())
 
 
+@pytest.mark.slow
 def test_an_option_of_the_papers_report_asks_for_that_report(
     gates: dict[str, Path], workflows: Path, tmp_path: Path
 ) -> None:
@@ -206,10 +210,10 @@ def test_what_is_not_observed_is_never_0_and_never_holds(blind: Path) -> None:
 
 
 def test_what_some_runs_observe_is_said_of_those_runs(foreign: Path) -> None:
-    found = gather_audit(foreign)
-    watching = sum(found.relations["runs"]["observes_requests"].to_pylist())
+    document = audit_of(foreign)
+    watching = sum(document.findings.relations["runs"]["observes_requests"].to_pylist())
     assert 0 < watching < 5
-    assert f"in the {watching} of 5 runs that observe requests" in words(AuditDocument(found))
+    assert f"in the {watching} of 5 runs that observe requests" in words(document)
 
 
 def test_every_verdict_is_that_of_audit(foreign: Path, gates: dict[str, Path]) -> None:
@@ -232,8 +236,8 @@ def test_one_day_stands_beside_another_and_what_is_not_recorded_is_a_dash(tmp_pa
         with record(tmp_path / "ledger", run=f"day {day}", observes=types, epoch=begins) as recorder:
             recorder.event("TaskArrived", task_id="t", robot="robot/A1", at=begins + timedelta(minutes=30 * day))
         if day == 1:
-            assert "periods" not in names(audit_of(tmp_path / "ledger"), "table")
-    document = audit_of(tmp_path / "ledger")
+            assert "periods" not in names(AuditDocument(gather_audit(tmp_path / "ledger")), "table")
+    document = AuditDocument(gather_audit(tmp_path / "ledger"))
     named = ("number", "day", "minutes", "tasks", "completed", "denials")
     assert list(zip(*(column(document, "periods", name) for name in named), strict=True)) == [
         (1, "2026-03-01", 30, 1, 0, None),

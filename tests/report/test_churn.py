@@ -100,6 +100,7 @@ def test_the_report_counts_what_is_on_record_and_compares_it_with_nothing(churn:
     assert all(row["found_out"] == 0 for name, row in counted.items() if name.startswith("cfc"))
 
 
+@pytest.mark.slow
 def test_the_papers_report_has_the_section_beside_and_no_other_number(
     churn: Path, ledger: Path, document: Document
 ) -> None:

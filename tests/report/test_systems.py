@@ -1,6 +1,7 @@
 """Six architectures side by side: what is structural is marked and explained, and a rank counts where it holds."""
 
 import re
+from functools import cache
 
 from fsar_ledger.metrics.robustness import SystemNumber
 from fsar_ledger.report.build import Document
@@ -23,6 +24,7 @@ def ranks(document: Document, architecture: str) -> list[str]:
     return [re.sub(r" \d+ : \d+$", "", cell) for cell in column(document, "system-ranks", architecture)]
 
 
+@cache
 def page(*dials: SystemNumber) -> Document:
     return Document(made(), robustness=robustness_relations(systems=systems(*dials)))
 

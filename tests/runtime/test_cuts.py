@@ -165,7 +165,8 @@ def rows_of(database: Database, query: Query, uncut: dict[int, int | None]) -> C
 
 
 NAMES_SEQS_IN_TEXT = {"facts/mechanism_decisions"}
-JUDGES = ("invariants/", "metrics/", "facts/verdict_events", "facts/late_tasks", "facts/claims", "cases/")
+JUDGES = ("invariants/", "facts/verdict_events", "facts/late_tasks", "facts/claims", "metrics/coordination_success")
+"""Those that look at what is open, or held, when a run is cut. The slow test asks every query."""
 
 
 def compare(halls: tuple[Day, Day], queries: Iterable[Query]) -> int:
@@ -186,7 +187,7 @@ def compare(halls: tuple[Day, Day], queries: Iterable[Query]) -> int:
 
 def test_every_judge_says_the_same_of_the_cut_run_and_of_the_uncut_one(halls: tuple[Day, Day]) -> None:
     queries = [one for one in library().queries.values() if one.name.startswith(JUDGES) and not one.parameters]
-    assert compare(halls, queries) > 15
+    assert compare(halls, queries) > 3
 
 
 @pytest.mark.slow
@@ -238,6 +239,7 @@ def test_one_asks_about_any_of_them(halls: tuple[Day, Day]) -> None:
         ledger.why("hall.3:4000")
 
 
+@pytest.mark.slow
 def test_sql_and_a_file_of_duckdb_see_one_run(halls: tuple[Day, Day], tmp_path: Path) -> None:
     asked = "SELECT run_id, count(*) AS events, max(seq) AS last FROM events GROUP BY run_id"
     size = len(halls[1].record.events)

@@ -35,6 +35,7 @@ def test_no_name_makes_a_difference_to_any_metric(name: str) -> None:
     assert {row.mean_difference for row in rows if row.mean_difference is not None} == {0.0}
 
 
+@pytest.mark.slow
 def test_runs_that_did_not_meet_the_same_world_are_paired_by_no_rule_and_compared_here_alone() -> None:
     with committed(QUESTION, QUESTION.seed + 1) as database:
         assert database.rows("SELECT count(*) AS pairs FROM run_pairs") == [{"pairs": 0}]

@@ -66,6 +66,7 @@ def report(model: str | None, parameters: dict[str, str], given: Sensitivity) ->
     return Document(msgspec.structs.replace(made(), model_version=model, parameters=parameters), effects=given)
 
 
+@pytest.mark.slow
 def test_a_report_has_the_effects_of_its_runs_or_says_how_to_make_them(found: Sensitivity) -> None:
     there = report(MODEL_VERSION, OWN, found)
     assert column(there, "sensitivity", "factor") == list(found.dozen)

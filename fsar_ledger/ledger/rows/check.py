@@ -40,6 +40,7 @@ def _holders(name: str, *, required: bool) -> Mask:
 
 _ALLOWED = {name: _holders(name, required=False) for name in PAYLOAD}
 _REQUIRED = {name: _holders(name, required=True) for name in PAYLOAD}
+_NEEDED = np.array([_REQUIRED[name] for name in PAYLOAD])
 _LITERALS: dict[str, list[tuple[int, Field]]] = {
     name: [(code, own[name]) for code, own in enumerate(_FIELDS) if name in own and own[name].values is not None]
     for name in PAYLOAD
@@ -277,7 +278,10 @@ def _payload(columns: Columns) -> list[tuple[int, str, str]]:
     suspects = _first(codes == _UNKNOWN, "type", "an event type that this version of fsar-ledger knows")
     is_known = codes != _UNKNOWN
     rows = np.bincount(codes, minlength=_UNKNOWN + 1)
-    for name in PAYLOAD:
+    is_needed = _NEEDED[:, rows > 0].any(axis=1).tolist()
+    for name, needs_values in zip(PAYLOAD, is_needed, strict=True):
+        if not needs_values and columns.arrays[name].null_count == len(codes):
+            continue  # as most columns of a few rows are; a journal is looked at commit by commit
         valid = columns.valid[name]
         filled = (
             np.bincount(codes[valid], minlength=_UNKNOWN + 1)

@@ -104,6 +104,7 @@ def test_runs_end_at_the_extremes_of_each_dial(dial: dict[str, int]) -> None:
     assert len(ended) == len([one for one in run.events if isinstance(one, TaskArrived)])
 
 
+@pytest.mark.slow
 def test_the_verbs_answer_on_a_run(tmp_path: Path) -> None:
     ledger = fsar_ledger.simulate(
         tmp_path / "ledger", architecture="alliance", scenario="door-relay", runs=1, fleet_size=8

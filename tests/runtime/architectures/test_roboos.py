@@ -213,6 +213,7 @@ def test_every_dial_gives_runs_that_end_and_are_replayed() -> None:
         assert replay_run(simulate_run(RunSpec(7, "roboos", "full", "failure-recovery-chain", 4, 2), constants)) is None
 
 
+@pytest.mark.slow
 def test_the_verbs_that_read_a_run_answer_on_one_of_its_runs(tmp_path: Path) -> None:
     out = tmp_path / "out"
     ask("simulate", out, "--architecture", "roboos", "--scenario", "mixed-trust-inspection", "--runs", 1).good()
