@@ -7,6 +7,7 @@ import msgspec
 
 from fsar_ledger.base import printable
 from fsar_ledger.base.errors import UsageError
+from fsar_ledger.designs import OutsideCommand, Scenario, registered
 from fsar_ledger.events.command import CommandGiven, CommandRejected
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.ledger.rows.codec import LedgerRun
@@ -25,7 +26,8 @@ from fsar_ledger.runtime.changeable import (
 )
 from fsar_ledger.runtime.changes import MODEL, Add, Answer, AnyChange, Changes, Commanded, Drop, Move, Set, seconds_text
 from fsar_ledger.runtime.forks import Fork, edited_environment, fork, live_again, parts_at, run_again
-from fsar_ledger.runtime.live import Asked
+from fsar_ledger.runtime.live import Asked, commands_of
+from fsar_ledger.runtime.own import problems_of_commands
 from fsar_ledger.runtime.recipes import CannotReplay, Recipe, recipe_of
 from fsar_ledger.runtime.simulation import founding_of
 
@@ -204,7 +206,8 @@ def _require_members(base: Base, change: Add) -> None:
     if base.recipe.live is not None:
         return  # the handlers say whether it can be carried out
     if isinstance(fact, CommandGiven):
-        raise UsageError(f"change {change}: found a command, expected a fact of the world: the run is simulated")
+        _require_possible(base, change, fact)
+        return
     fleet = founding_of(base.recipe.spec, base.recipe.constants)[1].fleet
     known = {*fleet.robots, *(one.supervisor for one in fleet.robots.values() if one.supervisor is not None)}
     for name in ("robot", "peer", "supervisor"):
@@ -216,6 +219,14 @@ def _require_members(base: Base, change: Add) -> None:
                 f"change {change}: there is no {printable.value(found)} in the fleet{hint} expected one of "
                 f"{printable.some(of_kind)}"
             )
+
+
+def _require_possible(base: Base, change: Add, fact: CommandGiven) -> None:
+    """Check that a scenario of this fleet could give the command. Raises: UsageError."""
+    one = OutsideCommand(change.at_s, fact.command, fact.issued_by, fact.parameters)
+    fleet = base.recipe.constants.fleet or registered.fleet()
+    for problem in problems_of_commands(Scenario("", (), commands=(one,)), fleet):
+        raise UsageError(f"change {change}: {problem.field[-1]}: found {problem.found}, expected {problem.expected}")
 
 
 def _require_answer(change: Answer, kinds: Sequence[str]) -> None:
@@ -285,7 +296,7 @@ def _unknown(what: str, change: AnyChange, asked: str, names: Sequence[str]) -> 
 def _rejected(base: Base, forked: Fork) -> CommandRejected | None:
     """Return the first rejection, in a fork, of a command that its base does not have."""
     known = {event for event in base.record.events if isinstance(event, CommandRejected)}
-    commands = set() if base.recipe.live is None else set(base.recipe.live.commands)
+    commands = set(commands_of(base.record))
     fork = forked.record
     for event, cause in zip(fork.events, fork.caused_by, strict=True):
         is_on_record = cause is not None and (fork.times_us[cause], fork.events[cause]) in commands  # it was tried

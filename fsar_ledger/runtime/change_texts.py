@@ -74,6 +74,10 @@ FORMS = {
 """How each change is written."""
 
 
+_WITH_BEFORE = ("set", "architecture", "without")
+"""The changes that say what held before."""
+
+
 class _File(msgspec.Struct, forbid_unknown_fields=True):
     """A TOML file of changes: `[[changes]]` tables with the fields of `changes.py`, or a list of their texts."""
 
@@ -105,8 +109,8 @@ def parsed(texts: Sequence[str]) -> Changes:
 
 
 def _parsed(text: str) -> Changes:
-    whole, _, before = text.strip().partition(" instead of ")
-    verb, _, rest = whole.partition(" ")
+    verb, _, rest = text.strip().partition(" ")
+    rest, _, before = rest.partition(" instead of ") if verb in _WITH_BEFORE else (rest, "", "")
     if verb not in _PARSERS or len(text) > MAX_TEXT:
         hint = printable.did_you_mean(verb, FORMS) or ";"
         raise UsageError(

@@ -43,7 +43,7 @@ from .changes import (
     seconds_text,
 )
 from .handlers.policy import SetPolicyRule
-from .handlers.public import given
+from .handlers.public import commands, given
 from .handlers.recovery import SetRecoveryBudget
 from .handlers.supervision import SetSupervisionDensity
 from .handlers.trust import SetTrust
@@ -203,6 +203,13 @@ def _continued(before: tuple[Fact, ...], after: tuple[Fact, ...], from_us: int) 
 def command(kernel: Kernel, recipe: Recipe) -> None:
     """Submit what supervisors command in this recipe. Raises: UsageError if the architecture takes no such command."""
     for change in recipe.changes:
+        if isinstance(change, Add) and isinstance(fact := fact_of(change.event), CommandGiven):
+            able = sorted(name for name, kind in commands().items() if kernel.decides(kind))
+            if fact.command not in able:
+                raise UsageError(
+                    f"change {change}: {recipe.spec.architecture} decides no {fact.command}, expected one of "
+                    f"{', '.join(able)}, or a run of fsar, which decides every command"
+                )
         if isinstance(change, Rule | Trust | Budget | Density):
             asked = _commanded(kernel.state.fleet, change)
             if not kernel.decides(type(asked)):

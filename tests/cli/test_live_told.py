@@ -160,14 +160,42 @@ def test_what_cannot_be_asked_of_a_live_run_is_refused_in_words(
     assert not list(tmp_path.iterdir())
 
 
-def test_a_simulated_run_needs_no_model_and_takes_no_command(call: Call, ledger: Path) -> None:
+def test_a_simulated_run_needs_no_model_and_takes_commands(call: Call, ledger: Path) -> None:
     asked = ("whatif", ledger, "--run", "1", "--change", "drop window:*", "--answers", "model:7")
     assert "found a simulated run, whose world answers everything" in call(*asked).err
     asked = ("cause", ledger, "--run", "1", "--outcome", "i3 > 0", "--answers", "model:7")
     assert "found a simulated run, whose world answers everything" in call(*asked).err
     change = 'add 20s {"command": "ReportContext", "by": "robot/B1", "robot": "robot/B1"}'
-    refused = call("whatif", ledger, "--run", "1", "--change", change).err
-    assert "found a command, expected a fact of the world: the run is simulated" in refused
+    told = call("whatif", ledger, "--run", "1", "--change", change).good().out
+    assert "robot/B1: gives the command: ReportContext" in told
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ('"LeaveFleet", "by": "robot/X1", "robot": "robot/X1"', "LeaveFleet about robot/X1 is rejected: unknown robot"),
+        ('"LeaveFleet", "by": "robot/C1", "robot": "robot/D1"', "robot/C1 speaks for robot/D1, expected its own word"),
+        ('"LeaveFleet", "by": "maria", "robot": "robot/D1"', "by: found maria, expected who gives it, as robot/A1"),
+        ('"LeaveFlete", "by": "robot/D1", "robot": "robot/D1"', "there is no such command; did you mean LeaveFleet"),
+        (
+            '"InstallCapability", "by": "robot/C1", "robot": "robot/C1", "capability": "sing", "version": "1.0.0"',
+            "capability: found sing, expected one whose length is known",
+        ),
+    ],
+)
+def test_a_command_that_cannot_come_to_a_simulated_run_is_refused_in_words(
+    call: Call, ledger: Path, words: str, said: str
+) -> None:
+    called = call("whatif", ledger, "--run", "1", "--change", f'add 20s {{"command": {words}}}')
+    one_message(called, 2, said)
+
+
+def test_a_run_with_a_command_that_was_added_is_kept_and_replays(call: Call, ledger: Path, tmp_path: Path) -> None:
+    change = 'add 20s {"command": "LeaveFleet", "by": "robot/D1", "robot": "robot/D1"}'
+    call("whatif", ledger, "--run", "1", "--change", change, "--out", tmp_path / "forks").good()
+    assert call("verify", tmp_path / "forks", "--replay").code == 0
+    late = change.replace("20s", "1700s")
+    one_message(call("whatif", ledger, "--run", "1", "--change", late), 2, "the run has ended by then")
 
 
 DENIAL = "SELECT run_id FROM request_denied"
