@@ -21,6 +21,9 @@ CACHE = Path(tempfile.mkdtemp(prefix="fsar-ledger-tests-"))
 """The cache of commands under test, apart from the user's own and from that of earlier sessions."""
 
 
+LONGEST = ("test_contributing.py", "test_printed_output.py")
+"""Files with a test of a minute, which begin a session: at its end one process would wait for the other."""
+
 SKIPPED = "fsar-ledger/skipped"
 """Where pytest's cache has the tests and modules that the last session without options skipped."""
 _skipped: set[str] = set()
@@ -52,7 +55,8 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """With --left-out, drop what the session before ran; nothing where there was none."""
+    """Begin with the longest tests. With --left-out, drop what the session before ran; nothing where there was none."""
+    items.sort(key=lambda item: item.path.name not in LONGEST)
     cache = getattr(config, "cache", None)
     known = cache.get(SKIPPED, None) if cache is not None and config.getoption("--left-out") else None
     if known is not None:

@@ -284,7 +284,7 @@ def test_a_reader_refuses_a_ledger_whose_chain_was_cut(path: Path) -> None:
     assert not verify(path).ok
 
 
-def test_a_reader_proves_every_event_while_the_pack_lacks_what_an_interrupted_append_leaves_out(path: Path) -> None:
+def test_a_reader_proves_any_event_while_the_pack_lacks_what_an_interrupted_append_leaves_out(path: Path) -> None:
     with Writer(path, ORIGIN, SIGNER) as writer:
         writer.seal()
         before = (path / NODES).read_bytes()
@@ -292,8 +292,10 @@ def test_a_reader_proves_every_event_while_the_pack_lacks_what_an_interrupted_ap
         writer.add([made_up_run("run-4", 10, 4)])
     (path / NODES).write_bytes(before)
     view = open_ledger(path)
-    for index in range(view.head.size):
+    ends = {commit.tree_size for commit in view.commits}
+    some = {*range(0, view.head.size, 7), *ends, *(end - 1 for end in ends)} - {view.head.size}
+    for index in sorted(some):
         assert check_proof("a proof", prove(view, index), SIGNER.verifier).index == index
     (path / NODES).write_bytes(before[:-HASH_BYTES])
     with pytest.raises(LedgerCorrupted, match="recover, which derives it again"):
-        list(map(partial(prove, open_ledger(path)), range(view.head.size)))
+        list(map(partial(prove, open_ledger(path)), sorted(some)))

@@ -92,7 +92,7 @@ def test_what_a_reader_sees_survives_a_power_failure(tmp_path: Path, step: int) 
     assert heads > newest > 5
 
 
-@pytest.mark.parametrize("step", few([3, 31], [31], []))
+@pytest.mark.parametrize("step", few([3, 31], [], [31]))
 def test_what_a_reader_sees_beside_a_disk_that_refuses_stays(tmp_path: Path, calls: list[str], step: int) -> None:
     refused = heads = 0
     lost: list[object] = []

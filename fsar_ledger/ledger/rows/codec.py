@@ -4,6 +4,7 @@ Only current types are encoded; decoded events of retired types are upcast, so n
 processed by type and column, never row by row, which makes it fast.
 """
 
+from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from itertools import chain, pairwise
@@ -108,16 +109,16 @@ class _Rows:
 
     def table(self) -> pa.Table:
         """Return the rows with the columns of `CODED_SCHEMA`."""
-        parts: dict[str, list[_Part]] = {name: [] for name in PAYLOAD}
+        parts: defaultdict[str, list[_Part]] = defaultdict(list)
         for layout, block, columns in self.blocks:
             at = self.order[block]
             for field, values in zip(layout.fields, columns, strict=True):
                 parts[field.name].append(_Part(at, values))
-        arrays = self._strings({name: parts[name] for name in PAYLOAD if COLUMNS[name] == "string"})
-        arrays |= {name: self._lists(parts[name]) for name in PAYLOAD if COLUMNS[name] == "strings"}
-        arrays |= {
-            name: self._numbers(name, parts[name]) for name in PAYLOAD if COLUMNS[name] in ("integer", "boolean")
-        }
+        held = [name for name in PAYLOAD if name in parts]  # most columns of a few events are those of other types
+        arrays = {name: pa.nulls(self.size, CODED_SCHEMA.field(name).type) for name in PAYLOAD if name not in parts}
+        arrays |= self._strings({name: parts[name] for name in held if COLUMNS[name] == "string"})
+        arrays |= {name: self._lists(parts[name]) for name in held if COLUMNS[name] == "strings"}
+        arrays |= {name: self._numbers(name, parts[name]) for name in held if COLUMNS[name] in ("integer", "boolean")}
         arrays |= self._integers()
         return pa.Table.from_arrays([arrays[name] for name in COLUMNS], schema=CODED_SCHEMA)
 
