@@ -1,9 +1,11 @@
 """The Makefile passes the folder of its output on as it was given, whatever its name."""
 
 import json
+import re
 import shutil
 import subprocess
 import sys
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -41,3 +43,10 @@ def test_the_output_goes_into_the_folder_that_was_named(tmp_path: Path, target: 
     words = [word for call in calls.splitlines() for word in json.loads(call)]
     assert [word for word in words if out in word] == [word for word in words if word.startswith(out)]
     assert any(word == out or word.startswith(f"{out}/") for word in words)
+
+
+def test_what_it_imports_is_there() -> None:
+    imports = re.findall(r"from (fsar_ledger\S*) import ([\w, ]+)", (ROOT / "Makefile").read_text("utf-8"))
+    assert imports
+    for module, names in imports:
+        assert set(names.split(", ")) <= vars(import_module(module)).keys()
