@@ -277,7 +277,7 @@ def _payload(columns: Columns) -> list[tuple[int, str, str]]:
     suspects = _first(codes == _UNKNOWN, "type", "an event type that this version of fsar-ledger knows")
     is_known = codes != _UNKNOWN
     rows = np.bincount(codes, minlength=_UNKNOWN + 1)
-    is_needed = _NEEDED[:, rows > 0].any(axis=1).tolist()
+    is_needed = np.logical_or.reduce(_NEEDED[:, rows > 0], axis=1).tolist()
     for name, needs_values in zip(PAYLOAD, is_needed, strict=True):
         if not needs_values and columns.arrays[name].null_count == len(codes):
             continue  # as most columns of a few rows are; a journal is looked at commit by commit
