@@ -8,6 +8,7 @@ import re
 import struct
 import zlib
 from collections.abc import Iterator
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import pyarrow as pa
@@ -53,6 +54,7 @@ def must(found: object, expected: object, what: str) -> None:
         raise ValueError(f"{what} {found!r:.100}, not {expected!r:.100}")
 
 
+@lru_cache(16)  # many ledgers differ in other files; nobody changes what is returned
 def read(data: bytes) -> tuple[int, list[tuple[str, str]], dict[str, Values]]:
     """Read everything in a segment: its rows, its columns as the fingerprint has them, and their values.
 

@@ -32,7 +32,7 @@ from fsar_ledger.projections.fold import State
 
 from . import snapshot
 from .isolation import Isolation
-from .live import AT_ONCE_US, SOURCE, Decision, LiveRun, command_given, decisions_by_key, live_started
+from .live import AT_ONCE_US, SOURCE, Decision, LiveRun, command_given, decision_of, live_started
 from .recipes import recorded_constants
 from .run_replay import replay_run
 
@@ -200,7 +200,7 @@ class Federation:
             self._keys.popitem(last=False)
 
     def _remember_from(self, record: LedgerRun | None) -> None:
-        for key, known in ({} if record is None else decisions_by_key(record, KEYS)).items():
+        for key, known in ({} if record is None else _decisions_by_key(record, KEYS)).items():
             self._remember(key, *known)
 
     def advance(self) -> tuple[Event, ...]:
@@ -339,6 +339,27 @@ def newest_of(view: View, run: str) -> tuple[str, str]:
     if not view.has_run(run):
         return run, run
     return whole_of(view, run), chain_of(view, run)[0]
+
+
+def _decisions_by_key(record: LedgerRun, most: int) -> dict[tuple[str, str], tuple[tuple[str, str], Decision]]:
+    """Return the last so many commands that have a key, and what became of them, by who gave them and that key.
+
+    A command is its name and its fields, as JSON.
+    """
+    pairs = [
+        (seq, one)
+        for seq, one in enumerate(record.events, record.first)
+        if isinstance(one, CommandGiven) and one.key is not None
+    ]
+    keyed = dict(pairs[-most:])
+    events: dict[int, list[Event]] = {seq: [] for seq in keyed}
+    for event, cause in zip(record.events, record.caused_by, strict=True):
+        if cause in events:
+            events[cause].append(event)
+    return {
+        (f"{one.issued_by}", f"{one.key}"): ((one.command, one.parameters), decision_of(seq, events[seq]))
+        for seq, one in keyed.items()
+    }
 
 
 def _is_same(made: LedgerRun, record: LedgerRun) -> bool:

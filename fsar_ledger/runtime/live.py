@@ -106,7 +106,7 @@ class LiveRun:
         kernel.run(kernel.times_us[-1] + AT_ONCE_US)
         first = seq + 1 - kernel.first
         pairs = list(zip(kernel.events[first:], kernel.caused_by[first:], strict=True))
-        decision = _decided(seq, [event for event, cause in pairs if cause == seq])
+        decision = decision_of(seq, [event for event, cause in pairs if cause == seq])
         followed = tuple(event for event, cause in pairs if cause != seq)
         return msgspec.structs.replace(decision, followed=followed)
 
@@ -120,8 +120,14 @@ class LiveRun:
         Until the cut it has this name and this number of its last event, in a ledger of this root.
         """
         time_us = max(time_us, self.kernel.last_us + 1)
-        digest = {"state_sha256": state_sha256(self.kernel.stands(time_us)), "state_shape": state_shape()}
-        self.kernel.happen(time_us, RunContinued(continues=run, continues_seq=seq, continues_root=root, **digest))
+        continued = RunContinued(
+            continues=run,
+            continues_seq=seq,
+            continues_root=root,
+            state_sha256=state_sha256(self.kernel.stands(time_us)),
+            state_shape=state_shape(),
+        )
+        self.kernel.happen(time_us, continued)
 
     def take(self, run_id: str) -> LedgerRun:
         """Take out the events since the last call, to be recorded under this name; the run goes on."""
@@ -140,28 +146,8 @@ def commands_of(record: LedgerRun) -> tuple[Fact, ...]:
     return tuple((time_us, event) for time_us, event in pairs if isinstance(event, GIVEN))
 
 
-def decisions_by_key(record: LedgerRun, most: int) -> dict[tuple[str, str], tuple[tuple[str, str], Decision]]:
-    """Return the last so many commands that have a key, and what became of them, by who gave them and that key.
-
-    A command is its name and its fields, as JSON.
-    """
-    pairs = [
-        (seq, one)
-        for seq, one in enumerate(record.events, record.first)
-        if isinstance(one, CommandGiven) and one.key is not None
-    ]
-    keyed = dict(pairs[-most:])
-    events: dict[int, list[Event]] = {seq: [] for seq in keyed}
-    for event, cause in zip(record.events, record.caused_by, strict=True):
-        if cause in events:
-            events[cause].append(event)
-    return {
-        (f"{one.issued_by}", f"{one.key}"): ((one.command, one.parameters), _decided(seq, events[seq]))
-        for seq, one in keyed.items()
-    }
-
-
-def _decided(seq: int, events: list[Event]) -> Decision:
+def decision_of(seq: int, events: list[Event]) -> Decision:
+    """Return what became of the command that is this event of the run; `events` are those that it caused."""
     rejected = next((event.reason for event in events if isinstance(event, CommandRejected)), None)
     return Decision(seq, tuple(events), rejected)
 
