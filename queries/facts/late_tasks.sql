@@ -12,14 +12,30 @@ WITH ends AS (
     SELECT run_id, task_id, seq, time_us, FALSE AS is_completed FROM task_abandoned
 ),
 
+-- A name that comes again is another task: an end is that of the arrival before it.
+arrivals AS (
+    SELECT
+        run_id, task_id, seq, time_us, budget_us,
+        row_number() OVER again = 1 AS is_first,
+        lead(seq) OVER again AS next_seq
+    FROM task_arrived
+    WINDOW again AS (PARTITION BY run_id, task_id ORDER BY seq)
+),
+
 first_ends AS (
     SELECT
-        run_id, task_id,
-        min(seq) AS ended_seq,
-        arg_min(time_us, seq) AS ended_us,
-        arg_min(is_completed, seq) AS is_completed
-    FROM ends
-    GROUP BY run_id, task_id
+        arrivals.run_id,
+        arrivals.seq AS arrived_seq,
+        min(ends.seq) AS ended_seq,
+        arg_min(ends.time_us, ends.seq) AS ended_us,
+        arg_min(ends.is_completed, ends.seq) AS is_completed
+    FROM arrivals
+    INNER JOIN ends
+        ON
+            arrivals.run_id = ends.run_id AND arrivals.task_id = ends.task_id
+            AND (arrivals.is_first OR arrivals.seq < ends.seq)
+            AND (arrivals.next_seq IS NULL OR arrivals.next_seq > ends.seq)
+    GROUP BY arrivals.run_id, arrivals.seq
 ),
 
 obstacles AS (
@@ -47,7 +63,7 @@ SELECT
     try(arrived.time_us + arrived.budget_us) AS due_us,
     first_ends.ended_seq, first_ends.ended_us, first_ends.is_completed,
     coalesce(held_up.held_up_seqs, []) AS held_up_seqs
-FROM task_arrived AS arrived
-LEFT JOIN first_ends ON arrived.run_id = first_ends.run_id AND arrived.task_id = first_ends.task_id
+FROM arrivals AS arrived
+LEFT JOIN first_ends ON arrived.run_id = first_ends.run_id AND arrived.seq = first_ends.arrived_seq
 LEFT JOIN held_up ON arrived.run_id = held_up.run_id AND arrived.task_id = held_up.task_id
 WHERE NOT coalesce(first_ends.is_completed AND first_ends.ended_us - arrived.time_us <= arrived.budget_us, FALSE)

@@ -3,6 +3,7 @@
 import csv
 import io
 import json
+import os
 import sys
 from pathlib import Path
 
@@ -54,7 +55,8 @@ def test_the_version_is_told_without_typer() -> None:
 
 def test_a_command_answers_without_pandas_which_pyarrow_would_load(call: Call, ledger: Path, tmp_path: Path) -> None:
     (tmp_path / "pandas.py").write_text("raise SystemExit('pandas is loaded')")
-    called = in_a_process("metrics", ledger, "--json", surroundings={"PYTHONPATH": str(tmp_path)}).good()
+    path = os.pathsep.join((str(tmp_path), *sys.path))
+    called = in_a_process("metrics", ledger, "--json", surroundings={"PYTHONPATH": path}).good()
     assert called.out == call("metrics", ledger, "--json").out
 
 

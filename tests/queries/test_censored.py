@@ -65,3 +65,13 @@ def test_a_failure_without_an_end_is_open(events: tuple[dict[str, Any], ...], fo
 
 def test_a_failure_of_a_simulated_run_that_nobody_resolves_is_not_contained() -> None:
     assert contained() == 0
+
+
+def test_a_name_that_comes_again_is_another_task_and_each_has_the_end_that_follows_it() -> None:
+    given_up, done = event("TaskAbandoned", 5 * S, task_id="t"), event("TaskCompleted", 40 * S, task_id="t")
+    again = event("TaskArrived", 20 * S, task_id="t", budget_us=10 * S)
+    columns = ("arrived_seq", "ended_us", "is_completed")
+    found = answer("facts/late_tasks", run(ARRIVED, given_up, again, done), columns=columns)
+    assert found == [(1, 5 * S, False), (3, 40 * S, True)]
+    verdicts = answer("facts/verdict_events", run(ARRIVED, again, given_up), columns=("verdict", "seq"))
+    assert [verdict for verdict in verdicts if verdict[0] == "late"] == [("late", 1), ("late", 3)]
