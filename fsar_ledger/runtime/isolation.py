@@ -17,7 +17,7 @@ from fsar_ledger.events.fleet import IsolationBegan, IsolationEnded, RunStarted
 from fsar_ledger.events.task import StepCompleted
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows.runs import LedgerRun
-from fsar_ledger.ledger.store.locations import chain_of, record_of, seq_counted_on, whole_of
+from fsar_ledger.ledger.store.locations import chain_of, record_of, seq_counted_on, whole_of, whole_runs
 from fsar_ledger.ledger.store.read import View
 from fsar_ledger.projections.fold import fold
 
@@ -139,8 +139,7 @@ def compared_with_fleet(path: Path, fleet: Path) -> FleetComparison:
         NotALedger, LedgerCorrupted: As `open_ledger`.
     """
     own, theirs = open_ledger(path), open_ledger(fleet)
-    whole = dict.fromkeys(whole_of(own, run) for run in own.run_names.runs)
-    records = [record for record in (record_of(own, run) for run in whole) if _began(record)[1] is not None]
+    records = [record for record in whole_runs(own) if _began(record)[1] is not None]
     if not records:
         raise UsageError(f"{path}: found no run of a robot alone, expected one to compare with {fleet}")
     differences: list[Difference] = []
