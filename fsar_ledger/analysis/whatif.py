@@ -18,8 +18,9 @@ from fsar_ledger.ledger.store.read import View
 from fsar_ledger.ledger.store.record import Head
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.metrics.comparison_sides import beside
-from fsar_ledger.metrics.database import from_table, parts_of
+from fsar_ledger.metrics.database import from_table
 from fsar_ledger.metrics.results import typed
+from fsar_ledger.metrics.slices import parts_of
 from fsar_ledger.runtime.change_texts import parsed, read_changes
 from fsar_ledger.runtime.changes import MODEL, Changes
 from fsar_ledger.runtime.experiment import ORIGIN

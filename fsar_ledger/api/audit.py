@@ -94,7 +94,7 @@ def audit(
     from fsar_ledger.designs.registered import known
     from fsar_ledger.events.configuration import ARCHITECTURES
     from fsar_ledger.ledger.opening import open_for_answers
-    from fsar_ledger.metrics.database import Slices, connect_view
+    from fsar_ledger.metrics.database import connect_view
     from fsar_ledger.metrics.invariants import all_shown, audit_rows, chosen
     from fsar_ledger.metrics.provenance import of_judgement
     from fsar_ledger.metrics.results import models
@@ -106,11 +106,7 @@ def audit(
         unreadable = sum(one.runs for one in models(database) if one.parameters is None)
         provenance = of_judgement(database)
         wanted = known("architecture", names_of(architecture), tuple(dict.fromkeys([*ARCHITECTURES, *there])))
-        slices = Slices(view, ledger.demanded)
-        is_one = len(slices) == 1
-        rows = audit_rows([database], queries, wanted, progress) if is_one else []
-    if not is_one:  # what the first held is no longer in memory
-        rows = audit_rows(slices, queries, wanted, progress)
+        rows = audit_rows(database.slices or database, queries, wanted, progress)
     holds = False if any(row.holds is False for row in rows) else all_shown(rows) or None
     return Audit(rows, holds, unreadable, provenance)
 

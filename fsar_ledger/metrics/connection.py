@@ -5,10 +5,11 @@ tables, so that the metrics are computed once per connection.
 """
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from operator import attrgetter
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import duckdb
 import pyarrow as pa
@@ -22,6 +23,9 @@ from fsar_ledger.ledger.store.record import Head
 from .library import Library, Query, library
 from .own_sql import FOR_OLDER, FUNCTIONS, SHOWN, check_columns, register, statements
 from .sql_values import literal, quoted, values
+
+if TYPE_CHECKING:
+    from .slices import Slices
 
 LOCK = (
     "threads = 1",
@@ -58,6 +62,9 @@ FAULTS_OF_SQL = (
 
 _GIVEN = "given"
 _READ_OFTEN = frozenset({"event_principals"})
+_OF_RUNS = frozenset({"run_started", "experiment_planned"})
+"""Events of which there are few; to find them, all have to be read."""
+_relation = attrgetter("relation")
 _CALL = re.compile(r"\b([a-z_0-9]+)\(")
 NULLABLE = pa.schema([field.with_nullable(True) for field in SCHEMA])
 Value = str | int | float | bool | None | list[str]
@@ -80,6 +87,7 @@ class Database:
         rows_verified: bool | None = None,
         caches_files: bool = True,
         file: Path | None = None,
+        slices: "Slices | None" = None,
     ):
         self.head = head
         self.rows_verified = rows_verified
@@ -98,6 +106,9 @@ class Database:
         """Event types known to have no row in `events`: their views read nothing."""
         self.keeps_events = False
         """Whether events are read into tables, one for each concern, for many questions about a few events."""
+        self.slices = slices
+        """What is asked for the rows of queries that are `Partial`; None where a ledger is not judged in slices."""
+        self._of_slices: set[str] = set()
         self._segments = tuple(segments)
         self._made: set[str] = set()
         self._macros: set[str] = set()
@@ -105,6 +116,9 @@ class Database:
         config: dict[str, Any] = {"threads": threads} if threads else {}
         config |= {"storage_compatibility_version": STORAGE} if file else {}
         self._connection = duckdb.connect(literal(file) if file else ":memory:", config=config)
+        if slices is not None:  # tables of a row for each run take a tenth of the memory then
+            self._connection.execute("ATTACH ':memory:' AS judged (COMPRESS)")
+            self._connection.execute("USE judged")
         # The wide relation is read often, so its files stay open. UTC and no progress bar make the answer the same
         # everywhere.
         for setting in (f"parquet_metadata_cache = {str(caches_files).lower()}", "TimeZone = 'UTC'"):
@@ -191,16 +205,36 @@ class Database:
 
     def prepare(self, sql: str) -> None:
         """Create every relation that this SQL mentions, with everything that it reads."""
-        for query in self.library.needs(self.library.mentioned(sql), self._given):
+        mentioned = self.library.mentioned(sql)
+        self.hold_rows_of_slices(mentioned)
+        for query in self.library.needs(mentioned, self._given):
             if query.relation in self._made or query.parameters:
                 continue
             kind = "TABLE" if self.keeps(query) else "VIEW"
             self._change(f"CREATE {kind} {query.relation} AS\n{self._body(query)}")
             self._made.add(query.relation)
+            if kind == "TABLE" and self.slices is not None:
+                self._change("CHECKPOINT")
+
+    def hold_rows_of_slices(self, names: Iterable[str]) -> None:
+        """Hold the rows of what is `Partial` among what these relations read, unless a packaged query was replaced.
+
+        Where a ledger is not judged in slices, nothing is to be done. Raises: As `table`.
+        """
+        if self.slices is None:
+            return
+        queries = self.library.partial(names, self._made)
+        replaced = (self._given.keys() & self.library.relations.keys()) - self._of_slices - {"run_numbers"}
+        asked = [one for one in queries if replaced.isdisjoint(map(_relation, self.library.needs([one.relation])))]
+        for name, rows in self.slices.rows_of(asked).items() if asked else ():
+            self.hold(name, rows)
+            self._of_slices.add(name)
 
     def keeps(self, query: Query) -> bool:
         """Tell whether a query becomes a table here; in a file also one that calls our functions, which others lack."""
         if self.keeps_events and (query.relation in _READ_OFTEN or (query.tags and not query.wider)):
+            return True
+        if self.slices is not None and query.relation in _OF_RUNS:
             return True
         return query.is_stored or (self.is_for_others and not FUNCTIONS.isdisjoint(_CALL.findall(query.sql)))
 

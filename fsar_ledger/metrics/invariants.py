@@ -12,9 +12,10 @@ from fsar_ledger.base import printable
 from fsar_ledger.base.errors import UnknownQuery, UsageError, option
 from fsar_ledger.base.progress import Progress
 
-from .database import Database, Slices, from_rows
+from .database import Database, from_rows
 from .library import Query, library
 from .results import typed
+from .slices import Slices, asked_of
 
 
 class AuditRow(msgspec.Struct, frozen=True):
@@ -81,30 +82,31 @@ def chosen(names: Sequence[str]) -> list[Query]:
 
 
 def audit_rows(
-    databases: Sequence[Database] | Slices,
+    judged: Database | Slices,
     queries: Sequence[Query],
     architectures: Sequence[str] = (),
     progress: Progress | None = None,
 ) -> list[AuditRow]:
     """Return what these invariants find: a row for each, per architecture (default: all) and configuration with runs.
 
-    Each database has whole runs. `progress` is called with how often an invariant was judged, and how often that will
-    be.
+    `progress` is called with how often an invariant was judged, and how often that will be.
 
     Raises:
         UsageError: There is no run to check, so nothing could be said to hold.
         QueryFailed, LedgerCorrupted: As `Database.table`.
     """
-    wanted = {"architectures": list(architectures)}
-    counted: list[pa.Table] = []
-    for database in databases:
-        for query in queries:
-            counted.append(database.table(_counted(query), wanted))
+    selects = {query.relation: _counted(query) for query in queries}
+    if isinstance(judged, Slices):
+        counted = list(judged.tables({name: asked_of(sql) for name, sql in selects.items()}, progress).values())
+    else:
+        counted = []
+        for sql in selects.values():
+            counted.append(judged.table(sql))
             if progress is not None:
-                progress(len(counted), len(databases) * len(queries))
+                progress(len(counted), len(queries))
     with from_rows([]) as database:
         database.hold("counted", pa.concat_tables(counted))
-        rows = database.rows(_JUDGED, {"invariants": [query.relation for query in queries]})
+        rows = database.rows(_JUDGED, {"invariants": list(selects), "architectures": list(architectures)})
     if not rows:
         raise UsageError(
             f"audit: found no runs of {' or '.join(architectures) or 'any architecture'}; `fsar-ledger info` shows "
@@ -149,7 +151,6 @@ def _counted(query: Query) -> str:
             LEFT JOIN offences ON runs.run_id = offences.run_id
             LEFT JOIN invariant_cases AS looked ON runs.run_id = looked.run_id AND looked.invariant = '{query.relation}'
             LEFT JOIN unobservable AS hidden ON runs.run_id = hidden.run_id AND hidden.judge = '{query.relation}'
-            WHERE len($architectures) = 0 OR list_contains($architectures, runs.architecture)
         )
 
         SELECT
@@ -184,6 +185,7 @@ _JUDGED = """
             min(first_run) AS first_run,
             arg_min(first, first_run) AS first
         FROM counted
+        WHERE len($architectures) = 0 OR list_contains($architectures, architecture)
         GROUP BY invariant, architecture, configuration
     )
 

@@ -3,7 +3,9 @@
 A query file starts with comment lines `-- Name: text`. Title, Paper, Grain, Key, Units, NULL and Example are required.
 `Key` lists the columns that tell any two rows apart, with `?` after one that may be NULL; or it says `one row`, or
 `none, <reason>`. `Parameters: name: kind = default, ...` (`sql_values.py`) makes it a query that is run with
-values instead of a view. `Stored: <reason>` keeps its rows, once computed, for the life of a connection.
+values instead of a view. `Stored: <reason>` keeps its rows, once computed, for the life of a connection. `Partial:
+<reason>` says that its rows of a ledger are those of some of the runs and those of the others, so that a large ledger
+is asked in slices.
 
 A file in `readings/` is another reading of a relation: it reads that relation, has the same columns, and differs in the
 one thing that `Title` says (`metrics/multiverse.py`). `Reading` is the number of ours, `Replaces` the relation, `Moves`
@@ -34,7 +36,7 @@ REQUIRED_KEYS = ("Title", "Paper", "Grain", "Key", "Units", "NULL", "Example")
 READINGS = "readings/"
 READING_KEYS = ("Reading", "Question", "Replaces", "Moves", "Why")
 SQL_TYPES: dict[Kind, str] = {"string": "VARCHAR", "integer": "BIGINT", "boolean": "BOOLEAN", "strings": "VARCHAR[]"}
-KEYS = (*REQUIRED_KEYS, *READING_KEYS, "Parameters", "Stored")
+KEYS = (*REQUIRED_KEYS, *READING_KEYS, "Parameters", "Stored", "Partial")
 
 _HEADER_LINE = re.compile(r"^-- (?:(\w+): )?\s*(.*)$")
 _TEXT_OR_COMMENT = re.compile(r"'(?:[^']|'')*'|--[^\n]*|/\*.*?\*/", re.DOTALL)
@@ -82,6 +84,11 @@ class Query(msgspec.Struct, frozen=True):
     def is_stored(self) -> bool:
         """Tell whether its rows are computed once per connection."""
         return "Stored" in self.header
+
+    @property
+    def is_partial(self) -> bool:
+        """Tell whether its rows about some runs do not depend on what other runs there are."""
+        return "Partial" in self.header
 
     @property
     def sha256(self) -> str:
@@ -376,6 +383,22 @@ class Library:
         for name in sorted(names):
             visit(name, ())
         return tuple(order.values())
+
+    def partial(self, names: Iterable[str], held: Collection[str] = ()) -> list[Query]:
+        """Return the first queries that are partial on each way down from these relations, but for those held."""
+        found: dict[str, Query] = {}
+        ways, seen = [*names], {*held}
+        while ways:
+            name = ways.pop()
+            query = self.relations.get(name)
+            if query is None or name in seen:
+                continue
+            seen.add(name)
+            if query.is_partial:
+                found[name] = query
+            else:
+                ways += query.sources()
+        return [found[name] for name in sorted(found)]
 
     def mentioned(self, sql: str) -> set[str]:
         """Return the relations whose names occur anywhere in this SQL."""

@@ -11,12 +11,14 @@ from itertools import groupby, product
 from typing import Any
 
 import msgspec
+import pyarrow as pa
 
 from fsar_ledger.base.progress import Progress
 
 from .database import Database
 from .library import READINGS, Query, library
 from .results import CONDITIONS, SETTINGS, setting_of, typed
+from .slices import Asked
 from .verdicts import published
 
 ReadingNames = tuple[str, ...]
@@ -53,6 +55,7 @@ MEANS = """
     FROM means
     ORDER BY universe, {order}, list_position(['fsar', 'cfc', 'dhma'], architecture), architecture
 """
+_MEASURED = "measured_in_slices"
 MEASURED = "SELECT {universe} AS universe, run_id, numerator, denominator, value, not_observed FROM {metric}"
 DEFINED = (
     "SELECT {universe} AS universe, is_pooled, numerator_units, undefined_value "
@@ -247,28 +250,46 @@ class Relations:
         self._database.define(name, made_by.reading_from(names), is_stored=is_stored)
         self._made[query.relation, telling] = (name, is_stored)
 
-    def means(self, metric: str, combined: Sequence[ReadingNames], *, pools_seeds: bool = False) -> list[Universe]:
+    def measured(self, metric: str, combined: Sequence[ReadingNames]) -> pa.Table:
+        """Return what this metric measures of each run under each of these combinations. Raises: as `Database.rows`."""
+        return self._database.table(self._measured(metric, combined))
+
+    def _measured(self, metric: str, combined: Sequence[ReadingNames]) -> str:
+        return " UNION ALL ".join(
+            MEASURED.format(universe=at, metric=self.under(metric, frozenset(chosen)))
+            for at, chosen in enumerate(combined)
+        )
+
+    def means(
+        self,
+        metric: str,
+        combined: Sequence[ReadingNames],
+        *,
+        pools_seeds: bool = False,
+        measured: pa.Table | None = None,
+    ) -> list[Universe]:
         """Return the mean of this metric for each architecture and setting under each of these combinations, in order.
 
-        Raises: as `Database.rows`.
+        `measured` is what `measured` returns, if that was asked in slices. Raises: as `Database.rows`.
         """
-        under = [
-            {name: self.under(name, frozenset(chosen)) for name in (metric, "metric_definitions")}
-            for chosen in combined
-        ]
+        if measured is not None:
+            self._database.hold(_MEASURED, measured)
         sql = MEANS.format(
-            measured=" UNION ALL ".join(
-                MEASURED.format(universe=at, metric=names[metric]) for at, names in enumerate(under)
-            ),
+            measured=self._measured(metric, combined) if measured is None else f"FROM {_MEASURED}",
             definitions=" UNION ALL ".join(
-                DEFINED.format(universe=at, definitions=names["metric_definitions"], name=metric)
-                for at, names in enumerate(under)
+                DEFINED.format(
+                    universe=at, definitions=self.under("metric_definitions", frozenset(chosen)), name=metric
+                )
+                for at, chosen in enumerate(combined)
             ),
             seed="NULL::BIGINT" if pools_seeds else "runs.seed",
             order=SETTINGS,
         )
+        rows = self._database.rows(sql)
+        if measured is not None:
+            self._database.drop(_MEASURED)
         return typed(
-            [{**row, "metric": metric, "readings": combined[row["universe"]]} for row in self._database.rows(sql)],
+            [{**row, "metric": metric, "readings": combined[row["universe"]]} for row in rows],
             Universe,
         )
 
@@ -306,17 +327,41 @@ def universes(
     """
     total, done = sum(len(combinations(metric)) for metric in metrics), 0
     found: list[Universe] = []
+    asked = {(metric, part): _asked(metric, part) for metric in metrics for part in _parts(metric)}
+    of_slices = database.slices.tables(asked, progress) if database.slices is not None else {}
     for metric in metrics:
-        relations = Relations(database, [one for one in readings() if metric in one.moves])
-        all_of_them = combinations(metric)
-        for at in range(0, len(all_of_them), AT_ONCE):
-            part = all_of_them[at : at + AT_ONCE]
-            found += relations.means(metric, part, pools_seeds=pools_seeds)
+        relations = Relations(database, _moving(metric))
+        for part in _parts(metric):
+            measured = of_slices.pop((metric, part), None)
+            found += relations.means(metric, part, pools_seeds=pools_seeds, measured=measured)
             done += len(part)
-            if progress is not None:
+            if progress is not None and database.slices is None:
                 progress(done, total)
         relations.forget()
     return found
+
+
+def _moving(metric: str) -> list[Reading]:
+    return [one for one in readings() if metric in one.moves]
+
+
+def _parts(metric: str) -> list[tuple[ReadingNames, ...]]:
+    """Return the combinations of a metric's readings, as many together as are asked at once."""
+    every = combinations(metric)
+    return [every[at : at + AT_ONCE] for at in range(0, len(every), AT_ONCE)]
+
+
+def _asked(metric: str, part: Sequence[ReadingNames]) -> Asked:
+    """Return what asks a slice what this metric measures of its runs under these combinations."""
+
+    def measured(database: Database) -> pa.Table:
+        relations = Relations(database, _moving(metric))
+        found = relations.measured(metric, part)
+        relations.forget()
+        return found
+
+    needs = library().needs([metric, *(one.name for one in _moving(metric))])
+    return Asked(f"{metric} {part} {[query.sha256 for query in needs]}", measured)
 
 
 def cells(found: Iterable[Universe]) -> Iterator[Cell]:

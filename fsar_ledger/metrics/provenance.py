@@ -142,6 +142,8 @@ def never_observed(database: Database) -> list[Unobserved]:
 
 def _lacking(database: Database, named: str = "", run: str | None = None, judge: str | None = None) -> list[Unobserved]:
     """Return what not all runs (or not this one) observe, of the types that this condition takes."""
+    # Of what judges cannot tell, a judge is asked: it looks at every event.
+    said = "unobservable WHERE judge = $judge" if judge else "(SELECT NULL AS run_id, NULL AS not_observed) WHERE FALSE"
     rows = database.rows(
         f"""
         WITH needed AS (
@@ -163,8 +165,7 @@ def _lacking(database: Database, named: str = "", run: str | None = None, judge:
 
         judged AS (
             SELECT run_id, unnest(string_split(not_observed, ', ')) AS name
-            FROM unobservable
-            WHERE judge = $judge
+            FROM {said}
         ),
 
         named AS (

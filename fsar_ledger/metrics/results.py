@@ -43,6 +43,7 @@ def take_seeds_together(database: Database, chosen_sql: str = "TRUE") -> None:
 
     To be called before anything is asked.
     """
+    database.hold_rows_of_slices(["metric_measurements", "compared_runs", "unobservable"])  # the same without seeds
     database.prepare("SELECT * FROM run_started")
     runs = database.library.find("staging/runs").sql
     database.define("runs", f"SELECT * REPLACE (NULL::BIGINT AS seed) FROM ({runs}) WHERE {chosen_sql}")

@@ -243,26 +243,18 @@ def require_runs(view: View) -> None:
 def is_remembered(record_sha256: str) -> bool:
     """Tell whether this user's `verify`, with these versions, found no fault in a ledger with this newest record."""
     file = _place(record_sha256)
-    if file is None or not _is_own(file.parent):
-        return False
     try:
-        return _is_safe(file.lstat()) and disk.read_document(file) == _line(record_sha256)
+        return file is not None and is_own_file(file) and disk.read_document(file) == _line(record_sha256)
     except OSError:
         return False
 
 
 def _remember(record_sha256: str) -> None:
     """Remember the head if possible; otherwise the next answer only claims less."""
-    file = _place(record_sha256)
-    if file is None:
+    if cache_folder() is None or (file := _place(record_sha256)) is None:
         return
-    folder = file.parent
-    temporary = folder / f"{secrets.token_hex(8)}.part"
-    with suppress(OSError, UsageError):
-        require_outside(temporary, "the cache")
-        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        if not _is_own(folder):
-            return
+    temporary = file.parent / f"{secrets.token_hex(8)}.part"
+    with suppress(OSError):
         try:
             with open(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o600), "wb") as written:
                 written.write(_line(record_sha256))
@@ -283,6 +275,25 @@ def _folder() -> Path | None:
         return Path.home() / ".cache" / "fsar-ledger"
     except RuntimeError:
         return None
+
+
+def cache_folder() -> Path | None:
+    """Return the user's cache of this program, made if need be; None if there is none that is this user's alone."""
+    folder = _folder()
+    with suppress(OSError, UsageError):
+        if folder is not None:
+            require_outside(folder / "cache", "the cache")
+            folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+            return folder if _is_own(folder) else None
+    return None
+
+
+def is_own_file(file: Path) -> bool:
+    """Tell whether nobody but this user can write this file of the cache, or put another in its place."""
+    try:
+        return _is_own(file.parent) and _is_safe(file.lstat())
+    except OSError:
+        return False
 
 
 def _is_own(folder: Path) -> bool:

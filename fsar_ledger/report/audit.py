@@ -162,7 +162,7 @@ def gather_audit(ledger: Path, demanded: str | None = None) -> AuditFindings:
         relations = {name: database.table(sql) for name, (_, sql) in SELECTED.items()}
         relations |= {name: database.query(query) for name, query in ASKED.items()}
         every = invariants()
-        judged = audit_rows([database], every) if relations["runs"].num_rows else []
+        judged = audit_rows(database.slices or database, every) if relations["runs"].num_rows else []
         broken = [one for one in every if any(row.invariant == one.relation and row.holds is False for row in judged)]
         offences = [
             database.table(OFFENCES.format(relation=one.relation, most=MAX_OFFENCES, groups=MAX_GROUPS))

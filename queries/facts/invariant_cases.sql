@@ -8,6 +8,7 @@
 -- Example: fsar-ledger query facts/invariant_cases LEDGER
 -- Stored: audit reads it for each invariant
 -- What depends on the type only is judged once a type.
+-- Partial: what it says of a run does not depend on others
 WITH of_types AS (
     SELECT
         run_id, type,

@@ -8,6 +8,7 @@
 --   could be found
 -- Example: fsar-ledger query facts/unobservable LEDGER
 -- Stored: every metric, invariant and grade reads it
+-- Partial: what it says of a run does not depend on others
 WITH sources AS (
     -- There are few kinds of source and many runs.
     SELECT DISTINCT coalesce(observes, []) AS observes, records

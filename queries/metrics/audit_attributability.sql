@@ -8,6 +8,7 @@
 -- NULL: value of a run without coordination events; numbers of a run that does not observe what the metric rests on;
 --   not_observed of one that does
 -- Example: fsar-ledger query metrics/audit_attributability LEDGER
+-- Partial: what it says of a run does not depend on others
 WITH judged AS (
     SELECT
         run_id,

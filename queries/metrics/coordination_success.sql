@@ -6,6 +6,7 @@
 -- NULL: value of a run without tasks; numbers of a run that does not observe what the metric rests on; not_observed of
 --   one that does
 -- Example: fsar-ledger query metrics/coordination_success LEDGER
+-- Partial: what it says of a run does not depend on others
 WITH completions AS (
     SELECT
         run_id, task_id,

@@ -9,6 +9,7 @@
 -- Example: fsar-ledger query metrics/effect_conflicts LEDGER
 -- What nothing ends on record lasts no time here, since a system that records starts alone is not to be accused.
 -- Whether anybody claimed authority does not matter: where nobody claims, the paper's count of conflicts is 0.
+-- Partial: what it says of a run does not depend on others
 WITH swept AS (
     -- Ordered by beginning, each occupation beside the earlier one that lasts longest: of its body, and of its work.
     SELECT

@@ -5,6 +5,7 @@
 -- Units: numerator and value 1 if the fleet supervisor was called, else 0; denominator 1 (the run)
 -- NULL: numbers of a run that does not observe what the metric rests on; not_observed of one that does
 -- Example: fsar-ledger query metrics/human_intervention LEDGER
+-- Partial: what it says of a run does not depend on others
 WITH judged AS (
     SELECT run_id, 1 AS numerator
     FROM fleet_calls

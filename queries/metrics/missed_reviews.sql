@@ -8,6 +8,7 @@
 -- NULL: numbers of a run that does not observe what the metric rests on; not_observed of one that does
 -- Example: fsar-ledger query metrics/missed_reviews LEDGER
 -- A fleet without supervisors calls none, so its human intervention is 0; this is what it does instead.
+-- Partial: what it says of a run does not depend on others
 WITH judged AS (
     SELECT
         run_id,

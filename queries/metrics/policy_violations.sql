@@ -6,6 +6,7 @@
 --        *_without_routine the same without motions, which are routine operations (R42)
 -- NULL: numbers of a run that does not observe what the metric rests on; not_observed of one that does
 -- Example: fsar-ledger query metrics/policy_violations LEDGER
+-- Partial: what it says of a run does not depend on others
 WITH judged AS (
     SELECT
         run_id,

@@ -7,6 +7,7 @@
 -- NULL: value of a run without such failures; numbers of a run that does not observe what the metric rests on;
 --   not_observed of one that does
 -- Example: fsar-ledger query metrics/reassignment_latency_s LEDGER
+-- Partial: what it says of a run does not depend on others
 WITH judged AS (
     SELECT
         run_id,

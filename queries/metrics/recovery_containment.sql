@@ -6,6 +6,7 @@
 -- NULL: value of a run without failures; an unresolved failure is not contained;
 --       numbers of a run that does not observe what the metric rests on; not_observed of one that does
 -- Example: fsar-ledger query metrics/recovery_containment LEDGER
+-- Partial: what it says of a run does not depend on others
 WITH judged AS (
     SELECT
         run_id,

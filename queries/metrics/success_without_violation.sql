@@ -8,6 +8,7 @@
 --   one that does
 -- Example: fsar-ledger query metrics/success_without_violation LEDGER
 -- The true policy counts, at every start, wherever it was checked: an architecture that checks less has no better name.
+-- Partial: what it says of a run does not depend on others
 WITH completions AS (
     SELECT
         run_id, task_id,

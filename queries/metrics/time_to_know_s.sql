@@ -9,6 +9,7 @@
 --   of one that does
 -- Example: fsar-ledger query metrics/time_to_know_s LEDGER
 -- A failure of which nobody hears is contained and calls nobody; here it lasts.
+-- Partial: what it says of a run does not depend on others
 WITH judged AS (
     SELECT
         failures.run_id,

@@ -8,6 +8,7 @@
 --   not_observed of one that does
 -- Example: fsar-ledger query metrics/true_attribution LEDGER
 -- facts/true_principals tells it for each field.
+-- Partial: what it says of a run does not depend on others
 WITH judged AS (
     SELECT
         run_id,

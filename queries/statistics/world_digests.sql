@@ -6,6 +6,7 @@
 --   whatever else the run records
 -- NULL: never
 -- Example: fsar-ledger query statistics/world_digests LEDGER
+-- Partial: what it says of a run does not depend on others
 SELECT
     run_id,
     sha256(string_agg(sha256(time_us || ' ' || type || ' ' || fact), '' ORDER BY time_us, type, fact)) AS world_sha256

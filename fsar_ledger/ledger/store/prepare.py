@@ -298,7 +298,7 @@ class Sealing:
             self._threads = None
 
 
-MERGED_ROWS = 1 << 14
+MERGED_ROWS = 1 << 16
 """The most events of a segment that others are put into."""
 MERGED_BYTES = 1 << 20
 """The most bytes of the segments that are put together; a tenth of what a segment may have."""

@@ -1,0 +1,297 @@
+"""Judge a large ledger in slices: some of its runs at a time, what was found kept in a cache.
+
+A slice has whole runs, of half a million events or so. What a query says of each run by itself (its header says
+`Partial`) is asked of one slice after the other and put together; what compares runs is asked of that. So memory does
+not grow with the ledger, and after an append only the slices that it changed are judged.
+
+The cache lies beside the user's other caches, never in a ledger, and belongs to this user on this machine, who could as
+well change the program. An entry is found by the hashes of the segments that its slice was read from, by the runs and
+where in these they are, by the texts of the queries, and by this program's own text. A reader has just compared the
+segments with their hashes, so an entry is of the very bytes that lie there. What is damaged is made again. Losing the
+cache costs one more look at the events.
+"""
+
+import hashlib
+import sqlite3
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager, suppress
+from functools import cache
+from importlib.metadata import version
+from importlib.resources import files
+from itertools import chain
+from typing import NamedTuple, TypeVar
+
+import msgspec
+import numpy as np
+import pyarrow as pa
+
+from fsar_ledger import __version__
+from fsar_ledger.base.progress import Progress
+from fsar_ledger.ledger.store.derived import Extent
+from fsar_ledger.ledger.store.locations import earlier_runs
+from fsar_ledger.ledger.store.paths import segment_bytes
+from fsar_ledger.ledger.store.read import View
+
+from . import relation
+from .connection import Database
+from .library import Query, library
+from .verified import cache_folder, is_own_file, is_verified_for_runs
+
+_One = TypeVar("_One")
+_Name = TypeVar("_Name")
+_NUMBERS = pa.schema([("run_id", pa.string()), ("number", pa.int64())])
+SLICE_EVENTS = 1 << 19
+"""Events that are judged at once: few enough to be judged in half a gigabyte."""
+LEAST_BYTES = 4
+"""Of an event in a segment; those of a fleet take 10 to 17."""
+CACHE_BYTES = 1 << 28
+"""The most that the cache holds; what was made first is left out."""
+
+
+class Asked(NamedTuple):
+    """What is asked of each slice: `of` answers it, and `text` names all that the answer depends on but the events."""
+
+    text: str
+    of: Callable[[Database], pa.Table]
+
+
+class Slice(NamedTuple):
+    """Some runs of a ledger, and by `digest` the bytes that hold them; None where these have no hash yet."""
+
+    runs: tuple[Extent, ...]
+    digest: str | None
+
+
+class Slices:
+    """Databases over some runs of a ledger after the other, so that memory does not grow with the ledger.
+
+    Each has whole runs, of about `most` events, one run at least; it is closed when the next is asked for. Of a ledger
+    of fewer events there is none. A run is in the slice in which it ends, so that an append changes the slices of the
+    runs that go on, and the last one.
+
+    Raises: As `database.connect_view`, when they are asked for.
+    """
+
+    def __init__(self, view: View, demanded: str | None = None, most: int = SLICE_EVENTS) -> None:
+        self._view = view
+        self._most = most
+        self._slices: list[Slice] = []
+        # A bomb has many rows in few bytes, and nothing to be judged: to judge it in parts would take longer.
+        if view.head.size > most and segment_bytes(view.path) > LEAST_BYTES * view.head.size:
+            self._rows_verified = is_verified_for_runs(view, demanded)
+            self._extents = view.extents()
+            wholes = _continuing(self._extents, earlier_runs(view))
+            self._slices = [_slice(view, runs) for runs in _windows(wholes, most)]
+
+    def __len__(self) -> int:
+        return len(self._slices)
+
+    def __iter__(self) -> Iterator[Database]:
+        for one in self._slices:
+            with self._connect(one.runs) as database:
+                yield database
+
+    def tables(self, asked: Mapping[_Name, Asked], progress: Progress | None = None) -> dict[_Name, pa.Table]:
+        """Return what all slices answer together to each of these, from the cache where it is known.
+
+        Raises: As `Database.table`.
+        """
+        found: dict[_Name, list[pa.Table]] = {name: [] for name in asked}
+        for number, one in enumerate(self._slices):
+            known = _remembered(one.digest, {each.text for each in asked.values()})
+            lacking = {name: each for name, each in asked.items() if each.text not in known}
+            if lacking:
+                with self._connect(one.runs) as database:
+                    made = {each.text: each.of(database) for each in lacking.values()}
+                _remember(one.digest, made)
+                known |= made
+            for name, each in asked.items():
+                found[name].append(known[each.text])
+            if progress is not None:
+                progress((number + 1) * len(asked), len(self._slices) * len(asked))
+        return {name: pa.concat_tables(tables) for name, tables in found.items()}
+
+    def rows_of(self, queries: Sequence[Query]) -> dict[str, pa.Table]:
+        """Return the rows of these queries, which are of one run each, by the names of their relations."""
+        return self.tables({query.relation: asked_of(f"SELECT * FROM {query.relation}") for query in queries})
+
+    def keep_for(self, other: "Slices") -> None:
+        """Let what is known of these slices be known of those of the same events in other segments."""
+        digests = {one.runs: one.digest for one in other._slices}
+        pairs = [(new, one.digest) for one in self._slices if one.digest and (new := digests.get(one.runs))]
+        with suppress(sqlite3.Error), _cache() as cache:
+            cache.executemany("UPDATE OR REPLACE answers SET slice = ? WHERE slice = ?", pairs)
+
+    def _connect(self, runs: Sequence[Extent]) -> Database:
+        view, releases = self._view, self._view.releases
+        numbers = _segments_of(view, runs)
+        held = {number: view.segment(number) for number in numbers}
+        names = {one.run for one in runs}
+        others = [one for one in self._extents if one.run not in names and _meets(view, one, numbers)]
+        cut = {number for one in others for number in view.segments_between(one.first, one.end)}
+        whole = frozenset(path for number, path in held.items() if number not in cut)
+        database = Database(view.head, [*held.values()], rows_verified=self._rows_verified)
+        # See docs/decisions/slices-have-a-table-for-each-concern.md.
+        # One run of more events is not worth tables: they would take memory with its length.
+        database.keeps_events = sum(one.rows for one in runs) <= 2 * self._most
+        chosen = relation.RowFilter(relation.OF_NUMBERED, numbered([one.run for one in runs]), whole)
+        try:
+            relation.hold_segments(database, [*held.values()], [releases[number] for number in held], chosen)
+        except BaseException:
+            database.close()
+            raise
+        return database
+
+
+def asked_of(sql: str) -> Asked:
+    """Return that this SELECT is asked, which depends on the texts of all queries that it reads."""
+    needs = library().needs(library().mentioned(sql))
+    return Asked(_digest([sql, *(query.sha256 for query in needs)]), lambda database: database.table(sql))
+
+
+def numbered(runs: Sequence[str], first: int = 1) -> pa.Table:
+    """Return the relation `run_numbers` of these runs, numbered from `first` on."""
+    numbers = np.arange(first, first + len(runs))
+    return pa.table({"run_id": pa.array(runs, pa.string()), "number": numbers}, schema=_NUMBERS)
+
+
+def parts_of(every: Iterable[_One], size_of: Callable[[_One], int], most: int) -> Iterator[list[_One]]:
+    """Yield these in order, in parts of at most this size all together, or of one that is larger."""
+    part: list[_One] = []
+    whole = 0
+    for one in every:
+        size = size_of(one)
+        if part and whole + size > most:
+            yield part
+            part, whole = [], 0
+        part.append(one)
+        whole += size
+    if part:
+        yield part
+
+
+def _windows(wholes: Iterable[Sequence[Extent]], most: int) -> Iterator[list[Extent]]:
+    """Yield the runs that end within the same so many events, in more parts where these are many more."""
+    windows: dict[int, list[Sequence[Extent]]] = {}
+    for whole in wholes:
+        windows.setdefault((max(one.end for one in whole) - 1) // most, []).append(whole)
+    for _, runs in sorted(windows.items()):
+        for part in parts_of(runs, lambda whole: sum(one.rows for one in whole), 2 * most):
+            yield list(chain.from_iterable(part))
+
+
+def _continuing(extents: Iterable[Extent], continues: Mapping[str, str]) -> list[list[Extent]]:
+    """Return where runs are, those together that continue each other, in the order in which the first of them begin."""
+    found: dict[str, list[Extent]] = {}
+    first: dict[str, str] = {}
+    for one in extents:
+        whole = first[one.run] = first.get(continues.get(one.run, ""), one.run)
+        found.setdefault(whole, []).append(one)
+    return list(found.values())
+
+
+def _segments_of(view: View, runs: Iterable[Extent]) -> list[int]:
+    return sorted({number for one in runs for number in view.segments_between(one.first, one.end)})
+
+
+def _meets(view: View, extent: Extent, numbers: Sequence[int]) -> bool:
+    return extent.first < view.end(numbers[-1]) and extent.end > view.first(numbers[0])
+
+
+def _slice(view: View, runs: Sequence[Extent]) -> Slice:
+    numbers, placed = _segments_of(view, runs), view.chain.placed
+    if numbers[-1] >= len(placed):
+        return Slice(tuple(runs), None)  # a journal has no hash
+    held = [(placed[number].first, placed[number].segment_sha256) for number in numbers]
+    return Slice(tuple(runs), _digest([repr(held), repr([msgspec.structs.astuple(one) for one in runs])]))
+
+
+def _digest(texts: Iterable[str]) -> str:
+    return hashlib.sha256("\0".join(texts).encode()).hexdigest()
+
+
+@cache
+def _program() -> str:
+    """Return a digest of what reads events and answers: this package's text, DuckDB and Arrow."""
+    rooms = ("metrics", "events", "ledger/rows")
+    texts = [
+        file.read_text("utf-8")
+        for room in rooms
+        for file in sorted(files("fsar_ledger").joinpath(room).iterdir(), key=lambda file: file.name)
+        if file.name.endswith(".py")
+    ]
+    return _digest([__version__, *(f"{name} {version(name)}" for name in ("duckdb", "pyarrow")), *texts])
+
+
+_MADE = """
+    CREATE TABLE IF NOT EXISTS answers (
+        number INTEGER PRIMARY KEY, slice TEXT, asked TEXT, bytes INTEGER, sha256 TEXT, data BLOB, UNIQUE (slice, asked)
+    )
+"""
+_TOO_MANY = """
+    DELETE FROM answers WHERE number <= (
+        SELECT max(number) FROM (SELECT number, sum(bytes) OVER (ORDER BY number DESC) AS kept FROM answers)
+        WHERE kept > ?
+    )
+"""
+
+
+@contextmanager
+def _cache() -> Iterator[sqlite3.Connection]:
+    """Yield the cache, and keep what was changed in it. Raises: sqlite3.Error if there is none, or it is damaged."""
+    folder = cache_folder()
+    file = folder and folder / "slices.sqlite"
+    if file is None or (file.exists() and not is_own_file(file)):
+        raise sqlite3.OperationalError("no place for a cache")
+    with closing(sqlite3.connect(file)) as cache:
+        try:
+            with cache:
+                cache.execute("PRAGMA synchronous = OFF")
+                cache.execute(_MADE)
+                yield cache
+        except sqlite3.OperationalError:  # another process is at it, or the disk is full
+            raise
+        except sqlite3.DatabaseError:
+            file.unlink(missing_ok=True)
+            raise
+
+
+def _remembered(of: str | None, texts: Collection[str]) -> dict[str, pa.Table]:
+    """Return what is known of a slice, by the texts that were asked."""
+    if of is None:
+        return {}
+    with suppress(sqlite3.Error, pa.ArrowException), _cache() as cache:
+        rows = cache.execute("SELECT asked, sha256, data FROM answers WHERE slice = ?", [of]).fetchall()
+        known = {asked: data for asked, sha256, data in rows if sha256 == _of_entry(of, asked, data)}
+        by_key = {_key(text): text for text in texts}
+        return {by_key[asked]: pa.ipc.open_stream(data).read_all() for asked, data in known.items() if asked in by_key}
+    return {}
+
+
+def _remember(of: str | None, made: Mapping[str, pa.Table]) -> None:
+    """Remember what a slice answered if possible; otherwise the next look takes longer."""
+    if of is None:
+        return
+    rows = [(of, _key(text), data, _of_entry(of, _key(text), data)) for text, data in _written(made)]
+    with suppress(sqlite3.Error), _cache() as cache:
+        cache.executemany(
+            "INSERT OR REPLACE INTO answers (slice, asked, data, sha256, bytes) VALUES (?1, ?2, ?3, ?4, length(?3))",
+            rows,
+        )
+        cache.execute(_TOO_MANY, [CACHE_BYTES])
+
+
+def _written(made: Mapping[str, pa.Table]) -> Iterator[tuple[str, bytes]]:
+    for text, table in made.items():
+        sink = pa.BufferOutputStream()
+        with pa.ipc.new_stream(sink, table.schema, options=pa.ipc.IpcWriteOptions(compression="zstd")) as stream:
+            stream.write_table(table)
+        yield text, sink.getvalue().to_pybytes()
+
+
+def _key(text: str) -> str:
+    return _digest([_program(), text])
+
+
+def _of_entry(of: str, asked: str, data: bytes) -> str:
+    return hashlib.sha256(f"{of}{asked}".encode() + data).hexdigest()
