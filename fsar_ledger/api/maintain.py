@@ -253,12 +253,15 @@ def compact(ledger: "Ledger") -> Compacted:
     """
     from fsar_ledger.ledger.opening import open_ledger
     from fsar_ledger.ledger.store.append import Writer
+    from fsar_ledger.metrics.slices import keep_known
 
     view = open_ledger(ledger.path)
     with Writer(ledger.path, view.manifest.origin) as writer:
         before = len(view.releases)
         writer.compact()
-        return Compacted(writer.head, before, len(open_ledger(ledger.path).releases))
+        after = open_ledger(ledger.path)
+        keep_known(view, after)
+        return Compacted(writer.head, before, len(after.releases))
 
 
 def _done(steps: "Sequence[Step]") -> Iterator[str]:

@@ -72,9 +72,9 @@ class Slices:
     Raises: As `database.connect_view`, when they are asked for.
     """
 
-    def __init__(self, view: View, demanded: str | None = None, most: int = SLICE_EVENTS) -> None:
+    def __init__(self, view: View, demanded: str | None = None, most: int | None = None) -> None:
         self._view = view
-        self._most = most
+        self._most = most = most or SLICE_EVENTS
         self._slices: list[Slice] = []
         # A bomb has many rows in few bytes, and nothing to be judged: to judge it in parts would take longer.
         if view.head.size > most and segment_bytes(view.path) > LEAST_BYTES * view.head.size:
@@ -115,13 +115,6 @@ class Slices:
         """Return the rows of these queries, which are of one run each, by the names of their relations."""
         return self.tables({query.relation: asked_of(f"SELECT * FROM {query.relation}") for query in queries})
 
-    def keep_for(self, other: "Slices") -> None:
-        """Let what is known of these slices be known of those of the same events in other segments."""
-        digests = {one.runs: one.digest for one in other._slices}
-        pairs = [(new, one.digest) for one in self._slices if one.digest and (new := digests.get(one.runs))]
-        with suppress(sqlite3.Error), _cache() as cache:
-            cache.executemany("UPDATE OR REPLACE answers SET slice = ? WHERE slice = ?", pairs)
-
     def _connect(self, runs: Sequence[Extent]) -> Database:
         view, releases = self._view, self._view.releases
         numbers = _segments_of(view, runs)
@@ -141,6 +134,21 @@ class Slices:
             database.close()
             raise
         return database
+
+
+def keep_known(before: View, after: View) -> None:
+    """Let what is known of a ledger's slices be known of the same events in other segments."""
+    with suppress(sqlite3.Error), _cache() as cache:
+        if not cache.execute("SELECT EXISTS (SELECT 1 FROM answers)").fetchone()[0]:
+            return
+        digests = {one.runs: one.digest for one in Slices(after)._slices}
+        pairs = [(new, one.digest) for one in Slices(before)._slices if (new := digests.get(one.runs)) and one.digest]
+        cache.create_function("of_entry", 3, _of_entry)
+        cache.executemany(
+            "UPDATE OR REPLACE answers SET slice = ?1, sha256 = of_entry(?1, asked, data) "
+            "WHERE slice = ?2 AND sha256 = of_entry(?2, asked, data)",
+            pairs,
+        )
 
 
 def asked_of(sql: str) -> Asked:

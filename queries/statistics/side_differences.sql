@@ -5,9 +5,9 @@
 -- Key: first_side, second_side, pools_seeds, seed?, scenario?, metric
 -- Units: means and counts of pairs as in side_moments. 95 % interval: Student's t with differing_pairs - 1 degrees of
 --   freedom; of human_intervention after Bonett and Price. test is paired t, or sign (exact, of the pairs that differ):
---   of human_intervention, where fewer than 25 pairs and less than half of all differ, and where all differ alike.
---   p_holm over the family_tests tests of the same sides, seed and scenario, or of all scenarios' rows, for the paper's
---   metrics together and each other one by itself. d_z in standard deviations of what pairs contribute
+--   of human_intervention, where one pair differs, where fewer than 25 and less than half do, and where all differ
+--   alike. p_holm over the family_tests tests of the same sides, seed and scenario, or of all scenarios' rows, for the
+--   paper's metrics together and each other one by itself. d_z in standard deviations of what pairs contribute
 -- NULL: seed for all seeds; scenario for all scenarios; means as in side_moments; the interval of fewer than two pairs
 --   that differ, or that differ alike, or where one pair is all that a side counts; test, p where no pair differs; d_z
 --   where nothing varies
@@ -23,7 +23,7 @@ WITH tested AS (
         (moments.below + 1) / (moments.n + 2) AS less,
         definitions.scale = 'yes-no'
         OR moments.error IS NULL
-        OR moments.differing_pairs < least(25, moments.n / 2) AS is_counted,
+        OR moments.differing_pairs < greatest(2, least(25, moments.n / 2)) AS is_counted,
         if(definitions.scale = 'yes-no', more - less, moments.mean_difference) AS middle,
         if(
             scale = 'yes-no',

@@ -1,12 +1,24 @@
 """A ledger in slices: whole runs, each once, and the same verdicts as from the whole ledger."""
 
+import shutil
+import sqlite3
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing
+from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
+import msgspec
 import pytest
 
+import fsar_ledger
 from fsar_ledger.ledger.opening import open_for_answers
-from fsar_ledger.metrics.database import Slices, connect
+from fsar_ledger.ledger.store.derived import Extent
+from fsar_ledger.metrics import slices
+from fsar_ledger.metrics.database import Database, connect
 from fsar_ledger.metrics.invariants import audit_rows, invariants
+from fsar_ledger.metrics.library import library
+from fsar_ledger.metrics.slices import Slices
 from fsar_ledger.runtime import simulation
 from fsar_ledger.runtime.experiment import Experiment, run_experiment
 from tests.quick import few
@@ -26,14 +38,14 @@ def ledger(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_slices_hold_whole_runs_and_each_event_once(ledger: Path) -> None:
     view = open_for_answers(ledger)
-    slices = Slices(view, most=1_500)
+    of = Slices(view, most=1_500)
     with connect(ledger) as whole:
         expected, runs = whole.rows(EVENTS), whole.rows("SELECT run_id FROM runs ORDER BY ALL")
     found, known = [], []
-    for database in slices:
+    for database in of:
         found += database.rows(EVENTS)
         known += database.rows("SELECT run_id FROM runs ORDER BY ALL")
-    assert len(slices) > 3
+    assert len(of) > 3
     assert sorted(found, key=str) == sorted(expected, key=str)
     assert sorted(known, key=str) == sorted(runs, key=str)
     assert [extent.rows for extent in view.extents()] == [
@@ -45,9 +57,180 @@ def test_slices_hold_whole_runs_and_each_event_once(ledger: Path) -> None:
 def test_the_verdicts_of_slices_are_those_of_the_whole_ledger(ledger: Path, most: int) -> None:
     told: list[tuple[int, int]] = []
     with connect(ledger) as whole:
-        expected = audit_rows([whole], invariants())
-    slices = Slices(open_for_answers(ledger), most=most)
-    assert audit_rows(slices, invariants(), (), lambda done, total: told.append((done, total))) == expected
-    assert told[-1] == (len(slices) * 10, len(slices) * 10)
+        expected = audit_rows(whole, invariants())
+    of = Slices(open_for_answers(ledger), most=most)
+    assert audit_rows(of, invariants(), (), lambda done, total: told.append((done, total))) == expected
+    assert told[-1] == (len(of) * 10, len(of) * 10)
     assert any(row.events for row in expected)
     assert any(row.holds for row in expected)
+
+
+@pytest.fixture
+def in_slices(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
+    """Have ledgers of more than 1,500 events judged in slices, with a cache of their own, whose file is returned."""
+    monkeypatch.setattr(slices, "SLICE_EVENTS", 1_500)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    return tmp_path / "cache" / "fsar-ledger" / "slices.sqlite"
+
+
+def judged(ledger: Path) -> list[list[dict[str, Any]]]:
+    """Return what the verbs answer that judge all runs of a ledger."""
+    of = fsar_ledger.open_ledger(ledger)
+    tables = [of.metrics(), of.metrics(by="scenario", pool="seeds"), of.statistics().table(), of.audit().table()]
+    tables += [of.compare("fsar", "cfc").table(), of.multiverse(metric=["policy_violations"]).table()]
+    return [table.rows() for table in tables]
+
+
+def looks(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Return a list that gets the events of each slice that is read from now on."""
+    found: list[int] = []
+    connect = Slices._connect
+
+    def counted(self: Slices, runs: Sequence[Extent]) -> Database:
+        found.append(sum(one.rows for one in runs))
+        return connect(self, runs)
+
+    monkeypatch.setattr(Slices, "_connect", counted)
+    return found
+
+
+def test_verbs_answer_the_same_in_slices_and_from_the_cache(
+    ledger: Path, in_slices: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as whole:
+        whole.setattr(slices, "SLICE_EVENTS", 1 << 30)
+        expected = judged(ledger)
+    seen = looks(monkeypatch)
+    assert judged(ledger) == expected
+    assert len(seen) > 3
+    seen.clear()
+    assert judged(ledger) == expected
+    assert not seen
+    monkeypatch.setenv("XDG_CACHE_HOME", "/dev/null")  # no place for a cache
+    assert judged(ledger) == expected
+    assert seen
+
+
+@pytest.mark.parametrize("name", [name for name, query in library().queries.items() if not query.parameters])
+def test_every_query_answers_the_same_in_slices(name: str, both: tuple[Database, Database]) -> None:
+    whole, sliced = both
+    assert sliced.query(name).equals(whole.query(name))
+
+
+@pytest.fixture(scope="module")
+def both(ledger: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Database, Database]]:
+    with pytest.MonkeyPatch.context() as patch, connect(ledger) as whole:
+        patch.setattr(slices, "SLICE_EVENTS", 1_500)
+        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
+        with connect(ledger) as sliced:
+            assert sliced.slices is not None
+            yield whole, sliced
+
+
+def test_after_an_append_only_the_last_slices_are_read(
+    ledger: Path, in_slices: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    grown = shutil.copytree(ledger, tmp_path / "grown")
+    fsar_ledger.open_ledger(grown).metrics()
+    run_experiment(grown, msgspec.structs.replace(WHOLE, runs=3), 1)
+    seen = looks(monkeypatch)
+    found = fsar_ledger.open_ledger(grown).metrics().arrow()
+    view = open_for_answers(grown)
+    added = view.head.size - open_for_answers(ledger).head.size
+    assert added <= sum(seen) <= added + 2 * slices.SLICE_EVENTS < view.head.size
+    in_slices.unlink()
+    assert fsar_ledger.open_ledger(grown).metrics().arrow() == found
+
+
+def test_compacting_a_ledger_keeps_what_is_known_of_it(
+    ledger: Path, in_slices: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    compacted = fsar_ledger.open_ledger(shutil.copytree(ledger, tmp_path / "compacted"))
+    expected = compacted.metrics().arrow()
+    done = compacted.compact()
+    assert done.after < done.before
+    seen = looks(monkeypatch)
+    assert compacted.metrics().arrow() == expected
+    assert not seen
+
+
+def damaged_rows(file: Path) -> None:
+    with closing(sqlite3.connect(file)) as cache, cache:
+        cache.execute("UPDATE answers SET data = zeroblob(length(data))")
+
+
+def swapped_rows(file: Path) -> None:
+    """Give each slice what another one answered, its digest with it."""
+    with closing(sqlite3.connect(file)) as cache, cache:
+        rows = cache.execute("SELECT asked, sha256, data, slice FROM answers ORDER BY asked, slice").fetchall()
+        for (asked, _, _, of), (other, sha256, data, _) in pairwise(rows):
+            if asked == other:
+                cache.execute(
+                    "UPDATE answers SET sha256 = ?, data = ? WHERE asked = ? AND slice = ?", [sha256, data, asked, of]
+                )
+
+
+def truncated(file: Path) -> None:
+    file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+
+
+def no_database(file: Path) -> None:
+    file.write_bytes(b"no database" * 1_000)
+
+
+def open_to_others(file: Path) -> None:
+    swapped_rows(file)
+    file.chmod(0o666)
+
+
+@pytest.mark.parametrize("change", [damaged_rows, swapped_rows, truncated, no_database, open_to_others])
+def test_a_damaged_cache_is_made_again_and_never_believed(
+    ledger: Path, in_slices: Path, change: Callable[[Path], None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    expected = fsar_ledger.open_ledger(ledger).metrics().arrow()
+    change(in_slices)
+    seen = looks(monkeypatch)
+    assert fsar_ledger.open_ledger(ledger).metrics().arrow() == expected
+    assert seen
+    if change is not open_to_others:
+        seen.clear()
+        assert fsar_ledger.open_ledger(ledger).metrics().arrow() == expected
+        assert not seen
+
+
+def test_another_program_and_another_query_are_not_answered_from_the_cache(
+    ledger: Path, in_slices: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fsar_ledger.open_ledger(ledger).metrics()
+    seen = looks(monkeypatch)
+    monkeypatch.setattr(slices, "_program", lambda: "another")
+    fsar_ledger.open_ledger(ledger).metrics()
+    assert seen
+    assert slices.asked_of("SELECT * FROM coordination_success").text != slices.asked_of("SELECT * FROM failures").text
+
+
+def test_a_ledger_with_the_root_of_another_is_not_answered_from_its_cache(
+    ledger: Path, in_slices: Path, tmp_path: Path
+) -> None:
+    """Whoever can write the folder can have the chain place a segment with other rows; no answer may mix the two."""
+    forged = shutil.copytree(ledger, tmp_path / "forged")
+    views = [open_for_answers(one) for one in (ledger, forged)]
+    placed = views[1].chain.placed
+    placed[0] = msgspec.structs.replace(placed[0], segment_sha256="0" * 64)
+    first, second = ({one.digest for one in Slices(view)._slices} for view in views)
+    assert views[0].head.root == views[1].head.root
+    assert len(first - second) == 1
+
+
+def test_the_cache_has_an_upper_bound(ledger: Path, in_slices: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(slices, "CACHE_BYTES", 5_000)
+    expected = judged(ledger)
+    with closing(sqlite3.connect(in_slices)) as cache:
+        assert 0 < cache.execute("SELECT sum(length(data)) FROM answers").fetchone()[0] <= 5_000
+    assert judged(ledger) == expected
+
+
+def test_runs_that_continue_each_other_are_in_one_slice_where_they_end() -> None:
+    extents = [Extent("a", 600, 0, 600), Extent("b", 900, 600, 1_500), Extent("a2", 400, 1_500, 1_900)]
+    found = list(slices._windows([[extents[0], extents[2]], [extents[1]]], 1_500))
+    assert [[one.run for one in part] for part in found] == [["b"], ["a", "a2"]]

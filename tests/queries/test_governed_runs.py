@@ -38,7 +38,7 @@ def audited(structure: Any = FSAR) -> dict[str, int]:
         for scenario in ("door-relay", "mixed-trust-inspection")
     ]
     with from_table(encode(records), threads=1) as database:
-        counts = {row.invariant[:2]: row.events for row in audit_rows([database], invariants())}
+        counts = {row.invariant[:2]: row.events for row in audit_rows(database, invariants())}
         (found,) = database.rows("SELECT sum(numerator)::BIGINT AS violations FROM policy_violations")
     return {**counts, "violations": found["violations"]}
 

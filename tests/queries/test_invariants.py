@@ -175,7 +175,7 @@ def test_all_ten_hold_on_the_untouched_history_which_has_what_they_judge() -> No
     assert {rows[at]["to_level"] for at in where(rows, "RecoveryEscalated")} == {"peer", "fleet", "human"}
     assert where(rows, "ExecutionStarted", supervised_by=None)
     with from_rows(rows, threads=1) as database:
-        assert [(row.invariant, row.events) for row in audit_rows([database], invariants())] == [
+        assert [(row.invariant, row.events) for row in audit_rows(database, invariants())] == [
             (query.relation, 0) for query in invariants()
         ]
     assert len(invariants()) == 10

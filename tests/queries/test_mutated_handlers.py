@@ -60,7 +60,7 @@ MUTATED: tuple[tuple[str, HandlerTable], ...] = (
 @pytest.mark.parametrize(("names", "structure"), MUTATED, ids=[f"{one}-{at}" for at, (one, _) in enumerate(MUTATED)])
 def test_a_mutated_handler_is_caught(names: str, structure: HandlerTable) -> None:
     with from_table(encode([record(*run, structure=structure) for run in RUNS]), threads=1) as database:
-        assert [row.holds for row in audit_rows([database], chosen(names.split()))] == [False] * len(names.split())
+        assert [row.holds for row in audit_rows(database, chosen(names.split()))] == [False] * len(names.split())
 
 
 BROKEN_BY_DESIGN = {
@@ -90,5 +90,5 @@ def test_what_a_baseline_or_an_ablation_gives_up_is_reported_and_nothing_else(
     )
     records = [record(scenario, run, architecture, configuration) for scenario in scenarios for run in range(8)]
     with from_table(encode(records), threads=1) as database:
-        broken = {row.invariant[:2] for row in audit_rows([database], invariants()) if row.events}
+        broken = {row.invariant[:2] for row in audit_rows(database, invariants()) if row.events}
     assert broken == BROKEN_BY_DESIGN[architecture, configuration]

@@ -152,7 +152,7 @@ def test_an_invariant_holds_of_no_run_that_lacks_what_it_rests_on_and_offences_a
 
 
 def test_audit_judges_each_variant_so(database: Database) -> None:
-    for row in audit_rows([database], invariants()):
+    for row in audit_rows(database, invariants()):
         needed = NEEDED[row.invariant]
         assert (row.runs, row.runs_not_observed) == (len(CONCERNS) + 1, len(needed))
         assert row.holds is not True
@@ -182,7 +182,7 @@ MEMBERSHIP: dict[str, Any] = {
 
 def test_of_three_members_nothing_is_known_but_that_they_joined() -> None:
     with from_rows(run(*JOINED, **MEMBERSHIP)) as made:
-        for audited in audit_rows([made], invariants()):
+        for audited in audit_rows(made, invariants()):
             assert (audited.holds, audited.events, audited.cases, audited.runs_not_observed) == (None, None, None, 1)
             assert audited.not_observed
         for row in metric_rows(made):
@@ -195,7 +195,7 @@ def test_of_three_members_nothing_is_known_but_that_they_joined() -> None:
 
 def test_a_member_that_joins_twice_is_an_offence_although_little_else_is_observed() -> None:
     with from_rows(run(*JOINED, JOINED[0], **MEMBERSHIP)) as made:
-        found = {row.invariant: row for row in audit_rows([made], invariants())}
+        found = {row.invariant: row for row in audit_rows(made, invariants())}
     broken = found.pop("i1_local_agent_coherence")
     assert (broken.holds, broken.events, broken.cases, broken.first_seq) == (False, 1, 4, 4)
     assert {row.holds for row in found.values()} == {None}
@@ -203,7 +203,7 @@ def test_a_member_that_joins_twice_is_an_offence_although_little_else_is_observe
 
 def test_a_run_in_which_nothing_happened_is_judged_and_says_of_how_much() -> None:
     with from_rows(run()) as made:
-        assert [(row.holds, row.cases, row.events, row.not_observed) for row in audit_rows([made], invariants())] == [
+        assert [(row.holds, row.cases, row.events, row.not_observed) for row in audit_rows(made, invariants())] == [
             (None, 0, 0, None)
         ] * 10
         assert {row.metric: row.mean for row in metric_rows(made)}["policy_violations"] == 0
@@ -219,9 +219,7 @@ def test_a_member_or_an_obstruction_is_no_case_of_who_executes_and_what_a_robot_
 
 def test_a_decision_that_names_nobody_is_a_case_of_who_decides() -> None:
     with from_rows(run(*JOINED, event("RequestAdmitted", 4, path=[]))) as made:
-        judged = next(
-            row for row in audit_rows([made], invariants()) if row.invariant == "a4_thin_federation_interface"
-        )
+        judged = next(row for row in audit_rows(made, invariants()) if row.invariant == "a4_thin_federation_interface")
     assert (judged.holds, judged.events, judged.cases) == (False, 1, 1)
 
 

@@ -119,7 +119,7 @@ def test_no_invariant_is_broken_where_members_come_and_go_and_every_run_replays(
     records = runs(case.constants, 5, case.scenario)
     assert sum(len(of(record, RobotDeparted)) for record in records) > 5
     with from_table(encode(records)) as database:
-        broken = {row.invariant: row.first_found for row in audit_rows([database], chosen(())) if row.events}
+        broken = {row.invariant: row.first_found for row in audit_rows(database, chosen(())) if row.events}
         unnamed = database.rows("SELECT run_id, action_id, found FROM i5_audit_attributability")
     nobody = {  # as with any outage: who finds nobody to ask has no executor on record, and I5 says so
         (record.run_id, event.subject.action_id) for record in records for _, event in of(record, GapDetected)

@@ -18,9 +18,10 @@ from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows.runs import LedgerRun
 from fsar_ledger.ledger.store.locations import record_of
-from fsar_ledger.metrics.database import Database, Slices, connect
+from fsar_ledger.metrics.database import Database, connect
 from fsar_ledger.metrics.invariants import audit_rows, invariants
 from fsar_ledger.metrics.library import Query, library
+from fsar_ledger.metrics.slices import Slices
 from fsar_ledger.runtime.federation import Federation
 from fsar_ledger.runtime.snapshot import place
 from tests.runtime.test_live import STEPS, A
@@ -209,12 +210,12 @@ def test_judged_by_itself_the_second_run_would_be_broken(halls: tuple[Day, Day])
 def test_slices_keep_runs_that_continue_each_other_together(
     halls: tuple[Day, Day], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("fsar_ledger.metrics.database.LEAST_BYTES", -1)
+    monkeypatch.setattr("fsar_ledger.metrics.slices.LEAST_BYTES", -1)
     sliced = Slices(open_ledger(halls[1].ledger), most=10)
     assert sliced._slices
     rows = audit_rows(sliced, invariants())
     with connect(halls[0].ledger) as whole:
-        assert [msgspec.structs.replace(row, first_run=None) for row in rows] == audit_rows([whole], invariants())
+        assert [msgspec.structs.replace(row, first_run=None) for row in rows] == audit_rows(whole, invariants())
 
 
 def test_one_asks_about_any_of_them(halls: tuple[Day, Day]) -> None:
@@ -325,5 +326,5 @@ def test_a_task_that_began_in_one_run_and_ended_in_the_next_is_no_lost_outcome(t
         assert database.query("facts/late_tasks").num_rows == 0
         [row] = database.rows("SELECT value, denominator FROM coordination_success")
         assert (row["value"], row["denominator"]) == (1, 1)
-        rows = audit_rows([database], invariants())
+        rows = audit_rows(database, invariants())
     assert all(row.holds is not False for row in rows)

@@ -311,7 +311,7 @@ class Federation(RuleBasedStateMachine):
         with from_table(encode([self.bench.record("live")])) as database:
             broken = {
                 row.invariant: (row.first_seq, row.first_found)
-                for row in audit_rows([database], chosen(()))
+                for row in audit_rows(database, chosen(()))
                 if row.events
             }
             unattributed = database.rows("SELECT action_id, found FROM i5_audit_attributability")

@@ -32,7 +32,7 @@ def broken(specs: Iterable[RunSpec], constants: Constants = DEFAULTS) -> set[tup
     with from_table(encode([simulate_run(spec, constants) for spec in specs])) as database:
         return {
             (row.invariant.partition("_")[0], f"{row.first_run} seq {row.first_seq}: {row.first_found}")
-            for row in audit_rows([database], chosen(()))
+            for row in audit_rows(database, chosen(()))
             if row.events
         }
 
@@ -61,7 +61,7 @@ def test_nine_hold_where_robots_and_links_fail_and_i5_names_the_requests_that_fo
         if isinstance(event, RequestUnanswered) and event.principals.executed_by is None
     }
     with from_table(encode(runs)) as database:
-        assert {row.invariant.partition("_")[0] for row in audit_rows([database], chosen(())) if row.events} == {"i5"}
+        assert {row.invariant.partition("_")[0] for row in audit_rows(database, chosen(())) if row.events} == {"i5"}
         lacking = {row["action_id"] for row in database.query("invariants/i5_audit_attributability").to_pylist()}
     assert lacking <= unanswered
 
