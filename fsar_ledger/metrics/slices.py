@@ -62,6 +62,7 @@ class Slice(NamedTuple):
     digest: str | None
 
 
+# See docs/decisions/what-is-known-of-runs-is-cached.md.
 class Slices:
     """Databases over some runs of a ledger after the other, so that memory does not grow with the ledger.
 

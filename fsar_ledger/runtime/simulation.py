@@ -192,7 +192,7 @@ def plan_mismatch(record: LedgerRun) -> tuple[str, str, str] | None:
 
 IN_FLIGHT = 2
 """Batches in progress per worker at most, so that memory stays flat."""
-# See docs/decisions/commits-hold-16384-events.md.
+# See docs/decisions/segments-hold-65536-events.md.
 COMMIT_EVENTS = 1 << 16
 """Events of a commit; independent of the number of workers."""
 

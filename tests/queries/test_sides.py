@@ -240,3 +240,8 @@ def test_of_two_ledgers_the_one_side_in_common_is_meant() -> None:
         chosen([[fsar, cfc], [fsar, cfc]], (None, None), ["one", "other"])
     with pytest.raises(UsageError, match="found 2 such in one: fsar:full@A/4"):
         chosen([[fsar, large], [cfc]], ("fsar", None), ["one", "other"])
+
+
+def test_one_pair_of_two_that_differs_is_a_sign_test_and_no_t_test_without_degrees_of_freedom() -> None:
+    found = of_runs(COUNT, [3.0, 1], [2.0, 1])
+    assert (found["test"], found["p"], found["family_tests"]) == ("sign", 1.0, 1)

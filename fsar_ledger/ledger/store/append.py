@@ -49,7 +49,7 @@ from fsar_ledger.ledger.store.read import View, open_chain
 from fsar_ledger.ledger.store.record import Commit, Head, Placement, segment_of
 from fsar_ledger.ledger.store.staging import Staged, require_staged, rows_of, stage, stage_made
 
-# See docs/decisions/commits-hold-16384-events.md.
+# See docs/decisions/segments-hold-65536-events.md.
 SEAL_ROWS, SEAL_BYTES = 1 << 14, 1 << 23
 """A journal is sealed before it holds more events or bytes; so many always fit into a segment."""
 

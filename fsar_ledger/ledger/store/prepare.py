@@ -298,10 +298,11 @@ class Sealing:
             self._threads = None
 
 
+# See docs/decisions/segments-hold-65536-events.md.
 MERGED_ROWS = 1 << 16
 """The most events of a segment that others are put into."""
-MERGED_BYTES = 1 << 20
-"""The most bytes of the segments that are put together; a tenth of what a segment may have."""
+MERGED_BYTES = 1 << 22
+"""The most bytes of the segments that are put together; a small part of what a segment may have."""
 
 
 def mergeable(placed: Sequence[Placement]) -> Iterator[Sequence[Placement]]:
