@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from fsar_ledger.api.verify import Verification
     from fsar_ledger.base import errors
     from fsar_ledger.base.errors import FsarLedgerError
+    from fsar_ledger.base.workers import cluster
     from fsar_ledger.service.client import Client
     from fsar_ledger.studies.calibration import calibrate
     from fsar_ledger.studies.comparison import judge
@@ -51,6 +52,7 @@ __all__ = [
     "Table",
     "Verification",
     "calibrate",
+    "cluster",
     "ensemble",
     "errors",
     "federate",
@@ -87,6 +89,7 @@ _HOMES = {
     "api.table": ("Table",),
     "api.verify": ("Verification",),
     "base.errors": ("FsarLedgerError",),
+    "base.workers": ("cluster",),
     "service.client": ("Client",),
     "studies.calibration": ("calibrate",),
     "studies.comparison": ("judge",),

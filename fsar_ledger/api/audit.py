@@ -11,7 +11,7 @@ from fsar_ledger.base.progress import Progress
 
 from .answers import Answer, Row, Screen
 from .names import names_of
-from .verbs import ArchitectureOption, InvariantOption, Shows, verb
+from .verbs import WIDE, ArchitectureOption, InvariantOption, Shows, verb
 
 if TYPE_CHECKING:
     from fsar_ledger.metrics.invariants import AuditRow
@@ -72,7 +72,11 @@ class Audit(Answer, msgspec.Struct, frozen=True):
             )
 
 
-@verb("audit out/ledger --architecture fsar", "audit out/ledger --architecture fsar --invariant i4 --json")
+@verb(
+    "audit out/ledger --architecture fsar",
+    "audit out/ledger --architecture fsar --invariant i4 --json",
+    takes=("cluster", *WIDE),
+)
 def audit(
     ledger: "Ledger",
     invariant: InvariantOption = None,

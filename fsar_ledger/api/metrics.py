@@ -45,7 +45,7 @@ WHERE_ANY = ("undefined", "runs_not_observed")
     "metrics out/ledger --by scenario",
     "metrics out/ledger --pool seeds",
     "metrics out/ledger --verified --json",
-    takes=ROWS,
+    takes=("cluster", *ROWS),
 )
 def metrics(ledger: "Ledger", by: ByOption = None, pool: PoolOption = None) -> "Table":
     """Judge a ledger by the metrics: the eight of the paper, then any that were added.
@@ -135,7 +135,7 @@ class Statistics(Answer, msgspec.Struct, frozen=True):
         yield from unit_of_interventions(screen)
 
 
-@verb("statistics out/ledger", "statistics out/ledger --csv", takes=ROWS)
+@verb("statistics out/ledger", "statistics out/ledger --csv", takes=("cluster", *ROWS))
 def statistics(ledger: "Ledger", pool: PoolOption = None) -> Statistics:
     """Compare the architectures of a ledger in pairs, and FSAR with itself without a mechanism.
 
@@ -236,7 +236,7 @@ class MultiverseResult(Answer, msgspec.Struct, frozen=True):
     "study run multiverse out/ledger --metric authority_conflicts --json",
     "study run multiverse out/ledger --metric human_intervention --svg out/multiverse.svg",
     name="study run multiverse",
-    takes=("svg", "verified", "json", "csv", "raw", "wide"),
+    takes=("svg", "cluster", "verified", "json", "csv", "raw", "wide"),
 )
 def multiverse(
     ledger: "Ledger",

@@ -72,7 +72,7 @@ class Simulated(Answer):
     "simulate out/named --scenario door-relay --runs 1 --origin example.org/fleet",
     "simulate out/large --architecture cfc --scenario fleet-contention --fleet-size 16 --teams-working 2 --runs 2",
     "simulate out/reviewed --scenario door-relay --set world.review_share=0.5 --runs 2",
-    takes=("json",),
+    takes=("cluster", "json"),
     after_interruption=CONTINUES,
 )
 def simulate(

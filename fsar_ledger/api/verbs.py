@@ -292,11 +292,15 @@ WORTH_BYTES = 400 << 10
 
 
 def workers_of(asked: int | None, worth: int | None = None) -> int:
-    """Return the number of processes: as asked, else one per core, but no more than the work is worth.
+    """Return the number of processes: as asked, else of the cluster, else one per core, no more than the work is worth.
 
     Raises:
         UsageError: Fewer than one was asked for.
     """
+    from fsar_ledger.base.workers import workers_of_cluster
+
+    if asked is None and (found := workers_of_cluster()) is not None:
+        return found
     if asked is None:
         cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
         return cores if worth is None else max(1, min(cores, worth))

@@ -140,7 +140,7 @@ class Verification(Answer, msgspec.Struct, frozen=True):
     "cp out/ledger/checkpoint monday    # keep it elsewhere; later:",
     "verify out/ledger --anchor monday --trusted-key out/fleet.key.pub",
     "verify out/ledger --witness-policy witnesses.policy --cosigned out/cosigned",
-    takes=("json",),
+    takes=("cluster", "json"),
 )
 def verify(
     ledger: "Ledger",

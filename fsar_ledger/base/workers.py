@@ -4,6 +4,7 @@ Each worker holds the only other end of its own pipe, so the pipe ends wherever 
 (The standard library's pool shares one queue: a process killed while writing to it leaves every reader waiting.)
 """
 
+import logging
 import os
 import pickle
 import signal
@@ -13,7 +14,8 @@ import traceback
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
+from contextvars import ContextVar
 from multiprocessing import connection, get_context, parent_process, resource_tracker
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
@@ -21,7 +23,7 @@ from multiprocessing.reduction import ForkingPickler
 from types import ModuleType
 from typing import Any, ParamSpec, TypeVar
 
-from fsar_ledger.base.errors import WorkerDied
+from fsar_ledger.base.errors import UsageError, WorkerDied, option
 from fsar_ledger.base.memory import leave_out_pandas
 
 _P = ParamSpec("_P")
@@ -62,6 +64,123 @@ def _without_main() -> Iterator[None]:
             yield
         finally:
             sys.modules["__main__"] = main
+
+
+_CLUSTER: "ContextVar[Cluster | None]" = ContextVar("cluster", default=None)
+CLUSTERS = "the address of a Dask scheduler (tcp://HOST:PORT), or local:N for N processes of this machine"
+RETRIES = 3
+"""How often a call is made again whose worker died."""
+
+
+class Cluster(Executor):
+    """The workers of a Dask cluster, to be used as a `WorkerPool`. A call whose worker dies is made again on another.
+
+    They run this version, and see the ledgers under the same paths.
+    """
+
+    def __init__(self, client: Any, address: str) -> None:
+        self._client, self._address = client, address
+        self._executor = client.get_executor(pure=False, retries=RETRIES)
+        found = client.run(_program)
+        if others := sorted({*found.values()} - {_program()}):
+            raise UsageError(
+                f"{option('cluster', address)}: found workers with {', '.join(others)}, expected {_program()} as here; "
+                "install the same there"
+            )
+        self.workers = max(1, sum(client.nthreads().values()))
+
+    def submit(self, fn: Callable[_P, _T], /, *args: _P.args, **kwargs: _P.kwargs) -> Future[_T]:
+        """Queue the call, as in any executor; its result raises WorkerDied where the cluster cannot finish it."""
+        future: Future[_T] = Future()
+        asked = self._executor.submit(fn, *args, **kwargs)
+        asked.add_done_callback(lambda done: _pass_on(done, future, self._address))
+        return future
+
+
+def _pass_on(done: Future[_T], to: Future[_T], address: str) -> None:
+    """Pass on what a call came to; what Dask itself raises becomes WorkerDied."""
+    try:
+        to.set_result(done.result())
+    except BaseException as error:
+        if type(error).__module__.startswith(("distributed", "concurrent", "asyncio", "tornado")):
+            dead = WorkerDied(f"cluster {address}: found {type(error).__name__} ({error}), {_EXPECTED}")
+            dead.__cause__ = error
+            error = dead
+        to.set_exception(error)
+
+
+def _program() -> str:
+    """Return which version of this program runs here."""
+    from fsar_ledger import __version__
+
+    return f"fsar-ledger {__version__}"
+
+
+@contextmanager
+def cluster(address: str | None) -> Iterator[None]:
+    """Have all work that is shared among processes done by this cluster, or with None by processes of this machine.
+
+    `address` is that of a Dask scheduler, or local:N for N processes.
+
+    Raises:
+        UsageError: Dask is not installed, the address is of another form, nobody answers there, or other versions run.
+    """
+    if address is None:
+        yield
+        return
+    try:
+        from distributed import Client, LocalCluster
+    except ImportError as error:
+        raise UsageError(
+            f"{option('cluster', address)}: needs Dask; install it with `pip install 'fsar-ledger[cluster]'`"
+        ) from error
+    kind, _, number = address.partition(":")
+    if (kind == "local" and not (number.isdecimal() and 0 < int(number) <= MOST_LOCAL)) or not number:
+        raise UsageError(f"{option('cluster', address)}: expected {CLUSTERS}")
+    with ExitStack() as stack:
+        try:
+            if kind == "local":
+                with _without_main():
+                    made = LocalCluster(
+                        n_workers=int(number),
+                        threads_per_worker=1,
+                        dashboard_address=None,
+                        silence_logs=logging.CRITICAL,
+                    )
+                client = stack.enter_context(Client(stack.enter_context(made)))
+            else:
+                client = stack.enter_context(Client(address, timeout=TIMEOUT))
+        except (OSError, ValueError) as error:
+            raise UsageError(
+                f"{option('cluster', address)}: found no scheduler there ({error}), expected {CLUSTERS}"
+            ) from error
+        token = _CLUSTER.set(Cluster(client, address))
+        try:
+            yield
+        finally:
+            _CLUSTER.reset(token)
+
+
+MOST_LOCAL = 256
+TIMEOUT = "10s"
+
+
+def workers_of_cluster() -> int | None:
+    """Return how many workers the cluster has that work goes to; None where there is none."""
+    found = _CLUSTER.get()
+    return None if found is None else found.workers
+
+
+@contextmanager
+def pool_of(workers: int) -> "Iterator[Cluster | WorkerPool | None]":
+    """Yield what work is shared among: the cluster, or so many processes; None where one does it all."""
+    if (found := _CLUSTER.get()) is not None:
+        yield found
+    elif workers > 1:
+        with WorkerPool(workers) as pool:
+            yield pool
+    else:
+        yield None
 
 
 class WorkerPool(Executor):
@@ -200,11 +319,14 @@ class WorkerPool(Executor):
 
 def _death_message(process: int | None, found: str) -> str:
     named = "a worker process" if process is None else f"worker process {process}"
-    return (
-        f"{named}: found {found}, expected it to finish its work; something outside the command ended it, perhaps the "
-        "system for lack of memory; what is committed stays, and nothing is said about what was not checked: "
-        "run the same command again, with fewer --workers if memory is short"
-    )
+    return f"{named}: found {found}, {_EXPECTED}"
+
+
+_EXPECTED = (
+    "expected it to finish its work; something outside the command ended it, perhaps the system for lack of memory; "
+    "what is committed stays, and nothing is said about what was not checked: run the same command again, with fewer "
+    "--workers if memory is short"
+)
 
 
 # --- in the worker ---

@@ -10,7 +10,7 @@ import re
 import signal
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, get_args
@@ -36,6 +36,11 @@ TAKEN: Mapping[str, Option] = {
         None,
         "Answer only from rows that were compared with the root, as `verify` does. Unless `verify` has checked "
         "this head before, that takes some 4 s for a million events on two cores.",
+    ),
+    "cluster": Option(
+        "--cluster",
+        "ADDRESS",
+        "Have a Dask cluster do the work: tcp://HOST:PORT of its scheduler, or local:N for N processes.",
     ),
     "json": Option("--json", None, "Answer as JSON, with the head (size, root) of the ledger."),
     "csv": Option("--csv", None, "Answer as comma-separated values."),
@@ -112,7 +117,7 @@ def _callback(verb: Verb) -> Callable[..., None]:
         is_bounded = "ledger" in ledgers and not verb.is_apart(given)
         read = [given[name] for name in ledgers] + [place for name in stored for place in _several(given[name])]
         limit = partial(bounded, most, *read, workers=given.get("workers"), hunger=verb.hunger)
-        with limit() if is_bounded else nullcontext():
+        with _shared(beside.get("cluster")), limit() if is_bounded else nullcontext():
             demands = beside.get("verified", False)
             code = respond(verb, given, ledgers, form, asked, drawn, verified=demands, clock=context.obj)
         if code:
@@ -125,7 +130,7 @@ def _callback(verb: Verb) -> Callable[..., None]:
         _accepted(one.name, _type_of(one), one.default, own[one.name]) for one in parameters if one.name in own
     ]
     accepted += [_accepted(name, bool, False, found) for name, found in verb.beside.items()]
-    kinds = {None: bool, "FILE": Path | None, "N": int, "MIB": int | None}
+    kinds = {None: bool, "FILE": Path | None, "ADDRESS": str | None, "N": int, "MIB": int | None}
     accepted += [
         _accepted(name, kinds[found.metavar], False if found.metavar is None else found.value, found)
         for name, found in taken.items()
@@ -133,6 +138,15 @@ def _callback(verb: Verb) -> Callable[..., None]:
     call.__signature__ = inspect.Signature(accepted)  # type: ignore[attr-defined]
     call.__annotations__ = {one.name: one.annotation for one in accepted}
     return call
+
+
+def _shared(address: str | None) -> AbstractContextManager[None]:
+    """Return the context in which a cluster does the work; one that changes nothing where none is named."""
+    if address is None:
+        return nullcontext()
+    from fsar_ledger.base.workers import cluster
+
+    return cluster(address)
 
 
 def _accepted(name: str, kind: Any, default: object, found: Option) -> inspect.Parameter:

@@ -6,7 +6,7 @@ readings that move it; the empty one is ours. Nothing is simulated again: the sa
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from functools import cache
+from functools import cache, partial
 from itertools import groupby, product
 from typing import Any
 
@@ -353,15 +353,15 @@ def _parts(metric: str) -> list[tuple[ReadingNames, ...]]:
 
 def _asked(metric: str, part: Sequence[ReadingNames]) -> Asked:
     """Return what asks a slice what this metric measures of its runs under these combinations."""
-
-    def measured(database: Database) -> pa.Table:
-        relations = Relations(database, _moving(metric))
-        found = relations.measured(metric, part)
-        relations.forget()
-        return found
-
     needs = library().needs([metric, *(one.name for one in _moving(metric))])
-    return Asked(f"{metric} {part} {[query.sha256 for query in needs]}", measured)
+    return Asked(f"{metric} {part} {[query.sha256 for query in needs]}", partial(_measured, metric, part))
+
+
+def _measured(metric: str, part: Sequence[ReadingNames], database: Database) -> pa.Table:
+    relations = Relations(database, _moving(metric))
+    found = relations.measured(metric, part)
+    relations.forget()
+    return found
 
 
 def cells(found: Iterable[Universe]) -> Iterator[Cell]:

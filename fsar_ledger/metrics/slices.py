@@ -15,10 +15,11 @@ import hashlib
 import sqlite3
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
-from functools import cache
+from functools import cache, partial
 from importlib.metadata import version
 from importlib.resources import files
 from itertools import chain
+from pathlib import Path
 from typing import NamedTuple, TypeVar
 
 import msgspec
@@ -26,7 +27,10 @@ import numpy as np
 import pyarrow as pa
 
 from fsar_ledger import __version__
+from fsar_ledger.base.errors import SequenceConflict
 from fsar_ledger.base.progress import Progress
+from fsar_ledger.base.workers import pool_of
+from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.store.derived import Extent
 from fsar_ledger.ledger.store.locations import earlier_runs
 from fsar_ledger.ledger.store.paths import segment_bytes
@@ -49,7 +53,10 @@ CACHE_BYTES = 1 << 28
 
 
 class Asked(NamedTuple):
-    """What is asked of each slice: `of` answers it, and `text` names all that the answer depends on but the events."""
+    """What is asked of each slice: `of` answers it, and `text` names all that the answer depends on but the events.
+
+    `of` can be sent to another process.
+    """
 
     text: str
     of: Callable[[Database], pa.Table]
@@ -97,20 +104,32 @@ class Slices:
 
         Raises: As `Database.table`.
         """
-        found: dict[_Name, list[pa.Table]] = {name: [] for name in asked}
-        for number, one in enumerate(self._slices):
-            known = _remembered(one.digest, {each.text for each in asked.values()})
-            lacking = {name: each for name, each in asked.items() if each.text not in known}
-            if lacking:
-                with self._connect(one.runs) as database:
-                    made = {each.text: each.of(database) for each in lacking.values()}
-                _remember(one.digest, made)
-                known |= made
-            for name, each in asked.items():
-                found[name].append(known[each.text])
-            if progress is not None:
-                progress((number + 1) * len(asked), len(self._slices) * len(asked))
-        return {name: pa.concat_tables(tables) for name, tables in found.items()}
+        tables: dict[_Name, list[pa.Table]] = {name: [] for name in asked}
+        known = [_remembered(one.digest, {each.text for each in asked.values()}) for one in self._slices]
+        lacking = [{each.text: each for each in asked.values() if each.text not in held} for held in known]
+        with pool_of(1) as pool:
+            answers = [
+                pool.submit(answered, str(self._view.path.absolute()), one, self._most, each)
+                if pool is not None and each and one.digest is not None
+                else None
+                for one, each in zip(self._slices, lacking, strict=True)
+            ]
+            for number, (one, held, each) in enumerate(zip(self._slices, known, lacking, strict=True)):
+                if each:
+                    far = answers[number]
+                    made = self._answered(one, each) if far is None else far.result()
+                    _remember(one.digest, made)
+                    held |= made
+                for name, sought in asked.items():
+                    tables[name].append(held[sought.text])
+                if progress is not None:
+                    progress((number + 1) * len(asked), len(self._slices) * len(asked))
+        return {name: pa.concat_tables(found) for name, found in tables.items()}
+
+    def _answered(self, one: Slice, asked: Mapping[str, Asked]) -> dict[str, pa.Table]:
+        """Return what a slice answers to these, by their texts. Raises: As `Database.table`."""
+        with self._connect(one.runs) as database:
+            return {text: each.of(database) for text, each in asked.items()}
 
     def rows_of(self, queries: Sequence[Query]) -> dict[str, pa.Table]:
         """Return the rows of these queries, which are of one run each, by the names of their relations."""
@@ -152,10 +171,28 @@ def keep_known(before: View, after: View) -> None:
         )
 
 
+def answered(ledger: str, one: Slice, most: int, asked: Mapping[str, Asked]) -> dict[str, pa.Table]:
+    """Return what this slice of the ledger answers to these, by their texts, in another process.
+
+    Raises: As `Database.table`; SequenceConflict if the ledger there has no such slice.
+    """
+    view = open_for_answers(Path(ledger))
+    if _slice(view, one.runs).digest != one.digest:
+        raise SequenceConflict(
+            f"{ledger}: found other events where another process read some of it, expected the same; is it the same "
+            "folder there, and was it compacted meanwhile? run it again"
+        )
+    return Slices(view, most=most)._answered(one, asked)
+
+
 def asked_of(sql: str) -> Asked:
     """Return that this SELECT is asked, which depends on the texts of all queries that it reads."""
     needs = library().needs(library().mentioned(sql))
-    return Asked(_digest([sql, *(query.sha256 for query in needs)]), lambda database: database.table(sql))
+    return Asked(_digest([sql, *(query.sha256 for query in needs)]), partial(_rows, sql))
+
+
+def _rows(sql: str, database: Database) -> pa.Table:
+    return database.table(sql)
 
 
 def numbered(runs: Sequence[str], first: int = 1) -> pa.Table:

@@ -364,7 +364,7 @@ def run_experiment(
         done = len(batches) - len(missing)
         if progress is not None:
             progress(done, len(batches))
-        staging = Staging(out, constants, going_on)
+        staging = Staging(out.absolute(), constants, going_on)
         for batch in staging.of_all(missing, workers):
             for staged in batch:
                 writer.append(staged)

@@ -28,7 +28,6 @@ record would be to believe the decision in question.
 """
 
 from collections.abc import Callable, Collection, Iterator, Sequence
-from contextlib import ExitStack
 from itertools import repeat
 from pathlib import Path
 
@@ -36,7 +35,7 @@ import msgspec
 
 from fsar_ledger.base.memory import without_collection
 from fsar_ledger.base.printable import counted, value
-from fsar_ledger.base.workers import WorkerPool
+from fsar_ledger.base.workers import pool_of
 from fsar_ledger.events import ALONE
 from fsar_ledger.events.fleet import RunContinued, RunStarted
 from fsar_ledger.ledger.opening import open_ledger
@@ -156,12 +155,8 @@ def _replayed(
 ) -> Iterator[CommitReport]:
     """Yield the report of each group of segments, in order."""
     asked = repeat(path), range(len(files)), files, repeat(is_recorded), repeat(continued)
-    with ExitStack() as stack:
-        if workers > 1 and len(files) > 1:
-            pool = stack.enter_context(WorkerPool(min(workers, len(files))))
-            yield from pool.map(replay_commit, *asked)
-        else:
-            yield from map(replay_commit, *asked)
+    with pool_of(min(workers, len(files))) as pool:
+        yield from (pool.map if pool else map)(replay_commit, *asked)
 
 
 @without_collection()  # a run makes no cyclic garbage

@@ -14,7 +14,7 @@ import msgspec
 
 from fsar_ledger.base.errors import CommitTooLarge
 from fsar_ledger.base.memory import without_collection
-from fsar_ledger.base.workers import WorkerPool
+from fsar_ledger.base.workers import Cluster, WorkerPool, pool_of, workers_of_cluster
 from fsar_ledger.designs import Fleet
 from fsar_ledger.designs.constants import Constants, Range, WorldConstants, write_constants
 from fsar_ledger.designs.registered import PAPER_SCENARIOS
@@ -215,16 +215,13 @@ class Staging(msgspec.Struct, frozen=True):
 
         In this process a batch is made while what is yielded is consumed.
         """
-        most = min(workers.workers if isinstance(workers, WorkerPool) else workers, len(batches))
-        if most <= 1:
-            yield from map(self._stream, batches)
-        elif isinstance(workers, WorkerPool):
+        if isinstance(workers, WorkerPool) and workers_of_cluster() is None and min(workers.workers, len(batches)) > 1:
             yield from self._of_pool(batches, workers)
-        else:
-            with WorkerPool(most) as pool:
-                yield from self._of_pool(batches, pool)
+            return
+        with pool_of(1 if isinstance(workers, WorkerPool) else min(workers, len(batches))) as pool:
+            yield from map(self._stream, batches) if pool is None else self._of_pool(batches, pool)
 
-    def _of_pool(self, batches: Sequence[Batch], pool: WorkerPool) -> Iterator[Iterable[Staged]]:
+    def _of_pool(self, batches: Sequence[Batch], pool: Cluster | WorkerPool) -> Iterator[Iterable[Staged]]:
         queue: deque[Future[Sequence[Staged]]] = deque()
         for batch in batches:
             queue.append(pool.submit(self.of, batch))

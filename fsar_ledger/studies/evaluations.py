@@ -9,7 +9,7 @@ import os
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor, as_completed
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from functools import cache
 from hashlib import sha256
 from importlib.resources import files
@@ -21,7 +21,7 @@ import msgspec
 import fsar_ledger
 from fsar_ledger.base.errors import UsageError, WriteFailed
 from fsar_ledger.base.progress import Progress
-from fsar_ledger.base.workers import WorkerPool
+from fsar_ledger.base.workers import WorkerPool, pool_of
 from fsar_ledger.designs.constants import Constants, write_constants
 from fsar_ledger.events.configuration import FULL, PAPER_ARCHITECTURES
 from fsar_ledger.events.envelope import Architecture
@@ -288,7 +288,7 @@ def evaluating(
         WriteFailed: One of the files cannot be written.
     """
     require_out(out)
-    with nullcontext(None) if workers == 1 else WorkerPool(workers) as pool:
+    with pool_of(workers) as pool:
         found = Evaluations(out.with_name(out.name + ".partial"), ask, pool, progress, width)
         try:
             yield found

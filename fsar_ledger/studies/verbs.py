@@ -180,7 +180,7 @@ def comparison(
     "study run sensitivity --out out/sensitivity.json --svg out/sensitivity.svg",
     "study run sensitivity --out out/short.json --trajectories 2 --runs 1 --points 0",
     name="study run sensitivity",
-    takes=("wide",),
+    takes=("cluster", "wide"),
     after_interruption=GOES_ON,
 )
 def sensitivity(

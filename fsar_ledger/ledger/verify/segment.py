@@ -16,7 +16,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from fsar_ledger.base.errors import LedgerCorrupted
-from fsar_ledger.base.workers import WorkerPool
+from fsar_ledger.base.workers import pool_of
 from fsar_ledger.ledger.rows import Columns, canonical
 from fsar_ledger.ledger.rows.blocks import Block, blocks_of
 from fsar_ledger.ledger.rows.check import first_flaw
@@ -140,12 +140,8 @@ def examine_all(
             yield from each(examine_file, repeat(str(ledger)), *zip(*segments, strict=True))
             return
         given = (repeat(examine), repeat(str(ledger)), _together(segments, workers), repeat(second_reader))
-        parts = (
-            stack.enter_context(WorkerPool(workers)).map(examine_some, *given)
-            if workers > 1
-            else map(examine_some, *given)
-        )
-        for part in parts:
+        pool = stack.enter_context(pool_of(workers))
+        for part in (pool.map if pool else map)(examine_some, *given):
             yield from part
 
 
