@@ -67,6 +67,7 @@ class Simulated(Answer):
     "simulate out/doors --architecture fsar --scenario door-relay --runs 3 --seed 7",
     "simulate out/doors --architecture fsar --scenario door-relay --runs 5 --seed 7    # enlarges it",
     "simulate out/untrusting --without trust-evaluation --runs 2",
+    "simulate out/later --scenario door-relay --first-run 20 --runs 2",
     "simulate out/workflows --workflow door-relay --workflow layered-recovery --workflow human-supervision",
     "simulate out/signed --scenario door-relay --runs 1 --key out/fleet.key",
     "simulate out/named --scenario door-relay --runs 1 --origin example.org/fleet",
@@ -97,6 +98,9 @@ def simulate(
         complete="workflows",
     ),
     runs: int | None = declare("N", "Runs per scenario (or workflow) and architecture.", "20; with --workflow, 1"),
+    first_run: int = declare(
+        "N", "The number of the first run: another ledger has those before it (docs/scale.md).", value=0
+    ),
     seed: int = declare("N", "Decides every draw of the world.", value=42),
     fleet: Place | None = declare("FILE", "A .toml file with a fleet of your own.", "the paper's"),
     settings: Names = declare(
@@ -154,6 +158,7 @@ def simulate(
         (teams_working, task_sets),
         None if fleet is None else str(fleet),
         names_of(settings),
+        first_run,
     )
     signer = signer_of(key, adopts=adopt)
     processes = workers_of(workers, experiment.size * experiment.fleet_size // WORTH_ROBOTS)

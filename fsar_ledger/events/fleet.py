@@ -177,9 +177,9 @@ class IsolatedResultOvertaken(Event, frozen=True, kw_only=True):
 class ExperimentPlanned(Event, frozen=True, kw_only=True):
     """An experiment was planned: `run_count` simulated runs for each architecture, configuration and scenario.
 
-    The plan is the only event of a run of its own. The planned runs are numbered from 0 to `run_count` - 1; every other
-    field is as in the `RunStarted` of each of them. Repeating or continuing the experiment adds no second plan;
-    enlarging it adds the plan of the larger one.
+    The plan is the only event of a run of its own. The planned runs are numbered from `first_run` on (None: from 0);
+    every other field is as in the `RunStarted` of each of them. Repeating or continuing the experiment adds no second
+    plan; enlarging it adds the plan of the larger one.
     """
 
     architectures: tuple[str, ...]
@@ -190,3 +190,4 @@ class ExperimentPlanned(Event, frozen=True, kw_only=True):
     fleet_size: int
     model_version: str
     parameters: str
+    first_run: int | None = None

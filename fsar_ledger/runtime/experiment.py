@@ -50,6 +50,8 @@ WORKFLOWS_ORIGIN = "fsar-ledger/workflows"  # a ledger of its own: no key signs 
 # See docs/decisions/batches-follow-from-the-plan.md.
 EVENTS_PER_ROBOT, EVENTS_PER_DHMA_ROBOT = 150, 257
 """Events of a run expected for each robot; they decide nothing but how batches are cut."""
+MOST_FIRST = 999_999
+"""The highest number that the first run of an experiment may have."""
 MOST_ROBOTS = 1 << 16
 """The most robots of a run; nobody has made a run of more than 4,096."""
 MAX_OWN = 60_000
@@ -60,7 +62,7 @@ Without either, they have about 2,000.
 
 
 class Experiment(msgspec.Struct, frozen=True):
-    """The runs to simulate: `runs` of each scenario (or workflow), architecture and configuration.
+    """The runs to simulate: `runs` of each scenario (or workflow), architecture and configuration, from `first_run` on.
 
     Names are sorted into canonical order. They must be registered, or that of the scenario in the constants.
 
@@ -76,6 +78,7 @@ class Experiment(msgspec.Struct, frozen=True):
     fleet_size: int = 4
     configurations: tuple[Configuration, ...] = (FULL,)
     constants: Constants = Constants()
+    first_run: int = 0
 
     def __post_init__(self) -> None:
         _require_known("architecture", self.architectures, ARCHITECTURES)
@@ -84,6 +87,8 @@ class Experiment(msgspec.Struct, frozen=True):
         self._require_designs()
         if not 1 <= self.runs <= 9999:
             raise InvalidExperiment(f"runs: found {self.runs}, expected 1 to 9999")
+        if not 0 <= self.first_run <= MOST_FIRST:
+            raise InvalidExperiment(f"first run: found {self.first_run}, expected 0 to {MOST_FIRST}")
         if not 0 <= self.seed < 2**53:
             raise InvalidExperiment(f"seed: found {self.seed}, expected 0 to {2**53 - 1}")
         of_team = team_size(self.constants.fleet)
@@ -228,7 +233,7 @@ class Experiment(msgspec.Struct, frozen=True):
     def specs(self) -> Iterator[RunSpec]:
         """Yield the runs in canonical order: scenario, run, architecture, configuration."""
         for scenario in self.scenarios:
-            for run in range(self.runs):
+            for run in range(self.first_run, self.first_run + self.runs):
                 for architecture in self.architectures:
                     for configuration in self.configurations:
                         yield RunSpec(self.seed, architecture, configuration, scenario, self.fleet_size, run)
@@ -259,6 +264,7 @@ class Experiment(msgspec.Struct, frozen=True):
             configurations=self.configurations,
             scenarios=self.scenarios,
             run_count=self.runs,
+            first_run=self.first_run or None,
             seed=self.seed,
             fleet_size=self.fleet_size,
             model_version=MODEL_VERSION,

@@ -44,6 +44,7 @@ def experiment_of(
     load: tuple[int | None, int] = (None, 1),
     fleet: str | None = None,
     settings: list[str] | None = None,
+    first_run: int = 0,
 ) -> Experiment:
     """Return the experiment that the arguments of `simulate` name.
 
@@ -62,6 +63,7 @@ def experiment_of(
             "task_sets": load[1] if load[1] != 1 else None,
             "fleet": fleet,
             "settings": settings,
+            "first_run": first_run or None,
         }
         return _workflows_of(workflows, runs, seed, others, architectures, fleet_size)
 
@@ -91,6 +93,7 @@ def experiment_of(
         seed=seed,
         fleet_size=size,
         constants=constants,
+        first_run=first_run,
     )
 
 
@@ -197,7 +200,7 @@ def shape(plan: Mapping[str, Any]) -> str:
     """Describe what a plan names: `door-relay x 20 runs x fsar, cfc (full), seed 42, 4 robots`."""
     parts = (
         _some(plan["scenarios"], "scenarios"),
-        printable.counted(plan["run_count"], "run"),
+        printable.counted(plan["run_count"], "run") + (f" from {plan['first_run']:,}" if plan["first_run"] else ""),
         _some(plan["architectures"], "architectures"),
     )
     configurations = (
@@ -244,6 +247,7 @@ def _asked(plan: Mapping[str, Any], parameters: str) -> dict[str, Any] | None:
         "workflows": sorted(name.removeprefix("workflow-") for name in scenarios) if is_workflow else None,
         "without": sorted(name.removeprefix("without-") for name in configurations) if is_ablated else None,
         "runs": None if plan["run_count"] == (1 if is_workflow else RUNS) else plan["run_count"],
+        "first_run": plan["first_run"],
         "seed": plan["seed"],
         "fleet_size": plan["fleet_size"],
         "load": (load.teams_working, load.task_sets),
@@ -260,7 +264,12 @@ def _options(asked: Mapping[str, Any]) -> Iterator[str]:
     ):
         yield from (f"{written} {printable.word(one)}" for one in asked[name] or ())
     working, sets = asked["load"]
-    numbers = (("--runs", asked["runs"], None), ("--seed", asked["seed"], 42), ("--fleet-size", asked["fleet_size"], 4))
+    numbers = (
+        ("--first-run", asked["first_run"], 0),
+        ("--runs", asked["runs"], None),
+        ("--seed", asked["seed"], 42),
+        ("--fleet-size", asked["fleet_size"], 4),
+    )
     for written, value, usual in (*numbers, ("--teams-working", working, None), ("--task-sets", sets, 1)):
         if value != usual:
             yield f"{written} {value}"

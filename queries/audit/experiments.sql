@@ -27,7 +27,8 @@ larger AS (
             plans.seed = others.seed AND plans.fleet_size = others.fleet_size
             AND plans.model_version = others.model_version AND plans.parameters_sha256 = others.parameters_sha256
     WHERE
-        plans.planned_count < others.planned_count AND plans.run_count <= others.run_count
+        plans.planned_count < others.planned_count AND others.first_run <= plans.first_run
+        AND plans.first_run::HUGEINT + plans.run_count <= others.first_run::HUGEINT + others.run_count
         AND list_has_all(others.architectures, plans.architectures)
         AND list_has_all(others.configurations, plans.configurations)
         AND list_has_all(others.scenarios, plans.scenarios)
@@ -36,7 +37,7 @@ larger AS (
 
 SELECT
     plans.plan, plans.seed, plans.fleet_size, plans.architectures, plans.configurations, plans.scenarios,
-    plans.run_count, plans.model_version, plans.parameters_sha256, plans.planned_count,
+    plans.first_run, plans.run_count, plans.model_version, plans.parameters_sha256, plans.planned_count,
     coalesce(there.there_count, 0) AS there_count,
     plans.planned_count - coalesce(there.there_count, 0) AS missing_count,
     coalesce(larger.larger_plans, 0) AS larger_plans

@@ -7,7 +7,7 @@
 -- NULL: never
 -- Example: fsar-ledger query audit/missing_runs LEDGER
 --   answers no rows where all that was planned is there
--- Runs are numbered from 0, so several plans together ask for what the largest of them asks for, and a plan within a
+-- Several plans of numbers that overlap together ask for each number once, and a plan within a
 -- larger one adds nothing. A plan of more than 10,000 combinations of names, which no experiment has, is left out.
 WITH lacking AS (
     SELECT *
@@ -17,15 +17,33 @@ WITH lacking AS (
         AND len(architectures)::HUGEINT * len(configurations) * len(scenarios) <= 10000
 ),
 
-planned AS (
+ranges AS (
     SELECT
         lacking.seed, lacking.fleet_size, lacking.model_version, lacking.parameters_sha256, architectures.architecture,
-        configurations.configuration, scenarios.scenario,
-        max(lacking.run_count) AS planned_count
+        configurations.configuration, scenarios.scenario, lacking.first_run,
+        max(lacking.first_run::HUGEINT + lacking.run_count) AS end_run
     FROM lacking
     CROSS JOIN unnest(lacking.architectures) AS architectures (architecture)
     CROSS JOIN unnest(lacking.configurations) AS configurations (configuration)
     CROSS JOIN unnest(lacking.scenarios) AS scenarios (scenario)
+    GROUP BY ALL
+),
+
+own AS (
+    SELECT
+        *,
+        max(end_run) OVER (
+            PARTITION BY seed, fleet_size, model_version, parameters_sha256, architecture, configuration, scenario
+            ORDER BY first_run ROWS BETWEEN UNBOUNDED PRECEDING AND 1 PRECEDING
+        ) AS end_before
+    FROM ranges
+),
+
+planned AS (
+    SELECT
+        seed, fleet_size, model_version, parameters_sha256, architecture, configuration, scenario,
+        sum(greatest(0, end_run - greatest(first_run, coalesce(end_before, first_run))))::HUGEINT AS planned_count
+    FROM own
     GROUP BY ALL
 ),
 

@@ -14,6 +14,7 @@ INNER JOIN runs
         plans.seed = runs.seed AND plans.fleet_size = runs.fleet_size
         AND plans.model_version = runs.model_version AND plans.parameters_sha256 = runs.parameters_sha256
 WHERE
-    runs.kind = 'simulated' AND runs.forked_from IS NULL AND runs.run >= 0 AND plans.run_count > runs.run
+    runs.kind = 'simulated' AND runs.forked_from IS NULL AND runs.run >= 0 AND runs.run >= plans.first_run
+    AND runs.run < plans.first_run::HUGEINT + plans.run_count
     AND list_contains(plans.architectures, runs.architecture)
     AND list_contains(plans.configurations, runs.configuration) AND list_contains(plans.scenarios, runs.scenario)

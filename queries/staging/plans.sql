@@ -2,8 +2,8 @@
 -- Paper: sec:evaluation:setup
 -- Grain: one row per plan
 -- Key: plan
--- Units: fleet_size robots; run_count runs for each architecture, configuration and scenario, numbered from 0;
---   planned_count runs in all; parameters_sha256 the digest of all constants of the world and of structure
+-- Units: fleet_size robots; run_count runs for each architecture, configuration and scenario, numbered from
+--   first_run on; planned_count runs in all; parameters_sha256 the digest of all constants of world and structure
 -- NULL: never
 -- Example: fsar-ledger query staging/plans LEDGER
 -- Stored: every answer says whether all planned runs are there
@@ -14,6 +14,7 @@ SELECT
     list_sort(list_distinct(configurations)) AS configurations,
     list_sort(list_distinct(scenarios)) AS scenarios,
     run_count, model_version,
+    coalesce(first_run, 0) AS first_run,
     sha256(parameters) AS parameters_sha256,
     greatest(run_count, 0)::HUGEINT
     * len(list_distinct(architectures))

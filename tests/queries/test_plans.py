@@ -103,3 +103,22 @@ def test_a_plan_is_neither_a_run_nor_a_decision() -> None:
     assert answer("staging/runs", plan()) == []
     assert answer("metrics/run_metrics", plan()) == []
     assert answer("facts/decisions", plan()) == []
+
+
+def test_a_plan_of_later_runs_names_those_and_lacks_no_earlier_ones() -> None:
+    there = [run(run_id=f"a{at}", run=at) for at in range(4)]
+    assert counted(plan(first_run=2, architectures=["fsar"]), *there) == [("p1", 2, 2, 0, 0)]
+    found = answer("facts/planned_runs", plan(first_run=2, architectures=["fsar"]), *there, columns=("run_id",))
+    assert found == [("a2",), ("a3",)]
+
+
+def test_plans_of_overlapping_numbers_ask_for_each_number_once() -> None:
+    plans = [*plan(run_count=3), *plan("p2", first_run=2, run_count=4), *plan("p3", first_run=8, run_count=1)]
+    columns = ("architecture", "planned_count", "there_count", "missing_count")
+    found = answer("audit/missing_runs", plans, run(run_id="a", run=2), columns=columns)
+    assert found == [("cfc", 7, 0, 7), ("fsar", 7, 1, 6)]
+
+
+def test_only_a_plan_whose_numbers_lie_within_another_is_part_of_it() -> None:
+    assert counted(plan(first_run=3), plan("p2", run_count=5)) == [("p1", 4, 0, 4, 1), ("p2", 10, 0, 10, 0)]
+    assert [row[-1] for row in counted(plan(first_run=4), plan("p2", run_count=5))] == [0, 0]

@@ -8,6 +8,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
+import fsar_ledger
 from fsar_ledger.designs.constants import Constants, WorldConstants
 from fsar_ledger.events.envelope import Architecture
 from fsar_ledger.events.fleet import ExperimentPlanned
@@ -18,6 +19,7 @@ from fsar_ledger.ledger.store.record import Head
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.ledger.verify import verify
 from fsar_ledger.metrics.database import connect
+from fsar_ledger.metrics.provenance import completeness
 from fsar_ledger.metrics.results import metric_rows, statistic_rows
 from fsar_ledger.runtime import experiment as module
 from fsar_ledger.runtime.experiment import ORIGIN, Experiment, run_experiment
@@ -203,3 +205,15 @@ def test_a_forged_plan_is_a_doubt_of_a_replayed_ledger(tmp_path: Path) -> None:
         )
     report = replay(tmp_path / "ledger")
     assert (report.ok, report.runs, [one.field for one in report.differences]) == (False, 0, ["run_id"])
+
+
+def test_shards_of_an_experiment_have_the_runs_of_the_whole_one(tmp_path: Path) -> None:
+    def runs(name: str, **asked: int) -> list[LedgerRun]:
+        ledger = fsar_ledger.simulate(tmp_path / name, scenario="door-relay", seed=5, **asked).ledger
+        with connect(ledger.path) as database:
+            assert completeness(database).answer()["complete"] is True
+        return [run for run in open_ledger(ledger.path).runs() if run.run_id.startswith("fsar")]
+
+    whole = runs("whole", runs=5)
+    assert len(whole) == 5
+    assert runs("first", runs=2) + runs("second", first_run=2, runs=3) == whole
