@@ -21,7 +21,8 @@ export OUT MINUTES TASKS
 unexport PYTHONDONTWRITEBYTECODE
 
 BIN := .venv/bin
-PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet
+# What is never imported need not be compiled: that took two fifths of the set-up.
+PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet --no-compile
 
 # A stamp for each set-up, written last: a set-up that was interrupted is done again.
 READY := .venv/.ready

@@ -5,7 +5,7 @@
                                     mechanisms in docs/model.md, and the output in every ```console block
     python docs/write.py PAGE...    only these of the first five pages, which takes a second
     python docs/write.py --check    exit code 1 and a diff where a page would change in what a reader notices: not in
-                                    digests alone, but for docs/ledger-format.md, queries.md and event-types.json
+                                    digests alone, where no command is run; what begins like words after it is not run
 
 In a ```console block, lines after `$ ` (continued after `> `) are commands, run in order in an empty folder a page.
 """
@@ -75,29 +75,30 @@ FOLDERS = {
 }
 
 
-def with_output(page: str) -> str:
-    """Return the page with the present output of every command in it."""
+def with_output(page: str, left: tuple[str, ...] = ()) -> str:
+    """Return the page with the present output of every command in it that does not begin so."""
     with tempfile.TemporaryDirectory() as folder:
         return re.sub(
             r"```console\n(.*?)```",
-            lambda block: "```console\n" + "".join(answered(block[1], Path(folder))) + "```",
+            lambda block: "```console\n" + "".join(answered(block[1], Path(folder), left)) + "```",
             page,
             flags=re.DOTALL,
         )
 
 
-def answered(block: str, folder: Path) -> Iterator[str]:
-    """Yield each command of the block, followed by what it prints."""
-    for command in re.findall(r"^\$ .*\n(?:>(?: .*)?\n)*", block, flags=re.MULTILINE):
+def answered(block: str, folder: Path, left: tuple[str, ...] = ()) -> Iterator[str]:
+    """Yield each command of the block, followed by what it prints, or by what stands there if it begins so."""
+    for command, printed in re.findall(r"^(\$ .*\n(?:>(?: .*)?\n)*)((?:(?!\$ ).*\n)*)", block, flags=re.MULTILINE):
         yield command
         text = "\n".join(line[2:] for line in command.splitlines())
-        plain = NEEDS_NO_SHELL.fullmatch(text)
-        if plain is None:
+        if text.startswith(left):
+            yield printed
+        elif plain := NEEDS_NO_SHELL.fullmatch(text):
+            said, code = called(plain["call"], folder)
+            said += f"exit code {code}\n" if plain["code"] else ""
+            yield said_in_a_shell(plain["pipe"], folder, said) if plain["pipe"] else said
+        else:
             yield said_in_a_shell(text, folder)
-            continue
-        said, code = called(plain["call"], folder)
-        said += f"exit code {code}\n" if plain["code"] else ""
-        yield said_in_a_shell(plain["pipe"], folder, said) if plain["pipe"] else said
 
 
 def called(text: str, folder: Path) -> tuple[str, int]:
@@ -373,13 +374,13 @@ def main(arguments: list[str]) -> int:
         for name in arguments:
             (DOCS / name).write_text(texts[DOCS / name], "utf-8")
         return 0
-    if arguments not in ([], ["--check"]):
+    if arguments[:1] not in ([], ["--check"]):
         named = ", ".join(page.name for page in texts)
         print(f"docs/write.py: found {shlex.join(arguments)}, expected --check, {named}, or nothing", file=sys.stderr)
         return 2
-    pages = {page: with_output(page.read_text("utf-8")) for page in PAGES}
+    pages = {page: with_output(page.read_text("utf-8"), tuple(arguments[1:])) for page in PAGES}
     pages[DOCS / "model.md"] = with_mechanisms(with_readings(with_constants(pages[DOCS / "model.md"])))
-    if arguments != ["--check"]:
+    if not arguments:
         for page, text in (pages | texts).items():
             if not page.exists() or page.read_text("utf-8") != text:
                 page.write_text(text, "utf-8")

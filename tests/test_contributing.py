@@ -200,6 +200,11 @@ UNTOUCHED = (
     "test_sql_reads_this_ledger_and_nothing_else",
     "test_every_event_type_survives_arrow_and_parquet",
     "test_the_ledger_is_the_same_whatever_the_surroundings",
+    "test_a_command_answers_without_pandas_which_pyarrow_would_load",
+    "test_export_writes_every_event",
+    "test_events_are_the_same_as_objects_and_as_a_table",
+    "test_paired_t_cohens_d_and_d_z_agree_with_scipy",
+    "test_a_registered_scenario_or_workflow_that_cannot_happen_is_refused_with_its_line_and_field",
 )
 """Tests that take a third of the time of all, and that no change of a page is about: left to the soak, page by page."""
 

@@ -310,23 +310,25 @@ PRINTED = (
     "fsar-ledger open out/ledger --out out/ledger.duckdb",
     "fsar-ledger study run multiverse out/ledger",
     "fsar-ledger report out/ledger --out out/report.pdf",
-)
-"""Examples left to the soak: a page prints what the same call answers (`docs/replay.md`, `open.md`, `model.md`), or the
-call is made about a ledger of an odd name (`tests/cli/test_odd_names.py`), or with `--numbers`."""
-
-ELSEWHERE = (
+    "fsar-ledger report out/ledger --with out/workflows --with out/untrusting --out out/report.pdf",
     "fsar-ledger metrics out/ledger --by scenario",
     "fsar-ledger metrics out/ledger --pool seeds",
     "fsar-ledger statistics out/ledger --csv",
     "fsar-ledger compare out/ledger --first fsar --second dhma --by scenario",
     "fsar-ledger compare out/ledger out/large --first fsar --verified --json",
-    "fsar-ledger study run multiverse out/ledger --metric human_intervention --svg out/multiverse.svg",
+    "fsar-ledger diff out/ledger 1 1 --other out/large --verified --json",
     "fsar-ledger explain out/ledger --run 1 --json",
-    "fsar-ledger explain out/ledger --run 1 --request A1-1/2.1",
     "fsar-ledger log out/ledger",
+)
+"""Examples left to the soak: a page prints what the same call answers (`docs/replay.md`, `open.md`, `model.md`), or the
+call is made about a ledger of an odd name (`tests/cli/test_odd_names.py`), or with `--numbers`, or about other ledgers
+(`tests/report`, `tests/cli`)."""
+
+ELSEWHERE = (
+    "fsar-ledger study run multiverse out/ledger --metric human_intervention --svg out/multiverse.svg",
+    "fsar-ledger explain out/ledger --run 1 --request A1-1/2.1",
     "fsar-ledger log out/ledger --run all --about requests,policy --json",
     "fsar-ledger audit out/ledger --architecture fsar --invariant i4 --json",
-    "fsar-ledger diff out/ledger 1 1 --other out/large --verified --json",
     *(example for name, example in examples() if name == "report" and ("--with" in example or "--numbers" in example)),
     *(one for name in {name for name, _ in examples()} for one in [one for of, one in examples() if of == name][1:]),
 )

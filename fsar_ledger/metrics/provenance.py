@@ -132,7 +132,16 @@ def unobserved(database: Database, query: Query, run: str | None = None) -> list
     """
     types = types_read(database.library, query)
     named = "" if types is None else f"WHERE type IN ({listed(sorted(types)) or 'NULL'})"
-    return _lacking(database, named, run, query.relation)
+    return _lacking(database, named, run, query.relation if is_judge(database.library, query.relation) else None)
+
+
+def is_judge(library: Library, relation: str) -> bool:
+    """Tell whether the relation may be a judge: whether it is named where those are listed.
+
+    Of another one `unobservable`, which takes as long to make as a small answer, has nothing to say.
+    """
+    listed_in = (library.relations.get(name) for name in ("judged_concerns", "metric_concerns"))
+    return any(f"'{relation}'" in one.sql for one in listed_in if one is not None)
 
 
 def never_observed(database: Database) -> list[Unobserved]:
@@ -141,9 +150,12 @@ def never_observed(database: Database) -> list[Unobserved]:
 
 
 def _lacking(database: Database, named: str = "", run: str | None = None, judge: str | None = None) -> list[Unobserved]:
-    """Return what not all runs (or not this one) observe, of the types that this condition takes."""
-    # Of what judges cannot tell, a judge is asked: it looks at every event.
-    said = "unobservable WHERE judge = $judge" if judge else "(SELECT NULL AS run_id, NULL AS not_observed) WHERE FALSE"
+    """Return what not all runs (or not this one) observe, of the types that the condition takes or the judge needs."""
+    lacking = f"SELECT DISTINCT run_id, if(is_whole, concern, concern || '{IN_PART}') AS name FROM lacking"
+    judged = """
+        SELECT run_id, unnest(string_split(not_observed, ', ')) AS name FROM unobservable WHERE judge = $judge
+        """
+    no_judge = "WHERE NOT EXISTS (FROM judged_concerns WHERE judge = $judge)"
     rows = database.rows(
         f"""
         WITH needed AS (
@@ -163,18 +175,8 @@ def _lacking(database: Database, named: str = "", run: str | None = None, judge:
                     AND NOT list_contains(coalesce(started.records, []), needed.kind)
         ),
 
-        judged AS (
-            SELECT run_id, unnest(string_split(not_observed, ', ')) AS name
-            FROM {said}
-        ),
-
         named AS (
-            SELECT run_id, if(is_whole, concern, concern || '{IN_PART}') AS name
-            FROM lacking
-            WHERE NOT EXISTS (FROM judged_concerns WHERE judge = $judge)
-            UNION
-            SELECT run_id, name
-            FROM judged
+            {lacking if judge is None else f"{lacking} {no_judge} UNION {judged}"}
         )
 
         SELECT
@@ -185,7 +187,7 @@ def _lacking(database: Database, named: str = "", run: str | None = None, judge:
         GROUP BY name
         ORDER BY name
         """,
-        {"run": run, "judge": judge},
+        {"run": run} if judge is None else {"run": run, "judge": judge},
     )
     return [Unobserved(**row) for row in rows]
 

@@ -81,7 +81,7 @@ def test_with_a_cause_alone_the_forked_run_has_the_outcome() -> None:
     [
         ("fsar", 32, "coordination_success < 1", ["window"]),
         ("cfc", 22, "recovery_containment < 1", []),
-        ("dhma", 8, "reassignment_latency_s > 0", []),
+        pytest.param("dhma", 8, "reassignment_latency_s > 0", [], marks=pytest.mark.soak),
     ],
 )
 def test_what_only_makes_the_outcome_defined_is_no_cause_of_it(

@@ -49,8 +49,12 @@ def forged(ledger: Path) -> Path:
     [
         ("verify",),
         *(
-            pytest.param(verb, marks=pytest.mark.slow)
-            for verb in (("metrics",), ("query", "metrics/policy_violations"), ("audit",), ("sql",))
+            pytest.param(verb, marks=mark)
+            for mark, verbs in (
+                (pytest.mark.slow, (("query", "metrics/policy_violations"), ("sql",))),
+                (pytest.mark.soak, (("metrics",), ("audit",))),
+            )
+            for verb in verbs
         ),
     ],
     ids=lambda verb: verb[0],

@@ -17,6 +17,7 @@ import pytest
 
 from fsar_ledger.metrics.database import connect
 from tests.cli.conftest import SMALL, Call, in_a_process
+from tests.quick import few
 from tests.running import ran
 
 COMMAND = [sys.executable, "-m", "fsar_ledger"]
@@ -34,7 +35,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, object]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("workers", ["1", "2"])
+@pytest.mark.parametrize("workers", few(["1", "2"], [], ["2"]))
 def test_an_interrupted_simulation_can_be_continued(
     call: Call, tmp_path: Path, workers: str, whole: dict[str, int]
 ) -> None:

@@ -10,23 +10,11 @@ import pytest
 
 from fsar_ledger.metrics.definitions import metrics
 from tests.foreign.verbs import ask
+from tests.quick import few
 from tests.running import ran
 from tests.test_documentation import readme_blocks
 
 EXPERIMENTS = {"results": "", "ablation": "/ablation", "scaling": "/scaling", "workflows": "/workflows"}
-
-
-@pytest.fixture(scope="module")
-def paper(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder in which all experiments were reproduced, a quarter of a minute of work."""
-    folder = tmp_path_factory.mktemp("paper")
-    reproduced(folder)
-    return folder
-
-
-@pytest.mark.slow
-def test_reproduce_makes_the_experiments_that_are_asked_for(tmp_path: Path) -> None:
-    reproduced(tmp_path, "workflows")
 
 
 def test_an_experiment_that_is_not_known_is_refused_before_anything_is_made(tmp_path: Path) -> None:
@@ -36,22 +24,28 @@ def test_an_experiment_that_is_not_known_is_refused_before_anything_is_made(tmp_
 
 
 # that an experiment that is there is not made again, and a report has the same bytes again, is tested in parts as well
-@pytest.mark.slow
-def test_reproduce_can_be_repeated(paper: Path) -> None:
-    out = paper / "fsar-out"
+@pytest.mark.parametrize("only", few([("workflows",), ()], [], [("workflows",)]), ids=" ".join)
+def test_reproduce_makes_the_experiments_that_are_asked_for_and_can_be_repeated(
+    tmp_path: Path, only: tuple[str, ...]
+) -> None:
+    reproduced(tmp_path, *only)
+    out = tmp_path / "fsar-out"
     before = {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()}
     assert {"report.pdf", "reproduction.json"} <= before.keys()
-    assert ask("reproduce", "--out", out, "--runs", 1, "--workers", 1, "--key", paper / "fleet.key").code == 0
+    asked = [option for name in only for option in ("--only", name)]
+    again = ask("reproduce", "--out", out, "--runs", 1, "--workers", 1, "--key", tmp_path / "fleet.key", *asked)
+    assert again.code == 0, again.err
     assert {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()} == before
 
 
 @pytest.mark.slow
 def test_every_command_of_the_readme_runs_as_printed_after_a_reproduction(
-    paper: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    reproduced(tmp_path)
     _, *blocks = readme_blocks()
     surroundings = {**os.environ, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
-    monkeypatch.chdir(paper)
+    monkeypatch.chdir(tmp_path)
     for first, *others in map(str.splitlines, blocks):
         done = ran(["sh", "-c", first], env=surroundings)
         assert done.returncode == 0, f"{first}\n{done.stdout}{done.stderr}"

@@ -53,7 +53,7 @@ def words(verb: str, ledger: Path, *options: str) -> list[object]:
     return [*verb.split(), ledger, *own, *options]
 
 
-@pytest.mark.parametrize("verb", few(ANSWERS, ["info", "explain", "sql", "export"]))
+@pytest.mark.parametrize("verb", few(ANSWERS, ["info", "explain", "sql", "export"], ["query runs", "audit", "metrics"]))
 def test_an_answer_says_whether_its_rows_were_compared_with_the_root(call: Call, small: Path, verb: str) -> None:
     options = ("--json",) if verb in WITH_JSON else ()
     before = call(*words(verb, small, *options))

@@ -341,7 +341,7 @@ def test_long_work_says_what_is_done_of_what_how_fast_and_how_long_the_rest_take
             marks=pytest.mark.slow,
         ),
         ("export LEDGER --out OUT.csv", "exported 2 of 2 commits"),
-        pytest.param("open LEDGER --out OUT.duckdb", " views and queries", marks=pytest.mark.slow),
+        pytest.param("open LEDGER --out OUT.duckdb", " views and queries", marks=pytest.mark.soak),
     ],
 )
 def test_verbs_that_take_long_tell_how_far_they_are_and_erase_it(

@@ -66,15 +66,33 @@ def answer_about_all_runs(database: Database, name: str) -> list[dict[str, objec
     return [_without_gaps(row) for row in database.query(name, required(ABOUT_ALL[name])).to_pylist()]
 
 
+PLAIN = [name for name in ABOUT_ALL if name not in DRAWN]
+
+
+@cache
+def concerns_of(name: str) -> frozenset[str]:
+    """Return the concerns of the events that a query may read: all, if it reads every event, or what runs observe."""
+    every = library().needs([ABOUT_ALL[name].relation])
+    if any(one.relation == "run_started" or (not one.tags and "events" in one.sources()) for one in every):
+        return frozenset(CONCERNS)
+    return frozenset(CONCERN_OF.get(tag.partition(".")[0], "") for one in every for tag in one.tags)
+
+
+def in_turn(concern: str) -> list[str]:
+    """Return the queries that the slow tests ask: those that may read of the concern, of those that may read of any
+    every second one."""
+    read = [name for name in PLAIN if concern in concerns_of(name)]
+    of_any = [name for name in read if concerns_of(name) >= {*CONCERNS}]
+    return [*(name for name in read if name not in of_any), *of_any[CONCERNS.index(concern) % 2 :: 2]]
+
+
 @pytest.mark.parametrize(
     ("concern", "names"),
     [
-        *(
-            pytest.param(one, [name for name in ABOUT_ALL if name not in DRAWN], marks=pytest.mark.slow)
-            for one in CONCERNS
-        ),
-        *(pytest.param(one, DRAWN, marks=pytest.mark.soak) for one in CONCERNS),
+        *(pytest.param(one, in_turn(one), marks=pytest.mark.slow) for one in CONCERNS),
+        *(pytest.param(one, list(ABOUT_ALL), marks=pytest.mark.soak) for one in CONCERNS),
     ],
+    ids=lambda value: value if isinstance(value, str) else str(len(value)),
 )
 def test_a_query_about_all_runs_names_what_is_not_observed(
     runs: list[LedgerRun], observed: Callable[[str], list[dict[str, object]]], concern: str, names: list[str]
@@ -118,7 +136,7 @@ OF_ROBOT = {
 }
 
 
-@pytest.mark.parametrize("concern", few(CONCERNS, ("execution",)))
+@pytest.mark.parametrize("concern", few(CONCERNS, ("execution",), CONCERNS[::2]))
 def test_state_and_step_say_nothing_of_what_is_not_observed(ledgers: dict[str, Path], concern: str) -> None:
     ledger = ledgers[concern]
     for at in TIMES:
@@ -148,7 +166,7 @@ NOT_POLICY = ("execution", "recovery", "world")
 """Concerns on which something else than policy rests that a decider may be told."""
 
 
-@pytest.mark.parametrize("concern", few(CONCERNS, ("request",)))
+@pytest.mark.parametrize("concern", few(CONCERNS, ("request",), CONCERNS[::2]))
 def test_log_explain_and_view_name_what_is_not_observed(ledgers: dict[str, Path], tmp_path: Path, concern: str) -> None:
     ledger = ledgers[concern]
     logged = ask("log", ledger, "--run", "1")
@@ -175,8 +193,8 @@ def test_a_request_of_which_nothing_tells_the_end_has_no_result(ledgers: dict[st
 @pytest.mark.parametrize(
     ("concern", "is_typeset"),
     [
-        *(pytest.param(one, at % 4 == 0, marks=pytest.mark.slow) for at, one in enumerate(CONCERNS)),
-        *(pytest.param(one, True, marks=pytest.mark.soak) for at, one in enumerate(CONCERNS) if at % 4),
+        *(pytest.param(one, at % 8 == 1, marks=pytest.mark.slow) for at, one in enumerate(CONCERNS) if at % 2),
+        *(pytest.param(one, True, marks=pytest.mark.soak) for at, one in enumerate(CONCERNS) if at % 8 != 1),
     ],
 )
 def test_the_report_has_no_number_of_what_is_not_observed(

@@ -50,7 +50,8 @@ def test_there_are_thirty() -> None:
 
 def test_each_bomb_meets_commands_in_turn_and_each_command_several_bombs() -> None:
     assert IN_TURN.keys() <= BOMBS.keys()
-    assert [name for name in BOMBS if not calls_in_turn(name)] == ["fifty million rows"]
+    left = [name for name in BOMBS if not calls_in_turn(name)]
+    assert left == ["fifty million rows", "a million open claims of two"]
     for name, begun in IN_TURN.items():
         assert len(calls_in_turn(name)) == len(begun) != 1, name
     met = Counter(call for name in BOMBS for call in calls_in_turn(name))

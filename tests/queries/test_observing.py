@@ -1,5 +1,6 @@
 """What a run does not observe is not judged: not 0, not "holds"; and what is judged does not rest on it."""
 
+import re
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -15,7 +16,7 @@ from fsar_ledger.ledger.rows.schema import LAYOUTS
 from fsar_ledger.metrics.database import Database
 from fsar_ledger.metrics.invariants import audit_rows, invariants
 from fsar_ledger.metrics.library import library
-from fsar_ledger.metrics.provenance import types_read
+from fsar_ledger.metrics.provenance import is_judge, types_read
 from fsar_ledger.metrics.results import metric_rows
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
 from tests.queries.histories import answer, event, run
@@ -50,6 +51,17 @@ def test_every_event_type_is_of_one_concern_and_every_concern_has_event_types() 
     assert {tag.partition(".")[0] for tag in CONCERN_OF} == known - OF_NO_CONCERN
     assert BESIDE.keys() <= known
     assert set(CONCERN_OF.values()) == set(CONCERNS)
+
+
+def test_a_judge_is_known_as_one_wherever_something_can_say_that_it_is_not_judged() -> None:
+    said = {judge for judge, *_ in answer("facts/judged_records")} | set(
+        re.findall(r"'(\w+)'", "".join(re.findall(r"unnest\((\[.*?\])\) AS judge", library().find("censored").sql)))
+    )
+    assert len(said) > 20
+    assert {
+        judge for judge in (*said, *NEEDED) if not is_judge(library(), judge) and judge in library().relations
+    } == set()
+    assert not is_judge(library(), "denials")
 
 
 def test_every_metric_invariant_mark_and_case_says_what_it_rests_on() -> None:

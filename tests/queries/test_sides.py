@@ -130,7 +130,14 @@ def test_a_ratio_that_hangs_on_one_pair_has_no_interval() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("failures", "share", "less"), [(0.5, 0.9, 0.6), (1.0, 0.7, 0.7), (3.0, 0.95, 0.8)])
+@pytest.mark.parametrize(
+    ("failures", "share", "less"),
+    [
+        (0.5, 0.9, 0.6),
+        pytest.param(1.0, 0.7, 0.7, marks=pytest.mark.soak),
+        pytest.param(3.0, 0.95, 0.8, marks=pytest.mark.soak),
+    ],
+)
 def test_the_interval_of_a_pooled_difference_holds_the_truth_in_94_to_98_of_100_experiments(
     failures: float, share: float, less: float
 ) -> None:

@@ -42,10 +42,10 @@ def test_same_ledger_gives_the_same_bytes_in_another_process_with_another_hash_s
     [
         pytest.param({"architectures": ("fsar",)}, marks=pytest.mark.slow),
         pytest.param(
-            {"architectures": ("cfc", "dhma"), "scenarios": ("door-relay",), "runs": 1}, marks=pytest.mark.slow
+            {"architectures": ("cfc", "dhma"), "scenarios": ("door-relay",), "runs": 1}, marks=pytest.mark.soak
         ),
         pytest.param({"architectures": ("fsar",), "configuration": "without-shared-registry"}, marks=pytest.mark.slow),
-        pytest.param({"fleet_size": 8}, marks=pytest.mark.slow),
+        pytest.param({"fleet_size": 8}, marks=pytest.mark.soak),
         {"architectures": ()},
     ],
     ids=["one architecture", "one run each", "an ablation alone", "another fleet size alone", "no run"],

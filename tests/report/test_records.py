@@ -29,6 +29,7 @@ from fsar_ledger.report.findings import Findings
 from fsar_ledger.report.printing import flat
 from fsar_ledger.studies.comparison import judge
 from tests import records
+from tests.quick import few
 from tests.records import KEPT, reasons, renew, stale
 from tests.report.conftest import PARAMETERS
 from tests.report.made import column, made, names, replaced, said
@@ -206,7 +207,7 @@ WHOLE: dict[str, Any] = {
 }
 
 
-@pytest.mark.parametrize("missing", [None, *(pytest.param(part, marks=pytest.mark.slow) for part in WHOLE)])
+@pytest.mark.parametrize("missing", few([None, *WHOLE], [None], [*WHOLE][::3]))
 def test_a_record_of_the_fit_is_read_and_typeset_whatever_part_is_missing(
     tmp_path: Path, findings: Findings, missing: str | None
 ) -> None:

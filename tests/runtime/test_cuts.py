@@ -24,6 +24,7 @@ from fsar_ledger.metrics.library import Query, library
 from fsar_ledger.metrics.slices import Slices
 from fsar_ledger.runtime.federation import Federation
 from fsar_ledger.runtime.snapshot import place
+from tests.quick import few
 from tests.runtime.test_live import STEPS, A
 from tests.runtime.test_live_forks_at_random import busy
 
@@ -107,7 +108,7 @@ def replayed(ledger: Path) -> str:
     return "" if found.ok else "\n".join(map(str, found.replay.differences))  # type: ignore[union-attr]
 
 
-@pytest.mark.parametrize("seed", [1, 2, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(3, 20))])
+@pytest.mark.parametrize("seed", few(range(1, 20), [1, 2], range(3, 20, 2)))
 def test_a_run_that_is_cut_anywhere_decides_as_the_uncut_one_and_both_replay(tmp_path: Path, seed: int) -> None:
     commands, ends_us = commands_of(seed)
     cuts = random.Random(seed).sample(range(1, len(commands)), 3)

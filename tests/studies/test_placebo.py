@@ -26,7 +26,7 @@ def test_on_the_same_seeds_nothing_differs() -> None:
     assert on_same_seeds(QUESTION) == (15, 0.0)
 
 
-@pytest.mark.parametrize("name", few(ARCHITECTURES[1:], ["jade"]))
+@pytest.mark.parametrize("name", few(ARCHITECTURES[1:], ["jade"], ["dhma", "roboos"]))
 def test_no_name_makes_a_difference_to_any_metric(name: str) -> None:
     with committed(QUESTION, QUESTION.seed, name) as database:
         rows = statistic_rows(database)

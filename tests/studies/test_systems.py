@@ -25,6 +25,7 @@ from fsar_ledger.studies.systems import (
     systems,
     trials,
 )
+from tests.quick import few
 
 
 def test_a_dial_is_tried_at_its_declared_value_and_at_others() -> None:
@@ -86,7 +87,7 @@ def test_a_rank_counts_the_worlds_in_which_the_intervals_do_not_meet() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("architecture", ARCHITECTURES)
+@pytest.mark.parametrize("architecture", few(ARCHITECTURES, [], ["fsar", "dhma", "roboos"]))
 def test_an_answer_has_every_metric_grade_and_share(architecture: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(study, "RUNS", {4: 2})
     monkeypatch.setattr(study, "SEEDS", (1, 2))
