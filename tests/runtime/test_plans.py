@@ -208,12 +208,14 @@ def test_a_forged_plan_is_a_doubt_of_a_replayed_ledger(tmp_path: Path) -> None:
 
 
 def test_shards_of_an_experiment_have_the_runs_of_the_whole_one(tmp_path: Path) -> None:
-    def runs(name: str, **asked: int) -> list[LedgerRun]:
-        ledger = fsar_ledger.simulate(tmp_path / name, scenario="door-relay", seed=5, **asked).ledger
+    def runs(name: str, count: int, first: int = 0) -> list[LedgerRun]:
+        ledger = fsar_ledger.simulate(
+            tmp_path / name, scenario="door-relay", seed=5, runs=count, first_run=first
+        ).ledger
         with connect(ledger.path) as database:
             assert completeness(database).answer()["complete"] is True
         return [run for run in open_ledger(ledger.path).runs() if run.run_id.startswith("fsar")]
 
-    whole = runs("whole", runs=5)
+    whole = runs("whole", 5)
     assert len(whole) == 5
-    assert runs("first", runs=2) + runs("second", first_run=2, runs=3) == whole
+    assert runs("first", 2) + runs("second", 3, 2) == whole
