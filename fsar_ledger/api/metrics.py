@@ -17,9 +17,10 @@ from .verbs import ROWS, ByOption, PoolOption, Shows, declare, verb
 
 if TYPE_CHECKING:
     from fsar_ledger.metrics.comparability import DifferingWorlds
-    from fsar_ledger.metrics.multiverse import Cell, Ranking, Reading, ReadingNames, Universe
+    from fsar_ledger.metrics.multiverse import Cell, Reading, ReadingNames, Universe
     from fsar_ledger.metrics.provenance import Provenance
     from fsar_ledger.metrics.results import StatisticRow
+    from fsar_ledger.metrics.robustness import OrderUnderReadings
 
     from .ledger import Ledger
     from .table import Table
@@ -189,7 +190,7 @@ class MultiverseResult(Answer, msgspec.Struct, frozen=True):
 
     readings: "tuple[Reading, ...]"
     cells: "tuple[Cell, ...]"
-    rankings: "tuple[Ranking, ...]"
+    rankings: "tuple[OrderUnderReadings, ...]"
     universes: "tuple[Universe, ...]"
     provenance: "Provenance"
 
@@ -266,7 +267,7 @@ def multiverse(
         return MultiverseResult(found.readings, found.cells, found.rankings, found.universes, of_judgement(database))
 
 
-def _verdicts(rankings: "Sequence[Ranking]") -> Iterator[str]:
+def _verdicts(rankings: "Sequence[OrderUnderReadings]") -> Iterator[str]:
     """Yield in how many rankings FSAR is best, and in how many our order stays, under every combination."""
     for what, count in (
         ("FSAR is the best one", "fsar_best"),
@@ -291,7 +292,7 @@ def _columns(rows: Sequence[Row], columns: tuple[str, ...]) -> list[str]:
     return [columns[0], *telling, *columns[1:], *(name for name in WHERE_ANY if any(row.get(name) for row in rows))]
 
 
-def _named(row: "Ranking") -> Row:
+def _named(row: "OrderUnderReadings") -> Row:
     changed, not_best = _texts(row.changed_under), _texts(row.fsar_not_best_under)
     return {**structs.asdict(row), "changed_under": changed, "fsar_not_best_under": not_best}
 

@@ -4,7 +4,6 @@ Each worker holds the only other end of its own pipe, so the pipe ends wherever 
 (The standard library's pool shares one queue: a process killed while writing to it leaves every reader waiting.)
 """
 
-import logging
 import os
 import pickle
 import signal
@@ -145,7 +144,7 @@ def cluster(address: str | None) -> Iterator[None]:
                         n_workers=int(number),
                         threads_per_worker=1,
                         dashboard_address=None,
-                        silence_logs=logging.CRITICAL,
+                        silence_logs=50,
                     )
                 client = stack.enter_context(Client(stack.enter_context(made)))
             else:

@@ -5,7 +5,7 @@ tables, so that the metrics are computed once per connection.
 """
 
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from operator import attrgetter
 from pathlib import Path
@@ -15,14 +15,13 @@ import duckdb
 import pyarrow as pa
 
 from fsar_ledger.base import memory
-from fsar_ledger.base.errors import FsarLedgerError, LedgerCorrupted, LimitReached, QueryFailed
-from fsar_ledger.ledger.rows.schema import SCHEMA
-from fsar_ledger.ledger.rows.segment import read_table
+from fsar_ledger.base.errors import FsarLedgerError, LimitReached, QueryFailed
+from fsar_ledger.ledger.rows.segment import first_damage
 from fsar_ledger.ledger.store.record import Head
 
 from .library import Library, Query, library
 from .own_sql import FOR_OLDER, FUNCTIONS, SHOWN, check_columns, register, statements
-from .sql_values import literal, quoted, values
+from .sql_values import BATCH_ROWS, literal, quoted, values, with_all_columns
 
 if TYPE_CHECKING:
     from .slices import Slices
@@ -45,7 +44,6 @@ STORAGE = "v1.0.0"
 DUCKDB_SHARE = 0.75
 """The part of the memory of this process that DuckDB may take."""
 
-BATCH_ROWS = 10_000
 MESSAGE_LINES = 6
 OUT_OF_MEMORY = (duckdb.OutOfMemoryException, pa.ArrowMemoryError)
 FAULTS_OF_SQL = (
@@ -66,7 +64,6 @@ _OF_RUNS = frozenset({"run_started", "experiment_planned"})
 """Events of which there are few; to find them, all have to be read."""
 _relation = attrgetter("relation")
 _CALL = re.compile(r"\b([a-z_0-9]+)\(")
-NULLABLE = pa.schema([field.with_nullable(True) for field in SCHEMA])
 Value = str | int | float | bool | None | list[str]
 
 
@@ -216,7 +213,7 @@ class Database:
             if kind == "TABLE" and self.slices is not None:
                 self._change("CHECKPOINT")
 
-    def hold_rows_of_slices(self, names: Iterable[str]) -> None:
+    def hold_rows_of_slices(self, names: Collection[str]) -> None:
         """Hold the rows of what is `Partial` among what these relations read, unless a packaged query was replaced.
 
         Where a ledger is not judged in slices, nothing is to be done. Raises: As `table`.
@@ -392,38 +389,7 @@ class Database:
         return damage or QueryFailed(f"SQL: {_first_lines(str(error))}")
 
 
-def first_damage(segments: Sequence[Path]) -> LedgerCorrupted | None:
-    """Say what is wrong with the first segment that cannot be read; None if all can."""
-    for path in segments:
-        try:
-            read_table(path)
-        except LedgerCorrupted as damage:
-            return damage
-    return None
-
-
-def plain_rows(table: pa.Table) -> list[dict[str, Any]]:
-    """Return the rows as dictionaries; DuckDB's sums of integers, decimals in Arrow, become integers again."""
-    whole = [field.name for field in table.schema if pa.types.is_decimal(field.type) and field.type.scale == 0]
-    # In parts: between two of them, the watch over this process's memory gets its turn.
-    rows: list[dict[str, Any]] = [
-        row for part in table.to_batches(max_chunksize=BATCH_ROWS) for row in part.to_pylist()
-    ]
-    for row in rows if whole else ():
-        row.update({name: None if row[name] is None else int(row[name]) for name in whole})
-    return rows
-
-
 def _first_lines(text: str) -> str:
     """Return the beginning of DuckDB's message, without blank lines and with long ones cut."""
     lines = [line if len(line) <= SHOWN else f"{line[:SHOWN]}..." for line in text.splitlines() if line.strip()]
     return "\n".join(lines[:MESSAGE_LINES])
-
-
-def with_all_columns(events: pa.Table) -> pa.Table:
-    """Return the table with NULL in the columns that it lacks."""
-    if events.column_names == SCHEMA.names:
-        return events
-    present = set(events.column_names)
-    columns = [events[field.name] if field.name in present else pa.nulls(len(events), field.type) for field in SCHEMA]
-    return pa.Table.from_arrays(columns, names=SCHEMA.names)

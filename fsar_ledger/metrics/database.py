@@ -12,8 +12,9 @@ from fsar_ledger.ledger.store.paths import SEGMENTS
 from fsar_ledger.ledger.store.read import View
 
 from . import relation
-from .connection import NULLABLE, Database, Value, plain_rows, with_all_columns
+from .connection import Database, Value
 from .slices import Slices, numbered
+from .sql_values import NULLABLE, plain_rows, with_all_columns
 from .verified import is_verified, is_verified_for_runs
 
 __all__ = [

@@ -86,11 +86,6 @@ class Query(msgspec.Struct, frozen=True):
         return "Stored" in self.header
 
     @property
-    def is_partial(self) -> bool:
-        """Tell whether its rows about some runs do not depend on what other runs there are."""
-        return "Partial" in self.header
-
-    @property
     def sha256(self) -> str:
         """Return the SHA-256 of its text, in hex."""
         return hashlib.sha256(self.sql.encode()).hexdigest()
@@ -384,21 +379,12 @@ class Library:
             visit(name, ())
         return tuple(order.values())
 
-    def partial(self, names: Iterable[str], held: Collection[str] = ()) -> list[Query]:
+    def partial(self, names: Collection[str], held: Collection[str] = ()) -> list[Query]:
         """Return the first queries that are partial on each way down from these relations, but for those held."""
-        found: dict[str, Query] = {}
-        ways, seen = [*names], {*held}
-        while ways:
-            name = ways.pop()
-            query = self.relations.get(name)
-            if query is None or name in seen:
-                continue
-            seen.add(name)
-            if query.is_partial:
-                found[name] = query
-            else:
-                ways += query.sources()
-        return [found[name] for name in sorted(found)]
+        every = {name for name, query in self.relations.items() if "Partial" in query.header}.difference(held)
+        above = self.needs(names, {*held, *every})
+        read = {*names}.union(*(query.sources() for query in above))
+        return [self.relations[name] for name in sorted(every & read)]
 
     def mentioned(self, sql: str) -> set[str]:
         """Return the relations whose names occur anywhere in this SQL."""

@@ -5,9 +5,9 @@ questions combine; those of one question exclude each other. The multiverse of a
 readings that move it; the empty one is ours. Nothing is simulated again: the same ledger is read differently.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from functools import cache, partial
-from itertools import groupby, product
+from itertools import product
 from typing import Any
 
 import msgspec
@@ -18,6 +18,7 @@ from fsar_ledger.base.progress import Progress
 from .database import Database
 from .library import READINGS, Query, library
 from .results import CONDITIONS, SETTINGS, setting_of, typed
+from .robustness import OrderUnderReadings, rankings
 from .slices import Asked
 from .verdicts import published
 
@@ -31,7 +32,7 @@ AT_ONCE = 8
 """Combinations per statement: more are hardly faster, and each takes memory."""
 
 MEANS = """
-    WITH measured AS ({measured}), definitions AS ({definitions}), means AS (
+    WITH definitions AS ({definitions}), means AS (
         SELECT
             measured.universe,
             runs.architecture, runs.configuration, runs.fleet_size, {seed} AS seed,
@@ -55,7 +56,6 @@ MEANS = """
     FROM means
     ORDER BY universe, {order}, list_position(['fsar', 'cfc', 'dhma'], architecture), architecture
 """
-_MEASURED = "measured_in_slices"
 MEASURED = "SELECT {universe} AS universe, run_id, numerator, denominator, value, not_observed FROM {metric}"
 DEFINED = (
     "SELECT {universe} AS universe, is_pooled, numerator_units, undefined_value "
@@ -127,38 +127,12 @@ class Cell(_OfRuns, frozen=True, kw_only=True):
     runs_not_observed: int
 
 
-class Ranking(msgspec.Struct, frozen=True, kw_only=True):
-    """How stable the order of the architectures by one metric is under all combinations of readings.
-
-    `order` is the one under our reading, the best first, `=` between equals; it orders means without regard to chance.
-    `same_order` and `fsar_best` count combinations; `changed_under` and `fsar_not_best_under` name the smallest
-    combinations under which the order differs, or FSAR is not the best.
-    None: fewer than two architectures have a mean, or FSAR is none of them.
-    """
-
-    metric: str
-    better: str
-    configuration: str | None
-    fleet_size: int | None
-    seed: int | None
-    kind: str
-    source: str | None
-    model_version: str | None
-    constants: str | None
-    order: str | None
-    combinations: int
-    same_order: int | None
-    fsar_best: int | None
-    changed_under: tuple[ReadingNames, ...] | None
-    fsar_not_best_under: tuple[ReadingNames, ...] | None
-
-
 class Multiverse(msgspec.Struct, frozen=True):
     """The readings, the range of each cell, the rankings, and the mean in each universe."""
 
     readings: tuple[Reading, ...]
     cells: tuple[Cell, ...]
-    rankings: tuple[Ranking, ...]
+    rankings: tuple[OrderUnderReadings, ...]
     universes: tuple[Universe, ...]
 
 
@@ -252,30 +226,27 @@ class Relations:
 
     def measured(self, metric: str, combined: Sequence[ReadingNames]) -> pa.Table:
         """Return what this metric measures of each run under each of these combinations. Raises: as `Database.rows`."""
-        return self._database.table(self._measured(metric, combined))
-
-    def _measured(self, metric: str, combined: Sequence[ReadingNames]) -> str:
-        return " UNION ALL ".join(
-            MEASURED.format(universe=at, metric=self.under(metric, frozenset(chosen)))
-            for at, chosen in enumerate(combined)
+        return self._database.table(
+            " UNION ALL ".join(
+                MEASURED.format(universe=at, metric=self.under(metric, frozenset(chosen)))
+                for at, chosen in enumerate(combined)
+            )
         )
 
     def means(
         self,
         metric: str,
         combined: Sequence[ReadingNames],
+        measured: pa.Table | None = None,
         *,
         pools_seeds: bool = False,
-        measured: pa.Table | None = None,
     ) -> list[Universe]:
         """Return the mean of this metric for each architecture and setting under each of these combinations, in order.
 
-        `measured` is what `measured` returns, if that was asked in slices. Raises: as `Database.rows`.
+        `measured` is what `measured` returns, which is asked otherwise. Raises: as `Database.rows`.
         """
-        if measured is not None:
-            self._database.hold(_MEASURED, measured)
+        self._database.hold("measured", self.measured(metric, combined) if measured is None else measured)
         sql = MEANS.format(
-            measured=self._measured(metric, combined) if measured is None else f"FROM {_MEASURED}",
             definitions=" UNION ALL ".join(
                 DEFINED.format(
                     universe=at, definitions=self.under("metric_definitions", frozenset(chosen)), name=metric
@@ -286,8 +257,7 @@ class Relations:
             order=SETTINGS,
         )
         rows = self._database.rows(sql)
-        if measured is not None:
-            self._database.drop(_MEASURED)
+        self._database.drop("measured")
         return typed(
             [{**row, "metric": metric, "readings": combined[row["universe"]]} for row in rows],
             Universe,
@@ -332,8 +302,7 @@ def universes(
     for metric in metrics:
         relations = Relations(database, _moving(metric))
         for part in _parts(metric):
-            measured = of_slices.pop((metric, part), None)
-            found += relations.means(metric, part, pools_seeds=pools_seeds, measured=measured)
+            found += relations.means(metric, part, of_slices.pop((metric, part), None), pools_seeds=pools_seeds)
             done += len(part)
             if progress is not None and database.slices is None:
                 progress(done, total)
@@ -392,44 +361,6 @@ def cells(found: Iterable[Universe]) -> Iterator[Cell]:
             highest_under=highest[1],
             runs_not_observed=ours.runs_not_observed,
         )
-
-
-def rankings(found: Iterable[Universe], better: Mapping[str, str]) -> Iterator[Ranking]:
-    """Return whether each ranking survives, in the order of the universes of our reading."""
-    by_place: dict[tuple[object, ...], dict[ReadingNames, list[Universe]]] = {}
-    for one in found:
-        by_place.setdefault((one.metric, setting_of(one)), {}).setdefault(one.readings, []).append(one)
-    for under in by_place.values():
-        first = under[()][0]
-        orders = {names: ranked(mine, better[first.metric]) for names, mine in under.items()}
-        ours = orders[()]
-        changed = [names for names, order in orders.items() if order != ours]
-        lost = [names for names, order in orders.items() if not order or order[0] != ("fsar",)]
-        is_ranked = sum(map(len, ours)) > 1
-        has_fsar = is_ranked and any("fsar" in equals for equals in ours)
-        yield Ranking(
-            metric=first.metric,
-            better=better[first.metric],
-            **_conditions(first),
-            order=" > ".join(" = ".join(equals) for equals in ours) if is_ranked else None,
-            combinations=len(orders),
-            same_order=len(orders) - len(changed) if is_ranked else None,
-            fsar_best=len(orders) - len(lost) if has_fsar else None,
-            changed_under=smallest(changed) if is_ranked else None,
-            fsar_not_best_under=smallest(lost) if has_fsar else None,
-        )
-
-
-def ranked(mine: Iterable[Universe], better: str) -> tuple[tuple[str, ...], ...]:
-    """Return the architectures that have a mean, the best first; equal ones together, by name."""
-    sign = -1 if better == "higher" else 1
-    ordered = sorted((sign * one.mean, one.architecture or "unnamed") for one in mine if one.mean is not None)
-    return tuple(tuple(name for _, name in equals) for _, equals in groupby(ordered, key=lambda each: each[0]))
-
-
-def smallest(sets: Sequence[ReadingNames]) -> tuple[ReadingNames, ...]:
-    """Return those combinations that contain no other one."""
-    return tuple(one for one in sets if not any(set(other) < set(one) for other in sets))
 
 
 def _conditions(one: Universe) -> dict[str, Any]:

@@ -6,14 +6,19 @@ a yes or a no. That of systems is of every architecture at several fleet sizes, 
 """
 
 import math
-from collections.abc import Iterator
-from typing import ClassVar, NamedTuple
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import groupby
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 import msgspec
 
 from .definitions import metrics
 from .registration import Sample, SampleAround
+from .results import CONDITIONS, setting_of
 from .study_results import GroundedResult, Row, rows_of
+
+if TYPE_CHECKING:
+    from .multiverse import Universe
 
 Z_95 = 1.959963984540054
 
@@ -302,3 +307,67 @@ class Systems(GroundedResult, frozen=True, kw_only=True):
         """Say what was run."""
         sizes = ", ".join(f"{size} robots ({runs} runs)" for size, runs in self.runs.items())
         return f"{sizes} of each scenario in {len(self.seeds)} seeds, in {self.cpu_minutes} minutes of one core"
+
+
+class OrderUnderReadings(msgspec.Struct, frozen=True, kw_only=True):
+    """How stable the order of the architectures by one metric is under all combinations of readings.
+
+    `order` is the one under our reading, the best first, `=` between equals; it orders means without regard to chance.
+    `same_order` and `fsar_best` count combinations; `changed_under` and `fsar_not_best_under` name the smallest
+    combinations under which the order differs, or FSAR is not the best.
+    None: fewer than two architectures have a mean, or FSAR is none of them.
+    """
+
+    metric: str
+    better: str
+    configuration: str | None
+    fleet_size: int | None
+    seed: int | None
+    kind: str
+    source: str | None
+    model_version: str | None
+    constants: str | None
+    order: str | None
+    combinations: int
+    same_order: int | None
+    fsar_best: int | None
+    changed_under: tuple[tuple[str, ...], ...] | None
+    fsar_not_best_under: tuple[tuple[str, ...], ...] | None
+
+
+def rankings(found: "Iterable[Universe]", better: Mapping[str, str]) -> Iterator[OrderUnderReadings]:
+    """Return whether each ranking survives, in the order of the universes of our reading."""
+    by_place: dict[tuple[object, ...], dict[tuple[str, ...], list[Universe]]] = {}
+    for one in found:
+        by_place.setdefault((one.metric, setting_of(one)), {}).setdefault(one.readings, []).append(one)
+    for under in by_place.values():
+        first = under[()][0]
+        orders = {names: ranked(mine, better[first.metric]) for names, mine in under.items()}
+        ours = orders[()]
+        changed = [names for names, order in orders.items() if order != ours]
+        lost = [names for names, order in orders.items() if not order or order[0] != ("fsar",)]
+        is_ranked = sum(map(len, ours)) > 1
+        has_fsar = is_ranked and any("fsar" in equals for equals in ours)
+        yield OrderUnderReadings(
+            metric=first.metric,
+            better=better[first.metric],
+            **dict(zip(CONDITIONS, setting_of(first), strict=True)),
+            order=" > ".join(" = ".join(equals) for equals in ours) if is_ranked else None,
+            combinations=len(orders),
+            same_order=len(orders) - len(changed) if is_ranked else None,
+            fsar_best=len(orders) - len(lost) if has_fsar else None,
+            changed_under=smallest(changed) if is_ranked else None,
+            fsar_not_best_under=smallest(lost) if has_fsar else None,
+        )
+
+
+def ranked(mine: "Iterable[Universe]", better: str) -> tuple[tuple[str, ...], ...]:
+    """Return the architectures that have a mean, the best first; equal ones together, by name."""
+    sign = -1 if better == "higher" else 1
+    ordered = sorted((sign * one.mean, one.architecture or "unnamed") for one in mine if one.mean is not None)
+    return tuple(tuple(name for _, name in equals) for _, equals in groupby(ordered, key=lambda each: each[0]))
+
+
+def smallest(sets: Sequence[tuple[str, ...]]) -> tuple[tuple[str, ...], ...]:
+    """Return those combinations that contain no other one."""
+    return tuple(one for one in sets if not any(set(other) < set(one) for other in sets))

@@ -12,12 +12,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import msgspec
+import pyarrow as pa
 
 from fsar_ledger.base import printable
 from fsar_ledger.base.errors import InvalidQuery, UnknownQuery
 from fsar_ledger.events.configuration import ARCHITECTURES
-from fsar_ledger.ledger.rows.schema import MAX_INTEGER
+from fsar_ledger.ledger.rows.schema import MAX_INTEGER, SCHEMA
 
+NULLABLE = pa.schema([field.with_nullable(True) for field in SCHEMA])
+BATCH_ROWS = 10_000
 _PATTERNS = str.maketrans({character: f"[{character}]" for character in "*?["})
 
 
@@ -190,3 +193,24 @@ def names_on_record(database: "Database", kind: str, run: str | None) -> list[st
     sql = f"SELECT DISTINCT name FROM ({_ON_RECORD[kind]}) WHERE name IS NOT NULL ORDER BY name"
     names = [str(row["name"]) for row in database.rows(sql, {"run": run} if "$run" in sql else None)]
     return [name for name in names if name.startswith(f"{kind}/")] if kind in PRINCIPALS else names
+
+
+def plain_rows(table: pa.Table) -> list[dict[str, Any]]:
+    """Return the rows as dictionaries; DuckDB's sums of integers, decimals in Arrow, become integers again."""
+    whole = [field.name for field in table.schema if pa.types.is_decimal(field.type) and field.type.scale == 0]
+    # In parts: between two of them, the watch over this process's memory gets its turn.
+    rows: list[dict[str, Any]] = [
+        row for part in table.to_batches(max_chunksize=BATCH_ROWS) for row in part.to_pylist()
+    ]
+    for row in rows if whole else ():
+        row.update({name: None if row[name] is None else int(row[name]) for name in whole})
+    return rows
+
+
+def with_all_columns(events: pa.Table) -> pa.Table:
+    """Return the table with NULL in the columns that it lacks."""
+    if events.column_names == SCHEMA.names:
+        return events
+    present = set(events.column_names)
+    columns = [events[field.name] if field.name in present else pa.nulls(len(events), field.type) for field in SCHEMA]
+    return pa.Table.from_arrays(columns, names=SCHEMA.names)

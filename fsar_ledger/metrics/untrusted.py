@@ -23,10 +23,10 @@ import pyarrow as pa
 
 from fsar_ledger.base.errors import QueryFailed
 from fsar_ledger.ledger.opening import open_for_answers
+from fsar_ledger.ledger.rows.segment import first_damage
 from fsar_ledger.ledger.store.locations import earlier_runs
 from fsar_ledger.ledger.store.record import Head
 
-from .connection import first_damage
 from .own_sql import SHOWN
 from .sandbox import GRACE_S, Limits, Question, Refusal
 from .verified import is_verified

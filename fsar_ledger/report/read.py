@@ -18,7 +18,7 @@ from fsar_ledger.metrics.comparability import differing_worlds
 from fsar_ledger.metrics.database import Database, connect, from_rows
 from fsar_ledger.metrics.definitions import published_metrics
 from fsar_ledger.metrics.library import READINGS, library
-from fsar_ledger.metrics.multiverse import Cell, Multiverse, Ranking, Reading, cells, rankings, readings, universes
+from fsar_ledger.metrics.multiverse import Cell, Multiverse, Reading, cells, readings, universes
 from fsar_ledger.metrics.results import (
     CONDITIONS,
     MetricRow,
@@ -33,6 +33,7 @@ from fsar_ledger.metrics.results import (
     statistic_rows,
     take_seeds_together,
 )
+from fsar_ledger.metrics.robustness import OrderUnderReadings, rankings
 from fsar_ledger.metrics.verdicts import ComparedEffect, compare_effects
 from fsar_ledger.report import judge
 from fsar_ledger.report.findings import (
@@ -294,6 +295,6 @@ def relations_of(found: Multiverse | None) -> Relations:
         return {}
     return {
         "reading_cells": arrow(found.cells, Cell),
-        "reading_rankings": arrow(found.rankings, Ranking),
+        "reading_rankings": arrow(found.rankings, OrderUnderReadings),
         "readings": arrow(found.readings, Reading),
     }

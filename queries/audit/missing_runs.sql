@@ -31,7 +31,7 @@ ranges AS (
 
 own AS (
     SELECT
-        *,
+        seed, fleet_size, model_version, parameters_sha256, architecture, configuration, scenario, first_run, end_run,
         max(end_run) OVER (
             PARTITION BY seed, fleet_size, model_version, parameters_sha256, architecture, configuration, scenario
             ORDER BY first_run ROWS BETWEEN UNBOUNDED PRECEDING AND 1 PRECEDING

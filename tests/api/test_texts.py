@@ -16,7 +16,7 @@ from fsar_ledger.api.texts import csv_header, csv_lines, json_bytes, json_lines
 from fsar_ledger.base.errors import QueryFailed
 from fsar_ledger.base.printable import ascii_json
 from fsar_ledger.cli.render import answer_json
-from fsar_ledger.metrics.connection import plain_rows
+from fsar_ledger.metrics.sql_values import plain_rows
 from tests.one_by_one import csv_text
 
 TEXT = st.text(alphabet="ab =+-@'\",\\\n\r\t\x00\x1b\x7f\x85\u202e\u0301é\u05d0\u2800\U000e0001xuUn", max_size=6)

@@ -8,18 +8,15 @@ from msgspec import structs
 from fsar_ledger.metrics.database import from_rows
 from fsar_ledger.metrics.multiverse import (
     Cell,
-    Ranking,
     ReadingNames,
     Relations,
     Universe,
     cells,
     combinations,
     multiverse,
-    ranked,
-    rankings,
     readings,
-    smallest,
 )
+from fsar_ledger.metrics.robustness import OrderUnderReadings, ranked, rankings, smallest
 from tests.queries.histories import event, run
 
 Means = Mapping[ReadingNames, Mapping[str, float | None]]
@@ -48,7 +45,7 @@ def cell(means: Mapping[ReadingNames, float | None]) -> Cell:
     return found
 
 
-def ranking(means: Means, better: str = "higher") -> Ranking:
+def ranking(means: Means, better: str = "higher") -> OrderUnderReadings:
     (found,) = rankings(universes(means), {"m": better})
     return found
 

@@ -7,8 +7,9 @@ import pytest
 
 from fsar_ledger.metrics.database import connect, from_rows
 from fsar_ledger.metrics.definitions import metric_named, metrics
-from fsar_ledger.metrics.multiverse import Multiverse, ReadingNames, Universe, cells, rankings, readings
+from fsar_ledger.metrics.multiverse import Multiverse, ReadingNames, Universe, cells, readings
 from fsar_ledger.metrics.results import CONDITIONS
+from fsar_ledger.metrics.robustness import rankings
 from fsar_ledger.metrics.verdicts import published
 from fsar_ledger.report import study_charts
 from fsar_ledger.report.build import Document

@@ -1,5 +1,6 @@
 """One batch of runs as one Parquet file: the same rows give the same bytes on one version of pyarrow."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -123,3 +124,13 @@ def _columns(file: pq.ParquetFile, names: list[str], rows: int) -> pa.Table:
     ]
     columns = [column for part in parts for column in part.columns]
     return pa.Table.from_arrays(columns, schema=pa.schema([field for part in parts for field in part.schema]))
+
+
+def first_damage(segments: Sequence[Path]) -> LedgerCorrupted | None:
+    """Say what is wrong with the first segment that cannot be read; None if all can."""
+    for path in segments:
+        try:
+            read_table(path)
+        except LedgerCorrupted as damage:
+            return damage
+    return None
