@@ -9,11 +9,12 @@ compared with their records.
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from fsar_ledger.base.errors import LedgerCorrupted
+from fsar_ledger.base.errors import LedgerCorrupted, UsageError
 from fsar_ledger.ledger.store import disk
 from fsar_ledger.ledger.store.manifest import read_manifest
 from fsar_ledger.ledger.store.paths import CHAIN, CHECKPOINT, JOURNAL, MANIFEST, SEGMENTS
 from fsar_ledger.ledger.store.read import View, open_chain
+from fsar_ledger.ledger.store.shards import Federation, federation, is_log
 from fsar_ledger.ledger.store.snapshot import check_chain_checkpoint
 
 Pause = Callable[[], None]
@@ -32,6 +33,16 @@ def open_ledger(path: Path) -> View:
 
 
 def open_for_answers(path: Path) -> View:
+    """Open the ledger at this path as `open_checked` does; where it is the log of a federation, the federation.
+
+    Raises:
+        NotALedger, FormatVersionMismatch, LedgerCorrupted, UsageError: As `open_checked`, and as `federation`.
+    """
+    view = open_checked(path)
+    return federation(view, open_checked) if is_log(view) else view
+
+
+def open_checked(path: Path) -> View:
     """Open the ledger at this path, and compare its checkpoint with its newest commits.
 
     An older note is accepted where a crash may leave it: that of any commit since which the journal holds all. If they
@@ -58,10 +69,16 @@ def open_for_answers(path: Path) -> View:
 def growth(ledger: Path, pause: Pause | None) -> Iterator[tuple[View, int]]:
     """Yield the ledger as it is, then, with `pause`, each time it has grown; and the first event not yet yielded.
 
-    Between two looks only the state of a few files is read. Raises: As `open_for_answers` and `_require_same`.
+    Between two looks only the state of a few files is read.
+
+    Raises:
+        UsageError: It is a federation, and is to be watched as it grows.
+        NotALedger, FormatVersionMismatch, LedgerCorrupted: As `open_for_answers` and `_require_same`.
     """
     state = _state(ledger)
     view = open_for_answers(ledger)
+    if pause is not None and isinstance(view, Federation):
+        raise UsageError(f"{ledger}: found a federation, expected one ledger to follow; follow each of its shards")
     yield view, 0
     while pause is not None:
         pause()

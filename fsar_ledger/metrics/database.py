@@ -60,8 +60,8 @@ def connect_view(
     segments = view.segments()
     slices = (Slices(view, demanded) or None) if file is None else None
     database = Database(view.head, segments, threads, rows_verified=rows_verified, file=file, slices=slices)
-    stay = view.path / SEGMENTS
-    passing = [] if file is None else [path for path in segments if path.parent != stay]
+    stay = {one.path / SEGMENTS for one in view.ledgers()}
+    passing = [] if file is None else [path for path in segments if path.parent not in stay]
     numbers = slices and relation.RowFilter("TRUE", numbered(view.run_names.runs), frozenset(segments))
     _fill(database, segments, view.releases, numbers, passing)
     return database

@@ -268,7 +268,7 @@ FINGERPRINT: str = fingerprint(SCHEMA)
 """The fingerprint of `SCHEMA`, which changes when the fields of events change."""
 
 
-RELEASE = "0.13.0"
+RELEASE = "0.14.0"
 """The first release with the current event types. Any change to them makes this the next release."""
 
 
