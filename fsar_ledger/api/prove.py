@@ -30,8 +30,14 @@ def _proved(ledger: "Ledger", event: str, out: Path | None, format: Form, key: P
     proof = prove(ledger, event, out, format=format, key=key)
     if out is None:
         return Plain(str(proof))
-    tree = proof.note.checkpoint
-    return Lines(f"{out}: event {proof.index:,} of {tree.size:,}", f"root {tree.root.hex()}")
+    lines = [
+        f"{out}: event {proof.index:,} of {proof.note.checkpoint.size:,}",
+        f"root {proof.note.checkpoint.root.hex()}",
+    ]
+    if (log := proof.log) is not None:
+        tree = log.note.checkpoint
+        lines += [f"this root is head {log.index:,} of {tree.size:,} of the log", f"root {tree.root.hex()}"]
+    return Lines(*lines)
 
 
 @verb(
@@ -161,9 +167,10 @@ def _index_of(view: "View", run: str | None, seq: str, demanded: str | None) -> 
     from .lookup import resting_on_rows
 
     if run is None:
-        if len(seq) > MAX_DIGITS or int(seq) >= view.size:
+        if len(seq) > MAX_DIGITS or int(seq) >= view.head.events:
             raise UsageError(
-                f"EVENT {seq}: found {view.size:,} events in {view.path}, expected a number below that, or RUN:SEQ"
+                f"EVENT {seq}: found {view.head.events:,} events in {view.path}, expected a number below that, or "
+                "RUN:SEQ"
             )
         return int(seq)
     with resting_on_rows(is_verified(view, demanded)):
@@ -232,7 +239,7 @@ class Checked(Answer, msgspec.Struct, frozen=True):
         if proven.log is None:
             steps = [f"{self.file}: proven: {place}, {signature}", f"root {proven.root}"]
         else:
-            head = f"head {top.index + 1:,} of {top.size:,} in the log of {printable.value(top.origin)}"
+            head = f"head {top.index:,} of {top.size:,} in the log of {printable.value(top.origin)}"
             steps = [
                 f"{self.file}: proven in two steps",
                 f"1: {place}, a shard",

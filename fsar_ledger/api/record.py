@@ -271,7 +271,6 @@ def import_records(
     return ImportResult(ledger, made, unseen, tuple(gaps))
 
 
-
 class RecordedShards(Answer, msgspec.Struct, frozen=True):
     """The newest head of each shard, those recorded now among them, and the model versions of each by its origin."""
 
@@ -336,10 +335,10 @@ def record_shards(
         NotALedger: There is no ledger in a folder, or LOG is one of runs.
         WriteFailed: A write failed; what is committed stays.
     """
-    from fsar_ledger.ledger.opening import open_checked
+    from fsar_ledger.ledger.opening import open_checked, present
     from fsar_ledger.ledger.store.append import Writer
     from fsar_ledger.ledger.store.keys import read_signer
-    from fsar_ledger.ledger.store.shards import heads_of, newest, present, record_of_head
+    from fsar_ledger.ledger.store.shards import heads_of, newest, record_of_head
     from fsar_ledger.metrics.verified import models_of
     from fsar_ledger.sources.recorder import kept_origin
 
@@ -350,7 +349,7 @@ def record_shards(
     given = [Path(one) for one in ledgers or ()] or [one.place(place) for one in newest(heads)]
     if not given:
         raise UsageError(f"{place}: found no shard, expected at least one LEDGER; name the ledgers to record")
-    found = present(place, heads, given, open_checked)
+    found = present(place, heads, given)
     name = kept or origin_of(origin) or (signer.verifier.name if signer is not None else FEDERATION)
     with Writer(place, name, signer, adopts=adopt) as writer:
         if found.heads:

@@ -31,6 +31,7 @@ from fsar_ledger.ledger.store.derived import Extent
 from fsar_ledger.ledger.store.locations import earlier_runs
 from fsar_ledger.ledger.store.paths import segment_bytes
 from fsar_ledger.ledger.store.read import View
+from fsar_ledger.ledger.store.shards import views_of
 
 from . import relation
 from .connection import Database
@@ -83,8 +84,8 @@ class Slices:
         self._most = most = most or SLICE_EVENTS
         self._slices: list[Slice] = []
         # A bomb has many rows in few bytes, and nothing to be judged: to judge it in parts would take longer.
-        stored = sum(segment_bytes(ledger.path) for ledger in view.ledgers()) if view.size > most else 0
-        if stored > LEAST_BYTES * view.size:
+        stored = sum(segment_bytes(ledger.path) for ledger in views_of(view)) if view.head.events > most else 0
+        if stored > LEAST_BYTES * view.head.events:
             self._rows_verified = is_verified_for_runs(view, demanded)
             self._slices = [*_slices(view, most)]
 
@@ -186,7 +187,7 @@ def parts_of(every: Iterable[_One], size_of: Callable[[_One], int], most: int) -
 def _slices(view: View, most: int) -> Iterator[Slice]:
     """Yield the slices of each ledger, and those of runs that continue each other from one ledger to another."""
     earlier, homes = earlier_runs(view), dict[str, int]()
-    ledgers = [(ledger, ledger.extents()) for ledger in view.ledgers()]
+    ledgers = [(ledger, ledger.extents()) for ledger in views_of(view)]
     for at, (_, extents) in enumerate(ledgers if earlier else ()):
         homes.update((one.run, at) for one in extents)
     beside = view.extents() if len(ledgers) > 1 and earlier else []

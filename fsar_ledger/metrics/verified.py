@@ -31,11 +31,9 @@ import numpy as np
 import pyarrow as pa
 
 from fsar_ledger import __version__
-from fsar_ledger.base import printable
 from fsar_ledger.base.errors import (
     FsarLedgerError,
     LedgerCorrupted,
-    NotALedger,
     QueryFailed,
     SequenceConflict,
     UsageError,
@@ -48,8 +46,8 @@ from fsar_ledger.ledger.rows.schema import COLUMNS
 from fsar_ledger.ledger.store import disk, shards
 from fsar_ledger.ledger.store.locations import compare_index
 from fsar_ledger.ledger.store.paths import require_outside
-from fsar_ledger.ledger.store.problem import Problem
 from fsar_ledger.ledger.store.read import View
+from fsar_ledger.ledger.store.shards import views_of
 from fsar_ledger.ledger.verify import verify
 from fsar_ledger.ledger.verify.report import Anchor, VerifyOptions, VerifyReport
 from fsar_ledger.ledger.verify.segment import Digest
@@ -196,16 +194,13 @@ def _with_shards(
     """Return the report on a log with what is to be said of its shards."""
     heads = shards.heads_of(log)
     problems, remarks = shards.doubts(heads), list(report.remarks)
-    found: list[shards.Shard] = []
+    found, runs = list[shards.Shard](), 0
     for head in shards.newest(heads):
         place = head.place(log.path)
         try:
             view = open_checked(place)
-        except NotALedger as error:
-            problems.append(shards.missing(head, place, error))
-            continue
         except FsarLedgerError as error:
-            problems.append(Problem(f"{place}", f"{error}", f"{head}, a ledger that can be read"))
+            problems.append(shards.unreadable(head, place, error))
             continue
         doubt = shards.doubt_of(head, view, heads)
         tree = Note(Checkpoint(head.origin, head.shard_events, bytes.fromhex(head.shard_root)))
@@ -219,7 +214,8 @@ def _with_shards(
         if told.record_sha256 is not None and not told.is_quick:
             _remember(told.record_sha256)
         found.append(shards.Shard(head, view))
-        remarks.append(_told(head, view, told, log.path))
+        runs += told.runs
+        remarks.append(shards.told(head, view, None if told.is_quick else told.runs, models_of(view), log.path))
     if (doubt := shards.twice({one.head.origin: one.view for one in found})) is not None:
         problems.append(doubt)
     if problems:
@@ -228,22 +224,12 @@ def _with_shards(
     if len(models) > 1:
         remarks.append(f"shards of model versions {', '.join(sorted(models))}: no answer pools them")
     record = shards.joined(log, found).record_sha256
-    return msgspec.structs.replace(report, remarks=tuple(remarks), record_sha256=record)
-
-
-def _told(head: shards.ShardHead, view: View, report: VerifyReport, log: Path) -> str:
-    """Return a line on a shard that was verified."""
-    of = ", ".join(printable.value(model) for model in models_of(view)) or "unknown"
-    more = view.head.size - head.shard_events
-    grown = f"; {more:,} more since, run fsar-ledger shards {printable.word(log)}" if more else ""
-    runs = "" if report.is_quick else f" of {printable.counted(report.runs, 'run')}"
-    events = printable.counted(head.shard_events, "event")
-    return f"{head}: consistent, {events} recorded{runs}, model version {of}{grown}"
+    return msgspec.structs.replace(report, runs=runs, remarks=tuple(remarks), record_sha256=record, shards=len(found))
 
 
 def models_of(view: View) -> list[str]:
     """Return the model versions of the runs of a ledger. Raises: QueryFailed, LedgerCorrupted."""
-    segments = [path for ledger in view.ledgers() for path in ledger.segments()]
+    segments = [path for ledger in views_of(view) for path in ledger.segments()]
     if not segments:
         return []
     rows = _database().direct(f"SELECT DISTINCT model_version FROM {parquet(segments)} WHERE model_version IS NOT NULL")
@@ -302,7 +288,7 @@ def is_verified_for_runs(view: View, demanded: str | None = None) -> bool:
     is_known = is_verified(view, demanded)
     if is_known:
         return True
-    for one in view.ledgers():
+    for one in views_of(view):
         _compare_index(one)
     return False
 
@@ -322,7 +308,7 @@ def require_runs(view: View) -> None:
 
     Raises: LedgerCorrupted if it does not, or some cannot be read.
     """
-    for one in view.ledgers():
+    for one in views_of(view):
         one.require_index(*range(len(one.chain.placed)))
 
 

@@ -80,11 +80,11 @@ def prove(view: View, index: int) -> Proof:
         ValueError: There is no such event.
         LedgerCorrupted: The row, the tiles and the root do not agree, or one of them cannot be read.
     """
-    if not 0 <= index < view.size:
-        raise ValueError(f"found index {index}, expected one of {view.size} events")
+    if not 0 <= index < view.head.events:
+        raise ValueError(f"found index {index}, expected one of {view.head.events} events")
     if isinstance(view, Federation):
         shard, own = view.shard_of(index)
-        return msgspec.structs.replace(prove(shard.view, own), log=prove(view.log(), shard.head.index))
+        return msgspec.structs.replace(prove(shard.view, own), log=prove(view.log, shard.head.index))
     event = view.event(index)
     note = view.note()
     assert note is not None  # as there is an event

@@ -79,15 +79,6 @@ class View(msgspec.Struct, frozen=True, dict=True):
         return Head(self.chain.count, last.tree_size, last.tree_root)
 
     @property
-    def size(self) -> int:
-        """Return the number of events."""
-        return self.chain.size
-
-    def ledgers(self) -> "Sequence[View]":
-        """Return the ledgers whose events these are, one after the other: this one."""
-        return [self]
-
-    @property
     def releases(self) -> list[str]:
         """Return for each segment the release that has its columns."""
         return [placement.release for placement in self.chain.placed] + [RELEASE] * bool(self.journal.frames)
@@ -342,9 +333,7 @@ class View(msgspec.Struct, frozen=True, dict=True):
 
     def extents(self) -> list[Extent]:
         """Return where each run and plan is, in the order of their first events. Raises: As `index`."""
-        return derived.extents_of(
-            Part(*self.span_of_line(number), block) for number, block in self.index.by_line()
-        )
+        return derived.extents_of(Part(*self.span_of_line(number), block) for number, block in self.index.by_line())
 
     def parts(self, run: str) -> list[Part]:
         """Return where the run of this name is. Raises: As `require_index`."""

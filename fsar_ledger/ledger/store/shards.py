@@ -10,22 +10,19 @@ What may be wrong with a shard has a name here (`MISSING` and so on), which each
 import hashlib
 import os
 from bisect import bisect_right
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 from itertools import accumulate, chain
 from pathlib import Path
-from typing import NamedTuple
 
 import msgspec
 import pyarrow as pa
 
 from fsar_ledger.base import printable
-from fsar_ledger.base.errors import FsarLedgerError, LedgerCorrupted, NotALedger, UsageError
+from fsar_ledger.base.errors import LedgerCorrupted, NotALedger
 from fsar_ledger.events.fleet import ShardRecorded
 from fsar_ledger.ledger.log.hashing import sha256_hex
 from fsar_ledger.ledger.log.merkle import consistency_proof, is_consistent
-from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.store import growing
 from fsar_ledger.ledger.store.derived import Index
@@ -33,7 +30,7 @@ from fsar_ledger.ledger.store.journal import lines_of
 from fsar_ledger.ledger.store.paths import INDEX
 from fsar_ledger.ledger.store.problem import Problem
 from fsar_ledger.ledger.store.read import View
-from fsar_ledger.ledger.store.record import EMPTY_HEAD
+from fsar_ledger.ledger.store.record import EMPTY_HEAD, Head
 
 MISSING, LATE, SWAPPED, OTHER_ORIGIN = "missing", "late", "swapped", "of another origin"
 OTHER_HISTORY, REPLAYED, TWICE, NESTED = "of another history", "replayed", "shown twice", "a federation itself"
@@ -68,6 +65,17 @@ class Shard(msgspec.Struct, frozen=True):
     view: View
 
 
+class LogHead(Head, frozen=True):
+    """The head of a log: `size` counts heads of shards, and `of_shards` the events of these."""
+
+    of_shards: int = 0
+
+    @property
+    def events(self) -> int:
+        """Return the number of events of the shards."""
+        return self.of_shards
+
+
 class Federation(View, frozen=True, dict=True):
     """A federation of ledgers, as a reader of one ledger sees it.
 
@@ -77,46 +85,50 @@ class Federation(View, frozen=True, dict=True):
 
     shards: tuple[Shard, ...] = ()
 
+    @cached_property
     def log(self) -> View:
         """Return the log alone, as a ledger of heads."""
-        return View(*msgspec.structs.astuple(self)[:-1])
+        return View(
+            *(self.path, self.manifest, self.manifest_sha256, self.chain, self.followed, self.journal, self.checkpoint)
+        )
 
-    def ledgers(self) -> Sequence[View]:
-        """Return the shards."""
+    @cached_property
+    def views(self) -> Sequence[View]:
+        """Return the shards as ledgers."""
         return [shard.view for shard in self.shards]
 
     @property
-    def size(self) -> int:
-        """Return the number of events of all shards."""
-        return self._firsts[-1]
+    def head(self) -> LogHead:
+        """Return how far the log goes, and how many events that is."""
+        return msgspec.convert({**msgspec.structs.asdict(self.log.head), "of_shards": self._firsts[-1]}, LogHead)
 
     @property
     def record_sha256(self) -> str:
         """Return a hash that covers the newest line of the log and of each shard."""
-        newest = [self.chain.sha256, *(view.record_sha256 for view in self.ledgers())]
+        newest = [self.chain.sha256, *(view.record_sha256 for view in self.views)]
         return hashlib.sha256("\n".join(newest).encode()).hexdigest()
 
     @property
     def releases(self) -> list[str]:
         """Return for each segment the release that has its columns."""
-        return [release for view in self.ledgers() for release in view.releases]
+        return [release for view in self.views for release in view.releases]
 
     @cached_property
     def _firsts(self) -> list[int]:
         """Return the index of the first event of each shard, and the number of all events."""
-        return [*accumulate((view.size for view in self.ledgers()), initial=0)]
+        return [*accumulate((view.head.size for view in self.views), initial=0)]
 
     @cached_property
     def _segments(self) -> list[tuple[int, int]]:
         """Return for each segment the number of its shard, and its own number there."""
-        return [(at, number) for at, view in enumerate(self.ledgers()) for number in range(len(view.releases))]
+        return [(at, number) for at, view in enumerate(self.views) for number in range(len(view.releases))]
 
     @cached_property
     def _lines(self) -> list[tuple[int, int]]:
         """Return for each line of the index the number of its shard, and its own number there."""
         return [
             (at, number)
-            for at, view in enumerate(self.ledgers())
+            for at, view in enumerate(self.views)
             for number in range(len(view.chain.added) + bool(view.journal.frames))
         ]
 
@@ -155,19 +167,19 @@ class Federation(View, frozen=True, dict=True):
         """Return the canonical bytes of these events. Raises: As `segment`."""
         return [
             row
-            for start, view in zip(self._firsts, self.ledgers(), strict=False)
-            if (own := max(first - start, 0)) < (until := min(end - start, view.size))
+            for start, view in zip(self._firsts, self.views, strict=False)
+            if (own := max(first - start, 0)) < (until := min(end - start, view.head.size))
             for row in view.rows(own, until)
         ]
 
     def runs(self) -> Iterator[LedgerRun]:
         """Yield every run of every shard. Raises: As `View.runs`."""
-        return chain.from_iterable(view.runs() for view in self.ledgers())
+        return chain.from_iterable(view.runs() for view in self.views)
 
     @cached_property
     def index(self) -> Index:
         """Return the index of all events. Raises: As `View.index`."""
-        return Index([line for view in self.ledgers() for line in view.index.lines])
+        return Index([line for view in self.views for line in view.index.lines])
 
     def span_of_line(self, number: int) -> tuple[int, int]:
         """Return the indexes between which the events of this line of the index are."""
@@ -177,13 +189,23 @@ class Federation(View, frozen=True, dict=True):
 
     def believe_index(self, placement: int | None = None) -> None:
         """Take over where runs are as the chains of all shards say."""
-        for view in self.ledgers():
+        for view in self.views:
             view.believe_index(placement)
 
     def require_index(self, *segments: int) -> None:
         """Require that the chains say of these segments what their rows do. Raises: As `View.require_index`."""
         for at, own in {self._segments[number] for number in segments}:
             self.shards[at].view.require_index(own)
+
+
+def views_of(view: View) -> Sequence[View]:
+    """Return the ledgers whose events these are, one after the other: the shards of a federation, or the ledger."""
+    return view.views if isinstance(view, Federation) else [view]
+
+
+def log_of(view: View) -> View:
+    """Return the ledger whose head this is: the log of a federation, or the ledger."""
+    return view.log if isinstance(view, Federation) else view
 
 
 def is_log(view: View) -> bool:
@@ -306,94 +328,28 @@ def twice(views: Mapping[str, View]) -> Problem | None:
     return None
 
 
-def missing(head: ShardHead, place: Path, error: Exception) -> Problem:
-    """Return that there is no ledger where a shard should be."""
-    return Problem(str(place), f"{MISSING}: no ledger", f"{head}; put it back, or record where it is ({error})")
+def unreadable(head: ShardHead, place: Path, error: Exception) -> Problem:
+    """Return that there is no ledger where a shard should be, or none that can be read."""
+    if isinstance(error, NotALedger):
+        return Problem(str(place), f"{MISSING}: no ledger", f"{head}; put it back, or record where it is ({error})")
+    return Problem(str(place), f"{error}", f"{head}, a ledger that can be read")
 
 
-def federation(log: View, opened: Callable[[Path], View]) -> Federation:
-    """Return the federation of this log, each shard opened by that function.
-
-    Raises:
-        LedgerCorrupted: A shard is not as recorded, or the log contradicts itself.
-        UsageError: A shard has grown since.
-    """
-    heads = heads_of(log)
-    for problem in doubts(heads):
-        raise _refusal(log, problem)
-    shards = []
-    for head in newest(heads):
-        place = head.place(log.path)
-        try:
-            view = opened(place)
-        except NotALedger as error:
-            raise _refusal(log, missing(head, place, error)) from error
-        if (found := doubt_of(head, view, heads)) is not None:
-            raise _refusal(log, found)
-        if view.head.size > head.shard_events:
-            raise UsageError(
-                f"{place}: found {view.head.size:,} events, expected the {head.shard_events:,} of {head} that the log "
-                f"{log.path} has; it has grown: run fsar-ledger shards {printable.word(log.path)}, which records it"
-            )
-        shards.append(Shard(head, view))
-    if (found := twice({shard.head.origin: shard.view for shard in shards})) is not None:
-        raise _refusal(log, found)
-    return joined(log, shards)
+def told(head: ShardHead, view: View, runs: int | None, models: Sequence[str], log: Path) -> str:
+    """Return a line on a shard that was verified, with so many runs (None: not counted) of these model versions."""
+    more = view.head.size - head.shard_events
+    grown = f"; {more:,} more since, run fsar-ledger shards {printable.word(log)}" if more else ""
+    of = "" if runs is None else f" of {printable.counted(runs, 'run')}"
+    model = ", ".join(map(printable.value, models)) or "unknown"
+    return f"{head}: consistent, {printable.counted(head.shard_events, 'event')}{of}, model version {model}{grown}"
 
 
 def joined(log: View, shards: Sequence[Shard]) -> Federation:
     """Return the federation of this log and these shards."""
-    return Federation(*msgspec.structs.astuple(log), shards=tuple(shards))
-
-
-class Present(NamedTuple):
-    """Heads to record, and the shards that can be read, by origin."""
-
-    heads: list[ShardHead]
-    views: dict[str, View]
-
-
-def present(log: Path, heads: Sequence[ShardHead], places: Sequence[Path], opened: Callable[[Path], View]) -> Present:
-    """Return the present heads of the ledgers in these folders, those that the log in that folder lacks.
-
-    `heads` are all that it has. Shards that are not among these ledgers are read, too, if they can be.
-
-    Raises:
-        UsageError: Two ledgers are one shard, hold one run, or one is a federation itself.
-        LedgerCorrupted: A ledger does not go on from its recorded head.
-        NotALedger, FormatVersionMismatch, LedgerCorrupted: As `opened`.
-    """
-    known = {head.origin: head for head in heads}
-    views, found, given = dict[str, View](), list[ShardHead](), {_real(place) for place in places}
-    for head in known.values():
-        with suppress(FsarLedgerError):
-            if (_real(head.place(log)) not in given) and (view := opened(head.place(log))).manifest.origin == head.origin:
-                views[head.origin] = view
-    for place in places:
-        view = opened(place)
-        if is_log(view):
-            raise UsageError(f"{place}: found the log of other ledgers, {NESTED}; record those ledgers")
-        origin, real = view.manifest.origin, _real(place)
-        if (other := views.get(origin)) is not None and _real(other.path) != real:
-            raise UsageError(
-                f"{place}: {TWICE}: found a ledger of origin {printable.value(origin)}, which {other.path} has, too, "
-                "expected an origin for each shard; make it under a name of its own (--origin), or record one of them"
-            )
-        before = next((one for one in known.values() if _real(one.place(log)) == real), known.get(origin))
-        if before is not None and (problem := doubt_of(before, view, heads)) is not None:
-            raise LedgerCorrupted(f"{problem}; nothing was recorded")
-        folder = os.path.relpath(real, os.path.realpath(log))
-        head = ShardHead(origin, folder, view.head.size, view.head.root, len(heads) + len(found))
-        if before is None or msgspec.structs.replace(head, index=before.index) != before:
-            found += [] if origin in views else [head]
-        views[origin] = view
-    if (problem := twice(views)) is not None:
-        raise UsageError(f"{problem}; nothing was recorded")
-    return Present(found, {origin: views[origin] for origin in (*known, *views) if origin in views})
-
-
-def _real(place: Path) -> str:
-    return os.path.realpath(place)
+    return Federation(
+        *(log.path, log.manifest, log.manifest_sha256, log.chain, log.followed, log.journal, log.checkpoint),
+        shards=tuple(shards),
+    )
 
 
 def record_of_head(head: ShardHead) -> LedgerRun:
@@ -403,7 +359,3 @@ def record_of_head(head: ShardHead) -> LedgerRun:
     )
     digest = hashlib.sha256(msgspec.json.encode(event, order="sorted")).hexdigest()[:12]
     return LedgerRun(f"{PREFIX}{head.index}-{digest}", (0,), (None,), (event,))
-
-
-def _refusal(log: View, problem: Problem) -> LedgerCorrupted:
-    return LedgerCorrupted(f"{log.path}: {problem}; run fsar-ledger verify {printable.word(log.path)}, which names all")
