@@ -311,7 +311,7 @@ class RecordedShards(Answer, msgspec.Struct, frozen=True):
 @verb(
     "shards out/federation out/site-a out/site-b",
     "shards out/federation    # once they have grown",
-    "shards out/federation out/site-c --key out/federation.key",
+    "shards out/signed-federation out/site-a --key out/fleet.key",
     name="shards",
     takes=("json",),
     after_interruption="the heads are recorded all at once, or none is",
@@ -351,6 +351,8 @@ def record_shards(
         raise UsageError(f"{place}: found no shard, expected at least one LEDGER; name the ledgers to record")
     found = present(place, heads, given)
     name = kept or origin_of(origin) or (signer.verifier.name if signer is not None else FEDERATION)
+    if name in found.views:
+        raise UsageError(f"{option('origin', name)}: found the origin of a shard, expected one of the log's own")
     with Writer(place, name, signer, adopts=adopt) as writer:
         if found.heads:
             writer.commit(list(map(record_of_head, found.heads)))
