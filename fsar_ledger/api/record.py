@@ -309,9 +309,8 @@ class RecordedShards(Answer, msgspec.Struct, frozen=True):
 
 
 @verb(
-    "shards out/federation out/site-a out/site-b",
-    "shards out/federation    # once they have grown",
-    "shards out/signed-federation out/site-a --key out/fleet.key",
+    "shards out/federation out/named out/large",
+    "shards out/signed-federation out/named --key out/fleet.key",
     name="shards",
     takes=("json",),
     after_interruption="the heads are recorded all at once, or none is",

@@ -76,6 +76,7 @@ class LogHead(Head, frozen=True):
         return self.of_shards
 
 
+# See docs/decisions/a-federation-is-a-ledger-of-heads.md.
 class Federation(View, frozen=True, dict=True):
     """A federation of ledgers, as a reader of one ledger sees it.
 
@@ -331,7 +332,7 @@ def twice(views: Mapping[str, View]) -> Problem | None:
 def unreadable(head: ShardHead, place: Path, error: Exception) -> Problem:
     """Return that there is no ledger where a shard should be, or none that can be read."""
     if isinstance(error, NotALedger):
-        return Problem(str(place), f"{MISSING}: no ledger", f"{head}; put it back, or record where it is ({error})")
+        return Problem(str(place), f"{MISSING}: no ledger", f"{head}; put it back, or record where it is")
     return Problem(str(place), f"{error}", f"{head}, a ledger that can be read")
 
 
