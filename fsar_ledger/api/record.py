@@ -311,11 +311,10 @@ class RecordedShards(Answer, msgspec.Struct, frozen=True):
 @verb(
     "shards out/federation out/named out/large",
     "shards out/signed-federation out/named --key out/fleet.key",
-    name="shards",
     takes=("json",),
     after_interruption="the heads are recorded all at once, or none is",
 )
-def record_shards(
+def shards(
     log: Annotated[Place, argument("LOG", "A new folder, or that of the log of a federation.")],
     ledgers: Annotated[Sequence[Place], argument("LEDGER...", "Ledgers that are its shards.", "all that it has")] = (),
     *,

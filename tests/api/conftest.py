@@ -46,7 +46,7 @@ def site(runs: list[LedgerRun], tmp_path_factory: pytest.TempPathFactory) -> Pat
     path = tmp_path_factory.mktemp("site")
     for name, part in zip(NAMES, parts(runs), strict=True):
         append(path / name, part)
-    fsar_ledger.record_shards(path / "log", [path / name for name in NAMES])
+    fsar_ledger.shards(path / "log", [path / name for name in NAMES])
     return path
 
 

@@ -140,7 +140,7 @@ def test_a_robot_alone_is_a_shard_beside_its_fleet(tmp_path: Path) -> None:
         fields = fsar_ledger.open_ledger(tmp_path / "a1").hand_over()
     site.tell(hall, A, "HandOver", **fields)
     hall.close()
-    fsar_ledger.record_shards(tmp_path / "log", [tmp_path / "fleet", tmp_path / "a1"])
+    fsar_ledger.shards(tmp_path / "log", [tmp_path / "fleet", tmp_path / "a1"])
     federation = fsar_ledger.open_ledger(tmp_path / "log")
     assert federation.verify(replay=True).ok
     assert [*federation.numbers()] == ["morning", "A1"]
@@ -152,7 +152,7 @@ def test_a_robot_alone_is_a_shard_beside_its_fleet(tmp_path: Path) -> None:
 
 
 def test_recording_again_changes_nothing_until_a_shard_has_grown(site_copy: Path, runs: list[LedgerRun]) -> None:
-    before = fsar_ledger.record_shards(site_copy / "log")
+    before = fsar_ledger.shards(site_copy / "log")
     assert (before.recorded, before.head.size) == ((), 3)
     more = msgspec.structs.replace(runs[5], run_id="one more")
     append(site_copy / "west", [more])
@@ -162,7 +162,7 @@ def test_recording_again_changes_nothing_until_a_shard_has_grown(site_copy: Path
     found = federation.verify()
     assert found.ok
     assert any("more since, run fsar-ledger shards" in remark for remark in found.report.remarks)
-    after = fsar_ledger.record_shards(site_copy / "log")
+    after = fsar_ledger.shards(site_copy / "log")
     assert (after.recorded, after.head.size) == ((origin("west"),), 4)
     assert "one more" in federation.numbers()
     assert federation.verify(anchor=None).ok
@@ -170,7 +170,7 @@ def test_recording_again_changes_nothing_until_a_shard_has_grown(site_copy: Path
 
 def test_a_shard_may_be_moved(site_copy: Path) -> None:
     (site_copy / "west").rename(site_copy / "moved")
-    fsar_ledger.record_shards(site_copy / "log", [site_copy / "moved"])
+    fsar_ledger.shards(site_copy / "log", [site_copy / "moved"])
     assert heads_of(open_ledger(site_copy / "log"))[-1].folder == "../moved"
     assert fsar_ledger.open_ledger(site_copy / "log").verify().ok
 

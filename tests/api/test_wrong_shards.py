@@ -52,13 +52,13 @@ def replayed(site_copy: Path, runs: list[LedgerRun]) -> None:
     """Record more of a shard, and put its earlier state back."""
     shutil.copytree(site_copy / "west", site_copy / "kept")
     append(site_copy / "west", [msgspec.structs.replace(runs[5], run_id="one more")])
-    fsar_ledger.record_shards(site_copy / "log")
+    fsar_ledger.shards(site_copy / "log")
     shutil.rmtree(site_copy / "west")
     (site_copy / "kept").rename(site_copy / "west")
 
 
 def recorded(site_copy: Path, *heads: ShardHead) -> None:
-    """Put heads into the log that `record_shards` would refuse."""
+    """Put heads into the log that `shards` would refuse."""
     with Writer(site_copy / "log", "fsar-ledger/federation") as writer:
         writer.add([record_of_head(head) for head in heads])
 
@@ -123,21 +123,21 @@ def test_nothing_is_recorded_of_a_shard_that_does_not_go_on_from_its_head(
     harm(site_copy, runs)
     size = open_ledger(site_copy / "log").head.size
     with pytest.raises(FsarLedgerError):
-        fsar_ledger.record_shards(site_copy / "log")
+        fsar_ledger.shards(site_copy / "log")
     assert open_ledger(site_copy / "log").head.size == size
 
 
 def test_a_ledger_is_recorded_once_under_one_origin(site_copy: Path, runs: list[LedgerRun]) -> None:
     shutil.copytree(site_copy / "west", site_copy / "twin")
     with pytest.raises(UsageError, match=r"shown twice: found a ledger of origin example\.org/west"):
-        fsar_ledger.record_shards(site_copy / "log", [site_copy / "twin"])
+        fsar_ledger.shards(site_copy / "log", [site_copy / "twin"])
     append(site_copy / "again", parts(runs)[1])
     with pytest.raises(UsageError, match=r"shown twice: run .* which shard example\.org/west holds, too"):
-        fsar_ledger.record_shards(site_copy / "log", [site_copy / "again"])
+        fsar_ledger.shards(site_copy / "log", [site_copy / "again"])
     with pytest.raises(UsageError, match="a federation itself"):
-        fsar_ledger.record_shards(site_copy / "log", [site_copy / "log"])
+        fsar_ledger.shards(site_copy / "log", [site_copy / "log"])
     with pytest.raises(UsageError, match="expected at least one LEDGER"):
-        fsar_ledger.record_shards(site_copy / "new")
+        fsar_ledger.shards(site_copy / "new")
     assert open_ledger(site_copy / "log").head.size == 3
 
 
@@ -154,7 +154,7 @@ def test_another_model_version_is_named_and_never_pooled(site_copy: Path, runs: 
     started = msgspec.structs.replace(runs[5].events[0], model_version="2")  # type: ignore[arg-type]
     other = msgspec.structs.replace(runs[5], run_id="older model", events=[started, *runs[5].events[1:]])
     append(site_copy / "old", [other])
-    told = fsar_ledger.record_shards(site_copy / "log", [site_copy / "old"])
+    told = fsar_ledger.shards(site_copy / "log", [site_copy / "old"])
     assert told.models[origin("old")] == ["2"]
     federation = fsar_ledger.open_ledger(site_copy / "log")
     found = federation.verify()
