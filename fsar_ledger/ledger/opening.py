@@ -155,6 +155,14 @@ def _refusal(log: View, problem: Problem) -> LedgerCorrupted:
     return LedgerCorrupted(f"{log.path}: {problem}; run fsar-ledger verify {printable.word(log.path)}, which names all")
 
 
+def folders_of(ledger: Path) -> list[Path]:
+    """Return where the shards of a federation are; nothing of any other ledger, or of one that cannot be read."""
+    with suppress(FsarLedgerError):
+        log = open_ledger(ledger)
+        return [head.place(ledger) for head in shards.newest(shards.heads_of(log))] if shards.is_log(log) else []
+    return []
+
+
 class Present(NamedTuple):
     """Heads to record, and the shards that can be read, by origin."""
 

@@ -13,13 +13,16 @@ import fsar_ledger
 from fsar_ledger.base.errors import LedgerCorrupted, UsageError
 from fsar_ledger.cli.app import run
 from fsar_ledger.ledger.log.merkle import leaf_hash
-from fsar_ledger.ledger.log.note import Checkpoint, Note, Signer
+from fsar_ledger.ledger.log.note import Checkpoint, Note, Signer, parse_note
 from fsar_ledger.ledger.opening import open_checked, open_for_answers, open_ledger
 from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.proof import Proof, check_proof, parse_proof, prove
 from fsar_ledger.ledger.store.shards import heads_of, record_of_head
+from fsar_ledger.ledger.store.staging import stage
+from fsar_ledger.witness import Cosigner
 from tests.api.sites import origin
+from tests.ledger import agreement
 from tests.ledger.agreement import independent
 
 
@@ -92,6 +95,17 @@ def in_log(proof: Proof, event: bytes) -> Proof:
     return msgspec.structs.replace(proof, log=Proof(event, 0, (), Note(tree, (KEY.sign(tree),))))
 
 
+def second(proof: Proof, **changes: Any) -> Proof:
+    """Change the second step."""
+    assert proof.log is not None
+    return msgspec.structs.replace(proof, log=msgspec.structs.replace(proof.log, **changes))
+
+
+def unsigned(proof: Proof) -> Proof:
+    assert proof.log is not None
+    return second(proof, note=Note(proof.log.note.checkpoint))
+
+
 def head_with(proof: Proof, **changes: object) -> bytes:
     assert proof.log is not None
     return canonical.document(msgspec.json.decode(proof.log.event) | changes)
@@ -101,10 +115,7 @@ FAILING: dict[str, tuple[Callable[[Proof], Proof], str]] = {
     "another event": (other_leaf, "step 1 .*expected one to"),
     "another place": (lambda one: msgspec.structs.replace(one, index=one.index - 1), "step 1 .*expected one to"),
     "another tree of the shard": (of_other, "found step 1 in a tree of shard_events 1, expected"),
-    "another place in the log": (
-        lambda one: msgspec.structs.replace(one, log=msgspec.structs.replace(one.log, index=1)),
-        "step 2 .*expected one to",
-    ),
+    "another place in the log": (lambda one: second(one, index=1), "step 2 .*expected one to"),
     "an event that is no head": (lambda one: in_log(one, one.event), "step 2 .*expected the head of a shard"),
     "another root of the shard": (
         lambda one: in_log(one, head_with(one, shard_root="0" * 64)),
@@ -118,13 +129,7 @@ FAILING: dict[str, tuple[Callable[[Proof], Proof], str]] = {
         lambda one: in_log(one, head_with(one, origin=origin("west"))),
         r"found step 1 in a tree of origin example\.org/south, expected example\.org/west",
     ),
-    "a log that the key did not sign": (
-        lambda one: msgspec.structs.replace(
-            one,
-            log=msgspec.structs.replace(one.log, note=Note(one.log.note.checkpoint)),  # type: ignore[union-attr]
-        ),
-        "step 2 .*found no signature",
-    ),
+    "a log that the key did not sign": (unsigned, "step 2 .*found no signature"),
 }
 
 
@@ -153,3 +158,21 @@ def test_a_receipt_has_one_step(site: Path, tmp_path: Path) -> None:
     assert run(["key", "new", str(tmp_path / "key"), "--name", "fsar-ledger/federation"]) == 0
     with pytest.raises(UsageError, match="a receipt has one step"):
         fsar_ledger.open_ledger(site / "log").prove(3, tmp_path / "proof.cose", format="cose", key=tmp_path / "key")
+
+
+def test_a_log_is_witnessed_and_verified_by_others_as_any_ledger(site: Path, tmp_path: Path) -> None:
+    log, cosigner = tmp_path / "log", Cosigner("example.org/w1", bytes(32))
+    with Writer(log, KEY.verifier.name, KEY) as writer:
+        for head in heads_of(open_ledger(site / "log")):
+            folder = os.path.relpath(site / "log" / head.folder, log)
+            writer.append(stage(log, [record_of_head(msgspec.structs.replace(head, folder=folder))]))
+    note = parse_note("note", (log / "checkpoint").read_text())
+    (tmp_path / "cosigned").write_text(f"{note}{cosigner.cosign(note.checkpoint, 1_795_000_000).line()}")
+    (tmp_path / "policy").write_text(f"log {KEY.verifier}\nwitness w1 {cosigner.key}\nquorum w1\n")
+    found = fsar_ledger.Ledger(log).verify(
+        witness_policy=tmp_path / "policy", cosigned=[tmp_path / "cosigned"], now_s=1_795_000_001
+    )
+    assert found.ok
+    assert found.witnessed is not None
+    assert found.witnessed.is_enough
+    assert agreement.judged(agreement.Case("log", log, True, KEY.verifier)).difference == ""

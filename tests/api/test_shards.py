@@ -8,9 +8,11 @@ import msgspec
 import pytest
 
 import fsar_ledger
+from fsar_ledger.api.verbs import stored
 from fsar_ledger.base.errors import InvalidRun, UsageError
 from fsar_ledger.ledger.opening import open_for_answers, open_ledger
 from fsar_ledger.ledger.rows.codec import LedgerRun
+from fsar_ledger.ledger.store.paths import segment_bytes
 from fsar_ledger.ledger.store.shards import heads_of, record_of_head
 from fsar_ledger.metrics import slices
 from fsar_ledger.metrics.database import Database, connect
@@ -18,6 +20,7 @@ from fsar_ledger.metrics.library import library
 from fsar_ledger.metrics.slices import Slice, Slices
 from tests.api.sites import NAMES, append, origin
 from tests.quick import few
+from tests.runtime.test_cuts import Day, commands_of
 from tests.runtime.test_isolation import DRIVE, A, Site
 
 
@@ -186,3 +189,29 @@ def test_a_ledger_holds_heads_or_runs_and_never_both(site_copy: Path, runs: list
 def test_what_follows_a_growing_ledger_does_not_follow_a_federation(site: Path) -> None:
     with pytest.raises(UsageError, match="found a federation, expected one ledger to follow"):
         [*fsar_ledger.open_ledger(site / "log").stream_log(pause=lambda: None)]
+
+
+def test_memory_and_workers_are_those_that_the_shards_are_worth(site: Path) -> None:
+    assert stored(site / "log") == sum(segment_bytes(site / name) for name in ("log", *NAMES))
+
+
+def test_runs_that_continue_each_other_in_two_shards_are_one(
+    runs: list[LedgerRun], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    commands, ends_us = commands_of(2)
+    cut = list(open_ledger(Day(tmp_path / "parts").plays(commands, (20, 50), ends_us).ledger).runs())
+    append(tmp_path / "whole", [*runs[:7], *cut, *runs[7:9]])
+    append(tmp_path / "first", [*runs[:7], cut[0]])
+    append(tmp_path / "second", [*cut[1:], *runs[7:9]])
+    fsar_ledger.shards(tmp_path / "log", [tmp_path / "first", tmp_path / "second"])
+    whole, federation = (fsar_ledger.Ledger(tmp_path / name) for name in ("whole", "log"))
+    assert federation.numbers() == whole.numbers()
+    assert federation.log(run="hall").rows() == whole.log(run="hall").rows()
+    assert msgspec.structs.asdict(federation.record("hall.3")) == msgspec.structs.asdict(whole.record("hall.3"))
+    found = (whole.metrics().rows(), whole.audit().table().rows())
+    assert (federation.metrics().rows(), federation.audit().table().rows()) == found
+    monkeypatch.setattr(slices, "SLICE_EVENTS", 1_500)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    assert (federation.metrics().rows(), federation.audit().table().rows()) == found
+    apart = [one for one in Slices(open_for_answers(tmp_path / "log"))._slices if one.digest is None]
+    assert [run.run for one in apart for run in one.runs] == ["hall", "hall.2", "hall.3"]

@@ -151,7 +151,7 @@ def test_a_damaged_shard_is_found_by_its_own_verification(site_copy: Path) -> No
 
 
 def test_another_model_version_is_named_and_never_pooled(site_copy: Path, runs: list[LedgerRun]) -> None:
-    started = msgspec.structs.replace(runs[5].events[0], model_version="2")  # type: ignore[arg-type]
+    started = msgspec.structs.replace(runs[5].events[0], model_version="2")
     other = msgspec.structs.replace(runs[5], run_id="older model", events=[started, *runs[5].events[1:]])
     append(site_copy / "old", [other])
     told = fsar_ledger.shards(site_copy / "log", [site_copy / "old"])
