@@ -36,6 +36,7 @@ LEFT_OUT = {
     "serve": "it makes the ledger",
     "principal": "it takes no ledger",
     "demo": "it makes the ledger",
+    "shards": "it makes the ledger",
     "hand-over": "it takes the ledger of a robot alone",
     "maintain upgrade": "it takes a ledger of format 1",
     "verify-proof": "it reads a proof, not a ledger",

@@ -50,7 +50,7 @@ from fsar_ledger.metrics.multiverse import readings
 from fsar_ledger.report.printing import flat
 
 DOCS = Path(__file__).resolve().parent
-WITH_OUTPUT = "auditors-hour open record-your-fleet live serve exports audit-example model recovery replay"
+WITH_OUTPUT = "auditors-hour open record-your-fleet live serve exports shards audit-example model recovery replay"
 PAGES = (
     DOCS.parent / "README.md",
     *(DOCS / f"{name}.md" for name in WITH_OUTPUT.split()),

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from fsar_ledger.api.key import key_new, key_public, witness_new
     from fsar_ledger.api.ledger import Ledger, open_ledger
     from fsar_ledger.api.prove import verify_proof
-    from fsar_ledger.api.record import import_records, record
+    from fsar_ledger.api.record import import_records, record, shards
     from fsar_ledger.api.report import Reproduced, reproduce
     from fsar_ledger.api.serve import principal_new
     from fsar_ledger.api.simulate import Simulated, simulate
@@ -68,6 +68,7 @@ __all__ = [
     "record",
     "reproduce",
     "sensitivity",
+    "shards",
     "simulate",
     "systems",
     "verify_proof",
@@ -82,7 +83,7 @@ _HOMES = {
     "api.key": ("key_new", "key_public", "witness_new"),
     "api.ledger": ("Ledger", "open_ledger"),
     "api.prove": ("verify_proof",),
-    "api.record": ("import_records", "record"),
+    "api.record": ("import_records", "record", "shards"),
     "api.report": ("Reproduced", "reproduce"),
     "api.serve": ("principal_new",),
     "api.simulate": ("Simulated", "simulate"),

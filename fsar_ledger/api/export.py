@@ -138,7 +138,7 @@ class Opened(Answer, msgspec.Struct, frozen=True):
 
     def text(self, _: Screen) -> Iterator[printable.SafeText]:
         """Yield what the file holds."""
-        events = self.provenance.head.size if self.provenance.head else 0
+        events = self.provenance.head.events if self.provenance.head else 0
         yield printable.lines(
             f"{self.file}: {self.relations:,} relations and {self.macros:,} macros over {events:,} events",
             "a macro is called by its parameters, as `FROM denials(run := 1)`",
@@ -212,7 +212,7 @@ def _fill(database: "Database", ledger: Path, file: Path, progress: Progress | N
             {
                 "path": [str(ledger)],
                 "commits": [head.commits],
-                "events": [head.size],
+                "events": [head.events],
                 "root": [head.root],
                 "rows_verified": [database.rows_verified],
             }

@@ -13,7 +13,7 @@ from msgspec import structs
 from fsar_ledger.base import printable
 from fsar_ledger.base.printable import counted
 
-from .answers import Answer, Screen
+from .answers import Answer, Screen, head_json
 from .verbs import verb
 
 if TYPE_CHECKING:
@@ -106,6 +106,9 @@ class Contents(Answer, msgspec.Struct, frozen=True):
     begins: Mapping[str, Any] | None = None
     """How many runs know their time of day, and the first and last at which one begins; None if none does."""
 
+    shards: list[dict[str, Any]] = []
+    """Of a federation, the origin, folder and head of each shard."""
+
     @property
     def run_count(self) -> int:
         """Count all runs, whatever their group."""
@@ -141,6 +144,7 @@ class Contents(Answer, msgspec.Struct, frozen=True):
             "missing_count": self.missing,
             "not_observed": self.not_observed,
             "begins": self.begins,
+            **({"shards": self.shards} if self.shards else {}),
         }
 
     def text(self, screen: Screen) -> Iterator[printable.SafeText]:
@@ -148,8 +152,11 @@ class Contents(Answer, msgspec.Struct, frozen=True):
         head = self.provenance.head
         assert head is not None
         standing = "" if self.provenance.rows_verified else " (the rows were not compared with it)"
+        held = f"{counted(head.size, 'event')} in {counted(head.commits, 'commit')}"
+        if self.shards:
+            held = f"{counted(head.events, 'event')} in {counted(len(self.shards), 'shard')}"
         yield printable.lines(
-            f"{screen.path}: {counted(head.size, 'event')} in {counted(head.commits, 'commit')}",
+            f"{screen.path}: {held}",
             f"root {head.root}{standing}",
             *self.summary(),
         )
@@ -234,7 +241,8 @@ def info(ledger: "Ledger") -> Contents:
     Raises:
         NotALedger, FormatVersionMismatch, LedgerCorrupted: As `connect`, and `models`.
     """
-    from fsar_ledger.ledger.opening import open_ledger
+    from fsar_ledger.ledger.opening import open_for_answers
+    from fsar_ledger.ledger.store.shards import log_of, views_of
     from fsar_ledger.metrics.provenance import Provenance, completeness, never_observed
     from fsar_ledger.metrics.results import lettered, models
     from fsar_ledger.runtime.experiment_arguments import PlanRow, plans
@@ -246,12 +254,22 @@ def info(ledger: "Ledger") -> Contents:
             {"constants": letters.get(_key(row)), **row, "numbers": printable.ranges(row["numbers"])}
             for row in database.rows(GROUPS)
         ]
-        planned = plans(database, PlanRow(ledger.path, open_ledger(ledger.path)))
+        view = open_for_answers(ledger.path)
+        planned = plans(database, PlanRow(ledger.path, view))
         named = [_of_model(one, letter) for one, letter in found]
         missing = completeness(database).missing
         provenance = Provenance(database.head, database.rows_verified)
         begins = next(iter(database.rows(BEGINS)), None)
-        return Contents(groups, named, planned, missing, provenance, tuple(never_observed(database)), begins)
+        shards = (
+            []
+            if log_of(view) is view
+            else [
+                {"origin": one.manifest.origin, "folder": str(one.path), **head_json(one.head)}
+                for one in views_of(view)
+            ]
+        )
+        observed = tuple(never_observed(database))
+        return Contents(groups, named, planned, missing, provenance, observed, begins, shards)
 
 
 def _unfinished(plan: Mapping[str, Any]) -> str:

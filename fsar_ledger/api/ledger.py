@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fsar_ledger.base.progress import Progress
-from fsar_ledger.ledger.opening import open_for_answers
+from fsar_ledger.ledger.opening import open_checked, open_for_answers
 from fsar_ledger.metrics.verified import ensure_verified, is_remembered
 
 from . import audit as _audit
@@ -299,7 +299,7 @@ def open_ledger(path: Place, *, verified: bool = False, progress: Progress | Non
         LedgerCorrupted: It contradicts itself.
     """
     demanded = demanded_head(Path(path), verified=verified, progress=progress)
-    view = open_for_answers(Path(path))
+    view = open_for_answers(Path(path)) if verified else open_checked(Path(path))
     if verified:
         view.segments()  # what is remembered was perhaps compared in another place, and this is an altered copy
     return Ledger(path, demanded=demanded)

@@ -30,8 +30,14 @@ def _proved(ledger: "Ledger", event: str, out: Path | None, format: Form, key: P
     proof = prove(ledger, event, out, format=format, key=key)
     if out is None:
         return Plain(str(proof))
-    tree = proof.note.checkpoint
-    return Lines(f"{out}: event {proof.index:,} of {tree.size:,}", f"root {tree.root.hex()}")
+    lines = [
+        f"{out}: event {proof.index:,} of {proof.note.checkpoint.size:,}",
+        f"root {proof.note.checkpoint.root.hex()}",
+    ]
+    if (log := proof.log) is not None:
+        tree = log.note.checkpoint
+        lines += [f"this root is head {log.index:,} of {tree.size:,} of the log", f"root {tree.root.hex()}"]
+    return Lines(*lines)
 
 
 @verb(
@@ -63,7 +69,8 @@ def prove(
     """Prove that one event is in a ledger.
 
     The proof is one small text, a C2SP tlog-proof: the event, the hashes from it to the root, and the newest
-    checkpoint. Or (`cose`) it is a COSE transparent statement in CBOR: the event and a receipt of RFC 9942 with the
+    checkpoint. In a federation it has two steps: the event is in a shard, and its log has the head of that shard. Or
+    (`cose`) it is a COSE transparent statement in CBOR: the event and a receipt of RFC 9942 with the
     same hashes, both signed now with the key of the ledger. `verify-proof` checks both without the ledger.
 
     Raises:
@@ -88,6 +95,11 @@ def prove(
     run, seq = asked_event(view, str(event), ledger.demanded)
     found = proof.prove(view, _index_of(view, run, seq, ledger.demanded))
     data = str(found).encode()
+    if signer is not None and found.log is not None:
+        raise UsageError(
+            f"{option('format', format)}: found a federation, expected one ledger, as a receipt has one step; leave it "
+            "out, or prove the event in its shard"
+        )
     if signer is not None:
         data = cose.signed_statement(str(ledger.path), found, signer.under(found.note.checkpoint.origin))
     if out is not None:
@@ -155,9 +167,10 @@ def _index_of(view: "View", run: str | None, seq: str, demanded: str | None) -> 
     from .lookup import resting_on_rows
 
     if run is None:
-        if len(seq) > MAX_DIGITS or int(seq) >= view.head.size:
+        if len(seq) > MAX_DIGITS or int(seq) >= view.head.events:
             raise UsageError(
-                f"EVENT {seq}: found {view.head.size:,} events in {view.path}, expected a number below that, or RUN:SEQ"
+                f"EVENT {seq}: found {view.head.events:,} events in {view.path}, expected a number below that, or "
+                "RUN:SEQ"
             )
         return int(seq)
     with resting_on_rows(is_verified(view, demanded)):
@@ -190,10 +203,10 @@ class Checked(Answer, msgspec.Struct, frozen=True):
     compared: tuple[str, ...]
 
     def document(self, _: Screen) -> Mapping[str, object]:
-        """Return the event and its place; `head` is that of the proof's checkpoint."""
-        proven, event = self.proven, self.proven.event
+        """Return the event and its place; `head` is that of the proof's checkpoint, of a shard that of the log."""
+        proven, event, top = self.proven, self.proven.event, self.proven.log or self.proven
         return {
-            "head": {"size": proven.size, "root": proven.root},
+            "head": {"size": top.size, "root": top.root},
             "ok": True,
             "file": str(self.file),
             "index": proven.index,
@@ -201,6 +214,7 @@ class Checked(Answer, msgspec.Struct, frozen=True):
             "signature": proven.signature,
             "signer": proven.signer,
             "compared": self.compared,
+            **({} if proven.log is None else {"log": proven.log}),
             **{name: event[name] for name in ("run_id", "seq", "type")},
             **{name: event.get(name) for name in PRINCIPALS},
             "event": event,
@@ -210,21 +224,31 @@ class Checked(Answer, msgspec.Struct, frozen=True):
         """Yield the event, its principals, its place and the signature."""
         from fsar_ledger.ledger.rows.canonical import document
 
-        proven = self.proven
+        proven, top = self.proven, self.proven.log or self.proven
         event = {
             name: printable.value(found) if isinstance(found, str) else found for name, found in proven.event.items()
         }
         width = max(map(len, PRINCIPALS))
-        signature = signature_text(proven.signature, proven.signer)
+        signature = signature_text(top.signature, top.signer)
         place = f"event {proven.index:,} of {proven.size:,} in the ledger of {printable.value(proven.origin)}"
         hint = []
         if self.compared:
             hint = [f"the root is that of {' and '.join(self.compared)}"]
-        elif proven.signature != "signed":
+        elif top.signature != "signed":
             hint = ["no signature was checked: compare the root with one that you trust, by --anchor or --root"]
+        if proven.log is None:
+            steps = [f"{self.file}: proven: {place}, {signature}", f"root {proven.root}"]
+        else:
+            head = f"head {top.index:,} of {top.size:,} in the log of {printable.value(top.origin)}"
+            steps = [
+                f"{self.file}: proven in two steps",
+                f"1: {place}, a shard",
+                f"   root {proven.root}",
+                f"2: this root is {head}, {signature}",
+                f"   root {top.root}",
+            ]
         yield printable.lines(
-            f"{self.file}: proven: {place}, {signature}",
-            f"root {proven.root}",
+            *steps,
             *hint,
             "",
             f"run {event['run_id']}, seq {event['seq']}: {event['type']}",
@@ -277,8 +301,9 @@ def verify_proof(
         proven = check_statement(where, data, trusted)
     else:
         proven = check_proof(where, proof_of(where, data), trusted)
+    top = proven.log or proven
     if kept is not None:
-        require_tree(where, proven, kept, str(anchor))
+        require_tree(where, top, kept, str(anchor))
     if expected is not None:
-        require_root(where, proven, expected, option("root"))
+        require_root(where, top, expected, option("root"))
     return proven

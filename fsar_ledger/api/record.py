@@ -1,4 +1,4 @@
-"""The verbs `record` and `import`: what another fleet did goes on record, as it happens or from its own files."""
+"""The verbs `record`, `import` and `shards`: what others did goes on record, and the heads of other ledgers."""
 
 import sys
 from collections.abc import Iterator, Mapping, Sequence
@@ -13,16 +13,19 @@ from fsar_ledger.base.errors import UsageError, option
 from fsar_ledger.base.printable import SafeText, counted
 from fsar_ledger.base.progress import Progress
 
-from .answers import Answer, Screen
+from .answers import Answer, Screen, head_json
 from .names import Names, Place, names_of
-from .verbs import KeyOption, Shows, argument, declare, switch, verb
+from .verbs import AdoptOption, KeyOption, Shows, argument, declare, switch, verb
 
 if TYPE_CHECKING:
+    from fsar_ledger.ledger.store.record import Head
+    from fsar_ledger.ledger.store.shards import ShardHead
     from fsar_ledger.sources.importing import Imported
     from fsar_ledger.sources.recorder import Fleet, Recorder
 
     from .ledger import Ledger
 
+FEDERATION = "fsar-ledger/federation"
 TOLD_STAYS = "every event that was told is on disk, and the same command continues the run"
 COMMITTED_STAYS = "what is committed stays, and the same command continues there"
 
@@ -266,6 +269,94 @@ def import_records(
         gaps = database.rows("SELECT * FROM record_gaps ORDER BY missing_count, kind, judge")
     unseen = tuple(name for name in made.declared.records if "." not in name and name not in seen)
     return ImportResult(ledger, made, unseen, tuple(gaps))
+
+
+class RecordedShards(Answer, msgspec.Struct, frozen=True):
+    """The newest head of each shard, those recorded now among them, and the model versions of each by its origin."""
+
+    log: Path
+    head: "Head"
+    shards: "list[ShardHead]"
+    recorded: tuple[str, ...]
+    models: dict[str, list[str]]
+
+    def document(self, _: Screen) -> Mapping[str, object]:
+        """Return a row for each shard."""
+        rows = [
+            {
+                **{name: getattr(one, name) for name in ("origin", "folder", "shard_events", "shard_root")},
+                "model_versions": self.models.get(one.origin),
+                "is_new": one.origin in self.recorded,
+            }
+            for one in self.shards
+        ]
+        return {"head": head_json(self.head), "log": str(self.log), "shards": rows}
+
+    def text(self, _: Screen) -> Iterator[SafeText]:
+        """Yield the head of the log, and a line for each shard."""
+        value = printable.value
+        versions = sorted({version for found in self.models.values() for version in found})
+        yield printable.lines(
+            f"{self.log}: {counted(len(self.shards), 'shard')}, {len(self.recorded):,} recorded now",
+            f"root {self.head.root}",
+            *(
+                f"{value(one.origin)}: {counted(one.shard_events, 'event')} in {value(one.folder)}, model version "
+                f"{', '.join(map(value, self.models.get(one.origin, ()))) or 'unknown'}"
+                for one in self.shards
+            ),
+            *([f"model versions {', '.join(map(value, versions))}: no answer pools them"] if versions[1:] else []),
+        )
+
+
+@verb(
+    "shards out/federation out/named out/large",
+    "shards out/signed-federation out/named --key out/fleet.key",
+    takes=("json",),
+    after_interruption="the heads are recorded all at once, or none is",
+)
+def shards(
+    log: Annotated[Place, argument("LOG", "A new folder, or that of the log of a federation.")],
+    ledgers: Annotated[Sequence[Place], argument("LEDGER...", "Ledgers that are its shards.", "all that it has")] = (),
+    *,
+    origin: str | None = declare("NAME", "Publish a new log under this name.", "the key's name, else a general one"),
+    key: KeyOption = None,
+    adopt: AdoptOption = False,
+) -> RecordedShards:
+    """Record the present heads of ledgers, so that all together are asked and proven as one.
+
+    The log is a ledger like any other, of the heads of its shards. Every question that is put to it is answered from
+    the shards, at these heads. A shard that has grown is recorded again; it must go on from its recorded head.
+
+    Raises:
+        UsageError: A shard has the origin of another, or a run that another has, or is a federation itself.
+        LedgerCorrupted: A shard does not go on from its recorded head.
+        NotALedger: There is no ledger in a folder, or LOG is one of runs.
+        WriteFailed: A write failed; what is committed stays.
+    """
+    from fsar_ledger.ledger.opening import open_checked, present
+    from fsar_ledger.ledger.store.append import Writer
+    from fsar_ledger.ledger.store.keys import read_signer
+    from fsar_ledger.ledger.store.shards import heads_of, newest, record_of_head
+    from fsar_ledger.metrics.verified import models_of
+    from fsar_ledger.sources.recorder import kept_origin
+
+    from .key import origin_of
+
+    place, signer, kept = Path(log), None if key is None else read_signer(Path(key)), kept_origin(Path(log))
+    heads = [] if kept is None else heads_of(open_checked(place))
+    given = [Path(one) for one in ledgers or ()] or [one.place(place) for one in newest(heads)]
+    if not given:
+        raise UsageError(f"{place}: found no shard, expected at least one LEDGER; name the ledgers to record")
+    found = present(place, heads, given)
+    name = kept or origin_of(origin) or (signer.verifier.name if signer is not None else FEDERATION)
+    if name in found.views:
+        raise UsageError(f"{option('origin', name)}: found the origin of a shard, expected one of the log's own")
+    with Writer(place, name, signer, adopts=adopt) as writer:
+        if found.heads:
+            writer.commit(list(map(record_of_head, found.heads)))
+        head = writer.head
+    models = {origin: models_of(view) for origin, view in found.views.items()}
+    return RecordedShards(place, head, newest([*heads, *found.heads]), tuple(one.origin for one in found.heads), models)
 
 
 def _short(judge: str) -> str:

@@ -128,7 +128,7 @@ class Reproduced(Answer, msgspec.Struct, frozen=True):
     def text(self, screen: Screen) -> Iterator[SafeText]:
         """Yield the metrics of the results, and where the report is."""
         results = self.made["results"]
-        took = f"{results.head.size:,} events, root {results.head.root}, {screen.elapsed_s:.0f} s"
+        took = f"{results.head.events:,} events, root {results.head.root}, {screen.elapsed_s:.0f} s"
         yield screen.table(self.metrics.rows(), SHOWN)
         yield printable.lines(*beyond(results), "", took, str(self.report))
 

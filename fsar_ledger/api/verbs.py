@@ -287,6 +287,9 @@ WorkersOption = Annotated[
 WORTH_ROBOTS = 320
 """Robots, summed over all runs, whose simulation takes about as long as a process takes to start (0.4 s)."""
 
+LOG_BYTES = 1 << 24
+"""More than the segments of the log of a federation have, whose events are few: only smaller ledgers may be one."""
+
 WORTH_BYTES = 400 << 10
 """Bytes of segments whose verification takes about as long as a process takes to start (0.4 s)."""
 
@@ -318,7 +321,13 @@ def readers_of(asked: int | None, *ledgers: Path | None) -> int:
 
 
 def stored(*ledgers: Path | None) -> int:
-    """Return the bytes of the segments of these ledgers, including staged ones."""
+    """Return the bytes of the segments of these ledgers, including staged ones, and of the shards of federations."""
     from fsar_ledger.ledger.store.paths import segment_bytes
 
-    return sum(segment_bytes(ledger) for ledger in ledgers if ledger is not None)
+    found = {ledger: segment_bytes(ledger) for ledger in ledgers if ledger is not None}
+    small = [ledger for ledger, size in found.items() if size <= LOG_BYTES]
+    if small:
+        from fsar_ledger.ledger.opening import folders_of
+
+        found |= {folder: segment_bytes(folder) for ledger in small for folder in folders_of(ledger)}
+    return sum(found.values())

@@ -80,7 +80,10 @@ class Verification(Answer, msgspec.Struct, frozen=True):
         if self.fleet is not None:
             more["fleet"] = self.fleet
         head = {"size": self.report.events, "root": self.report.root}
-        return {"head": head, **msgspec.to_builtins(self.report), "ok": self.ok, **more}
+        found = msgspec.to_builtins(self.report)
+        if not self.report.shards:
+            del found["shards"]
+        return {"head": head, **found, "ok": self.ok, **more}
 
     def text(self, _: Screen) -> Iterator[printable.SafeText]:
         """Yield what was found consistent."""
@@ -223,11 +226,26 @@ def replayed(
 
     Raises: LedgerCorrupted if the ledger was damaged in between.
     """
-    from fsar_ledger.runtime.replay import NOT_REPLAYED, replay
+    from fsar_ledger.ledger.opening import open_for_answers
+    from fsar_ledger.ledger.store.shards import views_of
+    from fsar_ledger.runtime.replay import NOT_REPLAYED, ReplayReport, replay
 
     if not report.ok:
         return NOT_REPLAYED
-    return replay(ledger, readers_of(workers, ledger), progress, report.commits, is_recorded)
+    if not report.shards:
+        return replay(ledger, readers_of(workers, ledger), progress, report.commits, is_recorded)
+    found = [
+        replay(shard.path, readers_of(workers, shard.path), progress, len(shard.commits), is_recorded)
+        for shard in views_of(open_for_answers(ledger))
+    ]
+    return ReplayReport(
+        all(one.ok for one in found),
+        tuple(difference for one in found for difference in one.differences),
+        sum(one.commits for one in found),
+        sum(one.runs for one in found),
+        sum(one.events for one in found),
+        tuple(dict.fromkeys(remark for one in found for remark in one.remarks)),
+    )
 
 
 def _of_report(ledger: Path, report: "VerifyReport") -> list[str]:
@@ -240,6 +258,10 @@ def _of_report(ledger: Path, report: "VerifyReport") -> list[str]:
         ]
     of_runs = "" if report.is_quick else f" of {counted(report.runs, 'run')}"
     counts = f"{counted(report.events, 'event')}{of_runs} in {counted(report.commits, 'commit')}"
+    if report.shards:
+        counts = f"{counted(report.events, 'head')} of {counted(report.shards, 'shard')}" + (
+            "" if report.is_quick else f", which have {counted(report.runs, 'run')}"
+        )
     looked = "consistent at a quick look, which reads no rows" if report.is_quick else "consistent"
     lines = [f"{ledger}: {looked}, {signature_text(report.signature, report.signer)}: {counts}", f"root {report.root}"]
     lines += [f"signed commits: {report.signed:,} of {report.commits:,}"] if report.signed else []

@@ -193,7 +193,7 @@ def _shown(ledger: "Ledger", asked: Run | None) -> "tuple[PageOptions, Provenanc
     picture = PageOptions(
         drawn(run, name if number is None else f"{number}", words_of(told.rows())),
         printable.word(ledger.path),
-        head.size if head else 0,
+        head.events if head else 0,
         head.root if head else "",
         bool(provenance.rows_verified),
         missing,

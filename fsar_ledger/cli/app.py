@@ -27,7 +27,7 @@ from .terminal import OutputClosed, say, show
 
 INTERRUPTED = 130
 GROUPS = {
-    "Record": ("simulate", "record", "import", "federate", "hand-over", "serve", "principal", "demo"),
+    "Record": ("simulate", "record", "import", "federate", "hand-over", "serve", "principal", "demo", "shards"),
     "Ask": (
         *("info", "metrics", "statistics", "compare"),
         *("query", "sql", "export", "open", "explain", "log"),
@@ -54,6 +54,7 @@ HOMES = {
     "open": ("fsar_ledger.api.export",),
     "principal": ("fsar_ledger.api.serve",),
     "reproduce": ("fsar_ledger.api.report",),
+    "shards": ("fsar_ledger.api.record",),
     "sql": ("fsar_ledger.api.query",),
     "statistics": ("fsar_ledger.api.metrics",),
     "step": ("fsar_ledger.api.state",),

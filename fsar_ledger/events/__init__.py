@@ -48,7 +48,7 @@ def _types_in(module: ModuleType) -> list[type[Event]]:
     return [kind for kind in kinds if kind.__module__ == module.__name__]
 
 
-ALONE: frozenset[type[Event]] = frozenset({fleet.ExperimentPlanned})
+ALONE: frozenset[type[Event]] = frozenset({fleet.ExperimentPlanned, fleet.ShardRecorded})
 """The event types that are the only event of their run: they describe runs and happen in none.
 
 Event 0 of any other run is `RunStarted`.
@@ -58,7 +58,7 @@ Event 0 of any other run is `RunStarted`.
 EVENT_TYPES: tuple[type[Event], ...] = tuple(
     sorted((kind for module in _MODULES for kind in _types_in(module)), key=ALONE.__contains__)
 )
-"""Every event type that the file of a concern defines; plans come last."""
+"""Every event type that the file of a concern defines; plans and heads of shards come last."""
 
 # See docs/decisions/unobserved-is-null.md.
 CONCERNS: tuple[str, ...] = (
@@ -83,6 +83,7 @@ BESIDE: Mapping[str, str | None] = {
     "RunStarted": None,
     "RunContinued": None,
     "ExperimentPlanned": None,
+    "ShardRecorded": None,
     "SourceOpened": None,
     "Observed": None,
     "SourceClosed": None,

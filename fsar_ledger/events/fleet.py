@@ -191,3 +191,17 @@ class ExperimentPlanned(Event, frozen=True, kw_only=True):
     model_version: str
     parameters: str
     first_run: int | None = None
+
+
+class ShardRecorded(Event, frozen=True, kw_only=True):
+    """The head of a shard was recorded: of another ledger, named by the `origin` under which it publishes its heads.
+
+    A ledger of such heads is the log of a federation. Each is the only event of a run of its own; the newest head of an
+    origin holds. It counts `shard_events` events under the root `shard_root`, in hex. `folder` is where the shard was,
+    as a path from the folder of the log.
+    """
+
+    origin: str
+    folder: str
+    shard_events: int
+    shard_root: str

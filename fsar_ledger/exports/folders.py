@@ -17,6 +17,7 @@ from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.store import disk
 from fsar_ledger.ledger.store.paths import CHECKPOINT, require_outside, segment_name
 from fsar_ledger.ledger.store.read import View
+from fsar_ledger.ledger.store.shards import log_of, views_of
 
 from . import Written
 
@@ -55,14 +56,15 @@ def write_delta(out: Path, view: View) -> Written:
         ImportError: There is no library `deltalake`.
     """
     _require_free(out)
-    if not view.head.size:
+    if not view.head.events:
         raise UsageError(f"{view.path}: found no events, expected some: a Delta table has the columns of its files")
     with _whole_folder(out, DELTA) as work:
         linked = sum(_place(view, number, work, out) for number in range(len(view.releases)))
         _make_log(work, out, view.head.root)
-    placed, journal = len(view.chain.placed), view.head.size - view.chain.placed_size
+    placed = sum(len(one.chain.placed) for one in views_of(view))
+    journal = sum(one.head.size - one.chain.placed_size for one in views_of(view))
     told = f"{linked:,} segments are hard links into the ledger, {placed - linked:,} are copies"
-    return Written(view.head.size, (told, f"{journal:,} events of the journal are in a file of their own"))
+    return Written(view.head.events, (told, f"{journal:,} events of the journal are in a file of their own"))
 
 
 def _place(view: View, number: int, work: Path, out: Path) -> bool:
@@ -75,7 +77,7 @@ def _place(view: View, number: int, work: Path, out: Path) -> bool:
         except OSError:  # another file system, or one without links
             shutil.copyfile(segment, file)
             return False
-    return segment.is_relative_to(view.path)
+    return any(segment.is_relative_to(one.path) for one in views_of(view))
 
 
 def _make_log(work: Path, out: Path, root: str) -> None:
@@ -103,6 +105,7 @@ def write_tiles(view: View, out: Path, progress: Callable[[int, int], None] | No
         WriteFailed: The folder cannot be written; nothing is left there.
     """
     _require_free(out)
+    view = log_of(view)
     with _whole_folder(out, TILES) as work:
         count, edge = 0, Edge()
         for done, table in enumerate(view.tables(), start=1):

@@ -10,6 +10,7 @@ from fsar_ledger.ledger.rows.schema import SCHEMA
 from fsar_ledger.ledger.store.locations import chain_of, earlier_runs
 from fsar_ledger.ledger.store.paths import SEGMENTS
 from fsar_ledger.ledger.store.read import View
+from fsar_ledger.ledger.store.shards import views_of
 
 from . import relation
 from .connection import Database, Value
@@ -61,8 +62,8 @@ def connect_view(
     segments = view.segments()
     slices = (Slices(view, demanded) or None) if file is None else None
     database = Database(view.head, segments, threads, rows_verified=rows_verified, file=file, slices=slices)
-    stay = view.path / SEGMENTS
-    passing = [] if file is None else [path for path in segments if path.parent != stay]
+    stay = {one.path / SEGMENTS for one in views_of(view)}
+    passing = [] if file is None else [path for path in segments if path.parent not in stay]
     numbers = slices and relation.RowFilter("TRUE", numbered(view.run_names.runs), frozenset(segments))
     _fill(database, segments, view.releases, numbers, passing)
     return database

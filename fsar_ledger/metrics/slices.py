@@ -35,6 +35,8 @@ from fsar_ledger.ledger.store.derived import Extent
 from fsar_ledger.ledger.store.locations import earlier_runs
 from fsar_ledger.ledger.store.paths import segment_bytes
 from fsar_ledger.ledger.store.read import View
+from fsar_ledger.ledger.store.record import Head
+from fsar_ledger.ledger.store.shards import views_of
 
 from . import relation
 from .connection import Database
@@ -63,10 +65,15 @@ class Asked(NamedTuple):
 
 
 class Slice(NamedTuple):
-    """Some runs of a ledger, and by `digest` the bytes that hold them; None where these have no hash yet."""
+    """Some runs of a ledger, and by `digest` the bytes that hold them; None where these have no hash yet.
+
+    `view` is the ledger, and `beside` are all of its runs.
+    """
 
     runs: tuple[Extent, ...]
     digest: str | None
+    view: View
+    beside: Sequence[Extent]
 
 
 # See docs/decisions/what-is-known-of-runs-is-cached.md.
@@ -75,28 +82,29 @@ class Slices:
 
     Each has whole runs, of about `most` events, one run at least; it is closed when the next is asked for. Of a ledger
     of fewer events there is none. A run is in the slice in which it ends, so that an append changes the slices of the
-    runs that go on, and the last one.
+    runs that go on, and the last one. The slices of a federation are those of its shards, so that what is known of a
+    shard is known of it here, too.
 
     Raises: As `database.connect_view`, when they are asked for.
     """
 
     def __init__(self, view: View, demanded: str | None = None, most: int | None = None) -> None:
-        self._view = view
+        self._head = view.head
         self._most = most = most or SLICE_EVENTS
         self._slices: list[Slice] = []
+        self._rows_verified: bool | None = None
         # A bomb has many rows in few bytes, and nothing to be judged: to judge it in parts would take longer.
-        if view.head.size > most and segment_bytes(view.path) > LEAST_BYTES * view.head.size:
+        stored = sum(segment_bytes(ledger.path) for ledger in views_of(view)) if view.head.events > most else 0
+        if stored > LEAST_BYTES * view.head.events:
             self._rows_verified = is_verified_for_runs(view, demanded)
-            self._extents = view.extents()
-            wholes = _continuing(self._extents, earlier_runs(view))
-            self._slices = [_slice(view, runs) for runs in _windows(wholes, most)]
+            self._slices = [*_slices(view, most)]
 
     def __len__(self) -> int:
         return len(self._slices)
 
     def __iter__(self) -> Iterator[Database]:
         for one in self._slices:
-            with self._connect(one.runs) as database:
+            with self._connect(one) as database:
                 yield database
 
     def tables(self, asked: Mapping[_Name, Asked], progress: Progress | None = None) -> dict[_Name, pa.Table]:
@@ -109,7 +117,7 @@ class Slices:
         lacking = [{each.text: each for each in asked.values() if each.text not in held} for held in known]
         with pool_of(1) as pool:
             answers = [
-                pool.submit(answered, str(self._view.path.absolute()), one, self._most, each)
+                pool.submit(answered, str(one.view.path.absolute()), one.runs, one.digest, self._most, each)
                 if pool is not None and each and one.digest is not None
                 else None
                 for one, each in zip(self._slices, lacking, strict=True)
@@ -117,7 +125,7 @@ class Slices:
             for number, (one, held, each) in enumerate(zip(self._slices, known, lacking, strict=True)):
                 if each:
                     far = answers[number]
-                    made = self._answered(one, each) if far is None else far.result()
+                    made = _answers(self._connect(one), each) if far is None else far.result()
                     _remember(one.digest, made)
                     held |= made
                 for name, sought in asked.items():
@@ -126,34 +134,37 @@ class Slices:
                     progress((number + 1) * len(asked), len(self._slices) * len(asked))
         return {name: pa.concat_tables(found) for name, found in tables.items()}
 
-    def _answered(self, one: Slice, asked: Mapping[str, Asked]) -> dict[str, pa.Table]:
-        """Return what a slice answers to these, by their texts. Raises: As `Database.table`."""
-        with self._connect(one.runs) as database:
-            return {text: each.of(database) for text, each in asked.items()}
+    def _connect(self, one: Slice) -> Database:
+        return connect_slice(one, self._head, self._most, self._rows_verified)
 
     def rows_of(self, queries: Sequence[Query]) -> dict[str, pa.Table]:
         """Return the rows of these queries, which are of one run each, by the names of their relations."""
         return self.tables({query.relation: asked_of(f"SELECT * FROM {query.relation}") for query in queries})
 
-    def _connect(self, runs: Sequence[Extent]) -> Database:
-        view, releases = self._view, self._view.releases
-        numbers = _segments_of(view, runs)
-        held = {number: view.segment(number) for number in numbers}
-        names = {one.run for one in runs}
-        others = [one for one in self._extents if one.run not in names and _meets(view, one, numbers)]
-        cut = {number for one in others for number in view.segments_between(one.first, one.end)}
-        whole = frozenset(path for number, path in held.items() if number not in cut)
-        database = Database(view.head, [*held.values()], rows_verified=self._rows_verified)
-        # See docs/decisions/slices-have-a-table-for-each-concern.md.
-        # One run of more events is not worth tables: they would take memory with its length.
-        database.keeps_events = sum(one.rows for one in runs) <= 2 * self._most
-        chosen = relation.RowFilter(relation.OF_NUMBERED, numbered([one.run for one in runs]), whole)
-        try:
-            relation.hold_segments(database, [*held.values()], [releases[number] for number in held], chosen)
-        except BaseException:
-            database.close()
-            raise
-        return database
+
+def connect_slice(one: Slice, head: Head, most: int, rows_verified: bool | None = None) -> Database:
+    """Open a database over the events of a slice, of about `most` events, of the ledger with this head.
+
+    Raises: As `database.connect_view`.
+    """
+    runs, view, releases = one.runs, one.view, one.view.releases
+    numbers = _segments_of(view, runs)
+    held = {number: view.segment(number) for number in numbers}
+    names = {run.run for run in runs}
+    others = [run for run in one.beside if run.run not in names and _meets(view, run, numbers)]
+    cut = {number for run in others for number in view.segments_between(run.first, run.end)}
+    whole = frozenset(path for number, path in held.items() if number not in cut)
+    database = Database(head, [*held.values()], rows_verified=rows_verified)
+    # See docs/decisions/slices-have-a-table-for-each-concern.md.
+    # One run of more events is not worth tables: they would take memory with its length.
+    database.keeps_events = sum(run.rows for run in runs) <= 2 * most
+    chosen = relation.RowFilter(relation.OF_NUMBERED, numbered([run.run for run in runs]), whole)
+    try:
+        relation.hold_segments(database, [*held.values()], [releases[number] for number in held], chosen)
+    except BaseException:
+        database.close()
+        raise
+    return database
 
 
 def keep_known(before: View, after: View) -> None:
@@ -171,18 +182,27 @@ def keep_known(before: View, after: View) -> None:
         )
 
 
-def answered(ledger: str, one: Slice, most: int, asked: Mapping[str, Asked]) -> dict[str, pa.Table]:
-    """Return what this slice of the ledger answers to these, by their texts, in another process.
+def answered(
+    ledger: str, runs: Sequence[Extent], digest: str, most: int, asked: Mapping[str, Asked]
+) -> dict[str, pa.Table]:
+    """Return what the slice of these runs of a ledger answers to these, by their texts, in another process.
 
-    Raises: As `Database.table`; SequenceConflict if the ledger there has no such slice.
+    Raises: As `Database.table`; SequenceConflict if the ledger there has no slice of this digest.
     """
     view = open_for_answers(Path(ledger))
-    if _slice(view, one.runs).digest != one.digest:
+    one = _slice(view, runs, view.extents())
+    if one.digest != digest:
         raise SequenceConflict(
             f"{ledger}: found other events where another process read some of it, expected the same; is it the same "
             "folder there, and was it compacted meanwhile? run it again"
         )
-    return Slices(view, most=most)._answered(one, asked)
+    return _answers(connect_slice(one, view.head, most), asked)
+
+
+def _answers(database: Database, asked: Mapping[str, Asked]) -> dict[str, pa.Table]:
+    """Return what this database answers to these, by their texts, and close it. Raises: As `Database.table`."""
+    with database:
+        return {text: each.of(database) for text, each in asked.items()}
 
 
 def asked_of(sql: str) -> Asked:
@@ -216,6 +236,21 @@ def parts_of(every: Iterable[_One], size_of: Callable[[_One], int], most: int) -
         yield part
 
 
+def _slices(view: View, most: int) -> Iterator[Slice]:
+    """Yield the slices of each ledger, and those of runs that continue each other from one ledger to another."""
+    earlier, homes = earlier_runs(view), dict[str, int]()
+    ledgers = [(ledger, ledger.extents()) for ledger in views_of(view)]
+    for at, (_, extents) in enumerate(ledgers if earlier else ()):
+        homes.update((one.run, at) for one in extents)
+    beside = view.extents() if len(ledgers) > 1 and earlier else []
+    apart = [whole for whole in _continuing(beside, earlier) if len({homes[one.run] for one in whole}) > 1]
+    names = {one.run for whole in apart for one in whole}
+    for ledger, extents in ledgers:
+        wholes = _continuing([one for one in extents if one.run not in names], earlier)
+        yield from (_slice(ledger, runs, extents) for runs in _windows(wholes, most))
+    yield from (Slice(tuple(runs), None, view, beside) for runs in _windows(apart, most))
+
+
 def _windows(wholes: Iterable[Sequence[Extent]], most: int) -> Iterator[list[Extent]]:
     """Yield the runs that end within the same so many events, in more parts where these are many more."""
     windows: dict[int, list[Sequence[Extent]]] = {}
@@ -244,12 +279,13 @@ def _meets(view: View, extent: Extent, numbers: Sequence[int]) -> bool:
     return extent.first < view.end(numbers[-1]) and extent.end > view.first(numbers[0])
 
 
-def _slice(view: View, runs: Sequence[Extent]) -> Slice:
+def _slice(view: View, runs: Sequence[Extent], beside: Sequence[Extent]) -> Slice:
     numbers, placed = _segments_of(view, runs), view.chain.placed
     if numbers[-1] >= len(placed):
-        return Slice(tuple(runs), None)  # a journal has no hash
+        return Slice(tuple(runs), None, view, beside)  # a journal has no hash
     held = [(placed[number].first, placed[number].segment_sha256) for number in numbers]
-    return Slice(tuple(runs), _digest([repr(held), repr([msgspec.structs.astuple(one) for one in runs])]))
+    digest = _digest([repr(held), repr([msgspec.structs.astuple(one) for one in runs])])
+    return Slice(tuple(runs), digest, view, beside)
 
 
 def _digest(texts: Iterable[str]) -> str:

@@ -31,16 +31,25 @@ import numpy as np
 import pyarrow as pa
 
 from fsar_ledger import __version__
-from fsar_ledger.base.errors import LedgerCorrupted, QueryFailed, SequenceConflict, UsageError
+from fsar_ledger.base.errors import (
+    FsarLedgerError,
+    LedgerCorrupted,
+    QueryFailed,
+    SequenceConflict,
+    UsageError,
+)
 from fsar_ledger.ledger.log.hashing import sha256_hex
+from fsar_ledger.ledger.log.note import Checkpoint, Note
+from fsar_ledger.ledger.opening import open_checked
 from fsar_ledger.ledger.rows import canonical, numbers, validity, whole
 from fsar_ledger.ledger.rows.schema import COLUMNS
-from fsar_ledger.ledger.store import disk
+from fsar_ledger.ledger.store import disk, shards
 from fsar_ledger.ledger.store.locations import compare_index
 from fsar_ledger.ledger.store.paths import require_outside
 from fsar_ledger.ledger.store.read import View
+from fsar_ledger.ledger.store.shards import views_of
 from fsar_ledger.ledger.verify import verify
-from fsar_ledger.ledger.verify.report import VerifyOptions, VerifyReport
+from fsar_ledger.ledger.verify.report import Anchor, VerifyOptions, VerifyReport
 from fsar_ledger.ledger.verify.segment import Digest
 
 from .connection import Database
@@ -160,15 +169,71 @@ def full_verify(
 ) -> VerifyReport:
     """Return the report of `verify`; cache the head if the rows were read and no problem was found.
 
+    Of the log of a federation every shard is verified, too, and compared with its recorded head.
+
     Raises: as `verify`.
     """
     asked = asked or VerifyOptions()
     if not asked.is_quick:
         asked = msgspec.structs.replace(asked, second_reader=ReadAgain())
     report = verify(ledger, workers, progress, asked)
+    if report.ok and shards.is_log(view := open_checked(ledger)):
+        report = _with_shards(report, view, workers, progress, asked)
     if report.record_sha256 is not None and not report.is_quick:
         _remember(report.record_sha256)
     return report
+
+
+def _with_shards(
+    report: VerifyReport,
+    log: View,
+    workers: int,
+    progress: Callable[[int, int], None] | None,
+    asked: VerifyOptions,
+) -> VerifyReport:
+    """Return the report on a log with what is to be said of its shards."""
+    heads = shards.heads_of(log)
+    problems, remarks = shards.doubts(heads), list(report.remarks)
+    found, runs = list[shards.Shard](), 0
+    for head in shards.newest(heads):
+        place = head.place(log.path)
+        try:
+            view = open_checked(place)
+        except FsarLedgerError as error:
+            problems.append(shards.unreadable(head, place, error))
+            continue
+        doubt = shards.doubt_of(head, view, heads)
+        tree = Note(Checkpoint(head.origin, head.shard_events, bytes.fromhex(head.shard_root)))
+        kept = () if doubt is not None else (Anchor(f"{head}, as recorded", tree),)
+        own = VerifyOptions(asked.is_quick, witnessed=kept, second_reader=asked.second_reader)
+        told = verify(place, workers, progress, own)
+        problems += [] if doubt is None else [doubt]
+        problems += [msgspec.structs.replace(one, where=f"{place}/{one.where}") for one in told.problems]
+        if doubt is not None or not told.ok:
+            continue
+        if told.record_sha256 is not None and not told.is_quick:
+            _remember(told.record_sha256)
+        found.append(shards.Shard(head, view))
+        runs += told.runs
+        remarks.append(shards.told(head, view, None if told.is_quick else told.runs, models_of(view), log.path))
+    if (doubt := shards.twice({one.head.origin: one.view for one in found})) is not None:
+        problems.append(doubt)
+    if problems:
+        return msgspec.structs.replace(report, ok=False, problems=tuple(problems), root=None, record_sha256=None)
+    models = {model for one in found for model in models_of(one.view)}
+    if len(models) > 1:
+        remarks.append(f"shards of model versions {', '.join(sorted(models))}: no answer pools them")
+    record = shards.joined(log, found).record_sha256
+    return msgspec.structs.replace(report, runs=runs, remarks=tuple(remarks), record_sha256=record, shards=len(found))
+
+
+def models_of(view: View) -> list[str]:
+    """Return the model versions of the runs of a ledger. Raises: QueryFailed, LedgerCorrupted."""
+    segments = [path for ledger in views_of(view) for path in ledger.segments()]
+    if not segments:
+        return []
+    rows = _database().direct(f"SELECT DISTINCT model_version FROM {parquet(segments)} WHERE model_version IS NOT NULL")
+    return sorted(f"{model}" for (model,) in rows)
 
 
 def ensure_verified(ledger: Path, workers: int = 1, progress: Callable[[int, int], None] | None = None) -> str:
@@ -223,13 +288,19 @@ def is_verified_for_runs(view: View, demanded: str | None = None) -> bool:
     is_known = is_verified(view, demanded)
     if is_known:
         return True
+    for one in views_of(view):
+        _compare_index(one)
+    return False
+
+
+def _compare_index(view: View) -> None:
+    """Compare what the chain says of where runs are, as far as that is not remembered. Raises: LedgerCorrupted."""
     lines = (f"index {sha256_hex(canonical.document(one))}" for one in reversed(view.chain.placed[-_MOST_SOUGHT:]))
     known = next((at for at, line in enumerate(lines) if is_remembered(line)), None)
     if known is not None:
         view.believe_index(view.chain.placed[-1 - known].number)
     if known != 0 and compare_index(view) and view.chain.placed:
         _remember(f"index {sha256_hex(canonical.document(view.chain.placed[-1]))}")
-    return False
 
 
 def require_runs(view: View) -> None:
@@ -237,7 +308,8 @@ def require_runs(view: View) -> None:
 
     Raises: LedgerCorrupted if it does not, or some cannot be read.
     """
-    view.require_index(*range(len(view.chain.placed)))
+    for one in views_of(view):
+        one.require_index(*range(len(one.chain.placed)))
 
 
 def is_remembered(record_sha256: str) -> bool:

@@ -194,7 +194,7 @@ def _whole(view: View) -> pa.Table:
     row: dict[str, Any] = {
         "origin": origin,
         "commits": len(notes),
-        "events": view.head.size,
+        "events": view.head.events,
         "root": view.head.root,
         "signers": signers_of(notes[-1]) if notes else None,
         "signed": sum(bool(note.signatures) for note in notes),

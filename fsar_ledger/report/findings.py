@@ -171,7 +171,7 @@ def ledger_head(database: Database, model_version: str | None) -> Head:
     """Return the head of this ledger, with the model of the runs that are shown. Raises: as `Database.rows`."""
     head = database.head
     [counted] = database.rows("SELECT count(*) AS runs FROM runs")
-    commits, size, root = (0, 0, "") if head is None else (head.commits, head.size, head.root)
+    commits, size, root = (0, 0, "") if head is None else (head.commits, head.events, head.root)
     return Head(commits, size, root, counted["runs"], completeness(database).sentence(), model_version)
 
 

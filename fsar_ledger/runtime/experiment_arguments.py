@@ -22,6 +22,7 @@ from fsar_ledger.events.configuration import (
 )
 from fsar_ledger.events.configuration import without as ablation
 from fsar_ledger.ledger.store.read import View
+from fsar_ledger.ledger.store.shards import log_of, views_of
 from fsar_ledger.metrics.database import Database
 from fsar_ledger.metrics.provenance import EXPERIMENTS
 from fsar_ledger.runtime.experiment import ORIGIN, Experiment, workflow_experiment
@@ -156,7 +157,8 @@ def plans(database: Database, ledger: PlanRow) -> list[dict[str, Any]]:
 
     The command is None where no run is missing, or where this version cannot make the missing runs.
     """
-    rows = database.rows(EXPERIMENTS)
+    rows, view = database.rows(EXPERIMENTS), ledger.view
+    shards = [] if log_of(view) is view else views_of(view)
     constants = (
         {row["run_id"]: row["parameters"] for row in database.rows(PARAMETERS)}
         if any(row["missing_count"] for row in rows)
@@ -165,7 +167,8 @@ def plans(database: Database, ledger: PlanRow) -> list[dict[str, Any]]:
     reproduced = reproducing({row["plan"]: row["run_count"] for row in rows}, ledger) if constants else {}
 
     def call(row: Mapping[str, Any]) -> str | None:
-        return reproduced.get(row["plan"]) or continues_with(row, constants[row["plan"]], ledger)
+        home = next((PlanRow(one.path, one) for one in shards if one.has_run(row["plan"])), ledger)
+        return reproduced.get(row["plan"]) or continues_with(row, constants[row["plan"]], home)
 
     return [{**row, "continues_with": call(row) if row["missing_count"] else None} for row in rows]
 

@@ -18,6 +18,6 @@ WHERE
         'RunStarted.v2', 'ExperimentPlanned.v1', 'SyncPhaseSet.v1', 'SupervisorLeft.v1', 'SupervisorReturned.v1',
         'StepCompleted.v1', 'TaskCompleted.v1', 'TaskAbandoned.v1', 'RegistryCached.v1', 'CopySynced.v1',
         'WorkQueued.v1', 'CommandGiven.v1', 'CommandRejected.v1', 'TaskPlanned.v1', 'SourceOpened.v1', 'Observed.v1',
-        'RunContinued.v1',
+        'RunContinued.v1', 'ShardRecorded.v1',
         'SourceClosed.v1'
     )

@@ -11,6 +11,7 @@ FROM (
     VALUES
     ('RunStarted.v2', 'run', 'run', 'begins', 'begins'), ('RunContinued.v1', 'run', 'run', 'goes on from', 'from'),
     ('ExperimentPlanned.v1', 'experiment', 'experiment', 'is planned', 'planned'),
+    ('ShardRecorded.v1', 'federation', 'federation', 'records the head of a shard', NULL),
     ('HeartbeatReceived.v1', 'robot', 'registry', 'is there', NULL),
     ('RegistryCached.v1', 'holder', 'holder', 'copies the registry', NULL),
     ('RegistryConsulted.v1', 'requester', 'registry', 'consult', 'capability'),

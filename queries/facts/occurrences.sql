@@ -14,7 +14,7 @@ WITH told AS (
             'issuer': issued_by, 'holder': holder, 'on_shift': supervisor, 'task': task_id,
             'robots': coalesce(robot, 'every robot'), 'role': 'role ' || role, 'peer_role': 'role ' || peer_role,
             'registry': 'service/registry', 'coordinator': 'coordinator', 'run': 'run', 'experiment': 'experiment',
-            'source': source
+            'federation': 'federation', 'source': source
         } AS parties,
         words.sender, words.receiver, words.detail,
         MAP {

@@ -89,6 +89,12 @@ def calls(ledger: Path, call: Call, place: Path) -> Iterator[tuple[object, ...]]
         ("prove", ledger, EVIL),
     )
     yield from (
+        ("shards", place / "log", ledger),
+        ("shards", place / EVIL, ledger, ledger / EVIL),
+        ("verify", place / "log"),
+        ("info", place / "log"),
+    )
+    yield from (
         ("maintain", "upgrade", ledger, "--into", out / "second\x1b[2J"),
         ("maintain", "upgrade", ledger, "--into", ledger / EVIL),
         ("maintain", "compact", out / "second\x1b[2J"),

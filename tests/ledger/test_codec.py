@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from fsar_ledger.base.errors import InvalidRun, LedgerCorrupted
-from fsar_ledger.events import Event
+from fsar_ledger.events import ALONE, Event
 from fsar_ledger.events.envelope import flat, with_columns
 from fsar_ledger.ledger.log import merkle
 from fsar_ledger.ledger.rows import canonical, schema, segment
@@ -28,9 +28,12 @@ PINNED = ROWS.read_bytes().splitlines()
 LAYOUT_LIST = list(LAYOUTS.values())
 BY_MODULE = {
     module: list(layouts)
-    for module, layouts in groupby(LAYOUT_LIST, key=lambda layout: layout.cls.__module__.rpartition(".")[2])
+    for module, layouts in groupby(
+        LAYOUT_LIST,
+        key=lambda layout: layout.tag if layout.cls in ALONE else layout.cls.__module__.rpartition(".")[2],
+    )
 }
-OFTEN = ("request", "execution", "fleet")
+OFTEN = ("request", "execution", "fleet", "ShardRecorded.v1")
 """Modules whose types are tried each time; those of the others with `make test-all`."""
 
 

@@ -32,6 +32,7 @@ def imported(file: Path) -> set[str]:
 
 def test_the_independent_verifier_imports_nothing_of_ours_and_reads_parquet_by_itself() -> None:
     assert {file.stem: imported(file) for file in VERIFIER.parent.glob("independent_*.py")} == {
+        "independent_proof": {"independent_verifier"},
         "independent_verifier": {
             "independent_chain",
             "independent_ed25519",

@@ -2,7 +2,7 @@
 
 import shutil
 import sqlite3
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import closing
 from itertools import pairwise
 from pathlib import Path
@@ -18,7 +18,7 @@ from fsar_ledger.metrics import slices
 from fsar_ledger.metrics.database import Database, connect
 from fsar_ledger.metrics.invariants import audit_rows, invariants
 from fsar_ledger.metrics.library import library
-from fsar_ledger.metrics.slices import Slices
+from fsar_ledger.metrics.slices import Slice, Slices
 from fsar_ledger.runtime import simulation
 from fsar_ledger.runtime.experiment import Experiment, run_experiment
 from tests.quick import few
@@ -86,9 +86,9 @@ def looks(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     found: list[int] = []
     connect = Slices._connect
 
-    def counted(self: Slices, runs: Sequence[Extent]) -> Database:
-        found.append(sum(one.rows for one in runs))
-        return connect(self, runs)
+    def counted(self: Slices, one: Slice) -> Database:
+        found.append(sum(run.rows for run in one.runs))
+        return connect(self, one)
 
     monkeypatch.setattr(Slices, "_connect", counted)
     return found

@@ -28,6 +28,7 @@ A = Robot("robot/A1")
 
 RECORDS_ONLY = {
     "ExperimentPlanned",  # of no run
+    "ShardRecorded",  # of no run
     "AttemptRolledBack",
     "CandidateMatched",
     "CommandRejected",
@@ -102,7 +103,7 @@ def emitted() -> set[type[Event]]:
 def test_every_event_type_is_emitted_by_some_run(emitted: set[type[Event]]) -> None:
     of_other_runs = {
         *("SourceOpened", "Observed", "SourceClosed"),
-        *("CommandGiven", "RunContinued"),
+        *("CommandGiven", "RunContinued", "ShardRecorded"),
         *("IsolationBegan", "IsolationEnded", "IsolatedResultAccepted", "IsolatedResultOvertaken"),
     }
     assert {event_type.__name__ for event_type in EVENT_TYPES} - {

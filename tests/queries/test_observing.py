@@ -23,7 +23,15 @@ from tests.queries.histories import answer, event, run
 from tests.recycled import from_rows, from_table
 from tests.runtime.pinned import PINNED
 
-OF_NO_CONCERN = {"RunStarted", "RunContinued", "ExperimentPlanned", "SourceOpened", "Observed", "SourceClosed"}
+OF_NO_CONCERN = {
+    "RunStarted",
+    "RunContinued",
+    "ExperimentPlanned",
+    "ShardRecorded",
+    "SourceOpened",
+    "Observed",
+    "SourceClosed",
+}
 """They say what a run is, and where it comes from."""
 
 _JUDGED = answer("facts/judged_concerns")

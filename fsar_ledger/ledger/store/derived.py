@@ -243,7 +243,7 @@ class Index:
     """The lines of an index, in order."""
 
     def __init__(self, lines: Sequence[bytes]) -> None:
-        self._lines = lines
+        self.lines = lines
         self._text = b"".join(lines)
         self._ends = list(accumulate(map(len, lines)))
         self._ordinals: dict[str, int] = {}  # of runs that were asked for
@@ -266,7 +266,7 @@ class Index:
 
     def _ordinal(self, name: bytes, number: int) -> int:
         """Return the number of the run that this line is the first to name with these bytes; 0 if it is a plan."""
-        at = self._text.find(name, self._ends[number] - len(self._lines[number]))
+        at = self._text.find(name, self._ends[number] - len(self.lines[number]))
         first = self._text.rfind(b"{", 0, at)
         if not self._text.startswith(_BEGINNING, first) or _PLAN in self._text[first:at]:
             return 0
@@ -274,7 +274,7 @@ class Index:
 
     def continues(self) -> dict[str, str]:
         """Return by its name each run that says that it continues another, and the name of that."""
-        lines = [_LINE.decode(self._lines[number]) for number in self._lines_with(_GOES_ON)]
+        lines = [_LINE.decode(self.lines[number]) for number in self._lines_with(_GOES_ON)]
         blocks = [block for line in lines for block in line.blocks]
         return {one.run: one.goes_on_from[0] for one in blocks if one.goes_on_from is not None}
 
@@ -286,19 +286,19 @@ class Index:
 
     def blocks(self) -> Iterator[Block]:
         """Yield the blocks of all lines."""
-        for line in self._lines:
+        for line in self.lines:
             yield from _LINE.decode(line).blocks
 
     def by_line(self) -> Iterator[tuple[int, Block]]:
         """Yield the number of each line, and each of its blocks."""
-        for number, line in enumerate(self._lines):
+        for number, line in enumerate(self.lines):
             for block in _LINE.decode(line).blocks:
                 yield number, block
 
     def of_run(self, run: str) -> Iterator[tuple[int, Block]]:
         """Yield the number of each line that names the run, and its block there."""
         for number in self._lines_of(run):
-            yield from ((number, block) for block in _LINE.decode(self._lines[number]).blocks if block.run == run)
+            yield from ((number, block) for block in _LINE.decode(self.lines[number]).blocks if block.run == run)
 
     def _lines_of(self, run: str) -> list[int]:
         if run not in self._found:

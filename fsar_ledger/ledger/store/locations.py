@@ -23,6 +23,7 @@ from fsar_ledger.ledger.rows.runs import Flaw, LedgerRun, continuing, whole
 from fsar_ledger.ledger.rows.schema import SCHEMAS, concerns_admitted
 from fsar_ledger.ledger.store.derived import Index, groups_of, require_lines
 from fsar_ledger.ledger.store.read import View
+from fsar_ledger.ledger.store.shards import PREFIX, is_log
 
 
 def place_of(view: View, run: str, seq: int) -> int:
@@ -231,6 +232,7 @@ class ExistingRuns:
 
     def __init__(self, view: View) -> None:
         self._runs = Runs()
+        self._is_log = is_log(view) if view.chain.size else None
         view.believe_index()
         self._index: Index | None = view.index  # None once all of it is read
         self._runs.continued = {before: run for run, before in view.index.continues().items()}
@@ -245,6 +247,7 @@ class ExistingRuns:
     def add(self, blocks: Iterable[Block]) -> None:
         """Add what was committed."""
         for block in blocks:
+            self._is_log = _is_head(block)
             self._seek(block.run)
             self._runs.add(block)
 
@@ -291,6 +294,9 @@ class ExistingRuns:
             if block.run in seen:
                 return Flaw(-1, block.run, block.first, "run_id", "the run twice in one commit", "each run once")
             seen.add(block.run)
+            if (is_log := _is_head(blocks[0]) if self._is_log is None else self._is_log) != _is_head(block):
+                found, expected = ("a run", "heads of shards") if is_log else ("the head of a shard", "runs and plans")
+                return Flaw(-1, block.run, block.first, "type", found, f"{expected} alone, as the ledger holds them")
             for run in (block.run, *(block.goes_on_from or ())[:1]):
                 self._seek(f"{run}")
             if block.first and block.run in self._indexed:
@@ -311,6 +317,10 @@ class ExistingRuns:
         )
         self._runs.known[run] = self._runs.known[run]._replace(observes=names)
         self._indexed.remove(run)
+
+
+def _is_head(block: Block) -> bool:
+    return block.is_alone and block.run.startswith(PREFIX)
 
 
 def continued(blocks: Sequence[Block]) -> tuple[tuple[str, int], ...]:

@@ -10,6 +10,9 @@ gSKyXoYZUgZ6jduWYrkDOARinOMGJveXjgMkBTcdPlQ=   the inclusion proof: the leaf's s
 fsar-ledger/simulated                        the checkpoint, signed or not
 ...
 ```
+
+The proof of an event of a federation has two steps, each a tlog-proof, with an empty line between them: that the event
+is in the shard, and that the log of the federation has the head of the shard that the first one leads to.
 """
 
 import base64
@@ -26,6 +29,7 @@ from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.rows.schema import MAX_INTEGER
 from fsar_ledger.ledger.store import disk
 from fsar_ledger.ledger.store.read import View
+from fsar_ledger.ledger.store.shards import HEAD_TYPE, Federation
 
 TITLE = "c2sp.org/tlog-proof@v1"
 
@@ -34,23 +38,27 @@ Value = str | int | bool | list[str]
 
 
 class Proof(msgspec.Struct, frozen=True):
-    """An event (its canonical bytes), its index in the ledger, the hashes from it to the root, and a checkpoint."""
+    """An event (its canonical bytes), its index in the ledger, the hashes from it to the root, and a checkpoint.
+
+    Of a shard of a federation, `log` is the proof that its log has the head in that checkpoint.
+    """
 
     event: bytes
     index: int
     hashes: tuple[bytes, ...]
     note: Note
+    log: "Proof | None" = None
 
     def __str__(self) -> str:
         lines = [TITLE, f"extra {_base64(self.event)}", f"index {self.index}", *map(_base64, self.hashes), ""]
-        return "\n".join(lines) + f"\n{self.note}"
+        return "\n".join(lines) + f"\n{self.note}" + ("" if self.log is None else f"\n{self.log}")
 
 
 class Proven(msgspec.Struct, frozen=True):
     """What a proof shows: the event as stored, and whose ledger it is in, as far as the signature says.
 
     `index` and `size` count events, `root` is hex. `signer` is the trusted key (`name+id`), or else the one that the
-    note names.
+    note names. Of a shard, `log` is what is proven of its head, by the trusted key where there is one.
     """
 
     event: dict[str, Value]
@@ -60,19 +68,23 @@ class Proven(msgspec.Struct, frozen=True):
     origin: str
     signature: Signed
     signer: str | None
+    log: "Proven | None" = None
 
 
 def prove(view: View, index: int) -> Proof:
     """Prove that the ledger holds the event with this index, from 0.
 
-    The proof leads to the root of the newest commit whose tiles are there.
+    The proof leads to the root of the newest commit whose tiles are there; in a federation, to that of its log.
 
     Raises:
         ValueError: There is no such event.
         LedgerCorrupted: The row, the tiles and the root do not agree, or one of them cannot be read.
     """
-    if not 0 <= index < view.head.size:
-        raise ValueError(f"found index {index}, expected one of {view.head.size} events")
+    if not 0 <= index < view.head.events:
+        raise ValueError(f"found index {index}, expected one of {view.head.events} events")
+    if isinstance(view, Federation):
+        shard, own = view.shard_of(index)
+        return msgspec.structs.replace(prove(shard.view, own), log=prove(view.log, shard.head.index))
     event = view.event(index)
     note = view.note()
     assert note is not None  # as there is an event
@@ -141,6 +153,9 @@ def parse_proof(where: str, text: str) -> Proof:
     Raises:
         LedgerCorrupted: It is not in the form of C2SP, or lacks the event.
     """
+    if (end := text.find(f"\n\n{TITLE}\n")) >= 0:
+        log = parse_proof(where, text[end + 2 :])
+        return msgspec.structs.replace(parse_proof(where, text[: end + 1]), log=log)
     head, _, note = text.partition("\n\n")
     lines = head.split("\n")
     if len(lines) < 3 or not note:
@@ -169,8 +184,11 @@ def check_proof(where: str, proof: Proof, trusted: VerifierKey | None = None) ->
     Errors name the proof `where`.
 
     Raises:
-        LedgerCorrupted: The hashes do not lead to the root, the event is not canonical, or the key did not sign.
+        LedgerCorrupted: The hashes do not lead to the root, the event is not canonical, or the key did not sign; or the
+            log of a federation does not have the head of the shard.
     """
+    if proof.log is not None:
+        return _check_steps(where, proof, proof.log, trusted)
     tree = proof.note.checkpoint
     root = root_of_inclusion(leaf_hash(proof.event), proof.index, tree.size, proof.hashes)
     if root != tree.root:
@@ -192,6 +210,25 @@ def check_proof(where: str, proof: Proof, trusted: VerifierKey | None = None) ->
     return Proven(
         event, proof.index, tree.size, tree.root.hex(), tree.origin, state, trusted.key if trusted else signers
     )
+
+
+def _check_steps(where: str, proof: Proof, log: Proof, trusted: VerifierKey | None) -> Proven:
+    """Check both steps of a proof, and that the second is about the tree that the first leads to. Raises: As that."""
+    proven = check_proof(f"{where}, step 1 (event in shard)", msgspec.structs.replace(proof, log=None))
+    of_log = check_proof(f"{where}, step 2 (shard in log)", msgspec.structs.replace(log, log=None), trusted)
+    head = of_log.event
+    if log.log is not None or head["type"] != HEAD_TYPE:
+        raise LedgerCorrupted(
+            f"{where}, step 2 (shard in log): found event {head['type']!r:.80}, expected the head of a shard "
+            f"({HEAD_TYPE}), and no third step; rely on nothing in it"
+        )
+    for name, found in (("origin", proven.origin), ("shard_events", proven.size), ("shard_root", proven.root)):
+        if head.get(name) != found:
+            raise LedgerCorrupted(
+                f"{where}: found step 1 in a tree of {name} {found}, expected {head.get(name)!s:.100}, which step 2 "
+                "proves to be in the log: they are about different trees; get the proof again"
+            )
+    return msgspec.structs.replace(proven, log=of_log)
 
 
 def require_tree(where: str, proven: Proven, kept: Checkpoint, source: str) -> None:

@@ -327,15 +327,17 @@ class View(msgspec.Struct, frozen=True, dict=True):
         """Return the number of this run among all, from 1; 0 if there is none. Raises: As `index`."""
         return self.index.ordinal_of(run)
 
+    def span_of_line(self, number: int) -> tuple[int, int]:
+        """Return the indexes between which the events of this line of the index are."""
+        return self.chain.span_of_line(number)
+
     def extents(self) -> list[Extent]:
         """Return where each run and plan is, in the order of their first events. Raises: As `index`."""
-        return derived.extents_of(
-            Part(*self.chain.span_of_line(number), block) for number, block in self.index.by_line()
-        )
+        return derived.extents_of(Part(*self.span_of_line(number), block) for number, block in self.index.by_line())
 
     def parts(self, run: str) -> list[Part]:
         """Return where the run of this name is. Raises: As `require_index`."""
-        parts = [Part(*self.chain.span_of_line(number), block) for number, block in self.index.of_run(run)]
+        parts = [Part(*self.span_of_line(number), block) for number, block in self.index.of_run(run)]
         self.require_index(*self.segments_of(parts))
         return parts
 

@@ -288,5 +288,10 @@ class Head(msgspec.Struct, frozen=True):
     root: str
     last_run: str | None = None
 
+    @property
+    def events(self) -> int:
+        """Return the number of events that an answer at this head is about."""
+        return self.size
+
 
 EMPTY_HEAD = Head(0, 0, EMPTY_ROOT.hex())

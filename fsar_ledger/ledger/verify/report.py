@@ -211,7 +211,8 @@ class VerifyReport(msgspec.Struct, frozen=True):
     counts the events of the anchor. `remarks` are not doubts: what a crash may leave behind, and what a quick look
     leaves open. `not_looked_at` names what that did not compare with anything; nothing if it was not quick.
     `record_sha256` is the hash of the newest commit record (of ledger.json if there is none), which vouches for all
-    before; None if there is any doubt.
+    before; None if there is any doubt. Of the log of a federation, `events` are heads of its `shards`, which have the
+    `runs`; the hash is of all of it.
     """
 
     ok: bool
@@ -228,3 +229,4 @@ class VerifyReport(msgspec.Struct, frozen=True):
     remarks: tuple[str, ...] = ()
     record_sha256: str | None = None
     not_looked_at: tuple[str, ...] = ()
+    shards: int = 0

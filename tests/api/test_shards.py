@@ -1,0 +1,217 @@
+"""A federation answers as one ledger with the events of its shards; what has grown is recorded again."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+
+import fsar_ledger
+from fsar_ledger.api.verbs import stored
+from fsar_ledger.base.errors import InvalidRun, UsageError
+from fsar_ledger.ledger.opening import open_for_answers, open_ledger
+from fsar_ledger.ledger.rows.codec import LedgerRun
+from fsar_ledger.ledger.store.paths import segment_bytes
+from fsar_ledger.ledger.store.shards import heads_of, record_of_head
+from fsar_ledger.metrics import slices
+from fsar_ledger.metrics.database import Database, connect
+from fsar_ledger.metrics.library import library
+from fsar_ledger.metrics.slices import Slice, Slices
+from tests.api.sites import NAMES, append, origin
+from tests.quick import few
+from tests.runtime.test_cuts import Day, commands_of
+from tests.runtime.test_isolation import DRIVE, A, Site
+
+
+def answers(path: Path) -> dict[str, Any]:
+    """Return what verbs answer that are about all runs, without the head."""
+    of = fsar_ledger.open_ledger(path)
+    found: dict[str, Any] = {
+        "metrics": of.metrics().rows(),
+        "by scenario": of.metrics(by="scenario", pool="seeds").rows(),
+        "statistics": of.statistics().table().rows(),
+        "audit": of.audit().table().rows(),
+        "compare": of.compare("fsar", "cfc").table().rows(),
+        "multiverse": of.multiverse(metric=["policy_violations"]).table().rows(),
+        "runs": of.runs().rows(),
+        "numbers": of.numbers(),
+        "query": of.query("audit/denials", run=7).rows(),
+        "sql": of.sql("SELECT type, count(*) AS n FROM events GROUP BY type ORDER BY ALL").rows(),
+        "log": [row for table in of.stream_log() for row in table.rows()],
+        "events": of.events(run=9).table().rows(),
+        "requests": of.requests(run=9).rows(),
+        "record": msgspec.structs.asdict(of.record(6)),
+    }
+    info = of.info()
+    return found | {"info": (info.groups, info.models, info.plans, info.missing, info.not_observed)}
+
+
+@pytest.fixture
+def cached(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+
+
+@pytest.mark.usefixtures("cached")
+@pytest.mark.parametrize("most", [1 << 30, 1_500])
+def test_a_federation_answers_as_the_one_ledger(
+    whole: Path, site: Path, most: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    expected = answers(whole)
+    monkeypatch.setattr(slices, "SLICE_EVENTS", most)
+    assert answers(site / "log") == expected
+    assert answers(site / "log") == expected  # from the cache, where there is one
+    of_shards = [len(Slices(open_for_answers(site / name))) for name in NAMES]
+    assert len(Slices(open_for_answers(site / "log"))) == sum(of_shards)
+    assert all(of_shards) is (most == 1_500)
+
+
+@pytest.fixture(scope="module")
+def both(whole: Path, site: Path) -> Iterator[tuple[Database, Database]]:
+    with connect(whole) as one, connect(site / "log") as federation:
+        yield one, federation
+
+
+SAMPLE = ("staging/runs", "facts/decisions", "metrics/run_metrics", "invariants/i3_jointly_composed_policy")
+
+
+@pytest.mark.parametrize(
+    "name", few([name for name, query in library().queries.items() if not query.parameters], SAMPLE)
+)
+def test_every_query_answers_as_of_the_one_ledger(name: str, both: tuple[Database, Database]) -> None:
+    one, federation = both
+    assert federation.query(name).equals(one.query(name))
+
+
+@pytest.mark.usefixtures("cached")
+def test_what_is_known_of_a_shard_alone_is_known_of_it_in_the_federation(
+    site: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(slices, "SLICE_EVENTS", 1_500)
+    seen: list[Path] = []
+    connect_slice = Slices._connect
+
+    def looked(self: Slices, one: Slice) -> Database:
+        seen.append(one.view.path)
+        return connect_slice(self, one)
+
+    monkeypatch.setattr(Slices, "_connect", looked)
+    for name in ("north", "south"):
+        fsar_ledger.open_ledger(site / name).metrics()
+    assert {path.name for path in seen} == {"north", "south"}
+    seen.clear()
+    fsar_ledger.open_ledger(site / "log").metrics()
+    assert {path.name for path in seen} == {"west"}
+
+
+def test_each_answer_names_the_head_of_the_log(site: Path) -> None:
+    federation, log = fsar_ledger.open_ledger(site / "log"), open_ledger(site / "log")
+    assert (log.head.size, log.head.commits) == (3, 1)
+    for provenance in (federation.metrics().provenance, federation.sql("SELECT 1 AS one").provenance):
+        assert provenance.head is not None
+        assert (provenance.head.size, provenance.head.root) == (3, log.head.root)
+        assert provenance.head.events == sum(open_ledger(site / name).head.size for name in NAMES)
+
+
+@pytest.mark.usefixtures("cached")
+def test_rows_are_verified_once_verify_has_looked_at_every_shard(site_copy: Path) -> None:
+    federation = fsar_ledger.open_ledger(site_copy / "log")
+    assert federation.metrics().provenance.rows_verified is False
+    assert federation.verify().ok
+    assert federation.metrics().provenance.rows_verified is True
+    assert fsar_ledger.open_ledger(site_copy / "log", verified=True).audit().provenance.rows_verified is True
+    fsar_ledger.open_ledger(site_copy / "west").compact()
+    assert federation.metrics().provenance.rows_verified is False
+
+
+def test_every_run_of_every_shard_is_played_again(site: Path) -> None:
+    found = fsar_ledger.open_ledger(site / "log").verify(replay=True)
+    assert found.replay is not None
+    assert (found.ok, found.replay.runs, found.report.shards, found.report.runs) == (True, 12, 3, 12)
+
+
+def test_a_robot_alone_is_a_shard_beside_its_fleet(tmp_path: Path) -> None:
+    site = Site(tmp_path)
+    site.hall.close()
+    hall = fsar_ledger.federate(
+        tmp_path / "fleet", run="morning", clock=lambda: site.now * 10**9, origin="example.org/hall"
+    )
+    site.task(hall, DRIVE)
+    given = {"isolated": A, "of": tmp_path / "fleet", "origin": "example.org/a1"}
+    with site.opened("a1", "A1", **given) as own:
+        site.does(own, "t1/1.1")
+        fields = fsar_ledger.open_ledger(tmp_path / "a1").hand_over()
+    site.tell(hall, A, "HandOver", **fields)
+    hall.close()
+    fsar_ledger.shards(tmp_path / "log", [tmp_path / "fleet", tmp_path / "a1"])
+    federation = fsar_ledger.open_ledger(tmp_path / "log")
+    assert federation.verify(replay=True).ok
+    assert [*federation.numbers()] == ["morning", "A1"]
+    assert federation.log(run="A1").rows() == fsar_ledger.open_ledger(tmp_path / "a1").log(run="A1").rows()
+    assert federation.prove("A1:1").log is not None
+
+
+# --- recording ---
+
+
+def test_recording_again_changes_nothing_until_a_shard_has_grown(site_copy: Path, runs: list[LedgerRun]) -> None:
+    before = fsar_ledger.shards(site_copy / "log")
+    assert (before.recorded, before.head.size) == ((), 3)
+    more = msgspec.structs.replace(runs[5], run_id="one more")
+    append(site_copy / "west", [more])
+    federation = fsar_ledger.open_ledger(site_copy / "log")
+    with pytest.raises(UsageError, match=r"it has grown: run fsar-ledger shards .*log, which records it"):
+        federation.metrics()
+    found = federation.verify()
+    assert found.ok
+    assert any("more since, run fsar-ledger shards" in remark for remark in found.report.remarks)
+    after = fsar_ledger.shards(site_copy / "log")
+    assert (after.recorded, after.head.size) == ((origin("west"),), 4)
+    assert "one more" in federation.numbers()
+    assert federation.verify(anchor=None).ok
+
+
+def test_a_shard_may_be_moved(site_copy: Path) -> None:
+    (site_copy / "west").rename(site_copy / "moved")
+    fsar_ledger.shards(site_copy / "log", [site_copy / "moved"])
+    assert heads_of(open_ledger(site_copy / "log"))[-1].folder == "../moved"
+    assert fsar_ledger.open_ledger(site_copy / "log").verify().ok
+
+
+def test_a_ledger_holds_heads_or_runs_and_never_both(site_copy: Path, runs: list[LedgerRun]) -> None:
+    with pytest.raises(InvalidRun, match="found a run, expected heads of shards alone"):
+        append(site_copy / "log", [runs[0]], "fsar-ledger/federation")
+    head = heads_of(open_ledger(site_copy / "log"))[0]
+    with pytest.raises(InvalidRun, match="found the head of a shard, expected runs and plans alone"):
+        append(site_copy / "west", [record_of_head(head)])
+
+
+def test_what_follows_a_growing_ledger_does_not_follow_a_federation(site: Path) -> None:
+    with pytest.raises(UsageError, match="found a federation, expected one ledger to follow"):
+        [*fsar_ledger.open_ledger(site / "log").stream_log(pause=lambda: None)]
+
+
+def test_memory_and_workers_are_those_that_the_shards_are_worth(site: Path) -> None:
+    assert stored(site / "log") == sum(segment_bytes(site / name) for name in ("log", *NAMES))
+
+
+def test_runs_that_continue_each_other_in_two_shards_are_one(
+    runs: list[LedgerRun], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    commands, ends_us = commands_of(2)
+    cut = list(open_ledger(Day(tmp_path / "parts").plays(commands, (20, 50), ends_us).ledger).runs())
+    append(tmp_path / "whole", [*runs[:7], *cut, *runs[7:9]])
+    append(tmp_path / "first", [*runs[:7], cut[0]])
+    append(tmp_path / "second", [*cut[1:], *runs[7:9]])
+    fsar_ledger.shards(tmp_path / "log", [tmp_path / "first", tmp_path / "second"])
+    whole, federation = (fsar_ledger.Ledger(tmp_path / name) for name in ("whole", "log"))
+    assert federation.numbers() == whole.numbers()
+    assert federation.log(run="hall").rows() == whole.log(run="hall").rows()
+    assert msgspec.structs.asdict(federation.record("hall.3")) == msgspec.structs.asdict(whole.record("hall.3"))
+    found = (whole.metrics().rows(), whole.audit().table().rows())
+    assert (federation.metrics().rows(), federation.audit().table().rows()) == found
+    monkeypatch.setattr(slices, "SLICE_EVENTS", 1_500)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    assert (federation.metrics().rows(), federation.audit().table().rows()) == found
+    apart = [one for one in Slices(open_for_answers(tmp_path / "log"))._slices if one.digest is None]
+    assert [run.run for one in apart for run in one.runs] == ["hall", "hall.2", "hall.3"]
