@@ -88,12 +88,7 @@ def calls(ledger: Path, call: Call, place: Path) -> Iterator[tuple[object, ...]]
         ("verify-proof", proof),
         ("prove", ledger, EVIL),
     )
-    yield from (
-        ("shards", place / "log", ledger),
-        ("shards", place / EVIL, ledger, ledger / EVIL),
-        ("verify", place / "log"),
-        ("info", place / "log"),
-    )
+    yield from calls_of_many_machines(ledger, place)
     yield from (
         ("maintain", "upgrade", ledger, "--into", out / "second\x1b[2J"),
         ("maintain", "upgrade", ledger, "--into", ledger / EVIL),
@@ -124,6 +119,17 @@ def calls(ledger: Path, call: Call, place: Path) -> Iterator[tuple[object, ...]]
         (f"--{EVIL}",),
     )
     yield from calls_of_studies(ledger, out)
+
+
+def calls_of_many_machines(ledger: Path, place: Path) -> Iterator[tuple[object, ...]]:
+    """Logs of shards, and clusters that are none."""
+    yield from (
+        ("shards", place / "log", ledger),
+        ("shards", place / EVIL, ledger, ledger / EVIL),
+        ("verify", place / "log"),
+        ("info", place / "log"),
+    )
+    yield "metrics", ledger, "--cluster", EVIL
 
 
 def calls_of_studies(ledger: Path, out: Path) -> Iterator[tuple[object, ...]]:
