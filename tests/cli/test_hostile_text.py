@@ -111,8 +111,6 @@ def calls(ledger: Path, call: Call, place: Path) -> Iterator[tuple[object, ...]]
         ("simulate", out, "--scenario", EVIL),
         ("simulate", out, "--origin", EVIL),
         ("reproduce", "--out", ledger),
-    )
-    yield from (
         ("report", ledger, "--out", ledger / "x.pdf"),
         ("key", "public", EVIL, "--name", EVIL),
         (EVIL,),
