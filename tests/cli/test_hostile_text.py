@@ -58,6 +58,12 @@ def live(place: Path) -> Iterator[tuple[object, ...]]:
     yield "hand-over", place / FOLDER, "--run", EVIL
 
 
+def federations(ledger: Path, place: Path) -> Iterator[tuple[object, ...]]:
+    """Calls that show text of a shard and of its log."""
+    yield from (("shards", place / "log", ledger), ("shards", place / EVIL, ledger, ledger / EVIL))
+    yield from (("verify", place / "log"), ("info", place / "log"))
+
+
 def calls(ledger: Path, call: Call, place: Path) -> Iterator[tuple[object, ...]]:
     """A call or two of every verb that show text of the ledger, or of their own arguments."""
     run, action = first_of(ledger, call, "run_id"), first_of(ledger, call, "action_id")
@@ -88,12 +94,7 @@ def calls(ledger: Path, call: Call, place: Path) -> Iterator[tuple[object, ...]]
         ("verify-proof", proof),
         ("prove", ledger, EVIL),
     )
-    yield from (
-        ("shards", place / "log", ledger),
-        ("shards", place / EVIL, ledger, ledger / EVIL),
-        ("verify", place / "log"),
-        ("info", place / "log"),
-    )
+    yield from federations(ledger, place)
     yield from (
         ("maintain", "upgrade", ledger, "--into", out / "second\x1b[2J"),
         ("maintain", "upgrade", ledger, "--into", ledger / EVIL),
