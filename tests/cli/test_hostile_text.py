@@ -78,7 +78,7 @@ def calls(ledger: Path, call: Call, place: Path) -> Iterator[tuple[object, ...]]
     yield from (("metrics", ledger), ("statistics", ledger), ("audit", ledger), ("query", "failures", ledger))
     yield from (("import", out, place / EVIL[:9].replace("/", ""), "--as", EVIL), ("record", out, "--observes", EVIL))
     yield from (("federate", out, EVIL), ("federate", out, "day", "--fleet", EVIL))
-    yield from live(place)
+    yield from (*live(place), *federations(ledger, place))
     yield (
         "sql",
         ledger,
@@ -94,7 +94,6 @@ def calls(ledger: Path, call: Call, place: Path) -> Iterator[tuple[object, ...]]
         ("verify-proof", proof),
         ("prove", ledger, EVIL),
     )
-    yield from federations(ledger, place)
     yield from (
         ("maintain", "upgrade", ledger, "--into", out / "second\x1b[2J"),
         ("maintain", "upgrade", ledger, "--into", ledger / EVIL),
