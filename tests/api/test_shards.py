@@ -24,6 +24,10 @@ from tests.runtime.test_cuts import Day, commands_of
 from tests.runtime.test_isolation import DRIVE, A, Site
 
 
+def without_head(answer: Any) -> dict[str, Any]:
+    return {name: value for name, value in msgspec.structs.asdict(answer).items() if name != "provenance"}
+
+
 def answers(path: Path) -> dict[str, Any]:
     """Return what verbs answer that are about all runs, without the head."""
     of = fsar_ledger.open_ledger(path)
@@ -41,6 +45,7 @@ def answers(path: Path) -> dict[str, Any]:
         "log": [row for table in of.stream_log() for row in table.rows()],
         "events": of.events(run=9).table().rows(),
         "requests": of.requests(run=9).rows(),
+        "state": [without_head(of.state(run=9, at=30, by_commit=commit)) for commit in (None, 12)],
         "record": msgspec.structs.asdict(of.record(6)),
     }
     info = of.info()

@@ -32,7 +32,7 @@ from fsar_ledger.ledger.store.journal import lines_of
 from fsar_ledger.ledger.store.paths import INDEX
 from fsar_ledger.ledger.store.problem import Problem
 from fsar_ledger.ledger.store.read import View
-from fsar_ledger.ledger.store.record import EMPTY_HEAD, Head
+from fsar_ledger.ledger.store.record import EMPTY_HEAD, Commit, Head
 
 MISSING, LATE, SWAPPED, OTHER_ORIGIN = "missing", "late", "swapped", "of another origin"
 OTHER_HISTORY, REPLAYED, TWICE, NESTED = "of another history", "replayed", "shown twice", "a federation itself"
@@ -105,6 +105,15 @@ class Federation(View, frozen=True, dict=True):
     def head(self) -> LogHead:
         """Return how far the log goes, and how many events that is."""
         return msgspec.convert({**msgspec.structs.asdict(self.log.head), "of_shards": self._firsts[-1]}, LogHead)
+
+    @property
+    def commits(self) -> Sequence[Commit]:
+        """Return the commits of all shards; `tree_size` counts on, each root is that of the shard."""
+        return [
+            msgspec.structs.replace(commit, tree_size=first + commit.tree_size)
+            for first, view in zip(self._firsts, self.views, strict=False)
+            for commit in view.commits
+        ]
 
     @property
     def record_sha256(self) -> str:
