@@ -260,10 +260,11 @@ def heads_of(view: View) -> list[ShardHead]:
             )
         head = msgspec.convert({**event, "index": index}, ShardHead)
         is_tree = head.shard_events >= 0 and _ROOT.fullmatch(head.shard_root) is not None
-        if not (is_tree and is_name(head.origin) and "\0" not in head.folder):
+        is_placed = event["run_id"] == f"{PREFIX}{index}" and "\0" not in head.folder
+        if not (is_tree and is_placed and is_name(head.origin)):
             raise LedgerCorrupted(
                 f"{view.path}: found event {index}, {printable.value(f'{event}')}, expected a head with an origin, a "
-                "folder, a number of events and a root in hex; record the heads in a new log"
+                f"folder, a number of events and a root in hex, as run {PREFIX}{index}; record the heads in a new log"
             )
         found.append(head)
     return found
@@ -382,9 +383,11 @@ def joined(log: View, shards: Sequence[Shard]) -> Federation:
 
 
 def record_of_head(head: ShardHead) -> LedgerRun:
-    """Return the record to commit for a head: a run with one event, at time 0. No two heads of a log share a name."""
+    """Return the record to commit for a head: a run with one event, at time 0.
+
+    Its name has its place in the log, so that of two writers who read the same log only one adds to it.
+    """
     event = ShardRecorded(
         origin=head.origin, folder=head.folder, shard_events=head.shard_events, shard_root=head.shard_root
     )
-    digest = hashlib.sha256(msgspec.json.encode(event, order="sorted")).hexdigest()[:12]
-    return LedgerRun(f"{PREFIX}{head.index}-{digest}", (0,), (None,), (event,))
+    return LedgerRun(f"{PREFIX}{head.index}", (0,), (None,), (event,))
