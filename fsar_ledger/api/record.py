@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import msgspec
 
 from fsar_ledger.base import printable, utc
-from fsar_ledger.base.errors import UsageError, option
+from fsar_ledger.base.errors import InvalidRun, SequenceConflict, UsageError, option
 from fsar_ledger.base.printable import SafeText, counted
 from fsar_ledger.base.progress import Progress
 
@@ -18,6 +18,7 @@ from .names import Names, Place, names_of
 from .verbs import AdoptOption, KeyOption, Shows, argument, declare, switch, verb
 
 if TYPE_CHECKING:
+    from fsar_ledger.ledger.store.read import View
     from fsar_ledger.ledger.store.record import Head
     from fsar_ledger.ledger.store.shards import ShardHead
     from fsar_ledger.sources.importing import Imported
@@ -328,22 +329,24 @@ def shards(
     the shards, at these heads. A shard that has grown is recorded again; it must go on from its recorded head.
 
     Raises:
-        UsageError: A shard has the origin of another, or a run that another has, or is a federation itself.
+        UsageError: A shard has the origin of another, or a run that another has, or is a federation itself; or LOG is a
+            ledger of runs.
         LedgerCorrupted: A shard does not go on from its recorded head.
-        NotALedger: There is no ledger in a folder, or LOG is one of runs.
+        NotALedger: There is no ledger in a folder.
+        SequenceConflict: Another process has recorded heads meanwhile.
         WriteFailed: A write failed; what is committed stays.
     """
     from fsar_ledger.ledger.opening import open_checked, present
     from fsar_ledger.ledger.store.append import Writer
     from fsar_ledger.ledger.store.keys import read_signer
-    from fsar_ledger.ledger.store.shards import heads_of, newest, record_of_head
+    from fsar_ledger.ledger.store.shards import newest, record_of_head
     from fsar_ledger.metrics.verified import models_of
     from fsar_ledger.sources.recorder import kept_origin
 
     from .key import origin_of
 
     place, signer, kept = Path(log), None if key is None else read_signer(Path(key)), kept_origin(Path(log))
-    heads = [] if kept is None else heads_of(open_checked(place))
+    heads = [] if kept is None else _heads(open_checked(place))
     given = [Path(one) for one in ledgers or ()] or [one.place(place) for one in newest(heads)]
     if not given:
         raise UsageError(f"{place}: found no shard, expected at least one LEDGER; name the ledgers to record")
@@ -353,10 +356,27 @@ def shards(
         raise UsageError(f"{option('origin', name)}: found the origin of a shard, expected one of the log's own")
     with Writer(place, name, signer, adopts=adopt) as writer:
         if found.heads:
-            writer.commit(list(map(record_of_head, found.heads)))
+            try:
+                writer.commit(list(map(record_of_head, found.heads)))
+            except InvalidRun as error:
+                if writer.head.size == len(heads):
+                    raise
+                raise SequenceConflict(
+                    f"{place}: found that the log has grown meanwhile, expected the {len(heads):,} heads that it had; "
+                    "nothing was recorded: run it again"
+                ) from error
         head = writer.head
     models = {origin: models_of(view) for origin, view in found.views.items()}
     return RecordedShards(place, head, newest([*heads, *found.heads]), tuple(one.origin for one in found.heads), models)
+
+
+def _heads(log: "View") -> "list[ShardHead]":
+    """Return the heads of a log. Raises: UsageError if it is another ledger, LedgerCorrupted as `heads_of`."""
+    from fsar_ledger.ledger.store.shards import heads_of, is_log
+
+    if log.head.size and not is_log(log):
+        raise UsageError(f"{log.path}: found a ledger of runs, expected a new folder, or a log of heads of shards")
+    return heads_of(log)
 
 
 def _short(judge: str) -> str:

@@ -32,24 +32,22 @@ import pyarrow as pa
 
 from fsar_ledger import __version__
 from fsar_ledger.base.errors import (
-    FsarLedgerError,
     LedgerCorrupted,
     QueryFailed,
     SequenceConflict,
     UsageError,
 )
 from fsar_ledger.ledger.log.hashing import sha256_hex
-from fsar_ledger.ledger.log.note import Checkpoint, Note
 from fsar_ledger.ledger.opening import open_checked
 from fsar_ledger.ledger.rows import canonical, numbers, validity, whole
 from fsar_ledger.ledger.rows.schema import COLUMNS
-from fsar_ledger.ledger.store import disk, shards
+from fsar_ledger.ledger.store import disk
 from fsar_ledger.ledger.store.locations import compare_index
 from fsar_ledger.ledger.store.paths import require_outside
 from fsar_ledger.ledger.store.read import View
-from fsar_ledger.ledger.store.shards import views_of
-from fsar_ledger.ledger.verify import verify
-from fsar_ledger.ledger.verify.report import Anchor, VerifyOptions, VerifyReport
+from fsar_ledger.ledger.store.shards import is_log, views_of
+from fsar_ledger.ledger.verify import Reading, verify, verify_shards
+from fsar_ledger.ledger.verify.report import VerifyOptions, VerifyReport
 from fsar_ledger.ledger.verify.segment import Digest
 
 from .connection import Database
@@ -177,54 +175,13 @@ def full_verify(
     if not asked.is_quick:
         asked = msgspec.structs.replace(asked, second_reader=ReadAgain())
     report = verify(ledger, workers, progress, asked)
-    if report.ok and shards.is_log(view := open_checked(ledger)):
-        report = _with_shards(report, view, workers, progress, asked)
-    if report.record_sha256 is not None and not report.is_quick:
-        _remember(report.record_sha256)
+    records = [report.record_sha256]
+    if report.ok and is_log(view := open_checked(ledger)):
+        report, records = verify_shards(report, view, Reading(open_checked, models_of), workers, progress, asked)
+    for record in records if not report.is_quick else ():
+        if record is not None:
+            _remember(record)
     return report
-
-
-def _with_shards(
-    report: VerifyReport,
-    log: View,
-    workers: int,
-    progress: Callable[[int, int], None] | None,
-    asked: VerifyOptions,
-) -> VerifyReport:
-    """Return the report on a log with what is to be said of its shards."""
-    heads = shards.heads_of(log)
-    problems, remarks = shards.doubts(heads), list(report.remarks)
-    found, runs = list[shards.Shard](), 0
-    for head in shards.newest(heads):
-        place = head.place(log.path)
-        try:
-            view = open_checked(place)
-        except FsarLedgerError as error:
-            problems.append(shards.unreadable(head, place, error))
-            continue
-        doubt = shards.doubt_of(head, view, heads)
-        tree = Note(Checkpoint(head.origin, head.shard_events, bytes.fromhex(head.shard_root)))
-        kept = () if doubt is not None else (Anchor(f"{head}, as recorded", tree),)
-        own = VerifyOptions(asked.is_quick, witnessed=kept, second_reader=asked.second_reader)
-        told = verify(place, workers, progress, own)
-        problems += [] if doubt is None else [doubt]
-        problems += [msgspec.structs.replace(one, where=f"{place}/{one.where}") for one in told.problems]
-        if doubt is not None or not told.ok:
-            continue
-        if told.record_sha256 is not None and not told.is_quick:
-            _remember(told.record_sha256)
-        found.append(shards.Shard(head, view))
-        runs += told.runs
-        remarks.append(shards.told(head, view, None if told.is_quick else told.runs, models_of(view), log.path))
-    if (doubt := shards.twice({one.head.origin: one.view for one in found})) is not None:
-        problems.append(doubt)
-    if problems:
-        return msgspec.structs.replace(report, ok=False, problems=tuple(problems), root=None, record_sha256=None)
-    models = {model for one in found for model in models_of(one.view)}
-    if len(models) > 1:
-        remarks.append(f"shards of model versions {', '.join(sorted(models))}: no answer pools them")
-    record = shards.joined(log, found).record_sha256
-    return msgspec.structs.replace(report, runs=runs, remarks=tuple(remarks), record_sha256=record, shards=len(found))
 
 
 def models_of(view: View) -> list[str]:

@@ -17,6 +17,7 @@ from fsar_ledger.events.configuration import PAPER_ARCHITECTURES
 from fsar_ledger.ledger.log.note import signers_of
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.store.read import View
+from fsar_ledger.ledger.store.shards import log_of
 from fsar_ledger.metrics.database import connect_view
 from fsar_ledger.metrics.invariants import AuditRow, audit_rows, invariants
 from fsar_ledger.metrics.provenance import Unobserved, never_observed
@@ -190,7 +191,7 @@ def _whole(view: View) -> pa.Table:
     No key is given, so no signature is checked. NULL: signers of a ledger that is not signed.
     """
     origin = view.manifest.origin
-    notes = [one.note(origin) for one in view.commits]
+    notes = [one.note(origin) for one in log_of(view).commits]
     row: dict[str, Any] = {
         "origin": origin,
         "commits": len(notes),

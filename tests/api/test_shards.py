@@ -1,6 +1,6 @@
 """A federation answers as one ledger with the events of its shards; what has grown is recorded again."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -9,9 +9,11 @@ import pytest
 
 import fsar_ledger
 from fsar_ledger.api.verbs import stored
-from fsar_ledger.base.errors import InvalidRun, UsageError
+from fsar_ledger.base.errors import InvalidRun, SequenceConflict, UsageError
+from fsar_ledger.ledger import opening
 from fsar_ledger.ledger.opening import open_for_answers, open_ledger
 from fsar_ledger.ledger.rows.codec import LedgerRun
+from fsar_ledger.ledger.store import shards
 from fsar_ledger.ledger.store.paths import segment_bytes
 from fsar_ledger.ledger.store.shards import heads_of, record_of_head
 from fsar_ledger.metrics import slices
@@ -22,6 +24,10 @@ from tests.api.sites import NAMES, append, origin
 from tests.quick import few
 from tests.runtime.test_cuts import Day, commands_of
 from tests.runtime.test_isolation import DRIVE, A, Site
+
+
+def without_head(answer: Any) -> dict[str, Any]:
+    return {name: value for name, value in msgspec.structs.asdict(answer).items() if name != "provenance"}
 
 
 def answers(path: Path) -> dict[str, Any]:
@@ -41,6 +47,7 @@ def answers(path: Path) -> dict[str, Any]:
         "log": [row for table in of.stream_log() for row in table.rows()],
         "events": of.events(run=9).table().rows(),
         "requests": of.requests(run=9).rows(),
+        "state": [without_head(of.state(run=9, at=30, by_commit=commit)) for commit in (None, 12)],
         "record": msgspec.structs.asdict(of.record(6)),
     }
     info = of.info()
@@ -184,6 +191,31 @@ def test_a_ledger_holds_heads_or_runs_and_never_both(site_copy: Path, runs: list
     head = heads_of(open_ledger(site_copy / "log"))[0]
     with pytest.raises(InvalidRun, match="found the head of a shard, expected runs and plans alone"):
         append(site_copy / "west", [record_of_head(head)])
+
+
+def test_of_two_who_record_at_once_one_is_told_to_look_again(
+    site_copy: Path, runs: list[LedgerRun], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    append(site_copy / "west", [msgspec.structs.replace(runs[5], run_id="one more")])
+    found = opening.present
+
+    def late(log: Path, heads: Sequence[shards.ShardHead], places: Sequence[Path]) -> opening.Present:
+        mine = found(log, heads, places)
+        monkeypatch.setattr(opening, "present", found)
+        append(site_copy / "west", [msgspec.structs.replace(runs[5], run_id="and more")])
+        fsar_ledger.shards(site_copy / "log")
+        return mine
+
+    monkeypatch.setattr(opening, "present", late)
+    with pytest.raises(SequenceConflict, match="the log has grown meanwhile"):
+        fsar_ledger.shards(site_copy / "log")
+    assert open_ledger(site_copy / "log").head.size == 4
+    assert "and more" in fsar_ledger.open_ledger(site_copy / "log").numbers()
+
+
+def test_a_ledger_of_runs_is_no_log(site_copy: Path) -> None:
+    with pytest.raises(UsageError, match="found a ledger of runs, expected a new folder"):
+        fsar_ledger.shards(site_copy / "west", [site_copy / "south"])
 
 
 def test_what_follows_a_growing_ledger_does_not_follow_a_federation(site: Path) -> None:

@@ -3,6 +3,7 @@
 import shutil
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import pytest
@@ -16,6 +17,7 @@ from fsar_ledger.ledger.store import shards
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.shards import ShardHead, heads_of, record_of_head
 from tests.api.sites import append, origin, parts
+from tests.ledger.hostile import stage_anything
 
 
 def older(path: Path, runs: Sequence[LedgerRun]) -> None:
@@ -60,7 +62,7 @@ def replayed(site_copy: Path, runs: list[LedgerRun]) -> None:
 def recorded(site_copy: Path, *heads: ShardHead) -> None:
     """Put heads into the log that `shards` would refuse."""
     with Writer(site_copy / "log", "fsar-ledger/federation") as writer:
-        writer.add([record_of_head(head) for head in heads])
+        writer.append(stage_anything(site_copy / "log", [record_of_head(head) for head in heads]))
 
 
 def replayed_in_the_log(site_copy: Path, runs: list[LedgerRun]) -> None:
@@ -84,6 +86,16 @@ def nested(site_copy: Path, _: list[LedgerRun]) -> None:
         writer.add([record_of_head(heads_of(open_ledger(site_copy / "log"))[0])])
     head = open_ledger(site_copy / "inner").head
     recorded(site_copy, ShardHead("example.org/inner", "../inner", head.size, head.root, 3))
+
+
+def with_a_past_that_never_was(site_copy: Path, _: list[LedgerRun]) -> None:
+    """Let the log have a head between the true ones, of a root that the shard never had."""
+    head = heads_of(open_ledger(site_copy / "log"))[1]
+    with Writer(site_copy / "false", "fsar-ledger/federation") as writer:
+        writer.add([record_of_head(msgspec.structs.replace(head, shard_events=7, shard_root="7" * 64, index=0))])
+        writer.add([record_of_head(msgspec.structs.replace(head, index=1))])
+    shutil.rmtree(site_copy / "log")
+    (site_copy / "false").rename(site_copy / "log")
 
 
 CLASSES: dict[Callable[[Path, list[LedgerRun]], None], str] = {
@@ -163,3 +175,24 @@ def test_another_model_version_is_named_and_never_pooled(site_copy: Path, runs: 
     pooled = {(row["model_version"], row["metric"]): row["n"] for row in federation.metrics(pool="seeds").rows()}
     assert pooled["2", "coordination_success"] == 1
     assert {version for version, _ in pooled} == {"2", "3"}
+
+
+def test_a_past_that_the_shard_never_had_is_found_by_verify(site_copy: Path, runs: list[LedgerRun]) -> None:
+    with_a_past_that_never_was(site_copy, runs)
+    [problem] = fsar_ledger.open_ledger(site_copy / "log").verify().problems
+    assert problem.found == f"{shards.OTHER_HISTORY}: it never had the root {'7' * 64} of 7 events"
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"shard_root": "no root"}, {"shard_events": -1}, {"origin": "two words"}, {"folder": "a\0b"}, {"origin": ""}],
+)
+def test_a_head_that_cannot_be_is_refused(site_copy: Path, change: dict[str, Any]) -> None:
+    head = heads_of(open_ledger(site_copy / "log"))[1]
+    recorded(site_copy, msgspec.structs.replace(head, index=3, **change))
+    federation = fsar_ledger.Ledger(site_copy / "log")
+    for ask in (federation.metrics, lambda: fsar_ledger.shards(site_copy / "log")):
+        with pytest.raises(LedgerCorrupted, match=r"found event 3, .*expected a head with an origin"):
+            ask()
+    [problem] = federation.verify().problems
+    assert "expected a head with an origin" in problem.found

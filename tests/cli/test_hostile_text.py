@@ -58,6 +58,12 @@ def live(place: Path) -> Iterator[tuple[object, ...]]:
     yield "hand-over", place / FOLDER, "--run", EVIL
 
 
+def federations(ledger: Path, place: Path) -> Iterator[tuple[object, ...]]:
+    """Calls that show text of a shard and of its log."""
+    yield from (("shards", place / "log", ledger), ("shards", place / EVIL, ledger, ledger / EVIL))
+    yield from (("verify", place / "log"), ("info", place / "log"), ("metrics", ledger, "--cluster", EVIL))
+
+
 def calls(ledger: Path, call: Call, place: Path) -> Iterator[tuple[object, ...]]:
     """A call or two of every verb that show text of the ledger, or of their own arguments."""
     run, action = first_of(ledger, call, "run_id"), first_of(ledger, call, "action_id")
@@ -72,7 +78,7 @@ def calls(ledger: Path, call: Call, place: Path) -> Iterator[tuple[object, ...]]
     yield from (("metrics", ledger), ("statistics", ledger), ("audit", ledger), ("query", "failures", ledger))
     yield from (("import", out, place / EVIL[:9].replace("/", ""), "--as", EVIL), ("record", out, "--observes", EVIL))
     yield from (("federate", out, EVIL), ("federate", out, "day", "--fleet", EVIL))
-    yield from live(place)
+    yield from (*live(place), *federations(ledger, place))
     yield (
         "sql",
         ledger,
@@ -88,7 +94,6 @@ def calls(ledger: Path, call: Call, place: Path) -> Iterator[tuple[object, ...]]
         ("verify-proof", proof),
         ("prove", ledger, EVIL),
     )
-    yield from calls_of_many_machines(ledger, place)
     yield from (
         ("maintain", "upgrade", ledger, "--into", out / "second\x1b[2J"),
         ("maintain", "upgrade", ledger, "--into", ledger / EVIL),
@@ -117,17 +122,6 @@ def calls(ledger: Path, call: Call, place: Path) -> Iterator[tuple[object, ...]]
         (f"--{EVIL}",),
     )
     yield from calls_of_studies(ledger, out)
-
-
-def calls_of_many_machines(ledger: Path, place: Path) -> Iterator[tuple[object, ...]]:
-    """Logs of shards, and clusters that are none."""
-    yield from (
-        ("shards", place / "log", ledger),
-        ("shards", place / EVIL, ledger, ledger / EVIL),
-        ("verify", place / "log"),
-        ("info", place / "log"),
-    )
-    yield "metrics", ledger, "--cluster", EVIL
 
 
 def calls_of_studies(ledger: Path, out: Path) -> Iterator[tuple[object, ...]]:

@@ -9,6 +9,7 @@ What may be wrong with a shard has a name here (`MISSING` and so on), which each
 
 import hashlib
 import os
+import re
 from bisect import bisect_right
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
@@ -23,6 +24,7 @@ from fsar_ledger.base.errors import LedgerCorrupted, NotALedger
 from fsar_ledger.events.fleet import ShardRecorded
 from fsar_ledger.ledger.log.hashing import sha256_hex
 from fsar_ledger.ledger.log.merkle import consistency_proof, is_consistent
+from fsar_ledger.ledger.log.note import is_name
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.store import growing
 from fsar_ledger.ledger.store.derived import Index
@@ -30,13 +32,14 @@ from fsar_ledger.ledger.store.journal import lines_of
 from fsar_ledger.ledger.store.paths import INDEX
 from fsar_ledger.ledger.store.problem import Problem
 from fsar_ledger.ledger.store.read import View
-from fsar_ledger.ledger.store.record import EMPTY_HEAD, Head
+from fsar_ledger.ledger.store.record import EMPTY_HEAD, Commit, Head
 
 MISSING, LATE, SWAPPED, OTHER_ORIGIN = "missing", "late", "swapped", "of another origin"
 OTHER_HISTORY, REPLAYED, TWICE, NESTED = "of another history", "replayed", "shown twice", "a federation itself"
 PREFIX = "shard-"
 """What the names of the runs begin with that hold heads of shards."""
 HEAD_TYPE = str(ShardRecorded.__struct_config__.tag)
+_ROOT = re.compile("[0-9a-f]{64}")
 _FIRST = b'{"blocks":[{"first":0,"first_us":'
 _HEAD = f'"run":"{PREFIX}'.encode()
 
@@ -102,6 +105,15 @@ class Federation(View, frozen=True, dict=True):
     def head(self) -> LogHead:
         """Return how far the log goes, and how many events that is."""
         return msgspec.convert({**msgspec.structs.asdict(self.log.head), "of_shards": self._firsts[-1]}, LogHead)
+
+    @property
+    def commits(self) -> Sequence[Commit]:
+        """Return the commits of all shards; `tree_size` counts on, each root is that of the shard."""
+        return [
+            msgspec.structs.replace(commit, tree_size=first + commit.tree_size)
+            for first, view in zip(self._firsts, self.views, strict=False)
+            for commit in view.commits
+        ]
 
     @property
     def record_sha256(self) -> str:
@@ -246,7 +258,15 @@ def heads_of(view: View) -> list[ShardHead]:
                 f"{view.path}: found event {index} of type {printable.value(f'{of}')}, expected heads of shards alone, "
                 "as in the log of a federation; record the heads in a new log"
             )
-        found.append(msgspec.convert({**event, "index": index}, ShardHead))
+        head = msgspec.convert({**event, "index": index}, ShardHead)
+        is_tree = head.shard_events >= 0 and _ROOT.fullmatch(head.shard_root) is not None
+        is_placed = event["run_id"] == f"{PREFIX}{index}" and "\0" not in head.folder
+        if not (is_tree and is_placed and is_name(head.origin)):
+            raise LedgerCorrupted(
+                f"{view.path}: found event {index}, {printable.value(f'{event}')}, expected a head with an origin, a "
+                f"folder, a number of events and a root in hex, as run {PREFIX}{index}; record the heads in a new log"
+            )
+        found.append(head)
     return found
 
 
@@ -264,7 +284,7 @@ def doubts(heads: Sequence[ShardHead]) -> list[Problem]:
         if before is not None and _is_older(head, before):
             was = f"{REPLAYED}: after its head of {before.shard_events:,} events one of {head.shard_events:,}"
             expected = "heads that only grow; record it again in a new log"
-            found.append(Problem(str(head), was, expected, run=None))
+            found.append(Problem(str(head), was, expected))
         known[head.origin] = head
     return found
 
@@ -299,6 +319,15 @@ def doubt_of(head: ShardHead, view: View, heads: Sequence[ShardHead]) -> Problem
         )
     if not begins_with(view, head.shard_events, head.shard_root):
         return Problem(place, f"{OTHER_HISTORY}: {size:,} events under root {root}", f"{at}, or more after them")
+    return None
+
+
+def doubt_of_past(head: ShardHead, view: View, heads: Sequence[ShardHead]) -> Problem | None:
+    """Return which earlier head of this shard is none that it had; None if it had all. Raises: As `begins_with`."""
+    for one in heads:
+        if one.origin == head.origin and not begins_with(view, one.shard_events, one.shard_root):
+            was = f"{OTHER_HISTORY}: it never had the root {one.shard_root} of {one.shard_events:,} events"
+            return Problem(str(view.path), was, f"heads of {head} that it had; record it in a new log")
     return None
 
 
@@ -354,9 +383,11 @@ def joined(log: View, shards: Sequence[Shard]) -> Federation:
 
 
 def record_of_head(head: ShardHead) -> LedgerRun:
-    """Return the record to commit for a head: a run with one event, at time 0. No two heads of a log share a name."""
+    """Return the record to commit for a head: a run with one event, at time 0.
+
+    Its name has its place in the log, so that of two writers who read the same log only one adds to it.
+    """
     event = ShardRecorded(
         origin=head.origin, folder=head.folder, shard_events=head.shard_events, shard_root=head.shard_root
     )
-    digest = hashlib.sha256(msgspec.json.encode(event, order="sorted")).hexdigest()[:12]
-    return LedgerRun(f"{PREFIX}{head.index}-{digest}", (0,), (None,), (event,))
+    return LedgerRun(f"{PREFIX}{head.index}", (0,), (None,), (event,))

@@ -24,24 +24,34 @@ trusted   how much of a ledger can be trusted, mended or copied
 import fcntl
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from itertools import count
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import msgspec
 
-from fsar_ledger.base.errors import LedgerCorrupted, NotALedger, UsageError, WorkerDied, WriteFailed, option
+from fsar_ledger.base.errors import (
+    FsarLedgerError,
+    LedgerCorrupted,
+    NotALedger,
+    UsageError,
+    WorkerDied,
+    WriteFailed,
+    option,
+)
 from fsar_ledger.base.progress import Progress
-from fsar_ledger.ledger.store import disk, growing
+from fsar_ledger.ledger.log.note import Checkpoint, Note
+from fsar_ledger.ledger.store import disk, growing, shards
 from fsar_ledger.ledger.store.manifest import refuse_version_1
 from fsar_ledger.ledger.store.paths import CHAIN, INDEX, JOURNAL, MANIFEST, NODES, SEALING, SEGMENTS, require_created
 from fsar_ledger.ledger.store.problem import Problem, unexpected
+from fsar_ledger.ledger.store.read import View
 from fsar_ledger.ledger.store.record import Head
 from fsar_ledger.ledger.store.snapshot import read_checkpoint
 from fsar_ledger.ledger.verify.chain import Verification
-from fsar_ledger.ledger.verify.report import MAX_PROBLEMS, VerifyOptions, VerifyReport
+from fsar_ledger.ledger.verify.report import MAX_PROBLEMS, Anchor, VerifyOptions, VerifyReport
 from fsar_ledger.ledger.verify.trusted import Did, Found, Later, find_trusted, mend, write_copy
 
 
@@ -94,6 +104,82 @@ def _moment(path: Path) -> tuple[tuple[int, ...], str | Problem | None] | None:
         return (*map(growing.size_of, files), *map(growing.inode_of, files)), read_checkpoint(path)
     except OSError:
         return None
+
+
+class Reading(NamedTuple):
+    """How shards are opened, and how the model versions of their runs are read."""
+
+    opened: Callable[[Path], View]
+    models_of: Callable[[View], list[str]]
+
+
+def verify_shards(
+    report: VerifyReport,
+    log: View,
+    reading: Reading,
+    workers: int,
+    progress: Progress | None,
+    asked: VerifyOptions,
+) -> tuple[VerifyReport, list[str | None]]:
+    """Verify the shards of a log that this report is about, and compare them with their recorded heads.
+
+    Returns the report on all, and the newest records of what was verified without doubt.
+    """
+    try:
+        heads = shards.heads_of(log)
+    except LedgerCorrupted as error:
+        problem = Problem(CHAIN, f"{error}", "a log that holds heads of shards alone")
+        return msgspec.structs.replace(report, ok=False, problems=(problem,), root=None, record_sha256=None), []
+    problems, found, reports = shards.doubts(heads), list[shards.Shard](), list[VerifyReport]()
+    for head in shards.newest(heads):
+        place = head.place(log.path)
+        try:
+            view = reading.opened(place)
+        except FsarLedgerError as error:
+            problems.append(shards.unreadable(head, place, error))
+            continue
+        doubt = shards.doubt_of(head, view, heads)
+        tree = Note(Checkpoint(head.origin, head.shard_events, bytes.fromhex(head.shard_root)))
+        kept = () if doubt is not None else (Anchor(f"{head}, as recorded", tree),)
+        own = VerifyOptions(asked.is_quick, witnessed=kept, second_reader=asked.second_reader)
+        told = verify(place, workers, progress, own)
+        if told.ok and doubt is None:
+            doubt = shards.doubt_of_past(head, view, heads)
+        problems += [] if doubt is None else [doubt]
+        problems += [msgspec.structs.replace(one, where=f"{place}/{one.where}") for one in told.problems]
+        if told.ok and doubt is None:
+            found.append(shards.Shard(head, view))
+            reports.append(told)
+    if (doubt := shards.twice({one.head.origin: one.view for one in found})) is not None:
+        problems.append(doubt)
+    records = [one.record_sha256 for one in reports]
+    if problems:
+        named = tuple(problems[:MAX_PROBLEMS])
+        return msgspec.structs.replace(report, ok=False, problems=named, root=None, record_sha256=None), records
+    whole = _of_all(report, shards.joined(log, found), reports, reading)
+    return whole, [whole.record_sha256, report.record_sha256, *records]
+
+
+def _of_all(
+    report: VerifyReport, federation: shards.Federation, reports: Sequence[VerifyReport], reading: Reading
+) -> VerifyReport:
+    """Return the report on a federation without a problem, given those on its shards."""
+    remarks, models = list(report.remarks), set[str]()
+    for shard, told in zip(federation.shards, reports, strict=True):
+        own = reading.models_of(shard.view)
+        models.update(own)
+        remarks.append(shards.told(shard.head, shard.view, None if told.is_quick else told.runs, own, federation.path))
+    if len(models) > 1:
+        remarks.append(f"shards of model versions {', '.join(sorted(models))}: no answer pools them")
+    # One that has grown while it was verified was not verified as it was opened.
+    is_same = [told.record_sha256 for told in reports] == [view.record_sha256 for view in federation.views]
+    return msgspec.structs.replace(
+        report,
+        runs=sum(told.runs for told in reports),
+        remarks=tuple(remarks),
+        record_sha256=federation.record_sha256 if is_same else report.record_sha256,
+        shards=len(reports),
+    )
 
 
 def _look(path: Path, workers: int, progress: Progress | None, asked: VerifyOptions) -> VerifyReport:
