@@ -143,7 +143,7 @@ def cluster(address: str | None) -> Iterator[None]:
                     made = LocalCluster(
                         n_workers=int(number),
                         threads_per_worker=1,
-                        dashboard_address=None,
+                        dashboard_address=":0",
                         silence_logs=50,
                     )
                 client = stack.enter_context(Client(stack.enter_context(made)))

@@ -52,7 +52,7 @@ TAKEN: Mapping[str, Option] = {
         "--memory",
         "MIB",
         "The memory limit.",
-        "512, 192 for each core or worker beyond two, and 16 times the size of the segments",
+        "640, 192 for each core or worker beyond two, and 16 times the size of the segments",
     ),
 }
 """What a command can have beside the options of its verb; without a metavar it is a switch, without a value None."""
@@ -324,7 +324,7 @@ def _on_record(line: Line, kind: str, run: str | None) -> list[str]:
 
 
 LEAST_MIB = 256
-BASE_BYTES = 512 << 20
+BASE_BYTES = 640 << 20
 PER_BYTE = 16
 """By default a command may take `BASE_BYTES`, and `PER_BYTE` bytes for each byte of the segments on disk. Most commands
 need 300 MiB and 10; `report` takes some 40 for each byte (`Verb.hunger`). Of a ledger of ten million events `study run

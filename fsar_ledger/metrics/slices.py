@@ -50,7 +50,7 @@ SLICE_EVENTS = 1 << 19
 """Events that are judged at once: few enough to be judged in half a gigabyte."""
 LEAST_BYTES = 4
 """Of an event in a segment; those of a fleet take 10 to 17."""
-CACHE_BYTES = 1 << 28
+CACHE_BYTES = 1 << 30
 """The most that the cache holds; what was made first is left out."""
 
 

@@ -25,9 +25,9 @@ from tests.quick import few
 from tests.running import ran
 from tests.runtime.forgeries import changed, renamed
 
-SOME = ("--scenario", "door-relay", "--seed", "3", "--workers", "2", "--runs", "17")
-MANY = (*SOME[:-1], "50")
-EXPERIMENT = Experiment(PAPER_ARCHITECTURES, ("door-relay",), 17, 3)  # the plan, and three commits
+SOME = ("--scenario", "door-relay", "--seed", "3", "--workers", "2", "--runs", "60")
+MANY = (*SOME[:-1], "180")
+EXPERIMENT = Experiment(PAPER_ARCHITECTURES, ("door-relay",), 60, 3)  # the plan, and three commits
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ import pytest
 from tests.cli.conftest import SMALL, Call, one_message
 from tests.ledger.samples import contents
 
-MANY = (*SMALL[:2], "--architecture", "fsar", "--runs", "60", "--workers", "1")  # the plan, and three commits
+MANY = (*SMALL[:2], "--architecture", "fsar", "--runs", "240", "--workers", "1")  # the plan, and three commits
 
 
 @pytest.fixture(scope="session")

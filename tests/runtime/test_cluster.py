@@ -41,7 +41,7 @@ def judged(ledger: "fsar_ledger.Ledger") -> list[object]:
 @contextmanager
 def scheduler(count: int = 2) -> Iterator[tuple[str, Any]]:
     """Run a scheduler and workers whose processes restart when they die; yield its address."""
-    with distributed.LocalCluster(n_workers=count, threads_per_worker=1, dashboard_address=None) as made:
+    with distributed.LocalCluster(n_workers=count, threads_per_worker=1, dashboard_address=":0") as made:
         yield made.scheduler_address, made
 
 
@@ -112,7 +112,7 @@ from pathlib import Path
 from typing import Any
 from distributed import LocalCluster
 if __name__ == "__main__":
-    with LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as made:
+    with LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=":0") as made:
         file = Path(sys.argv[1])
         file.with_suffix(".part").write_text(made.scheduler_address)
         file.with_suffix(".part").rename(file)

@@ -109,13 +109,14 @@ def test_an_interrupted_experiment_goes_on_at_the_first_missing_batch(tmp_path: 
         if done == 1:
             raise Stop
 
+    larger = msgspec.structs.replace(SMALL, runs=20)
     with pytest.raises(Stop):
-        run_experiment(tmp_path / "ledger", SMALL, 1, stop_after_one)
+        run_experiment(tmp_path / "ledger", larger, 1, stop_after_one)
     assert open_ledger(tmp_path / "ledger").head.commits == 2
     told.clear()
-    head = run_experiment(tmp_path / "ledger", SMALL, 1, lambda done, total: told.append((done, total))).head
+    head = run_experiment(tmp_path / "ledger", larger, 1, lambda done, total: told.append((done, total))).head
     assert told == [(1, 2), (2, 2)]
-    assert run_experiment(tmp_path / "whole", SMALL, 1).head == head
+    assert run_experiment(tmp_path / "whole", larger, 1).head == head
     assert verify(tmp_path / "ledger").ok
 
 
