@@ -94,6 +94,7 @@ def looks(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     return found
 
 
+@pytest.mark.slow
 def test_verbs_answer_the_same_in_slices_and_from_the_cache(
     ledger: Path, in_slices: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -111,6 +112,7 @@ def test_verbs_answer_the_same_in_slices_and_from_the_cache(
     assert seen
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name, query in library().queries.items() if not query.parameters])
 def test_every_query_answers_the_same_in_slices(name: str, both: tuple[Database, Database]) -> None:
     whole, sliced = both
@@ -183,7 +185,9 @@ def open_to_others(file: Path) -> None:
     file.chmod(0o666)
 
 
-@pytest.mark.parametrize("change", [damaged_rows, swapped_rows, truncated, no_database, open_to_others])
+@pytest.mark.parametrize(
+    "change", few([damaged_rows, swapped_rows, truncated, no_database, open_to_others], [swapped_rows, truncated])
+)
 def test_a_damaged_cache_is_made_again_and_never_believed(
     ledger: Path, in_slices: Path, change: Callable[[Path], None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -224,10 +228,10 @@ def test_a_ledger_with_the_root_of_another_is_not_answered_from_its_cache(
 
 def test_the_cache_has_an_upper_bound(ledger: Path, in_slices: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(slices, "CACHE_BYTES", 5_000)
-    expected = judged(ledger)
+    expected = fsar_ledger.open_ledger(ledger).metrics().arrow()
     with closing(sqlite3.connect(in_slices)) as cache:
         assert 0 < cache.execute("SELECT sum(length(data)) FROM answers").fetchone()[0] <= 5_000
-    assert judged(ledger) == expected
+    assert fsar_ledger.open_ledger(ledger).metrics().arrow() == expected
 
 
 def test_runs_that_continue_each_other_are_in_one_slice_where_they_end() -> None:
