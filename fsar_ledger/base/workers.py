@@ -171,15 +171,21 @@ def workers_of_cluster() -> int | None:
 
 
 @contextmanager
-def pool_of(workers: int) -> "Iterator[Cluster | WorkerPool | None]":
-    """Yield what work is shared among: the cluster, or so many processes; None where one does it all."""
+def pool_of(workers: "int | WorkerPool", parts: int = sys.maxsize) -> "Iterator[Cluster | WorkerPool | None]":
+    """Yield what so many parts of work are shared among: the cluster, this pool, or so many processes.
+
+    It is None where one process does it all.
+    """
+    most = min(workers.workers if isinstance(workers, WorkerPool) else workers, parts)
     if (found := _CLUSTER.get()) is not None:
         yield found
-    elif workers > 1:
-        with WorkerPool(workers) as pool:
-            yield pool
-    else:
+    elif most <= 1:
         yield None
+    elif isinstance(workers, WorkerPool):
+        yield workers
+    else:
+        with WorkerPool(most) as pool:
+            yield pool
 
 
 class WorkerPool(Executor):

@@ -155,7 +155,7 @@ def _replayed(
 ) -> Iterator[CommitReport]:
     """Yield the report of each group of segments, in order."""
     asked = repeat(path), range(len(files)), files, repeat(is_recorded), repeat(continued)
-    with pool_of(min(workers, len(files))) as pool:
+    with pool_of(workers, len(files)) as pool:
         yield from (pool.map if pool else map)(replay_commit, *asked)
 
 

@@ -14,7 +14,7 @@ import msgspec
 
 from fsar_ledger.base.errors import CommitTooLarge
 from fsar_ledger.base.memory import without_collection
-from fsar_ledger.base.workers import Cluster, WorkerPool, pool_of, workers_of_cluster
+from fsar_ledger.base.workers import Cluster, WorkerPool, pool_of
 from fsar_ledger.designs import Fleet
 from fsar_ledger.designs.constants import Constants, Range, WorldConstants, write_constants
 from fsar_ledger.designs.registered import PAPER_SCENARIOS
@@ -215,10 +215,7 @@ class Staging(msgspec.Struct, frozen=True):
 
         In this process a batch is made while what is yielded is consumed.
         """
-        if isinstance(workers, WorkerPool) and workers_of_cluster() is None and min(workers.workers, len(batches)) > 1:
-            yield from self._of_pool(batches, workers)
-            return
-        with pool_of(1 if isinstance(workers, WorkerPool) else min(workers, len(batches))) as pool:
+        with pool_of(workers, len(batches)) as pool:
             yield from map(self._stream, batches) if pool is None else self._of_pool(batches, pool)
 
     def _of_pool(self, batches: Sequence[Batch], pool: Cluster | WorkerPool) -> Iterator[Iterable[Staged]]:
