@@ -12,6 +12,7 @@ cache costs one more look at the events.
 """
 
 import hashlib
+import json
 import sqlite3
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
@@ -343,10 +344,16 @@ def _remembered(of: str | None, texts: Collection[str]) -> dict[str, pa.Table]:
     if of is None:
         return {}
     with suppress(sqlite3.Error, pa.ArrowException), _cache() as cache:
-        rows = cache.execute("SELECT asked, sha256, data FROM answers WHERE slice = ?", [of]).fetchall()
-        known = {asked: data for asked, sha256, data in rows if sha256 == _of_entry(of, asked, data)}
         by_key = {_key(text): text for text in texts}
-        return {by_key[asked]: pa.ipc.open_stream(data).read_all() for asked, data in known.items() if asked in by_key}
+        rows = cache.execute(
+            "SELECT asked, sha256, data FROM answers WHERE slice = ? AND asked IN (SELECT value FROM json_each(?))",
+            [of, json.dumps([*by_key])],
+        )
+        return {
+            by_key[asked]: pa.ipc.open_stream(data).read_all()
+            for asked, sha256, data in rows
+            if sha256 == _of_entry(of, asked, data)
+        }
     return {}
 
 
