@@ -1,11 +1,11 @@
 -- Title: What shows governed delegation: trust where it was needed, policies that were composed, a registry that hides
 -- Paper: tab:baseline_context, eq:trust, eq:policy, sec:architecture:registry
--- Grain: one row per made_alike (as in run_groups) and part
--- Key: made_alike, part
+-- Grain: one row per run and part
+-- Key: run_id, part
 -- Units: numerator, denominator counts
--- NULL: never; no row for a part that nothing in the ledger could show, and none of runs that do not observe what it
---   rests on
+-- NULL: never; no row for a part that nothing in the run could show, or that it does not observe
 -- Example: fsar-ledger query tables/evidence_of_governance LEDGER
+-- Partial: what it says of a run does not depend on others
 -- Stored: planned together with the other two, DuckDB would take longer to plan than to compute
 WITH outsiders AS (
     SELECT attempts.run_id, count(done.seq) = 0 AS is_refused
@@ -68,11 +68,10 @@ counted AS (
 )
 
 SELECT
-    runs.made_alike, counted.part,
+    counted.run_id, counted.part,
     count(*) FILTER (coalesce(counted.holds, FALSE)) AS numerator,
     count(*) AS denominator
-FROM run_groups AS runs
-INNER JOIN counted ON runs.run_id = counted.run_id
-LEFT JOIN unobservable AS hidden ON runs.run_id = hidden.run_id AND counted.part = hidden.judge
+FROM counted
+LEFT JOIN unobservable AS hidden ON counted.run_id = hidden.run_id AND counted.part = hidden.judge
 WHERE hidden.run_id IS NULL
 GROUP BY ALL

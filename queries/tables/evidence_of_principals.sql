@@ -1,12 +1,12 @@
 -- Title: What shows who a principal is and who decides: robots as one principal, central decisions, agents inside
 --   robots, attribution
 -- Paper: tab:baseline_context, sec:model:invariants (I1, I5)
--- Grain: one row per made_alike (as in run_groups) and part
--- Key: made_alike, part
+-- Grain: one row per run and part
+-- Key: run_id, part
 -- Units: numerator, denominator counts
--- NULL: never; no row for a part that nothing in the ledger could show, and none of runs that do not observe what it
---   rests on
+-- NULL: never; no row for a part that nothing in the run could show, or that it does not observe
 -- Example: fsar-ledger query tables/evidence_of_principals LEDGER
+-- Partial: what it says of a run does not depend on others
 -- Stored: planned together with the other two, DuckDB would take longer to plan than to compute
 WITH named AS (
     SELECT DISTINCT
@@ -67,11 +67,10 @@ counted AS (
 )
 
 SELECT
-    runs.made_alike, counted.part,
+    counted.run_id, counted.part,
     sum(counted.numerator)::BIGINT AS numerator,
     sum(counted.denominator)::BIGINT AS denominator
-FROM run_groups AS runs
-INNER JOIN counted ON runs.run_id = counted.run_id
-LEFT JOIN unobservable AS hidden ON runs.run_id = hidden.run_id AND counted.part = hidden.judge
+FROM counted
+LEFT JOIN unobservable AS hidden ON counted.run_id = hidden.run_id AND counted.part = hidden.judge
 WHERE hidden.run_id IS NULL
 GROUP BY ALL

@@ -1,10 +1,11 @@
 -- Title: What shows layered recovery: who begins it, which levels it reaches, and whether one is skipped
 -- Paper: tab:baseline_context, eq:recovery
--- Grain: one row per made_alike (as in run_groups) and part
--- Key: made_alike, part
--- Units: numerator, denominator counts; of the levels, those that any failure came to and all four
--- NULL: never; no row for runs without failures, and none of runs that do not observe what a part rests on
+-- Grain: one row per run and part, and of the levels in use one per level
+-- Key: run_id, part, level?
+-- Units: numerator, denominator counts; of the levels, this one and all four
+-- NULL: level of the other parts; no row of a run without failures, nor for a part that it does not observe
 -- Example: fsar-ledger query tables/evidence_of_recovery LEDGER
+-- Partial: what it says of a run does not depend on others
 -- Stored: planned together with the other two, DuckDB would take longer to plan than to compute
 WITH first_steps AS (
     SELECT
@@ -24,7 +25,7 @@ moves AS (
 
 judged AS (
     SELECT
-        runs.run_id, runs.made_alike,
+        failures.run_id,
         -- By the robot that failed, or an agent in it: agent/A1/execution is a part of robot/A1.
         coalesce(
             first_steps.decided_by = failures.robot
@@ -33,7 +34,6 @@ judged AS (
         ) AS is_own,
         coalesce(moves.is_outward, FALSE) AS is_outward
     FROM failures
-    INNER JOIN run_groups AS runs ON failures.run_id = runs.run_id
     LEFT JOIN first_steps
         ON
             failures.run_id = first_steps.run_id AND failures.action_id = first_steps.action_id
@@ -44,31 +44,24 @@ judged AS (
 
 parts AS (
     SELECT
-        run_id, made_alike,
+        run_id,
         unnest([
             { 'part': 'failures that the robot itself begins to recover', 'holds': is_own },
             { 'part': 'failures that skip no level', 'holds': is_outward }
         ]) AS fact
     FROM judged
+),
+
+counted AS (
+    SELECT run_id, fact.part, NULL AS level, count(*) FILTER (fact.holds) AS numerator, count(*) AS denominator
+    FROM parts
+    GROUP BY ALL
+    UNION ALL
+    SELECT DISTINCT run_id, 'levels of recovery in use' AS part, level, 1 AS numerator, 4 AS denominator
+    FROM recovery_moves
 )
 
-SELECT
-    parts.made_alike,
-    parts.fact.part,
-    count(*) FILTER (parts.fact.holds) AS numerator,
-    count(*) AS denominator
-FROM parts
-LEFT JOIN unobservable AS hidden ON parts.run_id = hidden.run_id AND parts.fact.part = hidden.judge
+SELECT counted.*
+FROM counted
+LEFT JOIN unobservable AS hidden ON counted.run_id = hidden.run_id AND counted.part = hidden.judge
 WHERE hidden.run_id IS NULL
-GROUP BY ALL
-UNION ALL
-SELECT
-    runs.made_alike,
-    'levels of recovery in use' AS part,
-    count(DISTINCT recovery_moves.level) AS numerator,
-    4 AS denominator
-FROM recovery_moves
-INNER JOIN run_groups AS runs ON recovery_moves.run_id = runs.run_id
-LEFT JOIN unobservable AS hidden ON runs.run_id = hidden.run_id AND hidden.judge = 'levels of recovery in use'
-WHERE hidden.run_id IS NULL
-GROUP BY runs.made_alike

@@ -23,12 +23,23 @@ WITH rules (feature, part, is_essential) AS (
     ('audit_attribution', 'records with origin, executor and supervisor', TRUE)
 ),
 
+counted AS (
+    SELECT run_id, part, NULL AS level, numerator, denominator FROM evidence_of_principals
+    UNION ALL
+    SELECT run_id, part, NULL AS level, numerator, denominator FROM evidence_of_governance
+    UNION ALL
+    SELECT run_id, part, level, numerator, denominator FROM evidence_of_recovery
+),
+
 evidence AS (
-    SELECT * FROM evidence_of_principals
-    UNION ALL
-    SELECT * FROM evidence_of_governance
-    UNION ALL
-    SELECT * FROM evidence_of_recovery
+    -- A level that several runs came to is one of the four.
+    SELECT
+        runs.made_alike, counted.part,
+        if(count(counted.level) > 0, count(DISTINCT counted.level), sum(counted.numerator))::BIGINT AS numerator,
+        if(count(counted.level) > 0, max(counted.denominator), sum(counted.denominator))::BIGINT AS denominator
+    FROM run_groups AS runs
+    INNER JOIN counted ON runs.run_id = counted.run_id
+    GROUP BY ALL
 ),
 
 groups AS (

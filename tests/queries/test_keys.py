@@ -36,7 +36,7 @@ READ_ALL_EVENTS = {
     "audit/supervisor_decisions": "finds what a supervisor decided by the decider, whatever the type",
     "facts/mechanism_decisions": "counts what events of eight concerns decided in one pass",
     "facts/supervision_ends": "finds whom the records of an action named last, whatever their type",
-    "tables/mechanism_coverage": "counts events of five concerns in one pass",
+    "tables/mechanism_cells": "counts events of five concerns in one pass",
     "audit/events_by_day": "counts events of any type",
 }
 COMMENT = re.compile(r"--[^\n]*")
