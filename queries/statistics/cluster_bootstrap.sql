@@ -9,13 +9,14 @@
 -- Example: fsar-ledger query statistics/cluster_bootstrap LEDGER
 WITH clusters AS (
     SELECT
-        test,
-        sum(difference_ppb)::BIGINT AS total_ppb,
+        tests.test,
+        sum(differences.difference_ppb)::BIGINT AS total_ppb,
         count(*) AS pairs,
-        row_number() OVER (PARTITION BY test ORDER BY scenario) - 1 AS number,
-        count(*) OVER (PARTITION BY test) AS scenarios
-    FROM paired_differences
-    GROUP BY test, scenario
+        row_number() OVER (PARTITION BY tests.test ORDER BY differences.scenario) - 1 AS number,
+        count(*) OVER (PARTITION BY tests.test) AS scenarios
+    FROM paired_differences AS differences
+    INNER JOIN paired_tests AS tests ON differences.test_id = tests.test_id
+    GROUP BY tests.test, differences.scenario
 ),
 
 samples AS (

@@ -10,15 +10,15 @@
 -- Example: fsar-ledger query statistics/drawn_effects LEDGER
 WITH numbered AS (
     SELECT
-        pairs.test, pairs.comparison, pairs.configuration, pairs.fleet_size, pairs.kind, pairs.source,
-        pairs.model_version, pairs.constants, pairs.position, pairs.metric, pairs.scenario,
-        dense_rank() OVER (PARTITION BY pairs.test, pairs.scenario ORDER BY runs.seed, runs.run) - 1 AS place,
+        tests.test, tests.comparison, tests.configuration, tests.fleet_size, tests.kind, tests.source,
+        tests.model_version, tests.constants, tests.position, tests.metric, pairs.scenario,
+        dense_rank() OVER (PARTITION BY tests.test, pairs.scenario ORDER BY pairs.seed, pairs.run) - 1 AS place,
         round(pairs.first_value * 1e9)::HUGEINT AS first_ppb,
         round(pairs.second_value * 1e9)::HUGEINT AS second_ppb
-    FROM paired_differences AS pairs
-    INNER JOIN runs ON pairs.first_run_id = runs.run_id
-    INNER JOIN metric_definitions AS definitions ON pairs.metric = definitions.metric AND definitions.is_published
-    WHERE pairs.basis = 'published' AND pairs.pools_seeds AND pairs.family = 'architectures'
+    FROM paired_tests AS tests
+    INNER JOIN metric_definitions AS definitions ON tests.metric = definitions.metric AND definitions.is_published
+    INNER JOIN paired_differences AS pairs ON tests.test_id = pairs.test_id
+    WHERE tests.basis = 'published' AND tests.pools_seeds AND tests.family = 'architectures'
 ),
 
 counted AS (

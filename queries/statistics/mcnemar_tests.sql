@@ -7,13 +7,14 @@
 -- Example: fsar-ledger query statistics/mcnemar_tests LEDGER
 WITH discordant AS (
     SELECT
-        differences.test,
+        tests.test,
         count(*) FILTER (WHERE differences.difference_ppb > 0)::BIGINT AS mcnemar_first_only,
         count(*) FILTER (WHERE differences.difference_ppb < 0)::BIGINT AS mcnemar_second_only
-    FROM paired_differences AS differences
-    INNER JOIN metric_definitions AS definitions ON differences.metric = definitions.metric
+    FROM paired_tests AS tests
+    INNER JOIN metric_definitions AS definitions ON tests.metric = definitions.metric
+    INNER JOIN paired_differences AS differences ON tests.test_id = differences.test_id
     WHERE definitions.scale = 'yes-no'
-    GROUP BY differences.test
+    GROUP BY tests.test
 )
 
 SELECT

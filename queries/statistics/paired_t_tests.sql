@@ -12,24 +12,22 @@
 -- Example: fsar-ledger query statistics/paired_t_tests LEDGER
 WITH moments AS (
     SELECT
-        test, holm_family, basis, family, configuration, fleet_size, pools_seeds, seed, kind, source, model_version,
-        constants, position, metric, comparison,
+        test_id,
         count(*) AS n,
         min(difference_ppb) < max(difference_ppb) AS differences_vary,
-        avg(first_value ORDER BY first_run_id, second_run_id) AS first_mean,
-        avg(second_value ORDER BY first_run_id, second_run_id) AS second_mean,
-        avg(difference ORDER BY first_run_id, second_run_id) AS mean_difference,
-        stddev_samp(first_value ORDER BY first_run_id, second_run_id) AS first_sd,
-        stddev_samp(second_value ORDER BY first_run_id, second_run_id) AS second_sd,
-        stddev_samp(difference ORDER BY first_run_id, second_run_id) AS difference_sd
+        avg(first_value ORDER BY pair) AS first_mean,
+        avg(second_value ORDER BY pair) AS second_mean,
+        avg(difference ORDER BY pair) AS mean_difference,
+        stddev_samp(first_value ORDER BY pair) AS first_sd,
+        stddev_samp(second_value ORDER BY pair) AS second_sd,
+        stddev_samp(difference ORDER BY pair) AS difference_sd
     FROM paired_differences
-    GROUP BY ALL
+    GROUP BY test_id
 ),
 
 sizes AS (
     SELECT
-        test, holm_family, basis, family, configuration, fleet_size, pools_seeds, seed, kind, source, model_version,
-        constants, position, metric, comparison, n, first_mean, second_mean, mean_difference,
+        test_id, n, first_mean, second_mean, mean_difference,
         n - 1 AS df,
         CASE WHEN differences_vary THEN mean_difference / difference_sd END AS d_z,
         sqrt((first_sd * first_sd + second_sd * second_sd) / 2) AS pooled_sd,
@@ -48,13 +46,16 @@ sizes AS (
 )
 
 SELECT
-    test, holm_family, basis, family, configuration, fleet_size, pools_seeds, seed, kind, source, model_version,
-    constants, position, metric, comparison, n, first_mean, second_mean, mean_difference, df, d_z, cohens_d,
-    d_z * sqrt(n) AS t,
-    t_sf2(d_z * sqrt(n), df::DOUBLE) AS p,
-    cohens_d - half_width AS d_ci_low,
-    cohens_d + half_width AS d_ci_high,
-    correction * cohens_d AS hedges_g,
-    correction * (cohens_d - half_width) AS g_ci_low,
-    correction * (cohens_d + half_width) AS g_ci_high
+    tests.test, tests.holm_family, tests.basis, tests.family, tests.configuration, tests.fleet_size, tests.pools_seeds,
+    tests.seed, tests.kind, tests.source, tests.model_version, tests.constants, tests.position, tests.metric,
+    tests.comparison, sizes.n, sizes.first_mean, sizes.second_mean, sizes.mean_difference, sizes.df, sizes.d_z,
+    sizes.cohens_d,
+    sizes.d_z * sqrt(sizes.n) AS t,
+    t_sf2(sizes.d_z * sqrt(sizes.n), sizes.df::DOUBLE) AS p,
+    sizes.cohens_d - sizes.half_width AS d_ci_low,
+    sizes.cohens_d + sizes.half_width AS d_ci_high,
+    sizes.correction * sizes.cohens_d AS hedges_g,
+    sizes.correction * (sizes.cohens_d - sizes.half_width) AS g_ci_low,
+    sizes.correction * (sizes.cohens_d + sizes.half_width) AS g_ci_high
 FROM sizes
+INNER JOIN paired_tests AS tests ON sizes.test_id = tests.test_id

@@ -8,36 +8,31 @@
 -- NULL: w when no pair differs; z, p when fewer than 6 do: too few for the normal approximation, and no p below 0.05 is
 --   possible
 -- Example: fsar-ledger query statistics/wilcoxon_tests LEDGER
-WITH tests AS (
-    SELECT DISTINCT test
-    FROM paired_differences
-),
-
-ranked AS (
+WITH ranked AS (
     SELECT
-        test, difference_ppb,
+        test_id, difference_ppb,
         count(*) OVER ties AS tied,
         -- Twice the average rank, an integer: sums of it are exact.
-        2 * rank() OVER (PARTITION BY test ORDER BY abs(difference_ppb)) + count(*) OVER ties - 1 AS rank_x2
+        2 * rank() OVER (PARTITION BY test_id ORDER BY abs(difference_ppb)) + count(*) OVER ties - 1 AS rank_x2
     FROM paired_differences
     WHERE difference_ppb <> 0
-    WINDOW ties AS (PARTITION BY test, abs(difference_ppb))
+    WINDOW ties AS (PARTITION BY test_id, abs(difference_ppb))
 ),
 
 sums AS (
     SELECT
-        test,
+        test_id,
         count(*) AS n,
         coalesce(sum(rank_x2) FILTER (WHERE difference_ppb > 0), 0)::BIGINT / 2 AS positive,
         coalesce(sum(rank_x2) FILTER (WHERE difference_ppb < 0), 0)::BIGINT / 2 AS negative,
         sum(tied * tied - 1)::DOUBLE AS tie_term
     FROM ranked
-    GROUP BY test
+    GROUP BY test_id
 ),
 
 scores AS (
     SELECT
-        test, n, positive, negative,
+        test_id, n, positive, negative,
         CASE
             WHEN n >= 6 THEN (positive - n * (n + 1) / 4) / sqrt(n::DOUBLE * (n + 1) * (2 * n + 1) / 24 - tie_term / 48)
         END AS z
@@ -50,5 +45,5 @@ SELECT
     least(scores.positive, scores.negative) AS wilcoxon_w,
     scores.z AS wilcoxon_z,
     norm_sf2(scores.z) AS wilcoxon_p
-FROM tests
-LEFT JOIN scores ON tests.test = scores.test
+FROM paired_tests AS tests
+LEFT JOIN scores ON tests.test_id = scores.test_id

@@ -196,20 +196,19 @@ def test_the_interval_of_an_effect_size_holds_the_truth_in_93_to_97_of_100_exper
     experiments, runs = 1500, 60
     second = draws.standard_normal((experiments, runs))
     first = effect + correlation * second + math.sqrt(1 - correlation**2) * draws.standard_normal((experiments, runs))
-    table = pa.table(
+    texts = ("test", "holm_family", "basis", "family", "configuration", "kind", "source", "model_version", "constants")
+    tests = pa.table(
         {
-            **{
-                name: pa.array(["x"] * first.size)
-                for name in (
-                    *("holm_family", "basis", "family", "configuration", "kind"),
-                    *("source", "model_version", "constants"),
-                )
-            },
-            **{name: pa.array(np.full(first.size, 4)) for name in ("fleet_size", "seed", "position")},
-            **{name: pa.array(["x"] * first.size) for name in ("metric", "comparison", "second_run_id")},
-            "pools_seeds": pa.array(np.zeros(first.size, bool)),
-            "test": pa.array(np.repeat(np.arange(experiments), runs)),
-            "first_run_id": pa.array(np.tile(np.arange(runs), experiments)),
+            "test_id": pa.array(np.arange(experiments)),
+            **{name: pa.array(["x"] * experiments) for name in (*texts, "setting", "metric", "comparison")},
+            **{name: pa.array(np.full(experiments, 4)) for name in ("fleet_size", "seed", "position")},
+            "pools_seeds": pa.array(np.zeros(experiments, bool)),
+        }
+    )
+    differences = pa.table(
+        {
+            "test_id": pa.array(np.repeat(np.arange(experiments), runs)),
+            "pair": pa.array(np.tile(np.arange(runs), experiments)),
             "first_value": pa.array(first.ravel()),
             "second_value": pa.array(second.ravel()),
             "difference": pa.array((first - second).ravel()),
@@ -217,7 +216,8 @@ def test_the_interval_of_an_effect_size_holds_the_truth_in_93_to_97_of_100_exper
         }
     )
     with from_table(SCHEMA.empty_table()) as database:
-        database.hold("paired_differences", table)
+        database.hold("paired_tests", tests)
+        database.hold("paired_differences", differences)
         found = database.table("SELECT g_ci_low, g_ci_high FROM paired_t_tests")
     low, high = (found.column(name).to_numpy() for name in ("g_ci_low", "g_ci_high"))
     assert 0.93 <= np.mean((low <= effect) & (effect <= high)) <= 0.97

@@ -35,7 +35,8 @@ def database() -> Iterator[Database]:
 def test_an_effect_is_that_of_the_pairs_that_were_drawn(database: Database) -> None:
     pairs = pl.DataFrame(
         database.table(
-            "SELECT scenario, run, first_value, second_value FROM paired_differences WHERE basis = 'published' "
+            "SELECT scenario, run, first_value, second_value FROM paired_differences "
+            "INNER JOIN paired_tests USING (test_id) WHERE basis = 'published' "
             "AND NOT pools_seeds AND metric = 'governance_locality' AND comparison = 'fsar-dhma'"
         )
     )
