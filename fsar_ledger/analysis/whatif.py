@@ -1,6 +1,7 @@
 """What if: forks beside their bases, judged by the same SQL, in pairs that share every draw."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from itertools import repeat
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -9,11 +10,13 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from fsar_ledger.base import printable
-from fsar_ledger.base.errors import UsageError, option
+from fsar_ledger.base.errors import SequenceConflict, UsageError, option
 from fsar_ledger.base.memory import without_collection
+from fsar_ledger.base.workers import pool_of
+from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.rows.codec import LedgerRun, encode_coded
 from fsar_ledger.ledger.store.append import Writer
-from fsar_ledger.ledger.store.locations import continued_by, earlier_runs, record_of
+from fsar_ledger.ledger.store.locations import earlier_runs, records_of
 from fsar_ledger.ledger.store.read import View
 from fsar_ledger.ledger.store.record import Head
 from fsar_ledger.ledger.store.staging import stage
@@ -145,25 +148,70 @@ def forks_of(bases: Iterable[Base], changes: Changes) -> Iterator[Pair]:
         yield Pair(base, rerun(base).fork(changes))
 
 
-def effects(
-    pairs: Iterable[Pair], progress: Callable[[int], None] | None = None
-) -> tuple[list[Divergence], list[Effects]]:
+def effects(pairs: Iterable[Pair]) -> tuple[list[Divergence], list[Effects]]:
     """Judge the pairs by every metric, for each architecture and configuration of the bases, in order.
 
-    They are judged some at a time, so that many take no more memory than few. `progress` is called with the forks that
-    were played.
+    They are judged some at a time, so that many take no more memory than few.
 
     Raises: as `Database.rows`, and as what yields the pairs.
     """
+    return _compared([_judged(pairs)])
+
+
+def effects_over(
+    view: View,
+    runs: Sequence[str],
+    changes: Changes,
+    progress: Callable[[int], None] | None = None,
+) -> tuple[list[Divergence], list[Effects]]:
+    """Fork these runs of a ledger, by a cluster if there is one, and judge the pairs as `effects` does.
+
+    `progress` is called with the forks that were played.
+
+    Raises: as `fork_pairs` and `Database.rows`; SequenceConflict if another process finds another ledger there.
+    """
+    parts = _parts(view, runs)
+    path, root, found = str(view.path.absolute()), view.head.root, list[_JudgedPairs]()
+    with pool_of(1) as pool:
+        for part in (pool.map if pool else map)(_forked, repeat(path), repeat(root), parts, repeat(changes)):
+            found.append(part)
+            if progress is not None:
+                progress(sum(len(divergences) for divergences, _ in found))
+    return _compared(found)
+
+
+def _forked(ledger: str, root: str, runs: Sequence[str], changes: Changes) -> "_JudgedPairs":
+    """Fork these runs of the ledger with this root, and judge the pairs. Raises: as `effects_over`."""
+    view = open_for_answers(Path(ledger))
+    if view.head.root != root:
+        raise SequenceConflict(
+            f"{ledger}: found root {view.head.root} where another process found {root}, expected the same; is it the "
+            "same folder there, and did it grow meanwhile? run it again"
+        )
+    return _judged(fork_pairs(view, runs, changes))
+
+
+_JudgedPairs = tuple[list[Divergence], list[pa.Table]]
+"""Where pairs part, and the metrics of both runs of each."""
+
+
+def _judged(pairs: Iterable[Pair]) -> _JudgedPairs:
     parted: list[Divergence] = []
     rows: list[pa.Table] = []
     with without_collection():
         for batch in parts_of(pairs, lambda pair: sum(len(run.events) for run in pair.records), EVENTS_AT_ONCE):
             parted += map(_divergence, batch)
-            if progress is not None:
-                progress(len(parted))
             with from_table(encode_coded([run for pair in batch for run in pair.records])) as held:
                 rows.append(held.table(RUNS))
+    return parted, rows
+
+
+def _compared(judged: Iterable[_JudgedPairs]) -> tuple[list[Divergence], list[Effects]]:
+    parted: list[Divergence] = []
+    rows: list[pa.Table] = []
+    for divergences, tables in judged:
+        parted += divergences
+        rows += tables
     if not rows:
         return parted, []
     every = pa.concat_tables(rows)
@@ -284,13 +332,18 @@ def runs_of(view: View, architectures: Sequence[str], kinds: Sequence[str] = ("s
 
 def fork_pairs(view: View, runs: Sequence[str], changes: Changes) -> Iterator[Pair]:
     """Yield these runs of a ledger, each with its fork. Raises: UsageError if one cannot be made again."""
-    asked = set(runs)
-    records = (
-        record_of(view, record.run_id) if continued_by(record) else record
-        for record in view.runs()
-        if record.run_id in asked
-    )
+    records = (record for part in _parts(view, runs) for record in records_of(view, part))
     return forks_of((base_of_record(record, view.head.root) for record in records), changes)
+
+
+def _parts(view: View, runs: Sequence[str]) -> list[list[str]]:
+    """Return these runs in the order in which they end on record, as many together as are judged at once."""
+    asked = dict.fromkeys(runs, 0)
+    for extent in sorted(view.extents(), key=lambda extent: extent.end):
+        if extent.run in asked:
+            rows = asked.pop(extent.run)
+            asked[extent.run] = rows + 2 * extent.rows
+    return list(parts_of(asked, asked.__getitem__, EVENTS_AT_ONCE))
 
 
 def fork_of(view: View, record: LedgerRun, changes: Changes) -> Pair:

@@ -14,7 +14,7 @@ from fsar_ledger.base.progress import Progress
 from .answers import Answer, Screen
 from .diff import Diff, story
 from .names import Names, Place, Run, names_of
-from .verbs import AnswersOption, ArchitectureOption, Option, Shows, declare, switch, verb
+from .verbs import WIDE, AnswersOption, ArchitectureOption, Option, Shows, declare, switch, verb
 
 if TYPE_CHECKING:
     from fsar_ledger.analysis.whatif import Divergence, Effects
@@ -140,6 +140,7 @@ def _asked(
     'whatif out/ledger --all-runs --architecture fsar --change "rule fleet deny robot=B1 from 20s"',
     "whatif out/ledger --run 1 --list",
     call=_asked,
+    takes=("cluster", *WIDE),
     after_interruption="what is committed stays; the same call again makes what is missing",
 )
 def whatif(
@@ -168,7 +169,16 @@ def whatif(
             the ledger itself, or lies inside one, or the run is live.
         WriteFailed: `out` cannot be written.
     """
-    from fsar_ledger.analysis.whatif import answers_of, changes_of, commit_pairs, effects, fork_of, fork_pairs, runs_of
+    from fsar_ledger.analysis.whatif import (
+        answers_of,
+        changes_of,
+        commit_pairs,
+        effects,
+        effects_over,
+        fork_of,
+        fork_pairs,
+        runs_of,
+    )
     from fsar_ledger.ledger.store.locations import record_of
     from fsar_ledger.ledger.store.paths import require_outside
 
@@ -201,7 +211,7 @@ def whatif(
         return WhatIf(texts, tuple(found), judged, story, provenance, kept, place)
     runs = runs_of(view, names_of(architecture) or ())
     played = None if progress is None else lambda done: progress(done, len(runs))
-    found, judged = effects(fork_pairs(view, runs, meant), played)
+    found, judged = effects_over(view, runs, meant, played)
     if meant and not any(one.parts_at for one in found):
         fork_of(view, record_of(view, runs[0]), meant)  # says why it has no effect there
         raise UsageError(f"none of {len(runs):,} runs does anything else with these changes; expected some effect")

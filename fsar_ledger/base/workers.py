@@ -134,14 +134,15 @@ def cluster(address: str | None) -> Iterator[None]:
             f"{option('cluster', address)}: needs Dask; install it with `pip install 'fsar-ledger[cluster]'`"
         ) from error
     kind, _, number = address.partition(":")
-    if (kind == "local" and not (number.isdecimal() and 0 < int(number) <= MOST_LOCAL)) or not number:
+    count, is_local = local_processes(address), kind == LOCAL
+    if (is_local and not 0 < count <= MOST_LOCAL) or not number:
         raise UsageError(f"{option('cluster', address)}: expected {CLUSTERS}")
     with ExitStack() as stack:
         try:
-            if kind == "local":
+            if is_local:
                 with _without_main():
                     made = LocalCluster(
-                        n_workers=int(number),
+                        n_workers=count,
                         threads_per_worker=1,
                         dashboard_address=":0",
                         silence_logs=50,
@@ -160,6 +161,13 @@ def cluster(address: str | None) -> Iterator[None]:
             _CLUSTER.reset(token)
 
 
+def local_processes(address: str) -> int:
+    """Return how many processes of this machine the address of a cluster stands for; 0 if it is another one."""
+    kind, _, number = address.partition(":")
+    return int(number) if kind == LOCAL and number.isdecimal() else 0
+
+
+LOCAL = "local"
 MOST_LOCAL = 256
 TIMEOUT = "10s"
 

@@ -106,6 +106,7 @@ def _callback(verb: Verb) -> Callable[..., None]:
 
         beside = {name: given.pop(name) for name in taken}
         most = beside.get("memory", given.get("memory_mib"))
+        judging = _processes(beside.get("cluster"))
         for name, found in own.items():
             if found.metavar == "NAME=VALUE" and found.flag == "--param":
                 given[name] = parameters_of(given[name])
@@ -116,7 +117,9 @@ def _callback(verb: Verb) -> Callable[..., None]:
         verb.arrange(given)
         is_bounded = "ledger" in ledgers and not verb.is_apart(given)
         read = [given[name] for name in ledgers] + [place for name in stored for place in _several(given[name])]
-        limit = partial(bounded, most, *read, workers=given.get("workers"), hunger=verb.hunger)
+        # A process that judges takes as much as two that verify.
+        workers = given.get("workers") or (2 + 2 * judging if judging else None)
+        limit = partial(bounded, most, *read, workers=workers, hunger=verb.hunger)
         with _shared(beside.get("cluster")), limit() if is_bounded else nullcontext():
             demands = beside.get("verified", False)
             code = respond(verb, given, ledgers, form, asked, drawn, verified=demands, clock=context.obj)
@@ -147,6 +150,15 @@ def _shared(address: str | None) -> AbstractContextManager[None]:
     from fsar_ledger.base.workers import cluster
 
     return cluster(address)
+
+
+def _processes(address: str | None) -> int:
+    """Return how many processes of this machine the cluster of this address has; 0 where none is named."""
+    if address is None:
+        return 0
+    from fsar_ledger.base.workers import local_processes
+
+    return local_processes(address)
 
 
 def _accepted(name: str, kind: Any, default: object, found: Option) -> inspect.Parameter:

@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 
 import fsar_ledger
+from fsar_ledger.analysis import whatif
 from fsar_ledger.base import workers
 from fsar_ledger.base.errors import SequenceConflict, UsageError, WorkerDied
 from fsar_ledger.ledger.opening import open_for_answers
@@ -131,6 +132,26 @@ def test_workers_of_another_version_are_named_and_not_used(monkeypatch: pytest.M
 def test_an_address_of_another_form_is_a_usage_error(address: str) -> None:
     with pytest.raises(UsageError, match="expected the address of a Dask scheduler"):
         fsar_ledger.cluster(address).__enter__()
+
+
+def test_workers_fork_every_run_as_one_process_does(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    ledger = simulated(tmp_path / "ledger")
+    alone = ledger.whatif("drop window:*")
+    assert alone.diverging > 0
+    monkeypatch.setattr(whatif, "EVENTS_AT_ONCE", 5_000)
+    with fsar_ledger.cluster("local:2"):
+        assert ledger.whatif("drop window:*") == alone
+
+
+def test_a_worker_that_finds_another_ledger_forks_nothing(tmp_path: Path) -> None:
+    view, other = (open_for_answers(simulated(tmp_path / name, fleet_size=size).path) for name, size in SIZES.items())
+    runs = whatif.runs_of(view, ())[:1]
+    assert whatif._forked(str(view.path), view.head.root, runs, ())[0][0].base == runs[0]
+    with pytest.raises(SequenceConflict, match="expected the same"):
+        whatif._forked(str(other.path), view.head.root, runs, ())
+
+
+SIZES = {"ledger": 4, "other": 8}
 
 
 def test_a_worker_that_finds_another_ledger_under_the_path_gives_no_rows(tmp_path: Path) -> None:

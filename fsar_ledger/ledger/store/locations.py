@@ -74,25 +74,32 @@ def event_at(view: View, place: int) -> dict[str, object]:
 
 
 def record_of(view: View, run: str, size: int | None = None) -> LedgerRun:
-    """Return the events of the run of this name, with those of the runs that it continues, as `continuing` does.
+    """Return the events of the run of this name, as `records_of`; with `size`, of the first so many events alone.
 
-    Only the segments that hold them are decoded. With `size`, only those among the first so many events of the ledger;
-    event 0 must be one of them.
+    Event 0 must be one of these.
+    """
+    return records_of(view, [run], size)[0]
+
+
+def records_of(view: View, runs: Sequence[str], size: int | None = None) -> list[LedgerRun]:
+    """Return the events of these runs, each with those of the runs that it continues, as `continuing` does.
+
+    Only the segments that hold them are decoded, each once.
 
     Raises:
         UsageError: The ledger has no such run.
         LedgerCorrupted: A segment cannot be read.
     """
-    names = chain_of(view, run)
-    pieces: dict[str, list[LedgerRun]] = {name: [] for name in names}
-    for number in view.segments_of([part for name in names for part in view.parts(name)]):
+    chains = {run: chain_of(view, run) for run in runs}
+    pieces: dict[str, list[LedgerRun]] = {name: [] for names in chains.values() for name in names}
+    for number in view.segments_of([part for name in pieces for part in view.parts(name)]):
         table = segment.read_table(view.segment(number))
         table = table.slice(0, len(table) if size is None else max(0, size - view.first(number)))
-        for piece in codec.decode(table.filter(pc.is_in(table["run_id"], pa.array(names))), is_whole=False):
+        for piece in codec.decode(table.filter(pc.is_in(table["run_id"], pa.array([*pieces]))), is_whole=False):
             pieces[piece.run_id].append(piece)
-    if not pieces[run]:
-        raise UsageError(f"{view.path}: run {printable.value(run)}: there is no such run")
-    return continuing([whole(pieces[name]) for name in names])
+    if lacking := [run for run in runs if not pieces[run]]:
+        raise UsageError(f"{view.path}: run {printable.value(lacking[0])}: there is no such run")
+    return [continuing([whole(pieces[name]) for name in names]) for names in chains.values()]
 
 
 def continued_by(record: LedgerRun) -> str | None:
