@@ -1,6 +1,5 @@
 """The eight metrics in Polars, by the judging rules of `queries/metrics`: what the SQL is measured against."""
 
-from pathlib import Path
 from typing import NamedTuple
 
 import polars as pl
@@ -18,6 +17,7 @@ class EventClasses(NamedTuple):
     """The event types by what they are to a judge, from the SQL's own table, so that both sides agree.
 
     `of_requesters` are those that tell the requester's part in an action; all others of `judged` tell the executor's.
+    `requiring` are, by principal, those whose records are incomplete without it.
     """
 
     judged: list[str]
@@ -25,6 +25,7 @@ class EventClasses(NamedTuple):
     denials: list[str]
     records: list[str]
     of_requesters: list[str]
+    requiring: dict[str, list[str]]
 
 
 def of(events: pl.LazyFrame, *types: str) -> pl.LazyFrame:
@@ -144,15 +145,31 @@ def attributability(events: pl.LazyFrame, classes: EventClasses) -> pl.LazyFrame
         pl.col(name).is_not_null().any().alias(f"has_{name}") for name in PRINCIPALS
     )
     records = judged.filter(pl.col("type").is_in(classes.records)).join(known, on=[*ACTION, "part"], how="left")
-    complete = pl.all_horizontal(
-        pl.col(name).is_not_null() | pl.col(f"has_{name}").fill_null(value=False) for name in PRINCIPALS
+    told = {name: pl.col(name).is_not_null() | pl.col(f"has_{name}").fill_null(value=False) for name in PRINCIPALS}
+    told["supervised_by"] |= pl.col("is_off_shift")
+    complete = pl.all_horizontal(told[name] | ~pl.col("type").is_in(types) for name, types in classes.requiring.items())
+    return off_shift(events, records).group_by("run_id").agg(complete.mean().alias("audit_attributability"))
+
+
+def off_shift(events: pl.LazyFrame, records: pl.LazyFrame) -> pl.LazyFrame:
+    """Say of each record whether the supervisor of the robot whose part it tells is off shift."""
+    members = of(events, "RobotJoined").select(
+        "run_id", pl.col("robot").alias("part"), pl.col("supervisor").alias("of")
     )
-    return records.group_by("run_id").agg(complete.mean().alias("audit_attributability"))
+    shifts = of(events, "SupervisorLeft", "SupervisorReturned").select(
+        "run_id", "seq", pl.col("supervisor").alias("of"), is_off_shift=pl.col("type") == TAGS["SupervisorLeft"]
+    )
+    return (
+        records.drop("supervisor", strict=False)
+        .join(members, on=["run_id", "part"], how="left")
+        .sort("seq")
+        .join_asof(shifts.sort("seq"), on="seq", by=["run_id", "of"], allow_exact_matches=False, check_sortedness=False)
+        .with_columns(pl.col("is_off_shift").fill_null(value=False))
+    )
 
 
-def eight_metrics(segments: list[Path], classes: EventClasses) -> pl.DataFrame:
+def eight_metrics(events: pl.LazyFrame, classes: EventClasses) -> pl.DataFrame:
     """Average each metric by architecture, configuration and fleet size, with failures pooled over runs."""
-    events = pl.scan_parquet(segments)
     runs = of(events, "RunStarted").select("run_id", *GROUP)
     parts = pl.collect_all(
         [

@@ -9,6 +9,8 @@ import polars
 import pytest
 
 import fsar_ledger
+from benchmarks.metrics import by_polars, by_sql, event_classes
+from fsar_ledger.events.configuration import PAPER_ARCHITECTURES
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.rows.schema import SCHEMA
 from fsar_ledger.metrics.database import from_table
@@ -81,6 +83,20 @@ def test_the_metrics_of_the_table_are_those_of_the_ledger(table: tuple[Path, Any
     stored = {(row["architecture"], row["metric"]): row["mean"] for row in growing.metrics().rows()}
     assert len({metric for _, metric in stored}) >= 8
     assert found == pytest.approx(stored, nan_ok=True)
+
+
+@pytest.mark.slow
+def test_polars_finds_the_eight_metrics_of_a_federation_of_ledgers_in_one_table(tmp_path: Path) -> None:
+    """By judging rules written once more in Polars, over the table that both shards make."""
+    places = [tmp_path / name for name in ("first", "second")]
+    for number, place in enumerate(places):
+        fsar_ledger.simulate(place, runs=2, first_run=2 * number, seed=5, origin=f"example.org/{place.name}")
+    fsar_ledger.shards(tmp_path / "log", places)
+    log = fsar_ledger.open_ledger(tmp_path / "log")
+    log.export(tmp_path / "table", format="delta")
+    found = by_polars(polars.scan_delta(str(tmp_path / "table")), event_classes(log.path))
+    assert found == pytest.approx(by_sql(log.path), rel=1e-9)
+    assert len(found) == 8 * len(PAPER_ARCHITECTURES)
 
 
 def test_an_old_ledger_has_null_in_the_columns_that_came_later(tmp_path: Path, older: fsar_ledger.Ledger) -> None:
