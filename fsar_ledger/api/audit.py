@@ -110,7 +110,10 @@ def audit(
         unreadable = sum(one.runs for one in models(database) if one.parameters is None)
         provenance = of_judgement(database)
         wanted = known("architecture", names_of(architecture), tuple(dict.fromkeys([*ARCHITECTURES, *there])))
-        rows = audit_rows(database.slices or database, queries, wanted, progress)
+        slices = database.slices
+        rows = [] if slices is not None else audit_rows(database, queries, wanted, progress)
+    if slices is not None:  # after the first database is closed, whose memory the slices can use
+        rows = audit_rows(slices, queries, wanted, progress)
     holds = False if any(row.holds is False for row in rows) else all_shown(rows) or None
     return Audit(rows, holds, unreadable, provenance)
 

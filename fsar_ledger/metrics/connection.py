@@ -143,9 +143,9 @@ class Database:
         """Let DuckDB put into this folder what does not fit into memory: for our own queries alone."""
         self._connection.execute(f"SET temp_directory = {quoted(literal(folder))}")
 
-    def hold(self, name: str, table: Any) -> None:
-        """Make an Arrow table or dataset the relation of this name, in place of any packaged query."""
-        if not self.is_for_others:
+    def hold(self, name: str, table: Any, *, is_copied: bool = False) -> None:
+        """Make this Arrow table or dataset, or a copy, the relation of this name, in place of any packaged query."""
+        if not (is_copied or self.is_for_others):
             self._connection.register(name, table)
             self._made.add(name)
             self._given[name] = "held"
@@ -223,8 +223,8 @@ class Database:
         queries = self.library.partial(names, self._made)
         replaced = (self._given.keys() & self.library.relations.keys()) - self._of_slices - {"run_numbers"}
         asked = [one for one in queries if replaced.isdisjoint(map(_relation, self.library.needs([one.relation])))]
-        for name, rows in self.slices.rows_of(asked).items() if asked else ():
-            self.hold(name, rows)
+        for name, rows in self.slices.rows_of(asked) if asked else ():
+            self.hold(name, rows, is_copied=True)  # where it takes less memory
             self._of_slices.add(name)
 
     def keeps(self, query: Query) -> bool:

@@ -381,7 +381,8 @@ class Library:
 
     def partial(self, names: Collection[str], held: Collection[str] = ()) -> list[Query]:
         """Return the first queries that are partial on each way down from these relations, but for those held."""
-        every = {name for name, query in self.relations.items() if "Partial" in query.header}.difference(held)
+        every = {name for name, query in self.relations.items() if "Partial" in query.header or name == "run_started"}
+        every.difference_update(held)
         above = self.needs(names, {*held, *every})
         read = {*names}.union(*(query.sources() for query in above))
         return [self.relations[name] for name in sorted(every & read)]

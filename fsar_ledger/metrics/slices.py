@@ -113,7 +113,11 @@ class Slices:
 
         Raises: As `Database.table`.
         """
-        tables: dict[_Name, list[pa.Table]] = {name: [] for name in asked}
+        return {name: _joined(stored) for name, stored in self._stored(asked, progress).items()}
+
+    def _stored(self, asked: Mapping[_Name, Asked], progress: Progress | None = None) -> dict[_Name, list[bytes]]:
+        """Return what each slice answers to each of these as the cache has it, which takes little memory."""
+        found: dict[_Name, list[bytes]] = {name: [] for name in asked}
         known = [_remembered(one.digest, {each.text for each in asked.values()}) for one in self._slices]
         lacking = [{each.text: each for each in asked.values() if each.text not in held} for held in known]
         with pool_of(1) as pool:
@@ -126,21 +130,24 @@ class Slices:
             for number, (one, held, each) in enumerate(zip(self._slices, known, lacking, strict=True)):
                 if each:
                     far = answers[number]
-                    made = _answers(self._connect(one), each) if far is None else far.result()
+                    tables = _answers(self._connect(one), each) if far is None else far.result()
+                    made = {text: _written(table) for text, table in tables.items()}
                     _remember(one.digest, made)
                     held |= made
                 for name, sought in asked.items():
-                    tables[name].append(held[sought.text])
+                    found[name].append(held[sought.text])
                 if progress is not None:
                     progress((number + 1) * len(asked), len(self._slices) * len(asked))
-        return {name: pa.concat_tables(found) for name, found in tables.items()}
+        return found
 
     def _connect(self, one: Slice) -> Database:
         return connect_slice(one, self._head, self._most, self._rows_verified)
 
-    def rows_of(self, queries: Sequence[Query]) -> dict[str, pa.Table]:
-        """Return the rows of these queries, which are of one run each, by the names of their relations."""
-        return self.tables({query.relation: asked_of(f"SELECT * FROM {query.relation}") for query in queries})
+    def rows_of(self, queries: Sequence[Query]) -> Iterator[tuple[str, pa.Table]]:
+        """Yield the names of the relations of these queries, which are of one run each, and their rows."""
+        asked = {query.relation: asked_of(f"SELECT * FROM {query.relation}") for query in queries}
+        for name, stored in self._stored(asked).items():
+            yield name, _joined(stored)
 
 
 def connect_slice(one: Slice, head: Head, most: int, rows_verified: bool | None = None) -> Database:
@@ -339,29 +346,25 @@ def _cache() -> Iterator[sqlite3.Connection]:
             raise
 
 
-def _remembered(of: str | None, texts: Collection[str]) -> dict[str, pa.Table]:
-    """Return what is known of a slice, by the texts that were asked."""
+def _remembered(of: str | None, texts: Collection[str]) -> dict[str, bytes]:
+    """Return what is known of a slice, by the texts that were asked, as `_written` has it."""
     if of is None:
         return {}
-    with suppress(sqlite3.Error, pa.ArrowException), _cache() as cache:
+    with suppress(sqlite3.Error), _cache() as cache:
         by_key = {_key(text): text for text in texts}
         rows = cache.execute(
             "SELECT asked, sha256, data FROM answers WHERE slice = ? AND asked IN (SELECT value FROM json_each(?))",
             [of, json.dumps([*by_key])],
         )
-        return {
-            by_key[asked]: pa.ipc.open_stream(data).read_all()
-            for asked, sha256, data in rows
-            if sha256 == _of_entry(of, asked, data)
-        }
+        return {by_key[asked]: data for asked, sha256, data in rows if sha256 == _of_entry(of, asked, data)}
     return {}
 
 
-def _remember(of: str | None, made: Mapping[str, pa.Table]) -> None:
+def _remember(of: str | None, made: Mapping[str, bytes]) -> None:
     """Remember what a slice answered if possible; otherwise the next look takes longer."""
     if of is None:
         return
-    rows = [(of, _key(text), data, _of_entry(of, _key(text), data)) for text, data in _written(made)]
+    rows = [(of, _key(text), data, _of_entry(of, _key(text), data)) for text, data in made.items()]
     with suppress(sqlite3.Error), _cache() as cache:
         cache.executemany(
             "INSERT OR REPLACE INTO answers (slice, asked, data, sha256, bytes) VALUES (?1, ?2, ?3, ?4, length(?3))",
@@ -370,12 +373,17 @@ def _remember(of: str | None, made: Mapping[str, pa.Table]) -> None:
         cache.execute(_TOO_MANY, [CACHE_BYTES])
 
 
-def _written(made: Mapping[str, pa.Table]) -> Iterator[tuple[str, bytes]]:
-    for text, table in made.items():
-        sink = pa.BufferOutputStream()
-        with pa.ipc.new_stream(sink, table.schema, options=pa.ipc.IpcWriteOptions(compression="zstd")) as stream:
-            stream.write_table(table)
-        yield text, sink.getvalue().to_pybytes()
+def _written(table: pa.Table) -> bytes:
+    sink = pa.BufferOutputStream()
+    with pa.ipc.new_stream(sink, table.schema, options=pa.ipc.IpcWriteOptions(compression="zstd")) as stream:
+        stream.write_table(table)
+    data: bytes = sink.getvalue().to_pybytes()
+    return data
+
+
+def _joined(stored: Iterable[bytes]) -> pa.Table:
+    """Return the rows that `_written` has made of tables, together."""
+    return pa.concat_tables(pa.ipc.open_stream(data).read_all() for data in stored)
 
 
 def _key(text: str) -> str:
