@@ -113,7 +113,7 @@ def looks(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     return found
 
 
-@pytest.mark.slow
+@pytest.mark.soak  # tests/api/test_shards.py asks the same of the slices of a federation
 def test_verbs_answer_the_same_in_slices_and_from_the_cache(
     ledger: Path, in_slices: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -126,9 +126,17 @@ def test_verbs_answer_the_same_in_slices_and_from_the_cache(
     seen.clear()
     assert judged(ledger) == expected
     assert not seen
-    monkeypatch.setenv("XDG_CACHE_HOME", "/dev/null")  # no place for a cache
-    assert fsar_ledger.open_ledger(ledger).metrics().rows() == expected[0]
-    assert seen
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("in_slices")
+def test_where_there_is_no_place_for_a_cache_all_slices_are_read(
+    ledger: Path, known: tuple[pa.Table, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", "/dev/null")
+    seen = looks(monkeypatch)
+    assert fsar_ledger.open_ledger(ledger).metrics().arrow() == known[0]
+    assert len(seen) == len(Slices(open_for_answers(ledger)))
 
 
 @pytest.mark.slow

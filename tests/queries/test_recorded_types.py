@@ -60,8 +60,9 @@ FEW = [
     ("fsar", "mixed-trust-inspection"),
     ("fsar", "fleet-contention"),
     ("cfc", "collaborative-delivery"),
+    ("cfc", "failure-recovery-chain"),
 ]
-"""Runs in which everything occurs that occurs in all of them."""
+"""Runs of every scenario, in which everything occurs that occurs in all of them."""
 
 
 def occurs_in(rows: pa.Table, record: str) -> pa.Table:
@@ -83,7 +84,7 @@ def variants(runs: Sequence[tuple[Architecture, str]]) -> Iterator[pa.Table]:
             yield recorded(without(held, record), record, [name for name in RECORDS if name not in lacks])
 
 
-@pytest.fixture(scope="module", params=["few", pytest.param("every", marks=pytest.mark.slow)])
+@pytest.fixture(scope="module", params=["few", pytest.param("every", marks=pytest.mark.soak)])
 def found(request: pytest.FixtureRequest) -> dict[str, Any]:
     """What each invariant and metric says of each variant, and of what it says nothing."""
     with from_table(pa.concat_tables(variants(FEW if request.param == "few" else EVERY))) as database:
