@@ -11,6 +11,7 @@ from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.runtime.architectures.fsar.reports import JudgeRequest, ReportStart, ReportWindow
 from fsar_ledger.runtime.handlers.task import SubmitTask
 from tests.cli.conftest import Call, one_message
+from tests.recycled import asked
 from tests.runtime.test_live import OPENING, STEPS, A, B, Play, S, done
 
 RULE = "rule fleet deny robot=B1 capability=door.open.secure from 4.5s"
@@ -51,9 +52,7 @@ def hall(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def seq_of(hall: Path, run: str, kind: str) -> int:
-    rows = (
-        Ledger(hall).sql(f"SELECT min(seq) AS seq FROM events WHERE run_id = '{run}' AND type LIKE '{kind}.%'").rows()
-    )
+    rows = asked(hall, f"SELECT min(seq) AS seq FROM events WHERE run_id = '{run}' AND type LIKE '{kind}.%'")
     return int(rows[0]["seq"])
 
 

@@ -23,6 +23,7 @@ from fsar_ledger.metrics.provenance import Provenance
 from tests.analysis.conftest import OUTAGES, simulated
 from tests.cli.conftest import Call, one_message
 from tests.ledger.samples import append_all
+from tests.recycled import asked
 
 RUN = "fsar.full.door-relay.n4.s7.r0000"
 
@@ -30,12 +31,8 @@ RUN = "fsar.full.door-relay.n4.s7.r0000"
 @pytest.fixture(scope="module")
 def request_seq(ledger: Path) -> int:
     """The first request of the run."""
-    rows = (
-        Ledger(ledger)
-        .sql(f"SELECT min(seq) AS seq FROM events WHERE type LIKE 'RequestIssued.%' AND run_id LIKE '{RUN}%'")
-        .rows()
-    )
-    return int(rows[0]["seq"])
+    of_run = f"type LIKE 'RequestIssued.%' AND run_id LIKE '{RUN}%'"
+    return int(asked(ledger, f"SELECT min(seq) AS seq FROM events WHERE {of_run}")[0]["seq"])
 
 
 def test_an_event_is_told_with_its_triggers_reads_and_answers(call: Call, ledger: Path, request_seq: int) -> None:
@@ -132,12 +129,11 @@ class Judged(NamedTuple):
 
 @pytest.fixture(scope="module")
 def judged(ledger: Path) -> Judged:
-    asked = Ledger(ledger)
-    events = asked.sql("SELECT run_id, seq, split_part(type, '.', 1) AS type FROM events").rows()
+    events = asked(ledger, "SELECT run_id, seq, split_part(type, '.', 1) AS type FROM events")
     return Judged(
-        asked.sql("SELECT * FROM verdict_events ORDER BY run_id, seq, action_id, about").rows(),
-        asked.sql("SELECT run_id, seq, under_seqs FROM denied_actions WHERE len(under_seqs) > 0").rows(),
-        asked.sql("SELECT run_id, metric, numerator, denominator FROM run_metrics").rows(),
+        asked(ledger, "SELECT * FROM verdict_events ORDER BY run_id, seq, action_id, about"),
+        asked(ledger, "SELECT run_id, seq, under_seqs FROM denied_actions WHERE len(under_seqs) > 0"),
+        asked(ledger, "SELECT run_id, metric, numerator, denominator FROM run_metrics"),
         {(row["run_id"], row["seq"]): row["type"] for row in events},
     )
 
@@ -198,7 +194,7 @@ def test_the_verdicts_of_a_run_are_listed_with_the_call_that_goes_on(call: Call,
 
 
 def test_the_verdicts_of_an_invariant_are_those_of_its_query(call: Call, ledger: Path) -> None:
-    rows = Ledger(ledger).sql("SELECT run_id, seq FROM i5_audit_attributability ORDER BY run_id, seq").rows()
+    rows = asked(ledger, "SELECT run_id, seq FROM i5_audit_attributability ORDER BY run_id, seq")
     run = rows[0]["run_id"]
     answer = json.loads(call("why", ledger, "--run", run, "--verdict", "i5", "--json").out)
     assert [row["seq"] for row in answer["rows"]] == [row["seq"] for row in rows if row["run_id"] == run]
@@ -264,5 +260,5 @@ def test_a_verdict_that_was_not_observed_is_not_said_to_be_absent(call: Call, li
 
 
 def test_a_plan_has_no_reasons(call: Call, ledger: Path) -> None:
-    (plan,) = Ledger(ledger).sql("SELECT run_id FROM events WHERE type LIKE 'ExperimentPlanned.%'").rows()
+    (plan,) = asked(ledger, "SELECT run_id FROM events WHERE type LIKE 'ExperimentPlanned.%'")
     one_message(call("why", ledger, f"{plan['run_id']}:0"), 2, "found a plan, expected a run")

@@ -14,6 +14,7 @@ from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.staging import stage
+from tests import recycled
 from tests.ledger.keep_release import LEDGERS
 
 Rows = list[dict[str, Any]]
@@ -31,7 +32,7 @@ def ledger(tmp_path_factory: pytest.TempPathFactory) -> fsar_ledger.Ledger:
 @pytest.fixture
 def asked(ledger: fsar_ledger.Ledger) -> Asked:
     """Answers SQL about the ledger."""
-    return lambda sql: list(ledger.sql(sql).rows())
+    return lambda sql: recycled.asked(ledger.path, sql)
 
 
 @pytest.fixture(scope="session")

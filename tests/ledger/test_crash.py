@@ -31,7 +31,7 @@ def laboratory(tmp_path: Path) -> Laboratory:
     return Laboratory(tmp_path)
 
 
-@pytest.mark.parametrize("step", few([7, 61], [61], []))
+@pytest.mark.parametrize("step", few([7, 61, 183], [183], [61]))
 def test_a_fault_at_any_call_loses_nothing_acknowledged_and_the_power_may_fail_after_it(
     laboratory: Laboratory, calls: list[str], step: int
 ) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
+import pyarrow as pa
 import pytest
 
 import fsar_ledger
@@ -73,6 +74,24 @@ def in_slices(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     return tmp_path / "cache" / "fsar-ledger" / "slices.sqlite"
 
 
+@pytest.fixture(scope="module")
+def known(ledger: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[pa.Table, Path]:
+    """The metrics of the ledger, judged in such slices, and the file of the cache that this leaves."""
+    folder = tmp_path_factory.mktemp("known")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(slices, "SLICE_EVENTS", 1_500)
+        patch.setenv("XDG_CACHE_HOME", str(folder))
+        return fsar_ledger.open_ledger(ledger).metrics().arrow(), folder / "fsar-ledger" / "slices.sqlite"
+
+
+@pytest.fixture
+def cached(in_slices: Path, known: tuple[pa.Table, Path]) -> pa.Table:
+    """Have the ledger judged in slices, its metrics in the cache; they are returned."""
+    in_slices.parent.mkdir(parents=True)
+    shutil.copy(known[1], in_slices)
+    return known[0]
+
+
 def judged(ledger: Path) -> list[list[dict[str, Any]]]:
     """Return what the verbs answer that judge all runs of a ledger."""
     of = fsar_ledger.open_ledger(ledger)
@@ -94,7 +113,7 @@ def looks(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     return found
 
 
-@pytest.mark.slow
+@pytest.mark.soak  # tests/api/test_shards.py asks the same of the slices of a federation
 def test_verbs_answer_the_same_in_slices_and_from_the_cache(
     ledger: Path, in_slices: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -107,9 +126,17 @@ def test_verbs_answer_the_same_in_slices_and_from_the_cache(
     seen.clear()
     assert judged(ledger) == expected
     assert not seen
-    monkeypatch.setenv("XDG_CACHE_HOME", "/dev/null")  # no place for a cache
-    assert judged(ledger) == expected
-    assert seen
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("in_slices")
+def test_where_there_is_no_place_for_a_cache_all_slices_are_read(
+    ledger: Path, known: tuple[pa.Table, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", "/dev/null")
+    seen = looks(monkeypatch)
+    assert fsar_ledger.open_ledger(ledger).metrics().arrow() == known[0]
+    assert len(seen) == len(Slices(open_for_answers(ledger)))
 
 
 @pytest.mark.slow
@@ -129,11 +156,11 @@ def both(ledger: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[tup
             yield whole, sliced
 
 
+@pytest.mark.usefixtures("cached")
 def test_after_an_append_only_the_last_slices_are_read(
     ledger: Path, in_slices: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     grown = shutil.copytree(ledger, tmp_path / "grown")
-    fsar_ledger.open_ledger(grown).metrics()
     run_experiment(grown, msgspec.structs.replace(WHOLE, runs=3), 1)
     seen = looks(monkeypatch)
     found = fsar_ledger.open_ledger(grown).metrics().arrow()
@@ -145,14 +172,13 @@ def test_after_an_append_only_the_last_slices_are_read(
 
 
 def test_compacting_a_ledger_keeps_what_is_known_of_it(
-    ledger: Path, in_slices: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ledger: Path, cached: pa.Table, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     compacted = fsar_ledger.open_ledger(shutil.copytree(ledger, tmp_path / "compacted"))
-    expected = compacted.metrics().arrow()
     done = compacted.compact()
     assert done.after < done.before
     seen = looks(monkeypatch)
-    assert compacted.metrics().arrow() == expected
+    assert compacted.metrics().arrow() == cached
     assert not seen
 
 
@@ -189,24 +215,25 @@ def open_to_others(file: Path) -> None:
     "change", few([damaged_rows, swapped_rows, truncated, no_database, open_to_others], [swapped_rows, truncated])
 )
 def test_a_damaged_cache_is_made_again_and_never_believed(
-    ledger: Path, in_slices: Path, change: Callable[[Path], None], monkeypatch: pytest.MonkeyPatch
+    ledger: Path, in_slices: Path, cached: pa.Table, change: Callable[[Path], None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    expected = fsar_ledger.open_ledger(ledger).metrics().arrow()
     change(in_slices)
     seen = looks(monkeypatch)
-    assert fsar_ledger.open_ledger(ledger).metrics().arrow() == expected
+    assert fsar_ledger.open_ledger(ledger).metrics().arrow() == cached
     assert seen
     if change is not open_to_others:
         seen.clear()
-        assert fsar_ledger.open_ledger(ledger).metrics().arrow() == expected
+        assert fsar_ledger.open_ledger(ledger).metrics().arrow() == cached
         assert not seen
 
 
+@pytest.mark.usefixtures("cached")
 def test_another_program_and_another_query_are_not_answered_from_the_cache(
-    ledger: Path, in_slices: Path, monkeypatch: pytest.MonkeyPatch
+    ledger: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    fsar_ledger.open_ledger(ledger).metrics()
     seen = looks(monkeypatch)
+    fsar_ledger.open_ledger(ledger).metrics()
+    assert not seen
     monkeypatch.setattr(slices, "_program", lambda: "another")
     fsar_ledger.open_ledger(ledger).metrics()
     assert seen
@@ -226,12 +253,14 @@ def test_a_ledger_with_the_root_of_another_is_not_answered_from_its_cache(
     assert len(first - second) == 1
 
 
-def test_the_cache_has_an_upper_bound(ledger: Path, in_slices: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_cache_has_an_upper_bound(
+    ledger: Path, in_slices: Path, known: tuple[pa.Table, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(slices, "CACHE_BYTES", 5_000)
-    expected = fsar_ledger.open_ledger(ledger).metrics().arrow()
+    assert fsar_ledger.open_ledger(ledger).metrics().arrow() == known[0]
     with closing(sqlite3.connect(in_slices)) as cache:
         assert 0 < cache.execute("SELECT sum(length(data)) FROM answers").fetchone()[0] <= 5_000
-    assert fsar_ledger.open_ledger(ledger).metrics().arrow() == expected
+    assert fsar_ledger.open_ledger(ledger).metrics().arrow() == known[0]
 
 
 def test_runs_that_continue_each_other_are_in_one_slice_where_they_end() -> None:

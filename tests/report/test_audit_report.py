@@ -144,6 +144,7 @@ def test_a_constant_that_is_not_the_papers_leaves_it_the_papers_report(tmp_path:
     assert kind_of(tmp_path / "ledger") == "paper"
 
 
+@pytest.mark.slow
 def test_the_kind_can_be_chosen(gates: dict[str, Path], ledger: Path, tmp_path: Path) -> None:
     report(open_ledger(ledger), tmp_path / "audit.pdf", kind="audit", numbers=tmp_path / "audit.json")
     assert json.loads((tmp_path / "audit.json").read_text()).keys() >= {"ledger", "invariants", "tables", "queries"}

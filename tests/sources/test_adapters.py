@@ -15,6 +15,7 @@ from fsar_ledger.sources import adapter
 from fsar_ledger.sources.adapter import ENTRY_POINTS, OWN, Derived, Input, Record, adapter_named
 from fsar_ledger.sources.columns import declared
 from fsar_ledger.sources.importing import import_files
+from tests.recycled import asked
 
 
 @pytest.mark.parametrize("name", [one.name for one in OWN if one.name != "mcap"])
@@ -63,8 +64,8 @@ def joined(path: Path, lines: bytes, fleet: dict[str, str] | None) -> list[int]:
     """How often each robot joins in the run, and how many events break I1."""
     import_files(path, [Input("n", None, BytesIO(lines))], Joining(), run="n", fleet=fleet)  # type: ignore[arg-type]
     ledger = open_ledger(path)
-    counted = ledger.sql("SELECT count(*) AS n FROM robot_joined GROUP BY robot ORDER BY robot").rows()
-    [broken] = ledger.sql("SELECT count(*) AS n FROM i1_local_agent_coherence").rows()
+    counted = asked(ledger.path, "SELECT count(*) AS n FROM robot_joined GROUP BY robot ORDER BY robot")
+    [broken] = asked(ledger.path, "SELECT count(*) AS n FROM i1_local_agent_coherence")
     return [*(row["n"] for row in counted), broken["n"]]
 
 

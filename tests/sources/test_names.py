@@ -14,6 +14,7 @@ from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.events.request import RequestAccepted
 from fsar_ledger.events.source import Observed
 from fsar_ledger.sources.names import NamedPerson, PrivateNames, committed
+from tests.recycled import asked
 
 ANN = "supervisor/ann"
 
@@ -97,7 +98,7 @@ def test_a_recorder_stores_commitments_and_the_ledger_proves_without_the_table(t
     table.unlink()
     ledger = open_ledger(tmp_path / "out")
     assert ledger.verify().ok
-    [told] = ledger.sql("SELECT supervisor FROM robot_joined").rows()
+    [told] = asked(ledger.path, "SELECT supervisor FROM robot_joined")
     assert told["supervisor"].startswith("supervisor/~")
 
 

@@ -12,6 +12,7 @@ from fsar_ledger.api.record import ImportResult, import_records
 from fsar_ledger.base.errors import UsageError
 from fsar_ledger.sources.adapter import Input
 from fsar_ledger.sources.ocel import COLUMNS, OWN, Ocel
+from tests.recycled import asked
 from tests.sources.ocel import CONTEXT, Log, database, event, honest_events, log, orders, written
 from tests.sources.pages import printed_otherwise
 
@@ -37,7 +38,7 @@ def imported(tmp_path: Path) -> Import:
 
 def rows(result: ImportResult, *kinds: str) -> list[dict[str, Any]]:
     """The events of these types."""
-    found = result.ledger.sql("SELECT * EXCLUDE (run_id) FROM events ORDER BY seq").rows()
+    found = asked(result.ledger.path, "SELECT * EXCLUDE (run_id) FROM events ORDER BY seq")
     return [row for row in found if row["type"].partition(".")[0] in kinds]
 
 

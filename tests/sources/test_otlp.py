@@ -12,6 +12,7 @@ from fsar_ledger.api.record import ImportResult, import_records
 from fsar_ledger.base.errors import UsageError
 from fsar_ledger.sources import otlp
 from fsar_ledger.sources.adapter import Input, Record
+from tests.recycled import asked
 from tests.sources.otel import Line, attributes, batch, honest_day, snake, span, written
 from tests.sources.pages import printed_otherwise
 
@@ -34,7 +35,7 @@ def imported(tmp_path: Path) -> Import:
 
 def typed(result: ImportResult) -> list[dict[str, Any]]:
     """The events of the run that are no records, without the beginning."""
-    rows = result.ledger.sql("SELECT * FROM events ORDER BY seq").rows()
+    rows = asked(result.ledger.path, "SELECT * FROM events ORDER BY seq")
     return [row for row in rows if row["action_id"] is not None]
 
 

@@ -146,8 +146,8 @@ def examine_all(
 
 
 def _together(segments: Sequence[_Asked], workers: int) -> Iterator[list[_Asked]]:
-    """Yield these in parts that are read at once; so many that each worker has several."""
-    most = max(1, min(_MOST_SEGMENTS, len(segments) // (4 * workers)))
+    """Yield these in parts that are read at once; so many that each of several workers has several."""
+    most = _MOST_SEGMENTS if workers == 1 else max(1, min(_MOST_SEGMENTS, len(segments) // (4 * workers)))
     part: list[_Asked] = []
     rows = 0
     for number, record, names in segments:
