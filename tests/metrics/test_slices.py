@@ -113,6 +113,20 @@ def looks(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     return found
 
 
+def test_a_question_about_runs_reads_no_event_where_their_beginnings_are_known(
+    ledger: Path, cached: pa.Table, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = "SELECT * FROM runs ORDER BY run_id"
+    read = looks(monkeypatch)
+    with connect(ledger) as found:
+        rows = found.rows(asked)
+    assert not read
+    assert len(rows) == len({*cached["architecture"].to_pylist()}) * 4
+    monkeypatch.setattr(slices, "SLICE_EVENTS", 1 << 30)
+    with connect(ledger) as whole:
+        assert whole.rows(asked) == rows
+
+
 @pytest.mark.soak  # tests/api/test_shards.py asks the same of the slices of a federation
 def test_verbs_answer_the_same_in_slices_and_from_the_cache(
     ledger: Path, in_slices: Path, monkeypatch: pytest.MonkeyPatch
