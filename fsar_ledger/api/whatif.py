@@ -169,16 +169,7 @@ def whatif(
             the ledger itself, or lies inside one, or the run is live.
         WriteFailed: `out` cannot be written.
     """
-    from fsar_ledger.analysis.whatif import (
-        answers_of,
-        changes_of,
-        commit_pairs,
-        effects,
-        effects_over,
-        fork_of,
-        fork_pairs,
-        runs_of,
-    )
+    from fsar_ledger.analysis import whatif as forks
     from fsar_ledger.ledger.store.locations import record_of
     from fsar_ledger.ledger.store.paths import require_outside
 
@@ -188,7 +179,7 @@ def whatif(
     view, provenance = present(ledger)
     record = None if run is None else recorded(ledger, view, run)
     place = None if out is None else Path(out)
-    meant = changes_of([*([changes] if isinstance(changes, str) else changes), *answers_of(answers)])
+    meant = forks.changes_of([*([changes] if isinstance(changes, str) else changes), *forks.answers_of(answers)])
     if answers is not None and (record is None or getattr(record.events[0], "kind", None) != "live"):
         what = "no run" if record is None else "a simulated run, whose world answers everything"
         raise UsageError(f"{option('answers', answers)}: found {what}, expected --run RUN of a live run")
@@ -198,24 +189,24 @@ def whatif(
         require_outside(place.parent, option("out", place))
     texts = tuple(map(str, meant))
     if record is not None:
-        pair = fork_of(view, record, meant)
+        pair = forks.fork_of(view, record, meant)
         end = pair.fork.end
         if place is not None and pair.base.recipe.live is not None:
             raise UsageError(
                 f"{option('out', place)}: found the fork of a live run, which rests on commands that are not its own; "
                 "expected a simulated run"
             )
-        found, judged = effects([pair])
+        found, judged = forks.effects([pair])
         story = difference_of(record, pair.fork.record, (provenance,), None if end is None else end.time_us)
-        kept = None if place is None else commit_pairs(place, [pair])
+        kept = None if place is None else forks.commit_pairs(place, [pair])
         return WhatIf(texts, tuple(found), judged, story, provenance, kept, place)
-    runs = runs_of(view, names_of(architecture) or ())
+    runs = forks.runs_of(view, names_of(architecture) or ())
     played = None if progress is None else lambda done: progress(done, len(runs))
-    found, judged = effects_over(view, runs, meant, played)
+    found, judged = forks.effects_over(view, runs, meant, played)
     if meant and not any(one.parts_at for one in found):
-        fork_of(view, record_of(view, runs[0]), meant)  # says why it has no effect there
+        forks.fork_of(view, record_of(view, runs[0]), meant)  # says why it has no effect there
         raise UsageError(f"none of {len(runs):,} runs does anything else with these changes; expected some effect")
-    kept = None if place is None else commit_pairs(place, fork_pairs(view, runs, meant))
+    kept = None if place is None else forks.commit_pairs(place, forks.fork_pairs(view, runs, meant))
     return WhatIf(texts, tuple(found), judged, None, provenance, kept, place)
 
 

@@ -31,7 +31,7 @@ _PAGE_BYTES = os.sysconf("SC_PAGE_SIZE")
 _PEAK_UNIT = 1024 if os.uname().sysname == "Linux" else 1  # of ru_maxrss
 
 unfinished: set[Path] = set()
-"""Files to remove when the process is ended because of its memory."""
+"""Files and folders to remove when the process is ended because of its memory."""
 
 _limit: int | None = None
 
@@ -39,6 +39,25 @@ _limit: int | None = None
 def limit() -> int | None:
     """Return the bytes that this process may take, or None without a limit."""
     return _limit
+
+
+@contextmanager
+def folder_for_spilling() -> Iterator[str]:
+    """Yield the name of an empty folder of this user alone for what does not fit into memory; remove it at the end.
+
+    The name is empty where no folder can be made.
+    """
+    from tempfile import TemporaryDirectory
+
+    try:
+        folder = TemporaryDirectory(prefix="fsar-ledger-", ignore_cleanup_errors=True)
+    except OSError:
+        yield ""
+        return
+    unfinished.add(Path(folder.name))
+    with folder:
+        yield folder.name
+    unfinished.discard(Path(folder.name))
 
 
 def exceeded_message() -> str:

@@ -367,6 +367,8 @@ def bounded(
     most = default_bytes(*ledgers, workers=workers, hunger=hunger) if asked_mib is None else asked_mib << 20
 
     def end() -> None:
+        from shutil import rmtree
+
         say(memory.exceeded_message())
         for child in memory.children():
             with suppress(OSError):
@@ -374,6 +376,7 @@ def bounded(
         for path in tuple(memory.unfinished):
             with suppress(OSError):
                 path.unlink()
+            rmtree(path, ignore_errors=True)
         os._exit(LimitReached.exit_code)
 
     with memory.limited(most, end):

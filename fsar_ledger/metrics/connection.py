@@ -5,11 +5,11 @@ tables, so that the metrics are computed once per connection.
 """
 
 import re
-from collections.abc import Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from operator import attrgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import duckdb
 import pyarrow as pa
@@ -20,31 +20,21 @@ from fsar_ledger.ledger.rows.segment import first_damage
 from fsar_ledger.ledger.store.record import Head
 
 from .library import Library, Query, library
-from .own_sql import FOR_OLDER, FUNCTIONS, SHOWN, check_columns, register, statements
+from .own_sql import FOR_OLDER, FUNCTIONS, LOCK, check_columns, first_lines, register, statements
 from .sql_values import BATCH_ROWS, literal, quoted, values, with_all_columns
 
 if TYPE_CHECKING:
     from .slices import Slices
 
-LOCK = (
-    "threads = 1",
-    "temp_directory = ''",  # where DuckDB may spill, SQL may read and write: `.tmp` of the working folder
-    "max_temp_directory_size = '0KB'",
-    "home_directory = ''",
-    "secret_directory = ''",
-    "python_enable_replacements = false",
-    "autoinstall_known_extensions = false",
-    "autoload_known_extensions = false",
-    "allow_persistent_secrets = false",
-    "enable_external_access = false",
-)
 STORAGE = "v1.0.0"
 """The DuckDB for which files are written: the oldest whose format of storage still is read."""
 
 DUCKDB_SHARE = 0.75
 """The part of the memory of this process that DuckDB may take."""
 
-MESSAGE_LINES = 6
+HELD_BYTES = 400 << 20
+"""What DuckDB takes over a ledger in slices before it spills; `statistics` of ten million events is no slower."""
+
 OUT_OF_MEMORY = (duckdb.OutOfMemoryException, pa.ArrowMemoryError)
 FAULTS_OF_SQL = (
     duckdb.ParserException,
@@ -58,6 +48,7 @@ FAULTS_OF_SQL = (
 )
 """DuckDB errors caused by the SQL or by this machine, never by a damaged segment."""
 
+_Found = TypeVar("_Found")
 _GIVEN = "given"
 _READ_OFTEN = frozenset({"event_principals"})
 _OF_RUNS = frozenset({"run_started", "experiment_planned"})
@@ -123,10 +114,12 @@ class Database:
         # In a notebook without ipywidgets the bar is off, and refuses the setting.
         if self._connection.execute("SELECT current_setting('enable_progress_bar')").fetchone() != (False,):
             self._connection.execute("SET enable_progress_bar = false")
-        # A reader of a ledger writes nothing: by default DuckDB would spill into `.tmp` of the working folder.
-        self._connection.execute("SET temp_directory = ''")
-        if (most := memory.limit()) is not None:
-            self._connection.execute(f"SET memory_limit = '{int(most * DUCKDB_SHARE)} bytes'")
+        # By default DuckDB would spill into `.tmp` of the working folder.
+        self._closing = ExitStack()
+        spilled = "" if slices is None else self._closing.enter_context(memory.folder_for_spilling())
+        self._connection.execute(f"SET temp_directory = {quoted(literal(Path(spilled)) if spilled else '')}")
+        self._spills_early = slices is not None
+        self._limit_memory()
         register(self._connection)
 
     def __enter__(self) -> "Database":
@@ -138,10 +131,7 @@ class Database:
     def close(self) -> None:
         """Close the connection; DuckDB complains at exit about an open one."""
         self._connection.close()
-
-    def spill(self, folder: Path) -> None:
-        """Let DuckDB put into this folder what does not fit into memory: for our own queries alone."""
-        self._connection.execute(f"SET temp_directory = {quoted(literal(folder))}")
+        self._closing.close()
 
     def hold(self, name: str, table: Any, *, is_copied: bool = False) -> None:
         """Make this Arrow table or dataset, or a copy, the relation of this name, in place of any packaged query."""
@@ -277,13 +267,17 @@ class Database:
     def rows(self, sql: str, params: Mapping[str, Value] | None = None) -> list[dict[str, Any]]:
         """Return the answer to one SELECT as dictionaries. Raises: as `table`."""
         self.prepare(sql)
-        rows: list[dict[str, Any]] = []
-        with self._asking(UnicodeDecodeError):  # what a damaged file holds as text may be none
+
+        def asked() -> list[dict[str, Any]]:
+            rows = list[dict[str, Any]]()
             found = self._connection.execute(sql, dict(params) if params else None)  # a relation would plan it twice
             names = [column[0] for column in found.description or ()]
             while part := found.fetchmany(BATCH_ROWS):
                 rows += [dict(zip(names, row, strict=True)) for row in part]
-        return rows
+            return rows
+
+        with self._asking(UnicodeDecodeError):  # what a damaged file holds as text may be none
+            return self._within(asked)
 
     def query(self, name: str, given: Mapping[str, str] | None = None) -> pa.Table:
         """Return the rows of a packaged query, sorted by all their columns from the left.
@@ -325,7 +319,7 @@ class Database:
         try:
             statements = self._connection.extract_statements(sql)
         except duckdb.Error as error:
-            raise QueryFailed(f"SQL: {_first_lines(str(error))}") from error
+            raise QueryFailed(f"SQL: {first_lines(str(error))}") from error
         kinds = [statement.type.name for statement in statements]
         if kinds == ["MULTI"]:
             raise QueryFailed(
@@ -358,12 +352,28 @@ class Database:
         """Run a statement that makes or drops relations and has no answer."""
         with self._asking():
             # A relation would be made of the answer that there is none, which takes as long as a small view.
-            self._connection.execute(sql)
+            self._within(lambda: self._connection.execute(sql))
 
     def _execute(self, sql: str, params: Mapping[str, Value] | None) -> pa.Table:
         """Return DuckDB's answer, with its errors turned into ours."""
         with self._asking():
-            return self._connection.sql(sql, params=dict(params) if params else None).to_arrow_table()
+            return self._within(lambda: self._connection.sql(sql, params=dict(params or {}) or None).to_arrow_table())
+
+    def _within(self, asked: Callable[[], _Found]) -> _Found:
+        """Ask DuckDB, once more with all memory that it may take where it can spill too little."""
+        try:
+            return asked()
+        except duckdb.OutOfMemoryException:
+            if not self._spills_early:
+                raise
+            self._spills_early = False
+            self._limit_memory()
+            return asked()
+
+    def _limit_memory(self) -> None:
+        limits = [] if (most := memory.limit()) is None else [int(most * DUCKDB_SHARE)]
+        limits += [HELD_BYTES] if self._spills_early else []
+        self._connection.execute(f"SET memory_limit = '{min(limits)} bytes'" if limits else "RESET memory_limit")
 
     @contextmanager
     def _asking(self, *others: type[Exception]) -> Iterator[None]:
@@ -386,10 +396,4 @@ class Database:
         if isinstance(error, OUT_OF_MEMORY) and memory.limit() is not None:
             return LimitReached(memory.exceeded_message())
         damage = None if isinstance(error, FAULTS_OF_SQL) else first_damage(self._segments)
-        return damage or QueryFailed(f"SQL: {_first_lines(str(error))}")
-
-
-def _first_lines(text: str) -> str:
-    """Return the beginning of DuckDB's message, without blank lines and with long ones cut."""
-    lines = [line if len(line) <= SHOWN else f"{line[:SHOWN]}..." for line in text.splitlines() if line.strip()]
-    return "\n".join(lines[:MESSAGE_LINES])
+        return damage or QueryFailed(f"SQL: {first_lines(str(error))}")

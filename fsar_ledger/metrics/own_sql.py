@@ -205,7 +205,21 @@ def statements(query: Query) -> tuple[str, ...]:
     )
 
 
+LOCK = (
+    "threads = 1",
+    "temp_directory = ''",  # where DuckDB may spill, SQL may read and write: `.tmp` of the working folder
+    "max_temp_directory_size = '0KB'",
+    "home_directory = ''",
+    "secret_directory = ''",
+    "python_enable_replacements = false",
+    "autoinstall_known_extensions = false",
+    "autoload_known_extensions = false",
+    "allow_persistent_secrets = false",
+    "enable_external_access = false",
+)
+
 SHOWN = 200
+MESSAGE_LINES = 6
 """Characters of a name or line that a message repeats."""
 _NAME = re.compile(r"\"(?:[^\"]|\"\")*\"|'(?:[^']|'')*'")
 _UNSHOWABLE = re.compile(r"\b(?:BIGNUM|BIT|GEOMETRY|TIME WITH TIME ZONE|UHUGEINT|UNION|VARIANT)\b")
@@ -289,3 +303,9 @@ def register(connection: duckdb.DuckDBPyConnection) -> None:
             type=PythonUDFType.ARROW,
             null_handling=FunctionNullHandling.SPECIAL,
         )
+
+
+def first_lines(text: str) -> str:
+    """Return the beginning of DuckDB's message, without blank lines and with long ones cut."""
+    lines = [line if len(line) <= SHOWN else f"{line[:SHOWN]}..." for line in text.splitlines() if line.strip()]
+    return "\n".join(lines[:MESSAGE_LINES])

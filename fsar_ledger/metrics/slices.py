@@ -113,7 +113,7 @@ class Slices:
 
         Raises: As `Database.table`.
         """
-        return {name: _joined(stored) for name, stored in self._stored(asked, progress).items()}
+        return {name: _decoded(_joined(stored)) for name, stored in self._stored(asked, progress).items()}
 
     def _stored(self, asked: Mapping[_Name, Asked], progress: Progress | None = None) -> dict[_Name, list[bytes]]:
         """Return what each slice answers to each of these as the cache has it, which takes little memory."""
@@ -144,7 +144,7 @@ class Slices:
         return connect_slice(one, self._head, self._most, self._rows_verified)
 
     def rows_of(self, queries: Sequence[Query]) -> Iterator[tuple[str, pa.Table]]:
-        """Yield the names of the relations of these queries, which are of one run each, and their rows."""
+        """Yield the names of the relations of these queries, which are of one run each, and their rows, texts coded."""
         asked = {query.relation: asked_of(f"SELECT * FROM {query.relation}") for query in queries}
         for name, stored in self._stored(asked).items():
             yield name, _joined(stored)
@@ -216,11 +216,7 @@ def _answers(database: Database, asked: Mapping[str, Asked]) -> dict[str, pa.Tab
 def asked_of(sql: str) -> Asked:
     """Return that this SELECT is asked, which depends on the texts of all queries that it reads."""
     needs = library().needs(library().mentioned(sql))
-    return Asked(_digest([sql, *(query.sha256 for query in needs)]), partial(_rows, sql))
-
-
-def _rows(sql: str, database: Database) -> pa.Table:
-    return database.table(sql)
+    return Asked(_digest([sql, *(query.sha256 for query in needs)]), partial(Database.table, sql=sql))
 
 
 def numbered(runs: Sequence[str], first: int = 1) -> pa.Table:
@@ -374,6 +370,9 @@ def _remember(of: str | None, made: Mapping[str, bytes]) -> None:
 
 
 def _written(table: pa.Table) -> bytes:
+    """Return the rows, each text of a column once: runs of an experiment have the same constants, of 2,000 bytes."""
+    columns = [column.dictionary_encode() if column.type == pa.string() else column for column in table.columns]
+    table = pa.table(columns, table.column_names)
     sink = pa.BufferOutputStream()
     with pa.ipc.new_stream(sink, table.schema, options=pa.ipc.IpcWriteOptions(compression="zstd")) as stream:
         stream.write_table(table)
@@ -384,6 +383,11 @@ def _written(table: pa.Table) -> bytes:
 def _joined(stored: Iterable[bytes]) -> pa.Table:
     """Return the rows that `_written` has made of tables, together."""
     return pa.concat_tables(pa.ipc.open_stream(data).read_all() for data in stored)
+
+
+def _decoded(table: pa.Table) -> pa.Table:
+    types = [one.value_type if pa.types.is_dictionary(one) else one for one in table.schema.types]
+    return table.cast(pa.schema([*zip(table.column_names, types, strict=True)]))
 
 
 def _key(text: str) -> str:

@@ -6,7 +6,6 @@ number of runs that do not observe what it rests on is missing, never 0.
 
 from collections.abc import Mapping
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import msgspec
@@ -154,12 +153,7 @@ def kind_of(ledger: Path, demanded: str | None = None) -> specs.Kind:
 def gather_audit(ledger: Path, demanded: str | None = None) -> AuditFindings:
     """Return what the queries answer about all runs of the ledger's present head. Raises: as `connect_view`."""
     view = open_for_answers(ledger)
-    # Several thousand runs have more answers than fit into memory beside them.
-    with (
-        TemporaryDirectory(prefix="fsar-ledger-") as spilled,
-        connect_view(view, demanded=demanded) as database,
-    ):
-        database.spill(Path(spilled))
+    with connect_view(view, demanded=demanded) as database:
         relations = {name: database.table(sql) for name, (_, sql) in SELECTED.items()}
         relations |= {name: database.query(query) for name, query in ASKED.items()}
         every = invariants()

@@ -9,7 +9,6 @@ import typing
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 import msgspec
@@ -183,9 +182,7 @@ def read_ledger(ledger: Path, demanded: str | None, *, is_workflows: bool = Fals
         UsageError: It holds nothing that the report shows, or no workflow where it must.
         NotALedger, FormatVersionMismatch, LedgerCorrupted, SequenceConflict: As `connect`.
     """
-    # A ledger of large fleets may have a run of tens of millions of events, which cannot be judged in parts.
-    with TemporaryDirectory(prefix="fsar-ledger-") as spilled, connect(ledger, demanded=demanded) as database:
-        database.spill(Path(spilled))
+    with connect(ledger, demanded=demanded) as database:
         measure_the_printed(database)
         found = _workflows(database)
         if is_workflows and not found:

@@ -24,6 +24,7 @@ from fsar_ledger.witness import Cosigner
 from tests.api.sites import origin
 from tests.ledger import agreement
 from tests.ledger.agreement import independent
+from tests.ledger.keep_release import LEDGERS
 
 
 def test_the_same_is_proven_of_an_event_as_in_its_shard(site: Path) -> None:
@@ -177,3 +178,11 @@ def test_a_log_is_witnessed_and_verified_by_others_as_any_ledger(site: Path, tmp
     assert found.witnessed is not None
     assert found.witnessed.is_enough
     assert agreement.judged(agreement.Case("log", log, True, KEY.verifier)).difference == ""
+
+
+@pytest.mark.parametrize("log", [*LEDGERS.glob("*/log")], ids=lambda log: log.parent.name)
+def test_a_kept_log_answers_as_the_ledger_whose_head_it_records(log: Path) -> None:
+    whole, of_shards = fsar_ledger.open_ledger(log.parent / "ledger"), fsar_ledger.open_ledger(log)
+    assert of_shards.verify().ok
+    for name in ("staging/runs", "metrics/run_metrics", "facts/executions", "audit/requests"):
+        assert of_shards.query(name).rows() == whole.query(name).rows()

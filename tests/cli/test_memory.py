@@ -22,12 +22,16 @@ from .conftest import Call, one_message
 LITTLE = "memory: this needs more than 256 MiB, its limit"
 HUNGRY = """
 import sys
+import tempfile
 from pathlib import Path
 from fsar_ledger.base import memory
 from fsar_ledger.cli.building import bounded
 Path("part").touch()
 memory.unfinished.add(Path("part"))
-with bounded(256, Path("ledger")):
+Path("temporary").mkdir()
+tempfile.tempdir = "temporary"
+with memory.folder_for_spilling() as folder, bounded(256, Path("ledger")):
+    Path(folder, "rows").touch()
     kept = []
     for number in range(4000):
         kept.append(bytearray(b"x") * (1 << 20))
@@ -81,6 +85,7 @@ def test_what_takes_more_is_ended_with_one_message_and_leaves_no_half_file(tmp_p
     assert done.stderr.startswith(f"fsar-ledger: {LITTLE}; ")
     assert len(done.stderr.splitlines()) == 1
     assert not (tmp_path / "part").exists()
+    assert not [*(tmp_path / "temporary").iterdir()]
 
 
 @pytest.mark.skipif(

@@ -1,10 +1,11 @@
 """Keep a ledger of a release for ever: `python -m tests.ledger.keep_release 0.1.0`, once, when the release is made.
 
-This adds `tests/ledgers/VERSION/`: `ledger/`, which later versions must open; `events.jsonl`, the event types as they
-are; `kept.json`, what the ledger is known to hold. If event types changed since the release before, it also adds the
-columns to the package. It never overwrites anything.
+This adds `tests/ledgers/VERSION/`: `ledger/`, which later versions must open, and `log/`, which records its head as
+that of a shard; `events.jsonl`, the event types as they are; `kept.json`, what the ledger is known to hold. If event
+types changed since the release before, it also adds the columns to the package. It never overwrites anything.
 """
 
+import os
 import shutil
 import sys
 from collections.abc import Iterable
@@ -20,6 +21,7 @@ from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows.runs import LedgerRun, piece
 from fsar_ledger.ledger.rows.schema import LAYOUTS, RELEASE, SCHEMA, Field, StoredType, described
 from fsar_ledger.ledger.store.append import Writer
+from fsar_ledger.ledger.store.shards import ShardHead, record_of_head
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.runtime.experiment import Experiment
 from fsar_ledger.runtime.federation import Federation
@@ -129,6 +131,13 @@ def write_ledger(path: Path) -> Kept:
     return Kept(head.commits, head.size, names, head.root, str(signer.verifier), live[:-1])
 
 
+def write_log(path: Path, shard: Path, kept: Kept) -> None:
+    """Write a signed log with the head of this ledger."""
+    head = ShardHead(ORIGIN, os.path.relpath(shard, path), kept.events, kept.root, 0)
+    with Writer(path, f"{ORIGIN}/log", Signer(f"{ORIGIN}/log", SECRET)) as writer:
+        writer.append(stage(path, [record_of_head(head)]))
+
+
 def keep(version: str, ledgers: Path = LEDGERS, columns: Path = COLUMNS) -> None:
     """Keep the ledger, the event types and, if they are new, the columns of this release.
 
@@ -148,6 +157,7 @@ def keep(version: str, ledgers: Path = LEDGERS, columns: Path = COLUMNS) -> None
             f"RELEASE to {version}"
         )
     kept = write_ledger(folder / "ledger")
+    write_log(folder / "log", folder / "ledger", kept)
     lines = [msgspec.json.encode({tag: fields}) + b"\n" for tag, fields in stored_types(LAYOUTS.values()).items()]
     (folder / "events.jsonl").write_bytes(b"".join(lines))
     (folder / "kept.json").write_bytes(msgspec.json.format(msgspec.json.encode(kept)) + b"\n")

@@ -145,9 +145,10 @@ def test_every_event_of_a_kept_ledger_becomes_one_of_today(path: Path, kept: Kep
     assert {type(event) for run in runs for event in run.events} <= set(EVENT_TYPES)
 
 
-def test_a_kept_ledger_holds_every_event_type_of_its_release(version: str, path: Path) -> None:
-    stored = {tag for table in open_ledger(path).tables(["type"]) for tag in table.column("type").to_pylist()}
-    assert stored == set(kept_types(version))
+def test_a_kept_ledger_and_the_log_beside_it_hold_every_event_type_of_their_release(version: str, path: Path) -> None:
+    both = [path, *LEDGERS.glob(f"{version}/log")]
+    tables = [table for one in both for table in open_ledger(one).tables(["type"])]
+    assert {tag for table in tables for tag in table.column("type").to_pylist()} == set(kept_types(version))
 
 
 def test_the_runs_of_a_kept_ledger_have_the_leaves_that_they_had(path: Path) -> None:

@@ -2,6 +2,7 @@
 
 import shutil
 import sqlite3
+import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from itertools import pairwise
@@ -15,7 +16,7 @@ import pytest
 import fsar_ledger
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.store.derived import Extent
-from fsar_ledger.metrics import slices
+from fsar_ledger.metrics import connection, slices
 from fsar_ledger.metrics.database import Database, connect
 from fsar_ledger.metrics.invariants import audit_rows, invariants
 from fsar_ledger.metrics.library import library
@@ -125,6 +126,23 @@ def test_a_question_about_runs_reads_no_event_where_their_beginnings_are_known(
     monkeypatch.setattr(slices, "SLICE_EVENTS", 1 << 30)
     with connect(ledger) as whole:
         assert whole.rows(asked) == rows
+
+
+@pytest.mark.parametrize("has_place", [True, False])
+def test_what_does_not_fit_into_the_memory_for_slices_is_spilled_or_held_after_all(
+    ledger: Path, cached: pa.Table, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, has_place: bool
+) -> None:
+    spilled = tmp_path / "spilled"
+    monkeypatch.setattr(tempfile, "tempdir", str(spilled))
+    if has_place:
+        spilled.mkdir()
+    monkeypatch.setattr(connection, "HELD_BYTES", 1 << 20)  # less than DuckDB needs for any question
+    with connect(ledger) as database:
+        assert len([*spilled.glob("*")]) == has_place
+        expected = len({*cached["metric"].to_pylist()}) * 12
+        assert database.table("SELECT count(*) AS n FROM run_metrics")["n"].to_pylist() == [expected]
+        assert not database._spills_early
+    assert not [*spilled.glob("*")]
 
 
 @pytest.mark.soak  # tests/api/test_shards.py asks the same of the slices of a federation
