@@ -55,9 +55,11 @@ def folder_for_spilling() -> Iterator[str]:
         yield ""
         return
     unfinished.add(Path(folder.name))
-    with folder:
-        yield folder.name
-    unfinished.discard(Path(folder.name))
+    try:
+        with folder:
+            yield folder.name
+    finally:
+        unfinished.discard(Path(folder.name))
 
 
 def exceeded_message() -> str:

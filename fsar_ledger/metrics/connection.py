@@ -76,6 +76,7 @@ class Database:
         caches_files: bool = True,
         file: Path | None = None,
         slices: "Slices | None" = None,
+        may_spill: bool = False,
     ):
         self.head = head
         self.rows_verified = rows_verified
@@ -116,7 +117,7 @@ class Database:
             self._connection.execute("SET enable_progress_bar = false")
         # By default DuckDB would spill into `.tmp` of the working folder.
         self._closing = ExitStack()
-        spilled = "" if slices is None else self._closing.enter_context(memory.folder_for_spilling())
+        spilled = self._closing.enter_context(memory.folder_for_spilling()) if may_spill else ""
         self._connection.execute(f"SET temp_directory = {quoted(literal(Path(spilled)) if spilled else '')}")
         self._spills_early = slices is not None
         self._limit_memory()

@@ -61,7 +61,15 @@ def connect_view(
     earlier_runs(view)  # what `relation` puts together follows one another
     segments = view.segments()
     slices = (Slices(view, demanded) or None) if file is None else None
-    database = Database(view.head, segments, threads, rows_verified=rows_verified, file=file, slices=slices)
+    database = Database(
+        view.head,
+        segments,
+        threads,
+        rows_verified=rows_verified,
+        file=file,
+        slices=slices,
+        may_spill=slices is not None,
+    )
     stay = {one.path / SEGMENTS for one in views_of(view)}
     passing = [] if file is None else [path for path in segments if path.parent not in stay]
     numbers = slices and relation.RowFilter("TRUE", numbered(view.run_names.runs), frozenset(segments))

@@ -162,7 +162,7 @@ def connect_slice(one: Slice, head: Head, most: int, rows_verified: bool | None 
     others = [run for run in one.beside if run.run not in names and _meets(view, run, numbers)]
     cut = {number for run in others for number in view.segments_between(run.first, run.end)}
     whole = frozenset(path for number, path in held.items() if number not in cut)
-    database = Database(head, [*held.values()], rows_verified=rows_verified)
+    database = Database(head, [*held.values()], rows_verified=rows_verified, may_spill=True)
     # See docs/decisions/slices-have-a-table-for-each-concern.md.
     # One run of more events is not worth tables: they would take memory with its length.
     database.keeps_events = sum(run.rows for run in runs) <= 2 * most
