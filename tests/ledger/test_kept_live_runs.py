@@ -57,7 +57,7 @@ def test_the_ledger_verifies_and_nothing_else_is_left(case: tuple[Path, Kept]) -
     assert report.problems == ()
     assert (report.root, report.events, report.signed) == (kept.root, kept.events, kept.commits)
     assert (report.runs, kept.runs[-2:], kept.continued) == (len(kept.runs), ("live", "live.2"), ("live",))
-    assert {one.name for one in path.parent.iterdir()} <= {"ledger", "kept.json", "events.jsonl"}
+    assert {one.name for one in path.parent.iterdir()} <= {"ledger", "log", "kept.json", "events.jsonl"}
 
 
 def test_it_was_cut_while_work_was_open_that_ended_after(case: tuple[Path, Kept]) -> None:

@@ -1,5 +1,7 @@
 """The database shows what is committed at one head, binds parameters, spills, and says what is wrong in one message."""
 
+import tempfile
+from contextlib import nullcontext
 from pathlib import Path
 
 import pyarrow as pa
@@ -220,10 +222,16 @@ def test_a_refilled_database_has_forgotten_what_was_defined_and_held_in_it() -> 
 LARGE = "SELECT max(word) AS word FROM (SELECT hash(range)::VARCHAR AS word FROM range(1000000) ORDER BY word OFFSET 1)"
 
 
-def test_without_a_folder_nothing_is_spilled_and_with_one_the_answer_is_there(tmp_path: Path) -> None:
-    with from_rows([]) as database:
+@pytest.mark.parametrize("may_spill", [False, True])
+def test_only_a_database_that_may_spill_puts_into_files_what_does_not_fit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, may_spill: bool
+) -> None:
+    folder = tmp_path / "it's temporary"
+    folder.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(folder))
+    with Database(None, (), may_spill=may_spill) as database:
         database._connection.execute("SET memory_limit = '50MB'")
-        with pytest.raises(FsarLedgerError, match="memory"):
-            database.rows(LARGE)
-        database.spill(tmp_path / "it's spilled")
-        assert len(database.rows(LARGE)) == 1
+        with nullcontext() if may_spill else pytest.raises(FsarLedgerError, match="memory"):
+            assert len(database.rows(LARGE)) == 1
+        assert bool([*folder.glob("*/*")]) == may_spill
+    assert not [*folder.iterdir()]
