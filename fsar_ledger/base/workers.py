@@ -133,13 +133,12 @@ def cluster(address: str | None) -> Iterator[None]:
         raise UsageError(
             f"{option('cluster', address)}: needs Dask; install it with `pip install 'fsar-ledger[cluster]'`"
         ) from error
-    kind, _, number = address.partition(":")
-    count, is_local = local_processes(address), kind == LOCAL
-    if (is_local and not 0 < count <= MOST_LOCAL) or not number:
+    count = local_processes(address)
+    if (count is not None and not 0 < count <= MOST_LOCAL) or not address.partition(":")[2]:
         raise UsageError(f"{option('cluster', address)}: expected {CLUSTERS}")
     with ExitStack() as stack:
         try:
-            if is_local:
+            if count is not None:
                 with _without_main():
                     made = LocalCluster(
                         n_workers=count,
@@ -161,13 +160,12 @@ def cluster(address: str | None) -> Iterator[None]:
             _CLUSTER.reset(token)
 
 
-def local_processes(address: str) -> int:
-    """Return how many processes of this machine the address of a cluster stands for; 0 if it is another one."""
+def local_processes(address: str) -> int | None:
+    """Return how many processes of this machine the address stands for, 0 for no number; None for another cluster."""
     kind, _, number = address.partition(":")
-    return int(number) if kind == LOCAL and number.isdecimal() else 0
+    return None if kind != "local" else int(number) if number.isdecimal() else 0
 
 
-LOCAL = "local"
 MOST_LOCAL = 256
 TIMEOUT = "10s"
 

@@ -158,7 +158,7 @@ def _processes(address: str | None) -> int:
         return 0
     from fsar_ledger.base.workers import local_processes
 
-    return local_processes(address)
+    return local_processes(address) or 0
 
 
 def _accepted(name: str, kind: Any, default: object, found: Option) -> inspect.Parameter:

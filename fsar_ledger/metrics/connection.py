@@ -51,8 +51,6 @@ FAULTS_OF_SQL = (
 _Found = TypeVar("_Found")
 _GIVEN = "given"
 _READ_OFTEN = frozenset({"event_principals"})
-_OF_RUNS = frozenset({"run_started", "experiment_planned"})
-"""Events of which there are few; to find them, all have to be read."""
 _relation = attrgetter("relation")
 _CALL = re.compile(r"\b([a-z_0-9]+)\(")
 Value = str | int | float | bool | None | list[str]
@@ -222,7 +220,7 @@ class Database:
         """Tell whether a query becomes a table here; in a file also one that calls our functions, which others lack."""
         if self.keeps_events and (query.relation in _READ_OFTEN or (query.tags and not query.wider)):
             return True
-        if self.slices is not None and query.relation in _OF_RUNS:
+        if self.slices is not None and query.relation == "experiment_planned":  # few rows, for which all are read
             return True
         return query.is_stored or (self.is_for_others and not FUNCTIONS.isdisjoint(_CALL.findall(query.sql)))
 

@@ -127,9 +127,9 @@ class Slices:
                 else None
                 for one, each in zip(self._slices, lacking, strict=True)
             ]
-            for number, (one, held, each) in enumerate(zip(self._slices, known, lacking, strict=True)):
+            of_slices = zip(self._slices, known, lacking, answers, strict=True)
+            for done, (one, held, each, far) in enumerate(of_slices, start=1):
                 if each:
-                    far = answers[number]
                     tables = _answers(self._connect(one), each) if far is None else far.result()
                     made = {text: _written(table) for text, table in tables.items()}
                     _remember(one.digest, made)
@@ -137,7 +137,7 @@ class Slices:
                 for name, sought in asked.items():
                     found[name].append(held[sought.text])
                 if progress is not None:
-                    progress((number + 1) * len(asked), len(self._slices) * len(asked))
+                    progress(done * len(asked), len(self._slices) * len(asked))
         return found
 
     def _connect(self, one: Slice) -> Database:
