@@ -225,11 +225,11 @@ class Federation:
         self._live.advance(now_us - 1)
         self._commit()
         earlier, seq = self.run, self.size - 1 - self._before
-        view = open_ledger(self._path)
+        held = self._writer.existing_runs().runs  # opening the ledger would take longer with each commit that it has
         self._live.cut(now_us - 1, earlier, seq, self._writer.head.root)
         self._before += seq
         number = int(earlier.removeprefix(f"{self._first}.")) if earlier != self._first else 1
-        self.run = next(name for later in count(number + 1) if not view.has_run(name := f"{self._first}.{later}"))
+        self.run = next(name for later in count(number + 1) if (name := f"{self._first}.{later}") not in held)
         self._commit()
         self._keep()
 

@@ -22,6 +22,7 @@ from fsar_ledger.metrics.database import Database, connect
 from fsar_ledger.metrics.invariants import audit_rows, invariants
 from fsar_ledger.metrics.library import Query, library
 from fsar_ledger.metrics.slices import Slices
+from fsar_ledger.runtime import federation
 from fsar_ledger.runtime.federation import Federation
 from fsar_ledger.runtime.snapshot import place
 from tests.quick import few
@@ -294,6 +295,19 @@ def test_the_name_of_a_run_that_has_nothing_to_do_with_it_is_left_to_it(tmp_path
     assert day.one.cut() == "hall.3"
     assert day.again().one.run == "hall.3"
     assert fsar_ledger.federate(tmp_path / "ledger", run="hall.2").run == "hall.2"
+
+
+def test_a_name_that_another_writer_took_since_is_left_to_it(tmp_path: Path) -> None:
+    day = Day(tmp_path / "ledger")
+    fsar_ledger.federate(day.ledger, run="hall.2").close()
+    assert day.one.cut() == "hall.3"
+
+
+def test_a_cut_reads_nothing_of_what_was_written_in_years(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    day = Day(tmp_path / "ledger")
+    day.at(S).brings("t1")
+    monkeypatch.setattr(federation, "open_ledger", lambda _: pytest.fail("the ledger is opened"))
+    assert day.one.cut() == "hall.2"
 
 
 def test_a_run_that_was_continued_goes_on_in_the_one_that_continues_it(tmp_path: Path) -> None:

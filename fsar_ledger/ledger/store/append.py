@@ -150,8 +150,9 @@ class Writer:
             self._write_checkpoint()
 
     def existing_runs(self) -> RunsAndPlans:
-        """Read from the rows which runs and plans the ledger holds. Raises: LedgerCorrupted if they cannot be read."""
-        return self._runs().told()
+        """Return which runs and plans the ledger holds now. Raises: As `append`; LedgerCorrupted if rows are damaged."""
+        with self._its_turn():
+            return self._runs().told()
 
     def unfinished_runs(self) -> dict[str, int]:
         """Return the runs of which later commits may hold more, and how many events the ledger holds of each."""
