@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 import sysconfig
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -245,6 +246,13 @@ def test_a_shared_handler_that_asks_for_the_architecture_is_found(tmp_path: Path
     )
     found = architectures_named(tmp_path)
     assert found == ["fsar_ledger/projections/curious.py:2", "fsar_ledger/projections/curious.py:3"]
+
+
+def test_every_folder_with_modules_is_listed_among_the_packages() -> None:
+    listed = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["tool"]["setuptools"]["packages"]
+    folders = {path.parent.relative_to(ROOT) for path in (ROOT / "fsar_ledger").rglob("*.py")}
+    own = {".".join(folder.parts) for folder in folders}
+    assert sorted(listed) == sorted(own | {"fsar_ledger.queries", "fsar_ledger.reports"})
 
 
 @pytest.mark.slow  # builds and installs a wheel

@@ -116,11 +116,11 @@ def test_a_record_is_renewed_only_if_its_results_are_the_same(
 def test_records_are_made_until_one_has_other_results(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    monkeypatch.setattr(records, "renew", lambda record, _: record.name == "predictions.json")
     assert records.main(["--stale"]) == records.main([]) == 0
     assert capsys.readouterr().out.count("rests on what there is\n") == len(KEPT)
     other = edited(CONFLICTS, ("min(began_us)", "max(began_us)"))
     monkeypatch.setattr(bound, "library", lambda: other)
-    monkeypatch.setattr(records, "renew", lambda record, _: record.name == "predictions.json")
     assert records.main(["--stale"]) == 0
     assert capsys.readouterr().out == "".join(f"{name}.json: {CONFLICTS}\n" for name in KEPT)
     assert records.main([]) == 1

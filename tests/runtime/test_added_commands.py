@@ -13,9 +13,11 @@ from fsar_ledger.events.task import TaskCompleted
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.runtime.change_texts import parsed
 from fsar_ledger.runtime.forks import Fork, fork, parts_at
+from fsar_ledger.runtime.handlers.fleet import LeaveFleet
 from fsar_ledger.runtime.handlers.public import PublicCommand, commands, given, given_in_file, speaker
 from fsar_ledger.runtime.recipes import recorded_recipe
 from fsar_ledger.runtime.run_replay import replay_run
+from fsar_ledger.runtime.simulation import handler_table_of
 from tests.runtime.commanded import COMMANDS
 from tests.runtime.test_replay_refused import restarted
 from tests.runtime.test_scenario_commands import REPORTS, of, ran, scheduled
@@ -64,7 +66,10 @@ def test_every_architecture_takes_work_that_a_change_adds(architecture: str) -> 
     assert replay_run(added.record) is None
 
 
-@pytest.mark.parametrize("architecture", [one for one in ARCHITECTURES if one != "fsar"])
+WITHOUT_MEMBERSHIP = [one for one in ARCHITECTURES if LeaveFleet not in handler_table_of(one).decides]
+
+
+@pytest.mark.parametrize("architecture", WITHOUT_MEMBERSHIP)
 def test_what_an_architecture_does_not_decide_is_refused_before_the_run(
     architecture: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
