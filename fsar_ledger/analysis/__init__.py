@@ -25,7 +25,7 @@ def commits_of(view: View, run: str) -> list[tuple[int, int]]:
     Those of the runs that it continues come first, and seqs count on. Raises: as `record_of`.
     """
     found: dict[int, int] = {}
-    sizes = np.array([commit.tree_size for commit in view.commits])
+    sizes = np.array(view.commits.sizes)
     shift = 0
     for name in chain_of(view, run):
         parts = view.parts(name)

@@ -16,9 +16,9 @@ import msgspec
 
 from fsar_ledger.base import printable
 from fsar_ledger.base.errors import FsarLedgerError, LedgerCorrupted, NotALedger, UsageError
-from fsar_ledger.ledger.store import disk, shards
+from fsar_ledger.ledger.store import disk, growing, shards
 from fsar_ledger.ledger.store.manifest import read_manifest
-from fsar_ledger.ledger.store.paths import CHAIN, CHECKPOINT, JOURNAL, MANIFEST, SEGMENTS
+from fsar_ledger.ledger.store.paths import CHAIN, CHECKPOINT, INDEX, JOURNAL, MANIFEST, SEGMENTS
 from fsar_ledger.ledger.store.problem import Problem
 from fsar_ledger.ledger.store.read import View, open_chain
 from fsar_ledger.ledger.store.snapshot import check_chain_checkpoint
@@ -114,7 +114,7 @@ def _state(ledger: Path) -> tuple[tuple[int, int, int] | None, ...]:
 def _require_same(view: View, grown: View) -> None:
     """Require that the ledger still begins with the commits that it had. Raises: LedgerCorrupted."""
     count = len(view.commits)
-    if grown.manifest_sha256 != view.manifest_sha256 or grown.commits[:count] != view.commits:
+    if grown.manifest_sha256 != view.manifest_sha256 or grown.commits[count - 1 : count] != view.commits[-1:]:
         raise LedgerCorrupted(
             f"{view.path}: found another ledger of {len(grown.commits):,} commits, expected the one of {count:,} whose "
             "lines were told, or more of it; it was replaced; run fsar-ledger verify"
@@ -157,7 +157,10 @@ def _refusal(log: View, problem: Problem) -> LedgerCorrupted:
 
 def folders_of(ledger: Path) -> list[Path]:
     """Return where the shards of a federation are; nothing of any other ledger, or of one that cannot be read."""
-    with suppress(FsarLedgerError):
+    with suppress(FsarLedgerError, OSError):
+        index = growing.read_at(ledger / INDEX, 0, 1 << 12)
+        if index and not shards.names_head(index):
+            return []  # to open it would take long where there are many commits
         log = open_ledger(ledger)
         return [head.place(ledger) for head in shards.newest(shards.heads_of(log))] if shards.is_log(log) else []
     return []

@@ -139,7 +139,7 @@ def watch(path: Path, stop: int, say: Callable[[str, object], None]) -> None:
         else:
             assert isinstance(view, View)
             count = len(before.commits) if before is not None else 0
-            if before is not None and view.commits[:count] != before.commits:
+            if before is not None and view.commits[:count] != [*before.commits]:
                 say("wrong", f"a reader of {view.head.commits} commits no longer saw those that it had seen")
             for name, rows in steps_in(view, view.commits[count:]):
                 if rows != rows_of(name, found[name]):

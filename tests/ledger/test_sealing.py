@@ -174,8 +174,8 @@ def test_a_journal_that_is_renamed_between_two_looks_is_read_once(tmp_path: Path
         writer.add([PARTS[0]])
         real = growing.read_whole
 
-        def renamed_after(file: Path, most: int, start: int = 0) -> bytes:
-            data = real(file, most, start)
+        def renamed_after(file: Path, *given: int) -> bytes:
+            data = real(file, *given)
             if file.name == JOURNAL and not (path / SEALING).exists():
                 hand_over(writer)
                 writer.add([PARTS[1]])
@@ -197,9 +197,9 @@ def test_a_reader_beside_a_writer_that_never_rests_gets_an_answer(tmp_path: Path
         real = growing.read_whole
         reads = 0
 
-        def beside(file: Path, most: int, start: int = 0) -> bytes:
+        def beside(file: Path, *given: int) -> bytes:
             nonlocal reads
-            data = real(file, most, start)
+            data = real(file, *given)
             if file.name == CHAIN and reads < 15 and is_free(path / SEGMENTS):
                 reads += 1
                 writer.append(stage(path, [next(parts)]))

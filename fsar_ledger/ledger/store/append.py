@@ -150,7 +150,7 @@ class Writer:
             self._write_checkpoint()
 
     def existing_runs(self) -> RunsAndPlans:
-        """Return which runs and plans the ledger holds now. Raises: As `append`; LedgerCorrupted if rows are damaged."""
+        """Return which runs and plans the ledger holds now. Raises: As `append`; LedgerCorrupted for damaged rows."""
         with self._its_turn():
             return self._runs().told()
 

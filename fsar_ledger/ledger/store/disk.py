@@ -45,8 +45,8 @@ def read_document(path: Path | str) -> bytes:
         close(handle)
 
 
-def read_large(path: Path | str, most: int, start: int = 0) -> bytes:
-    """Read a regular file of at most this many bytes, from `start` on.
+def read_large(path: Path | str, most: int, start: int = 0, count: int | None = None) -> bytes:
+    """Read a regular file of at most `most` bytes, from `start` on, or `count` bytes from there.
 
     Raises: OSError if it is missing, not a regular file (a link is not), larger or unreadable.
     """
@@ -60,6 +60,7 @@ def read_large(path: Path | str, most: int, start: int = 0) -> bytes:
         parts: list[bytes] = []
         os.lseek(handle, start, os.SEEK_SET)
         rest = max(0, status.st_size - start)
+        rest = rest if count is None else min(rest, count)
         while rest and (part := os.read(handle, rest)):
             parts.append(part)
             rest -= len(part)

@@ -42,13 +42,13 @@ def read_at(path: Path | str, place: int, most: int) -> bytes:
         disk.close(handle)
 
 
-def read_whole(path: Path, most: int, start: int = 0) -> bytes:
-    """Read a file of a ledger, from `start` on; nothing if there is none.
+def read_whole(path: Path, most: int, start: int = 0, count: int | None = None) -> bytes:
+    """Read a file of a ledger, from `start` on, or `count` bytes from there; nothing if there is none.
 
     Raises: LedgerCorrupted if it cannot be read, or is longer than `most`.
     """
     try:
-        return disk.read_large(path, most, start)
+        return disk.read_large(path, most, start, count)
     except FileNotFoundError:
         return b""
     except OSError as error:

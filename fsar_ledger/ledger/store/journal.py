@@ -11,7 +11,6 @@ rows.
 """
 
 import os
-from bisect import bisect_right
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -150,15 +149,14 @@ class _Reading:
     """
 
     def __init__(self, chain: Chain) -> None:
-        placed = bisect_right(chain.commits, chain.placed_size, key=lambda commit: commit.tree_size)
-        self.known = chain.commits[placed:]
+        self.known = chain.commits[chain.commits.up_to(chain.placed_size) :]
         self.frames: list[Frame] = []
         self.sealing = self.rest = 0
         self.problem: Problem | None = None
         self.is_damage = False
         self._chain, self._name = chain, SEALING
         self._text = b""  # of the last file
-        self._shas = [chain.sha256]  # and after each commit that the chain lacked
+        self._marks = [chain.mark()]  # and after each commit that the chain lacked
 
     def add(self, name: str, text: bytes) -> None:
         """Read the frames of this file."""
@@ -173,7 +171,7 @@ class _Reading:
             self.frames.append(Frame(line, commit, rows, leaves(rows)))
             if len(self.frames) > len(self.known):
                 self._chain.add(commit, sha256_hex(line))
-                self._shas.append(self._chain.sha256)
+                self._marks.append(self._chain.mark())
             at = after
         self.rest = len(text) - at
         if name == SEALING:
@@ -222,8 +220,8 @@ class _Reading:
             if len(self.frames) <= max(len(self.known), self.sealing):
                 return self._tell_first_wrong()  # it was on disk before what followed
             last = self.frames.pop()
-            self._shas.pop()
-            self._chain.forget(self._chain.count - 1, self._shas[-1])
+            self._marks.pop()
+            self._chain.back(self._marks[-1])
             if self._has_wrong_root():
                 return self._tell_first_wrong()
             self.problem = _wrong_rows(JOURNAL, last.commit)

@@ -10,6 +10,7 @@ from bisect import bisect_left
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import accumulate, pairwise
 from operator import lt, sub
+from typing import NamedTuple
 
 import msgspec
 
@@ -17,10 +18,12 @@ from fsar_ledger.base.memory import without_collection
 from fsar_ledger.ledger.log.hashing import digests, sha256_hex
 from fsar_ledger.ledger.log.merkle import EMPTY_ROOT, Frontier
 from fsar_ledger.ledger.rows.schema import FINGERPRINTS, RELEASE, is_later
+from fsar_ledger.ledger.store.commits import Commits
 from fsar_ledger.ledger.store.paths import CHAIN, MANIFEST
 from fsar_ledger.ledger.store.problem import LaterRelease, Problem
 from fsar_ledger.ledger.store.record import (
     LEAST_LINE_BYTES,
+    PLACEMENT,
     Commit,
     Placement,
     Record,
@@ -30,11 +33,19 @@ from fsar_ledger.ledger.store.record import (
 )
 from fsar_ledger.ledger.store.staging import Staged
 
-_FEW_BYTES = 1 << 14
-"""How much is read at once where lines are too many to be records."""
+_MANY_BYTES, _FEW_BYTES = 1 << 20, 1 << 14
+"""How much is read at once, and where lines are too many to be records."""
 
 Doubt = tuple[str, object, object]
 """A field, what was found in it, and what was expected."""
+
+
+class Mark(NamedTuple):
+    """How many commits a chain has, the hash of its newest line, and the runs of which later commits may hold more."""
+
+    commits: int
+    sha256: str
+    going_on: frozenset[str]
 
 
 class Chain:
@@ -55,7 +66,7 @@ class Chain:
     def __init__(self, manifest_sha256: str, *, trusts_frontiers: bool = False) -> None:
         self.sha256 = manifest_sha256
         self._trusts_frontiers = trusts_frontiers
-        self.commits: list[Commit] = []
+        self.commits = Commits()
         self.count = 0
         self.placements: list[Placement] = []
         self.placed: list[Placement] = []
@@ -68,7 +79,7 @@ class Chain:
     @property
     def size(self) -> int:
         """Return the number of events."""
-        return self.commits[-1].tree_size if self.commits else 0
+        return self.commits.sizes[-1] if self.commits else 0
 
     def tree(self) -> Frontier:
         """Return the tree of the events that segments hold."""
@@ -112,24 +123,22 @@ class Chain:
 
     def let_go(self) -> None:
         """Forget the commits whose rows segments hold, but for the last of these: who only appends needs no other."""
-        placed = bisect_left(self.commits, self.placed_size, key=lambda commit: commit.tree_size)
-        del self.commits[:placed]
+        self.commits.let_go(bisect_left(self.commits.sizes, self.placed_size))
 
-    def forget(self, commits: int, sha256: str) -> None:
-        """Go back to this many commits, none of them placed since or let go, and the line with this hash."""
-        if commits < self.count:
-            del self.commits[commits:]
-            self.count = commits
-            self.going_on = frozenset()
-            for commit in self.commits:
-                self._go_on(commit)
-        self.sha256 = sha256
+    def mark(self) -> Mark:
+        """Return how far the chain goes now, to which it can go `back`."""
+        return Mark(self.count, self.sha256, self.going_on)
+
+    def back(self, mark: Mark) -> None:
+        """Forget the commits since then; none of them was placed, or let go."""
+        self.commits.cut(len(self.commits) - self.count + mark.commits)
+        self.count, self.sha256, self.going_on = mark
 
     def add(self, record: Record, sha256: str) -> None:
         """Add the record of a line with this SHA-256 that nothing speaks against."""
         self.sha256 = sha256
         if isinstance(record, Commit):
-            self.commits.append(record)
+            self.commits.extend((record,))
             self.count += 1
             self._go_on(record)
             return
@@ -146,47 +155,63 @@ class Chain:
         self.placed_size = self.placed[-1].end
 
     def adds(self, records: Sequence[Record], hashes: Sequence[str]) -> bool:
-        """Add the records of lines with these SHA-256 if each is a commit or, after it, the placement of its rows.
+        """Add the records of lines with these SHA-256 if each is a commit, or a placement that adds events.
 
-        That is the usual chain, where this takes a third of the time. Nothing is added where anything may speak against
-        a record.
+        Together this takes a third of the time. Nothing is added where anything may speak against a record.
         """
-        commits = [record for record in records[::2] if type(record) is Commit]
-        placements = [record for record in records[1::2] if type(record) is Placement]
+        commits = [record for record in records if type(record) is Commit]
+        placements = [record for record in records if type(record) is Placement]
         ends = [commit.tree_size for commit in commits]
-        firsts = [self.size, *ends]
         if not (
             self._trusts_frontiers
-            and len(commits) == len(placements) == len(records) / 2
-            and self.placed_size == self.size
             and [record.previous_sha256 for record in records] == [self.sha256, *hashes][:-1]
             and FINGERPRINTS.keys() >= {commit.release for commit in commits}
             and FINGERPRINTS.items() >= {(placement.release, placement.schema_sha256) for placement in placements}
             and [commit.number for commit in commits] == list(range(self.count, self.count + len(commits)))
             and [placement.number for placement in placements]
             == [len(self.placements) + at for at in range(len(placements))]
-            and [placement.first for placement in placements] == firsts[:-1]
-            and [record.rows for record in commits]
-            == [record.rows for record in placements]
-            == [*map(sub, ends, firsts)]
+            and [placement.first for placement in placements]
+            == [self.placed_size, *[placement.end for placement in placements]][:-1]
+            and [commit.rows for commit in commits] == [*map(sub, ends, [self.size, *ends])]
             and all(placement.index_bytes for placement in placements)
+            and (not placements or records[-1] is placements[-1])  # else nobody could go back to this one
+            and self._are_committed(records, placements, ends)
         ):
             return False
         before = self.going_on
         for commit in commits:
+            if len(commit.goes_on) == len(commit.continues) == 1 and commit.goes_on[0] in self.going_on:
+                (run, first), (goes_on,) = commit.continues[0], commit.goes_on
+                if run == goes_on and first:
+                    continue  # the usual case of a live run
             if self._of_runs(commit) is not None:
                 self.going_on = before
                 return False
             self._go_on(commit)
         if placements:
-            self.sha256, self.settled, self.placed_size = hashes[-1], placements[-1].first, ends[-1]
-        self.commits += commits
+            self.settled, self.placed_size = placements[-1].first, placements[-1].end
+        self.sha256 = [self.sha256, *hashes][-1]
+        self.commits.extend(commits)
         self.count += len(commits)
         self.placements += placements
         self.placed += placements
         self.added += placements
         self.index_bytes += sum(placement.index_bytes for placement in placements)
         return True
+
+    def _are_committed(self, records: Sequence[Record], placements: Sequence[Placement], ends: Sequence[int]) -> bool:
+        """Return whether each of these placements ends where a commit before it does.
+
+        `ends` are the ends of those among the records.
+        """
+        places = {size: at for at, size in enumerate(ends)}
+        numbers = [number for number, record in enumerate(records) if type(record) is Placement]
+        return all(
+            places[placement.end] < number - earlier
+            if placement.end in places
+            else self.commits.ending_at(placement.end) is not None
+            for earlier, (number, placement) in enumerate(zip(numbers, placements, strict=True))
+        )
 
     def _go_on(self, commit: Commit) -> None:
         if not commit.continues and not commit.goes_on:
@@ -276,12 +301,8 @@ class Chain:
         """Return the root of this many events, as committed; None if no commit ends there."""
         if not size:
             return EMPTY_ROOT
-        if size == self.size:
-            return bytes.fromhex(self.commits[-1].tree_root)
-        at = bisect_left(self.commits, size, key=lambda commit: commit.tree_size)
-        if at == len(self.commits) or self.commits[at].tree_size != size:
-            return None
-        return bytes.fromhex(self.commits[at].tree_root)
+        commit = self.commits.ending_at(size)
+        return None if commit is None else bytes.fromhex(commit.tree_root)
 
 
 def _is_sorted(names: Sequence[str]) -> bool:
@@ -306,41 +327,45 @@ class Followed(msgspec.Struct, frozen=True):
 def follow(data: bytes, chain: Chain) -> Followed:
     """Add the lines in these bytes to the chain, up to the last whole append."""
     at = last = end = 0
-    commits, sha256 = chain.count, chain.sha256
+    mark = chain.mark()
     problem: Problem | None = None
     for lines in _parts(data):
         hashes = digests(lines)
-        part = data[at : at + sum(map(len, lines)) + len(lines)]
         with without_collection():
-            records = _parsed(part, lines)
-            if len(part) == len(data) and isinstance(records, list) and chain.adds(records, hashes):
-                return Followed(len(data), last=len(data) - sum([len(line) + 1 for line in lines[-2:]]))
-        for line, record, line_sha256 in zip(lines, records, hashes, strict=True):
-            if (problem := _add(record, line_sha256, chain)) is not None:
+            parsed = _parsed(data[at : at + sum(map(len, lines)) + len(lines)], lines)
+            are_added = isinstance(parsed, list) and chain.adds(parsed, hashes)
+        for line, record, line_sha256 in zip(lines, parsed, hashes, strict=True):
+            if not are_added and (problem := _add(record, line_sha256, chain)) is not None:
                 break
             at += len(line) + 1
             if isinstance(record, Placement):
-                last, end, commits, sha256 = end, at, chain.count, chain.sha256
+                last, end, mark = end, at, chain.mark()
+        chain.commits.pack(chain.commits.up_to(chain.placed_size))
         if problem is not None:
             break
     else:
         if at < len(data):
             problem = Problem(CHAIN, "a line without end", "whole lines", commit=chain.count)
-    chain.forget(commits, sha256)
+    chain.back(mark)
     if problem is not None and (problem.field is not None or has_later_append(data, at)):
         return Followed(end, problem=problem, last=last)
     return Followed(end, len(data) - end, last=last)
 
 
 def _parts(data: bytes) -> Iterator[list[bytes]]:
-    """Yield the lines of a chain: all at once, or some at a time if they are too many to be records."""
+    """Yield the lines of a chain, some at a time, up to a placement if they have one.
+
+    They are fewer if they are too many to be records.
+    """
     end = data.rfind(b"\n") + 1
-    at_once = end if data.count(b"\n") * LEAST_LINE_BYTES <= end else _FEW_BYTES
+    at_once = _MANY_BYTES if data.count(b"\n") * LEAST_LINE_BYTES <= end else _FEW_BYTES
     at = 0
     if not end:
         yield []
     while at < end:
-        after = data.rfind(b"\n", at, at + at_once) + 1 or data.find(b"\n", at) + 1
+        placed = data.rfind(PLACEMENT, at, at + at_once)
+        after = data.rfind(b"\n", at, at + at_once) if placed < 0 else data.find(b"\n", placed)
+        after = (after if after >= at else data.find(b"\n", at)) + 1
         yield data[at:after].split(b"\n")[:-1]
         at = after
 

@@ -25,13 +25,14 @@ from fsar_ledger.ledger.rows.layout import Layout, check_layout
 from fsar_ledger.ledger.rows.runs import gathered
 from fsar_ledger.ledger.rows.schema import RELEASE, SCHEMA
 from fsar_ledger.ledger.store import derived, growing
+from fsar_ledger.ledger.store.commits import Commits
 from fsar_ledger.ledger.store.derived import Extent, Index, Part, RunNames
 from fsar_ledger.ledger.store.journal import Journal, leaves_in, lines_of
 from fsar_ledger.ledger.store.links import Chain, Followed
 from fsar_ledger.ledger.store.manifest import Manifest, parse_manifest
 from fsar_ledger.ledger.store.paths import CHAIN, JOURNAL, MANIFEST, SEALING, SEGMENTS, STAGING
 from fsar_ledger.ledger.store.problem import Problem
-from fsar_ledger.ledger.store.record import EMPTY_HEAD, Commit, Head, Placement, parse_line, segment_of
+from fsar_ledger.ledger.store.record import EMPTY_HEAD, Head, Placement, parse_line, segment_of
 from fsar_ledger.ledger.store.segments import Names, find_segment, read_segment
 from fsar_ledger.ledger.store.snapshot import take_snapshot
 from fsar_ledger.ledger.store.staging import materialized, table_of
@@ -66,17 +67,15 @@ class View(msgspec.Struct, frozen=True, dict=True):
         return self.chain.sha256
 
     @property
-    def commits(self) -> Sequence[Commit]:
+    def commits(self) -> Commits:
         """Return the commits, in order."""
         return self.chain.commits
 
     @property
     def head(self) -> Head:
         """Return how far the ledger goes."""
-        if not self.chain.commits:
-            return EMPTY_HEAD
-        last = self.chain.commits[-1]
-        return Head(self.chain.count, last.tree_size, last.tree_root)
+        last = self.chain.commits[-1] if self.chain.commits else None
+        return EMPTY_HEAD if last is None else Head(self.chain.count, last.tree_size, last.tree_root)
 
     @property
     def releases(self) -> list[str]:

@@ -235,7 +235,7 @@ def segment_of(placement: Placement) -> str:
     return segment_name(placement.first, placement.end)
 
 
-_OF_COMMIT, _OF_PLACEMENT, _MORE = b'"kind":"commit"', b'"kind":"placement"', re.compile(rb"[^\n]")
+_OF_COMMIT, PLACEMENT, _MORE = b'"kind":"commit"', b'"kind":"placement"', re.compile(rb"[^\n]")
 _BEGINNINGS = (b'{"continues":', b'{"goes_on":', b'{"kind":"commit"')
 """What the record of a commit begins with: its first member in the order of names. None of these is within a record."""
 
@@ -245,7 +245,7 @@ def has_later_append(data: bytes, start: int) -> bool:
     """Return whether anything follows a placement in these bytes of a chain, from here on."""
     return any(
         isinstance(_record(data, first, end), Placement) and _MORE.search(data, end)
-        for first, end in _lines_with(_OF_PLACEMENT, data, start)
+        for first, end in _lines_with(PLACEMENT, data, start)
     )
 
 

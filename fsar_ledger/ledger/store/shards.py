@@ -27,12 +27,13 @@ from fsar_ledger.ledger.log.merkle import consistency_proof, is_consistent
 from fsar_ledger.ledger.log.note import is_name
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.store import growing
+from fsar_ledger.ledger.store.commits import Commits
 from fsar_ledger.ledger.store.derived import Index
 from fsar_ledger.ledger.store.journal import lines_of
 from fsar_ledger.ledger.store.paths import INDEX
 from fsar_ledger.ledger.store.problem import Problem
 from fsar_ledger.ledger.store.read import View
-from fsar_ledger.ledger.store.record import EMPTY_HEAD, Commit, Head
+from fsar_ledger.ledger.store.record import EMPTY_HEAD, Head
 
 MISSING, LATE, SWAPPED, OTHER_ORIGIN = "missing", "late", "swapped", "of another origin"
 OTHER_HISTORY, REPLAYED, TWICE, NESTED = "of another history", "replayed", "shown twice", "a federation itself"
@@ -107,13 +108,13 @@ class Federation(View, frozen=True, dict=True):
         return msgspec.convert({**msgspec.structs.asdict(self.log.head), "of_shards": self._firsts[-1]}, LogHead)
 
     @property
-    def commits(self) -> Sequence[Commit]:
+    def commits(self) -> Commits:
         """Return the commits of all shards; `tree_size` counts on, each root is that of the shard."""
-        return [
-            msgspec.structs.replace(commit, tree_size=first + commit.tree_size)
-            for first, view in zip(self._firsts, self.views, strict=False)
-            for commit in view.commits
-        ]
+        found = Commits()
+        for first, view in zip(self._firsts, self.views, strict=False):
+            found.extend(msgspec.structs.replace(commit, tree_size=first + commit.tree_size) for commit in view.commits)
+            found.pack(len(found))
+        return found
 
     @property
     def record_sha256(self) -> str:
@@ -226,9 +227,13 @@ def is_log(view: View) -> bool:
     if not view.chain.size:
         return False
     if view.chain.added:
-        line = _first_line(view)
-        return line.startswith(_FIRST) and _HEAD in line.partition(b"}")[0] and _type(view.event(0)) == HEAD_TYPE
+        return names_head(_first_line(view)) and _type(view.event(0)) == HEAD_TYPE
     return _type(lines_of(view.journal.frames[:1]).partition(b"\n")[0]) == HEAD_TYPE
+
+
+def names_head(line: bytes) -> bool:
+    """Return whether an index that begins with this line says that its ledger begins with the head of a shard."""
+    return line.startswith(_FIRST) and _HEAD in line.partition(b"}")[0]
 
 
 def _first_line(view: View) -> bytes:

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from fsar_ledger.ledger.store.read import View
 
 MAX_CHAIN_BYTES = 1 << 32
+PART_BYTES = 1 << 24
+"""How much of a chain is read at once."""
 MAX_JOURNAL_BYTES = 1 << 30
 _PAUSE_S, _PATIENCE_S = 0.0005, 10.0
 """How long a reader waits for a writer each time, and in all."""
@@ -103,7 +105,7 @@ class _Reader:
     def _begin(self) -> None:
         self._chain = Chain(self._sha256, trusts_frontiers=self._trusts_frontiers)
         self._followed = Followed(0)
-        self._newest = 0, self._sha256  # the commits and the hash of the last line of the chain
+        self._newest = self._chain.mark()  # without what the journal added
 
     def is_synced(self) -> bool:
         """Sync what is hidden to the disk, so that it stays; return whether the disk took it."""
@@ -131,30 +133,41 @@ class _Reader:
 
     def _follow(self, *, counts_hidden: bool) -> int:
         """Follow what the chain has beyond what was followed; return the size of the file."""
-        self._chain.forget(*self._newest)  # what the journal added
+        self._chain.back(self._newest)
         if self._followed.problem or growing.size_of(self.path / CHAIN) < self._followed.end:
             self._begin()
-        start = self._followed.end
-        data = growing.read_whole(self.path / CHAIN, MAX_CHAIN_BYTES, start)
-        size = start + len(data)
-        self.has_hidden = data.endswith(b"}\0") and _is_placement(line_at(data, data.rfind(b"\n") + 1, len(data) - 1))
-        is_hidden = self.has_hidden and counts_hidden
-        followed = follow(data[:-1] + b"\n" if is_hidden else data, self._chain)
+        size = self._follow_parts(counts_hidden=counts_hidden)
         if not self._chain.has_right_tree():  # which line is wrong?
             self._begin()
-            self._chain, start = Chain(self._sha256), 0
-            data = growing.read_whole(self.path / CHAIN, MAX_CHAIN_BYTES)
-            size = len(data)
-            followed, is_hidden = follow(data, self._chain), False
-        self._followed = Followed(
-            start + followed.end,
-            followed.torn,
-            followed.problem,
-            start + followed.last if followed.end else self._followed.last,
-            is_hidden=is_hidden and start + followed.end == size,
-        )
-        self._newest = self._chain.count, self._chain.sha256
+            self._chain = Chain(self._sha256)
+            size = self._follow_parts(counts_hidden=False)
+        self._newest = self._chain.mark()
         return size
+
+    def _follow_parts(self, *, counts_hidden: bool) -> int:
+        """Follow the file from there on, some bytes at a time; return its size.
+
+        Within the file, what follows the last whole append of a part is read again with the next one.
+        """
+        count = PART_BYTES
+        while True:
+            start = self._followed.end
+            data = growing.read_whole(self.path / CHAIN, MAX_CHAIN_BYTES, start, count)
+            is_last = len(data) < count
+            self.has_hidden = is_last and data.endswith(b"}\0") and _is_placement(_last_line(data))
+            is_hidden = self.has_hidden and counts_hidden
+            followed = follow(data[:-1] + b"\n" if is_hidden else data, self._chain)
+            size = start + len(data) if is_last else growing.size_of(self.path / CHAIN)
+            self._followed = Followed(
+                start + followed.end,
+                followed.torn,
+                followed.problem,
+                start + followed.last if followed.end else self._followed.last,
+                is_hidden=is_hidden and start + followed.end == size,
+            )
+            if is_last or followed.problem is not None:
+                return size
+            count = PART_BYTES if followed.end else 2 * count
 
 
 def _with_hidden(text: bytes) -> tuple[bytes, tuple[int, ...]]:
@@ -181,6 +194,11 @@ def _end_of_hidden(text: bytes, at: int) -> int:
     except ValueError:
         return 0
     return (isinstance(record, Commit) and after_lines(text, end, record.rows)) or 0
+
+
+def _last_line(data: bytes) -> bytes:
+    """Return the last line of these bytes, without their last byte."""
+    return line_at(data, data.rfind(b"\n") + 1, len(data) - 1)
 
 
 def _is_placement(line: bytes) -> bool:

@@ -2,7 +2,6 @@
 
 import os
 import stat
-from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -137,7 +136,7 @@ class Verification:
         if facts.leaves is None or self.tree is None or len(facts.leaves) != placement.rows * HASH_BYTES:
             self.tree = None
             return
-        commits = _within(view.commits, placement.first, placement.end)
+        commits = view.commits.within(placement.first, placement.end)
         before = len(self.problems)
         nodes = self._grow(facts, facts.leaves, placement, commits)
         if len(self.problems) == before and not facts.problems:
@@ -365,13 +364,6 @@ class Verification:
         if then.size in self.roots or not self.asked.is_quick:
             return ByHashes(self.roots.get(then.size))
         return root_by_hashes(view.path, view.node, then, view.head.size, bytes.fromhex(view.head.root))
-
-
-def _within(commits: Sequence[Commit], first: int, end: int) -> list[Commit]:
-    """Return the commits with events from `first` to `end`."""
-    start = bisect_right(commits, first, key=lambda commit: commit.tree_size)
-    stop = bisect_right(commits, end, key=lambda commit: commit.tree_size)
-    return list(commits[start:stop])
 
 
 def _check_names(path: Path) -> Iterator[Problem]:

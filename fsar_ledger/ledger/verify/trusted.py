@@ -3,10 +3,8 @@
 import os
 import re
 import shutil
-from bisect import bisect_right
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from operator import attrgetter
 from pathlib import Path
 from typing import Literal
 
@@ -95,7 +93,7 @@ class Found(msgspec.Struct, frozen=True):
 
     def _after(self, first: int, end: int) -> range:
         """Return the commits after the trusted ones that end after this event and no later than that."""
-        start, stop = (bisect_right(self.view.commits, size, key=attrgetter("tree_size")) for size in (first, end))
+        start, stop = self.view.commits.up_to(first), self.view.commits.up_to(end)
         return range(max(start, self.commits), stop)
 
     @property
@@ -167,7 +165,7 @@ def _size(view: View, commits: int) -> int:
 
 
 def _commits_to(view: View, size: int) -> int:
-    return sum(commit.tree_size <= size for commit in view.commits)
+    return view.commits.up_to(size)
 
 
 def _strays(view: View) -> list[str]:
@@ -316,9 +314,8 @@ def write_copy(trusted: Found, work: Path) -> None:
             shutil.copyfileobj(there, target)
             target.flush()
             os.fsync(target.fileno())
-        held = [
-            commit for commit in view.commits[: trusted.commits] if placement.first < commit.tree_size <= placement.end
-        ]
+        within = view.commits.within(placement.first, placement.end)
+        held = [commit for commit in within if commit.number < trusted.commits]
         line = line_of(placement.first, segment.read_table(view.segment(number)))
         lines += [_relinked(commit, chain) for commit in held]
         lines.append(_relinked(_adding(placement, line), chain))
