@@ -130,8 +130,7 @@ class CallNow(msgspec.Struct, frozen=True):
 class TaskNow(msgspec.Struct, frozen=True):
     """An open task: steps done of all, and the attempt at the present one. Units: `due_s` run time.
 
-    `steps` and `due_s` are None where its arrival is not on record; so are `due_s` and `robot` where that does not say
-    them.
+    `steps` and `due_s` are None where its arrival is not on record, or does not say them; so is `robot`.
     """
 
     task_id: str
@@ -235,7 +234,7 @@ def _task(one: Task) -> TaskNow:
         one.task_id,
         one.robot or None,
         one.step,
-        len(one.steps) if one.has_arrived else None,
+        len(one.steps) if one.has_arrived and one.steps else None,
         one.steps[one.step] if 0 <= one.step < len(one.steps) else None,
         one.attempt,
         one.due_us / 1e6 or None,

@@ -85,6 +85,7 @@ def federate(
     from fsar_ledger.runtime.federation import Federation
     from fsar_ledger.runtime.isolation import isolation_of
     from fsar_ledger.runtime.own import with_own
+    from fsar_ledger.runtime.recipes import recorded_constants
     from fsar_ledger.runtime.world.founding import team_size
     from fsar_ledger.sources.recorder import kept_origin
 
@@ -92,6 +93,9 @@ def federate(
         raise UsageError(f"{option('isolated')} and {option('of')}: found one of them, expected both, or none")
     if isolated is not None and (fleet is not None or robots is not None or settings):
         raise UsageError(f"{option('isolated')}: found a fleet or settings beside it, expected those of the ledger")
+    if not run:
+        raise UsageError("run: found an empty name, expected one with at least a letter")
+    isolated = isolated if isolated is None or "/" in isolated else f"robot/{isolated}"
     constants, _ = with_own(Constants(), (), fleet, settings)
     team = team_size(constants.fleet)
     count = team if robots is None else robots
@@ -99,6 +103,8 @@ def federate(
         raise UsageError(f"robots: found {count}, expected a multiple of {team}, the robots of a team")
     place, signer = Path(out), None if key is None else read_signer(Path(key))
     kept = kept_origin(place)
+    if origin is not None and kept not in (None, origin):
+        raise UsageError(f"{option('origin', origin)}: found a ledger of origin {kept}, expected that or none")
     goes_on = kept is not None and open_ledger(place).has_run(run)
     federation = Federation(
         place,
@@ -112,6 +118,15 @@ def federate(
         cuts_us=() if cut is None else _times_us(cut),
         isolation=None if isolated is None or of is None or goes_on else isolation_of(Path(of), isolated),
     )
+    if goes_on:
+        begun = recorded_constants(federation.started, federation.size)
+        wanted, _ = with_own(begun, (), fleet, settings)
+        if wanted != begun or robots not in (None, federation.started.fleet_size):
+            federation.close()
+            raise UsageError(
+                f"{out}: run {printable.value(run)}: found a fleet or settings other than it was begun with, expected "
+                "the same or none; the run goes on as it was begun: leave them out, or begin another run"
+            )
     if isolated is not None and federation.state.fleet.isolated != isolated:
         federation.close()
         raise UsageError(f"{out}: run {printable.value(run)}: found another run, expected that of {isolated} alone")
@@ -273,13 +288,15 @@ def hand_over(ledger: "Ledger", *, run: Run | None = RUN) -> dict[str, Any]:
     or says what has overtaken it.
 
     Raises:
-        UsageError: There is no such run, or it is not that of a robot alone.
+        UsageError: There is no such run, it is not that of a robot alone, or the ledger is the log of a federation.
     """
+    from fsar_ledger.ledger.opening import open_ledger
     from fsar_ledger.ledger.store.locations import whole_of
-    from fsar_ledger.runtime.isolation import handed_over
+    from fsar_ledger.runtime.isolation import handed_over, require_single
 
     from .lookup import present, run_in
 
+    require_single(open_ledger(ledger.path))
     view, _ = present(ledger)
     names = view.run_names.runs
     name = run_in(view, run, ledger.demanded) if run is not None or not names else names[-1]

@@ -183,15 +183,19 @@ def _robot(one: "RobotNow") -> Iterator[str]:
             yield f"{BESIDE}offers as {availability}: {printable.some(map(printable.value, names))}"
 
 
+def _steps_done(count: int) -> str:
+    """Return what is known of a task of which nobody says how many steps it has."""
+    return f"{count} steps done, of how many is not on record" if count else "its steps are not on record"
+
+
 def _lists(found: "Situation") -> Mapping[str, list[str]]:
     text = printable.value
     return {
         "tasks": [
-            f"{text(one.task_id)} of {text(one.robot or '?')}: {one.steps_done}"
-            + (" steps done" if one.steps is None else f" of {one.steps} steps done")
+            f"{text(one.task_id)} of {text(one.robot or '?')}: "
+            + (_steps_done(one.steps_done) if one.steps is None else f"{one.steps_done} of {one.steps} steps done")
             + (f", now {text(one.step)}" if one.step else "")
             + (f", attempt {one.attempt}" if one.attempt > 1 else "")
-            + ("; its arrival is not on record" if one.steps is None else "")
             + ("" if one.due_s is None else f"; due {one.due_s:.3f} s")
             for one in found.tasks or ()
         ],

@@ -23,7 +23,8 @@ class CommandGiven(Event, frozen=True, kw_only=True):
 class CommandRejected(Event, frozen=True, kw_only=True):
     """The command named something unknown, finished or impossible; nothing else happened.
 
-    `subject` is what the command was about; `reason` says what was found and what was expected.
+    `subject` is what the command was about; `reason` says what was found and what was expected. `issued_by` is in whose
+    name it was: a robot's for its work, whoever gave it (the `CommandGiven` that is the cause says who).
 
     Paper: sec:architecture:overview.
     """

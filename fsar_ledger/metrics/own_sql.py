@@ -33,6 +33,7 @@ from duckdb.func import FunctionNullHandling, PythonUDFType
 from fsar_ledger.base.errors import QueryFailed
 from fsar_ledger.metrics.constant_names import constants_of, default_of
 from fsar_ledger.metrics.library import Library, Query, library
+from fsar_ledger.metrics.sql_values import ON_RECORD
 
 GROUPS = {
     "audit": "what an auditor asks: who asked, who decided, under which authority and policy",
@@ -181,17 +182,40 @@ CREATE MACRO IF NOT EXISTS run_named(asked) AS coalesce(
 """
 """The run of this name or number; any other text is an error, because an empty answer would say that nothing was."""
 
+_NAMED = """
+CREATE MACRO IF NOT EXISTS {kind}_named(asked) AS coalesce(
+    if(asked::VARCHAR = 'all', 'all', NULL),
+    (
+        SELECT max(name) FROM ({names})
+        WHERE asked::VARCHAR <> 'all' AND name IN (asked::VARCHAR, '{kind}/' || asked::VARCHAR)
+    ),
+    error(
+        '{kind} ' || coalesce(asked::VARCHAR, 'NULL') || ': there is no such {kind}, expected the name of one on record'
+    )
+)
+"""
+"""The robot, supervisor or action of this name, for the same reason."""
+
+
+def _named(kind: str) -> str:
+    """Return the statement that makes the macro by which a name of this kind is found in any run."""
+    return _NAMED.format(kind=kind, names=ON_RECORD[kind].replace("$run", "NULL"))
+
+
+_FOUND = frozenset({"robot", "supervisor", "action"})
+
 
 def statements(query: Query) -> tuple[str, ...]:
     """Return the statements that make a macro of a query with parameters; it has their defaults.
 
-    It takes only runs on record. A parameter hides the column of its name, so that a macro of its own holds the SELECT,
-    with other names. DuckDB compares the names when it makes a macro, not when one is called, so that the SELECT comes
-    last.
+    It takes only runs, robots, supervisors and actions on record. A parameter hides the column of its name, so that a
+    macro of its own holds the SELECT, with other names. DuckDB compares the names when it makes a macro, not when one
+    is called, so that the SELECT comes last.
     """
     defaults = {one.sql_name: one.sql_default for one in query.parameters.values()}
     understood = ", ".join(
-        f"run_named({one.sql_name})" if one.kind == "run" else one.sql_name for one in query.parameters.values()
+        f"{one.kind}_named({one.sql_name})" if one.kind in ("run", *_FOUND) else one.sql_name
+        for one in query.parameters.values()
     )
     taken = ", ".join(name if value is None else f"{name} := '{value}'" for name, value in defaults.items())
     inner = f"{query.relation}_given"
@@ -199,6 +223,7 @@ def statements(query: Query) -> tuple[str, ...]:
     sql = _PARAMETER.sub(r"\1_given", query.sql)
     return (
         _RUN_NAMED,
+        *map(_named, sorted(_FOUND & {one.kind for one in query.parameters.values()})),
         f"CREATE MACRO {whole} AS TABLE SELECT NULL",
         f"CREATE MACRO {query.relation}({taken}) AS TABLE FROM {inner}({understood})",
         f"CREATE OR REPLACE MACRO {whole} AS TABLE\n{sql}",

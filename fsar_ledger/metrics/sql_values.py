@@ -158,7 +158,7 @@ def values(query: str, parameters: Mapping[str, Parameter], given: Mapping[str, 
 
 RUNS = "SELECT run_id FROM run_numbers ORDER BY number"
 PRINCIPALS = ("robot", "supervisor")
-_ON_RECORD = {
+ON_RECORD = {
     "robot": """
         SELECT robot AS name FROM robot_joined WHERE $run IS NULL OR run_id = $run
         UNION ALL
@@ -190,7 +190,7 @@ def names_on_record(database: "Database", kind: str, run: str | None) -> list[st
     """Return the names that a parameter of this kind can have in this run, or in any, in order."""
     if kind == "run":
         return [str(row["run_id"]) for row in database.rows(RUNS)]
-    sql = f"SELECT DISTINCT name FROM ({_ON_RECORD[kind]}) WHERE name IS NOT NULL ORDER BY name"
+    sql = f"SELECT DISTINCT name FROM ({ON_RECORD[kind]}) WHERE name IS NOT NULL ORDER BY name"
     names = [str(row["name"]) for row in database.rows(sql, {"run": run} if "$run" in sql else None)]
     return [name for name in names if name.startswith(f"{kind}/")] if kind in PRINCIPALS else names
 

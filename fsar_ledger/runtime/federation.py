@@ -124,6 +124,11 @@ class Federation:
         self._live.advance(self._live.kernel.last_us + AT_ONCE_US)
 
     @property
+    def started(self) -> RunStarted:
+        """Event 0 of the run, which says what it was begun with."""
+        return self._started
+
+    @property
     def state(self) -> State:
         """What is known now; it must not be changed."""
         return self._live.kernel.state

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import msgspec
 
 from fsar_ledger.base.errors import UsageError
-from fsar_ledger.base.printable import value
+from fsar_ledger.base.printable import did_you_mean, some, value
 from fsar_ledger.designs.constants import Constants
 from fsar_ledger.events import Event
 from fsar_ledger.events.command import CommandGiven
@@ -19,6 +19,7 @@ from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows.runs import LedgerRun
 from fsar_ledger.ledger.store.locations import chain_of, record_of, seq_counted_on, whole_of, whole_runs
 from fsar_ledger.ledger.store.read import View
+from fsar_ledger.ledger.store.shards import is_log
 from fsar_ledger.projections.fold import fold
 
 from .handlers.isolation import HandOver, restated
@@ -58,7 +59,7 @@ def isolation_of(path: Path, robot: str) -> Isolation:
         UsageError: The ledger has no live run, or the robot is no member in it.
         NotALedger, LedgerCorrupted: As `open_ledger`.
     """
-    view = open_ledger(path)
+    view = _opened(path)
     run = view.run_names.runs[-1] if view.run_names.runs else ""
     return _isolation(view, run, recorded_robot(robot), view.head.size, view.head.root)
 
@@ -71,8 +72,10 @@ def _isolation(view: View, run: str, robot: Robot, size: int, root: str) -> Isol
         raise UsageError(f"{view.path}: run {value(run)}: found a run that is not live, expected the fleet's")
     state = fold(record.events)
     if robot not in state.fleet.robots or state.fleet.isolated is not None:
+        members = sorted(state.fleet.robots)
         raise UsageError(
-            f"{view.path}: run {value(run)}: found no fleet with {value(robot)}, expected one that it is in"
+            f"{view.path}: run {value(run)}: found no fleet with {value(robot)}{did_you_mean(robot, members) or ','} "
+            f"expected one of {some(members)}"
         )
     began = IsolationBegan(
         robot=robot,
@@ -88,6 +91,22 @@ def _isolation(view: View, run: str, robot: Robot, size: int, root: str) -> Isol
 def _last_seq(view: View, record: LedgerRun) -> int:
     """Return the seq of the record's last event in its own run, which may continue others."""
     return len(record.events) - seq_counted_on(view, record.run_id, 1)
+
+
+def _opened(path: Path) -> View:
+    """Open one ledger. Raises: UsageError for the log of a federation, else as `open_ledger`."""
+    view = open_ledger(path)
+    require_single(view)
+    return view
+
+
+def require_single(view: View) -> None:
+    """Require that this is one ledger. Raises: UsageError for the log of a federation, which has no commands."""
+    if is_log(view):
+        raise UsageError(
+            f"{view.path}: found the log of a federation, expected the ledger of a fleet or a robot; name that one, as "
+            "`fsar-ledger info` lists them"
+        )
 
 
 def handed_over(view: View, run: str) -> dict[str, Any]:
@@ -138,7 +157,7 @@ def compared_with_fleet(path: Path, fleet: Path) -> FleetComparison:
         UsageError: No run of the ledger is that of a robot alone.
         NotALedger, LedgerCorrupted: As `open_ledger`.
     """
-    own, theirs = open_ledger(path), open_ledger(fleet)
+    own, theirs = _opened(path), _opened(fleet)
     records = [record for record in whole_runs(own) if _began(record)[1] is not None]
     if not records:
         raise UsageError(f"{path}: found no run of a robot alone, expected one to compare with {fleet}")

@@ -166,12 +166,17 @@ def command_given(
         found = given(read(kind, msgspec.json.encode(fields).decode()), by, key=key, source_time_us=sent_us)
     except (msgspec.ValidationError, TypeError) as error:
         raise UsageError(f"command {name}: {error!s:.300}") from error
+    for field, number in fields.items():
+        if isinstance(number, int) and abs(number) > MOST:
+            raise UsageError(f"command {name}: field {field}: found {number}, expected at most 2^50 (35 years in us)")
     for text in (by, key or "", *(one for one in fields.values() if isinstance(one, str))):
         if not text.isprintable():
             raise UsageError(f"command {name}: found {text!r:.80}, expected characters that can be printed")
     return found
 
 
+MOST = 1 << 50
+"""The largest number of a command: times that are added to such a one can still be recorded."""
 REST = "/rest"
 """What the name of the question ends with of when an execution ends: `execution:t1/2.1/rest`."""
 Asked = tuple[str, str]

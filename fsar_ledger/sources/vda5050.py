@@ -123,7 +123,8 @@ class Vda5050:
             about[f"task/{order}"] = "order"
         values = {name: shown(message[name]) for name in SHOWN if name in message}
         for error in _listed(message, "errors"):
-            values[f"error/{error.get('errorType')}"] = shown(error)
+            if isinstance(error.get("errorType"), str):
+                values[f"error/{error['errorType']}"] = shown(error)
         arrived = line.get("received", line.get("arrival", line.get("time")))
         return Record(
             kind if kind != "state" else f"state/{values.get('operatingMode')}",
@@ -149,6 +150,8 @@ class Vda5050:
             case "order":
                 events = _ordered(vehicle, robot, message)
             case "state":
+                if not _is_named(message):
+                    return None
                 events = _changed(vehicle, robot, message)
             case "connection":
                 events = _connected(vehicle, robot, message)
@@ -194,6 +197,13 @@ def _robot(topic: object, message: Mapping[str, Any]) -> Robot | None:
 def _listed(message: Mapping[str, Any], name: str) -> list[dict[str, Any]]:
     found = message.get(name)
     return [one for one in found if isinstance(one, dict)] if found and isinstance(found, list) else []
+
+
+def _is_named(message: Mapping[str, Any]) -> bool:
+    """Return whether a state names each action, its status, and the type of each error, as the standard requires."""
+    named = [one.get(name) for one in _listed(message, "actionStates") for name in ("actionId", "actionStatus")]
+    named += [error.get("errorType") for error in _listed(message, "errors")]
+    return all(isinstance(name, str) and name for name in named)
 
 
 def _order(message: Mapping[str, Any]) -> str:
@@ -265,7 +275,8 @@ def _acted(vehicle: Vehicle, robot: Robot, order: str, state: Mapping[str, Any])
         if before in ("PAUSED", "RETRIABLE"):
             yield ExecutionResumed(subject, robot)
         else:
-            capability = str(state.get("actionType") or "action")
+            named = state.get("actionType")
+            capability = named if isinstance(named, str) and named else "action"
             yield ExecutionStarted(subject=subject, principals=parties, robot=robot, capability=capability)
     elif status == "PAUSED":
         yield ExecutionPaused(subject, robot)

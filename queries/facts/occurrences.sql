@@ -11,7 +11,7 @@ WITH told AS (
         events.run_id, events.seq, events.time_us, events.type, events.action_id, words.words,
         MAP {
             'robot': robot, 'peer': peer, 'requester': requested_by, 'decider': decided_by, 'claimant': claimant,
-            'issuer': issued_by, 'holder': holder, 'on_shift': supervisor, 'task': task_id,
+            'issuer': coalesce(given_by, issued_by), 'holder': holder, 'on_shift': supervisor, 'task': task_id,
             'robots': coalesce(robot, 'every robot'), 'role': 'role ' || role, 'peer_role': 'role ' || peer_role,
             'registry': 'service/registry', 'coordinator': 'coordinator', 'run': 'run', 'experiment': 'experiment',
             'federation': 'federation', 'source': source
@@ -61,6 +61,9 @@ WITH told AS (
         ) AS note
     FROM events
     INNER JOIN occurrence_words AS words ON events.type = words.type
+    -- Work for a robot is in its name, and may be given by others.
+    LEFT JOIN (SELECT run_id, seq, issued_by AS given_by FROM command_given) AS gave
+        ON events.run_id = gave.run_id AND events.caused_by = gave.seq AND events.type = 'CommandRejected.v1'
     WHERE events.type <> 'AuthorityClaimed.v1' OR reason <> 'revocation'
 )
 

@@ -222,6 +222,18 @@ def test_a_macro_takes_a_run_by_its_number_and_refuses_one_that_is_not_on_record
                 elsewhere.execute(f"FROM denials(run := {unknown})").fetchall()
 
 
+def test_a_macro_takes_a_short_name_and_refuses_one_that_is_not_on_record(opened: Opened) -> None:
+    with duckdb.connect(str(opened.file), read_only=True) as elsewhere:
+        counts = [
+            elsewhere.execute(f"SELECT count(*) FROM robot_state_at(robot := '{name}')").fetchall()
+            for name in ("A1", "robot/A1")
+        ]
+        assert counts[0] == counts[1] != [(0,)]
+        for given in ("robot_state_at(robot := 'Z9')", "requests(action := 'nope')", "requests(action := NULL)"):
+            with pytest.raises(duckdb.InvalidInputException, match=r"no such (robot|action), expected the name"):
+                elsewhere.execute(f"FROM {given}").fetchall()
+
+
 def test_open_says_how_to_call_a_macro(ledger: Path, opened: Opened, tmp_path: Path) -> None:
     macro = opened.said.partition("as `FROM ")[2].partition("`")[0]
     (found,) = read_elsewhere(opened.file, tmp_path / "read", macro)

@@ -195,22 +195,20 @@ def _judged(state: State, command: HandOver) -> Iterator[Event]:
     """Yield what becomes of each result, in their order; those of one task rest on each other."""
     done: dict[str, int] = {}
     for task_id, number, result in filter(None, map(_read, command.results)):
-        task = state.task.get(task_id)
-        if task is not None:
-            task = replace(
-                task, step=task.step + done.get(task_id, 0), action_id="" if task_id in done else task.action_id
-            )
-        action_id = (task.action_id if task and task.step == number - 1 else "") or f"{task_id}/{number}.1"
+        task, step = state.task.get(task_id), done.get(task_id, 0)
+        step += 0 if task is None else task.step
+        is_begun = task is not None and step == number - 1 and task_id not in done
+        action_id = (task.action_id if task is not None and is_begun else "") or f"{task_id}/{number}.1"
         subject, action = Subject(task_id, action_id), state.execution.actions.get(action_id)
         if command.since_fence != state.fleet.fences.get(command.robot):
             reason = "the robot has departed since, so its claims are old"
         elif task is None:
             reason = _over(state, task_id)
-        elif number <= task.step:
+        elif number <= step:
             reason = "the step is done"
-        elif number > task.step + 1:
+        elif number > step + 1:
             reason = "the steps before it are not done"
-        elif not is_own_step(task, task.step, command.robot):
+        elif not is_own_step(task, step, command.robot):
             reason = "the step is not its own"
         elif action is not None and action.robot != command.robot:
             reason = f"{action.robot} has the step"
