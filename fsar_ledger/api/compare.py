@@ -119,7 +119,7 @@ def compare(
     Raises:
         UsageError: A side does not exist, or both are the same events.
     """
-    from fsar_ledger.metrics.provenance import of_judgement
+    from fsar_ledger.metrics.provenance import of_outcomes
 
     from .lookup import ledgers_of
 
@@ -135,7 +135,7 @@ def compare(
                 "that differ"
             )
         found = paired(held, both, pools_seeds=pooled, by_scenario=divides)
-        judged = tuple(map(of_judgement, held))
+        judged = tuple(map(of_outcomes, held))
         return Comparison(**structs.asdict(found), sides=both, provenances=judged)
 
 

@@ -55,7 +55,7 @@ def metrics(ledger: "Ledger", by: ByOption = None, pool: PoolOption = None) -> "
     seeds, constants, models or kinds have rows of their own. Shares are in [0,1], latency is in seconds. Where a metric
     is not defined, a table shows `-` and JSON null.
     """
-    from fsar_ledger.metrics.provenance import of_judgement
+    from fsar_ledger.metrics.provenance import of_outcomes
     from fsar_ledger.metrics.results import MetricRow, metric_rows
 
     from .table import MetricTable, of_structs
@@ -63,7 +63,7 @@ def metrics(ledger: "Ledger", by: ByOption = None, pool: PoolOption = None) -> "
     per_scenario, pooled = by_scenario(by), pools_seeds(pool)
     with ledger.database() as database:
         rows = of_structs(metric_rows(database, by_scenario=per_scenario, pools_seeds=pooled), MetricRow)
-        return MetricTable(rows if per_scenario else rows.drop_columns(["scenario"]), of_judgement(database))
+        return MetricTable(rows if per_scenario else rows.drop_columns(["scenario"]), of_outcomes(database))
 
 
 class Statistics(Answer, msgspec.Struct, frozen=True):
@@ -155,7 +155,7 @@ def statistics(ledger: "Ledger", pool: PoolOption = None) -> Statistics:
         remarks_on,
         too_few,
     )
-    from fsar_ledger.metrics.provenance import of_judgement
+    from fsar_ledger.metrics.provenance import of_outcomes
     from fsar_ledger.metrics.results import StatisticRow, statistic_rows
 
     pooled = pools_seeds(pool)
@@ -168,7 +168,7 @@ def statistics(ledger: "Ledger", pool: PoolOption = None) -> Statistics:
             differing_worlds(database),
             not_compared(database),
             [*remarks_on(found, metrics), *left_over(database)],
-            of_judgement(database),
+            of_outcomes(database),
             [*too_few(found), *imputed(database, found), *_alone(found)],
         )
 
@@ -258,13 +258,13 @@ def multiverse(
     """
     from fsar_ledger.designs.registered import known
     from fsar_ledger.metrics.multiverse import multiverse as read
-    from fsar_ledger.metrics.provenance import of_judgement
+    from fsar_ledger.metrics.provenance import of_outcomes
 
     pooled = pools_seeds(pool)
     with ledger.database() as database:
         every = tuple(row["metric"] for row in database.rows("SELECT metric FROM metric_definitions ORDER BY position"))
         found = read(database, known("metric", names_of(metric), every), pools_seeds=pooled, progress=progress)
-        return MultiverseResult(found.readings, found.cells, found.rankings, found.universes, of_judgement(database))
+        return MultiverseResult(found.readings, found.cells, found.rankings, found.universes, of_outcomes(database))
 
 
 def _verdicts(rankings: "Sequence[OrderUnderReadings]") -> Iterator[str]:

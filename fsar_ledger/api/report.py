@@ -168,7 +168,7 @@ def reproduce(
     from fsar_ledger.designs.registered import known
     from fsar_ledger.ledger.store.paths import require_outside
     from fsar_ledger.metrics.database import connect
-    from fsar_ledger.metrics.provenance import of_judgement
+    from fsar_ledger.metrics.provenance import of_outcomes
     from fsar_ledger.metrics.results import MetricRow, StatisticRow, metric_rows, statistic_rows
     from fsar_ledger.metrics.verified import ensure_verified
     from fsar_ledger.report.build import write_report
@@ -192,7 +192,7 @@ def reproduce(
         demanded = ensure_verified(ledger, processes, progress)
     with connect(ledger, demanded=demanded) as database:
         metrics, statistics = metric_rows(database, pools_seeds=True), statistic_rows(database, pools_seeds=True)
-        table = Table(of_structs(metrics, MetricRow), of_judgement(database))
+        table = Table(of_structs(metrics, MetricRow), of_outcomes(database))
     write_csv(folder / "metrics.csv", table)
     write_csv(folder / "statistics.csv", Table(of_structs(statistics, StatisticRow)))
     write_report(

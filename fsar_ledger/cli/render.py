@@ -180,13 +180,15 @@ def opened(ledger: Path, *, verified: bool) -> "Ledger":
 
 
 def warn(ledger: Path, provenance: "Provenance") -> None:
-    """Warn, a line each, of what runs do not observe, of missing planned runs, and of rows that were not compared."""
+    """Warn, a line each: of what is not observed, missing or open, and of rows that were not compared."""
     from fsar_ledger.metrics.provenance import told
 
     if (line := told(provenance.not_observed)) is not None:
         say(line)
     if provenance.plans is not None and (missing := provenance.plans.warning()) is not None:
         say(f"{ledger}: {missing}; `fsar-ledger info {printable.word(ledger)}` says how to go on")
+    if (line := provenance.open_work.warning()) is not None:
+        say(f"{line} (`fsar-ledger query open_work {printable.word(ledger)}`)")
     if not provenance.rows_verified:
         say(
             f"the rows of {ledger} were not compared with its root; `fsar-ledger verify {printable.word(ledger)}` does "

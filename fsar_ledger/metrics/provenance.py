@@ -10,6 +10,7 @@ from typing import Any
 
 import msgspec
 
+from fsar_ledger.base.printable import counted
 from fsar_ledger.ledger.store.record import Head
 
 from .database import Database
@@ -203,21 +204,38 @@ def shown(found: Iterable[Unobserved]) -> str:
     return ", ".join(f"{one.concern} ({one.runs:,} of {one.of_runs:,} runs)" for one in found)
 
 
+class OpenWork(msgspec.Struct, frozen=True):
+    """What live runs still work on where their record ends, which metrics count as not done."""
+
+    tasks: int
+    failures: int
+
+    def warning(self) -> str | None:
+        """Say it; None if nothing is open."""
+        if not self.tasks + self.failures:
+            return None
+        parts = [counted(self.tasks, "task"), counted(self.failures, "failure")]
+        return f"still open where the record ends, and counted as not done: {' and '.join(parts)}"
+
+
 class Provenance(msgspec.Struct, frozen=True):
     """The head that an answer holds for, and whether the rows that it was read from were compared with its root.
 
     `plans` says which planned runs are there; None where the answer does not depend on that. `not_observed` names the
-    concerns that runs do not observe, and about which the answer says nothing there.
+    concerns that runs do not observe, and about which the answer says nothing there; `open_work` what a judgement of
+    outcomes counts as not done.
     """
 
     head: Head | None = None
     rows_verified: bool | None = None
     plans: Completeness | None = None
     not_observed: tuple[Unobserved, ...] = ()
+    open_work: OpenWork = OpenWork(0, 0)
 
     def answer(self) -> dict[str, object]:
         """Return what JSON answers say of this besides the head."""
         missing: dict[str, object] = {"not_observed": self.not_observed} if self.not_observed else {}
+        missing |= {"open_work": self.open_work} if self.open_work.warning() else {}
         return missing if self.plans is None else {**self.plans.answer(), **missing}
 
 
@@ -236,3 +254,15 @@ def of_rows(database: Database, query: Query | str | None = None, run: str | Non
 def of_judgement(database: Database) -> Provenance:
     """Return the provenance of an answer that judges all planned runs."""
     return Provenance(database.head, database.rows_verified, completeness(database))
+
+
+def of_outcomes(database: Database) -> Provenance:
+    """Return the provenance of an answer that judges what became of tasks and failures in all planned runs."""
+    found = of_judgement(database)
+    if not database.rows("SELECT 1 AS live FROM runs WHERE kind = 'live' LIMIT 1"):
+        return found
+    [row] = database.rows(
+        "SELECT coalesce(sum(open_tasks), 0)::BIGINT AS tasks, coalesce(sum(open_failures), 0)::BIGINT AS failures "
+        "FROM open_work"
+    )
+    return msgspec.structs.replace(found, open_work=OpenWork(**row))

@@ -75,3 +75,21 @@ def test_a_name_that_comes_again_is_another_task_and_each_has_the_end_that_follo
     assert found == [(1, 5 * S, False), (3, 40 * S, True)]
     verdicts = answer("facts/verdict_events", run(ARRIVED, again, given_up), columns=("verdict", "seq"))
     assert [verdict for verdict in verdicts if verdict[0] == "late"] == [("late", 1), ("late", 3)]
+
+
+@pytest.mark.parametrize(
+    ("events", "kind", "found"),
+    [
+        ((ARRIVED, seen_at(9)), "live", [(1, 0)]),
+        ((ARRIVED, seen_at(10)), "live", []),
+        ((ARRIVED, seen_at(9)), "simulated", []),
+        ((FAILED,), "live", [(0, 1)]),
+        ((ARRIVED, FAILED), "live", [(1, 1)]),
+        ((FAILED, RESOLVED), "live", []),
+    ],
+)
+def test_what_a_live_fleet_still_works_on_is_counted(
+    events: tuple[dict[str, Any], ...], kind: str, found: list[tuple[int, int]]
+) -> None:
+    rows = answer("facts/open_work", run(*events, kind=kind), columns=("open_tasks", "open_failures"))
+    assert rows == found

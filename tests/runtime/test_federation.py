@@ -209,6 +209,31 @@ def test_a_number_of_robots_that_is_no_team_is_refused(tmp_path: Path, robots: i
     assert not (tmp_path / "ledger").exists()
 
 
+@pytest.mark.parametrize(
+    "given", [{"robots": 8}, {"settings": ["structure.fleet_budget_us=1000000"]}, {"origin": "other/name"}]
+)
+def test_a_run_that_goes_on_keeps_what_it_was_begun_with(tmp_path: Path, given: dict[str, Any]) -> None:
+    begun: dict[str, Any] = {"robots": 4, "settings": ["membership.heartbeat_us=5000000"], "origin": "my/name"}
+    fsar_ledger.federate(tmp_path / "ledger", run="morning", **begun).close()
+    fsar_ledger.federate(tmp_path / "ledger", run="morning", **begun).close()
+    with pytest.raises(UsageError, match=r"expected (the same or none|that or none)"):
+        fsar_ledger.federate(tmp_path / "ledger", run="morning", **given)
+    fsar_ledger.federate(tmp_path / "ledger", run="morning").close()
+
+
+def test_a_run_has_a_name(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="found an empty name"):
+        fsar_ledger.federate(tmp_path / "ledger", run="")
+
+
+def test_a_number_that_no_event_could_hold_is_refused_and_holds_up_nobody(tmp_path: Path) -> None:
+    with fsar_ledger.federate(tmp_path / "ledger", run="morning") as one:
+        task: dict[str, Any] = {"robot": A, "steps": ["A navigate.indoor"]}
+        with pytest.raises(UsageError, match=r"SubmitTask: field budget_us: found 9007199254740991, expected at most"):
+            one.give("SubmitTask", A, task_id="t1", budget_us=2**53 - 1, **task)
+        assert one.give("SubmitTask", A, task_id="t2", budget_us=2**50, **task).rejected is None
+
+
 def test_a_clock_that_jumps_back_stands_still_on_record(tmp_path: Path) -> None:
     moments = iter([100, 110, 90, 80, 120])
     with fsar_ledger.federate(tmp_path / "ledger", run="day", clock=lambda: next(moments) * S) as one:

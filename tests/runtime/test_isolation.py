@@ -16,7 +16,7 @@ from fsar_ledger.events.task import TaskCompleted
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.store.locations import record_of
 from fsar_ledger.runtime.federation import Federation
-from fsar_ledger.runtime.isolation import isolation_of
+from fsar_ledger.runtime.isolation import compared_with_fleet, isolation_of
 from fsar_ledger.runtime.run_replay import replay_run
 from tests.queries.histories import S, act, answer, event, run
 
@@ -171,8 +171,38 @@ def test_a_result_that_nobody_can_read_is_refused(site: Site) -> None:
 def test_a_robot_outside_the_fleet_has_nothing_to_go_on_from(site: Site) -> None:
     with pytest.raises(UsageError, match="found no fleet with robot/Z9"):
         site.opened("z", "Z9", isolated="robot/Z9", of=site.path / "hall")
+    with pytest.raises(UsageError, match=r"did you mean robot/A1\? expected one of robot/A1, robot/B1"):
+        site.opened("z", "Z9", isolated="A2", of=site.path / "hall")
     with pytest.raises(UsageError, match="expected both"):
         site.opened("z", "Z9", isolated=A)
+
+
+def test_a_log_of_ledgers_is_no_ledger_of_a_fleet_or_a_robot(site: Site) -> None:
+    site.opened("a1", "A1", isolated="A1", of=site.path / "hall", origin="site/a1").close()
+    fsar_ledger.shards(site.path / "log", [site.path / "hall", site.path / "a1"])
+    log = fsar_ledger.open_ledger(site.path / "log")
+    for asked in (
+        lambda: isolation_of(site.path / "log", A),
+        lambda: compared_with_fleet(site.path / "a1", site.path / "log"),
+        lambda: compared_with_fleet(site.path / "log", site.path / "hall"),
+        lambda: log.hand_over(run="A1"),
+    ):
+        with pytest.raises(UsageError, match="log: found the log of a federation, expected the ledger of a fleet or a"):
+            asked()
+
+
+def test_every_event_of_a_fleet_that_took_a_run_over_has_its_why(site: Site) -> None:
+    site.task(site.hall, DRIVE, DRIVE)
+    with site.alone() as own:
+        site.does(own, "t1/1.1")
+        site.does(own, "t1/2.1")
+        fields = site.to_hand_over()
+    site.tell(site.hall, A, "HandOver", **fields)
+    hall = fsar_ledger.open_ledger(site.path / "hall")
+    taken = [row["seq"] for row in hall.sql("SELECT seq FROM events WHERE seq >= 40 ORDER BY seq")]
+    assert len(taken) > 5
+    for seq in taken:
+        assert hall.why(f"1:{seq}")
 
 
 def test_a_run_is_handed_over_once(site: Site) -> None:

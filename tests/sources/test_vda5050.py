@@ -209,3 +209,19 @@ def test_the_command_of_the_page_does_what_it_says(call: Call, tmp_path: Path, m
     (tmp_path / "fleet.toml").write_text(page.split("```toml\n")[1].split("```")[0])
     said = call(*command.split()[1:]).good()
     assert "can be judged: A2, A4, I1\n" in said.out
+
+
+@pytest.mark.parametrize(
+    "states",
+    [
+        {"actionStates": [{"actionId": None, "actionType": "pick", "actionStatus": "RUNNING"}]},
+        {"actionStates": [{"actionType": "drop", "actionStatus": "RUNNING"}]},
+        {"actionStates": [{"actionId": ["x"], "actionType": "drop", "actionStatus": "RUNNING"}]},
+        {"errors": [{"errorReferences": [{"referenceKey": "orderId", "referenceValue": "o2"}]}]},
+    ],
+)
+def test_a_state_that_names_no_action_or_error_is_not_understood(tmp_path: Path, states: dict[str, Any]) -> None:
+    said = state(2, "0001", "o1")
+    lines = [order(1, "0001", "o1"), order(1, "0001", "o2"), {**said, "payload": said["payload"] | states}]
+    assert derived(tmp_path, lines).count("TaskArrived") == 2
+    assert not {"ExecutionStarted", "RequestDenied"} & set(kinds(tmp_path / "ledger"))
