@@ -20,6 +20,7 @@ from .names import Names, Place, Run, names_of
 from .verbs import KeyOption, argument, declare, verb
 
 if TYPE_CHECKING:
+    from fsar_ledger.designs.constants import Constants
     from fsar_ledger.events import Event
     from fsar_ledger.runtime.federation import Federation
 
@@ -79,38 +80,27 @@ def federate(
         UsageError: The fleet cannot be read or has another number of robots, `cut` is no time, or only one of
             `isolated` and `of` is given; or as `Federation` or `isolation_of`.
     """
-    from fsar_ledger.designs.constants import Constants
     from fsar_ledger.ledger.opening import open_ledger
     from fsar_ledger.ledger.store.keys import read_signer
     from fsar_ledger.runtime.federation import Federation
     from fsar_ledger.runtime.isolation import isolation_of
-    from fsar_ledger.runtime.own import with_own
-    from fsar_ledger.runtime.recipes import recorded_constants
-    from fsar_ledger.runtime.world.founding import team_size
     from fsar_ledger.sources.recorder import kept_origin
 
     if (isolated is None) is not (of is None):
         raise UsageError(f"{option('isolated')} and {option('of')}: found one of them, expected both, or none")
     if isolated is not None and (fleet is not None or robots is not None or settings):
         raise UsageError(f"{option('isolated')}: found a fleet or settings beside it, expected those of the ledger")
+    isolated = isolated if isolated is None or "/" in isolated else f"robot/{isolated}"
     if not run:
         raise UsageError("run: found an empty name, expected one with at least a letter")
-    isolated = isolated if isolated is None or "/" in isolated else f"robot/{isolated}"
-    constants, _ = with_own(Constants(), (), fleet, settings)
-    team = team_size(constants.fleet)
-    count = team if robots is None else robots
-    if count < 1 or count % team:
-        raise UsageError(f"robots: found {count}, expected a multiple of {team}, the robots of a team")
     place, signer = Path(out), None if key is None else read_signer(Path(key))
-    kept = kept_origin(place)
-    if origin is not None and kept not in (None, origin):
+    if (kept := kept_origin(place)) not in (None, origin) and origin is not None:
         raise UsageError(f"{option('origin', origin)}: found a ledger of origin {kept}, expected that or none")
     goes_on = kept is not None and open_ledger(place).has_run(run)
     federation = Federation(
         place,
         run,
-        constants,
-        count,
+        *_fleet_of(robots, fleet, settings),
         clock,
         origin=kept or origin,
         signer=signer,
@@ -118,19 +108,38 @@ def federate(
         cuts_us=() if cut is None else _times_us(cut),
         isolation=None if isolated is None or of is None or goes_on else isolation_of(Path(of), isolated),
     )
-    if goes_on:
-        begun = recorded_constants(federation.started, federation.size)
-        wanted, _ = with_own(begun, (), fleet, settings)
-        if wanted != begun or robots not in (None, federation.started.fleet_size):
-            federation.close()
-            raise UsageError(
-                f"{out}: run {printable.value(run)}: found a fleet or settings other than it was begun with, expected "
-                "the same or none; the run goes on as it was begun: leave them out, or begin another run"
-            )
+    wrong = None
+    if goes_on and not _is_as_begun(federation, robots, fleet, settings):
+        wrong = "a fleet or settings other than it was begun with, expected the same or none; leave them out"
     if isolated is not None and federation.state.fleet.isolated != isolated:
+        wrong = f"another run, expected that of {isolated} alone"
+    if wrong is not None:
         federation.close()
-        raise UsageError(f"{out}: run {printable.value(run)}: found another run, expected that of {isolated} alone")
+        raise UsageError(f"{out}: run {printable.value(run)}: found {wrong}")
     return federation
+
+
+def _fleet_of(robots: int | None, fleet: str | None, settings: Sequence[str]) -> "tuple[Constants, int]":
+    """Return the constants of a new fleet, and how many robots it has. Raises: UsageError."""
+    from fsar_ledger.designs.constants import Constants
+    from fsar_ledger.runtime.own import with_own
+    from fsar_ledger.runtime.world.founding import team_size
+
+    constants, _ = with_own(Constants(), (), fleet, settings)
+    team = team_size(constants.fleet)
+    count = team if robots is None else robots
+    if count < 1 or count % team:
+        raise UsageError(f"robots: found {count}, expected a multiple of {team}, the robots of a team")
+    return constants, count
+
+
+def _is_as_begun(federation: "Federation", robots: int | None, fleet: str | None, settings: Sequence[str]) -> bool:
+    """Return whether a run that goes on was begun with what is given of these."""
+    from fsar_ledger.runtime.own import with_own
+    from fsar_ledger.runtime.recipes import recorded_constants
+
+    begun = recorded_constants(federation.started, federation.size)
+    return robots in (None, federation.started.fleet_size) and with_own(begun, (), fleet, settings)[0] == begun
 
 
 def _times_us(cut: str) -> tuple[int, ...]:

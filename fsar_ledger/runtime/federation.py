@@ -237,6 +237,7 @@ class Federation:
         self.run = next(name for later in count(number + 1) if (name := f"{self._first}.{later}") not in held)
         self._commit()
         self._keep()
+        snapshot.drop(self._path, earlier)
 
     def _cut_if_due(self) -> None:
         """Cut the run at the last moment at which it is to be cut, if that lies between its beginning and now."""

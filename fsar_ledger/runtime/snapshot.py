@@ -68,6 +68,12 @@ def save(ledger: Path, run: str, head: Head, known: object) -> None:
         temporary.replace(path)
 
 
+def drop(ledger: Path, run: str) -> None:
+    """Remove the snapshot of a run that goes on in another one. A disk that refuses is no error."""
+    with suppress(OSError):
+        place(ledger, run).unlink()
+
+
 def place(ledger: Path, run: str) -> Path:
     """Return where the snapshot of the run is."""
     return ledger.with_name(f"{ledger.name}.snapshots") / hashlib.sha256(run.encode()).hexdigest()[:16]
@@ -82,8 +88,8 @@ def load(view: View, run: str) -> tuple[Any, LedgerRun | None] | None:
         return None
     if (found.run, found.code, found.sha256) != (run, _code(), hashlib.sha256(data).hexdigest()):
         return None
-    trees = ((commit.tree_size, commit.tree_root) for commit in reversed(view.commits))  # it is one of the last
-    if (found.size, found.root) not in trees:
+    commit = view.commits.ending_at(found.size)
+    if commit is None or commit.tree_root != found.root:
         return None
     pieces: list[LedgerRun] = []
     for table in view.tables_from(found.size, SCHEMA.names):

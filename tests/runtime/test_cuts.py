@@ -303,6 +303,13 @@ def test_a_name_that_another_writer_took_since_is_left_to_it(tmp_path: Path) -> 
     assert day.one.cut() == "hall.3"
 
 
+def test_only_the_newest_run_has_a_snapshot(tmp_path: Path) -> None:
+    day = Day(tmp_path / "ledger")
+    for hour in range(1, 4):
+        day.at(hour * S).one.cut()
+    assert [*place(day.ledger, "").parent.iterdir()] == [place(day.ledger, "hall.4")]
+
+
 def test_a_cut_reads_nothing_of_what_was_written_in_years(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     day = Day(tmp_path / "ledger")
     day.at(S).brings("t1")
