@@ -187,8 +187,8 @@ def warn(ledger: Path, provenance: "Provenance") -> None:
         say(line)
     if provenance.plans is not None and (missing := provenance.plans.warning()) is not None:
         say(f"{ledger}: {missing}; `fsar-ledger info {printable.word(ledger)}` says how to go on")
-    if (line := provenance.open_work.warning()) is not None:
-        say(f"{line} (`fsar-ledger query open_work {printable.word(ledger)}`)")
+    if provenance.open_work is not None:
+        say(f"{provenance.open_work.warning()} (`fsar-ledger query open_work {printable.word(ledger)}`)")
     if not provenance.rows_verified:
         say(
             f"the rows of {ledger} were not compared with its root; `fsar-ledger verify {printable.word(ledger)}` does "

@@ -210,10 +210,8 @@ class OpenWork(msgspec.Struct, frozen=True):
     tasks: int
     failures: int
 
-    def warning(self) -> str | None:
-        """Say it; None if nothing is open."""
-        if not self.tasks + self.failures:
-            return None
+    def warning(self) -> str:
+        """Say it."""
         parts = [counted(self.tasks, "task"), counted(self.failures, "failure")]
         return f"still open where the record ends, and counted as not done: {' and '.join(parts)}"
 
@@ -223,19 +221,19 @@ class Provenance(msgspec.Struct, frozen=True):
 
     `plans` says which planned runs are there; None where the answer does not depend on that. `not_observed` names the
     concerns that runs do not observe, and about which the answer says nothing there; `open_work` what a judgement of
-    outcomes counts as not done.
+    outcomes counts as not done, or None if nothing is open.
     """
 
     head: Head | None = None
     rows_verified: bool | None = None
     plans: Completeness | None = None
     not_observed: tuple[Unobserved, ...] = ()
-    open_work: OpenWork = OpenWork(0, 0)
+    open_work: OpenWork | None = None
 
     def answer(self) -> dict[str, object]:
         """Return what JSON answers say of this besides the head."""
         missing: dict[str, object] = {"not_observed": self.not_observed} if self.not_observed else {}
-        missing |= {"open_work": self.open_work} if self.open_work.warning() else {}
+        missing |= {"open_work": self.open_work} if self.open_work else {}
         return missing if self.plans is None else {**self.plans.answer(), **missing}
 
 
@@ -265,4 +263,4 @@ def of_outcomes(database: Database) -> Provenance:
         "SELECT coalesce(sum(open_tasks), 0)::BIGINT AS tasks, coalesce(sum(open_failures), 0)::BIGINT AS failures "
         "FROM open_work"
     )
-    return msgspec.structs.replace(found, open_work=OpenWork(**row))
+    return msgspec.structs.replace(found, open_work=OpenWork(**row)) if any(row.values()) else found
