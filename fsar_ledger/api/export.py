@@ -1,6 +1,6 @@
 """The verbs `export` and `open`: a ledger, or an answer, as files for other programs."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated
@@ -17,6 +17,7 @@ from .verbs import Option, ParameterOption, RawOption, Shows, declare, switch, v
 
 if TYPE_CHECKING:
     from fsar_ledger.metrics.database import Database
+    from fsar_ledger.metrics.library import Query
     from fsar_ledger.metrics.provenance import Provenance
 
     from .ledger import Ledger
@@ -198,6 +199,7 @@ def _fill(database: "Database", ledger: Path, file: Path, progress: Progress | N
 
     found = sorted(database.library.queries.values(), key=lambda query: bool(query.parameters))
     left_out = []
+    _hold_facts(database, found)
     for query in each(found, progress):
         if not query.parameters:
             database.prepare(query.relation)
@@ -224,6 +226,17 @@ def _fill(database: "Database", ledger: Path, file: Path, progress: Progress | N
     database.write_out()
     provenance = Provenance(head, database.rows_verified)
     return Opened(file, len(found) - asked, asked - len(left_out), tuple(names.to_pylist()), provenance)
+
+
+def _hold_facts(database: "Database", queries: "Sequence[Query]") -> None:
+    """Hold what a large ledger says of each run by itself, slice by slice, so that memory does not grow with it."""
+    if database.slices is None:
+        return
+    database.hold_rows_of_slices([query.relation for query in queries])
+    facts = [one for one in queries if one.is_stored and one.name.startswith("facts/") and "Partial" not in one.header]
+    for some_runs in database.slices:
+        for fact in facts:
+            database.hold(fact.relation, some_runs.table(f"SELECT * FROM {fact.relation}"))
 
 
 def _require_ours(file: Path) -> None:

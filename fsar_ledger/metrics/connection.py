@@ -32,7 +32,7 @@ STORAGE = "v1.0.0"
 DUCKDB_SHARE = 0.75
 """The part of the memory of this process that DuckDB may take."""
 
-HELD_BYTES = 400 << 20
+HELD_BYTES = 320 << 20
 """What DuckDB takes over a ledger in slices before it spills; `statistics` of ten million events is no slower."""
 
 OUT_OF_MEMORY = (duckdb.OutOfMemoryException, pa.ArrowMemoryError)
@@ -103,11 +103,10 @@ class Database:
         config: dict[str, Any] = {"threads": threads} if threads else {}
         config |= {"storage_compatibility_version": STORAGE} if file else {}
         self._connection = duckdb.connect(literal(file) if file else ":memory:", config=config)
-        if slices is not None:  # tables of a row for each run take a tenth of the memory then
+        if slices is not None and file is None:  # tables of a row for each run take a tenth of the memory then
             self._connection.execute("ATTACH ':memory:' AS judged (COMPRESS)")
             self._connection.execute("USE judged")
-        # The wide relation is read often, so its files stay open. UTC and no progress bar make the answer the same
-        # everywhere.
+        # The wide relation is read often: its files stay open. UTC and no progress bar make answers the same anywhere.
         for setting in (f"parquet_metadata_cache = {str(caches_files).lower()}", "TimeZone = 'UTC'"):
             self._connection.execute(f"SET {setting}")
         # In a notebook without ipywidgets the bar is off, and refuses the setting.
@@ -117,7 +116,7 @@ class Database:
         self._closing = ExitStack()
         spilled = self._closing.enter_context(memory.folder_for_spilling()) if may_spill else ""
         self._connection.execute(f"SET temp_directory = {quoted(literal(Path(spilled)) if spilled else '')}")
-        self._spills_early = slices is not None
+        self._spills_early = may_spill
         self._limit_memory()
         register(self._connection)
 
@@ -133,14 +132,17 @@ class Database:
         self._closing.close()
 
     def hold(self, name: str, table: Any, *, is_copied: bool = False) -> None:
-        """Make this Arrow table or dataset, or a copy, the relation of this name, in place of any packaged query."""
+        """Make this Arrow table or dataset the relation of this name, or a copy, which is added to earlier copies."""
         if not (is_copied or self.is_for_others):
             self._connection.register(name, table)
             self._made.add(name)
             self._given[name] = "held"
         else:
             self._connection.register(_GIVEN, table)
-            self.define(name, f"SELECT * FROM {_GIVEN}", is_stored=True)
+            if name in self._given:
+                self._change(f"INSERT INTO {name} FROM {_GIVEN}")
+            else:
+                self.define(name, f"SELECT * FROM {_GIVEN}", is_stored=True)
             self._connection.unregister(_GIVEN)
 
     def refill(self, events: pa.Table) -> None:

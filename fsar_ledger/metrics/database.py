@@ -60,7 +60,7 @@ def connect_view(
     rows_verified = is_verified(view, demanded)
     earlier_runs(view)  # what `relation` puts together follows one another
     segments = view.segments()
-    slices = (Slices(view, demanded) or None) if file is None else None
+    slices = Slices(view, demanded) or None
     database = Database(
         view.head,
         segments,

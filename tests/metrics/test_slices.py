@@ -9,6 +9,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import duckdb
 import msgspec
 import pyarrow as pa
 import pytest
@@ -176,6 +177,25 @@ def test_where_there_is_no_place_for_a_cache_all_slices_are_read(
 def test_every_query_answers_the_same_in_slices(name: str, both: tuple[Database, Database]) -> None:
     whole, sliced = both
     assert sliced.query(name).equals(whole.query(name))
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("in_slices")
+def test_a_file_for_other_programs_is_the_same_made_of_slices(
+    ledger: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read = looks(monkeypatch)
+    made = fsar_ledger.open_ledger(ledger).open(tmp_path / "sliced.duckdb")
+    assert read
+    monkeypatch.setattr(slices, "SLICE_EVENTS", 1 << 30)
+    assert fsar_ledger.open_ledger(ledger).open(tmp_path / "whole.duckdb").relations == made.relations
+    names = [query.relation for query in library().queries.values() if not query.parameters]
+    with duckdb.connect(tmp_path / "sliced.duckdb") as sliced, duckdb.connect(tmp_path / "whole.duckdb") as whole:
+        kept = [database.execute("SELECT table_name FROM duckdb_tables()").fetchall() for database in (sliced, whole)]
+        assert {*kept[1]} <= {*kept[0]}
+        for name in names:
+            rows = [database.sql(f"FROM {name} ORDER BY ALL").to_arrow_table() for database in (sliced, whole)]
+            assert rows[0].equals(rows[1]), name
 
 
 @pytest.fixture(scope="module")
