@@ -76,8 +76,8 @@ COMMANDS: dict[str, str] = {
     "export": "{ledger} --out {out}.parquet",
     "export --tiles": "{ledger} --out {out}",
     "export --as": "otlp {ledger} --out {out}.json",
-    "open": "{ledger} --memory 10240 --out {out}.duckdb",
-    "report": "{ledger} --memory 10240 --out {out}.pdf",
+    "open": "{ledger} --out {out}.duckdb",
+    "report": "{ledger} --out {out}.pdf",
     "maintain compact": "{copy}",
 }
 """The commands by name with first option, and what follows; a space within an argument is written as |."""
