@@ -185,6 +185,8 @@ class Service:
                 f"concern {concern!r:.80}: there is none{did_you_mean(concern, CONCERNS) or ';'} "
                 f"expected one of {', '.join(CONCERNS)}",
             )
+        if (robot := wanted.get("robot")) is not None:
+            await self._require_robot(robot, one)
         after = request.headers.get("last-event-id", request.query_params.get("after"))
         if after is not None and not (after.isascii() and after.removeprefix("-").isdigit() and len(after) < 16):
             raise HttpError(400, f"after: found {after!r:.80}, expected the seq of the last event that is known")
@@ -196,6 +198,16 @@ class Service:
         first = self._feed.end if after is None else max(0, int(after) + 1)
         self._answers[200] += 1
         return EventStream(first, partial(self._follow, one, first, wanted))
+
+    async def _require_robot(self, name: str, one: Principal) -> None:
+        """Require that a robot of this name has joined; a robot is not told of others. Raises: HttpError."""
+        try:
+            robots = await self._decider.ask(lambda state, _: [*state.fleet.robots])
+        except FsarLedgerError:  # who follows what comes can wait for the disk
+            return
+        if name not in robots:
+            others = "" if one.kind == "robot" else f"; expected one of {', '.join(robots)}"
+            raise HttpError(400, f"robot {name!r:.80}: there is none{others}")
 
     async def _follow(self, one: Principal, seq: int, wanted: dict[str, str], put: Put) -> None:
         """Put what the principal wants and may see, from this seq on, until the service ends."""

@@ -50,6 +50,7 @@ ATTACKS: dict[str, tuple[int, tuple[Any, ...]]] = {
     "a place that is none": (400, ("GET", "/events?after=-1e9")),
     "a place beyond numbers": (400, ("GET", "/events?after=" + "9" * 40)),
     "a concern that is none": (400, ("GET", "/events?concern=polcy")),
+    "a robot that is none": (400, ("GET", "/events?robot=robot/A9")),
     "events without a token": (401, ("GET", "/events", b"", None)),
 }
 

@@ -102,6 +102,13 @@ def test_events_are_followed_from_any_place_by_what_they_are_about(site: Site, m
     assert all(b'"robot/B1"' in event.row for event in read(site.ways["robot/B1"].events(after=-1), 10))
 
 
+def test_who_follows_a_robot_that_is_none_is_told_which_there_are_unless_it_is_a_robot(site: Site) -> None:
+    with pytest.raises(Refused, match="robot 'A1': there is none; expected one of robot/A1, robot/B1, "):
+        read(site.ways["auditor/anna"].events(robot="A1"), 1)
+    with pytest.raises(Refused, match=r"robot 'A1': there is none$"):
+        read(site.ways["robot/A1"].events(robot="A1"), 1)
+
+
 def test_new_events_come_as_they_happen(site: Site) -> None:
     events = site.ways["auditor/anna"].events()
     seen: list[FollowedEvent] = []
