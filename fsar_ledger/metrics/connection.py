@@ -32,8 +32,8 @@ STORAGE = "v1.0.0"
 DUCKDB_SHARE = 0.75
 """The part of the memory of this process that DuckDB may take."""
 
-HELD_BYTES = 320 << 20
-"""What DuckDB takes over a ledger in slices before it spills; `statistics` of ten million events is no slower."""
+HELD_MIB = (320, 640, 1_280)
+"""What DuckDB takes over a ledger in slices before it spills; where it can spill too little the next, at last all."""
 
 OUT_OF_MEMORY = (duckdb.OutOfMemoryException, pa.ArrowMemoryError)
 FAULTS_OF_SQL = (
@@ -116,7 +116,7 @@ class Database:
         self._closing = ExitStack()
         spilled = self._closing.enter_context(memory.folder_for_spilling()) if may_spill else ""
         self._connection.execute(f"SET temp_directory = {quoted(literal(Path(spilled)) if spilled else '')}")
-        self._spills_early = may_spill
+        self._held_mib = [*HELD_MIB] if may_spill else []
         self._limit_memory()
         register(self._connection)
 
@@ -361,19 +361,19 @@ class Database:
             return self._within(lambda: self._connection.sql(sql, params=dict(params or {}) or None).to_arrow_table())
 
     def _within(self, asked: Callable[[], _Found]) -> _Found:
-        """Ask DuckDB, once more with all memory that it may take where it can spill too little."""
-        try:
-            return asked()
-        except duckdb.OutOfMemoryException:
-            if not self._spills_early:
-                raise
-            self._spills_early = False
-            self._limit_memory()
-            return asked()
+        """Ask DuckDB, again with more memory where it can spill too little."""
+        while True:
+            try:
+                return asked()
+            except duckdb.OutOfMemoryException:
+                if not self._held_mib:
+                    raise
+                del self._held_mib[0]
+                self._limit_memory()
 
     def _limit_memory(self) -> None:
         limits = [] if (most := memory.limit()) is None else [int(most * DUCKDB_SHARE)]
-        limits += [HELD_BYTES] if self._spills_early else []
+        limits += [self._held_mib[0] << 20] if self._held_mib else []
         self._connection.execute(f"SET memory_limit = '{min(limits)} bytes'" if limits else "RESET memory_limit")
 
     @contextmanager

@@ -97,7 +97,7 @@ def audit_rows(
     """
     selects = {query.relation: _counted(query) for query in queries}
     if isinstance(judged, Slices):
-        counted = list(judged.tables({name: asked_of(sql) for name, sql in selects.items()}, progress).values())
+        counted = list(judged.tables({name: asked_of(sql) for name, sql in selects.items()}, progress))
     else:
         counted = []
         for sql in selects.values():

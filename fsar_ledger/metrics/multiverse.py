@@ -298,11 +298,11 @@ def universes(
     total, done = sum(len(combinations(metric)) for metric in metrics), 0
     found: list[Universe] = []
     asked = {(metric, part): _asked(metric, part) for metric in metrics for part in _parts(metric)}
-    of_slices = database.slices.tables(asked, progress) if database.slices is not None else {}
+    of_slices = database.slices.tables(asked, progress) if database.slices is not None else iter(())
     for metric in metrics:
         relations = Relations(database, _moving(metric))
         for part in _parts(metric):
-            found += relations.means(metric, part, of_slices.pop((metric, part), None), pools_seeds=pools_seeds)
+            found += relations.means(metric, part, next(of_slices, None), pools_seeds=pools_seeds)
             done += len(part)
             if progress is not None and database.slices is None:
                 progress(done, total)

@@ -107,12 +107,12 @@ class Slices:
             with self._connect(one) as database:
                 yield database
 
-    def tables(self, asked: Mapping[_Name, Asked], progress: Progress | None = None) -> dict[_Name, pa.Table]:
-        """Return what all slices answer together to each of these, from the cache where it is known.
+    def tables(self, asked: Mapping[_Name, Asked], progress: Progress | None = None) -> Iterator[pa.Table]:
+        """Yield what all slices answer together to each of these, in order, from the cache where it is known.
 
         Raises: As `Database.table`.
         """
-        return {name: _decoded(_joined(stored)) for name, stored in self._stored(asked, progress).items()}
+        return (_decoded(_joined(stored)) for stored in self._stored(asked, progress).values())
 
     def _stored(self, asked: Mapping[_Name, Asked], progress: Progress | None = None) -> dict[_Name, list[bytes]]:
         """Return what each slice answers to each of these as the cache has it, which takes little memory."""

@@ -7,6 +7,7 @@
 --   it count, positions in the run
 -- NULL: never; evidence is empty where it does not count
 -- Example: fsar-ledger query cases/case_evidence LEDGER
+-- Partial: what it says of a run does not depend on others
 SELECT *
 FROM case_1_evidence
 UNION ALL

@@ -137,12 +137,12 @@ def test_what_does_not_fit_into_the_memory_for_slices_is_spilled_or_held_after_a
     monkeypatch.setattr(tempfile, "tempdir", str(spilled))
     if has_place:
         spilled.mkdir()
-    monkeypatch.setattr(connection, "HELD_BYTES", 1 << 20)  # less than DuckDB needs for any question
+    monkeypatch.setattr(connection, "HELD_MIB", (1, 2))  # less than DuckDB needs for any question
     with connect(ledger) as database:
         assert len([*spilled.glob("*")]) == has_place
         expected = len({*cached["metric"].to_pylist()}) * 12
         assert database.table("SELECT count(*) AS n FROM run_metrics")["n"].to_pylist() == [expected]
-        assert not database._spills_early
+        assert not database._held_mib
     assert not [*spilled.glob("*")]
 
 
