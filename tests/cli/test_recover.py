@@ -2,17 +2,27 @@
 
 import json
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+from fsar_ledger.runtime import experiment, simulation
 from tests.cli.conftest import SMALL, Call, one_message
 from tests.ledger.samples import contents
 
-MANY = (*SMALL[:2], "--architecture", "fsar", "--runs", "240", "--workers", "1")  # the plan, and three commits
+MANY = (*SMALL[:2], "--architecture", "fsar", "--runs", "24", "--workers", "1")  # the plan, and three commits
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module", autouse=True)
+def small_commits() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        for module in (simulation, experiment):
+            patch.setattr(module, "COMMIT_EVENTS", 6_000)
+        yield
+
+
+@pytest.fixture(scope="module")
 def many(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A ledger of a plan and three commits that tests may read but not change."""
     from fsar_ledger.cli.app import run

@@ -87,6 +87,7 @@ def test_where_the_same_event_holds_something_else_its_fields_are_told(call: Cal
     assert "the same event with another" not in call(*words, "drop window:*").out
 
 
+@pytest.mark.slow
 def test_all_runs_of_an_architecture_are_compared_with_their_forks(call: Call, ledger: Path) -> None:
     words = ("whatif", ledger, "--all-runs", "--architecture", "fsar", "--change", "drop window:*")
     answer = call(*words).good()

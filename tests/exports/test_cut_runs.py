@@ -173,7 +173,7 @@ def test_who_follows_a_log_over_a_cut_is_told_each_line_once(tmp_path: Path) -> 
     ]
 
 
-@pytest.mark.parametrize("run", few(PARTS, ["hall.2"], ["hall.3"]))
+@pytest.mark.parametrize("run", few(PARTS, [], ["hall.2", "hall.3"]))
 def test_what_is_asked_about_work_is_answered_of_the_whole_run(
     halls: tuple[fsar_ledger.Ledger, fsar_ledger.Ledger], tmp_path: Path, run: str
 ) -> None:

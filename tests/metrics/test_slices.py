@@ -223,6 +223,7 @@ def test_after_an_append_only_the_last_slices_are_read(
     assert fsar_ledger.open_ledger(grown).metrics().arrow() == found
 
 
+@pytest.mark.slow
 def test_compacting_a_ledger_keeps_what_is_known_of_it(
     ledger: Path, cached: pa.Table, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -305,6 +306,7 @@ def test_a_ledger_with_the_root_of_another_is_not_answered_from_its_cache(
     assert len(first - second) == 1
 
 
+@pytest.mark.slow
 def test_the_cache_has_an_upper_bound(
     ledger: Path, in_slices: Path, known: tuple[pa.Table, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:

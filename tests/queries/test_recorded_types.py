@@ -84,7 +84,9 @@ def variants(runs: Sequence[tuple[Architecture, str]]) -> Iterator[pa.Table]:
             yield recorded(without(held, record), record, [name for name in RECORDS if name not in lacks])
 
 
-@pytest.fixture(scope="module", params=["few", pytest.param("every", marks=pytest.mark.soak)])
+@pytest.fixture(
+    scope="module", params=[pytest.param("few", marks=pytest.mark.slow), pytest.param("every", marks=pytest.mark.soak)]
+)
 def found(request: pytest.FixtureRequest) -> dict[str, Any]:
     """What each invariant and metric says of each variant, and of what it says nothing."""
     with from_table(pa.concat_tables(variants(FEW if request.param == "few" else EVERY))) as database:

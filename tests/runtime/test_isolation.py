@@ -191,6 +191,7 @@ def test_a_log_of_ledgers_is_no_ledger_of_a_fleet_or_a_robot(site: Site) -> None
             asked()
 
 
+@pytest.mark.slow
 def test_every_event_of_a_fleet_that_took_a_run_over_has_its_why(site: Site) -> None:
     site.task(site.hall, DRIVE, DRIVE)
     with site.alone() as own:

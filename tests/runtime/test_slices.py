@@ -49,6 +49,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_in_commits_of_any_size_the_same_experiment_has_the_same_root(tmp_path: Path, made: Path) -> None:
     first, second = run_experiment(tmp_path / "1", WHOLE, 1).head, open_for_answers(made).head
     assert (first.size, first.root) == (second.size, second.root)
