@@ -157,7 +157,7 @@ class Otlp:
         if not span.is_client:
             events.append(RequestAccepted(subject, parties.decided(agent)))
             events += _executed(span, agent, by, action)
-        if call is None:
+        if call is None and not span.is_open:
             result: Literal["success", "failure"] = "success" if span.failure is None else "failure"
             closings.append(RequestClosed(subject, parties.decided(by), result))
 
@@ -173,6 +173,8 @@ def _executed(span: Span, agent: Robot | None, by: Robot | None, action: Key) ->
     yield ExecutionStarted(
         subject=subject, principals=parties, robot=agent, on_behalf_of=by, capability=span.capability
     )
+    if span.is_open:
+        return
     if span.failure is None:
         yield ExecutionFinished(subject, parties, agent)
     else:

@@ -41,7 +41,7 @@ Key = tuple[str, str]
 
 
 class Span(msgspec.Struct, frozen=True, gc=False):
-    """What is needed of a span: its own agent, if it names one, what it does, and how that ended."""
+    """What is needed of a span: its own agent, if it names one, what it does, and how that ended, if it did."""
 
     key: Key
     parent: Key | None
@@ -50,6 +50,7 @@ class Span(msgspec.Struct, frozen=True, gc=False):
     is_client: bool
     capability: str
     failure: str | None
+    is_open: bool
 
 
 def texts(one: Input) -> Iterator[bytes]:
@@ -180,6 +181,7 @@ def _span(raw: msgspec.Raw, service: str | None) -> Record:
         if isinstance(link, dict) and (linked := _id(_raw(link, "spanId"))) is not None:
             objects.setdefault(f"span/{linked}", "link")
     is_action = operation in ("invoke_agent", "execute_tool")
+    ended_us = _us(_raw(span, "endTimeUnixNano"))
     data = None
     if trace is not None and own is not None:
         data = Span(
@@ -190,6 +192,7 @@ def _span(raw: msgspec.Raw, service: str | None) -> Record:
             kind == "CLIENT",
             (_text(tool) if operation == "execute_tool" else None) or (shown(operation) if is_action else ""),
             failure,
+            failure is None and (ended_us is None or about.get("fsar.open") is True),
         )
     return Record(
         operation if isinstance(operation, str) and operation else f"span/{kind}",
@@ -198,7 +201,7 @@ def _span(raw: msgspec.Raw, service: str | None) -> Record:
         values,
         objects,
         _us(_raw(span, "startTimeUnixNano")),
-        _us(_raw(span, "endTimeUnixNano")),
+        ended_us,
     )
 
 

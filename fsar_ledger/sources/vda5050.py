@@ -55,13 +55,18 @@ KINDS: Mapping[str, tuple[str, ...]] = {
 }
 """The fields by which a message without a topic is known. Visualization comes last: a state has its fields, too."""
 
+BROKEN = ("CONNECTIONBROKEN", "CONNECTION_BROKEN")
+"""As 2.1 and 3.0 spell it."""
+OF_ORDER, BESIDE = "actionStates", ("instantActionStates", "zoneActionStates")
+"""The lists of what has become of actions: of an order (before 3.0 also of instant actions), and of others."""
+
 SHOWN = ("orderId", "orderUpdateId", "lastNodeId", "operatingMode", "connectionState", "headerId", "paused", "driving")
 
 
 class Vehicle(msgspec.Struct):
     """What the messages of a vehicle said so far. `ended` are orders whose end has been told.
 
-    `newest` is the number and time of the newest message by kind.
+    `newest` is the number and time of the newest message by kind; `is_down` that its connection broke.
     """
 
     newest: dict[str, tuple[int, int]] = {}
@@ -69,7 +74,7 @@ class Vehicle(msgspec.Struct):
     accepted: dict[str, None] = {}
     statuses: dict[str, str] = {}
     failures: dict[str, int] = {}
-    connection: str = ""
+    is_down: bool = False
     ended: dict[str, None] = {}
 
 
@@ -144,7 +149,9 @@ class Vda5050:
         if robot is None or kind == "unknown":
             return None
         vehicle = self._vehicles.setdefault(robot, Vehicle())
-        if kind in ("state", "connection") and _is_late(vehicle, kind, record, message):
+        # The broker tells of a broken connection what the vehicle has left with it before it said that it is online.
+        is_of_broker = kind == "connection" and message.get("connectionState") in BROKEN
+        if kind in ("state", "connection") and not is_of_broker and _is_late(vehicle, kind, record, message):
             return ()
         match kind:
             case "order":
@@ -201,7 +208,8 @@ def _listed(message: Mapping[str, Any], name: str) -> list[dict[str, Any]]:
 
 def _is_named(message: Mapping[str, Any]) -> bool:
     """Return whether a state names each action, its status, and the type of each error, as the standard requires."""
-    named = [one.get(name) for one in _listed(message, "actionStates") for name in ("actionId", "actionStatus")]
+    actions = [one for name in (OF_ORDER, *BESIDE) for one in _listed(message, name)]
+    named = [one.get(name) for one in actions for name in ("actionId", "actionStatus")]
     named += [error.get("errorType") for error in _listed(message, "errors")]
     return all(isinstance(name, str) and name for name in named)
 
@@ -238,8 +246,8 @@ def _changed(vehicle: Vehicle, robot: Robot, message: Mapping[str, Any]) -> Iter
         yield RequestAccepted(_subject(order), _principals(robot, robot))
     if message.get("errors"):
         yield from _refused(vehicle, robot, message)
-    states = _listed(message, "actionStates")
-    for state in states:
+    states = _listed(message, OF_ORDER)
+    for state in (*states, *(one for name in BESIDE for one in _listed(message, name))):
         if vehicle.statuses.get(str(state.get("actionId"))) != state.get("actionStatus"):
             yield from _acted(vehicle, robot, order, state)
     is_there = message.get("nodeStates") == [] and message.get("edgeStates") == []
@@ -289,9 +297,10 @@ def _acted(vehicle: Vehicle, robot: Robot, order: str, state: Mapping[str, Any])
 
 
 def _connected(vehicle: Vehicle, robot: Robot, message: Mapping[str, Any]) -> Iterator[Event]:
-    state = str(message.get("connectionState"))
-    was, vehicle.connection = vehicle.connection, state
-    if state == "CONNECTIONBROKEN" and was != state:
+    state = message.get("connectionState")
+    if state in BROKEN and not vehicle.is_down:
+        vehicle.is_down = True
         yield LinkWentDown(robot)
-    elif state == "ONLINE" and was == "CONNECTIONBROKEN":
+    elif state == "ONLINE" and vehicle.is_down:
+        vehicle.is_down = False
         yield LinkCameUp(robot)

@@ -192,6 +192,27 @@ def test_a_span_with_odd_fields_is_a_record(imported: Import, odd: Line) -> None
     assert made.made.records == 6
 
 
+@pytest.mark.parametrize(
+    "never",
+    [
+        {"endTimeUnixNano": "0"},
+        {"endTimeUnixNano": None},
+        {"attributes": [{"key": "fsar.open", "value": {"boolValue": True}}]},
+    ],
+)
+def test_a_span_that_has_not_ended_has_no_success(imported: Import, never: Line) -> None:
+    asked, begun = span("1", None, "invoke_agent", agent="planner"), span("2", "1", "invoke_agent", agent="picker")
+    begun |= {**never, "attributes": begun["attributes"] + never.get("attributes", [])}
+    found = said(imported([batch(begun, asked)]))
+    assert sorted((kind, action) for kind, action, *_ in found) == [
+        ("ExecutionFinished", "1"),
+        ("ExecutionStarted", "1"),
+        ("ExecutionStarted", "2"),
+        ("RequestAccepted", "2"),
+        ("RequestIssued", "2"),
+    ]
+
+
 def test_metrics_and_logs_are_on_record_as_not_understood(imported: Import) -> None:
     made = imported([{"resourceMetrics": []}, {"resourceLogs": []}, *honest_day(["1"])])
     assert [one.kind for one in made.made.not_understood] == ["resourceLogs", "resourceMetrics"]

@@ -15,7 +15,7 @@ from fsar_ledger.ledger.opening import open_ledger
 from tests.cli.conftest import Call
 from tests.sources import vda
 from tests.sources.importing import filed, imported, is_good, kinds, record_numbers, rows
-from tests.sources.vda import Line, message, order, state
+from tests.sources.vda import Line, message, order, stamp, state
 
 FLEET = '[robots]\nKIT.0001 = "agv"\n"KIT.0002" = "agv"\n'
 
@@ -114,6 +114,36 @@ def test_a_connection_that_breaks_and_comes_back_is_told_once(tmp_path: Path) ->
     states = ("ONLINE", "CONNECTIONBROKEN", "CONNECTIONBROKEN", "ONLINE", "OFFLINE", "ONLINE")
     lines = [message(at, "0001", "connection", connectionState=one) for at, one in enumerate(states)]
     assert derived(tmp_path, lines) == ["LinkWentDown", "LinkCameUp"]
+
+
+@pytest.mark.parametrize("broken", ["CONNECTIONBROKEN", "CONNECTION_BROKEN"])
+def test_a_broken_connection_is_told_in_what_the_vehicle_left_before_it_came_online(
+    tmp_path: Path, broken: str
+) -> None:
+    states = ("ONLINE", broken, "OFFLINE", "ONLINE", broken)
+    lines = [message(at, "0001", "connection", connectionState=one) for at, one in enumerate(states)]
+    for number, line in enumerate(lines):
+        line["payload"] |= {"headerId": number, "timestamp": stamp(number)}
+        if line["payload"]["connectionState"] == broken:
+            line["payload"] |= {"headerId": 0, "timestamp": stamp(-1)}
+    assert derived(tmp_path, lines) == ["LinkWentDown", "LinkCameUp", "LinkWentDown"]
+
+
+@pytest.mark.parametrize("name", ["instantActionStates", "zoneActionStates"])
+def test_what_becomes_of_other_actions_than_an_orders_is_told_and_no_order_waits_for_them(
+    tmp_path: Path, name: str
+) -> None:
+    charging = {"actionId": "i1", "actionType": "startCharging", "actionStatus": "RUNNING"}
+    line = state(1, "0001", "a", nodes=0)
+    line["payload"][name] = [charging]
+    assert derived(tmp_path, [order(0, "0001", "a"), line])[2:] == [
+        "RequestAccepted",
+        "ExecutionStarted",
+        "TaskCompleted",
+    ]
+    del line["payload"][name][0]["actionStatus"]
+    (tmp_path / "unnamed").mkdir()
+    assert "ExecutionStarted" not in derived(tmp_path / "unnamed", [order(0, "0001", "a"), line])
 
 
 def test_a_state_without_its_nodes_does_not_complete_an_order(tmp_path: Path) -> None:
