@@ -154,7 +154,8 @@ def standing_lines(found: "Situation") -> Iterator[str]:
 
 
 def _robot(one: "RobotNow") -> Iterator[str]:
-    signs = [f"supervisor {printable.value(one.supervisor)}"] if one.supervisor else ["no supervisor"]
+    none = "no supervisor" if one.role else "supervisor ?"  # nobody said that it joined
+    signs = [f"supervisor {printable.value(one.supervisor)}"] if one.supervisor else [none]
     signs += ["OFF"] if one.is_on is False else []
     signs += ["NOT LINKED"] if one.is_linked is False else []
     signs += [f"actuator {one.grade}"] if one.grade else []

@@ -7,6 +7,7 @@ read is told, and the lines after it are read all the same.
 
 import sys
 import tomllib
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from hashlib import sha256
@@ -205,18 +206,22 @@ def read(path: Path) -> bytes:
 def named_robots(path: Path) -> dict[str, str]:
     """Return the role of each robot that a TOML file names under [robots].
 
-    Raises: UsageError for a file that is no such table of texts.
+    Raises: UsageError for a file that is no such table of texts, has another one, or names a robot twice.
     """
     try:
         found = tomllib.loads(read(path).decode())
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise UsageError(f"{value(str(path))}: {error}; expected TOML with a table [robots]") from error
-    robots = dict(_flat(found["robots"])) if isinstance(found.get("robots"), dict) else None
-    if robots is None or not all(isinstance(role, str) for role in robots.values()):
+    named = list(_flat(found["robots"])) if isinstance(found.get("robots"), dict) else None
+    if named is None or found.keys() != {"robots"} or not all(isinstance(role, str) for _, role in named):
         raise UsageError(
-            f'{value(str(path))}: expected a table [robots] with a role for each name, as in `KIT.0001 = "agv"`'
+            f"{value(str(path))}: found {value(', '.join(found))}, expected only a table [robots] with a role for each "
+            'name, as in `KIT.0001 = "agv"`'
         )
-    return robots
+    names = Counter(name.removeprefix("robot/") for name, _ in named)
+    if twice := [name for name, count in names.items() if count > 1]:
+        raise UsageError(f"{value(str(path))}: found robot {value(twice[0])} twice, expected each once")
+    return dict(named)
 
 
 def _flat(table: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:

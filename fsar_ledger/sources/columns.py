@@ -25,7 +25,7 @@ from .adapter import BOM, MAX_LINE
 if TYPE_CHECKING:
     from .recorder import Recorder
 
-BY_ITSELF = ("SourceOpened", "SourceClosed")
+BY_ITSELF = ("SourceOpened", "SourceClosed", "RunContinued")
 """What a recorder says of its own accord."""
 LAYOUT_OF: dict[str, StoredType] = {
     name: layout

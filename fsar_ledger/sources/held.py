@@ -23,11 +23,16 @@ BYTES = "bytes"
 
 
 class Stored(msgspec.Struct, frozen=True):
-    """A run as the ledger holds it: its beginning, how many events it has, and the time of the last."""
+    """A run as the ledger holds it: its beginning, how many events it has, and the time of the last.
+
+    `robots` are the roles of those that joined before the first source was `opened`.
+    """
 
     started: RunStarted
     size: int
     last_us: int
+    robots: dict[str, str]
+    opened: "Opening | None"
 
 
 def stored_run(path: Path, run: str) -> Stored | None:
@@ -46,7 +51,14 @@ def stored_run(path: Path, run: str) -> Stored | None:
         )
     own = {name: row[name] for name in ("type", *RunStarted.__struct_fields__) if name in row}
     started = msgspec.convert(own, RunStarted)
-    return Stored(started, sum(part.block.rows for part in parts), parts[-1].block.last_us)
+    robots, opened = dict[str, str](), None
+    for one, line in _rows(path, run):
+        if one.type == "RobotJoined.v1":
+            robots[f"{one.robot}"] = f"{one.role}"
+        elif one.seq:
+            opened = msgspec.json.decode(line, type=Opening) if one.type == "SourceOpened.v1" else None
+            break
+    return Stored(started, sum(part.block.rows for part in parts), parts[-1].block.last_us, robots, opened)
 
 
 class _Row(msgspec.Struct):

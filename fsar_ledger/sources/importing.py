@@ -33,7 +33,7 @@ from fsar_ledger.ledger.store.append import Writer
 from .adapter import UNREADABLE, Adapter, Derived, Input, Record
 from .columns import Declared, declared, storable, storable_text, text_of
 from .held import BYTES, Held, commit, held
-from .recorder import kept_origin
+from .recorder import origin_of
 
 ORIGIN = "fsar-ledger/imported"
 COMMIT_EVENTS, COMMIT_BYTES = 4_096, 1 << 21
@@ -89,9 +89,8 @@ def import_files(
         UsageError: The input is on file already, or another one is under this name; or as `Adapter.read`.
         NotALedger, LedgerCorrupted, WriteFailed: As `Writer`; what is committed stays, and the import goes on there.
     """
-    name = origin or (signer.verifier.name if signer is not None else ORIGIN)
     names = [*adapter.declares(), *(["RobotJoined"] if fleet is not None else [])]
-    with Writer(path, kept_origin(path) or name, signer) as writer:
+    with Writer(path, origin_of(path, origin, signer, ORIGIN), signer) as writer:
         one = _Import(writer, path, adapter, run, declared(names), keeps_bodies)
         opened = SourceOpened(
             source=adapter.name,

@@ -96,9 +96,9 @@ class PrivateNames:
                 changes[column] = self._principal(found)
             elif isinstance(found, tuple) and any(map(self._is_name, found)):
                 changes[column] = tuple(self._principal(one) if self._is_name(one) else one for one in found)
-        if isinstance(event, Observed) and PERSON in event.qualifiers:
+        if isinstance(event, Observed) and any(map(_is_person, event.qualifiers)):
             pairs = zip(event.objects, event.qualifiers, strict=True)
-            changes["objects"] = tuple(self.hidden(one) if part == PERSON else one for one, part in pairs)
+            changes["objects"] = tuple(self.hidden(one) if _is_person(part) else one for one, part in pairs)
         return with_columns(event, **changes) if changes else event
 
     def _principal(self, name: str) -> str:
@@ -107,3 +107,8 @@ class PrivateNames:
     @staticmethod
     def _is_name(text: str) -> bool:
         return text.startswith(KIND) and text != FLEET_SUPERVISOR and not text.startswith(f"{KIND}~")
+
+
+def _is_person(part: str) -> bool:
+    """Return whether an object plays the part of a person, perhaps beside others (`person, owner`)."""
+    return PERSON in part.split(", ")

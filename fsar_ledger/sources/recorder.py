@@ -11,8 +11,8 @@ from pathlib import Path
 from threading import RLock
 
 from fsar_ledger.base import utc
-from fsar_ledger.base.errors import FsarLedgerError, InvalidRun, UsageError
-from fsar_ledger.base.printable import value
+from fsar_ledger.base.errors import FsarLedgerError, InvalidRun, UsageError, option
+from fsar_ledger.base.printable import counted, value
 from fsar_ledger.events import CONCERN_OF, Event
 from fsar_ledger.events.envelope import flat, recorded_robot
 from fsar_ledger.events.fleet import RobotJoined, RunStarted
@@ -24,12 +24,14 @@ from fsar_ledger.ledger.store.manifest import parse_manifest, read_manifest
 from fsar_ledger.ledger.store.paths import MANIFEST
 
 from .columns import Declared, declared, event_of, storable_text
-from .held import commit, stored_run
+from .held import Stored, commit, stored_run
 from .names import PrivateNames
 
 ORIGIN = "fsar-ledger/recorded"
 FORMAT = "fsar-ledger/1"
 """The format of what is recorded without a file: the events themselves."""
+WITH_COMMITMENTS = f"{FORMAT}, names of people as commitments"
+"""Who reads them so that no name of a person is on record."""
 
 Fleet = Mapping[str, str] | Iterable[RobotJoined]
 """The robots: role by name, without supervisors and teams, or what is known of their joining."""
@@ -41,18 +43,18 @@ class Recorder:
     Args:
         path: The ledger; made if there is none.
         fleet: The robots, by name (`carrier-1` is `robot/carrier-1`) with their role, or events of their joining. They
-            join when the run begins; a run that goes on has its robots.
+            join when the run begins; a run that goes on has its robots, and takes no others.
         observes: What is recorded completely: concerns (`task`), event types (`ExecutionStarted`) and fields of them
             that may be unknown (`ExecutionStarted.requested_by`). The absence of anything else means nothing.
         run: The name of the run; one that is there goes on. None: the time at which it begins.
         source: Who records, by a name.
-        epoch: The time of run time 0; None: now.
+        epoch: The time of run time 0; None: now, or that of the run that goes on.
         origin: The name under which a new ledger is published.
         signer: The key that signs.
         names: The table of names in whose place commitments are stored.
 
     Raises:
-        UsageError: A name in `observes` is none, or the run is there and was declared otherwise.
+        UsageError: A name in `observes` is none, or the run is there and was begun otherwise.
         NotALedger, LedgerCorrupted, WriteFailed: As `Writer`.
     """
 
@@ -74,9 +76,8 @@ class Recorder:
         self.declared, self.source, self._lock = declared(observes), source, RLock()
         begins = utc.zoned(epoch or datetime.now(UTC)).astimezone(UTC)
         self.run = run or begins.isoformat(timespec="seconds")
-        name = origin or (signer.verifier.name if signer is not None else ORIGIN)
         self._path = path
-        self._writer, self._is_open = Writer(path, kept_origin(path) or name, signer), True
+        self._writer, self._is_open = Writer(path, origin_of(path, origin, signer), signer), True
         self._batch: list[tuple[int, int | None, Event]] | None = None
         self._count = 0
         self._is_live = epoch is None  # what is told now happens now, so the run ends now; else where it came to
@@ -87,7 +88,7 @@ class Recorder:
                 self._begin(fleet, opened)
             else:
                 self._next, self._last_us, self._is_live = stored.size, stored.last_us, False
-                self._epoch = self._continued(stored.started)
+                self._epoch = self._continued(stored, dict(_roles(fleet)), epoch and begins)
                 self._put(self._last_us, None, opened or self._opening())
         except BaseException:
             self._writer.close()
@@ -203,7 +204,7 @@ class Recorder:
             self.close()
 
     def _begin(self, fleet: Fleet, opened: SourceOpened | None) -> None:
-        joined: list[Event] = list(_members(fleet)) if isinstance(fleet, Mapping) else list(fleet)
+        joined: list[Event] = [*_members(fleet)]
         if joined and "RobotJoined" not in self.declared.kinds:
             self.declared = declared((*self.declared.observes, *self.declared.records, "RobotJoined"))
         started = RunStarted(
@@ -220,12 +221,25 @@ class Recorder:
         self._next = len(events)
 
     def _opening(self) -> SourceOpened:
-        return SourceOpened(source=self.source, format=FORMAT, adapter=FORMAT, clock="arrival")
+        adapter = FORMAT if self._names is None else WITH_COMMITMENTS
+        return SourceOpened(source=self.source, format=FORMAT, adapter=adapter, clock="arrival")
 
-    def _continued(self, started: RunStarted) -> datetime:
-        """Check that the run was declared as this recorder, and return its epoch."""
+    def _continued(self, stored: Stored, robots: Mapping[str, str], epoch: datetime | None) -> datetime:
+        """Check that the run was begun as this recorder would, and return its epoch."""
+        started = stored.started
         kept = Declared(started.observes, started.records or ())
         asked = self.declared
+        if self._names is None and stored.opened is not None and stored.opened.adapter == WITH_COMMITMENTS:
+            raise UsageError(
+                f"run {value(self.run)}: found a run with commitments in place of the names of people, expected their "
+                f"table ({option('private_names')}); what is appended stays"
+            )
+        if robots and robots != stored.robots:
+            raise UsageError(
+                f"run {value(self.run)}: found {counted(len(stored.robots), 'robot')} with which it began "
+                f"({_first(stored.robots)}), expected the same as now ({_first(robots)}); record RobotJoined of who "
+                "comes later, or give the run another name"
+            )
         if not {*asked.observes, *asked.records} <= {*kept.observes, *kept.records}:
             raise UsageError(
                 f"run {value(self.run)}: found a run that records {_shown(kept)}, expected {_shown(asked)}; declare "
@@ -235,6 +249,11 @@ class Recorder:
             raise UsageError(
                 f"run {value(self.run)}: found a run without an epoch, expected one that a recorder began; give "
                 "another name"
+            )
+        if epoch is not None and epoch != utc.parsed(started.epoch):
+            raise UsageError(
+                f"run {value(self.run)}: found a run that began {started.epoch}, expected {utc.shown(epoch)}; leave "
+                f"{option('epoch')} out, or give the run another name"
             )
         self.declared = kept
         return utc.parsed(started.epoch)
@@ -298,10 +317,35 @@ def kept_origin(path: Path) -> str | None:
     return parse_manifest(path / MANIFEST, read_manifest(path)).origin if (path / MANIFEST).exists() else None
 
 
-def _members(fleet: Mapping[str, str]) -> Iterator[RobotJoined]:
+def origin_of(path: Path, origin: str | None, signer: Signer | None, default: str = ORIGIN) -> str:
+    """Return the name under which the ledger at this path is published, or a new one is to be.
+
+    Raises: NotALedger; UsageError if it has another than this origin.
+    """
+    kept = kept_origin(path)
+    if kept is not None and origin not in (None, kept):
+        raise UsageError(
+            f"{option('origin', origin)}: found a ledger that is published as {value(kept)}, expected the same; leave "
+            "it out"
+        )
+    return kept or origin or (signer.verifier.name if signer is not None else default)
+
+
+def _members(fleet: Fleet) -> Iterator[RobotJoined]:
+    if not isinstance(fleet, Mapping):
+        yield from fleet
+        return
     for name, role in fleet.items():
         robot = name if name.startswith("robot/") else f"robot/{name}"
         yield RobotJoined(robot=recorded_robot(robot), role=role, supervisor=None)
+
+
+def _roles(fleet: Fleet) -> Iterator[tuple[str, str]]:
+    return ((one.robot, one.role) for one in _members(fleet))
+
+
+def _first(robots: Mapping[str, str]) -> str:
+    return value(", ".join(sorted(robots)[:3])) + ("..." if len(robots) > 3 else "") if robots else "none"
 
 
 def _shown(one: Declared) -> str:

@@ -12,7 +12,7 @@ from fsar_ledger.base.errors import UsageError
 from fsar_ledger.events.envelope import recorded_robot
 from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.sources import adapter
-from fsar_ledger.sources.adapter import ENTRY_POINTS, OWN, Derived, Input, Record, adapter_named
+from fsar_ledger.sources.adapter import ENTRY_POINTS, OWN, Derived, Input, Record, adapter_named, named_robots
 from fsar_ledger.sources.columns import declared
 from fsar_ledger.sources.importing import import_files
 from tests.recycled import asked
@@ -73,3 +73,18 @@ def test_a_robot_that_the_fleet_s_file_and_the_recording_name_joins_once(tmp_pat
     assert joined(tmp_path / "both", b"a\nb\n", {"a": "agv"}) == [1, 1, 0]
     assert joined(tmp_path / "neither", b"a\nb\n", None) == [1, 1, 0]
     assert joined(tmp_path / "again", b"a\na\n", {"a": "agv"}) == [2, 1]
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('[robots]\na = "agv"\n"robot/a" = "agv"\n', "found robot a twice"),
+        ('[robots]\nKIT.1 = "agv"\n"KIT.1" = "lift"\n', "found robot KIT.1 twice"),
+        ('[robots]\na = "agv"\n[supervisors]\na = "ann"\n', "found robots, supervisors, expected only a table"),
+        ("[robots]\na = 1\n", "expected only a table"),
+    ],
+)
+def test_a_fleet_s_file_that_says_something_twice_or_else_is_refused(tmp_path: Path, text: str, said: str) -> None:
+    (tmp_path / "fleet.toml").write_text(text)
+    with pytest.raises(UsageError, match=said):
+        named_robots(tmp_path / "fleet.toml")

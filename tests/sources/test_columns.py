@@ -60,6 +60,7 @@ def refused(recorder: Recorder, data: bytes) -> str:
         (line(STARTED, type="ExecutionStarted.v9"), "expected an event type, ExecutionStarted or ExecutionStarted.v1"),
         (line({"type": "RunStarted"}), "field type: found RunStarted"),
         (line({"type": "SourceClosed"}), "expected an event type that is not said of its own accord"),
+        (line({"type": "RunContinued"}), "expected an event type that is not said of its own accord"),
         (
             line({"type": "TaskCompleted", "task_id": "t"}),
             "field type: found TaskCompleted, expected an",

@@ -33,12 +33,22 @@ def test_a_supervisor_has_one_commitment_wherever_it_is_named(tmp_path: Path) ->
     assert "ann" not in str(told)
 
 
+def test_a_run_with_commitments_goes_on_only_with_the_table_of_names(tmp_path: Path) -> None:
+    for _ in range(2):
+        record(tmp_path / "out", fleet=[joined(ANN)], run="n", private_names=tmp_path / "names").close()
+    with pytest.raises(UsageError, match="commitments in place of the names of people, expected their table"):
+        record(tmp_path / "out", run="n")
+
+
 def test_a_person_that_is_observed_is_hidden_and_other_objects_are_not(tmp_path: Path) -> None:
-    seen = Observed(source="s", kind="k", objects=("ann", "robot/A1"), qualifiers=("person", "robot"))
+    seen = Observed(
+        source="s", kind="k", objects=("ann", "robot/A1", "bob"), qualifiers=("person", "robot", "owner, person")
+    )
     told = PrivateNames(tmp_path / "names").event(seen)
     assert isinstance(told, Observed)
     assert told.objects[0].startswith("~")
     assert told.objects[1] == "robot/A1"
+    assert told.objects[2].startswith("~")
 
 
 def test_robots_and_the_supervisor_of_the_fleet_keep_their_names(tmp_path: Path) -> None:

@@ -16,6 +16,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import fsar_ledger
+from fsar_ledger.api.answers import Screen
 from fsar_ledger.base.errors import FsarLedgerError, InvalidRun, UsageError, WriteFailed
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import Robot
@@ -274,11 +276,44 @@ def test_what_was_seen_is_escaped_where_it_cannot_be_printed(tmp_path: Path) -> 
 
 
 def test_a_fleet_joins_when_the_run_begins_and_not_again(tmp_path: Path) -> None:
-    joined = [RobotJoined(robot=Robot("robot/b"), role="agv", supervisor=None)]
-    for fleet in ({"a": "agv"}, joined):
+    joined = [RobotJoined(robot=Robot("robot/a"), role="agv", supervisor=None)]
+    for fleet in ({"a": "agv"}, joined, ()):
         with recorder(tmp_path / "ledger", fleet=fleet) as one:
             one.event(arrived("x"))
-    assert kinds(tmp_path / "ledger") == ["RobotJoined", "TaskArrived", "TaskArrived"]
+    assert kinds(tmp_path / "ledger") == ["RobotJoined", *["TaskArrived"] * 3]
+
+
+@pytest.mark.parametrize(
+    ("otherwise", "said"),
+    [
+        ({"fleet": {"b": "agv"}}, r"1 robot with which it began \(robot/a\), expected the same as now \(robot/b\)"),
+        ({"fleet": {"a": "lift"}}, "found 1 robot with which it began"),
+        (
+            {"epoch": BEGINS + timedelta(seconds=1)},
+            "found a run that began 2026-03-01T10:00:00Z, expected 2026-03-01T10:00:01Z",
+        ),
+        ({"origin": "example.org/other"}, "found a ledger that is published as fsar-ledger/recorded"),
+    ],
+)
+def test_a_run_goes_on_as_it_began_or_not_at_all(tmp_path: Path, otherwise: dict[str, Any], said: str) -> None:
+    recorder(tmp_path / "ledger", fleet={"a": "agv"}, epoch=BEGINS).close()
+    before = [*rows(tmp_path / "ledger")]
+    with pytest.raises(UsageError, match=said):
+        recorder(tmp_path / "ledger", **otherwise)
+    assert [*rows(tmp_path / "ledger")] == before
+    recorder(tmp_path / "ledger", fleet={"a": "agv"}, epoch=BEGINS, origin="fsar-ledger/recorded").close()
+
+
+def test_the_state_invents_neither_for_whom_a_robot_works_nor_that_nobody_supervises_it(tmp_path: Path) -> None:
+    with recorder(tmp_path / "ledger", observes=["ExecutionStarted", "ExecutionWithdrawn"]) as one:
+        for name in ("a", "b"):
+            about: dict[str, Any] = {"task_id": "t", "action_id": "t/1", "robot": f"robot/{name}"}
+            one.event("ExecutionStarted", capability="carry", **about)
+            one.event("ExecutionWithdrawn", **about) if name == "a" else None
+    found = "\n".join(fsar_ledger.open_ledger(tmp_path / "ledger").state(run=1).text(Screen()))
+    assert "robot/b  role ?, team ?; supervisor ?" in found
+    assert "running t/1 carry" in found
+    assert "for robot/a" not in found
 
 
 def test_two_recorders_of_one_run_at_once_lose_nothing(tmp_path: Path) -> None:
