@@ -5,7 +5,10 @@ import signal
 import subprocess
 import time
 from pathlib import Path
+from typing import Any
 
+import fsar_ledger
+from fsar_ledger.api.answers import Screen
 from fsar_ledger.ledger.opening import open_ledger
 from tests.cli.conftest import Call, Called
 from tests.sources.importing import rows
@@ -88,3 +91,15 @@ def test_an_action_whose_beginning_is_not_on_record_is_marked(tmp_path: Path, ca
     lines = json.dumps({"type": "ExecutionStarted", **action, "capability": "open", "robot": "robot/lift"}).encode()
     told(tmp_path / "ledger", lines.replace(b"t/1", b"t/2"), "--observes", "execution").good()
     assert "running t/2 open\n" in call("state", tmp_path / "ledger", "--run", "night").good().out
+
+
+def test_the_state_invents_neither_for_whom_a_robot_works_nor_that_nobody_supervises_it(tmp_path: Path) -> None:
+    with fsar_ledger.record(tmp_path / "ledger", run="r", observes=["ExecutionStarted", "ExecutionWithdrawn"]) as one:
+        for name in ("a", "b"):
+            about: dict[str, Any] = {"task_id": "t", "action_id": "t/1", "robot": f"robot/{name}"}
+            one.event("ExecutionStarted", capability="carry", **about)
+            one.event("ExecutionWithdrawn", **about) if name == "a" else None
+    found = "\n".join(fsar_ledger.open_ledger(tmp_path / "ledger").state(run=1).text(Screen()))
+    assert "robot/b  role ?, team ?; supervisor ?" in found
+    assert "running t/1 carry" in found
+    assert "for robot/a" not in found

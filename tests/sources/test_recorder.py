@@ -16,8 +16,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import fsar_ledger
-from fsar_ledger.api.answers import Screen
 from fsar_ledger.base.errors import FsarLedgerError, InvalidRun, UsageError, WriteFailed
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import Robot
@@ -302,18 +300,6 @@ def test_a_run_goes_on_as_it_began_or_not_at_all(tmp_path: Path, otherwise: dict
         recorder(tmp_path / "ledger", **otherwise)
     assert [*rows(tmp_path / "ledger")] == before
     recorder(tmp_path / "ledger", fleet={"a": "agv"}, epoch=BEGINS, origin="fsar-ledger/recorded").close()
-
-
-def test_the_state_invents_neither_for_whom_a_robot_works_nor_that_nobody_supervises_it(tmp_path: Path) -> None:
-    with recorder(tmp_path / "ledger", observes=["ExecutionStarted", "ExecutionWithdrawn"]) as one:
-        for name in ("a", "b"):
-            about: dict[str, Any] = {"task_id": "t", "action_id": "t/1", "robot": f"robot/{name}"}
-            one.event("ExecutionStarted", capability="carry", **about)
-            one.event("ExecutionWithdrawn", **about) if name == "a" else None
-    found = "\n".join(fsar_ledger.open_ledger(tmp_path / "ledger").state(run=1).text(Screen()))
-    assert "robot/b  role ?, team ?; supervisor ?" in found
-    assert "running t/1 carry" in found
-    assert "for robot/a" not in found
 
 
 def test_two_recorders_of_one_run_at_once_lose_nothing(tmp_path: Path) -> None:
