@@ -10,6 +10,7 @@ from fsar_ledger.base.errors import UsageError
 from fsar_ledger.designs import OutsideCommand, Scenario, registered
 from fsar_ledger.events.command import CommandGiven, CommandRejected
 from fsar_ledger.events.fleet import RunStarted
+from fsar_ledger.events.world import TaskArrived
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.runtime.change_texts import COMMAND, fact_of, fact_text
 from fsar_ledger.runtime.changeable import (
@@ -24,7 +25,20 @@ from fsar_ledger.runtime.changeable import (
     matching_names,
     numbers_of_calls,
 )
-from fsar_ledger.runtime.changes import MODEL, Add, Answer, AnyChange, Changes, Commanded, Drop, Move, Set, seconds_text
+from fsar_ledger.runtime.changes import (
+    MODEL,
+    Add,
+    Answer,
+    AnyChange,
+    Changes,
+    Commanded,
+    Drop,
+    Move,
+    Rule,
+    Set,
+    Trust,
+    seconds_text,
+)
 from fsar_ledger.runtime.forks import Fork, edited_environment, fork, live_again, parts_at, run_again
 from fsar_ledger.runtime.live import Asked, commands_of
 from fsar_ledger.runtime.own import problems_of_commands
@@ -100,6 +114,8 @@ class Rerun(NamedTuple):
         for change in changes:
             if isinstance(change, Answer):
                 _require_used(self, change, forked)
+            if isinstance(change, Rule | Trust) and change.task is not None:
+                _require_task(self, change, change.task, forked)
         rejected = _rejected(self.base, forked)
         if rejected is not None:
             raise UsageError(f"{rejected.command} about {rejected.subject} is rejected: {rejected.reason}")
@@ -193,6 +209,14 @@ def _require_meant(rerun: Rerun, change: AnyChange) -> None:
             f"change {change}: the run has ended by then, at {seconds_text(last_us / 1_000_000)}; expected an earlier "
             "time"
         )
+
+
+def _require_task(rerun: Rerun, change: Rule | Trust, task: str, forked: Fork) -> None:
+    """Check that a task of this name arrives in the run or its fork. Raises: UsageError."""
+    records = (rerun.base.record, forked.record)
+    tasks = {event.task_id: None for record in records for event in record.events if isinstance(event, TaskArrived)}
+    if task not in tasks:
+        raise _unknown("task", change, task, [*tasks])
 
 
 def _require_members(base: Base, change: Add) -> None:

@@ -139,8 +139,8 @@ class Answer:
         raise NotImplementedError
 
     def table(self) -> "Table":
-        """Return the rows, of an answer that has them."""
-        raise NotImplementedError
+        """Return the rows, of an answer that has them. Raises: UsageError of another one."""
+        raise UsageError(f"table: found {type(self).__name__}, which has no rows of one kind, expected its fields")
 
     def rows_alone(self) -> "Rows":
         """Return the rows as CSV has them."""

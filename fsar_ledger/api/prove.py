@@ -1,5 +1,6 @@
 """The verbs `prove` and `verify-proof`: prove an event to whoever has no ledger, and check such a proof."""
 
+import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, get_args
@@ -115,6 +116,11 @@ def _signer(form: str, out: Place | None, key: Place | None) -> "Signer | None":
     if form not in get_args(Form):
         raise UsageError(f"{option('format', printable.value(form))}: expected tlog-proof or cose")
     if form != "cose":
+        if key is not None and str(key) != os.environ.get("FSAR_LEDGER_KEY"):
+            raise UsageError(
+                f"{option('key', key)}: found a key for a {form}, which nobody signs, expected none, or "
+                f"{option('format', 'cose')}"
+            )
         return None
     where = option("format", form)
     for name, given in (("out", out), ("key", key)):

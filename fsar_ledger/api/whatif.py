@@ -187,6 +187,8 @@ def whatif(
         if place.resolve() == view.path.resolve():
             raise UsageError(f"{option('out', place)}: found the ledger of the bases, expected another place")
         require_outside(place.parent, option("out", place))
+    if not meant:
+        raise UsageError("changes: found no change, expected one at least")
     texts = tuple(map(str, meant))
     if record is not None:
         pair = forks.fork_of(view, record, meant)

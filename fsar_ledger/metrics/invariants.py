@@ -12,7 +12,7 @@ from fsar_ledger.base import printable
 from fsar_ledger.base.errors import UnknownQuery, UsageError, option
 from fsar_ledger.base.progress import Progress
 
-from .database import Database, from_rows
+from .database import Database, Value, from_rows
 from .library import Query, library
 from .results import typed
 from .slices import Slices, asked_of
@@ -215,13 +215,19 @@ JUDGES = {
 _OF_METRICS = """
     SELECT seq, time_us / 1e6 AS time_s, action_id, about, found, made_by
     FROM verdict_events
-    WHERE run_id = $run AND verdict = $kind
+    WHERE
+        run_id = $run AND verdict = $kind
+        AND NOT EXISTS (FROM unobservable AS hidden WHERE hidden.run_id = $run AND hidden.judge = $judge)
     ORDER BY seq, action_id, about
 """
 _OF_INVARIANT = """
     SELECT seq, time_us / 1e6 AS time_s, action_id, type AS about, found, [seq] AS made_by
     FROM {relation}
-    WHERE run_id = $run
+    WHERE
+        run_id = $run
+        AND NOT EXISTS (
+            FROM unobservable AS hidden WHERE hidden.run_id = $run AND hidden.judge = $judge AND hidden.hides_offences
+        )
     ORDER BY seq
 """
 
@@ -234,6 +240,8 @@ def verdict_kinds() -> dict[str, str]:
 def verdict_rows(database: Database, run: str, kind: str) -> tuple[pa.Table, Query]:
     """Return the verdicts of this kind on a run, with the events that made each, and the query that judges.
 
+    There are none where the run does not observe what they rest on, as where the metric or invariant judges.
+
     Raises:
         UsageError: There is no such kind.
     """
@@ -245,6 +253,7 @@ def verdict_rows(database: Database, run: str, kind: str) -> tuple[pa.Table, Que
             f"{', '.join(judges)}"
         )
     judge = database.library.find(judges[kind])
+    named: dict[str, Value] = {"run": run, "judge": judge.relation}
     if kind in JUDGES:
-        return database.table(_OF_METRICS, {"run": run, "kind": kind}), judge
-    return database.table(_OF_INVARIANT.format(relation=judge.relation), {"run": run}), judge
+        return database.table(_OF_METRICS, {**named, "kind": kind}), judge
+    return database.table(_OF_INVARIANT.format(relation=judge.relation), named), judge

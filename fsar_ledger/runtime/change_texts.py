@@ -244,8 +244,7 @@ def _add(text: str) -> Add | tuple[Add, ...]:
         return _added(first, rest.split())
     if isinstance(found := msgspec.json.decode(rest), dict) and "command" in found:
         return Add(seconds_of(first), fact_text(fact_of(rest)))
-    event = msgspec.json.decode(_newest(rest), type=WorldEvent)
-    return Add(seconds_of(first), fact_text(event))
+    return Add(seconds_of(first), _checked(msgspec.json.decode(_newest(rest), type=WorldEvent)))
 
 
 def fact_text(event: Event) -> str:
@@ -303,7 +302,16 @@ def _added(named: str, words: list[str]) -> tuple[Add, ...]:
         raise _Unfit(f"{kind} takes {'a length: for TIME' if is_spell else 'no length'}, and at most one more word")
     events = make(who, seconds_text(at_s), *word)
     times = (at_s,) if for_s is None else (at_s, at_s + for_s)
-    return tuple(Add(time_s, fact_text(event)) for time_s, event in zip(times, events, strict=True))
+    return tuple(Add(time_s, _checked(event)) for time_s, event in zip(times, events, strict=True))
+
+
+def _checked(event: Event) -> str:
+    """Return the text of a fact, each field of which it may have. Raises: msgspec.MsgspecError, _Unfit."""
+    text = fact_text(event)
+    found = fact_of(text)
+    if isinstance(found, PolicyWindowOpened) and found.outcome == "allow":
+        raise _Unfit("found a window that allows, where one restricts (review, deny)")
+    return text
 
 
 def _window(who: str, at: str, outcome: str = "deny") -> tuple[Event, ...]:

@@ -18,10 +18,12 @@ at the end of a text says what held before, which makes it whole: a fork has suc
 """
 
 from decimal import Decimal
+from math import isfinite
 from typing import Literal
 
 import msgspec
 
+from fsar_ledger.base.errors import UsageError
 from fsar_ledger.events.envelope import PolicyOutcome, PolicyScope, RecoveryLevel, Robot, TrustScope
 
 
@@ -177,7 +179,9 @@ Verb = Literal["drop", "move", "add", "answer", "rule", "trust", "budget", "dens
 
 
 def seconds_text(seconds: float) -> str:
-    """Write a time so that `seconds_of` reads the same: 46.6s."""
+    """Write a time so that `seconds_of` reads the same: 46.6s. Raises: UsageError for no finite one."""
+    if not isfinite(seconds):
+        raise UsageError(f"change: found {seconds} where a time belongs, expected seconds")
     return f"{Decimal(round(seconds * 1_000_000)) / 1_000_000:f}s"
 
 

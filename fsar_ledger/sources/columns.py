@@ -18,6 +18,7 @@ from fsar_ledger.base.printable import did_you_mean, escaped, value
 from fsar_ledger.events import CONCERN_OF, CONCERNS, Event
 from fsar_ledger.events.envelope import flat
 from fsar_ledger.events.source import Observed
+from fsar_ledger.events.world import PolicyWindowOpened
 from fsar_ledger.ledger.rows.schema import LAYOUTS, OPENINGS, RECORDS, StoredType
 
 from .adapter import BOM, MAX_LINE
@@ -33,6 +34,8 @@ LAYOUT_OF: dict[str, StoredType] = {
     if tag not in OPENINGS and (name := tag.partition(".v")[0]) not in BY_ITSELF
 }
 """How the events are stored that others can record, by name without version."""
+MEASURES = frozenset({"budget_us", "t_max_us", "n_max", "fence"})
+"""Columns of lengths of time and of counts, which are never negative."""
 ALIGNED = (("names", "texts"), ("objects", "qualifiers"))
 """Columns of an observation that go together."""
 _FLAW = re.compile(r"(?P<what>.*?)(?: - at `\$(?P<at>.*)`)?", re.DOTALL)
@@ -76,9 +79,17 @@ def laid_out(layout: StoredType, columns: Mapping[str, Any]) -> Event:
             inside["path"] = [columns["decided_by"]] if columns.get("decided_by") is not None else []
         given[member.name] = inside
     try:
-        return msgspec.convert(given, layout.cls)
+        event: Event = msgspec.convert(given, layout.cls)
     except msgspec.ValidationError as error:
         raise UsageError(_flaw(layout, f"{error}")) from error
+    for name in MEASURES & columns.keys():
+        if isinstance(found := columns[name], int) and found < 0:
+            raise UsageError(f"field {name}: found {found} in {type(event).__name__}, expected 0 or more")
+    if isinstance(event, PolicyWindowOpened) and event.outcome == "allow":
+        raise UsageError(
+            "field outcome: found allow in PolicyWindowOpened, expected review or deny: a window restricts"
+        )
+    return event
 
 
 def _flaw(layout: StoredType, message: str) -> str:

@@ -23,7 +23,7 @@ WITH asked AS (
                     )
         END AS wrong
     FROM case_definitions
-    WHERE $number IN ('all', case_number::VARCHAR) AND $claim IN ('all', claim)
+    WHERE $number::VARCHAR IN ('all', case_number::VARCHAR) AND $claim IN ('all', claim)
 ),
 
 chosen AS (
@@ -37,7 +37,7 @@ chosen AS (
     INNER JOIN runs ON evidence.run_id = runs.run_id
     INNER JOIN asked ON asked.wrong IS NULL
     WHERE
-        $number IN ('all', definitions.case_number::VARCHAR) AND $claim IN ('all', evidence.claim)
+        $number::VARCHAR IN ('all', definitions.case_number::VARCHAR) AND $claim IN ('all', evidence.claim)
         AND $architecture IN ('all', runs.architecture) AND $run IN ('all', evidence.run_id)
 )
 

@@ -41,6 +41,13 @@ def test_a_wrong_name_or_time_is_an_error_and_no_empty_answer(
         ledger.events(**asked)  # type: ignore[arg-type]
 
 
+def test_calls_that_make_no_sense_are_errors_of_the_package(ledger: fsar_ledger.Ledger) -> None:
+    with pytest.raises(UsageError, match="changes: found no change, expected one at least"):
+        ledger.whatif([], 1)
+    with pytest.raises(UsageError, match="table: found Moment"):
+        ledger.state(1, at=5).table()
+
+
 def test_wrong_names_in_questions_are_errors(ledger: fsar_ledger.Ledger) -> None:
     with pytest.raises(UnknownQuery, match="did you mean"):
         ledger.query("refusls")

@@ -174,6 +174,9 @@ def test_a_time_that_is_no_number_is_an_error(time: str) -> None:
         ("set a", "found no value where a number belongs"),
         ("set a=true", "found true where a number belongs"),
         ("trust A1 B1 much", "Invalid enum value 'much'"),
+        ("add window:flet/B1 5s for 5s", "Invalid enum value 'flet'"),
+        ("add routine:A1 5s dancing", "Invalid enum value 'dancing'"),
+        ("add window:fleet/B1 5s for 5s allow", r"found a window that allows, where one restricts \(review, deny\)"),
         ("x" * 20_000, "expected one of drop"),
     ],
 )
@@ -198,6 +201,8 @@ def test_a_file_holds_changes_as_tables_or_as_texts(tmp_path: Path) -> None:
     [
         ('[[changes]]\nchange = "drp"\nfact = "x"\n', "changes.toml:1: changes\\[0\\]: Invalid value 'drp'"),
         ('[[changes]]\nchange = "drop"\nfct = "x"\n', "fct"),
+        ('[[changes]]\nchange = "move"\nfact = "x"\nby_s = nan\n', "found nan where a time belongs"),
+        ('[[changes]]\nchange = "rule"\nscope = "fleet"\noutcome = "deny"\nfrom_s = inf\n', "found inf where a time"),
         ('change = "drop"\n', "change"),
         ('changes = ["drop"]\n', "found 0 words after the verb"),
         ("changes = [", "expected TOML"),

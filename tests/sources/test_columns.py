@@ -60,6 +60,13 @@ def refused(recorder: Recorder, data: bytes) -> str:
         (line(STARTED, type="ExecutionStarted.v9"), "expected an event type, ExecutionStarted or ExecutionStarted.v1"),
         (line({"type": "RunStarted"}), "field type: found RunStarted"),
         (line({"type": "SourceClosed"}), "expected an event type that is not said of its own accord"),
+        (line({"type": "TaskArrived", "task_id": "t", "budget_us": -5}), "field budget_us: found -5 in TaskArrived"),
+        (
+            line(
+                {"type": "PolicyWindowOpened", "robot": "robot/a", "scope": "local", "window": "w", "outcome": "allow"}
+            ),
+            "field outcome: found allow in PolicyWindowOpened, expected review or deny",
+        ),
         (line({"type": "RunContinued"}), "expected an event type that is not said of its own accord"),
         (
             line({"type": "TaskCompleted", "task_id": "t"}),

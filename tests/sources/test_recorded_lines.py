@@ -7,12 +7,18 @@ import time
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 import fsar_ledger
 from fsar_ledger.api.answers import Screen
 from fsar_ledger.ledger.opening import open_ledger
+from fsar_ledger.metrics.database import connect
+from fsar_ledger.metrics.invariants import verdict_kinds
 from tests.cli.conftest import Call, Called
 from tests.sources.importing import rows
 from tests.sources.test_recorder import COMMAND, tasks
+
+STARTED = {"task_id": "t", "action_id": "t/1", "robot": "robot/a", "capability": "carry"}
 
 
 def told(ledger: Path, lines: bytes, *options: object) -> Called:
@@ -103,3 +109,22 @@ def test_the_state_invents_neither_for_whom_a_robot_works_nor_that_nobody_superv
     assert "robot/b  role ?, team ?; supervisor ?" in found
     assert "running t/1 carry" in found
     assert "for robot/a" not in found
+
+
+@pytest.mark.parametrize(
+    ("observes", "kind", "columns"),
+    [
+        (["TaskArrived", "TaskArrived.budget_us"], "late", {"task_id": "t", "budget_us": 1}),
+        (["ExecutionStarted"], "unattributed", STARTED),
+        (["ExecutionStarted"], "i1", STARTED),
+    ],
+)
+def test_no_verdict_is_listed_where_the_metric_or_invariant_cannot_judge(
+    tmp_path: Path, observes: list[str], kind: str, columns: dict[str, Any]
+) -> None:
+    with fsar_ledger.record(tmp_path / "ledger", run="r", observes=observes) as one:
+        one.event(observes[0], **columns)
+    with connect(tmp_path / "ledger") as database:
+        judge = verdict_kinds()[kind]
+        assert database.rows("SELECT 1 AS is_hidden FROM unobservable WHERE judge = $judge", {"judge": judge})
+    assert fsar_ledger.open_ledger(tmp_path / "ledger").verdicts("r", kind).rows() == []
