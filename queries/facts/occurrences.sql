@@ -6,7 +6,11 @@
 -- NULL: action_id when the record names none; sender, receiver when the record does not say; note when there is
 --   nothing to add. A deed of one's own, and what befalls one, has the same sender and receiver
 -- Example: fsar-ledger query facts/occurrences LEDGER
-WITH told AS (
+WITH gave AS (
+    SELECT run_id, seq, issued_by AS given_by FROM command_given
+),
+
+told AS (
     SELECT
         events.run_id, events.seq, events.time_us, events.type, events.action_id, words.words,
         MAP {
@@ -62,7 +66,7 @@ WITH told AS (
     FROM events
     INNER JOIN occurrence_words AS words ON events.type = words.type
     -- Work for a robot is in its name, and may be given by others.
-    LEFT JOIN (SELECT run_id, seq, issued_by AS given_by FROM command_given) AS gave
+    LEFT JOIN gave
         ON events.run_id = gave.run_id AND events.caused_by = gave.seq AND events.type = 'CommandRejected.v1'
     WHERE events.type <> 'AuthorityClaimed.v1' OR reason <> 'revocation'
 )
