@@ -82,9 +82,9 @@ def federate(
     """
     from fsar_ledger.ledger.opening import open_ledger
     from fsar_ledger.ledger.store.keys import read_signer
-    from fsar_ledger.runtime.federation import Federation
+    from fsar_ledger.runtime.federation import ORIGIN, Federation
     from fsar_ledger.runtime.isolation import isolation_of
-    from fsar_ledger.sources.recorder import kept_origin
+    from fsar_ledger.sources.recorder import kept_origin, origin_of
 
     if (isolated is None) is not (of is None):
         raise UsageError(f"{option('isolated')} and {option('of')}: found one of them, expected both, or none")
@@ -94,15 +94,14 @@ def federate(
     if not run:
         raise UsageError("run: found an empty name, expected one with at least a letter")
     place, signer = Path(out), None if key is None else read_signer(Path(key))
-    if (kept := kept_origin(place)) not in (None, origin) and origin is not None:
-        raise UsageError(f"{option('origin', origin)}: found a ledger of origin {kept}, expected that or none")
-    goes_on = kept is not None and open_ledger(place).has_run(run)
+    name = origin_of(place, origin, signer, ORIGIN)
+    goes_on = kept_origin(place) is not None and open_ledger(place).has_run(run)
     federation = Federation(
         place,
         run,
         *_fleet_of(robots, fleet, settings),
         clock,
-        origin=kept or origin,
+        origin=name,
         signer=signer,
         on_commit=on_commit,
         cuts_us=() if cut is None else _times_us(cut),

@@ -14,6 +14,7 @@ from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows.runs import LedgerRun
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.locations import place_of
+from fsar_ledger.ledger.store.read import View
 
 from .adapter import UNREADABLE
 from .columns import Declared
@@ -52,7 +53,7 @@ def stored_run(path: Path, run: str) -> Stored | None:
     own = {name: row[name] for name in ("type", *RunStarted.__struct_fields__) if name in row}
     started = msgspec.convert(own, RunStarted)
     robots, opened = dict[str, str](), None
-    for one, line in _rows(path, run):
+    for one, line in _rows(view, run):
         if one.type == "RobotJoined.v1":
             robots[f"{one.robot}"] = f"{one.role}"
         elif one.seq:
@@ -129,7 +130,7 @@ def held(path: Path, run: str) -> Held | None:
     beside, robots = set[int](), dict[str, str]()
     opening = record = b""
     row = None
-    for row, line in _rows(path, run):
+    for row, line in _rows(open_ledger(path), run):
         match row.type:
             case "SourceOpened.v1" | "SourceClosed.v1":
                 beside.add(row.seq)
@@ -158,8 +159,8 @@ def held(path: Path, run: str) -> Held | None:
     )
 
 
-def _rows(path: Path, run: str) -> Iterator[tuple[_Row, bytes]]:
-    view, decoder = open_ledger(path), msgspec.json.Decoder(_Row)
+def _rows(view: View, run: str) -> Iterator[tuple[_Row, bytes]]:
+    decoder = msgspec.json.Decoder(_Row)
     for part in view.parts(run):
         for line in view.rows(part.first, part.end):
             row = decoder.decode(line)

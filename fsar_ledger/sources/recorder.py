@@ -325,8 +325,7 @@ def origin_of(path: Path, origin: str | None, signer: Signer | None, default: st
     kept = kept_origin(path)
     if kept is not None and origin not in (None, kept):
         raise UsageError(
-            f"{option('origin', origin)}: found a ledger that is published as {value(kept)}, expected the same; leave "
-            "it out"
+            f"{option('origin', origin)}: found a ledger that is published as {value(kept)}, expected that or none"
         )
     return kept or origin or (signer.verifier.name if signer is not None else default)
 
