@@ -251,11 +251,9 @@ def _coming(event: AtRobot, known: Action | None) -> ExecutionQueued:
     """Return the event that was not recorded, with what is on record of the action."""
     parties: Parties | Action | None = known
     # Whose step it is, where nobody says so, is not known; it stands with the robot that does it.
-    is_for_another = known is not None and known.on_behalf_of != known.robot
-    whose, capability = (
-        known.on_behalf_of if known and is_for_another else event.robot,
-        known.capability if known else "",
-    )
+    whose, capability = event.robot, known.capability if known else ""
+    if known is not None and known.on_behalf_of != known.robot:
+        whose = known.on_behalf_of
     if isinstance(event, ExecutionStarted):
         parties, whose, capability = event.principals, event.on_behalf_of or whose, event.capability
     return ExecutionQueued(
