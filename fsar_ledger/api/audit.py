@@ -100,7 +100,7 @@ def audit(
     from fsar_ledger.ledger.opening import open_for_answers
     from fsar_ledger.metrics.database import connect_view
     from fsar_ledger.metrics.invariants import all_shown, audit_rows, chosen
-    from fsar_ledger.metrics.provenance import of_judgement
+    from fsar_ledger.metrics.provenance import of_audit
     from fsar_ledger.metrics.results import models
 
     view = open_for_answers(ledger.path)
@@ -108,7 +108,7 @@ def audit(
     with connect_view(view, demanded=ledger.demanded) as database:
         there = [str(row["architecture"]) for row in database.rows(_ARCHITECTURES)]
         unreadable = sum(one.runs for one in models(database) if one.parameters is None)
-        provenance = of_judgement(database)
+        provenance = of_audit(database)
         wanted = known("architecture", names_of(architecture), tuple(dict.fromkeys([*ARCHITECTURES, *there])))
         slices = database.slices
         rows = [] if slices is not None else audit_rows(database, queries, wanted, progress)

@@ -189,6 +189,12 @@ def warn(ledger: Path, provenance: "Provenance") -> None:
         say(f"{ledger}: {missing}; `fsar-ledger info {printable.word(ledger)}` says how to go on")
     if provenance.open_work is not None:
         say(f"{provenance.open_work.warning()} (`fsar-ledger query open_work {printable.word(ledger)}`)")
+    if provenance.actions_under_way:
+        under_way = printable.counted(provenance.actions_under_way, "action")
+        say(
+            f"{under_way} under way when the record began: what asked for and allowed it is not judged "
+            f"(`fsar-ledger query actions_under_way {printable.word(ledger)}`)"
+        )
     if not provenance.rows_verified:
         say(
             f"the rows of {ledger} were not compared with its root; `fsar-ledger verify {printable.word(ledger)}` does "

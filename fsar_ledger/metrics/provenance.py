@@ -98,6 +98,8 @@ _TIES = frozenset({"event_principals", "keyed_events", "naming_events"})
 
 _OF_ANY_TYPE = frozenset({"evidence_of_principals", "keyed_events", "revocations"})
 """Queries that read events of every type, although they also name some."""
+_EXCUSES = frozenset({"unobservable", "actions_under_way"})
+"""Relations of what is not judged: without the events that they read nothing more is said to be wrong."""
 
 
 IN_PART = " in part"
@@ -115,7 +117,7 @@ class Unobserved(msgspec.Struct, frozen=True):
 def types_read(library: Library, query: Query) -> frozenset[str] | None:
     """Return the event types that the query reads; None if it reads events of every type."""
     found: set[str] = set()
-    for one in (*library.needs(query.sources() - {query.relation}, held={"unobservable"}), query):
+    for one in (*library.needs(query.sources() - {query.relation}, held=_EXCUSES), query):
         named = _TYPE.findall(_NOT_READ.sub("", one.sql))
         reads_all = not named and _WIDE >= one.sources() & {"events", *library.relations} > set()
         if (reads_all or one.relation in _OF_ANY_TYPE) and (one is query or one.relation not in _TIES):
@@ -221,7 +223,8 @@ class Provenance(msgspec.Struct, frozen=True):
 
     `plans` says which planned runs are there; None where the answer does not depend on that. `not_observed` names the
     concerns that runs do not observe, and about which the answer says nothing there; `open_work` what a judgement of
-    outcomes counts as not done, or None if nothing is open.
+    outcomes counts as not done, or None if nothing is open; `actions_under_way` how many actions an audit does not
+    judge by what asked for them, since their record began later.
     """
 
     head: Head | None = None
@@ -229,11 +232,13 @@ class Provenance(msgspec.Struct, frozen=True):
     plans: Completeness | None = None
     not_observed: tuple[Unobserved, ...] = ()
     open_work: OpenWork | None = None
+    actions_under_way: int = 0
 
     def answer(self) -> dict[str, object]:
         """Return what JSON answers say of this besides the head."""
         missing: dict[str, object] = {"not_observed": self.not_observed} if self.not_observed else {}
         missing |= {"open_work": self.open_work} if self.open_work else {}
+        missing |= {"actions_under_way": self.actions_under_way} if self.actions_under_way else {}
         return missing if self.plans is None else {**self.plans.answer(), **missing}
 
 
@@ -252,6 +257,15 @@ def of_rows(database: Database, query: Query | str | None = None, run: str | Non
 def of_judgement(database: Database) -> Provenance:
     """Return the provenance of an answer that judges all planned runs."""
     return Provenance(database.head, database.rows_verified, completeness(database))
+
+
+def of_audit(database: Database) -> Provenance:
+    """Return the provenance of an answer that judges who asked for, allowed and did what in all planned runs."""
+    found = of_judgement(database)
+    if not database.rows("SELECT 1 AS foreign_run FROM runs WHERE kind = 'foreign' LIMIT 1"):
+        return found
+    [row] = database.rows("SELECT count(*) AS actions FROM actions_under_way")
+    return msgspec.structs.replace(found, actions_under_way=row["actions"])
 
 
 def of_outcomes(database: Database) -> Provenance:

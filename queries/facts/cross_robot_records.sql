@@ -1,7 +1,7 @@
 -- Title: Starts and ends of executions for another robot, and who began what ends
 -- Paper: sec:architecture:invariants (A5), eq:request
 -- Grain: one row per start for another robot, and per end of an execution that was started for another robot, or by
---   another one than ends it
+--   another one than ends it; without actions that were under way when the record began
 -- Key: run_id, seq
 -- Units: time_us microseconds of run time; next_seq position of the next step or end of its task
 -- NULL: principals that the record does not name; began_by, on_behalf_of of an end without a start; next_seq and
@@ -15,6 +15,7 @@ WITH finished AS (
         starts.robot AS began_by,
         starts.on_behalf_of
     FROM execution_finished AS done
+    ANTI JOIN actions_under_way AS earlier ON done.run_id = earlier.run_id AND done.action_id = earlier.action_id
     ASOF LEFT JOIN execution_started AS starts
         ON done.run_id = starts.run_id AND done.action_id = starts.action_id AND done.seq > starts.seq
 ),
@@ -53,5 +54,6 @@ SELECT
     on_behalf_of,
     NULL AS next_seq,
     NULL AS is_given_up
-FROM execution_started
+FROM execution_started AS starts
+ANTI JOIN actions_under_way AS earlier ON starts.run_id = earlier.run_id AND starts.action_id = earlier.action_id
 WHERE robot <> on_behalf_of

@@ -7,9 +7,8 @@
 -- NULL: never; without a row there was nothing to judge, which is no pass
 -- Example: fsar-ledger query facts/invariant_cases LEDGER
 -- Stored: audit reads it for each invariant
--- What depends on the type only is judged once a type.
 -- Partial: what it says of a run does not depend on others
-WITH of_types AS (
+WITH of_types AS ( -- what depends on the type only is judged once a type
     SELECT
         run_id, type,
         count(*) AS events,
@@ -56,11 +55,14 @@ judged AS (
         unnest([i1, i2, i5, a1, a2, a3, a4, a5]) AS cases
     FROM counted
     UNION ALL
-    SELECT run_id, 'a4_thin_federation_interface' AS invariant, 1 AS cases FROM recovery_attempted
-    WHERE level = 'local'
+    SELECT run_id, 'a4_thin_federation_interface' AS invariant, (level = 'local')::INTEGER AS cases FROM recovery_attempted
+    UNION ALL -- not judged, since what asked for them came before the record
+    SELECT run_id, 'i2_local_execution_ownership' AS invariant, -starts_for_others AS cases FROM actions_under_way
     UNION ALL
-    SELECT run_id, 'i2_local_execution_ownership' AS invariant, 1 AS cases FROM rights_at_evaluations
-    WHERE verdict = 'admitted'
+    SELECT run_id, 'a1_local_runtime_self_sufficiency' AS invariant, -own_starts AS cases FROM actions_under_way
+    UNION ALL
+    SELECT run_id, 'i2_local_execution_ownership' AS invariant, (verdict = 'admitted')::INTEGER AS cases
+    FROM rights_at_evaluations
     UNION ALL
     SELECT run_id, unnest(['i3_jointly_composed_policy', 'a3_no_silent_policy_override']) AS invariant, 1 AS cases
     FROM known_policy

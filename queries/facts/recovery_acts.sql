@@ -25,6 +25,10 @@ records AS (
             AS failure,
         last_value(CASE WHEN type = 'ExecutionFailed.v1' THEN robot END IGNORE NULLS) OVER so_far AS robot
     FROM recovery_records
+    ANTI JOIN actions_under_way AS earlier
+        ON
+            recovery_records.run_id = earlier.run_id AND recovery_records.action_id = earlier.action_id
+            AND recovery_records.seq < coalesce(earlier.failed_seq, recovery_records.seq + 1)
     WHERE
         type IN (
             'ExecutionFailed.v1', 'RecoveryAttempted.v1', 'AssistanceRequested.v1', 'AssistanceAdmitted.v1',

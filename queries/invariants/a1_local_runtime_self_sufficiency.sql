@@ -6,6 +6,7 @@
 -- Units: time_us microseconds of run time
 -- NULL: action_id for a routine, and where the record does not name it
 -- Example: fsar-ledger query invariants/a1_local_runtime_self_sufficiency LEDGER
+-- What was decided before the record of another system began is not on record.
 WITH decided AS (
     SELECT
         run_id, seq, time_us, type, task_id, action_id, decided_by, path,
@@ -23,6 +24,7 @@ own_starts AS (
         ON
             starts.run_id = decided.run_id AND starts.seq > decided.seq AND starts.robot = decided.owner
             AND starts.task_id = decided.task_id AND starts.action_id = coalesce(decided.action_id, starts.action_id)
+    ANTI JOIN actions_under_way AS earlier ON starts.run_id = earlier.run_id AND starts.action_id = earlier.action_id
     WHERE starts.robot = starts.on_behalf_of
     GROUP BY starts.run_id, starts.seq, starts.time_us, starts.action_id, starts.robot
 )

@@ -8,7 +8,7 @@
 -- NULL: never
 -- Example: fsar-ledger query invariants/i2_local_execution_ownership LEDGER
 -- An acceptance counts when the executing robot decided it, it names that robot as executor, and nobody else was on its
--- path.
+-- path. That of an action that was under way when the record of another system began is not on record.
 WITH acceptances AS (
     SELECT
         starts.run_id, starts.seq,
@@ -24,6 +24,7 @@ WITH acceptances AS (
     FROM execution_started AS starts
     LEFT JOIN request_accepted AS accepted
         ON starts.run_id = accepted.run_id AND starts.action_id = accepted.action_id AND starts.seq > accepted.seq
+    ANTI JOIN actions_under_way AS earlier ON starts.run_id = earlier.run_id AND starts.action_id = earlier.action_id
     WHERE starts.robot <> starts.on_behalf_of
     GROUP BY starts.run_id, starts.seq
 )

@@ -6,7 +6,8 @@ from pathlib import Path
 import pytest
 
 from fsar_ledger.events import CONCERNS
-from fsar_ledger.events.envelope import Robot, Supervisor
+from fsar_ledger.events.envelope import ActionId, Parties, Robot, Subject, Supervisor, TaskId
+from fsar_ledger.events.execution import ExecutionStarted
 from fsar_ledger.events.fleet import RobotJoined, RunStarted
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.metrics.definitions import metrics
@@ -127,3 +128,23 @@ def test_an_architecture_of_somebody_elses_can_be_asked_for_by_its_name(call: Ca
         for row in json.loads(call("audit", tmp_path / "ledger", "--architecture", "open-rmf", "--json").out)["rows"]
     } == {"open-rmf"}
     one_message(call("audit", tmp_path / "ledger", "--architecture", "open-rfm"), 2, "did you mean open-rmf")
+
+
+def test_audit_says_how_many_actions_were_under_way_when_the_record_began(call: Call, tmp_path: Path) -> None:
+    asks, works, supervisor = Robot("robot/A1"), Robot("robot/A2"), Supervisor("supervisor/x")
+    joined = [RobotJoined(robot=robot, role="A", team=1, supervisor=supervisor) for robot in (asks, works)]
+    went_on = ExecutionStarted(
+        subject=Subject(task_id=TaskId("t"), action_id=ActionId("t/1")),
+        principals=Parties(requested_by=asks, executed_by=works, supervised_by=supervisor),
+        robot=works,
+        on_behalf_of=asks,
+        capability="carry",
+    )
+    started = RunStarted(kind="foreign", source="s", observes=CONCERNS)
+    ledger = tmp_path / "ledger"
+    append_all(ledger, [[LedgerRun("night", [0, 1, 2, 3], [None, 0, 1, 2], [started, *joined, went_on])]])
+    said = call("audit", ledger, "--invariant", "i2", "--json")
+    [row] = json.loads(said.out)["rows"]
+    assert (row["holds"], row["cases"], row["events"]) == (None, 0, 0)
+    assert json.loads(said.out)["actions_under_way"] == 1
+    assert "1 action under way when the record began: what asked for and allowed it is not judged" in said.err

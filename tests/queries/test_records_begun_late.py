@@ -1,0 +1,80 @@
+"""A record of another system that begins while work is under way: what came before is no offence, and no case."""
+
+from typing import Any
+
+import pytest
+
+from tests.queries.histories import Row, act, answer, event, run
+
+S = 1_000_000
+FOREIGN: dict[str, Any] = {"kind": "foreign", "seed": None, "scenario": None, "run": None, "architecture": None}
+A, B = "robot/A1", "robot/B1"
+MEMBERS = [event("RobotJoined", robot=robot, supervisor="supervisor/x") for robot in (A, B)]
+
+
+def start(action_id: str, robot: str, on_behalf_of: str) -> Row:
+    named = {"requested_by": on_behalf_of, "executed_by": robot, "supervised_by": "supervisor/x"}
+    return act("ExecutionStarted", S, action_id, robot=robot, on_behalf_of=on_behalf_of, capability="carry", **named)
+
+
+def finish(action_id: str, robot: str) -> Row:
+    return act("ExecutionFinished", 2 * S, action_id, robot=robot, requested_by=A, executed_by=robot)
+
+
+def attempt(action_id: str, failure: int) -> Row:
+    return act("RecoveryAttempted", 3 * S, action_id, robot=A, failure=failure, number=1, level="local")
+
+
+OFFENCES: dict[str, list[Row]] = {
+    "i2_local_execution_ownership": [start("t/1", B, A)],
+    "a1_local_runtime_self_sufficiency": [start("t/1", A, A)],
+    "a5_audit_completeness": [start("t/1", B, A), finish("t/1", B)],
+    "i4_outward_recovery": [attempt("t/1", 1)],
+}
+ARRIVED = event("TaskArrived", task_id="t", budget_us=100 * S)
+
+
+def offences(invariant: str, *events: Row, **started: Any) -> int:
+    return len(answer(f"invariants/{invariant}", run(*MEMBERS, *events, **started), columns=("seq",)))
+
+
+def cases(invariant: str, *events: Row, **started: Any) -> int:
+    rows = answer("facts/invariant_cases", run(*MEMBERS, *events, **started), columns=("invariant", "cases"))
+    return sum(count for judged, count in rows if judged == invariant)
+
+
+@pytest.mark.parametrize("invariant", OFFENCES)
+def test_what_goes_on_when_a_record_begins_is_no_offence_and_no_case(invariant: str) -> None:
+    events = OFFENCES[invariant]
+    assert offences(invariant, *events, **FOREIGN) == 0
+    assert cases(invariant, *events, **FOREIGN) == 0
+    assert offences(invariant, *events) > 0  # a simulated run begins with its first task
+
+
+@pytest.mark.parametrize("invariant", OFFENCES)
+@pytest.mark.parametrize(
+    "known",
+    [
+        [ARRIVED],
+        [event("StepBegan", task_id="t", action_id="t/1", robot=A)],
+        [act("GapDetected", 0, "t/1", robot=A, capability="carry")],
+    ],
+    ids=["its task arrived", "its step began", "its gap was found"],
+)
+def test_what_began_within_the_record_is_judged(invariant: str, known: list[Row]) -> None:
+    assert offences(invariant, *known, *OFFENCES[invariant], **FOREIGN) > 0
+    assert cases(invariant, *known, *OFFENCES[invariant], **FOREIGN) > 0
+
+
+def test_a_source_that_records_no_arrivals_cannot_tell_what_goes_on() -> None:
+    observes = ["fleet", "request", "execution", "authority"]
+    events = OFFENCES["i2_local_execution_ownership"]
+    assert offences("i2_local_execution_ownership", *events, observes=observes, **FOREIGN) == 1
+    assert offences("i2_local_execution_ownership", *events, observes=observes, records=["TaskArrived"], **FOREIGN) == 0
+
+
+def test_the_next_failure_of_what_goes_on_is_judged_from_its_detection_on() -> None:
+    failed = act("ExecutionFailed", 4 * S, "t/1", robot=A, failure=2, cause="worn")
+    skipped = act("RecoveryEscalated", 5 * S, "t/1", robot=A, failure=2, level="local", to_level="human")
+    assert offences("i4_outward_recovery", attempt("t/1", 1), failed, skipped, **FOREIGN) == 1
+    assert cases("i4_outward_recovery", attempt("t/1", 1), failed, skipped, **FOREIGN) == 2
