@@ -59,7 +59,7 @@ def connect_view(
     """Open a database over this head, as `connect`. Raises: LedgerCorrupted, SequenceConflict."""
     rows_verified = is_verified(view, demanded)
     earlier_runs(view)  # what `relation` puts together follows one another
-    segments = view.segments()
+    segments = view.segments(are_laid_out=rows_verified)
     slices = Slices(view, demanded) or None
     database = Database(
         view.head,

@@ -38,14 +38,14 @@ def test_the_first_segment_that_is_not_as_committed_is_named(path: Path) -> None
         open_ledger(path).segments()
 
 
-@pytest.mark.parametrize("read", ["tables", "event", "leaves", "runs"])
+@pytest.mark.parametrize("read", ["tables", "event", "segment", "runs"])
 def test_no_row_is_read_from_a_segment_that_is_not_as_committed(path: Path, read: str) -> None:
     flip(segment_at(path, 0))
     view = open_ledger(path)
     reads: dict[str, Callable[[], object]] = {
         "tables": lambda: list(view.tables()),
         "event": lambda: view.event(3),
-        "leaves": lambda: view.leaves(0),
+        "segment": lambda: view.segment(0, is_laid_out=True),
         "runs": lambda: list(view.runs()),
     }
     with pytest.raises(LedgerCorrupted, match="found SHA-256"):

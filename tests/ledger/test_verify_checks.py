@@ -18,7 +18,7 @@ from fsar_ledger.ledger.log.hashing import HASH_BYTES
 from fsar_ledger.ledger.log.merkle import Frontier
 from fsar_ledger.ledger.log.note import Note, checkpoint_of
 from fsar_ledger.ledger.opening import open_ledger
-from fsar_ledger.ledger.rows import layout, schema, segment
+from fsar_ledger.ledger.rows import canonical, layout, schema, segment
 from fsar_ledger.ledger.rows.grammar import Footer
 from fsar_ledger.ledger.rows.schema import SCHEMA, fingerprint
 from fsar_ledger.ledger.store import disk
@@ -210,7 +210,8 @@ def test_an_anchor_within_the_newest_commit_is_proved_by_the_rows_where_its_hash
     path: Path, snapshots: Path, tmp_path: Path
 ) -> None:
     view = open_ledger(path)
-    tree = checkpoint_of(ORIGIN, Frontier().extend((view.leaves(0) + view.leaves(1))[: 280 * HASH_BYTES]))
+    leaves = canonical.leaves(view.table(0)) + canonical.leaves(view.table(1))
+    tree = checkpoint_of(ORIGIN, Frontier().extend(leaves[: 280 * HASH_BYTES]))
     (tmp_path / "anchor").write_text(str(Note(tree, (SIGNER.sign(tree),))))
     for name in ("checkpoint", "nodes", "index.jsonl"):
         shutil.copyfile(snapshots / "1" / name, path / name)

@@ -11,6 +11,7 @@ import pytest
 
 from fsar_ledger.base.errors import LedgerCorrupted, SequenceConflict
 from fsar_ledger.ledger.opening import open_ledger
+from fsar_ledger.ledger.rows.layout import Layout, check_layout
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.ledger.verify import verify
@@ -42,6 +43,22 @@ def test_rows_are_verified_after_a_whole_look_and_not_before(ledger: Path) -> No
     assert not known(ledger)
     assert full_verify(ledger).ok
     assert known(ledger)
+
+
+def test_a_whole_look_is_a_look_at_the_layout_of_every_segment(ledger: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    looked: list[Path] = []
+
+    def look(path: Path, data: bytes) -> Layout:
+        looked.append(path)
+        return check_layout(path, data)
+
+    monkeypatch.setattr("fsar_ledger.ledger.store.read.check_layout", look)
+    connect(ledger).close()
+    assert looked
+    full_verify(ledger)
+    looked.clear()
+    connect(ledger).close()
+    assert not looked
 
 
 def test_a_quick_look_is_not_remembered(ledger: Path) -> None:

@@ -231,7 +231,7 @@ def _derive_nodes(view: View, good: int, have: int) -> None:
     tree = placed[begin - 1].tree() if begin else Frontier()
     for number in range(begin, len(placed)):
         first = tree.size
-        tree, nodes = pack.grow(tree, view.leaves(number))
+        tree, nodes = pack.grow(tree, canonical.leaves(view.table(number)))
         if tree != placed[number].tree():
             raise LedgerCorrupted(
                 f"{view.segment(number)}: found rows that lead to root {tree.root().hex()}, expected "

@@ -21,7 +21,7 @@ from fsar_ledger.ledger.log.note import Note
 from fsar_ledger.ledger.rows import canonical, codec, segment
 from fsar_ledger.ledger.rows.blocks import BLOCK_COLUMNS
 from fsar_ledger.ledger.rows.codec import LedgerRun
-from fsar_ledger.ledger.rows.layout import Layout, check_layout
+from fsar_ledger.ledger.rows.layout import check_layout
 from fsar_ledger.ledger.rows.runs import gathered
 from fsar_ledger.ledger.rows.schema import RELEASE, SCHEMA
 from fsar_ledger.ledger.store import derived, growing
@@ -77,7 +77,7 @@ class View(msgspec.Struct, frozen=True, dict=True):
         last = self.chain.commits[-1] if self.chain.commits else None
         return EMPTY_HEAD if last is None else Head(self.chain.count, last.tree_size, last.tree_root)
 
-    @property
+    @cached_property
     def releases(self) -> list[str]:
         """Return for each segment the release that has its columns."""
         return [placement.release for placement in self.chain.placed] + [RELEASE] * bool(self.journal.frames)
@@ -92,29 +92,32 @@ class View(msgspec.Struct, frozen=True, dict=True):
         placed = self.chain.placed
         return placed[number].end if number < len(placed) else self.chain.size
 
-    def segment(self, number: int) -> Path:
-        """Return this segment, after checking that it is the placed one and within the bounds.
+    def segment(self, number: int, is_laid_out: bool = False) -> Path:
+        """Return this segment, after checking that it is the placed one and, unless that is known, within the bounds.
 
         One of the journal, or compacted meanwhile, is a file elsewhere that is removed when the process ends. Raises:
         LedgerCorrupted if it is missing, is not as placed, or exceeds the bounds.
         """
         if number not in self.checked or not self.checked[number].exists():
-            is_placed = number < len(self.chain.placed)
+            placed = self.chain.placed[number : number + 1]
             self.checked[number] = (
-                self._placed(self.chain.placed[number])[0] if is_placed else materialized(self.journal_table())
+                self.placed_segment(placed[0], is_laid_out) if placed else materialized(self.journal_table())
             )
         return self.checked[number]
 
-    def segments(self) -> list[Path]:
+    def segments(self, are_laid_out: bool = False) -> list[Path]:
         """Return all segments, in order, each checked. Raises: As `segment`."""
-        return [self.segment(number) for number in range(len(self.releases))]
+        return [self.segment(number, are_laid_out) for number in range(len(self.releases))]
 
-    def placed_segment(self, placement: Placement) -> Path:
-        """Return the segment of this placement, after checking that it is as placed. Raises: As `segment`."""
-        return self._placed(placement)[0]
+    def placed_segment(self, placement: Placement, is_laid_out: bool = False) -> Path:
+        """Return the segment of this placement, checked as by `segment`. Raises: As that."""
+        path, data = self._placed(placement)
+        if not is_laid_out:
+            check_layout(path, data)
+        return path
 
-    def _placed(self, placement: Placement) -> tuple[Path, bytes, Layout]:
-        """Return the segment of this placement, its bytes and its layout, both as placed. Raises: As `segment`."""
+    def _placed(self, placement: Placement) -> tuple[Path, bytes]:
+        """Return the segment of this placement, and its bytes as placed. Raises: As `segment`."""
         names = Names(segment_of(placement), CHAIN)
         number = placement.number
         for _ in range(_TRIES):
@@ -129,18 +132,17 @@ class View(msgspec.Struct, frozen=True, dict=True):
                 continue
             if problem is not None:
                 raise LedgerCorrupted(f"{self.path}/{problem}; restore the file")
-            return self.path / segment.file, data, check_layout(self.path / segment.file, data)
+            return self.path / segment.file, data
         raise LedgerCorrupted(f"{self.path}/{names.place}: found no file to read, expected the segment; restore it")
 
-    def _compacted(self, placement: Placement) -> tuple[Path, bytes, Layout] | None:
+    def _compacted(self, placement: Placement) -> tuple[Path, bytes] | None:
         """Return, as `_placed`, a file of this process with the rows of a segment that was compacted meanwhile."""
         now = open_chain(self.path, canonical.document(self.manifest), is_damage_told=False)
         if placement in now.chain.placed or placement not in now.chain.placements:
             return None
         number = bisect_right(now.chain.placed, placement.first, key=lambda placed: placed.first) - 1
         path = materialized(now.table(number).slice(placement.first - now.first(number), placement.rows))
-        data = path.read_bytes()
-        return path, data, check_layout(path, data)
+        return path, path.read_bytes()
 
     def located(self, placement: Placement) -> Path:
         """Find the segment of this placement, in place or in staging, without reading it.
@@ -151,10 +153,6 @@ class View(msgspec.Struct, frozen=True, dict=True):
         if segment.problem is not None:
             raise LedgerCorrupted(f"{self.path}/{segment.problem}; restore the file")
         return self.path / segment.file
-
-    def leaves(self, number: int) -> bytes:
-        """Return the packed leaf hashes of the rows of this segment. Raises: As `segment`."""
-        return canonical.leaves(self.table(number))
 
     # See docs/decisions/journal-status-is-never-read.md.
     def is_current(self, chain: growing.OpenFile | None = None, journal: int = -1) -> bool:
@@ -249,7 +247,8 @@ class View(msgspec.Struct, frozen=True, dict=True):
     def _read(self, number: int, columns: list[str] | None = None) -> pa.Table:
         """Read the rows of this segment in force, coded, with these columns (None: all). Raises: As `segment`."""
         placement = self.chain.placed[number]
-        path, data, layout = self._placed(placement)
+        path, data = self._placed(placement)
+        layout = check_layout(path, data)
         if layout.rows != placement.rows:
             raise LedgerCorrupted(f"{path}: found {layout.rows} rows, expected {placement.rows}; restore the file")
         self.checked.setdefault(number, path)
@@ -346,9 +345,9 @@ class View(msgspec.Struct, frozen=True, dict=True):
 
     def segments_between(self, first: int, end: int) -> list[int]:
         """Return the numbers of the segments that hold events from this index up to that, in order."""
-        count = len(self.releases)
-        start = bisect_right(range(count), first, key=self.end)
-        return list(takewhile(lambda number: self.first(number) < end, range(start, count)))
+        numbers = range(len(self.releases))
+        start = bisect_right(numbers, first, key=self.end)
+        return list(takewhile(lambda number: self.first(number) < end, numbers[start:]))
 
     def groups(self) -> list[tuple[int, ...]]:
         """Return the segments in groups that share no run, each of neighbours."""

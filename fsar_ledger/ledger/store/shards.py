@@ -122,7 +122,7 @@ class Federation(View, frozen=True, dict=True):
         newest = [self.chain.sha256, *(view.record_sha256 for view in self.views)]
         return hashlib.sha256("\n".join(newest).encode()).hexdigest()
 
-    @property
+    @cached_property
     def releases(self) -> list[str]:
         """Return for each segment the release that has its columns."""
         return [release for view in self.views for release in view.releases]
@@ -156,10 +156,10 @@ class Federation(View, frozen=True, dict=True):
         at, own = self._segments[number]
         return self._firsts[at] + self.shards[at].view.end(own)
 
-    def segment(self, number: int) -> Path:
+    def segment(self, number: int, is_laid_out: bool = False) -> Path:
         """Return this segment, checked. Raises: As `View.segment`."""
         at, own = self._segments[number]
-        return self.shards[at].view.segment(own)
+        return self.shards[at].view.segment(own, is_laid_out)
 
     def table(self, number: int, columns: list[str] | None = None) -> pa.Table:
         """Return the stored rows of this segment with these columns (None: all). Raises: As `segment`."""

@@ -287,7 +287,7 @@ def _make_again(path: Path, name: str, data: bytes, set_aside: SetAside, done: D
 def _nodes(view: View) -> bytes:
     tree, hashes = Frontier(), []
     for number in range(len(view.chain.placed)):
-        tree, nodes = pack.grow(tree, view.leaves(number))
+        tree, nodes = pack.grow(tree, canonical.leaves(view.table(number)))
         hashes.append(nodes)
     return b"".join(hashes)
 
