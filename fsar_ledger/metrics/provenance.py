@@ -275,6 +275,6 @@ def of_outcomes(database: Database) -> Provenance:
         return found
     [row] = database.rows(
         "SELECT coalesce(sum(open_tasks), 0)::BIGINT AS tasks, coalesce(sum(open_failures), 0)::BIGINT AS failures "
-        "FROM open_work"
+        "FROM open_work AS work INNER JOIN runs ON work.run_id = runs.run_id WHERE runs.kind = 'live'"
     )
     return msgspec.structs.replace(found, open_work=OpenWork(**row)) if any(row.values()) else found

@@ -54,7 +54,7 @@ class Recorder:
         names: The table of names in whose place commitments are stored.
 
     Raises:
-        UsageError: A name in `observes` is none, or the run is there and was begun otherwise.
+        UsageError: A name in `observes` is none or says more than the fleet does, or the run was begun otherwise.
         NotALedger, LedgerCorrupted, WriteFailed: As `Writer`.
     """
 
@@ -205,6 +205,13 @@ class Recorder:
 
     def _begin(self, fleet: Fleet, opened: SourceOpened | None) -> None:
         joined: list[Event] = [*_members(fleet)]
+        said = {"fleet", "RobotJoined.supervisor"} & {*self.declared.observes, *self.declared.records}
+        if said and joined and isinstance(fleet, Mapping):
+            raise UsageError(
+                f"{option('observes', min(said))}: found a fleet with the roles alone of its robots, expected one that "
+                f"says who supervises each: record RobotJoined of each in place of {option('fleet')}, or observe the "
+                "types of events that are recorded completely"
+            )
         if joined and "RobotJoined" not in self.declared.kinds:
             self.declared = declared((*self.declared.observes, *self.declared.records, "RobotJoined"))
         started = RunStarted(

@@ -1,41 +1,68 @@
--- Title: What was open when the record of another system ended, so that its outcome is not known
+-- Title: What the record of another system leaves open, so that a metric cannot count it
 -- Paper: sec:evaluation:metrics
--- Grain: one row per foreign run and metric that counts outcomes of which some are open
+-- Grain: one row per foreign run and metric that counts outcomes or calls of which some are open
 -- Key: run_id, judge
--- Units: open_count tasks that were within their budget, or failures without an end
+-- Units: open_count tasks that were within their budget at the end, that arrived twice or were completed before they
+--   arrived; failures without an end; calls of somebody who may be the fleet's supervisor under another name
 -- NULL: never
 -- Example: fsar-ledger query facts/censored LEDGER
--- A simulated run ends when nothing is left to happen; the record of another system ends when somebody stops it.
-WITH ends AS (
-    SELECT events.run_id, max(events.time_us) AS end_us
-    FROM event_principals AS events
-    INNER JOIN runs ON events.run_id = runs.run_id AND runs.kind = 'foreign'
-    GROUP BY events.run_id
+WITH foreign_runs AS (
+    SELECT run_id
+    FROM runs
+    WHERE kind = 'foreign'
 ),
 
-tasks AS (
-    SELECT arrived.run_id, count(*) AS open_count
+mixed_up AS (
+    -- What arrives twice may be one task or two, and what was completed before it arrived another one.
+    SELECT arrived.run_id, arrived.task_id
     FROM task_arrived AS arrived
-    INNER JOIN ends ON arrived.run_id = ends.run_id
-    ANTI JOIN task_completed AS done ON arrived.run_id = done.run_id AND arrived.task_id = done.task_id
-    ANTI JOIN task_abandoned AS given_up ON arrived.run_id = given_up.run_id AND arrived.task_id = given_up.task_id
-    WHERE arrived.budget_us > ends.end_us - arrived.time_us
-    GROUP BY arrived.run_id
+    INNER JOIN foreign_runs ON arrived.run_id = foreign_runs.run_id
+    LEFT JOIN task_completed AS done ON arrived.run_id = done.run_id AND arrived.task_id = done.task_id
+    GROUP BY arrived.run_id, arrived.task_id
+    HAVING count(DISTINCT arrived.seq) > 1 OR min(done.time_us) < min(arrived.time_us)
 ),
 
-failures_left AS (
-    SELECT failed.run_id, count(*) AS open_count
-    FROM execution_failed AS failed
-    INNER JOIN ends ON failed.run_id = ends.run_id
-    ANTI JOIN failure_resolved AS solved
-        ON failed.run_id = solved.run_id AND failed.action_id = solved.action_id AND failed.failure = solved.failure
-    ANTI JOIN execution_withdrawn AS withdrawn
-        ON failed.run_id = withdrawn.run_id AND failed.action_id = withdrawn.action_id AND failed.seq < withdrawn.seq
-    GROUP BY failed.run_id
+strangers AS (
+    -- Who supervises no robot may supervise the fleet. One call that names the fleet's supervisor decides the metric.
+    SELECT called.run_id, called.seq
+    FROM supervisor_called AS called
+    INNER JOIN foreign_runs ON called.run_id = foreign_runs.run_id
+    ANTI JOIN fleet_members AS members ON called.run_id = members.run_id AND called.supervisor = members.supervisor
+    ANTI JOIN fleet_calls AS calls ON called.run_id = calls.run_id
+),
+
+left_open AS (
+    SELECT
+        work.run_id, 'the end of what was open' AS what, work.open_tasks AS open_count,
+        ['coordination_success', 'success_without_violation'] AS judges
+    FROM open_work AS work
+    INNER JOIN foreign_runs ON work.run_id = foreign_runs.run_id
+    WHERE work.open_tasks > 0
+    UNION ALL
+    SELECT
+        work.run_id, 'the end of what was open' AS what, work.open_failures AS open_count,
+        ['recovery_containment', 'reassignment_latency_s', 'time_to_know_s'] AS judges
+    FROM open_work AS work
+    INNER JOIN foreign_runs ON work.run_id = foreign_runs.run_id
+    WHERE work.open_failures > 0
+    UNION ALL
+    SELECT
+        run_id, 'which task was completed' AS what, 1 AS open_count,
+        ['coordination_success', 'success_without_violation'] AS judges
+    FROM mixed_up
+    UNION ALL
+    SELECT run_id, 'who supervises the fleet' AS what, 1 AS open_count, ['human_intervention'] AS judges
+    FROM strangers
+),
+
+judged AS (
+    SELECT run_id, what, open_count, unnest(judges) AS judge
+    FROM left_open
 )
 
-SELECT run_id, unnest(['coordination_success', 'success_without_violation']) AS judge, open_count
-FROM tasks
-UNION ALL
-SELECT run_id, unnest(['recovery_containment', 'reassignment_latency_s', 'time_to_know_s']) AS judge, open_count
-FROM failures_left
+SELECT
+    run_id, judge,
+    string_agg(DISTINCT what, ', ' ORDER BY what) AS not_observed,
+    sum(open_count)::BIGINT AS open_count
+FROM judged
+GROUP BY run_id, judge

@@ -1,16 +1,18 @@
--- Title: What a live fleet still works on where its record ends: tasks within their budget, failures without an end
+-- Title: What is still open where a record that somebody ends does: tasks within their budget, failures without an end
 -- Paper: sec:evaluation:metrics
--- Grain: one row per live run that has any
+-- Grain: one row per live or foreign run that has any
 -- Key: run_id
 -- Units: open_tasks, open_failures count
 -- NULL: never
 -- Example: fsar-ledger query facts/open_work LEDGER
+-- Stored: what is censored reads it twice
 -- Partial: what it says of a run does not depend on others
--- The record of a live run ends where it was read, not where the work ends: metrics count what is open as not done.
+-- A simulated run ends when nothing is left to happen. The record of a live run ends where it was read, and metrics
+-- count what is open as not done; that of another system ends when somebody stops it, and they count none of it.
 WITH ends AS (
     SELECT events.run_id, max(events.time_us) AS end_us
     FROM event_principals AS events
-    INNER JOIN runs ON events.run_id = runs.run_id AND runs.kind = 'live'
+    INNER JOIN runs ON events.run_id = runs.run_id AND runs.kind IN ('foreign', 'live')
     GROUP BY events.run_id
 ),
 

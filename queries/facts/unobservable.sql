@@ -4,8 +4,7 @@
 -- Key: run_id, judge
 -- Units: none
 -- NULL: never; not_observed names the concerns, or the event types and fields of a run that says which of them it
---   records, or says that outcomes were open when its record ended; hides_offences tells whether not even an offence
---   could be found
+--   records, or says what its record leaves open; hides_offences tells whether not even an offence could be found
 -- Example: fsar-ledger query facts/unobservable LEDGER
 -- Stored: every metric, invariant and grade reads it
 -- Partial: what it says of a run does not depend on others
@@ -63,7 +62,7 @@ lacking AS (
 SELECT
     coalesce(runs.run_id, censored.run_id) AS run_id,
     coalesce(lacking.judge, censored.judge) AS judge,
-    coalesce(lacking.not_observed, 'the end of what was open') AS not_observed,
+    coalesce(lacking.not_observed, censored.not_observed) AS not_observed,
     coalesce(lacking.hides_offences, FALSE) AS hides_offences
 FROM run_started AS runs
 INNER JOIN lacking

@@ -83,13 +83,50 @@ def test_a_name_that_comes_again_is_another_task_and_each_has_the_end_that_follo
         ((ARRIVED, seen_at(9)), "live", [(1, 0)]),
         ((ARRIVED, seen_at(10)), "live", []),
         ((ARRIVED, seen_at(9)), "simulated", []),
+        ((ARRIVED, seen_at(9)), "foreign", [(1, 0)]),
         ((FAILED,), "live", [(0, 1)]),
         ((ARRIVED, FAILED), "live", [(1, 1)]),
         ((FAILED, RESOLVED), "live", []),
     ],
 )
-def test_what_a_live_fleet_still_works_on_is_counted(
+def test_what_is_open_where_a_record_ends_is_counted(
     events: tuple[dict[str, Any], ...], kind: str, found: list[tuple[int, int]]
 ) -> None:
     rows = answer("facts/open_work", run(*events, kind=kind), columns=("open_tasks", "open_failures"))
     assert rows == found
+
+
+MIXED_UP = "which task was completed"
+DONE = event("TaskCompleted", 3 * S, task_id="t")
+
+
+def test_what_arrives_twice_or_was_completed_before_is_not_counted_at_random() -> None:
+    again = event("TaskArrived", 20 * S, task_id="t", budget_us=10 * S)
+    assert success(DONE, again, seen_at(31), **FOREIGN) == MIXED_UP
+    assert success(ARRIVED, DONE, **FOREIGN) == MIXED_UP
+    other = event("TaskArrived", 5 * S, task_id="u", budget_us=10 * S)
+    assert success(DONE, event("TaskCompleted", 4 * S, task_id="u"), other, **FOREIGN) == MIXED_UP
+    assert (
+        success(DONE, again, event("TaskArrived", 21 * S, task_id="u", budget_us=S), **FOREIGN) == f"{OPEN}, {MIXED_UP}"
+    )
+    assert success(DONE, event("TaskCompleted", 4 * S, task_id="t"), **FOREIGN) == 1  # it is said twice
+
+
+JOINED = event("RobotJoined", robot="robot/A1", role="carrier", supervisor="supervisor/own")
+
+
+def called(*supervisors: str | None, **started: Any) -> Any:
+    calls = [event("SupervisorCalled", S, supervisor=one, purpose="review") for one in supervisors]
+    [[numerator, not_observed]] = answer(
+        "metrics/human_intervention", run(JOINED, *calls, **started), columns=("numerator", "not_observed")
+    )
+    return not_observed or numerator
+
+
+def test_a_call_of_somebody_who_supervises_no_robot_may_be_a_call_of_the_fleets_supervisor() -> None:
+    assert called("supervisor/anna", **FOREIGN) == "who supervises the fleet"
+    assert called(None, **FOREIGN) == "who supervises the fleet"
+    assert called("supervisor/anna") == 0  # in our own runs the fleet's supervisor has one name
+    assert called("supervisor/own", **FOREIGN) == 0
+    assert called("supervisor/anna", "supervisor/fleet", **FOREIGN) == 1
+    assert called(**FOREIGN) == 0

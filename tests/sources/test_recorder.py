@@ -30,6 +30,7 @@ from fsar_ledger.sources.recorder import Recorder
 from tests.sources.importing import is_good, kinds, rows
 
 TASKS = ("TaskArrived", "TaskCompleted")
+JOINED = [RobotJoined(robot=Robot("robot/a"), role="agv", supervisor=None)]
 BEGINS = datetime(2026, 3, 1, 10, tzinfo=UTC)
 COMMAND = (sys.executable, "-m", "fsar_ledger")
 
@@ -274,8 +275,7 @@ def test_what_was_seen_is_escaped_where_it_cannot_be_printed(tmp_path: Path) -> 
 
 
 def test_a_fleet_joins_when_the_run_begins_and_not_again(tmp_path: Path) -> None:
-    joined = [RobotJoined(robot=Robot("robot/a"), role="agv", supervisor=None)]
-    for fleet in ({"a": "agv"}, joined, ()):
+    for fleet in ({"a": "agv"}, JOINED, ()):
         with recorder(tmp_path / "ledger", fleet=fleet) as one:
             one.event(arrived("x"))
     assert kinds(tmp_path / "ledger") == ["RobotJoined", *["TaskArrived"] * 3]
@@ -300,6 +300,13 @@ def test_a_run_goes_on_as_it_began_or_not_at_all(tmp_path: Path, otherwise: dict
         recorder(tmp_path / "ledger", **otherwise)
     assert [*rows(tmp_path / "ledger")] == before
     recorder(tmp_path / "ledger", fleet={"a": "agv"}, epoch=BEGINS, origin="fsar-ledger/recorded").close()
+
+
+@pytest.mark.parametrize("observes", ["fleet", "RobotJoined.supervisor"])
+def test_roles_alone_do_not_say_completely_who_supervises_whom(tmp_path: Path, observes: str) -> None:
+    with pytest.raises(UsageError, match=f"observes={observes}: found a fleet with the roles alone"):
+        recorder(tmp_path / "ledger", fleet={"a": "agv"}, observes=[observes])
+    recorder(tmp_path / "ledger", fleet=JOINED, observes=[observes]).close()
 
 
 def test_two_recorders_of_one_run_at_once_lose_nothing(tmp_path: Path) -> None:
