@@ -55,7 +55,7 @@ judged AS (
         unnest([i1, i2, i5, a1, a2, a3, a4, a5]) AS cases
     FROM counted
     UNION ALL
-    SELECT run_id, 'a4_thin_federation_interface' AS invariant, (level = 'local')::INTEGER AS cases FROM recovery_attempted
+    SELECT run_id, 'a4_thin_federation_interface' AS invariant, (level = 'local')::INT AS cases FROM recovery_attempted
     UNION ALL -- not judged, since what asked for them came before the record
     SELECT run_id, 'i2_local_execution_ownership' AS invariant, -starts_for_others AS cases FROM actions_under_way
     UNION ALL
