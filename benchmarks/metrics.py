@@ -2,12 +2,14 @@
 
     python benchmarks/metrics.py                    10 million events; the ledger is simulated once and kept
     python benchmarks/metrics.py --events 200000    a small run
+    python benchmarks/metrics.py --ledger out/ledger   a ledger of yours
 
-Both sides start from the segment files of a ledger, use every core, and must give the same numbers.
-Printed are medians of wall time and of CPU seconds.
+Both sides start from the segment files of a ledger, use every core, and must give the same numbers; ours knows nothing
+of the ledger from before. Printed are medians of wall time and of CPU seconds.
 """
 
 import argparse
+import os
 import statistics
 import sys
 import tempfile
@@ -15,6 +17,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
+from unittest.mock import patch
 
 import polars as pl
 
@@ -67,7 +70,11 @@ def experiment(runs: int) -> Experiment:
 
 
 def by_sql(ledger: Path) -> Numbers:
-    with connect(ledger) as database:
+    with (
+        tempfile.TemporaryDirectory() as cache,
+        patch.dict(os.environ, XDG_CACHE_HOME=cache),
+        connect(ledger) as database,
+    ):
         published = {row["metric"] for row in database.rows("SELECT metric FROM metric_definitions WHERE is_published")}
         return {
             (row.architecture, row.configuration, row.fleet_size, row.metric): row.mean
@@ -114,8 +121,9 @@ def main() -> int:
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--workers", type=int, default=2, help="processes that simulate the ledger")
     parser.add_argument("--cache", type=Path, default=Path(tempfile.gettempdir()) / "fsar-ledger-benchmark")
+    parser.add_argument("--ledger", type=Path, help="a ledger to measure, instead of one that is simulated")
     options = parser.parse_args()
-    ledger = ledger_of(options.events, options.cache, options.workers)
+    ledger = options.ledger or ledger_of(options.events, options.cache, options.workers)
     view = open_ledger(ledger)
     segments, classes = view.segments(), event_classes(ledger)
     sql_s: list[Spent] = []

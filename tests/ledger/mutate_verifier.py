@@ -37,6 +37,9 @@ SLOW = (
 PARALLEL = len(os.sched_getaffinity(0))
 LIMIT_S = 600
 
+_EMPTY = "without a second reader there are no digests, and of no digests it finds nothing"
+_MEMORY = "it bounds how many rows are read at once, not what is found in them"
+_BOTH = "a file that is compared by its values and by a digest of them is compared no worse"
 EQUIVALENT: dict[str, str] = {
     "rows/check.py, _envelope: columns[name].null_count < len(columns[name]) "
     "(in COLUMNS[name] == 'integer' and columns[name].null_count < len(columns[name]))": (
@@ -45,6 +48,16 @@ EQUIVALENT: dict[str, str] = {
     "rows/bounds.py, has_more_text_than: longest > most (in longest > most and text_bytes(table) > most)": (
         "it saves adding up the lengths where not even the longest texts would exceed the bound"
     ),
+    "verify/segment.py, examine_some: second_reader is not None (in second_reader is not None and digests)": _EMPTY,
+    "verify/segment.py, examine_some: digests (in second_reader is not None and digests)": _EMPTY,
+    "verify/segment.py, _together: if part and (len(part) == most or rows > _MOST_ROWS)": _MEMORY,
+    "verify/segment.py, _together: part (in part and (len(part) == most or rows > _MOST_ROWS))": _MEMORY,
+    "verify/segment.py, _together: len(part) == most or rows > _MOST_ROWS "
+    "(in part and (len(part) == most or rows > _MOST_ROWS))": _MEMORY,
+    "verify/segment.py, _together: len(part) == most (in len(part) == most or rows > _MOST_ROWS)": _MEMORY,
+    "verify/segment.py, _together: rows > _MOST_ROWS (in len(part) == most or rows > _MOST_ROWS)": _MEMORY,
+    "verify/segment.py, _examine: not is_as_written (in second_reader is not None and (not is_as_written))": _BOTH,
+    "verify/segment.py, _examine: is_as_written (in second_reader is not None and is_as_written)": _BOTH,
 }
 """Mutants that no test can tell from the verifier, and why."""
 
