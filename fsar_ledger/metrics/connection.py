@@ -50,7 +50,6 @@ FAULTS_OF_SQL = (
 
 _Found = TypeVar("_Found")
 _GIVEN = "given"
-_READ_OFTEN = frozenset({"event_principals"})
 _relation = attrgetter("relation")
 _CALL = re.compile(r"\b([a-z_0-9]+)\(")
 Value = str | int | float | bool | None | list[str]
@@ -91,8 +90,6 @@ class Database:
         """Names, without version, of event types that differ between `events` and `source`."""
         self.absent: frozenset[str] = frozenset()
         """Event types known to have no row in `events`: their views read nothing."""
-        self.keeps_events = False
-        """Whether events are read into tables, one for each concern, for many questions about a few events."""
         self.slices = slices
         """What is asked for the rows of queries that are `Partial`; None where a ledger is not judged in slices."""
         self._of_slices: set[str] = set()
@@ -220,8 +217,6 @@ class Database:
 
     def keeps(self, query: Query) -> bool:
         """Tell whether a query becomes a table here; in a file also one that calls our functions, which others lack."""
-        if self.keeps_events and (query.relation in _READ_OFTEN or (query.tags and not query.wider)):
-            return True
         if self.slices is not None and query.relation == "experiment_planned":  # few rows, for which all are read
             return True
         return query.is_stored or (self.is_for_others and not FUNCTIONS.isdisjoint(_CALL.findall(query.sql)))
@@ -247,9 +242,6 @@ class Database:
         """Return the SELECT of a packaged query, in the form that reads least here."""
         if query.tags and query.tags <= self.absent:
             return query.nothing
-        if self.keeps_events and query.wider:
-            self.prepare(query.wider)
-            return query.reading_from({"events": query.wider})
         is_changed = self.changed if not query.tags else self.changed & {tag.partition(".")[0] for tag in query.tags}
         if self.source is None or is_changed or not query.name.startswith("staging/"):
             return query.sql

@@ -52,7 +52,7 @@ class Query(msgspec.Struct, frozen=True):
     """One relation that SQL can name: a packaged file, or a view that is generated from an event type.
 
     `name` is `folder/relation`; `tags` are the event types whose view it is; `nothing` selects the same columns where
-    no such event exists. `wider` is the view of the type's concern, which has these rows and columns among others.
+    no such event exists.
     """
 
     name: str
@@ -61,7 +61,6 @@ class Query(msgspec.Struct, frozen=True):
     parameters: dict[str, Parameter] = {}
     tags: frozenset[str] = frozenset()
     nothing: str = ""
-    wider: str = ""
 
     @property
     def relation(self) -> str:
@@ -174,7 +173,6 @@ def _select(fields: Iterable[Field], tags: Iterable[str], source: str | None, wi
 
 def staging_query(tag: str) -> Query:
     """Return the view of one event type: its envelope and fields, one row per event."""
-    concern = CONCERN_OF.get(tag.partition(".")[0])
     return _generated(
         f"staging/{view_name(tag)}",
         staging_sql(tag),
@@ -185,7 +183,6 @@ def staging_query(tag: str) -> Query:
         paper="see the event type",
         tags=frozenset({tag}),
         nothing=staging_sql(tag, None),
-        wider=f"{concern}_events" if concern else "",
     )
 
 
@@ -201,11 +198,10 @@ def _generated(
     paper: str = "sec:evaluation:metrics",
     tags: frozenset[str] = frozenset(),
     nothing: str = "",
-    wider: str = "",
 ) -> Query:
     """Return a query that has no file, with the header that a file would have."""
     values = (title, paper, grain, key, units, null, f"fsar-ledger query {name} LEDGER")
-    return Query(name, sql, dict(zip(REQUIRED_KEYS, values, strict=True)), tags=tags, nothing=nothing, wider=wider)
+    return Query(name, sql, dict(zip(REQUIRED_KEYS, values, strict=True)), tags=tags, nothing=nothing)
 
 
 def concerns_query() -> Query:

@@ -1,6 +1,6 @@
 """Judge a large ledger in slices: some of its runs at a time, what was found kept in a cache.
 
-A slice has whole runs, of some 400,000 events. What a query says of each run by itself (its header says
+A slice has whole runs, of some 500,000 events. What a query says of each run by itself (its header says
 `Partial`) is asked of one slice after the other and put together; what compares runs is asked of that. So memory does
 not grow with the ledger, and after an append only the slices that it changed are judged.
 
@@ -46,7 +46,7 @@ from .verified import cache_folder, is_own_file, is_verified_for_runs
 _One = TypeVar("_One")
 _Name = TypeVar("_Name")
 _NUMBERS = pa.schema([("run_id", pa.string()), ("number", pa.int64())])
-SLICE_EVENTS = 6 << 16
+SLICE_EVENTS = 8 << 16
 """Events that are judged at once: few enough for half a gigabyte, and each slice costs some tenths of a second."""
 LEAST_BYTES = 4
 """Of an event in a segment; those of a fleet take 10 to 17."""
@@ -90,7 +90,7 @@ class Slices:
 
     def __init__(self, view: View, demanded: str | None = None, most: int | None = None) -> None:
         self._head = view.head
-        self._most = most = most or SLICE_EVENTS
+        most = most or SLICE_EVENTS
         self._slices: list[Slice] = []
         self._rows_verified: bool | None = None
         # A bomb has many rows in few bytes, and nothing to be judged: to judge it in parts would take longer.
@@ -121,7 +121,7 @@ class Slices:
         lacking = [{each.text: each for each in asked.values() if each.text not in held} for held in known]
         with pool_of(1) as pool:
             answers = [
-                pool.submit(answered, str(one.view.path.absolute()), one.runs, one.digest, self._most, each)
+                pool.submit(answered, str(one.view.path.absolute()), one.runs, one.digest, each)
                 if pool is not None and each and one.digest is not None
                 else None
                 for one, each in zip(self._slices, lacking, strict=True)
@@ -140,7 +140,7 @@ class Slices:
         return found
 
     def _connect(self, one: Slice) -> Database:
-        return connect_slice(one, self._head, self._most, self._rows_verified)
+        return connect_slice(one, self._head, self._rows_verified)
 
     def rows_of(self, queries: Sequence[Query]) -> Iterator[tuple[str, pa.Table]]:
         """Yield the names of the relations of these queries, which are of one run each, and their rows, texts coded."""
@@ -149,8 +149,8 @@ class Slices:
             yield name, _joined(stored)
 
 
-def connect_slice(one: Slice, head: Head, most: int, rows_verified: bool | None = None) -> Database:
-    """Open a database over the events of a slice, of about `most` events, of the ledger with this head.
+def connect_slice(one: Slice, head: Head, rows_verified: bool | None = None) -> Database:
+    """Open a database over the events of a slice of the ledger with this head.
 
     Raises: As `database.connect_view`.
     """
@@ -162,9 +162,7 @@ def connect_slice(one: Slice, head: Head, most: int, rows_verified: bool | None 
     cut = {number for run in others for number in view.segments_between(run.first, run.end)}
     whole = frozenset(path for number, path in held.items() if number not in cut)
     database = Database(head, [*held.values()], rows_verified=rows_verified, may_spill=True)
-    # See docs/decisions/slices-have-a-table-for-each-concern.md.
-    # One run of more events is not worth tables: they would take memory with its length.
-    database.keeps_events = sum(run.rows for run in runs) <= 2 * most
+    # See docs/decisions/slices-make-no-tables.md.
     chosen = relation.RowFilter(relation.OF_NUMBERED, numbered([run.run for run in runs]), whole)
     try:
         relation.hold_segments(database, [*held.values()], [releases[number] for number in held], chosen)
@@ -189,9 +187,7 @@ def keep_known(before: View, after: View) -> None:
         )
 
 
-def answered(
-    ledger: str, runs: Sequence[Extent], digest: str, most: int, asked: Mapping[str, Asked]
-) -> dict[str, pa.Table]:
+def answered(ledger: str, runs: Sequence[Extent], digest: str, asked: Mapping[str, Asked]) -> dict[str, pa.Table]:
     """Return what the slice of these runs of a ledger answers to these, by their texts, in another process.
 
     Raises: As `Database.table`; SequenceConflict if the ledger there has no slice of this digest.
@@ -203,7 +199,7 @@ def answered(
             f"{ledger}: found other events where another process read some of it, expected the same; is it the same "
             "folder there, and was it compacted meanwhile? run it again"
         )
-    return _answers(connect_slice(one, view.head, most), asked)
+    return _answers(connect_slice(one, view.head), asked)
 
 
 def _answers(database: Database, asked: Mapping[str, Asked]) -> dict[str, pa.Table]:
