@@ -159,6 +159,21 @@ def held(path: Path, run: str) -> Held | None:
     )
 
 
+def record_hashes(path: Path, run: str) -> Iterator[str]:
+    """Yield the SHA-256 of each record of the run that is on file, in order; of one that was cut at first, the whole.
+
+    Raises: LedgerCorrupted.
+    """
+    number, last = 0, ""
+    for row, line in _rows(open_ledger(path), run):
+        if row.type == "Observed.v1":
+            if number and row.record_number != number:
+                yield last
+            number, last = row.record_number or 0, msgspec.json.decode(line, type=LastRecord).record_sha256 or ""
+    if number:
+        yield last
+
+
 def _rows(view: View, run: str) -> Iterator[tuple[_Row, bytes]]:
     decoder = msgspec.json.Decoder(_Row)
     for part in view.parts(run):

@@ -32,7 +32,7 @@ from fsar_ledger.ledger.store.append import Writer
 
 from .adapter import UNREADABLE, Adapter, Derived, Input, Record
 from .columns import Declared, declared, storable, storable_text, text_of
-from .held import BYTES, Held, commit, held
+from .held import BYTES, Held, commit, held, record_hashes
 from .recorder import origin_of
 
 ORIGIN = "fsar-ledger/imported"
@@ -165,10 +165,13 @@ class _Import:
     def read(self, inputs: Sequence[Input], progress: Progress | None) -> None:
         """Read every record, commit those that are not on file, and close the source."""
         before = self.held.records if self.held is not None else 0
+        known = record_hashes(self.path, self.run) if before else iter(())
         for record in self.adapter.read([self._committing(one) for one in inputs]):
             self.count += 1
             if self.count == before and self._is_whole_now(record):
                 before -= 1
+            if self.count <= before:
+                self._require_same(record, next(known, ""))
             if self.count == before + 1:
                 self._begin()
             if self.epoch_us is None:
@@ -178,8 +181,6 @@ class _Import:
                 number, first = self.missed.get(record.kind, (0, self.count))
                 self.missed[record.kind] = (number + 1, first)
             self._add(record, derived or ())
-            if self.count == before:
-                self._require_same(record)
             if len(self.rows) >= COMMIT_EVENTS or self.bytes >= COMMIT_BYTES:
                 self._commit()
                 if progress is not None:
@@ -330,13 +331,10 @@ class _Import:
     def _refused(self, found: str, expected: str) -> UsageError:
         return UsageError(f"run {value(self.run)}: found {found}, expected {expected}")
 
-    def _require_same(self, record: Record) -> None:
-        assert self.held is not None
-        assert self.held.last is not None
-        found, known = sha256_hex(record.raw), self.held.last.record_sha256 or "none"
-        if found != known:
+    def _require_same(self, record: Record, known: str) -> None:
+        if (found := sha256_hex(record.raw)) != known:
             raise self._refused(
-                f"another record {self.count:,} in the input (SHA-256 {found[:16]}...) than on file ({known[:16]}...)",
+                f"another record {self.count:,} in the input (SHA-256 {found[:16]}...) than on file ({known[:16] or 'none'}...)",
                 "the input that was imported, perhaps with more at its end; give another input another name (--run)",
             )
 

@@ -112,8 +112,14 @@ def test_a_line_that_was_not_whole_moves_no_cause(tmp_path: Path) -> None:
 
 def test_another_input_under_the_same_name_is_refused(tmp_path: Path) -> None:
     imported(tmp_path / "ledger", filed(tmp_path, vda.long_night(2)))
-    with pytest.raises(UsageError, match="found another record 16 in the input"):
+    before = rows(tmp_path / "ledger")
+    with pytest.raises(UsageError, match="found another record 1 in the input"):
         imported(tmp_path / "ledger", filed(tmp_path, list(reversed(vda.long_night(2)))))
+    altered = [{**line, "topic": line["topic"] + "s"} if at == 6 else line for at, line in enumerate(vda.long_night(2))]
+    for end in ([], vda.long_night(3)[16:]):
+        with pytest.raises(UsageError, match="found another record 7 in the input"):
+            imported(tmp_path / "ledger", filed(tmp_path, [*altered, *end]))
+    assert rows(tmp_path / "ledger") == before
 
 
 def test_an_input_that_was_cut_short_is_refused(tmp_path: Path) -> None:
