@@ -120,19 +120,19 @@ def anchor_of(file: str | PathLike[str] | None) -> "Anchor | None":
     """Read the kept checkpoint in this file, if one was given. Raises: UsageError if it is not a checkpoint."""
     from fsar_ledger.ledger.verify.report import read_anchor
 
-    return None if file is None else read_anchor(Path(file))
+    anchor = None if file is None else read_anchor(Path(file))
+    if anchor is not None and anchor.note is None:
+        raise UsageError(
+            f"{option('anchor', anchor.file)}: found no checkpoint ({anchor.reason}), expected one of this ledger that "
+            "was kept elsewhere"
+        )
+    return anchor
 
 
 def checkpoint_of(file: str | PathLike[str] | None) -> "Checkpoint | None":
     """Read the kept checkpoint in this file, if one was given. Raises: UsageError if it holds none."""
-    if (anchor := anchor_of(file)) is None:
-        return None
-    if anchor.note is None:
-        raise UsageError(
-            f"{option('anchor', anchor.file)}: found no checkpoint ({anchor.reason}), expected one that was kept "
-            "elsewhere"
-        )
-    return anchor.note.checkpoint
+    anchor = anchor_of(file)
+    return None if anchor is None or anchor.note is None else anchor.note.checkpoint
 
 
 def root_of(text: str | None) -> str | None:

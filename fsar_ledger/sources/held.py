@@ -169,7 +169,7 @@ def record_hashes(path: Path, run: str) -> Iterator[str]:
         if row.type == "Observed.v1":
             if number and row.record_number != number:
                 yield last
-            number, last = row.record_number or 0, msgspec.json.decode(line, type=LastRecord).record_sha256 or ""
+            number, last = row.record_number or 0, msgspec.json.decode(line, type=LastRecord).record_sha256 or "none"
     if number:
         yield last
 

@@ -171,7 +171,7 @@ class _Import:
             if self.count == before and self._is_whole_now(record):
                 before -= 1
             if self.count <= before:
-                self._require_same(record, next(known, ""))
+                self._require_same(record, next(known, "none"))
             if self.count == before + 1:
                 self._begin()
             if self.epoch_us is None:
@@ -334,7 +334,7 @@ class _Import:
     def _require_same(self, record: Record, known: str) -> None:
         if (found := sha256_hex(record.raw)) != known:
             raise self._refused(
-                f"another record {self.count:,} in the input (SHA-256 {found[:16]}...) than on file ({known[:16] or 'none'}...)",
+                f"another record {self.count:,} in the input (SHA-256 {found[:16]}...) than on file ({known[:16]}...)",
                 "the input that was imported, perhaps with more at its end; give another input another name (--run)",
             )
 

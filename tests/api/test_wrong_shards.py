@@ -50,6 +50,13 @@ def of_another_history(site_copy: Path, runs: list[LedgerRun]) -> None:
     older(site_copy / "west", [*reversed(parts(runs)[1])])
 
 
+def rewritten_and_shorter(site_copy: Path, runs: list[LedgerRun]) -> None:
+    """Record more of a shard, and put fewer events of another history in its place."""
+    append(site_copy / "west", [msgspec.structs.replace(runs[at], run_id=f"more {at}") for at in (4, 5)])
+    fsar_ledger.shards(site_copy / "log")
+    older(site_copy / "west", [*reversed(parts(runs)[1]), msgspec.structs.replace(runs[5], run_id="one more")])
+
+
 def replayed(site_copy: Path, runs: list[LedgerRun]) -> None:
     """Record more of a shard, and put its earlier state back."""
     shutil.copytree(site_copy / "west", site_copy / "kept")
@@ -104,6 +111,7 @@ CLASSES: dict[Callable[[Path, list[LedgerRun]], None], str] = {
     swapped: shards.SWAPPED,
     of_another_origin: shards.OTHER_ORIGIN,
     of_another_history: shards.OTHER_HISTORY,
+    rewritten_and_shorter: shards.OTHER_HISTORY,
     replayed: shards.REPLAYED,
     replayed_in_the_log: shards.REPLAYED,
     shown_twice: shards.TWICE,

@@ -210,13 +210,13 @@ def test_verify_ends_with_3_where_the_key_or_the_anchor_does_not_agree(
     for arguments, part in (
         ((ledger, "--trusted-key", folder / "fleet.key.pub"), "found no signature"),
         ((folder / "ledger", "--trusted-key", tmp_path / "other.key.pub"), f"found a signature of {key_of(folder)}"),
-        ((folder / "ledger", "--anchor", folder / "event.tlog-proof"), "expected a checkpoint of this ledger"),
     ):
         for quick in ((), ("--quick",)):
             called = call("verify", *arguments, *quick)
             assert (called.code, called.out, "Traceback" in called.err) == (3, "", False)
             assert part in called.err
     one_message(call("verify", ledger, "--anchor", tmp_path / "none"), 2, "none", "found no file")
+    one_message(call("verify", ledger, "--anchor", folder / "event.tlog-proof"), 2, "found no checkpoint")
     one_message(call("verify", ledger, "--trusted-key", "nonsense"), 2, "nonsense")
 
 

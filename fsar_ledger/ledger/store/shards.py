@@ -316,6 +316,8 @@ def doubt_of(head: ShardHead, view: View, heads: Sequence[ShardHead]) -> Problem
     at = f"{head.shard_events:,} events under root {head.shard_root}"
     size, root = view.head.size, view.head.root
     if size < head.shard_events:
+        if (rewritten := doubt_of_past(head, view, [one for one in heads if one.shard_events <= size])) is not None:
+            return rewritten
         earlier = [one for one in heads if one.origin == has and one.index < head.index]
         was = REPLAYED if any((size, root) == (one.shard_events, one.shard_root) for one in earlier) else LATE
         told = "as at an earlier head" if was == REPLAYED else "of which the log has more"
