@@ -42,7 +42,16 @@ known AS (
     SELECT
         moments.run_id, moments.robot, moments.scope, moments.capability, moments.context, moments.since_us,
         moments.until_us, moments.strictness,
-        moments.strictness > 1 OR coalesce(list_contains(runs.observes, 'policy'), FALSE) AS is_known
+        moments.strictness > 1
+        OR (
+            coalesce(list_contains(runs.observes, 'policy'), FALSE)
+            AND NOT EXISTS (
+                FROM begun_before AS unseen
+                WHERE
+                    moments.run_id = unseen.run_id AND moments.robot = unseen.robot AND moments.scope = unseen.scope
+                    AND $at_us::BIGINT < unseen.until_us
+            )
+        ) AS is_known
     FROM moments
     INNER JOIN runs ON moments.run_id = runs.run_id
 )

@@ -2,9 +2,8 @@
 -- Paper: sec:evaluation:metrics
 -- Grain: one row per foreign run and metric that counts outcomes or calls of which some are open
 -- Key: run_id, judge
--- Units: open_count tasks that were within their budget at the end, that arrived twice or were completed before they
---   arrived; failures without an end; calls of somebody who may be the fleet's supervisor under another name
--- NULL: never
+-- Units: none
+-- NULL: never; hides_offences tells whether what would be an offence may be none
 -- Example: fsar-ledger query facts/censored LEDGER
 WITH foreign_runs AS (
     SELECT run_id
@@ -33,36 +32,46 @@ strangers AS (
 
 left_open AS (
     SELECT
-        work.run_id, 'the end of what was open' AS what, work.open_tasks AS open_count,
+        work.run_id, 'the end of what was open' AS what,
         ['coordination_success', 'success_without_violation'] AS judges
     FROM open_work AS work
     INNER JOIN foreign_runs ON work.run_id = foreign_runs.run_id
     WHERE work.open_tasks > 0
     UNION ALL
     SELECT
-        work.run_id, 'the end of what was open' AS what, work.open_failures AS open_count,
+        work.run_id, 'the end of what was open' AS what,
         ['recovery_containment', 'reassignment_latency_s', 'time_to_know_s'] AS judges
     FROM open_work AS work
     INNER JOIN foreign_runs ON work.run_id = foreign_runs.run_id
     WHERE work.open_failures > 0
     UNION ALL
-    SELECT
-        run_id, 'which task was completed' AS what, 1 AS open_count,
-        ['coordination_success', 'success_without_violation'] AS judges
+    SELECT run_id, 'which task was completed' AS what, ['coordination_success', 'success_without_violation'] AS judges
     FROM mixed_up
     UNION ALL
-    SELECT run_id, 'who supervises the fleet' AS what, 1 AS open_count, ['human_intervention'] AS judges
+    SELECT run_id, 'who supervises the fleet' AS what, ['human_intervention'] AS judges
     FROM strangers
+    UNION ALL
+    SELECT
+        run_id, if(what = 'window', 'the policy', 'who was off shift') || ' before the record' AS what,
+        if(
+            what = 'window',
+            [
+                'policy_violations', 'success_without_violation', 'i3_jointly_composed_policy',
+                'a3_no_silent_policy_override'
+            ],
+            ['audit_attributability', 'i5_audit_attributability', 'a5_audit_completeness']
+        ) AS judges
+    FROM begun_before
 ),
 
 judged AS (
-    SELECT run_id, what, open_count, unnest(judges) AS judge
+    SELECT run_id, what, unnest(judges) AS judge
     FROM left_open
 )
 
 SELECT
     run_id, judge,
     string_agg(DISTINCT what, ', ' ORDER BY what) AS not_observed,
-    sum(open_count)::BIGINT AS open_count
+    bool_or(what = 'who was off shift before the record') AS hides_offences
 FROM judged
 GROUP BY run_id, judge

@@ -63,7 +63,7 @@ SELECT
     coalesce(runs.run_id, censored.run_id) AS run_id,
     coalesce(lacking.judge, censored.judge) AS judge,
     coalesce(lacking.not_observed, censored.not_observed) AS not_observed,
-    coalesce(lacking.hides_offences, FALSE) AS hides_offences
+    coalesce(lacking.hides_offences, FALSE) OR coalesce(censored.hides_offences, FALSE) AS hides_offences
 FROM run_started AS runs
 INNER JOIN lacking
     ON coalesce(runs.observes, []) = lacking.observes AND runs.records IS NOT DISTINCT FROM lacking.records

@@ -5,6 +5,7 @@ from typing import Any
 import pytest
 
 from tests.queries.histories import Row, act, answer, event, run
+from tests.recycled import from_rows
 
 S = 1_000_000
 FOREIGN: dict[str, Any] = {"kind": "foreign", "seed": None, "scenario": None, "run": None, "architecture": None}
@@ -78,3 +79,39 @@ def test_the_next_failure_of_what_goes_on_is_judged_from_its_detection_on() -> N
     skipped = act("RecoveryEscalated", 5 * S, "t/1", robot=A, failure=2, level="local", to_level="human")
     assert offences("i4_outward_recovery", attempt("t/1", 1), failed, skipped, **FOREIGN) == 1
     assert cases("i4_outward_recovery", attempt("t/1", 1), failed, skipped, **FOREIGN) == 2
+
+
+OPEN_POLICY, OFF_SHIFT = "the policy before the record", "who was off shift before the record"
+
+
+def hidden(*events: Row, **started: Any) -> dict[str, tuple[str, bool]]:
+    rows = answer(
+        "facts/unobservable",
+        run(*MEMBERS, *events, **started),
+        columns=("judge", "not_observed", "hides_offences"),
+    )
+    return {judge: (what, hides) for judge, what, hides in rows}
+
+
+def test_a_window_that_closes_without_having_opened_was_in_force_before() -> None:
+    closed = event("PolicyWindowClosed", 50 * S, robot=B, scope="local", window="w")
+    found = hidden(closed, **FOREIGN)
+    assert found["policy_violations"] == found["i3_jointly_composed_policy"] == (OPEN_POLICY, False)
+    assert not hidden(closed)
+    opened = event("PolicyWindowOpened", 0, robot=B, scope="local", window="w", outcome="deny")
+    assert not hidden(opened, closed, **FOREIGN)
+
+
+def test_nobody_knows_what_a_policy_said_before_its_window_closed() -> None:
+    closed = event("PolicyWindowClosed", 50 * S, robot=B, scope="local", window="w")
+    with from_rows(run(*MEMBERS, closed, **FOREIGN)) as database:
+        for at, outcome in ((12, None), (55, "allow")):
+            rows = database.query("audit/policy_at", {"robot": B, "at_us": f"{at * S}"}).to_pylist()
+            assert {row["outcome"] for row in rows if row["scope"] == "local"} == {outcome}
+
+
+def test_who_returns_without_having_left_was_off_shift_before() -> None:
+    returned = event("SupervisorReturned", 50 * S, supervisor="supervisor/x")
+    found = hidden(returned, **FOREIGN)
+    assert found["a5_audit_completeness"] == found["audit_attributability"] == (OFF_SHIFT, True)
+    assert not hidden(event("SupervisorLeft", S, supervisor="supervisor/x"), returned, **FOREIGN)

@@ -1,0 +1,29 @@
+-- Title: Policy windows and absences that the record of another system ends, and that began before it
+-- Paper: eq:policy, eq:supervision
+-- Grain: one row per foreign run and window that closes, or supervisor who returns, without having opened or left
+-- Key: run_id, what, robot?, scope?, name
+-- Units: until_us microseconds of run time, when the window closes or the supervisor returns
+-- NULL: robot, scope for a supervisor
+-- Example: fsar-ledger query facts/begun_before LEDGER
+SELECT
+    closed.run_id, 'window' AS what, closed.robot, closed.scope, closed."window" AS name,
+    min(closed.time_us) AS until_us
+FROM policy_window_closed AS closed
+INNER JOIN runs ON closed.run_id = runs.run_id AND runs.kind = 'foreign'
+ANTI JOIN policy_window_opened AS opened
+    ON
+        closed.run_id = opened.run_id AND closed.robot = opened.robot AND closed.scope = opened.scope
+        AND closed."window" = opened."window" AND closed.seq > opened.seq
+GROUP BY ALL
+UNION ALL
+SELECT
+    returned.run_id, 'absence' AS what,
+    NULL AS robot,
+    NULL AS scope,
+    returned.supervisor AS name,
+    min(returned.time_us) AS until_us
+FROM supervisor_returned AS returned
+INNER JOIN runs ON returned.run_id = runs.run_id AND runs.kind = 'foreign'
+ANTI JOIN supervisor_left AS gone
+    ON returned.run_id = gone.run_id AND returned.supervisor = gone.supervisor AND returned.seq > gone.seq
+GROUP BY ALL
