@@ -29,11 +29,17 @@ class Coverage:
     def __init__(self, record: LedgerRun) -> None:
         observes = getattr(record.events[0], "observes", ())
         self.lacking = tuple(one for one in CONCERNS if one not in observes)
-        self.is_in_part = getattr(record.events[0], "records", None) is not None
+        records = getattr(record.events[0], "records", None)
+        self.is_in_part = records is not None
+        self._names_supervisors = "fleet" in observes or "RobotJoined.supervisor" in (records or ())
 
     def of(self, concern: str, value: _T) -> _T | None:
         """Return the value, which rests on this concern; None where the run does not observe it."""
         return None if concern in self.lacking else value
+
+    def supervises(self, has_joined: bool) -> bool | None:
+        """Return False where a robot that has joined without a supervisor of its own has none; None: not observed."""
+        return False if has_joined and self._names_supervisors else None
 
     def all(self, concern: str, values: Iterable[_T]) -> tuple[_T, ...] | None:
         """Return the values, as `of`; of a run that records concerns in part, those that are on record."""
@@ -67,14 +73,15 @@ class Work(msgspec.Struct, frozen=True):
 class RobotNow(msgspec.Struct, frozen=True):
     """A robot: whether it is on and linked, what it does and what waits, and what constrains it.
 
-    `offers`: its advertised capabilities by availability. `grade` of its actuator, None: sound, or not observed; so is
-    `work`, of which `is_idle` tells. Any other None: not observed.
+    `offers`: its advertised capabilities by availability. `grade` of its actuator, None: sound, or not observed; so are
+    `work`, of which `is_idle` tells, and `supervisor`, of which `has_supervisor` does. Any other None: not observed.
     """
 
     robot: str
     role: str | None
     team: int | None
     supervisor: str | None
+    has_supervisor: bool | None
     is_on: bool | None
     is_linked: bool | None
     grade: str | None
@@ -107,14 +114,15 @@ class ClaimNow(msgspec.Struct, frozen=True):
 class RecoveryNow(msgspec.Struct, frozen=True):
     """A failure that is being recovered. Units: `since_s` run time of its detection.
 
-    `cause` and `since_s` are None where the failure itself is not on record.
+    `cause` and `since_s` are None where the failure itself is not on record, `level` and `attempts` where nothing of its
+    recovery is and the run does not observe it.
     """
 
     action_id: str
     robot: str
     cause: str | None
-    level: str
-    attempts: int
+    level: str | None
+    attempts: int | None
     since_s: float | None
 
 
@@ -206,7 +214,8 @@ def situation(record: LedgerRun, seq: int, state: State, robot: str | None = Non
             ),
         ),
         recoveries=seen.all(
-            "recovery", (_recovery(action, one) for action, one in state.recovery.items() if robot in (None, one.robot))
+            "recovery",
+            (_recovery(action, one, seen) for action, one in state.recovery.items() if robot in (None, one.robot)),
         ),
         calls=seen.all(
             "supervision",
@@ -224,9 +233,11 @@ def situation(record: LedgerRun, seq: int, state: State, robot: str | None = Non
     )
 
 
-def _recovery(action: str, one: Recovery) -> RecoveryNow:
+def _recovery(action: str, one: Recovery, seen: Coverage) -> RecoveryNow:
     since_s = one.detected_us / 1e6 or None
-    return RecoveryNow(action, one.robot, one.cause, one.level, one.number, since_s)
+    is_seen = one.number > 0 or one.level != "local" or "recovery" not in seen.lacking
+    level, attempts = (one.level, one.number) if is_seen else (None, None)
+    return RecoveryNow(action, one.robot, one.cause, level, attempts, since_s)
 
 
 def _task(one: Task) -> TaskNow:
@@ -266,16 +277,19 @@ def _robot(record: LedgerRun, seq: int, state: State, name: Robot, seen: Coverag
     for one in surface(state.registry, name):
         offers[one.availability] = (*offers.get(one.availability, ()), one.capability)
     work = _work(state, name)
+    # What a robot has in hand that recovers from a failure before the record is not on record.
+    is_known = all(one.robot != name or one.cause is not None for one in state.recovery.values())
     return RobotNow(
         name,
         member.role or None,
         member.team or None,
         member.supervisor,
+        True if member.supervisor else seen.supervises(name in state.fleet.robots),
         seen.of("world", name not in world.off),
         seen.of("world", name not in world.unlinked),
         seen.of("world", world.degraded.get(name)),
         seen.of("world", world.obstructions.get(name, ())),
-        False if work is not None else seen.of("execution", seen.of("recovery", True)),
+        False if work is not None else seen.of("execution", seen.of("recovery", True if is_known else None)),
         work,
         seen.of("execution", state.execution.queues.get(name, ())),
         seen.all("policy", _windows(record, seq, state, name)),

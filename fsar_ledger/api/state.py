@@ -154,7 +154,7 @@ def standing_lines(found: "Situation") -> Iterator[str]:
 
 
 def _robot(one: "RobotNow") -> Iterator[str]:
-    none = "no supervisor" if one.role else "supervisor ?"  # nobody said that it joined
+    none = "no supervisor" if one.has_supervisor is False else "supervisor ?"
     signs = [f"supervisor {printable.value(one.supervisor)}"] if one.supervisor else [none]
     signs += ["OFF"] if one.is_on is False else []
     signs += ["NOT LINKED"] if one.is_linked is False else []
@@ -209,7 +209,7 @@ def _lists(found: "Situation") -> Mapping[str, list[str]]:
         "claims": [f"{text(one.action_id)} {one.dimension}: {text(one.claimant)}" for one in found.claims or ()],
         "recoveries": [
             f"{text(one.action_id)} at {text(one.robot)}: {text(one.cause or 'cause not on record')}, "
-            f"level {one.level}, {one.attempts} attempts"
+            + (f"level {one.level}, {one.attempts} attempts" if one.level else "how is not observed")
             + ("" if one.since_s is None else f", since {one.since_s:.3f} s")
             for one in found.recoveries or ()
         ],

@@ -11,6 +11,9 @@ import pytest
 
 import fsar_ledger
 from fsar_ledger.api.answers import Screen
+from fsar_ledger.events import CONCERNS
+from fsar_ledger.events.envelope import Robot
+from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.metrics.database import connect
 from fsar_ledger.metrics.invariants import verdict_kinds
@@ -109,6 +112,24 @@ def test_the_state_invents_neither_for_whom_a_robot_works_nor_that_nobody_superv
     assert "robot/b  role ?, team ?; supervisor ?" in found
     assert "running t/1 carry" in found
     assert "for robot/a" not in found
+
+
+def test_the_state_invents_no_recovery_and_nothing_of_a_fleet_of_roles_alone(tmp_path: Path) -> None:
+    observes = ["ExecutionStarted", "ExecutionFailed"]
+    with fsar_ledger.record(tmp_path / "ledger", run="r", fleet={"a": "agv"}, observes=observes) as one:
+        one.event("ExecutionFailed", task_id="t", action_id="t/1", robot="robot/a", failure=1, cause="jam")
+    found = "\n".join(fsar_ledger.open_ledger(tmp_path / "ledger").state(run=1).text(Screen()))
+    assert "robot/a  role agv, team ?; supervisor ?" in found
+    assert "t/1 at robot/a: jam, how is not observed" in found
+
+
+def test_who_recovers_from_a_failure_before_the_record_is_not_idle(tmp_path: Path) -> None:
+    fleet = [RobotJoined(robot=Robot(f"robot/{name}"), role="agv", supervisor=None) for name in ("a", "b")]
+    with fsar_ledger.record(tmp_path / "ledger", run="r", fleet=fleet, observes=CONCERNS) as one:
+        about: dict[str, Any] = {"task_id": "t", "action_id": "t/1", "failed_action": "t/1", "robot": "robot/a"}
+        one.event("RecoveryAttempted", **about, failure=1, number=1, level="local", deadline_us=9, decided_by="robot/a")
+    found = fsar_ledger.open_ledger(tmp_path / "ledger").state(run=1).standing
+    assert [(robot.robot, robot.is_idle) for robot in found.robots or ()] == [("robot/a", None), ("robot/b", True)]
 
 
 @pytest.mark.parametrize(
