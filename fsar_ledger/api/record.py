@@ -1,7 +1,7 @@
 """The verbs `record`, `import` and `shards`: what others did goes on record, and the heads of other ledgers."""
 
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -15,7 +15,7 @@ from fsar_ledger.base.progress import Progress
 
 from .answers import Answer, Screen, head_json
 from .names import Names, Place, names_of
-from .verbs import AdoptOption, KeyOption, Shows, argument, declare, switch, verb
+from .verbs import AdoptOption, Gives, KeyOption, Shows, argument, declare, switch, verb
 
 if TYPE_CHECKING:
     from fsar_ledger.ledger.store.read import View
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from .ledger import Ledger
 
 FEDERATION = "fsar-ledger/federation"
-TOLD_STAYS = "every event that was told is on disk, and the same command continues the run"
+TAKEN_STAYS = "every event that was taken is on disk, and the same command continues the run"
 COMMITTED_STAYS = "what is committed stays, and the same command continues there"
 
 
@@ -97,11 +97,13 @@ class RecordResult(Answer, msgspec.Struct, frozen=True):
         return {"ledger": str(self.ledger), "run": self.run, "events": self.events, "refused": refused}
 
     def text(self, _: Screen) -> Iterator[SafeText]:
-        """Yield what was recorded, and the first lines that were not."""
+        """Yield what was recorded, the first lines that were not, and how many more."""
+        more = len(self.refused) - printable.NAMED
         yield printable.lines(
             f"{self.ledger}: run {printable.value(self.run)}, {counted(self.events, 'event')} recorded, "
             f"{len(self.refused):,} refused",
             *(f"line {line}: {why}" for line, why in list(self.refused.items())[: printable.NAMED]),
+            *([f"and {more:,} more"] if more > 0 else []),
         )
 
 
@@ -109,7 +111,7 @@ class RecordResult(Answer, msgspec.Struct, frozen=True):
     "record out/site --run night --observes ExecutionStarted    # reads standard input",
     name="record",
     takes=("json",),
-    after_interruption=TOLD_STAYS,
+    after_interruption=TAKEN_STAYS,
 )
 def record_lines(
     out: Annotated[Place, argument("OUT", "A new folder, or that of a ledger to add to.")],
@@ -128,11 +130,13 @@ def record_lines(
     private_names: Place | None = declare(
         "FILE", "Store commitments in place of the names of people, which this file outside the ledger keeps."
     ),
+    say: Annotated[Callable[[str], None], Gives("say")],
 ) -> RecordResult:
     """Record events from standard input as they come, one JSON object a line, each on disk before the next is read.
 
     A line has `type` (`ExecutionStarted`) and the columns of that type (`docs/event-types.json`), and perhaps `time`
-    (ISO 8601; UTC if it has no zone) and `caused_by`. A line that is wrong is refused, and the record goes on.
+    (ISO 8601; UTC if it has no zone) and `caused_by`. A line that is wrong is refused, which is said at once, and the
+    record goes on.
 
     Raises:
         UsageError: A name in --observes is none, or the run is there and was declared otherwise.
@@ -154,7 +158,7 @@ def record_lines(
         key=key,
         private_names=private_names,
     ) as recorder:
-        events, refused = tell(recorder, sys.stdin.buffer)
+        events, refused = tell(recorder, sys.stdin.buffer, say)
         return RecordResult(Path(out), recorder.run, events, refused)
 
 

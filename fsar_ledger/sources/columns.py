@@ -5,7 +5,7 @@ escaped.
 """
 
 import re
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from datetime import UTC, datetime
 from itertools import chain
 from typing import TYPE_CHECKING, Any, BinaryIO
@@ -14,7 +14,7 @@ import msgspec
 
 from fsar_ledger.base import utc
 from fsar_ledger.base.errors import InvalidRun, UsageError
-from fsar_ledger.base.printable import did_you_mean, escaped, value
+from fsar_ledger.base.printable import counted, did_you_mean, escaped, value
 from fsar_ledger.events import CONCERN_OF, CONCERNS, Event
 from fsar_ledger.events.envelope import flat
 from fsar_ledger.events.source import Observed
@@ -115,20 +115,54 @@ BESIDE = ("type", "time", "caused_by")
 """What a line may have beside the columns of its type."""
 
 
-def tell(recorder: "Recorder", file: BinaryIO) -> tuple[int, dict[int, str]]:
+SAID_AT_ONCE = 20
+"""Refused lines that are said one by one; then one each time that there are twice as many, so that no disk is filled."""
+
+
+class _Refused:
+    """What was wrong with which line, of which the operator is told at once, in a bounded number of lines."""
+
+    def __init__(self, say: Callable[[str], None]) -> None:
+        self.lines, self._say, self._next = dict[int, str](), say, 1
+
+    def add(self, number: int, why: str) -> None:
+        """Note a line; say it if it is one of the first, or if there are twice as many as when one was said last."""
+        self.lines[number] = why
+        count = len(self.lines)
+        if count < self._next:
+            return
+        so_far = f"{count:,} lines refused so far, the last of them " if count > SAID_AT_ONCE else ""
+        self._next = count + 1 if count < SAID_AT_ONCE else 2 * count
+        self._say(f"{so_far}line {number}: {why}")
+
+    def say_count(self) -> None:
+        """Say how many lines were refused, if any were."""
+        were = "was refused, and nothing of it" if len(self.lines) == 1 else "were refused, and nothing of them"
+        if self.lines:
+            self._say(f"{counted(len(self.lines), 'line')} {were} is on record")
+
+
+def tell(
+    recorder: "Recorder", file: BinaryIO, say: Callable[[str], None] = lambda _: None
+) -> tuple[int, dict[int, str]]:
     """Record each line as it comes; return how many events there were, and what was wrong with which line.
 
-    A time without a zone is UTC.
+    A time without a zone is UTC. `say` tells the operator of a line that is refused, when it is, and after an
+    interruption how many were.
     """
-    events, refused = 0, dict[int, str]()
-    for number, line in numbered_lines(file):
-        try:
-            event, at, caused_by = told(line.removeprefix(BOM) if number == 1 else line)
-            _record(recorder, event, at, caused_by)
-            events += 1
-        except (UsageError, InvalidRun) as error:
-            refused[number] = f"{error}"
-    return events, refused
+    events, refused = 0, _Refused(say)
+    try:
+        for number, line in numbered_lines(file):
+            try:
+                event, at, caused_by = told(line.removeprefix(BOM) if number == 1 else line)
+                _record(recorder, event, at, caused_by)
+                events += 1
+            except (UsageError, InvalidRun) as error:
+                refused.add(number, f"{error}")
+    except KeyboardInterrupt:
+        refused.say_count()
+        raise
+    return events, refused.lines
 
 
 def _record(recorder: "Recorder", event: Event, at: datetime | None, caused_by: int | None) -> None:

@@ -80,6 +80,31 @@ def test_each_line_is_on_disk_before_the_next_is_read_and_ctrl_c_is_quiet(tmp_pa
     assert tasks(tmp_path / "ledger") == ["a", "b", "c"]
 
 
+def test_a_refused_line_is_said_when_it_is_refused_and_an_interruption_says_how_many_were(tmp_path: Path) -> None:
+    command = [*COMMAND, "record", str(tmp_path / "ledger"), "--run", "night", "--observes", "TaskArrived"]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        assert process.stdin is not None and process.stderr is not None
+        process.stdin.write(LINE % (b"a", 1) + b"no\n")
+        process.stdin.flush()
+        assert process.stderr.readline().startswith(b"fsar-ledger: line 2: Input data was truncated")
+        process.send_signal(signal.SIGINT)
+        _, said = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert b"1 line was refused, and nothing of it is on record" in said
+    assert b"every event that was taken is on disk" in said
+
+
+def test_a_flood_of_refused_lines_is_said_in_few_lines_and_none_is_left_out_of_the_count(tmp_path: Path) -> None:
+    said = told(tmp_path / "ledger", b"no\n" * 100, "--observes", "TaskArrived")
+    assert said.code == 1
+    assert said.out.splitlines()[-1] == "and 95 more"
+    lines = said.err.splitlines()
+    assert [line.partition(":")[2][:8] for line in lines[:20]] == [f" line {one}:"[:8] for one in range(1, 21)]
+    assert [line.partition(", ")[0] for line in lines[20:]] == [
+        f"fsar-ledger: {one} lines refused so far" for one in (40, 80)
+    ]
+
+
 def is_begun(ledger: Path) -> bool:
     return (ledger / "ledger.json").exists() and open_ledger(ledger).has_run("night")
 
