@@ -10,6 +10,8 @@ import msgspec
 
 from fsar_ledger.events import CONCERNS
 from fsar_ledger.events.envelope import Robot
+from fsar_ledger.events.request import RequestIssued
+from fsar_ledger.events.task import TaskAbandoned
 from fsar_ledger.events.world import PolicyWindowOpened
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.projections.execution import Action
@@ -191,8 +193,8 @@ def situation(record: LedgerRun, seq: int, state: State, robot: str | None = Non
     robots = [name for name in known if robot in (None, name)]
     requests = [
         RequestNow(one.action_id, one.requester, one.capability, one.target, _phase(one))
-        for one in state.request.open.values()
-        if not one.is_over and robot in (None, one.requester, one.target)
+        for one in _open_requests(record, seq, state)
+        if robot in (None, one.requester, one.target)
     ]
     names = {one.action_id for one in requests}
     names |= {one for one in state.execution.actions if robot in (None, state.execution.actions[one].robot)}
@@ -231,6 +233,36 @@ def situation(record: LedgerRun, seq: int, state: State, robot: str | None = Non
         off_shift=seen.all("supervision", sorted(state.world.off_shift)),
         not_observed=seen.lacking,
     )
+
+
+def _open_requests(record: LedgerRun, seq: int, state: State) -> Iterator[Request]:
+    """Yield the open requests.
+
+    Of another system's run it is on record whom a request asked, and no rule of the model takes back what an abandoned
+    task asked for: that is open only while it is executed.
+    """
+    found = [one for one in state.request.open.values() if not one.is_over]
+    if getattr(record.events[0], "kind", None) != "foreign":
+        yield from found
+        return
+    abandoned = _abandoned(record, seq) if found else frozenset()
+    for one in found:
+        if one.action_id not in abandoned or one.action_id in state.execution.actions:
+            asked = one.candidates[0] if one.is_adhoc and len(one.candidates) == 1 else None
+            yield msgspec.structs.replace(one, target=one.target or asked)
+
+
+def _abandoned(record: LedgerRun, seq: int) -> frozenset[str | None]:
+    """Return the actions that were asked for up to this event, and whose tasks were abandoned after that."""
+    asked: dict[str | None, set[str | None]] = {}
+    found: set[str | None] = set()
+    for event in record.events[: seq + 1]:
+        if isinstance(event, RequestIssued):
+            asked.setdefault(event.subject.task_id, set()).add(event.subject.action_id)
+            found.discard(event.subject.action_id)
+        elif isinstance(event, TaskAbandoned):
+            found |= asked.pop(event.task_id, set())
+    return frozenset(found)
 
 
 def _recovery(action: str, one: Recovery, seen: Coverage) -> RecoveryNow:

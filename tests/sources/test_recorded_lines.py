@@ -174,3 +174,32 @@ def test_no_verdict_is_listed_where_the_metric_or_invariant_cannot_judge(
         judge = verdict_kinds()[kind]
         assert database.rows("SELECT 1 AS is_hidden FROM unobservable WHERE judge = $judge", {"judge": judge})
     assert fsar_ledger.open_ledger(tmp_path / "ledger").verdicts("r", kind).rows() == []
+
+
+ASKED = {"task_id": "t", "action_id": "t/1", "capability": "open", "decided_by": "robot/a"}
+BETWEEN = {"requested_by": "robot/a", "executed_by": "robot/b"}
+
+
+def requests_of(ledger: Path, *events: tuple[str, dict[str, Any]]) -> list[tuple[str, str | None, str]]:
+    """The open requests after these events: action, who is asked, how far it is."""
+    with fsar_ledger.record(ledger, run="r", observes=["request", "task", "execution"]) as one:
+        for kind, columns in events:
+            one.event(kind, **columns)
+    found = fsar_ledger.open_ledger(ledger).state(run=1).standing.requests
+    return [(each.action_id, each.target, each.phase) for each in found or ()]
+
+
+def test_a_request_that_was_recorded_is_asked_of_whom_the_record_says(tmp_path: Path) -> None:
+    issued = ("RequestIssued", {**ASKED, **BETWEEN})
+    assert requests_of(tmp_path / "asked", issued) == [("t/1", "robot/b", "asked")]
+    accepted = ("RequestAccepted", {"task_id": "t", "action_id": "t/1", "decided_by": "robot/b", **BETWEEN})
+    assert requests_of(tmp_path / "accepted", issued, accepted) == [("t/1", "robot/b", "accepted")]
+
+
+def test_a_recorded_request_is_not_open_after_its_task_was_abandoned_but_while_it_is_executed(tmp_path: Path) -> None:
+    issued, abandoned = ("RequestIssued", {**ASKED, **BETWEEN}), ("TaskAbandoned", {"task_id": "t"})
+    other = ("TaskAbandoned", {"task_id": "u"})
+    started = ("ExecutionStarted", {**STARTED, "robot": "robot/b", **BETWEEN})
+    assert requests_of(tmp_path / "abandoned", issued, abandoned) == []
+    assert requests_of(tmp_path / "other", issued, other) == [("t/1", "robot/b", "asked")]
+    assert [one[0] for one in requests_of(tmp_path / "executed", issued, started, abandoned)] == ["t/1"]
