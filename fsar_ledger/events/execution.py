@@ -85,7 +85,10 @@ class ExecutionStarted(Event, frozen=True, kw_only=True):
 
 
 class ExecutionPaused(Event, frozen=True):
-    """The robot stopped to replan. Units: `remaining_us` microseconds of execution left."""
+    """The robot paused: in the model to replan, in a record of another system for a reason that it need not say.
+
+    Units: `remaining_us` microseconds of execution left.
+    """
 
     subject: Subject[TaskId, ActionId]
     robot: Robot

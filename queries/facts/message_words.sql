@@ -33,7 +33,7 @@ WITH words (type, part, sender, receiver, words, detail) AS (
     ('ApproachStarted.v1', 1, 'robot', 'robot', 'approaches', NULL),
     ('ExecutionHeld.v1', 1, 'robot', 'robot', 'waits, policy says', 'outcome'),
     ('ExecutionStarted.v1', 1, 'robot', 'robot', 'executes', 'capability'),
-    ('ExecutionPaused.v1', 1, 'robot', 'robot', 'stops to replan', NULL),
+    ('ExecutionPaused.v1', 1, 'robot', 'robot', 'pauses', NULL),
     ('ExecutionHalted.v1', 1, 'robot', 'robot', 'is off', NULL),
     ('ExecutionPreempted.v1', 1, 'robot', 'robot', 'gives way', NULL),
     ('ReplanOrdered.v1', 1, 'decider', 'executor', 'new plan', NULL),

@@ -120,3 +120,7 @@ def test_a_line_has_the_concern_of_its_event_and_the_start_of_a_run_none() -> No
     found = answer("facts/log_lines", rows, columns=("type", "concern"))
     assert found == [("RunStarted.v2", None), ("RobotWentOff.v1", "world")]
     assert "world" in CONCERNS
+
+
+def test_a_pause_has_no_reason_that_its_event_does_not_say() -> None:
+    assert line(act("ExecutionPaused", S, "t1/1.1", robot=A)) == (A, A, "pauses", None)
