@@ -8,6 +8,7 @@ import msgspec
 from fsar_ledger.base import printable
 from fsar_ledger.base.errors import UsageError
 from fsar_ledger.designs import OutsideCommand, Scenario, registered
+from fsar_ledger.events import Event
 from fsar_ledger.events.command import CommandGiven, CommandRejected
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.events.world import TaskArrived
@@ -106,24 +107,49 @@ class Rerun(NamedTuple):
         """Return the fork with these changes; what a name does not mean here changes nothing. Raises: UsageError."""
         return fork(self.base.recipe, self.base.record, self.base.root, changes)
 
+    def played(self, changes: Changes) -> Fork:
+        """Return the fork with these changes. Raises: UsageError; also if it cannot be played with an added fact."""
+        try:
+            return self.fork(changes)
+        except (LookupError, ValueError, RuntimeError, TypeError) as error:
+            added = [one for one in changes if isinstance(one, Add)]
+            if isinstance(error, UsageError) or not added:
+                raise
+            for change in added:
+                _require_meant(self, change)
+            raise UsageError(
+                f"change {added[0]}: the run cannot be played with it ({type(error).__name__}: {error!s:.200}), "
+                "expected a fact that this fleet can meet"
+            ) from error
+
     def fork_with_effect(self, changes: Changes) -> Fork:
         """Return the fork with these changes. Raises: UsageError if one of them does nothing."""
         for change in changes:
             _require_meant(self, change)
-        forked = _played(self, changes)
+        forked = self.played(changes)
         for change in changes:
             if isinstance(change, Answer):
                 _require_used(self, change, forked)
             if isinstance(change, Rule | Trust) and change.task is not None:
                 _require_task(self, change, change.task, forked)
-        rejected = _rejected(self.base, forked)
-        if rejected is not None:
-            raise UsageError(f"{rejected.command} about {rejected.subject} is rejected: {rejected.reason}")
+        if rejected := rejected_in(self.base, forked):
+            raise UsageError(rejection(forked.record.events[rejected[0]]))
         is_same = forked.parts_at is None and forked.end is None
         if is_same and any(not _is_of_model(one) for one in changes):
             said = printable.some(map(str, changes))
             raise UsageError(f"change {said}: it has no effect, the run does the same; expected one that changes it")
         return forked
+
+    def refused(self, change: AnyChange, forked: Fork) -> str | None:
+        """Return why an addition, a constant or a command means nothing in the run; None: it does."""
+        try:
+            if isinstance(change, Add | Set | Commanded):
+                _require_meant(self, change)
+            if isinstance(change, Rule | Trust) and change.task is not None:
+                _require_task(self, change, change.task, forked)
+        except UsageError as found:
+            return str(found)
+        return None
 
 
 def base_of_record(record: LedgerRun, root: str) -> Base:
@@ -165,19 +191,6 @@ def rerun(base: Base) -> Rerun:
             "handlers make, so nothing forks from it; run `fsar-ledger verify --replay`, which says what differs"
         )
     return Rerun(base, asked, tuple(of_whom))
-
-
-def _played(rerun: Rerun, changes: Changes) -> Fork:
-    try:
-        return rerun.fork(changes)
-    except (LookupError, ValueError, RuntimeError, TypeError) as error:
-        added = [one for one in changes if isinstance(one, Add)]
-        if isinstance(error, UsageError) or not added:
-            raise
-        raise UsageError(
-            f"change {added[0]}: the run cannot be played with it ({type(error).__name__}: {error!s:.200}), expected a "
-            "fact that this fleet can meet"
-        ) from error
 
 
 def _is_of_model(change: AnyChange) -> bool:
@@ -317,13 +330,19 @@ def _unknown(what: str, change: AnyChange, asked: str, names: Sequence[str]) -> 
     )
 
 
-def _rejected(base: Base, forked: Fork) -> CommandRejected | None:
-    """Return the first rejection, in a fork, of a command that its base does not have."""
+def rejected_in(base: Base, forked: Fork) -> list[int]:
+    """Return the seqs at which a fork rejects a command that its base does not have."""
     known = {event for event in base.record.events if isinstance(event, CommandRejected)}
     commands = set(commands_of(base.record))
-    fork = forked.record
-    for event, cause in zip(fork.events, fork.caused_by, strict=True):
+    fork, found = forked.record, []
+    for seq, (event, cause) in enumerate(zip(fork.events, fork.caused_by, strict=True)):
         is_on_record = cause is not None and (fork.times_us[cause], fork.events[cause]) in commands  # it was tried
         if isinstance(event, CommandRejected) and event not in known and not is_on_record:
-            return event
-    return None
+            found.append(seq)
+    return found
+
+
+def rejection(event: Event) -> str:
+    """Return a rejection in words."""
+    assert isinstance(event, CommandRejected)
+    return f"{event.command} about {event.subject} is rejected: {event.reason}"

@@ -1,5 +1,6 @@
 """What if: forks beside their bases, judged by the same SQL, in pairs that share every draw."""
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import repeat
 from pathlib import Path
@@ -32,6 +33,7 @@ from fsar_ledger.runtime.live import SOURCE
 
 from . import starts_of
 from .fork_base import Base, base_of_record, rerun
+from .refusals import Refusal, refusal
 
 EVENTS_AT_ONCE = 200_000
 """Events of pairs that are judged together."""
@@ -75,10 +77,11 @@ VALUES = """
 
 
 class Pair(NamedTuple):
-    """A base and its fork."""
+    """A base and its fork, and what is refused of the changes there."""
 
     base: Base
     fork: Fork
+    refused: Refusal | None = None
 
     @property
     def records(self) -> tuple[LedgerRun, LedgerRun]:
@@ -91,6 +94,7 @@ class Divergence(msgspec.Struct, frozen=True):
 
     `ends_s`: when the fork of a live run ends before all has happened, `ends` why, and `question` what an `answer` to
     it would name; None: it does not end there. `left_out`: commands on record that nobody would have given in it.
+    `refused`: why a change is refused there, a command rejected for one; what differs only in that is the same.
     Units: seconds of run time.
     """
 
@@ -102,6 +106,14 @@ class Divergence(msgspec.Struct, frozen=True):
     ends: str | None = None
     question: str | None = None
     left_out: tuple[str, ...] = ()
+    refused: str | None = None
+
+
+class Refused(msgspec.Struct, frozen=True):
+    """Why a change is refused, and in how many pairs."""
+
+    reason: str
+    pairs: int
 
 
 class Effect(msgspec.Struct, frozen=True, kw_only=True):
@@ -129,12 +141,16 @@ class Effect(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Effects(msgspec.Struct, frozen=True, kw_only=True):
-    """The effects on the runs of one architecture and configuration: pairs, how many of them part, and each metric."""
+    """The effects on the runs of one architecture and configuration: pairs, how many of them part, and each metric.
+
+    `refused`: why, and in how many of the pairs, a change is refused.
+    """
 
     architecture: str | None
     configuration: str | None
     pairs: int
     diverging: int
+    refused: list[Refused]
     rows: list[Effect]
 
 
@@ -145,7 +161,14 @@ def forks_of(bases: Iterable[Base], changes: Changes) -> Iterator[Pair]:
         UsageError: A base cannot be made again, or a change is impossible there.
     """
     for base in bases:
-        yield Pair(base, rerun(base).fork(changes))
+        made = rerun(base)
+        fork = made.played(changes)
+        yield Pair(base, fork, refusal(made, changes, fork))
+
+
+def refused_in(pairs: Iterable[str | None]) -> list[Refused]:
+    """Return in how many pairs a change is refused for which reason, the most frequent first."""
+    return [Refused(reason, count) for reason, count in Counter(filter(None, pairs)).most_common()]
 
 
 def effects(pairs: Iterable[Pair]) -> tuple[list[Divergence], list[Effects]]:
@@ -223,14 +246,17 @@ def _compared(judged: Iterable[_JudgedPairs]) -> tuple[list[Divergence], list[Ef
 
 
 def _divergence(pair: Pair) -> Divergence:
-    (base, fork), at = pair.records, pair.fork.parts_at
+    (base, fork), refused = pair.records, pair.refused
+    at = None if refused is not None and refused.is_same else pair.fork.parts_at
+    why = None if refused is None else refused.why
     times = [] if at is None else [run.times_us[at] for run in pair.records if at < len(run.times_us)]
     parted_s = min(times) / 1e6 if times else None
     left_out = tuple(f"{one.command} of {one.issued_by}" for one in pair.fork.left_out)
     end = pair.fork.end
     if end is None:
-        return Divergence(base.run_id, fork.run_id, at, parted_s, left_out=left_out)
-    return Divergence(base.run_id, fork.run_id, at, parted_s, end.time_us / 1e6, end.words, end.question, left_out)
+        return Divergence(base.run_id, fork.run_id, at, parted_s, left_out=left_out, refused=why)
+    ends_s = end.time_us / 1e6
+    return Divergence(base.run_id, fork.run_id, at, parted_s, ends_s, end.words, end.question, left_out, why)
 
 
 def _effects(every: pa.Table, base: str, fork: str, group: Sequence[Divergence]) -> Effects:
@@ -250,6 +276,7 @@ def _effects(every: pa.Table, base: str, fork: str, group: Sequence[Divergence])
         configuration=bases.column("configuration")[0].as_py(),
         pairs=len(group),
         diverging=sum(one.parts_at is not None for one in group),
+        refused=refused_in(one.refused for one in group),
         rows=rows,
     )
 

@@ -15,9 +15,11 @@ from .answers import Answer, Screen
 from .diff import Diff, story
 from .names import Names, names_of
 from .verbs import ArchitectureOption, FirstOption, OtherArgument, SecondOption, declare, verb
+from .whatif import refusals
 
 if TYPE_CHECKING:
     from fsar_ledger.analysis.causes import Outcome
+    from fsar_ledger.analysis.whatif import Refused
     from fsar_ledger.metrics.comparison_sides import Side
     from fsar_ledger.metrics.database import Database
     from fsar_ledger.metrics.provenance import Provenance
@@ -43,7 +45,7 @@ class Bisected(Answer, msgspec.Struct, frozen=True, kw_only=True):
 
     `undefined` pairs more have a run in which there is no value to compare, or the fork of a live run that ends before
     all has happened; they neither agree nor disagree. `diff` are the differences of the first pair that disagrees, in
-    the order of the ledger; None: none does.
+    the order of the ledger; None: none does. `refused`: in how many pairs a change is refused, and why.
     """
 
     outcome: str
@@ -55,6 +57,7 @@ class Bisected(Answer, msgspec.Struct, frozen=True, kw_only=True):
     first_only: int
     second_only: int
     undefined: int
+    refused: tuple["Refused", ...] = ()
     diff: Diff | None
     provenances: tuple["Provenance", ...]
 
@@ -73,6 +76,7 @@ class Bisected(Answer, msgspec.Struct, frozen=True, kw_only=True):
         ]
         if self.undefined:
             head.append(f"in {counted(self.undefined, 'pair')} more, a run has no value to compare")
+        head += refusals(self.refused, self.pairs + self.undefined)
         if self.diff is None:
             yield printable.lines(*head, "no pair disagrees")
             return
@@ -159,7 +163,7 @@ def _sides(
 def _changes(ledger: "Ledger", changes: str | Sequence[str], architectures: Sequence[str], outcome: str) -> Bisected:
     """Compare the runs of a ledger with their forks by an outcome."""
     from fsar_ledger.analysis.causes import outcome_of
-    from fsar_ledger.analysis.whatif import changes_of, fork_pairs, runs_of
+    from fsar_ledger.analysis.whatif import changes_of, fork_pairs, refused_in, runs_of
 
     from .diff import difference_of
     from .lookup import present
@@ -169,18 +173,22 @@ def _changes(ledger: "Ledger", changes: str | Sequence[str], architectures: Sequ
     runs, parsed = runs_of(view, architectures, ("simulated", "live")), changes_of(changes)
     has: list[tuple[bool | None, bool | None]] = []
     diff: Diff | None = None
+    refused: list[str | None] = []
     pairs = fork_pairs(view, runs, parsed)
     while batch := list(islice(pairs, PAIRS_AT_ONCE)):
         both = [
             (one.times_us, one.caused_by, one.events) for pair in batch for one in (pair.base.record, pair.fork.record)
         ]
         held = asked.of(both)
+        refused += (None if pair.refused is None else pair.refused.why for pair in batch)
         for pair, first, known in zip(batch, held[::2], held[1::2], strict=True):
             second = known if pair.fork.end is None else None  # nobody knows how such a fork would go on
             has.append((first, second))
             if disagree(first, second) and diff is None:
                 diff = difference_of(pair.base.record, pair.fork.record, (provenance,))
-    return _bisected(asked, ("as recorded", "changed"), has, diff, (provenance,))
+    if all(refused):
+        raise UsageError(refused[0])
+    return _bisected(asked, ("as recorded", "changed"), has, diff, (provenance,), refused_in(refused))
 
 
 def _bisected(
@@ -189,6 +197,7 @@ def _bisected(
     has: list[tuple[bool | None, bool | None]],
     diff: Diff | None,
     provenances: "tuple[Provenance, ...]",
+    refused: "Sequence[Refused]" = (),
 ) -> Bisected:
     return Bisected(
         outcome=asked.text,
@@ -200,6 +209,7 @@ def _bisected(
         first_only=has.count((True, False)),
         second_only=has.count((False, True)),
         undefined=sum(None in found for found in has),
+        refused=tuple(refused),
         diff=diff,
         provenances=provenances,
     )

@@ -17,7 +17,7 @@ from .names import Names, Place, Run, names_of
 from .verbs import WIDE, AnswersOption, ArchitectureOption, Option, Shows, declare, switch, verb
 
 if TYPE_CHECKING:
-    from fsar_ledger.analysis.whatif import Divergence, Effects
+    from fsar_ledger.analysis.whatif import Divergence, Effects, Refused
     from fsar_ledger.ledger.rows.codec import LedgerRun
     from fsar_ledger.ledger.store.record import Head
     from fsar_ledger.metrics.provenance import Provenance
@@ -205,6 +205,8 @@ def whatif(
     runs = forks.runs_of(view, names_of(architecture) or ())
     played = None if progress is None else lambda done: progress(done, len(runs))
     found, judged = forks.effects_over(view, runs, meant, played)
+    if all(one.refused for one in found):
+        raise UsageError(found[0].refused)
     if meant and not any(one.parts_at for one in found):
         forks.fork_of(view, record_of(view, runs[0]), meant)  # says why it has no effect there
         raise UsageError(f"none of {len(runs):,} runs does anything else with these changes; expected some effect")
@@ -268,6 +270,19 @@ def _end(found: "Divergence") -> Iterator[str]:
         yield ""
 
 
+def refusals(found: "Sequence[Refused]", pairs: int) -> Iterator[str]:
+    """Yield in how many pairs a change is refused, and why."""
+    reasons: dict[str, int] = {}
+    for one in found:
+        reason = one.reason.partition(";")[0]  # what follows is what else the run has
+        reasons[reason] = reasons.get(reason, 0) + one.pairs
+    shown = list(reasons.items())
+    for reason, count in shown[: printable.NAMED]:
+        yield f"in {count:,} of {pairs:,} a change comes to nothing: {printable.value(reason, 1_000)}"
+    if more := shown[printable.NAMED :]:
+        yield f"in {sum(count for _, count in more):,} of {pairs:,} for other reasons, which --json has"
+
+
 def _effects(found: "Effects", screen: Screen) -> Iterator[SafeText]:
     from .table import plain
 
@@ -276,5 +291,6 @@ def _effects(found: "Effects", screen: Screen) -> Iterator[SafeText]:
     if found.configuration not in (None, "full"):
         who += f" {found.configuration}"
     yield printable.lines("", f"{who}: {counted(found.pairs, 'pair')}, {found.diverging:,} of them part")
+    yield printable.lines(*refusals(found.refused, found.pairs))
     yield screen.table(rows)
     yield printable.lines("")

@@ -1,0 +1,91 @@
+"""`whatif` over all runs and `bisect --change`, as people call them: what is refused in some runs, or in all."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from fsar_ledger.cli import app
+from tests.cli.conftest import Call, one_message
+
+VIOLATED = "policy_violations > 0"
+OF_EIGHT = "rule fleet deny robot=B2"
+"""A change that means something in a fleet of eight robots alone."""
+UNKNOWN = "SetPolicyRule about robot/B2 is rejected: unknown robot robot/B2, expected a member of the fleet"
+
+
+@pytest.fixture(scope="module")
+def fleets(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A ledger with two runs of four robots and two of eight."""
+    path = tmp_path_factory.mktemp("fleets") / "fleets"
+    for size in ("4", "8"):
+        words = ("--architecture", "fsar", "--scenario", "door-relay", "--runs", "2", "--seed", "3", "--workers", "1")
+        assert app.run(["simulate", str(path), *words, "--fleet-size", size]) == 0
+    return path
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ("rule fleet deny robot=Z1", "SetPolicyRule about robot/Z1 is rejected: unknown robot robot/Z1"),
+        ("rule fleet deny capability=no.such", "is rejected: unknown capability no.such"),
+        ("density all -1", "SetSupervisionDensity about every robot is rejected: density -1"),
+        ("density Z1 1", "SetSupervisionDensity about robot/Z1 is rejected"),
+        ("trust A1 Z1 none", "SetTrust about robot/A1 is rejected: unknown robot robot/Z1"),
+        ("budget Z1 local 5s 1", "SetRecoveryBudget about robot/Z1 is rejected"),
+        ("rule fleet deny task=A1-9", "the run has no task A1-9"),
+        ("add window:fleet/Z1 20s for 5s", "there is no robot/Z1 in the fleet"),
+        ("add routine:Z1 20s motion", "there is no robot/Z1 in the fleet"),
+        ('add 20s {"command": "LeaveFleet", "by": "robot/Z1", "robot": "robot/Z1"}', "LeaveFleet about robot/Z1 is"),
+        ("rule fleet deny from 9000s", "the run has ended by then"),
+    ],
+)
+def test_what_is_refused_in_every_run_is_the_error_that_one_run_gives(
+    call: Call, ledger: Path, tmp_path: Path, change: str, message: str
+) -> None:
+    of_fsar = ("--architecture", "fsar", "--change", change)
+    one = call("whatif", ledger, "--run", "1", "--change", change)
+    all_runs = call("whatif", ledger, "--all-runs", *of_fsar, "--out", tmp_path / "forks")
+    one_message(all_runs, 2, message)
+    one_message(call("bisect", ledger, *of_fsar, "--outcome", VIOLATED), 2, message)
+    assert all_runs.err == one.err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_is_refused_in_some_runs_is_counted_with_its_reason_and_parts_none_of_them(
+    call: Call, fleets: Path
+) -> None:
+    out = call("whatif", fleets, "--all-runs", "--change", OF_EIGHT).good().out
+    assert "2 pairs, 0 of them part" in out
+    assert out.count(f"\nin 2 of 2 a change comes to nothing: {UNKNOWN}\n") == 1
+    told = json.loads(call("whatif", fleets, "--all-runs", "--change", OF_EIGHT, "--json").good().out)
+    assert [(one["refused"], one["parts_at"] is None) for one in told["forks"]] == [
+        *([(UNKNOWN, True)] * 2),
+        *([(None, False)] * 2),
+    ]
+    assert [one["refused"] for one in told["effects"]] == [[{"reason": UNKNOWN, "pairs": 2}], []]
+    bisected = ("bisect", fleets, "--change", OF_EIGHT, "--outcome", VIOLATED)
+    assert f"\nin 2 of 4 a change comes to nothing: {UNKNOWN}\n" in call(*bisected).good().out
+    assert json.loads(call(*bisected, "--json").good().out)["refused"] == [{"reason": UNKNOWN, "pairs": 2}]
+
+
+def test_a_fork_in_which_something_else_is_changed_parts_although_a_command_is_refused(
+    call: Call, fleets: Path
+) -> None:
+    words = ("--change", OF_EIGHT, "--change", "drop window:*", "--json")
+    forks = json.loads(call("whatif", fleets, "--all-runs", *words).good().out)["forks"]
+    assert [one["refused"] is None for one in forks] == [False, False, True, True]
+    assert None not in [one["parts_at"] for one in forks]
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        "add window:fleet/B2 20s for 5s",
+        "trust A1 B2 none",
+        'add 20s {"command": "LeaveFleet", "by": "robot/B2", "robot": "robot/B2"}',
+    ],
+)
+def test_what_a_refused_change_leaves_on_record_does_not_count(call: Call, fleets: Path, change: str) -> None:
+    told = json.loads(call("whatif", fleets, "--all-runs", "--change", change, "--json").good().out)
+    assert [one["diverging"] for one in told["effects"]] == [0, 2]
