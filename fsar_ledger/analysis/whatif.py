@@ -1,7 +1,7 @@
 """What if: forks beside their bases, judged by the same SQL, in pairs that share every draw."""
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import repeat
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -141,9 +141,10 @@ class Effect(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Effects(msgspec.Struct, frozen=True, kw_only=True):
-    """The effects on the runs of one architecture and configuration: pairs, how many of them part, and each metric.
+    """The effects on the runs of one side, as `compare` has them: pairs, how many of them part, and each metric.
 
-    `refused`: why, and in how many of the pairs, a change is refused.
+    `side` is its name there, `fsar:full@A/4`; None: of a single run. `refused`: why, and in how many of the pairs, a
+    change is refused.
     """
 
     architecture: str | None
@@ -152,6 +153,7 @@ class Effects(msgspec.Struct, frozen=True, kw_only=True):
     diverging: int
     refused: list[Refused]
     rows: list[Effect]
+    side: str | None = None
 
 
 def forks_of(bases: Iterable[Base], changes: Changes) -> Iterator[Pair]:
@@ -185,11 +187,13 @@ def effects_over(
     view: View,
     runs: Sequence[str],
     changes: Changes,
+    names: Mapping[str, str],
     progress: Callable[[int], None] | None = None,
 ) -> tuple[list[Divergence], list[Effects]]:
     """Fork these runs of a ledger, by a cluster if there is one, and judge the pairs as `effects` does.
 
-    `progress` is called with the forks that were played.
+    `names` are those of the sides, by the column `side` of `sides`. `progress` is called with the forks that were
+    played.
 
     Raises: as `fork_pairs` and `Database.rows`; SequenceConflict if another process finds another ledger there.
     """
@@ -200,7 +204,7 @@ def effects_over(
             found.append(part)
             if progress is not None:
                 progress(sum(len(divergences) for divergences, _ in found))
-    return _compared(found)
+    return _compared(found, names)
 
 
 def _forked(ledger: str, root: str, runs: Sequence[str], changes: Changes) -> "_JudgedPairs":
@@ -229,7 +233,7 @@ def _judged(pairs: Iterable[Pair]) -> _JudgedPairs:
     return parted, rows
 
 
-def _compared(judged: Iterable[_JudgedPairs]) -> tuple[list[Divergence], list[Effects]]:
+def _compared(judged: Iterable[_JudgedPairs], names: Mapping[str, str] = {}) -> tuple[list[Divergence], list[Effects]]:
     parted: list[Divergence] = []
     rows: list[pa.Table] = []
     for divergences, tables in judged:
@@ -242,7 +246,8 @@ def _compared(judged: Iterable[_JudgedPairs]) -> tuple[list[Divergence], list[Ef
     groups: dict[tuple[str, str], list[Divergence]] = {}
     for one in parted:
         groups.setdefault((side_of[one.base], side_of[one.fork]), []).append(one)
-    return parted, [_effects(every, base, fork, group) for (base, fork), group in groups.items()]
+    found = [(base, _effects(every, base, fork, group)) for (base, fork), group in groups.items()]
+    return parted, [msgspec.structs.replace(one, side=names.get(base)) for base, one in found]
 
 
 def _divergence(pair: Pair) -> Divergence:

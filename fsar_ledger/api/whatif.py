@@ -98,7 +98,7 @@ class WhatIf(Answer, msgspec.Struct, frozen=True):
             yield printable.lines("")
         else:
             for one in self.effects:
-                yield from _effects(one, screen)
+                yield from _effects(one, screen, is_alone=len(self.effects) == len({*map(_who, self.effects)}))
         if self.kept is not None and self.out is not None:
             count = counted(len(self.forks), "fork")
             place = printable.word(self.out)
@@ -172,6 +172,7 @@ def whatif(
     from fsar_ledger.analysis import whatif as forks
     from fsar_ledger.ledger.store.locations import record_of
     from fsar_ledger.ledger.store.paths import require_outside
+    from fsar_ledger.metrics.comparison_sides import sides
 
     from .diff import difference_of
     from .lookup import present, recorded
@@ -204,7 +205,9 @@ def whatif(
         return WhatIf(texts, tuple(found), judged, story, provenance, kept, place)
     runs = forks.runs_of(view, names_of(architecture) or ())
     played = None if progress is None else lambda done: progress(done, len(runs))
-    found, judged = forks.effects_over(view, runs, meant, played)
+    with ledger.database() as database:
+        names = {one.side: one.name for one in sides(database)}
+    found, judged = forks.effects_over(view, runs, meant, names, played)
     if all(one.refused for one in found):
         raise UsageError(found[0].refused)
     if meant and not any(one.parts_at for one in found):
@@ -283,13 +286,18 @@ def refusals(found: "Sequence[Refused]", pairs: int) -> Iterator[str]:
         yield f"in {sum(count for _, count in more):,} of {pairs:,} for other reasons, which --json has"
 
 
-def _effects(found: "Effects", screen: Screen) -> Iterator[SafeText]:
+def _who(found: "Effects") -> str:
+    """Name the runs by architecture and configuration."""
+    who = found.architecture or "-"
+    return who if found.configuration in (None, "full") else f"{who} {found.configuration}"
+
+
+def _effects(found: "Effects", screen: Screen, *, is_alone: bool) -> Iterator[SafeText]:
+    """Yield the effects on one side; its whole name unless it is alone in its architecture and configuration."""
     from .table import plain
 
     rows = [{NAMES.get(name, name): row[name] for name in COLUMNS} for row in plain(found.rows)]
-    who = found.architecture or "-"
-    if found.configuration not in (None, "full"):
-        who += f" {found.configuration}"
+    who = _who(found) if is_alone or found.side is None else printable.value(found.side)
     yield printable.lines("", f"{who}: {counted(found.pairs, 'pair')}, {found.diverging:,} of them part")
     yield printable.lines(*refusals(found.refused, found.pairs))
     yield screen.table(rows)

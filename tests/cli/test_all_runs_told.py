@@ -56,7 +56,7 @@ def test_what_is_refused_in_some_runs_is_counted_with_its_reason_and_parts_none_
     call: Call, fleets: Path
 ) -> None:
     out = call("whatif", fleets, "--all-runs", "--change", OF_EIGHT).good().out
-    assert "2 pairs, 0 of them part" in out
+    assert "fsar:full@A/4: 2 pairs, 0 of them part" in out
     assert out.count(f"\nin 2 of 2 a change comes to nothing: {UNKNOWN}\n") == 1
     told = json.loads(call("whatif", fleets, "--all-runs", "--change", OF_EIGHT, "--json").good().out)
     assert [(one["refused"], one["parts_at"] is None) for one in told["forks"]] == [
@@ -89,3 +89,26 @@ def test_a_fork_in_which_something_else_is_changed_parts_although_a_command_is_r
 def test_what_a_refused_change_leaves_on_record_does_not_count(call: Call, fleets: Path, change: str) -> None:
     told = json.loads(call("whatif", fleets, "--all-runs", "--change", change, "--json").good().out)
     assert [one["diverging"] for one in told["effects"]] == [0, 2]
+
+
+def test_runs_of_several_constants_and_fleet_sizes_have_the_names_that_compare_has(
+    call: Call, fleets: Path, tmp_path: Path
+) -> None:
+    place = tmp_path / "constants"
+    made = ("--architecture", "fsar", "--scenario", "door-relay", "--runs", "1", "--workers", "1")
+    for seed in ("3", "4"):
+        call("simulate", place, *made, "--seed", seed).good()
+    call("simulate", place, *made, "--set", "world.review_share=0.5").good()
+    for ledger, names in ((place, ["fsar:full@A/4", "fsar:full@B/4"]), (fleets, ["fsar:full@A/4", "fsar:full@A/8"])):
+        words = ("whatif", ledger, "--all-runs", "--change", "drop window:*")
+        told = json.loads(call(*words, "--json").good().out)["effects"]
+        assert [one["side"] for one in told] == names
+        out = call(*words).good().out
+        assert [line.partition(": ")[0] for line in out.splitlines() if " of them part" in line] == names
+        for name in names:
+            assert name in call("compare", ledger, "--first", "none").err
+
+
+def test_the_only_runs_of_an_architecture_are_named_by_it_alone(call: Call, ledger: Path) -> None:
+    out = call("whatif", ledger, "--all-runs", "--change", "drop window:*").good().out
+    assert [line.partition(": ")[0] for line in out.splitlines() if " of them part" in line] == ["fsar", "cfc", "dhma"]
