@@ -116,8 +116,8 @@ class ClaimNow(msgspec.Struct, frozen=True):
 class RecoveryNow(msgspec.Struct, frozen=True):
     """A failure that is being recovered. Units: `since_s` run time of its detection.
 
-    `cause` and `since_s` are None where the failure itself is not on record, `level` and `attempts` where nothing of its
-    recovery is and the run does not observe it.
+    `cause` and `since_s` are None where the failure itself is not on record, `level` and `attempts` where nothing of
+    its recovery is and the run does not observe it.
     """
 
     action_id: str

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 import msgspec
 
 from fsar_ledger.base import utc
-from fsar_ledger.base.errors import InvalidRun, UsageError
+from fsar_ledger.base.errors import InvalidRun, UsageError, WriteFailed
 from fsar_ledger.base.printable import counted, did_you_mean, escaped, value
 from fsar_ledger.events import CONCERN_OF, CONCERNS, Event
 from fsar_ledger.events.envelope import flat
@@ -116,7 +116,7 @@ BESIDE = ("type", "time", "caused_by")
 
 
 SAID_AT_ONCE = 20
-"""Refused lines that are said one by one; then one each time that there are twice as many, so that no disk is filled."""
+"""Refused lines that are said one by one; then one each time that there are twice as many, lest a disk is filled."""
 
 
 class _Refused:
@@ -148,7 +148,7 @@ def tell(
     """Record each line as it comes; return how many events there were, and what was wrong with which line.
 
     A time without a zone is UTC. `say` tells the operator of a line that is refused, when it is, and after an
-    interruption how many were.
+    interruption how many were. Raises: WriteFailed, which says with which line to go on.
     """
     events, refused = 0, _Refused(say)
     try:
@@ -159,6 +159,11 @@ def tell(
                 events += 1
             except (UsageError, InvalidRun) as error:
                 refused.add(number, f"{error}")
+            except WriteFailed as error:
+                raise WriteFailed(
+                    f"{error}; {counted(events, 'event')} of the lines before line {number} "
+                    f"{'is' if events == 1 else 'are'} on disk: give it what begins with that line"
+                ) from error
     except KeyboardInterrupt:
         refused.say_count()
         raise

@@ -125,7 +125,7 @@ def test_a_full_disk_ends_whatif_without_half_a_commit(call: Call, ledger: Path,
     words = ("whatif", ledger, "--run", "1", "--change", "drop window:*", "--out", tmp_path / "forks")
     called = limited_disk(*words, file_bytes_max=4096)
     assert called.returncode == 1, called.stderr
-    assert "nothing was committed; make room" in called.stderr
+    assert "this commit was not made; make room" in called.stderr
     assert len(called.stderr.splitlines()) == 1
     assert list((tmp_path / "forks").glob("segments/*")) == []
     assert call(*map(str, words)).code == 0

@@ -111,7 +111,10 @@ def test_what_a_reader_sees_beside_a_disk_that_refuses_stays(tmp_path: Path, cal
         session = write_with(WatchedOs(path, look, Fault(at, kind), max(0, at - 4)), path)
         if isinstance(session.error, WriteFailed):
             refused += 1
-            if "nothing was committed" in str(session.error) and max(roots_of(path), default=0) > session.acknowledged:
+            if (
+                "this commit was not made" in str(session.error)
+                and max(roots_of(path), default=0) > session.acknowledged
+            ):
                 lost.append(((at, kind), "refused, and there", str(session.error)))
         look(path)
         assert write_with(FaultyOs(root), path).error is None

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from fsar_ledger.api.ledger import Ledger
-from fsar_ledger.base.errors import UsageError
+from fsar_ledger.base.errors import UsageError, WriteFailed
 from fsar_ledger.cli.app import run
 from fsar_ledger.events.source import Observed
 from fsar_ledger.sources import columns
@@ -184,3 +184,20 @@ def test_the_command_names_what_it_refused_and_fails(
     kept = Ledger(out).record("n").events
     assert [one.source for one in kept if isinstance(one, Observed)] == ["plc"]
     assert run(["verify", str(out)]) == 0
+
+
+def test_where_the_disk_is_full_it_is_said_with_which_line_to_go_on(
+    recorder: Recorder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lines = b"".join(b'{"type": "Observed", "source": "s", "kind": "k%d"}\n' % number for number in range(5))
+    recorder.observed("before")
+    put = Recorder.event
+
+    def until_full(self: Recorder, event: Any, **told: Any) -> int:
+        if event.kind == "k3":
+            raise WriteFailed("disk: no space")
+        return put(self, event, **told)
+
+    monkeypatch.setattr(Recorder, "event", until_full)
+    with pytest.raises(WriteFailed, match="no space; 3 events of the lines before line 4 are on disk"):
+        tell(recorder, io.BytesIO(lines))

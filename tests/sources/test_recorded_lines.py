@@ -83,7 +83,8 @@ def test_each_line_is_on_disk_before_the_next_is_read_and_ctrl_c_is_quiet(tmp_pa
 def test_a_refused_line_is_said_when_it_is_refused_and_an_interruption_says_how_many_were(tmp_path: Path) -> None:
     command = [*COMMAND, "record", str(tmp_path / "ledger"), "--run", "night", "--observes", "TaskArrived"]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
-        assert process.stdin is not None and process.stderr is not None
+        assert process.stdin is not None
+        assert process.stderr is not None
         process.stdin.write(LINE % (b"a", 1) + b"no\n")
         process.stdin.flush()
         assert process.stderr.readline().startswith(b"fsar-ledger: line 2: Input data was truncated")

@@ -117,7 +117,8 @@ def refusal(path: Path, doing: str, error: OSError) -> WriteFailed:
             "writing there, open the ledger again, and append what it lacks"
         )
     return WriteFailed(
-        f"{path}: {doing} failed: {reason}; nothing was committed; make room or permit writing there and run it again"
+        f"{path}: {doing} failed: {reason}; this commit was not made; make room or permit writing there, and run it "
+        "again"
     )
 
 
