@@ -151,7 +151,7 @@ def _pairing(both: tuple[Side, Side], found: Paired) -> list[str]:
         )
         lines += [f"found {side.held()}" for side in both]
     else:
-        lines.append(f"{counted(found.pairs, 'pair')} by seed, scenario and number: {_shared(found)}")
+        lines.append(f"{counted(found.pairs, 'pair')} by seed, scenario and number: {_shared(both, found)}")
         if first.fleet_size != second.fleet_size:
             lines.append(
                 f"the fleets differ in size ({first.fleet_size} and {second.fleet_size} robots): the robots that both "
@@ -173,12 +173,23 @@ def _described(side: Side) -> str:
     return f"{side}, {', '.join(printable.value(one) for one in named if one)}"
 
 
-def _shared(found: Paired) -> str:
+def _shared(both: tuple[Side, Side], found: Paired) -> str:
     """Return how many pairs share their facts, only their draws, or only their seed."""
+    first, second = both
+    is_of_one_model = (
+        first.kind == second.kind == "simulated"
+        and first.model_version is not None
+        and first.model_version == second.model_version
+    )
+    seed_alone = (
+        "share seed, scenario and number, but not the facts; whether forks and workflows share draws is not compared"
+        if is_of_one_model
+        else "share only seed, scenario and number, because their models differ or are not on record"
+    )
     parts = {
         "met the same facts of the world": found.same_facts,
         "share what was drawn, but not the facts, because their constants or robots differ": found.same_draws,
-        "share only seed, scenario and number, because their models differ or are not on record": found.same_seed,
+        seed_alone: found.same_seed,
     }
     return "; ".join(f"{count:,} {what}" for what, count in parts.items() if count)
 

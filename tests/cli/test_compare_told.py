@@ -25,3 +25,17 @@ def test_metrics_whose_t_test_counts_fewer_pairs_than_that_of_statistics_are_nam
 def test_compare_says_that_human_intervention_is_a_share_of_runs(call: Call, ledger: Path) -> None:
     said = call("compare", ledger, "--first", "fsar", "--second", "cfc").out.splitlines()
     assert "human_intervention is the share of runs that called the fleet supervisor" in said
+
+
+def test_pairs_of_forks_and_bases_of_one_model_are_not_said_to_be_of_several(
+    call: Call, ledger: Path, tmp_path: Path
+) -> None:
+    place = tmp_path / "forks"
+    changed = ("--all-runs", "--architecture", "fsar", "--change", "drop window:*")
+    call("whatif", ledger, *changed, "--out", place).good()
+    said = call("compare", place, "--first", "fsar+fork", "--second", "fsar@A/4").good().out
+    assert "models differ" not in said
+    assert (
+        "4 pairs by seed, scenario and number: 4 share seed, scenario and number, but not the facts; whether forks and "
+        "workflows share draws is not compared\n"
+    ) in said
