@@ -236,18 +236,26 @@ def _how_to_read(found: Paired) -> list[str]:
     if fewer := [row for row in found.rows if row.test == "paired t" and row.differing_pairs < row.n]:
         lines.append(
             "paired t has as many degrees of freedom as pairs differ, less one; `statistics` counts every pair, so "
-            f"that its p differs: {_cells(fewer)}"
+            f"that its p differs: {_cells(fewer, found)}"
         )
     if any(row.metric == "human_intervention" for row in found.rows):
         lines.append("human_intervention is the share of runs that called the fleet supervisor")
     if alike:
-        lines.append(f"no pair differs, so there is no test: {_cells(alike)}")
+        lines.append(f"no pair differs, so there is no test: {_cells(alike, found)}")
     if few:
-        lines.append(f"exact sign test, since few pairs differ, or all alike: {_cells(few)}")
+        lines.append(f"exact sign test, since few pairs differ, or all alike: {_cells(few, found)}")
     return lines
 
 
-def _cells(rows: list[SideRow]) -> str:
-    return printable.some(
-        [row.metric if row.scenario is None else f"{row.metric} ({printable.value(row.scenario)})" for row in rows]
-    )
+def _cells(rows: list[SideRow], found: Paired) -> str:
+    """Name the metrics of these rows, each once; with the seeds where it is not so under every one."""
+    seeds_of: dict[tuple[str, str | None], list[int | None]] = {}
+    for row in rows:
+        seeds_of.setdefault((row.metric, row.scenario), []).append(row.seed)
+    cells = []
+    for (metric, scenario), seeds in seeds_of.items():
+        of_metric = {row.seed for row in found.rows if (row.metric, row.scenario) == (metric, scenario)}
+        only = [] if {*seeds} == of_metric else [f"seed{'' if len(seeds) == 1 else 's'} {', '.join(map(str, seeds))}"]
+        within = "; ".join(([] if scenario is None else [printable.value(scenario)]) + only)
+        cells.append(f"{metric} ({within})" if within else metric)
+    return printable.some(cells)

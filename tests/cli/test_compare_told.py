@@ -39,3 +39,15 @@ def test_pairs_of_forks_and_bases_of_one_model_are_not_said_to_be_of_several(
         "4 pairs by seed, scenario and number: 4 share seed, scenario and number, but not the facts; whether forks and "
         "workflows share draws is not compared\n"
     ) in said
+
+
+def test_a_remark_over_several_seeds_names_each_metric_once_with_the_seeds_that_it_is_about(ledger: Path) -> None:
+    found = open_ledger(ledger).compare("fsar", "cfc")
+    row = structs.replace(found.rows[0], n=4)
+    rows = [
+        structs.replace(row, seed=seed, metric=metric, differing_pairs=differing)
+        for metric, of_seeds in (("true_attribution", (0, 0, 0)), ("missed_reviews", (0, 1, 0)))
+        for seed, differing in zip((7, 8, 9), of_seeds, strict=True)
+    ]
+    said = [line for line in _how_to_read(structs.replace(found, rows=rows)) if "no pair differs" in line]
+    assert said == ["no pair differs, so there is no test: true_attribution, missed_reviews (seeds 7, 9)"]
