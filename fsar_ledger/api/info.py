@@ -46,7 +46,9 @@ WITH groups AS (
         runs.architecture,
         runs.configuration,
         settings.kind AS made_as,
-        CASE WHEN settings.kind = 'fork' THEN settings.constants END AS changes,
+        CASE WHEN settings.kind = 'fork'
+            THEN coalesce(nullif(array_to_string(started.changes, '; '), ''), 'no change')
+        END AS changes,
         coalesce(list(DISTINCT runs.scenario) FILTER (runs.scenario IS NOT NULL), []) AS scenarios,
         max(runs.run) AS last,
         count(DISTINCT (runs.scenario, runs.run)) FILTER (
@@ -59,6 +61,7 @@ WITH groups AS (
     FROM runs
     INNER JOIN (SELECT run_id, count(*) AS events FROM events GROUP BY run_id) AS sizes ON runs.run_id = sizes.run_id
     INNER JOIN run_settings AS settings ON runs.run_id = settings.run_id
+    INNER JOIN run_started AS started ON runs.run_id = started.run_id
     GROUP BY ALL
 )
 

@@ -227,3 +227,18 @@ def test_a_call_that_makes_no_sense_is_an_error_and_writes_nothing(
     out = ("--out", tmp_path / "forks") if words[0] == "whatif" else ()
     one_message(call(words[0], ledger, *words[1:], *out), 2, message)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_what_is_said_of_a_fork_stays_when_forks_of_other_constants_come(
+    call: Call, ledger: Path, tmp_path: Path
+) -> None:
+    other, place = tmp_path / "other", tmp_path / "forks"
+    made = ("--architecture", "fsar", "--scenario", "door-relay", "--runs", "1", "--workers", "1")
+    call("simulate", other, *made, "--set", "world.review_share=0.5").good()
+    told = []
+    for bases in (ledger, other):
+        call("whatif", bases, "--run", "1", "--change", "drop window:*", "--out", place).good()
+        groups = json.loads(call("info", place, "--json").good().out)["groups"]
+        told.append({(group["constants"], group["changes"]) for group in groups})
+    changes = ("drop window:*", None)
+    assert told == [{("A", one) for one in changes}, {(letter, one) for letter in "AB" for one in changes}]
