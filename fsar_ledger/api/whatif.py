@@ -17,7 +17,7 @@ from .names import Names, Place, Run, names_of
 from .verbs import WIDE, AnswersOption, ArchitectureOption, Option, Shows, declare, switch, verb
 
 if TYPE_CHECKING:
-    from fsar_ledger.analysis.whatif import Divergence, Effects, Refused
+    from fsar_ledger.analysis.whatif import Divergence, Effects, Pair, Refused
     from fsar_ledger.ledger.rows.codec import LedgerRun
     from fsar_ledger.ledger.store.record import Head
     from fsar_ledger.metrics.provenance import Provenance
@@ -124,8 +124,6 @@ def _asked(
     if (run is None) == (not all_runs):
         found = "--run and --all-runs" if all_runs else "neither --run nor --all-runs"
         raise UsageError(f"found {found}, expected one of them")
-    if run is not None and architecture:
-        raise UsageError(f"--run {run} and --architecture: found one run, expected --architecture with --all-runs")
     if file is not None and Path(file).suffix != ".toml":
         raise UsageError(f"--changes {file}: expected a .toml file")
     texts = [*(names_of(changes) or ()), *([] if file is None else [str(file)])]
@@ -174,9 +172,11 @@ def whatif(
     from fsar_ledger.ledger.store.paths import require_outside
     from fsar_ledger.metrics.comparison_sides import sides
 
-    from .diff import difference_of
     from .lookup import present, recorded
 
+    if run is not None and architecture:
+        name = option("architecture")
+        raise UsageError(f"{option('run', run)} and {name}: found one run, expected {name} with all runs")
     view, provenance = present(ledger)
     record = None if run is None else recorded(ledger, view, run)
     place = None if out is None else Path(out)
@@ -192,17 +192,7 @@ def whatif(
         raise UsageError("changes: found no change, expected one at least")
     texts = tuple(map(str, meant))
     if record is not None:
-        pair = forks.fork_of(view, record, meant)
-        end = pair.fork.end
-        if place is not None and pair.base.recipe.live is not None:
-            raise UsageError(
-                f"{option('out', place)}: found the fork of a live run, which rests on commands that are not its own; "
-                "expected a simulated run"
-            )
-        found, judged = forks.effects([pair])
-        story = difference_of(record, pair.fork.record, (provenance,), None if end is None else end.time_us)
-        kept = None if place is None else forks.commit_pairs(place, [pair])
-        return WhatIf(texts, tuple(found), judged, story, provenance, kept, place)
+        return _of_one(forks.fork_of(view, record, meant), texts, provenance, place)
     runs = forks.runs_of(view, names_of(architecture) or ())
     played = None if progress is None else lambda done: progress(done, len(runs))
     with ledger.database() as database:
@@ -215,6 +205,24 @@ def whatif(
         raise UsageError(f"none of {len(runs):,} runs does anything else with these changes; expected some effect")
     kept = None if place is None else forks.commit_pairs(place, forks.fork_pairs(view, runs, meant))
     return WhatIf(texts, tuple(found), judged, None, provenance, kept, place)
+
+
+def _of_one(pair: "Pair", texts: tuple[str, ...], provenance: "Provenance", place: Path | None) -> WhatIf:
+    """Return what the changes do in one run. Raises: UsageError if its fork cannot be stored."""
+    from fsar_ledger.analysis import whatif as forks
+
+    from .diff import difference_of
+
+    if place is not None and pair.base.recipe.live is not None:
+        raise UsageError(
+            f"{option('out', place)}: found the fork of a live run, which rests on commands that are not its own; "
+            "expected a simulated run"
+        )
+    (base, fork), end = pair.records, pair.fork.end
+    found, judged = forks.effects([pair])
+    story = difference_of(base, fork, (provenance,), None if end is None else end.time_us)
+    kept = None if place is None else forks.commit_pairs(place, [pair])
+    return WhatIf(texts, tuple(found), judged, story, provenance, kept, place)
 
 
 def fork(ledger: "Ledger", run: Run, changes: Texts) -> Fork:

@@ -44,6 +44,11 @@ def test_a_wrong_name_or_time_is_an_error_and_no_empty_answer(
 def test_calls_that_make_no_sense_are_errors_of_the_package(ledger: fsar_ledger.Ledger) -> None:
     with pytest.raises(UsageError, match="changes: found no change, expected one at least"):
         ledger.whatif([], 1)
+    for name in ("fsar", "no-such"):
+        with pytest.raises(
+            UsageError, match="run=1 and architecture: found one run, expected architecture with all runs"
+        ):
+            ledger.whatif("drop window:*", 1, architecture=name)
     with pytest.raises(UsageError, match="table: found Moment"):
         ledger.state(1, at=5).table()
 
