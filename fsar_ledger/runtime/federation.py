@@ -16,7 +16,7 @@ from typing import Any, TypeVar, Union
 import msgspec
 
 from fsar_ledger.base import utc
-from fsar_ledger.base.errors import UsageError, WriteFailed
+from fsar_ledger.base.errors import InvalidRun, SequenceConflict, UsageError, WriteFailed
 from fsar_ledger.base.printable import value
 from fsar_ledger.designs.constants import Constants
 from fsar_ledger.events import EVENT_TYPES, Event
@@ -31,6 +31,7 @@ from fsar_ledger.ledger.store.read import View
 from fsar_ledger.projections.fold import State
 
 from . import snapshot
+from .governing import Hold, overtaken
 from .isolation import Isolation
 from .live import AT_ONCE_US, SOURCE, Decision, LiveRun, command_given, decision_of, live_started
 from .recipes import recorded_constants
@@ -69,7 +70,8 @@ class Federation:
         isolation: From what a robot alone goes on, if the run is its own and new (`isolation_of`).
 
     Raises:
-        UsageError: Another run has this name, or would go on otherwise than it was recorded.
+        UsageError: Another run has this name, or would go on otherwise than it was recorded, or another process
+            governs it.
         NotALedger, LedgerCorrupted, WriteFailed: As `Writer`.
     """
 
@@ -91,14 +93,17 @@ class Federation:
         self._path, self._clock, self._lock = path, clock, RLock()
         self._before = 0  # how many events the runs have that this one continues, but for its event 0
         self._has_failed = False
+        self._overtaken = ""  # why, once another process has written the run
         self._kept = 0  # how many events the newest snapshot knows
         # Packed: a snapshot of so many objects would take 1.6 s, of their bytes it takes 0.1. A dict would look for its
         # first key in the room of all that were taken out, for 40 microseconds.
         self._keys: OrderedDict[str, bytes] = OrderedDict()
         self._writer = Writer(path, origin or (signer.verifier.name if signer else ORIGIN), signer)
+        self._hold: Hold | None = None
         try:
             view = open_ledger(path)
             self.run, self._first = newest_of(view, run)
+            self._hold = Hold(path, self._first)
             if view.has_run(self.run):
                 if not self._recall(view):
                     self._resume(view)
@@ -106,7 +111,7 @@ class Federation:
                 self._found(constants, robots, isolation)
                 self._commit()
         except BaseException:
-            self._writer.close()
+            self._end()
             raise
 
     def _found(self, constants: Constants, robots: int, isolation: Isolation | None) -> None:
@@ -255,7 +260,12 @@ class Federation:
         with self._lock:
             if not self._has_failed and self.size - self._kept >= KEEP_AT_END:
                 self._keep()
-            self._writer.close()
+            self._end()
+
+    def _end(self) -> None:
+        self._writer.close()
+        if self._hold is not None:
+            self._hold.release()
 
     def __enter__(self) -> "Federation":
         return self
@@ -273,7 +283,7 @@ class Federation:
             self._has_failed = True  # until it is on disk, the run knows what nobody may act on
             begins = isinstance(piece.events[0], RunContinued)
             own = counted_on(piece, -self._before) if self._before else piece
-            self._writer.commit([self._begun(own) if begins else own])
+            self._write(self._begun(own) if begins else own)
             self._has_failed = False
             if begins:
                 self._began_us = piece.times_us[0]
@@ -284,12 +294,24 @@ class Federation:
                 self._on_commit(piece.first, rows.partition(b"\n")[2] if begins else rows)
         return tuple(piece.events)
 
+    def _write(self, piece: LedgerRun) -> None:
+        """Commit this piece. Raises: SequenceConflict if another process has written the run meanwhile; as `Writer`."""
+        try:
+            self._writer.commit([piece])
+        except InvalidRun as error:
+            self._overtaken = overtaken(self._path, self.run, piece.first)
+            if not self._overtaken:
+                raise
+            raise SequenceConflict(self._overtaken) from error
+
     def _begun(self, piece: LedgerRun) -> LedgerRun:
         """Return what begins a run that continues another: event 0, like that of the other, before this piece."""
         times_us, causes = (piece.times_us[0], *piece.times_us), (None, *piece.caused_by)
         return LedgerRun(self.run, times_us, causes, (self._started, *piece.events), goes_on=True)
 
     def _require_whole(self) -> None:
+        if self._overtaken:
+            raise SequenceConflict(self._overtaken)
         if self._has_failed:
             raise WriteFailed(
                 f"run {value(self.run)}: an earlier write failed, so what this process knows is not on disk; open the "

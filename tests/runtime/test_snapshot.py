@@ -48,7 +48,7 @@ def play(one: Federation, draws: random.Random, steps: int) -> None:
 
 
 def kept(folder: Path) -> Path:
-    [found] = (folder / PLACE).iterdir()
+    [found] = [one for one in (folder / PLACE).iterdir() if one.suffix != ".lock"]
     return found
 
 
