@@ -92,6 +92,7 @@ class Service:
         self._viewed, self._viewing = viewed, asyncio.Lock()
         self._drawn: dict[str, str] = {}
         self._server: uvicorn.Server | None = None
+        self._refusal: FsarLedgerError | None = None
         self.app = Starlette(
             routes=[
                 Route("/commands/{name}", self._command, methods=["POST"]),
@@ -112,7 +113,13 @@ class Service:
     @asynccontextmanager
     async def _living(self, _: Starlette) -> AsyncIterator[None]:
         self._feed = Feed(self._ledger, self._run)
-        self._decider = Decider(self._opened, asyncio.get_running_loop(), self._feed)
+        try:
+            self._decider = Decider(self._opened, asyncio.get_running_loop(), self._feed)
+        except FsarLedgerError as error:  # raised here, it would be a traceback
+            self._refusal = error
+            self.stop()
+            yield
+            return
         self._decider.start()
         yield
         await asyncio.to_thread(self._decider.stop)
@@ -296,7 +303,10 @@ class Service:
         )
 
     def serve(self, listening: socket.socket, certificate: Path | None = None, key: Path | None = None) -> None:
-        """Serve here until SIGTERM, Ctrl-C or `stop`; answers under way are given, and the ledger is closed."""
+        """Serve here until SIGTERM, Ctrl-C or `stop`; answers under way are given, and the ledger is closed.
+
+        Raises: As the federation that cannot be opened.
+        """
         config = uvicorn.Config(
             self.app,
             http=LimitedProtocol,
@@ -313,6 +323,8 @@ class Service:
         )
         self._server = uvicorn.Server(config)
         self._server.run(sockets=[listening])
+        if self._refusal is not None:
+            raise self._refusal
 
     def stop(self) -> None:
         """End `serve`."""

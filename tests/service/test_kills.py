@@ -135,3 +135,12 @@ def test_a_policy_that_cannot_be_read_is_told_before_anything_begins(tmp_path: P
     _, said = one.process.communicate(timeout=30)
     assert (one.process.returncode, "none" in said) == (2, True)
     assert not one.ledger.exists()
+
+
+def test_a_second_service_of_a_run_is_refused_in_words(tmp_path: Path) -> None:
+    add_principal(tmp_path / "principals", "robot/A1")
+    first, second = (Process(tmp_path, 0) for _ in range(2))
+    _, said = second.process.communicate(timeout=30)
+    assert (second.process.returncode, "Traceback" in said) == (2, False)
+    assert "another process governs it, expected none; stop that one first" in said
+    assert first.end(signal.SIGTERM)[0] == 0
