@@ -148,6 +148,13 @@ def names_of(asked: str | Sequence[str] | None) -> list[str] | None:
     return [asked] if isinstance(asked, str) else None if asked is None else list(asked)
 
 
+def require_whole(**given: object) -> None:
+    """Require that each of these parameters is a whole number, or None. Raises: UsageError, which names it."""
+    for name, found in given.items():
+        if found is not None and type(found) is not int:
+            raise UsageError(f"{option(name)}: found {found!r:.80}, expected a whole number")
+
+
 def microseconds(what: str, asked: Time) -> int | None:
     """Convert a time to whole microseconds; None stays None.
 

@@ -10,7 +10,7 @@ from fsar_ledger.base.printable import SafeText, counted
 from fsar_ledger.base.progress import Progress
 
 from .answers import Answer, Screen, head_json
-from .names import Names, Place, names_of
+from .names import Names, Place, names_of, require_whole
 from .verbs import (
     ONE_ARCHITECTURE,
     RUNTIME,
@@ -147,6 +147,8 @@ def simulate(
     from .key import origin_of, signer_of
     from .ledger import Ledger
 
+    require_whole(runs=runs, first_run=first_run, seed=seed, fleet_size=fleet_size)
+    require_whole(teams_working=teams_working, task_sets=task_sets)
     experiment = experiment_of(
         names_of(architecture),
         names_of(scenario),

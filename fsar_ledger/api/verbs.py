@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, TypeVar
 
 from fsar_ledger.base.errors import UsageError, option
 
-from .names import By, Names, Place, Pool, Run
+from .names import By, Names, Place, Pool, Run, require_whole
 
 if TYPE_CHECKING:
     from .ledger import Ledger
@@ -298,7 +298,7 @@ def workers_of(asked: int | None, worth: int | None = None) -> int:
     """Return the number of processes: as asked, else of the cluster, else one per core, no more than the work is worth.
 
     Raises:
-        UsageError: Fewer than one was asked for.
+        UsageError: Fewer than one was asked for, or no whole number.
     """
     from fsar_ledger.base.workers import workers_of_cluster
 
@@ -307,6 +307,7 @@ def workers_of(asked: int | None, worth: int | None = None) -> int:
     if asked is None:
         cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
         return cores if worth is None else max(1, min(cores, worth))
+    require_whole(workers=asked)
     if asked < 1:
         raise UsageError(f"{option('workers', asked)}: expected at least 1; leave it out for one per core")
     return asked

@@ -74,7 +74,7 @@ class Recorder:
     ):
         self._names = names
         self.declared, self.source, self._lock = declared(observes), source, RLock()
-        begins = utc.zoned(epoch or datetime.now(UTC)).astimezone(UTC)
+        begins = utc.zoned(datetime.now(UTC) if epoch is None else _moment("epoch", epoch)).astimezone(UTC)
         self.run = run or begins.isoformat(timespec="seconds")
         self._path = path
         self._writer, self._is_open = Writer(path, origin_of(path, origin, signer), signer), True
@@ -108,7 +108,7 @@ class Recorder:
         Raises:
             InvalidRun: A field has a value that it cannot have, or the type is not one that the run records. Nothing
                 was written; the record goes on.
-            UsageError: There is no such type or column, or `at` lies before the event before it.
+            UsageError: There is no such type or column, or `at` is no time, or lies before the event before it.
             WriteFailed: The disk refused.
         """
         if isinstance(event, str):
@@ -155,7 +155,7 @@ class Recorder:
             texts=tuple(storable_text(str(one)) for one in said.values()),
             objects=tuple(map(storable_text, about)),
             qualifiers=tuple(map(storable_text, about.values())),
-            source_time_us=None if source_time is None else self.run_time_us(source_time),
+            source_time_us=None if source_time is None else self.run_time_us(_moment("source_time", source_time)),
             body=None if body is None else storable_text(body),
         )
         return self.event(seen, at=at)
@@ -268,7 +268,7 @@ class Recorder:
     def _time_us(self, at: datetime | None) -> int:
         if at is None:
             return max(self._last_us, self.run_time_us(datetime.now(UTC)))
-        found = self.run_time_us(at)
+        found = self.run_time_us(_moment("at", at))
         if found < self._last_us:
             raise UsageError(
                 f"at: found {at.isoformat()}, {(self._last_us - found) / 1e6:.6f} s before the event before it, "
@@ -317,6 +317,16 @@ class Recorder:
         first = self._next if self._batch is None else self._next - len(rows)
         times, causes, events = (list(column) for column in zip(*rows, strict=True))
         commit(self._writer, self._path, LedgerRun(self.run, times, causes, events, first, goes_on=True))
+
+
+def _moment(name: str, found: object) -> datetime:
+    """Return the time that a parameter has. Raises: UsageError, which names it, for anything else."""
+    if isinstance(found, datetime):
+        return found
+    raise UsageError(
+        f"{name}: found {found!r:.80}, expected a datetime, such as datetime(2026, 3, 1, 10, tzinfo=UTC); "
+        "`datetime.fromisoformat` reads it from a text"
+    )
 
 
 def kept_origin(path: Path) -> str | None:
