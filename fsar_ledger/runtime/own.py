@@ -64,13 +64,28 @@ def with_own(
         if design.name in registered.scenarios():
             _require(path, text, [_taken(design.name, registered.scenarios())])
         own = design
-        for number, setting in enumerate(_others(design.settings, settings)):
-            try:
-                constants = with_settings(constants, (setting,))
-            except UsageError as error:
-                raise UsageError(f"{at_line(str(path), text, ('settings', number))}: {error}") from error
+        constants = _with_settings_of(constants, design, path, text, settings)
     found = msgspec.structs.replace(constants, scenario=own, fleet=own_fleet)
     return found, tuple(scenarios) if own is None else (own.name,)
+
+
+def _with_settings_of(
+    constants: Constants, design: Scenario, path: Path, text: str, settings: Sequence[str]
+) -> Constants:
+    """Return the constants with the settings of the scenario in this file. Raises: UsageError, with line and field."""
+    set_otherwise = {one.partition("=")[0] for one in settings}
+    before: dict[str, str] = {}
+    for number, setting in enumerate(design.settings):
+        name = setting.partition("=")[0]
+        where = at_line(str(path), text, ("settings", number))
+        if name in before:
+            raise UsageError(f"{where}: found {setting} beside {before[name]}, expected one value for each name")
+        before[name] = setting
+        try:
+            constants = constants if name in set_otherwise else with_settings(constants, (setting,))
+        except UsageError as error:
+            raise UsageError(f"{where}: {error}") from error
+    return constants
 
 
 def _others(of_scenario: Sequence[str], settings: Sequence[str]) -> list[str]:

@@ -8,7 +8,9 @@ import pytest
 
 from fsar_ledger.base.errors import UsageError
 from fsar_ledger.designs import Fleet, Scenario, registered
+from fsar_ledger.designs.constants import Constants
 from fsar_ledger.designs.registered import MAX_BYTES, decoded, line_of, read_design
+from fsar_ledger.runtime.own import with_own
 from fsar_ledger.runtime.world.checks import problems_of_design, problems_of_fleet, problems_of_scenario
 
 FLEET = """\
@@ -177,6 +179,11 @@ def test_a_number_of_thousands_of_digits_is_refused_with_its_line(digits: str, s
             '[[policies]]\nrole = "doors"\noutcome = "deny"',
             "policies[0].role: found doors, expected one of the roles",
         ),
+        (
+            "to_s = 9.5",
+            '[[policies]]\nrole = "door"\noutcome = "deny"\n[[policies]]\nrole = "door"\noutcome = "allow"',
+            "policies[1]: found a second local rule of door for every capability, expected each once in a domain",
+        ),
         ('name = "door"\n', 'name = "door"\ndomain = "/a"\n', "robots[1].domain: found /a, expected a path of names"),
         (
             "to_s = 9.5",
@@ -319,4 +326,16 @@ def test_a_file_that_cannot_be_read_is_refused_with_what_was_found(tmp_path: Pat
     ):
         with pytest.raises(UsageError) as refused:
             read_design(tmp_path / name, Fleet)
+        assert found in str(refused.value)
+
+
+def test_a_scenario_that_gives_a_constant_two_values_is_refused_with_both(tmp_path: Path) -> None:
+    path, name = tmp_path / "my.toml", "outages.off_rate_per_s"
+    path.write_text(f'settings = [\n    "{name}=0.002",\n    "{name}=0.5",\n]\n{SCENARIO.lstrip()}')
+    found = f"settings[1]: found {name}=0.5 beside {name}=0.002, expected one value for each name"
+    fleet = tmp_path / "fleet.toml"
+    fleet.write_text(FLEET)
+    for settings in ((), (f"{name}=1",)):
+        with pytest.raises(UsageError) as refused:
+            with_own(Constants(), [str(path)], str(fleet), settings)
         assert found in str(refused.value)

@@ -6,7 +6,7 @@ from math import isfinite
 from typing import NamedTuple
 
 from fsar_ledger.base import printable
-from fsar_ledger.designs import Fleet, Robot, Scenario, Task, Workflow
+from fsar_ledger.designs import Fleet, Policy, Robot, Scenario, Task, Workflow
 from fsar_ledger.designs.constants import DURATIONS, END_US
 from fsar_ledger.designs.registered import Field, field_name
 from fsar_ledger.projections.trust import is_within
@@ -67,8 +67,16 @@ def problems_of_fleet(fleet: Fleet) -> Iterator[Problem]:
             where = ("policies", at, "capability")
             yield from _known(where, policy.capability, capabilities, "the capabilities of the fleet")
         yield from _within(("policies", at, "domain"), policy.domain, fleet)
+        if _key(policy) in map(_key, fleet.policies[:at]):
+            found = f"a second {policy.scope} rule of {policy.role} for {policy.capability or 'every capability'}"
+            yield Problem(("policies", at), found, "each once in a domain")
     yield from _problems_of_spending(fleet)
     yield from _problems_of_shifts(fleet)
+
+
+def _key(policy: Policy) -> tuple[str, str, str | None, str]:
+    """Return for what the rule is the only one; a second would replace it."""
+    return policy.scope, policy.role, policy.capability, policy.domain
 
 
 def _problems_of_capabilities(fleet: Fleet, names: Sequence[str]) -> Iterator[Problem]:
