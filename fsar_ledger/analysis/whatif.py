@@ -320,7 +320,9 @@ def changes_of(asked: str | Sequence[str]) -> Changes:
     """Return the changes of these texts and files. Raises: UsageError."""
     texts = [asked] if isinstance(asked, str) else asked
     if not isinstance(texts, Sequence) or not all(isinstance(one, str) for one in texts):
-        raise UsageError(f"changes: found {asked!r:.80}, expected a text, or a list of texts; an empty one changes nothing")
+        raise UsageError(
+            f"changes: found {asked!r:.80}, expected a text, or a list of texts; an empty one changes nothing"
+        )
     found: Changes = ()
     for one in texts:
         found += read_changes(Path(one)) if one.endswith(".toml") else parsed([one])

@@ -27,6 +27,15 @@ SIDES = """
     ORDER BY list_position(['fsar', 'cfc', 'dhma'], architecture), architecture, configuration <> 'full',
         configuration, fleet_size, run_count DESC, side
 """
+FORKS = """
+    SELECT settings.setting, array_to_string(runs.changes, '; ') AS changes
+    FROM run_started AS runs
+    INNER JOIN run_settings AS settings ON runs.run_id = settings.run_id
+    LEFT JOIN run_numbers AS numbers ON runs.run_id = numbers.run_id
+    WHERE runs.changes IS NOT NULL
+    GROUP BY ALL
+    ORDER BY min(numbers.number)
+"""
 RUNS = "SELECT * FROM side_runs WHERE side = $side ORDER BY run_id, metric"
 CONSTANTS = """
     SELECT name, value FROM constants
@@ -74,7 +83,8 @@ LEFT_OUT = """
 class Side(msgspec.Struct, frozen=True, kw_only=True):
     """Runs that differ only in seed, scenario and number.
 
-    `letter` is that of their constants, as in `info`; None where no constants are on record.
+    `letter` is that of their constants, as in `info`; None where no constants are on record. `changes` are those of
+    forks, and `fork` their number where a ledger has forks by several changes.
     """
 
     side: str
@@ -92,6 +102,8 @@ class Side(msgspec.Struct, frozen=True, kw_only=True):
     seeds: list[int] | None
     scenarios: list[str] | None
     letter: str | None = None
+    changes: str | None = None
+    fork: int | None = None
 
     @property
     def name(self) -> str:
@@ -111,19 +123,21 @@ class Side(msgspec.Struct, frozen=True, kw_only=True):
         )
         size = "-" if self.fleet_size is None else str(self.fleet_size)
         return {
-            f"{head}{constants}{robots}{self._end}"
+            f"{head}{constants}{robots}{end}"
             for head in heads
             for constants in ("", f"@{self.letter or '-'}")
             for robots in ("", f"/{size}")
+            for end in (self._end, self._end.rstrip("0123456789"))
         }
 
     @property
     def _end(self) -> str:
         """Return the suffix that tells workflows and forks from runs of scenarios under the same constants."""
-        return f"+{self.made_as}" if self.made_as in ("workflow", "fork") else ""
+        return f"+{self.made_as}{self.fork or ''}" if self.made_as in ("workflow", "fork") else ""
 
     def __str__(self) -> str:
-        return f"{printable.value(self.name)} ({counted(self.run_count, 'run')})"
+        changes = f" with {printable.value(self.changes)}" if self.fork and self.changes else ""
+        return f"{printable.value(self.name)} ({counted(self.run_count, 'run')}{changes})"
 
     def held(self) -> str:
         """Say in words which seeds, scenarios and numbers its runs have."""
@@ -213,11 +227,15 @@ def sides(database: "Database") -> list[Side]:
         (one.kind, one.source, one.model_version, one.parameter_set): letter
         for one, letter in lettered(models(database))
     }
-    found = typed(database.rows(SIDES), Side)
-    return [
-        msgspec.structs.replace(one, letter=letters.get((one.kind, one.source, one.model_version, one.parameter_set)))
-        for one in found
-    ]
+    changes = {str(row["setting"]): str(row["changes"]) for row in database.rows(FORKS)}
+    several = [*dict.fromkeys(changes.values())]
+    found = []
+    for one in typed(database.rows(SIDES), Side):
+        letter = letters.get((one.kind, one.source, one.model_version, one.parameter_set))
+        made = changes.get(one.setting)
+        number = several.index(made) + 1 if made is not None and len(several) > 1 else None
+        found.append(msgspec.structs.replace(one, letter=letter, changes=made, fork=number))
+    return found
 
 
 def chosen(
@@ -278,12 +296,7 @@ def _named(option: str, asked: str | None, held: Sequence[Side], place: str) -> 
         return found[0]
     shown = printable.value(asked)
     if found:
-        more = (
-            "; their names are the same, so they cannot be told apart here"
-            if len({one.name for one in found}) < len(found)
-            else "; name one of them"
-        )
-        raise UsageError(f"{option} {shown}: found {len(found):,} such in {place}: {_listed(found)}{more}")
+        raise UsageError(f"{option} {shown}: found {len(found):,} such in {place}: {_listed(found)}; name one of them")
     raise UsageError(
         f"{option} {shown}: found no such runs in {place}, expected ARCHITECTURE[:CONFIGURATION][@CONSTANTS][/ROBOTS]: "
         f"it holds {_listed(held)}"

@@ -6,7 +6,7 @@ from msgspec import structs
 
 from fsar_ledger import open_ledger
 from fsar_ledger.api.compare import _how_to_read
-from tests.cli.conftest import Call
+from tests.cli.conftest import Call, one_message
 
 
 def test_metrics_whose_t_test_counts_fewer_pairs_than_that_of_statistics_are_named(ledger: Path) -> None:
@@ -51,3 +51,13 @@ def test_a_remark_over_several_seeds_names_each_metric_once_with_the_seeds_that_
     ]
     said = [line for line in _how_to_read(structs.replace(found, rows=rows)) if "no pair differs" in line]
     assert said == ["no pair differs, so there is no test: true_attribution, missed_reviews (seeds 7, 9)"]
+
+
+def test_forks_by_several_changes_are_told_apart_and_compared(call: Call, ledger: Path, tmp_path: Path) -> None:
+    place = tmp_path / "forks"
+    for change in ("drop window:*", "density all 1"):
+        call("whatif", ledger, "--all-runs", "--architecture", "fsar", "--change", change, "--out", place).good()
+    said = call("compare", place, "--first", "fsar+fork1", "--second", "fsar+fork2").good().out.splitlines()
+    assert said[0].startswith("first: fsar:full@A/4+fork1 (4 runs with drop window:*)")
+    assert said[1].startswith("second: fsar:full@A/4+fork2 (4 runs with density all 1)")
+    one_message(call("compare", place, "--first", "fsar+fork", "--second", "fsar"), 2, "found 2 such", "name one of them")
