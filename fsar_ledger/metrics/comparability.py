@@ -52,8 +52,20 @@ KINDS = """
 
 
 GROUNDS = """
-    SELECT *
-    FROM comparable_runs
+    WITH forked AS (
+        SELECT runs.architecture, runs.configuration, count(*) AS forks
+        FROM compared_runs AS runs
+        INNER JOIN run_settings AS settings ON runs.run_id = settings.run_id
+        WHERE settings.kind = 'fork'
+        GROUP BY ALL
+    )
+    SELECT
+        grounds.*, coalesce(firsts.forks, 0) AS first_forks, coalesce(seconds.forks, 0) AS second_forks
+    FROM comparable_runs AS grounds
+    LEFT JOIN forked AS firsts ON grounds.first_architecture = firsts.architecture
+        AND grounds.first_configuration = firsts.configuration
+    LEFT JOIN forked AS seconds ON grounds.second_architecture = seconds.architecture
+        AND grounds.second_configuration = seconds.configuration
     ORDER BY family NOT LIKE 'architectures%', family, list_position(['fsar-cfc', 'fsar-dhma'], comparison), comparison
 """
 
@@ -71,9 +83,11 @@ UNPAIRED = """
         UNION
         SELECT comparison, configuration, second_run_id AS run_id FROM run_pairs
     )
-    SELECT sides.comparison, runs.architecture, sides.its AS configuration, runs.seed, count(*) AS runs
+    SELECT sides.comparison, runs.architecture, sides.its AS configuration, runs.seed, count(*) AS runs,
+        count(*) FILTER (WHERE settings.kind = 'fork') AS forks
     FROM sides
     INNER JOIN compared_runs AS runs ON sides.architecture = runs.architecture AND sides.its = runs.configuration
+    INNER JOIN run_settings AS settings ON runs.run_id = settings.run_id
     ANTI JOIN partners ON sides.comparison = partners.comparison AND sides.configuration = partners.configuration
         AND runs.run_id = partners.run_id
     GROUP BY ALL
@@ -132,7 +146,7 @@ class DifferingWorlds(msgspec.Struct, frozen=True, kw_only=True):
 class Ground(msgspec.Struct, frozen=True, kw_only=True):
     """What the ledger holds of the two sides of a comparison.
 
-    Units: counts of runs, of worlds (seed, scenario, fleet size, run) and of pairs.
+    Units: counts of runs, of the forks among them, of worlds (seed, scenario, fleet size, run) and of pairs.
     """
 
     comparison: str
@@ -144,6 +158,8 @@ class Ground(msgspec.Struct, frozen=True, kw_only=True):
     second_configuration: str
     first_count: int
     second_count: int
+    first_forks: int
+    second_forks: int
     shared_worlds: int
     first_seeds: list[int] | None
     second_seeds: list[int] | None
@@ -163,11 +179,13 @@ class Ground(msgspec.Struct, frozen=True, kw_only=True):
             f"{self.second_architecture} ({self.second_configuration})",
         )
         if not self.first_count or not self.second_count:
-            missing, there, count = (
-                (first, second, self.second_count) if not self.first_count else (second, first, self.first_count)
+            missing, there, count, forks = (
+                (first, second, self.second_count, self.second_forks)
+                if not self.first_count
+                else (second, first, self.first_count, self.first_forks)
             )
             return (
-                f"{self.comparison}: found {counted(count, 'run')} of {there} and none of {missing}; "
+                f"{self.comparison}: found {_runs(count, forks)} of {there} and none of {missing}; "
                 "simulate it with the same seed, scenarios, runs and fleet size"
             )
         if not self.shared_worlds:
@@ -187,6 +205,12 @@ class Ground(msgspec.Struct, frozen=True, kw_only=True):
             f"{self.comparison}: every pair of runs ({self.left_out:,}) is left out, as said above; simulate both "
             "under one world and the same constants"
         )
+
+
+def _runs(count: int, forks: int) -> str:
+    """Count runs, and the forks among them for themselves."""
+    parts = [counted(number, what) for number, what in ((count - forks, "run"), (forks, "fork")) if number]
+    return every(parts)
 
 
 def _named(values: Sequence[object] | None) -> str:
@@ -240,7 +264,9 @@ def left_over(database: Database) -> list[str]:
             row["architecture"] if row["configuration"] == "full" else f"{row['architecture']} ({row['configuration']})"
         )
         left = "has no partner and is left out" if row["runs"] == 1 else "have no partner and are left out"
-        lines.append(f"{row['comparison']}: {counted(row['runs'], 'run')} of {name} under seed {row['seed']} {left}")
+        lines.append(
+            f"{row['comparison']}: {_runs(row['runs'], row['forks'])} of {name} under seed {row['seed']} {left}"
+        )
     return lines
 
 

@@ -81,3 +81,15 @@ def test_statistics_with_nothing_to_compare_say_why(call: Call, tmp_path: Path) 
 @pytest.mark.parametrize("command", ["metrics", "statistics"])
 def test_only_seeds_are_pooled(call: Call, unlike: Path, command: str) -> None:
     one_message(call(command, unlike, "--pool", "constants"), 2, "--pool constants: expected --pool seeds")
+
+
+def test_forks_are_not_counted_as_runs(call: Call, ledger: Path, tmp_path: Path) -> None:
+    place = tmp_path / "forks"
+    for runs in (("--all-runs", "--architecture", "fsar"), ("--run", "2")):
+        call("whatif", ledger, *runs, "--change", "drop window:*", "--out", place).good()
+    answer = json.loads(call("statistics", place, "--json").out)
+    assert [line.partition(" (full)")[0] for line in answer["not_compared"]] == [
+        "fsar-dhma: found 4 runs and 4 forks of fsar",
+        "cfc-dhma: found 1 run and 1 fork of cfc",
+    ]
+    assert "fsar-cfc: 3 runs and 3 forks of fsar under seed 7 have no partner and are left out" in answer["remarks"]
