@@ -197,3 +197,16 @@ def test_a_fork_is_not_forked_again(bases: list[Base]) -> None:
         UsageError, match=f"found a fork, expected the run that it forks from, {bases[0].record.run_id}"
     ):
         base_of_record(fork, ROOT)
+
+
+@pytest.mark.parametrize("architecture", ["cfc", "dhma"])
+def test_a_density_is_on_record_where_nobody_goes_by_it_and_other_commands_are_refused(architecture: str) -> None:
+    base = rerun(base_of_record(simulated(architecture, 0), ROOT))
+    fork = base.fork_with_effect(parsed(["density all 1"])).record
+    assert [type(one).__name__ for one in fork.events if one not in base.base.record.events][1:] == [
+        "SupervisionDensitySet"
+    ]
+    assert len(fork.events) == len(base.base.record.events) + 1
+    for text in ("rule fleet deny", "trust A1 B1 none", "budget B1 local 5s 1"):
+        with pytest.raises(UsageError, match=f"{architecture} decides no such command, expected a run of fsar"):
+            base.fork_with_effect(parsed([text]))
