@@ -4,6 +4,7 @@ Events come by their type's name and their stored columns, in lines of JSON. Wha
 escaped.
 """
 
+import json
 import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from datetime import UTC, datetime
@@ -36,6 +37,13 @@ LAYOUT_OF: dict[str, StoredType] = {
 """How the events are stored that others can record, by name without version."""
 MEASURES = frozenset({"budget_us", "t_max_us", "n_max", "fence"})
 """Columns of lengths of time and of counts, which are never negative."""
+IDENTITIES = frozenset(
+    {
+        *("task_id", "action_id", "request_id", "robot", "peer", "helper", "supervisor", "decided_by"),
+        *("requested_by", "executed_by", "supervised_by", "on_behalf_of"),
+    }
+)
+"""Columns that name a task, an action, a request or who acts, which have names of at least a letter."""
 ALIGNED = (("names", "texts"), ("objects", "qualifiers"))
 """Columns of an observation that go together."""
 _FLAW = re.compile(r"(?P<what>.*?)(?: - at `\$(?P<at>.*)`)?", re.DOTALL)
@@ -82,6 +90,9 @@ def laid_out(layout: StoredType, columns: Mapping[str, Any]) -> Event:
         event: Event = msgspec.convert(given, layout.cls)
     except msgspec.ValidationError as error:
         raise UsageError(_flaw(layout, f"{error}")) from error
+    for name in sorted(IDENTITIES & columns.keys()):
+        if columns[name] == "":
+            raise UsageError(f"field {name}: found an empty text in {type(event).__name__}, expected a name")
     for name in MEASURES & columns.keys():
         if isinstance(found := columns[name], int) and found < 0:
             raise UsageError(f"field {name}: found {found} in {type(event).__name__}, expected 0 or more")
@@ -194,13 +205,25 @@ def numbered_lines(file: BinaryIO) -> Iterator[tuple[int, bytes]]:
 
 
 def object_of(line: bytes, what: str) -> dict[str, Any]:
-    """Return the JSON object in this line, which holds one event or command (`what`). Raises: UsageError for none."""
+    """Return the JSON object in this line, which holds one event or command (`what`).
+
+    Raises: UsageError for none, and for one with a key twice, of which a reader of JSON would drop one in silence.
+    """
     if len(line) > MAX_LINE:
         raise UsageError(f"found more than {MAX_LINE:,} bytes, expected one {what} a line")
     try:
-        return msgspec.json.decode(line, type=dict[str, Any])
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        found: dict[str, Any] = msgspec.json.decode(line, type=dict[str, Any])
+        json.loads(line, object_pairs_hook=_require_once, parse_int=len, parse_float=len)
+        return found
+    except (msgspec.DecodeError, ValueError, RecursionError) as error:
         raise UsageError(f"{error!s:.200}; expected a JSON object") from error
+
+
+def _require_once(pairs: list[tuple[str, object]]) -> None:
+    """Require that each key of an object is there once. Raises: UsageError."""
+    if len(keys := [key for key, _ in pairs]) > len(set(keys)):
+        twice = next(key for at, key in enumerate(keys) if key in keys[:at])
+        raise UsageError(f"field {value(twice)}: found it more than once, expected it once")
 
 
 def told(line: bytes) -> tuple[Event, datetime | None, int | None]:

@@ -270,6 +270,7 @@ NO_COMMANDS: tuple[tuple[Any, str], ...] = (
     (b"\xff\xfe\n", "expected a JSON object"),
     (b"[" * 100_000 + b"\n", "expected a JSON object"),
     (b" " * MAX_LINE + b' {"command": "ReportContext", "by": "A", "robot": "A"}\n', "expected one command a line"),
+    (b'{"command": "ReportContext", "by": "robot/B1", "by": "robot/A1"}\n', "field by: found it more than once"),
     ({"by": A}, "field command: found None, expected text"),
     ({"command": "ReportStart", "by": 7}, "field by: found 7, expected text"),
     ({"command": "ReportStart", "by": A, "key": 7}, "field key: found 7, expected text"),

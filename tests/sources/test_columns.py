@@ -99,6 +99,15 @@ def refused(recorder: Recorder, data: bytes) -> str:
         (line(STARTED, caused_by="1"), "field caused_by: found 1, expected the number"),
         (line(STARTED, caused_by=99), "field caused_by: found 99, expected the number"),
         (line(STARTED, caused_by=-1), "field caused_by: found -1, expected the number"),
+        (
+            line(STARTED).replace(b"{", b'{"action_id": "t/2", '),
+            "field action_id: found it more than once, expected it once",
+        ),
+        (line(STARTED).replace(b"{", b'{"type": "Observed", '), "field type: found it more than once"),
+        *(
+            (line(STARTED, **{name: ""}), f"field {name}: found an empty text in ExecutionStarted, expected a name")
+            for name in ("robot", "task_id", "action_id", "requested_by")
+        ),
     ],
 )
 def test_a_wrong_line_is_refused_by_number_and_field_and_the_record_goes_on(
