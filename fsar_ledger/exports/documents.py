@@ -8,7 +8,8 @@ In OTLP, for whatever shows spans, a run is one trace, because what its tasks sh
 supervisors) would be lost in traces of tasks alone. Its root span has a child for each task, which has one for each
 action. An event is a span event of its action, else of its task, else of the run, with all of its fields; a cause that
 lies in another span is a link, too. Attributes have the names of OpenTelemetry's conventions for generative AI where
-these fit: a robot is an agent, a task its invocation, an action the execution of a tool, which is the capability.
+these fit: a robot is an agent, a task its invocation, an action the execution of a tool, which is the capability. An
+action of which no execution is on record, such as one that was denied, is `request_tool`, a name of our own.
 """
 
 import shutil
@@ -37,6 +38,10 @@ FAILURES = frozenset({"RequestDenied", "RequestUnanswered", "ExecutionWithdrawn"
 """The types of events that end a task or an action without its result."""
 ENDS = FAILURES | {"ExecutionFinished", "RequestClosed", "StepCompleted", "TaskCompleted"}
 """All types of events that end a task or an action."""
+
+
+EXECUTED = frozenset({"ExecutionStarted", "ExecutionPaused", "ExecutionResumed", "ExecutionFinished"})
+"""The types of events that show that an action was executed, also where its beginning is not on record."""
 
 
 class _Ocel:
@@ -149,6 +154,7 @@ class _Span(msgspec.Struct):
     first: int
     last: int = 0
     ended_by: str | None = None
+    is_executed: bool = False
     own: list[int] = []
     about: dict[str, str] = {}
 
@@ -216,6 +222,7 @@ def _grouped(run: LedgerRun) -> tuple[dict[_Key, _Span], list[_Key]]:
 
 def _follow(span: _Span, event: Event, columns: dict[str, Any], seq: int) -> None:
     span.last = seq
+    span.is_executed |= type(event).__name__ in EXECUTED
     if type(event).__name__ == "ExecutionStarted":
         span.about["executor"] = columns["robot"]
     for name in ("capability", "robot", "requested_by", "executed_by"):
@@ -272,7 +279,7 @@ def _named(run: LedgerRun, key: _Key, span: _Span) -> tuple[str, dict[str, Any]]
         name, operation = span.about.get("robot"), "invoke_agent"
         about |= {"gen_ai.agent.name": name, "fsar.task_id": key.name}
     else:
-        name, operation = span.about.get("capability"), "execute_tool"
+        name, operation = span.about.get("capability"), "execute_tool" if span.is_executed else "request_tool"
         agent = next((span.about[one] for one in ("executor", "executed_by", "robot") if one in span.about), None)
         about |= {"gen_ai.tool.name": name, "gen_ai.tool.call.id": key.name, "gen_ai.agent.name": agent}
         about |= {"fsar.action_id": key.name, "fsar.requested_by": span.about.get("requested_by")}

@@ -12,6 +12,7 @@ else its parent's. What follows from a span is told once it is known whose its p
 | `invoke_agent` of nobody, or under a span of the same agent | `ExecutionStarted` |
 | `execute_tool` | `ExecutionStarted` by the agent whose span it is, of the tool |
 | each of these executions, as it ended | `ExecutionFinished`; `ExecutionFailed` with the status ERROR |
+| one with the `error.type` RequestDenied or RequestUnanswered | no execution, and no `RequestAccepted` |
 | any other, and one whose parent is not in the recording | an observation |
 """
 
@@ -154,7 +155,7 @@ class Otlp:
         parties = Parties(requested_by=by, executed_by=agent, supervised_by=None)
         if call is None:
             events.append(RequestIssued(subject=subject, principals=parties.decided(by), capability=span.capability))
-        if not span.is_client:
+        if not span.is_client and span.is_executed:
             events.append(RequestAccepted(subject, parties.decided(agent)))
             events += _executed(span, agent, by, action)
         if call is None and not span.is_open:
@@ -163,8 +164,8 @@ class Otlp:
 
 
 def _executed(span: Span, agent: Robot | None, by: Robot | None, action: Key) -> Iterator[Event]:
-    """Yield that the agent executed the span; nothing where nobody knows who did."""
-    if agent is None:
+    """Yield that the agent executed the span; nothing where nobody knows who did, or it was not executed."""
+    if agent is None or not span.is_executed:
         return
     subject, parties = (
         Subject(span.key[0], "/".join(action)),

@@ -35,13 +35,18 @@ SHOWN = (
     "error.type",
 )
 """The attributes that an observation shows: none that may hold what was said to a model."""
+REFUSED = ("RequestDenied", "RequestUnanswered")
+"""Types of errors of a span that was asked for and never began, as our own export names them."""
 MAX_NS = 9_000_000_000_000_000_000
 
 Key = tuple[str, str]
 
 
 class Span(msgspec.Struct, frozen=True, gc=False):
-    """What is needed of a span: its own agent, if it names one, what it does, and how that ended, if it did."""
+    """What is needed of a span: its own agent, if it names one, what it does, and how that ended, if it did.
+
+    `is_executed`: it stands for something that was done, not for a task of our own export, or what nobody took up.
+    """
 
     key: Key
     parent: Key | None
@@ -51,6 +56,7 @@ class Span(msgspec.Struct, frozen=True, gc=False):
     capability: str
     failure: str | None
     is_open: bool
+    is_executed: bool
 
 
 def texts(one: Input) -> Iterator[bytes]:
@@ -193,6 +199,7 @@ def _span(raw: msgspec.Raw, service: str | None) -> Record:
             (_text(tool) if operation == "execute_tool" else None) or (shown(operation) if is_action else ""),
             failure,
             failure is None and (ended_us is None or about.get("fsar.open") is True),
+            about.get("error.type") not in REFUSED and not (operation == "invoke_agent" and "fsar.task_id" in about),
         )
     return Record(
         operation if isinstance(operation, str) and operation else f"span/{kind}",

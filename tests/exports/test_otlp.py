@@ -9,10 +9,12 @@ from typing import Any
 import pytest
 
 import fsar_ledger
+from fsar_ledger.api.record import import_records
 from fsar_ledger.events.envelope import flat
 from fsar_ledger.exports import documents
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from tests.exports.conftest import Asked
+from tests.recycled import asked as asked_of
 
 json_format = pytest.importorskip("google.protobuf.json_format", reason="make test-all installs it")
 trace_pb2 = pytest.importorskip("opentelemetry.proto.trace.v1.trace_pb2", reason="make test-all installs it")
@@ -88,8 +90,10 @@ def test_there_is_a_span_for_each_run_task_and_action_within_its_parent(data: An
     (stored,) = asked(
         "SELECT count(DISTINCT run_id) AS invoke_workflow, "
         "count(DISTINCT (run_id, task_id)) FILTER (task_id IS NOT NULL) AS invoke_agent, "
-        "count(DISTINCT (run_id, action_id)) FILTER (action_id IS NOT NULL) AS execute_tool FROM events"
+        "count(DISTINCT (run_id, action_id)) FILTER (type = 'ExecutionStarted.v1') AS execute_tool, "
+        "count(DISTINCT (run_id, action_id)) FILTER (action_id IS NOT NULL) - execute_tool AS request_tool FROM events"
     )
+    assert stored["request_tool"] > 0
     spans = spans_of(data)
     assert Counter(values_of(span.attributes)["gen_ai.operation.name"] for span in spans) == stored
     known = {(span.trace_id, span.span_id): span for span in spans}
@@ -138,6 +142,23 @@ def test_an_action_is_the_execution_of_a_tool_by_an_agent(data: Any, asked: Aske
     capabilities = {key: capability for key, (capability, _) in found.items()}
     assert capabilities == {key: capability for key, (capability, _) in started.items()}
     assert found == started
+
+
+def test_what_is_imported_again_was_executed_by_whom_the_ledger_says(
+    written: tuple[Path, Any], asked: Asked, tmp_path: Path
+) -> None:
+    made = import_records(str(tmp_path / "again"), [str(written[0])], format="otlp")
+    sql = (
+        "SELECT robot, capability, count(DISTINCT (run_id, action_id)) AS n FROM events WHERE type = '{}' GROUP BY ALL"
+    )
+    again = asked_of(made.ledger.path, sql.format("ExecutionStarted.v1"))
+    stored = asked(
+        "SELECT arg_max(robot, seq) AS robot, any_value(capability) AS capability FROM events "
+        "WHERE type = 'ExecutionStarted.v1' GROUP BY run_id, action_id"
+    )
+    assert Counter({(row["robot"], row["capability"]): row["n"] for row in again}) == Counter(
+        (row["robot"], row["capability"]) for row in stored
+    )
 
 
 def test_what_was_refused_has_the_status_of_an_error(data: Any, asked: Asked) -> None:

@@ -130,6 +130,34 @@ def test_spans_without_agents_are_observed_and_nothing_follows(imported: Import)
     assert (made.made.records, made.made.events, made.made.not_understood) == (2, {}, ())
 
 
+@pytest.mark.parametrize("error", ["RequestDenied", "RequestUnanswered"])
+def test_what_nobody_took_up_is_no_execution(imported: Import, error: str) -> None:
+    why: dict[str, Any] = {"failure": error, "error.type": error}
+    found = imported(
+        [
+            batch(
+                span("3", "1", "execute_tool", tool="lift", **why),
+                span("2", "1", "invoke_agent", agent="picker", **why),
+                span("1", None, "invoke_agent", agent="planner"),
+            )
+        ]
+    )
+    assert sorted(said(found)) == [
+        ("ExecutionFinished", "1", "None", "planner"),
+        ("ExecutionStarted", "1", "None", "planner"),
+        ("RequestClosed", "2", "planner", "picker"),
+        ("RequestIssued", "2", "planner", "picker"),
+    ]
+
+
+def test_a_task_of_our_own_export_is_no_execution(imported: Import) -> None:
+    task: dict[str, Any] = {"fsar.task_id": "t"}
+    found = imported(
+        [batch(span("1", None, "invoke_agent", agent="picker", **task), span("2", "1", "execute_tool", tool="lift"))]
+    )
+    assert [one[:2] for one in said(found)] == [("ExecutionStarted", "2"), ("ExecutionFinished", "2")]
+
+
 def test_a_span_that_is_sent_again_is_told_once(imported: Import) -> None:
     lines = list(honest_day(["1"]))
     again = imported([*lines, *lines], "twice")
