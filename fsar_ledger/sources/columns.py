@@ -127,7 +127,7 @@ BESIDE = ("type", "time", "caused_by")
 
 
 SAID_AT_ONCE = 20
-"""Refused lines that are said one by one; then one each time that there are twice as many, lest a disk is filled."""
+"""Refused lines that are said one by one; then one each time that there are twice as many: no flood fills a disk."""
 
 
 class _Refused:

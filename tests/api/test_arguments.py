@@ -9,7 +9,7 @@ import pytest
 import fsar_ledger
 from fsar_ledger.base.errors import UsageError
 
-STARTED = {"task_id": "t", "action_id": "t/1", "robot": "robot/a", "capability": "carry"}
+STARTED: dict[str, Any] = {"task_id": "t", "action_id": "t/1", "robot": "robot/a", "capability": "carry"}
 EPOCH = datetime(2026, 3, 1, 10, tzinfo=UTC)
 COUNTS = ("runs", "first_run", "seed", "fleet_size", "teams_working", "task_sets", "workers")
 
