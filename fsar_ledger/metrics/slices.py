@@ -149,7 +149,7 @@ class Slices:
             yield name, _joined(stored)
 
 
-def connect_slice(one: Slice, head: Head, rows_verified: bool | None = None) -> Database:
+def connect_slice(one: Slice, head: Head, rows_verified: bool | None = None, threads: int | None = None) -> Database:
     """Open a database over the events of a slice of the ledger with this head.
 
     Raises: As `database.connect_view`.
@@ -161,7 +161,7 @@ def connect_slice(one: Slice, head: Head, rows_verified: bool | None = None) -> 
     others = [run for run in one.beside if run.run not in names and _meets(view, run, numbers)]
     cut = {number for run in others for number in view.segments_between(run.first, run.end)}
     whole = frozenset(path for number, path in held.items() if number not in cut)
-    database = Database(head, [*held.values()], rows_verified=rows_verified, may_spill=True)
+    database = Database(head, [*held.values()], threads, rows_verified=rows_verified, may_spill=True)
     # See docs/decisions/slices-make-no-tables.md.
     chosen = relation.RowFilter(relation.OF_NUMBERED, numbered([run.run for run in runs]), whole)
     try:
@@ -199,7 +199,7 @@ def answered(ledger: str, runs: Sequence[Extent], digest: str, asked: Mapping[st
             f"{ledger}: found other events where another process read some of it, expected the same; is it the same "
             "folder there, and was it compacted meanwhile? run it again"
         )
-    return _answers(connect_slice(one, view.head), asked)
+    return _answers(connect_slice(one, view.head, threads=1), asked)  # a worker of a cluster has one core
 
 
 def _answers(database: Database, asked: Mapping[str, Asked]) -> dict[str, pa.Table]:
