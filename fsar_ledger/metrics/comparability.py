@@ -13,7 +13,7 @@ MIN_WILCOXON = 6
 """The least number of differing pairs for which Wilcoxon's test has a p (`statistics/wilcoxon_tests`)."""
 
 DIFFERS = {
-    "setting": "were made under other constants, or by another model",
+    "setting": "were made under other constants, by another model, or as forks by other changes",
     "facts": "did not meet the same facts of the world",
     "repeated": "cannot be told from others: one architecture has several runs of one seed, scenario and number",
     "unobserved": "are not known to have met the same world, which one of them does not observe",
