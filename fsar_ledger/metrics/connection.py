@@ -32,7 +32,7 @@ STORAGE = "v1.0.0"
 DUCKDB_SHARE = 0.75
 """The part of the memory of this process that DuckDB may take."""
 
-HELD_MIB = (320, 640, 1_280)
+HELD_MIB = (256, 320, 640, 1_280)
 """What DuckDB takes over a ledger in slices before it spills; where it can spill too little the next, at last all."""
 
 OUT_OF_MEMORY = (duckdb.OutOfMemoryException, pa.ArrowMemoryError)
