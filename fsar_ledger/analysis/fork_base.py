@@ -130,8 +130,7 @@ class Rerun(NamedTuple):
         for change in changes:
             if isinstance(change, Answer):
                 _require_used(self, change, forked)
-            if isinstance(change, Rule | Trust) and change.task is not None:
-                _require_task(self, change, change.task, forked)
+            _require_task(self, change, forked)
         if rejected := rejected_in(self.base, forked):
             raise UsageError(rejection(forked.record.events[rejected[0]]))
         is_same = forked.parts_at is None and forked.end is None
@@ -145,8 +144,7 @@ class Rerun(NamedTuple):
         try:
             if isinstance(change, Add | Set | Commanded):
                 _require_meant(self, change)
-            if isinstance(change, Rule | Trust) and change.task is not None:
-                _require_task(self, change, change.task, forked)
+            _require_task(self, change, forked)
         except UsageError as found:
             return str(found)
         return None
@@ -224,12 +222,14 @@ def _require_meant(rerun: Rerun, change: AnyChange) -> None:
         )
 
 
-def _require_task(rerun: Rerun, change: Rule | Trust, task: str, forked: Fork) -> None:
-    """Check that a task of this name arrives in the run or its fork. Raises: UsageError."""
+def _require_task(rerun: Rerun, change: AnyChange, forked: Fork) -> None:
+    """Check that a task that the change names arrives in the run or its fork. Raises: UsageError."""
+    if not isinstance(change, Rule | Trust) or change.task is None:
+        return
     records = (rerun.base.record, forked.record)
     tasks = {event.task_id: None for record in records for event in record.events if isinstance(event, TaskArrived)}
-    if task not in tasks:
-        raise _unknown("task", change, task, [*tasks])
+    if change.task not in tasks:
+        raise _unknown("task", change, change.task, [*tasks])
 
 
 def _require_members(base: Base, change: Add) -> None:

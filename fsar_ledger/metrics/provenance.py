@@ -259,10 +259,15 @@ def of_judgement(database: Database) -> Provenance:
     return Provenance(database.head, database.rows_verified, completeness(database))
 
 
+def _has_runs(database: Database, kind: str) -> bool:
+    """Tell whether there are runs of this kind; where there are none, nothing about them has to be computed."""
+    return bool(database.rows("SELECT 1 AS found FROM runs WHERE kind = $kind LIMIT 1", {"kind": kind}))
+
+
 def of_audit(database: Database) -> Provenance:
     """Return the provenance of an answer that judges who asked for, allowed and did what in all planned runs."""
     found = of_judgement(database)
-    if not database.rows("SELECT 1 AS foreign_run FROM runs WHERE kind = 'foreign' LIMIT 1"):
+    if not _has_runs(database, "foreign"):
         return found
     [row] = database.rows("SELECT count(*) AS actions FROM actions_under_way")
     return msgspec.structs.replace(found, actions_under_way=row["actions"])
@@ -271,7 +276,7 @@ def of_audit(database: Database) -> Provenance:
 def of_outcomes(database: Database) -> Provenance:
     """Return the provenance of an answer that judges what became of tasks and failures in all planned runs."""
     found = of_judgement(database)
-    if not database.rows("SELECT 1 AS live FROM runs WHERE kind = 'live' LIMIT 1"):
+    if not _has_runs(database, "live"):
         return found
     [row] = database.rows(
         "SELECT coalesce(sum(open_tasks), 0)::BIGINT AS tasks, coalesce(sum(open_failures), 0)::BIGINT AS failures "

@@ -73,7 +73,7 @@ def _with_settings_of(
     constants: Constants, design: Scenario, path: Path, text: str, settings: Sequence[str]
 ) -> Constants:
     """Return the constants with the settings of the scenario in this file. Raises: UsageError, with line and field."""
-    set_otherwise = {one.partition("=")[0] for one in settings}
+    taken = _others(design.settings, settings)
     before: dict[str, str] = {}
     for number, setting in enumerate(design.settings):
         name = setting.partition("=")[0]
@@ -82,7 +82,7 @@ def _with_settings_of(
             raise UsageError(f"{where}: found {setting} beside {before[name]}, expected one value for each name")
         before[name] = setting
         try:
-            constants = constants if name in set_otherwise else with_settings(constants, (setting,))
+            constants = with_settings(constants, (setting,)) if setting in taken else constants
         except UsageError as error:
             raise UsageError(f"{where}: {error}") from error
     return constants

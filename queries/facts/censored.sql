@@ -23,7 +23,7 @@ mixed_up AS (
 
 strangers AS (
     -- Who supervises no robot may supervise the fleet. One call that names the fleet's supervisor decides the metric.
-    SELECT called.run_id, called.seq
+    SELECT DISTINCT called.run_id
     FROM supervisor_called AS called
     INNER JOIN foreign_runs ON called.run_id = foreign_runs.run_id
     ANTI JOIN fleet_members AS members ON called.run_id = members.run_id AND called.supervisor = members.supervisor

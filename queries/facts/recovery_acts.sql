@@ -1,7 +1,8 @@
 -- Title: What recovery did about each failure: at which level, and with which budget
 -- Paper: eq:recovery, app:foundations (Paper 3)
 -- Grain: one row per failure and attempt, question for help or its admission, reassignment decision, call or answer for
---   recovery, escalation or resolution
+--   recovery, escalation or resolution; of an action that was under way when the record began, from its first failure
+--   there on
 -- Key: run_id, seq
 -- Units: time_us, deadline_us microseconds of run time; t_max_us microseconds; n_max uses; rank 1 local to 4 human
 -- NULL: failure, robot before any failure of the action; level, rank where the record names none; to_rank unless an
