@@ -42,7 +42,7 @@ def main() -> None:
     for _ in range(200):
         seq = draw.randrange(len(run.events))
         begun = time.perf_counter()
-        timeline.after(seq)
+        timeline.past(seq)
         took.append(time.perf_counter() - begun)
     begun = time.perf_counter()
     fold(run.events)

@@ -2,7 +2,8 @@
 
 import re
 from bisect import bisect_right
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from itertools import takewhile
 
 import msgspec
 
@@ -16,11 +17,11 @@ from fsar_ledger.events.recovery import AssistanceDeclined
 from fsar_ledger.events.registry import AvailabilityChanged
 from fsar_ledger.events.request import RequestCountered, RequestDenied, RequestUnanswered
 from fsar_ledger.ledger.rows.codec import LedgerRun
-from fsar_ledger.projections.fold import State, apply
+from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import surface
 from fsar_ledger.projections.world import in_force
 
-from .situation import Coverage
+from .situation import Coverage, Past
 
 EVERY = 256
 """Events between two states that are kept; they share all that did not change."""
@@ -31,23 +32,34 @@ class Timeline:
 
     def __init__(self, record: LedgerRun) -> None:
         self.record = record
-        state = State()
-        self._kept = [state.copy()]
-        for seq, event in enumerate(record.events, start=1):
-            apply(state, event)
-            if seq % EVERY == 0:
-                self._kept.append(state.copy())
+        past = Past(record.events[0], State())
+        self._kept = [past.copy()]
+        for time_us, event in zip(record.times_us, record.events, strict=True):
+            past.add(event, time_us)
+            if (past.seq + 1) % EVERY == 0:
+                self._kept.append(past.copy())
 
     def seq_at(self, time_us: int) -> int:
         """Return the last event that has happened by then, which may be event 0."""
         return max(0, bisect_right(self.record.times_us, time_us) - 1)
 
-    def after(self, seq: int) -> State:
-        """Return the state after this event."""
-        state = self._kept[(seq + 1) // EVERY].copy()
-        for event in self.record.events[(seq + 1) // EVERY * EVERY : seq + 1]:
-            apply(state, event)
-        return state
+    def past(self, seq: int) -> Past:
+        """Return the run up to this event."""
+        past = self._kept[(seq + 1) // EVERY].copy()
+        for at in range(past.seq + 1, seq + 1):
+            past.add(self.record.events[at], self.record.times_us[at])
+        return past
+
+
+def past_at(pieces: Iterable[LedgerRun], time_us: int) -> Past:
+    """Return a run up to this time, at least up to event 0, in memory that does not grow with the run."""
+    events = ((us, event) for piece in pieces for us, event in zip(piece.times_us, piece.events, strict=True))
+    begun_us, started = next(events)
+    past = Past(started, State())
+    past.add(started, begun_us)
+    for us, event in takewhile(lambda one: one[0] <= time_us, events):
+        past.add(event, us)
+    return past
 
 
 REFUSALS = (RequestDenied, RequestCountered, RequestUnanswered, AssistanceDeclined, CommandRejected)
@@ -176,19 +188,19 @@ def deciders(state: State) -> list[str]:
     return [*dict.fromkeys([COORDINATOR, REGISTRY, *robots, *supervisors, FLEET_SUPERVISOR, *agents])]
 
 
-def beliefs(record: LedgerRun, seq: int, state: State, decider: str) -> list[Belief]:
-    """Return what a decider had been told after this event, about each robot in order.
+def beliefs(past: Past, decider: str) -> list[Belief]:
+    """Return what a decider had been told by then, about each robot in order.
 
     Raises:
         UsageError: There is no such principal, or it decides on the present state and keeps no copies.
     """
-    known = deciders(state)
+    state, known = past.state, deciders(past.state)
     if decider not in known:
         hint = printable.did_you_mean(decider, known) or ";"
         raise UsageError(
             f"{printable.value(decider)}: there is no such principal{hint} expected one of {printable.some(known)}"
         )
-    last = _Last(record, seq)
+    last = _Last(past)
     robots = {str(robot): robot for robot in state.fleet.robots}
     planned = {f"agent/{robot[6:]}/planning": robot for robot in robots.values()}
     if decider == COORDINATOR:
@@ -206,20 +218,15 @@ def beliefs(record: LedgerRun, seq: int, state: State, decider: str) -> list[Bel
 
 
 class _Last:
-    """The times of the last events of a type up to one, and what the run observes."""
+    """When somebody was last told something, and what the run observes."""
 
-    def __init__(self, record: LedgerRun, seq: int) -> None:
-        self._record, self._seq = record, seq
-        self._seen = Coverage(record)
-        self.now_us = record.times_us[seq]
+    def __init__(self, past: Past) -> None:
+        self._told_us, self.now_us = past.told_us, past.time_us
+        self._seen = Coverage(past.started)
 
     def time_us(self, kind: type[Event], robot: str | None = None) -> int | None:
         """Return when the last event of this type (about this robot) happened; None: there is none."""
-        for at in range(self._seq, -1, -1):
-            event = self._record.events[at]
-            if isinstance(event, kind) and (robot is None or getattr(event, "robot", None) == robot):
-                return self._record.times_us[at]
-        return None
+        return self._told_us.get((kind, robot))
 
     def belief(
         self, about: str, what: str, told: tuple[str, str | None], as_of_us: int | None, *holds: tuple[str, str]

@@ -3,20 +3,21 @@
 What rests on a concern that the run does not observe is None: nobody knows.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from typing import TypeVar
 
 import msgspec
 
-from fsar_ledger.events import CONCERNS
+from fsar_ledger.events import CONCERNS, Event
 from fsar_ledger.events.envelope import Robot
+from fsar_ledger.events.knowledge import CopySynced, SnapshotTaken
+from fsar_ledger.events.registry import AvailabilityChanged
 from fsar_ledger.events.request import RequestIssued
 from fsar_ledger.events.task import TaskAbandoned
 from fsar_ledger.events.world import PolicyWindowOpened
-from fsar_ledger.ledger.rows.codec import LedgerRun
-from fsar_ledger.projections.execution import Action
+from fsar_ledger.projections import put, without
 from fsar_ledger.projections.fleet import Member
-from fsar_ledger.projections.fold import State
+from fsar_ledger.projections.fold import State, apply
 from fsar_ledger.projections.recovery import Recovery
 from fsar_ledger.projections.registry import surface
 from fsar_ledger.projections.request import Request
@@ -25,13 +26,52 @@ from fsar_ledger.projections.task import Task
 _T = TypeVar("_T")
 
 
+class Past(msgspec.Struct):
+    """A run up to one of its events: the state after that, and what one asks about that no state keeps.
+
+    By policy window, `opened` is the seq and the time of the event that opened it last; `told_us` is when somebody was
+    last told something, by the type of the event and the robot that it is about. `abandoned` are the actions that were
+    asked for, and whose tasks were abandoned after that.
+    """
+
+    started: Event
+    state: State
+    seq: int = -1
+    time_us: int = 0
+    opened: Mapping[str, tuple[int, int]] = {}
+    told_us: Mapping[tuple[type[Event], str | None], int] = {}
+    abandoned: Mapping[str | None, bool] = {}
+    _asked: Mapping[str | None, tuple[str | None, ...]] = {}  # by task
+
+    def add(self, event: Event, time_us: int) -> None:
+        """Add the next event of the run."""
+        self.seq, self.time_us = self.seq + 1, time_us
+        apply(self.state, event)
+        if isinstance(event, PolicyWindowOpened):
+            self.opened = put(self.opened, event.window, (self.seq, time_us))
+        elif isinstance(event, CopySynced | SnapshotTaken | AvailabilityChanged):
+            self.told_us = put(self.told_us, (type(event), getattr(event, "robot", None)), time_us)
+        elif isinstance(event, RequestIssued):
+            task, action = event.subject.task_id, event.subject.action_id
+            self._asked = put(self._asked, task, (*self._asked.get(task, ()), action))
+            self.abandoned = without(self.abandoned, action)
+        elif isinstance(event, TaskAbandoned):
+            for action in self._asked.get(event.task_id, ()):
+                self.abandoned = put(self.abandoned, action, True)
+            self._asked = without(self._asked, event.task_id)
+
+    def copy(self) -> "Past":
+        """Return it as it is now; they share what does not change."""
+        return msgspec.structs.replace(self, state=self.state.copy())
+
+
 class Coverage:
     """What the source of a run observes. `lacking` are the concerns that it does not, or (`is_in_part`) not whole."""
 
-    def __init__(self, record: LedgerRun) -> None:
-        observes = getattr(record.events[0], "observes", ())
+    def __init__(self, started: Event) -> None:
+        observes = getattr(started, "observes", ())
         self.lacking = tuple(one for one in CONCERNS if one not in observes)
-        records = getattr(record.events[0], "records", None)
+        records = getattr(started, "records", None)
         self.is_in_part = records is not None
         self._names_supervisors = "fleet" in observes or "RobotJoined.supervisor" in (records or ())
 
@@ -187,13 +227,14 @@ class Situation(msgspec.Struct, frozen=True, kw_only=True):
     not_observed: tuple[str, ...]
 
 
-def situation(record: LedgerRun, seq: int, state: State, robot: str | None = None) -> Situation:
-    """Return how things stand after this event; with `robot`, only what that robot has a part in."""
+def situation(past: Past, robot: str | None = None) -> Situation:
+    """Return how things stand then; with `robot`, only what that robot has a part in."""
+    state = past.state
     known = dict.fromkeys((*state.fleet.robots, *state.execution.current))  # one that acts need not have joined
     robots = [name for name in known if robot in (None, name)]
     requests = [
         RequestNow(one.action_id, one.requester, one.capability, one.target, _phase(one))
-        for one in _open_requests(record, seq, state)
+        for one in _open_requests(past)
         if robot in (None, one.requester, one.target)
     ]
     names = {one.action_id for one in requests}
@@ -202,9 +243,9 @@ def situation(record: LedgerRun, seq: int, state: State, robot: str | None = Non
     def is_about(action_id: str) -> bool:
         return robot is None or action_id in names
 
-    seen = Coverage(record)
+    seen = Coverage(past.started)
     return Situation(
-        robots=seen.all("fleet", (_robot(record, seq, state, name, seen) for name in robots)),
+        robots=seen.all("fleet", (_robot(past, name, seen) for name in robots)),
         requests=seen.all("request", requests),
         claims=seen.all(
             "authority",
@@ -235,41 +276,27 @@ def situation(record: LedgerRun, seq: int, state: State, robot: str | None = Non
     )
 
 
-def _open_requests(record: LedgerRun, seq: int, state: State) -> Iterator[Request]:
+def _open_requests(past: Past) -> Iterator[Request]:
     """Yield the open requests.
 
     Of another system's run it is on record whom a request asked, and no rule of the model takes back what an abandoned
     task asked for: that is open only while it is executed.
     """
-    found = [one for one in state.request.open.values() if not one.is_over]
-    if getattr(record.events[0], "kind", None) != "foreign":
-        yield from found
-        return
-    abandoned = _abandoned(record, seq) if found else frozenset()
-    for one in found:
-        if one.action_id not in abandoned or one.action_id in state.execution.actions:
+    is_foreign = getattr(past.started, "kind", None) == "foreign"
+    for one in past.state.request.open.values():
+        if one.is_over:
+            continue
+        if not is_foreign:
+            yield one
+        elif one.action_id not in past.abandoned or one.action_id in past.state.execution.actions:
             asked = one.candidates[0] if one.is_adhoc and len(one.candidates) == 1 else None
             yield msgspec.structs.replace(one, target=one.target or asked)
 
 
-def _abandoned(record: LedgerRun, seq: int) -> frozenset[str | None]:
-    """Return the actions that were asked for up to this event, and whose tasks were abandoned after that."""
-    asked: dict[str | None, set[str | None]] = {}
-    found: set[str | None] = set()
-    for event in record.events[: seq + 1]:
-        if isinstance(event, RequestIssued):
-            asked.setdefault(event.subject.task_id, set()).add(event.subject.action_id)
-            found.discard(event.subject.action_id)
-        elif isinstance(event, TaskAbandoned):
-            found |= asked.pop(event.task_id, set())
-    return frozenset(found)
-
-
 def _recovery(action: str, one: Recovery, seen: Coverage) -> RecoveryNow:
-    since_s = one.detected_us / 1e6 or None
     is_seen = one.number > 0 or one.level != "local" or "recovery" not in seen.lacking
     level, attempts = (one.level, one.number) if is_seen else (None, None)
-    return RecoveryNow(action, one.robot, one.cause, level, attempts, since_s)
+    return RecoveryNow(action, one.robot, one.cause, level, attempts, one.detected_us / 1e6 or None)
 
 
 def _task(one: Task) -> TaskNow:
@@ -303,13 +330,14 @@ def _rules(state: State, robot: str | None) -> Iterator[RuleNow]:
         yield RuleNow(scope, f"role {role}{where}", capability, task, outcome)
 
 
-def _robot(record: LedgerRun, seq: int, state: State, name: Robot, seen: Coverage) -> RobotNow:
+def _robot(past: Past, name: Robot, seen: Coverage) -> RobotNow:
+    state = past.state
     world, member = state.world, state.fleet.robots.get(name, Member(name, "", 0, None))
     offers: dict[str, tuple[str, ...]] = {}
     for one in surface(state.registry, name):
         offers[one.availability] = (*offers.get(one.availability, ()), one.capability)
     work = _work(state, name)
-    # What a robot has in hand that recovers from a failure before the record is not on record.
+    # A robot that recovers from a failure before the record has in hand what is not on record.
     is_known = all(one.robot != name or one.cause is not None for one in state.recovery.values())
     return RobotNow(
         name,
@@ -324,7 +352,7 @@ def _robot(record: LedgerRun, seq: int, state: State, name: Robot, seen: Coverag
         False if work is not None else seen.of("execution", seen.of("recovery", True if is_known else None)),
         work,
         seen.of("execution", state.execution.queues.get(name, ())),
-        seen.all("policy", _windows(record, seq, state, name)),
+        seen.all("policy", _windows(past, name)),
         seen.of("registry", offers),
     )
 
@@ -336,24 +364,17 @@ def _work(state: State, name: Robot) -> Work | None:
     action = state.execution.actions.get(current)
     if action is None:
         return Work(current.partition(":")[2], None, "helping", None, None)
+    whose = action.on_behalf_of if action.on_behalf_of != action.robot else None
     ends_s = action.ends_us / 1e6 if action.ends_us else None
-    return Work(action.action_id, action.capability or None, action.stage, _other(action), ends_s)
+    return Work(action.action_id, action.capability or None, action.stage, whose, ends_s)
 
 
-def _other(action: Action) -> str | None:
-    return action.on_behalf_of if action.on_behalf_of != action.robot else None
-
-
-def _windows(record: LedgerRun, seq: int, state: State, name: Robot) -> Iterator[Window]:
-    """Yield the robot's open windows, each with the last event before this one that opened it."""
-    for scope, windows in (("local", state.world.local), ("fleet", state.world.fleet)):
+def _windows(past: Past, name: Robot) -> Iterator[Window]:
+    """Yield the robot's open windows, each with the last event that opened it."""
+    for scope, windows in (("local", past.state.world.local), ("fleet", past.state.world.fleet)):
         for window, outcome in windows.get(name, ()):
-            opened = next(
-                at
-                for at in range(seq, -1, -1)
-                if isinstance(event := record.events[at], PolicyWindowOpened) and event.window == window
-            )
-            yield Window(scope, window, outcome, record.times_us[opened] / 1e6, opened)
+            seq, time_us = past.opened[window]
+            yield Window(scope, window, outcome, time_us / 1e6, seq)
 
 
 def _phase(request: Request) -> str:

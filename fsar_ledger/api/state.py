@@ -95,9 +95,9 @@ def state(
         UsageError: There is no such run, robot or decider, `at` is no time of the run, or the run came later.
     """
     from fsar_ledger.analysis import commits_of
-    from fsar_ledger.analysis.moments import Timeline, beliefs
+    from fsar_ledger.analysis.moments import beliefs, past_at
     from fsar_ledger.analysis.situation import situation
-    from fsar_ledger.ledger.store.locations import record_of
+    from fsar_ledger.ledger.store.locations import end_of, pieces_of
     from fsar_ledger.metrics.provenance import of_run
 
     from .lookup import about_run, clock, present, robot_of, time_of
@@ -116,24 +116,22 @@ def state(
                 f"{option('by_commit', by_commit)}: by then the ledger had recorded nothing of run "
                 f"{printable.value(name)}, which came with commit {commit}"
             )
-    timeline = Timeline(record_of(view, name, None if by_commit is None else view.commits[by_commit - 1].tree_size))
-    times_us = timeline.record.times_us
-    at_us = times_us[-1] if at_us is None else at_us
-    seq = timeline.seq_at(at_us)
-    after = timeline.after(seq)
-    known = None if as_known_by is None else beliefs(timeline.record, seq, after, as_known_by)
-    stands = situation(timeline.record, seq, after, whose)
+    size = None if by_commit is None else view.commits[by_commit - 1].tree_size
+    ends_us = end_of(view, name, size)
+    at_us = ends_us if at_us is None else at_us
+    past = past_at(pieces_of(view, name, size), at_us)
+    stands = situation(past, whose)
     return Moment(
         run=name,
         at_s=at_us / 1e6,
-        seq=seq,
-        event_s=times_us[seq] / 1e6,
-        ends_s=times_us[-1] / 1e6,
-        clock=clock(timeline.record.events[0], at_us),
-        commit=found[bisect_right(found, seq, key=itemgetter(0)) - 1][1] + 1,
+        seq=past.seq,
+        event_s=past.time_us / 1e6,
+        ends_s=ends_us / 1e6,
+        clock=clock(past.started, at_us),
+        commit=found[bisect_right(found, past.seq, key=itemgetter(0)) - 1][1] + 1,
         standing=stands,
-        beliefs=known,
-        state=after,
+        beliefs=None if as_known_by is None else beliefs(past, as_known_by),
+        state=past.state,
         provenance=of_run(provenance, stands.not_observed),
     )
 
@@ -252,7 +250,7 @@ class Steps:
         from fsar_ledger.metrics.provenance import of_run
 
         self.run = record.run_id
-        self.provenance = of_run(provenance, Coverage(record).lacking)
+        self.provenance = of_run(provenance, Coverage(record.events[0]).lacking)
         self._record = record
         self._timeline = Timeline(record)
         found = lines_of([record], [(record.run_id, seq) for seq in range(len(record.events))])
@@ -295,7 +293,7 @@ class Steps:
         """Return how things stand after the event at which the walk is."""
         from fsar_ledger.analysis.situation import situation
 
-        return situation(self._record, self.seq, self._timeline.after(self.seq), robot)
+        return situation(self._timeline.past(self.seq), robot)
 
     def _seq_at(self, text: str) -> int:
         time_us = microseconds("go", text)

@@ -25,7 +25,7 @@ def test_the_state_at_a_time_is_that_of_a_simulation_stopped_then(
     for time_us in sorted(set(record.times_us))[::step]:
         stopped.run(time_us)
         assert len(stopped.events) == timeline.seq_at(time_us) + 1
-        assert timeline.after(timeline.seq_at(time_us)) == stopped.state
+        assert timeline.past(timeline.seq_at(time_us)).state == stopped.state
 
 
 def test_the_state_after_an_event_does_not_depend_on_what_is_kept(runs: list[LedgerRun]) -> None:
@@ -33,13 +33,13 @@ def test_the_state_after_an_event_does_not_depend_on_what_is_kept(runs: list[Led
         timeline = Timeline(record)
         assert len(record.events) > EVERY
         for seq in (0, 1, EVERY - 2, EVERY - 1, EVERY, EVERY + 1, len(record.events) - 1):
-            assert timeline.after(seq) == fold(record.events[: seq + 1])
+            assert timeline.past(seq).state == fold(record.events[: seq + 1])
 
 
 def test_states_of_two_moments_do_not_share_what_changes(runs: list[LedgerRun]) -> None:
     timeline = Timeline(runs[0])
-    before = timeline.after(100)
-    again = timeline.after(100)
-    timeline.after(101)
+    before = timeline.past(100).state
+    again = timeline.past(100).state
+    timeline.past(101)
     assert before == again
     assert before is not again

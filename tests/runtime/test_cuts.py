@@ -11,13 +11,14 @@ import msgspec
 import pytest
 
 import fsar_ledger
+from fsar_ledger.analysis.moments import Timeline, past_at
 from fsar_ledger.base.errors import UsageError
 from fsar_ledger.events.command import CommandGiven
 from fsar_ledger.events.fleet import RunContinued
 from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
 from fsar_ledger.ledger.opening import open_ledger
-from fsar_ledger.ledger.rows.runs import LedgerRun
-from fsar_ledger.ledger.store.locations import record_of
+from fsar_ledger.ledger.rows.runs import LedgerRun, joined
+from fsar_ledger.ledger.store.locations import end_of, pieces_of, record_of
 from fsar_ledger.metrics.database import Database, connect
 from fsar_ledger.metrics.invariants import audit_rows, invariants
 from fsar_ledger.metrics.library import Query, library
@@ -218,6 +219,18 @@ def test_slices_keep_runs_that_continue_each_other_together(
     rows = audit_rows(sliced, invariants())
     with connect(halls[0].ledger) as whole:
         assert [msgspec.structs.replace(row, first_run=None) for row in rows] == audit_rows(whole, invariants())
+
+
+@pytest.mark.parametrize("share", [0.3, 0.7, 1])
+def test_what_is_read_piece_by_piece_is_the_record(halls: tuple[Day, Day], share: float) -> None:
+    view = open_ledger(halls[1].ledger)
+    run = {0.3: "hall", 0.7: "hall.2", 1: "hall.3"}[share]
+    size = int(view.head.events * share)
+    record, pieces = record_of(view, run, size), list(pieces_of(view, run, size))
+    assert msgspec.structs.replace(joined(pieces), run_id=run) == record
+    assert end_of(view, run, size) == record.times_us[-1]
+    past = past_at(iter(pieces), record.times_us[-1])
+    assert past == Timeline(record).past(len(record.events) - 1)
 
 
 def test_one_asks_about_any_of_them(halls: tuple[Day, Day]) -> None:

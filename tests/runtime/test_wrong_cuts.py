@@ -241,6 +241,8 @@ def test_a_run_that_begins_otherwise_than_the_one_that_it_continues_is_refused(
     with pytest.raises(LedgerCorrupted, match="which it continues, expected the same"):
         record_of(open_ledger(ledger), "hall.2")
     with pytest.raises(LedgerCorrupted, match="which it continues, expected the same"):
+        fsar_ledger.Ledger(ledger).state("hall.2")
+    with pytest.raises(LedgerCorrupted, match="which it continues, expected the same"):
         fsar_ledger.Ledger(ledger).metrics()
     assert "which it continues, expected the same" in replayed(ledger)
 

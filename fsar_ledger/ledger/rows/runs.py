@@ -239,11 +239,16 @@ def continuing(parts: Sequence[LedgerRun]) -> LedgerRun:
     """
     pieces, size = [parts[0]], len(parts[0].events)
     for part in parts[1:]:
-        if part.events[0] != parts[0].events[0]:
-            raise LedgerCorrupted(unlike_beginning(part.run_id, parts[0].run_id))
+        require_alike(part, parts[0].events[0], parts[0].run_id)
         pieces.append(counted_on(part, size - 1))
         size += len(pieces[-1].events)
     return msgspec.structs.replace(joined(pieces), run_id=parts[-1].run_id)
+
+
+def require_alike(part: LedgerRun, started: Event, before: str) -> None:
+    """Require that a run begins as the one that it continues. Raises: LedgerCorrupted if not."""
+    if part.events[0] != started:
+        raise LedgerCorrupted(unlike_beginning(part.run_id, before))
 
 
 def unlike_beginning(run: str, before: str) -> str:
@@ -267,13 +272,18 @@ def whole(pieces: Sequence[LedgerRun]) -> LedgerRun:
     """Return the run of all its pieces that a ledger holds. Raises: LedgerCorrupted if one of them is missing."""
     next_seq = 0
     for part in pieces:
-        if part.first != next_seq:
-            raise LedgerCorrupted(
-                f"run {printable.value(part.run_id)}: found event {part.first} where event {next_seq} is expected; run "
-                "fsar-ledger verify"
-            )
+        require_next(part, next_seq)
         next_seq += len(part.events)
     return joined(pieces)
+
+
+def require_next(part: LedgerRun, seq: int) -> None:
+    """Require that this event is the first of a part of a run. Raises: LedgerCorrupted if not."""
+    if part.first != seq:
+        raise LedgerCorrupted(
+            f"run {printable.value(part.run_id)}: found event {part.first} where event {seq} is expected; run "
+            "fsar-ledger verify"
+        )
 
 
 def gathered(parts: Iterable[tuple[int, Sequence[LedgerRun]]], last: Mapping[str, int]) -> Iterator[LedgerRun]:

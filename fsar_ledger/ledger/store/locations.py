@@ -16,10 +16,11 @@ import pyarrow.compute as pc
 
 from fsar_ledger.base import printable
 from fsar_ledger.base.errors import LedgerCorrupted, UsageError
+from fsar_ledger.events import Event
 from fsar_ledger.events.fleet import RunContinued
 from fsar_ledger.ledger.rows import codec, segment
 from fsar_ledger.ledger.rows.blocks import BLOCK_COLUMNS, Block, Runs, blocks_of
-from fsar_ledger.ledger.rows.runs import Flaw, LedgerRun, continuing, whole
+from fsar_ledger.ledger.rows.runs import Flaw, LedgerRun, continuing, counted_on, require_alike, require_next, whole
 from fsar_ledger.ledger.rows.schema import SCHEMAS, concerns_admitted
 from fsar_ledger.ledger.store.derived import Index, groups_of, require_lines
 from fsar_ledger.ledger.store.read import View
@@ -92,14 +93,54 @@ def records_of(view: View, runs: Sequence[str], size: int | None = None) -> list
     """
     chains = {run: chain_of(view, run) for run in runs}
     pieces: dict[str, list[LedgerRun]] = {name: [] for names in chains.values() for name in names}
-    for number in view.segments_of([part for name in pieces for part in view.parts(name)]):
-        table = segment.read_table(view.segment(number))
-        table = table.slice(0, len(table) if size is None else max(0, size - view.first(number)))
-        for piece in codec.decode(table.filter(pc.is_in(table["run_id"], pa.array([*pieces]))), is_whole=False):
+    for number in _segments_of(view, [*pieces]):
+        for piece in codec.decode(_rows(view, number, [*pieces], size), is_whole=False):
             pieces[piece.run_id].append(piece)
     if lacking := [run for run in runs if not pieces[run]]:
         raise UsageError(f"{view.path}: run {printable.value(lacking[0])}: there is no such run")
     return [continuing([whole(pieces[name]) for name in names]) for names in chains.values()]
+
+
+def pieces_of(view: View, run: str, size: int | None = None) -> Iterator[LedgerRun]:
+    """Yield in order the pieces of what `record_of` returns, in memory that does not grow with the run.
+
+    Raises: As that; LedgerCorrupted also if a piece is missing.
+    """
+    names = chain_of(view, run)
+    current, rows, before = names[0], 0, 0  # rows of the current run so far, and how much higher its seqs are counted
+    started: Event | None = None
+    for number in _segments_of(view, names):
+        for piece in codec.decode(_rows(view, number, names, size), is_whole=False):
+            if piece.run_id != current:
+                current, rows, before = piece.run_id, 0, before + rows - 1
+            require_next(piece, rows)
+            rows += len(piece.events)
+            if piece.first == 0:
+                started = started or piece.events[0]
+                require_alike(piece, started, names[0])
+            yield piece if current == names[0] else counted_on(piece, before)
+    if started is None:
+        raise UsageError(f"{view.path}: run {printable.value(run)}: there is no such run")
+
+
+def end_of(view: View, run: str, size: int | None = None) -> int:
+    """Return the time of the last event that `record_of` returns, in microseconds of run time. Raises: As that."""
+    names = chain_of(view, run)
+    for number in reversed(_segments_of(view, names)):
+        if len(rows := _rows(view, number, names, size, ["run_id", "time_us"])):
+            return int(rows["time_us"][-1].as_py())
+    raise UsageError(f"{view.path}: run {printable.value(run)}: there is no such run")
+
+
+def _segments_of(view: View, runs: Sequence[str]) -> list[int]:
+    return view.segments_of([part for run in runs for part in view.parts(run)])
+
+
+def _rows(view: View, number: int, runs: Sequence[str], size: int | None, columns: list[str] | None = None) -> pa.Table:
+    """Return the rows that a segment has of these runs, of the first so many events of the ledger."""
+    table = segment.read_table(view.segment(number), columns)
+    table = table.slice(0, len(table) if size is None else max(0, size - view.first(number)))
+    return table.filter(pc.is_in(table["run_id"], pa.array(runs)))
 
 
 def continued_by(record: LedgerRun) -> str | None:
