@@ -40,13 +40,15 @@ class ServedFederation(Answer):
         self._host, self._port, self._rate = host, port, rate
 
     def text(self, _: Screen) -> Iterator[SafeText]:
-        """Show the address, then serve; nothing is left to yield."""
+        """Show the address once the federation is open, and serve; nothing is left to yield."""
         require_service()
         from fsar_ledger.service import Principals
         from fsar_ledger.service.server import Service
 
         def opened(on_commit: Callable[[int, bytes], None]) -> "Federation":
-            return federate(self._out, run=self._run, on_commit=on_commit, **self._given["federation"])
+            federation = federate(self._out, run=self._run, on_commit=on_commit, **self._given["federation"])
+            self._given["show"](printable.lines(address))
+            return federation
 
         service = Service(self._out, self._run, opened, Principals(self._principals), self._rate, self._viewed)
         certificate, key = self._given["certificate"], self._given["certificate_key"]
@@ -54,7 +56,7 @@ class ServedFederation(Answer):
         with self._listening() as listening:
             host, port = listening.getsockname()[:2]
             scheme = "http" if certificate is None else "https"
-            self._given["show"](printable.lines(f"{scheme}://{f'[{host}]' if ':' in host else host}:{port}"))
+            address = f"{scheme}://{f'[{host}]' if ':' in host else host}:{port}"
             ended = Event()
             witnesses = Thread(target=self._ask_witnesses, args=(ended,), name="witnesses", daemon=True)
             if self._given["policy"] is not None:

@@ -56,6 +56,14 @@ def test_it_ends_when_it_is_told_with_the_ledger_closed(tmp_path: Path, how: sig
     assert is_good(one.ledger)
 
 
+def test_no_address_is_told_of_a_federation_that_is_refused(tmp_path: Path) -> None:
+    add_principal(tmp_path / "principals", "robot/A1")
+    one = Process(tmp_path, 0, "--robots", 7)
+    said = one.process.communicate(timeout=30)[1]
+    assert (one.process.returncode, one.url) == (2, "")
+    assert said == "fsar-ledger: robots: found 7, expected a multiple of 4, the robots of a team\n"
+
+
 def _has(found: list[str], more_than: int) -> bool:
     return len(found) > more_than
 
