@@ -4,6 +4,7 @@ All of it rests on the record of a run, read from its ledger, and tells events i
 """
 
 from collections.abc import Iterable, Iterator, Sequence
+from operator import itemgetter
 
 import msgspec
 import numpy as np
@@ -52,7 +53,7 @@ MAX_WORDS = 1_000
 LINES = """
     SELECT run_id, seq, time_s, action_id, sender, receiver, message, note
     FROM log_lines
-    WHERE run_id || ' ' || seq IN (SELECT unnest($places))
+    WHERE run_id || ' ' || seq IN (SELECT unnest($places)) AND seq BETWEEN $first AND $last
 """
 
 
@@ -94,5 +95,9 @@ def lines_of(records: Sequence[LedgerRun], seqs: Iterable[tuple[str, int]]) -> d
 
 def lines_from(database: Database, seqs: Iterable[tuple[str, int]]) -> dict[tuple[str, int], Line]:
     """Return these events in words, by run and seq. Raises: as `Database.rows`."""
-    found = typed(database.rows(LINES, {"places": [f"{run} {seq}" for run, seq in seqs]}), Line)
+    places = sorted(seqs, key=itemgetter(1))
+    if not places:
+        return {}
+    names = [f"{run} {seq}" for run, seq in places]
+    found = typed(database.rows(LINES, {"places": names, "first": places[0][1], "last": places[-1][1]}), Line)
     return {(line.run_id, line.seq): line for line in found}

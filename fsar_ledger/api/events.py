@@ -4,7 +4,7 @@ The lines are rows of `queries/facts/log_lines.sql`. Those of all runs are told 
 segments that share runs, with one in memory at a time.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -266,19 +266,32 @@ def stream(
                 yield Table(_lines_in(view, group, asked, first), provenance)
 
 
-def _lines(database: Database, asked: LogRequest, *conditions_too: str) -> pa.Table:
-    """Return the lines asked for of all runs here, in the order of the ledger."""
+def _lines(database: Database, asked: LogRequest, untold: pa.Table | None = None) -> pa.Table:
+    """Return the lines asked for of all runs here, of these events alone if given, in the order of the ledger."""
     meant, values = asked.meant.sql()
     bound: dict[str, Value] = dict(values)
-    conditions = [*conditions_too, *(["run_id = $run"] if asked.meant.run is not None else [])]
+    conditions = ["run_id = $run"] if asked.meant.run is not None else []
     if asked.about:
         conditions.append("list_contains($about, concern)")
         bound["about"] = list(asked.about)
     if values.keys() - {"run"}:
-        conditions.append(f"(run_id, seq) IN (SELECT run_id, seq FROM ({meant}))")
+        conditions += _among(database, f"SELECT run_id, seq FROM ({meant})", values)
+    if untold is not None:
+        database.hold("untold", untold)
+        conditions += _among(database, "SELECT run_id, seq FROM untold")
     bound["runs"] = [row["run_id"] for row in database.rows("SELECT run_id FROM events WHERE seq = 0")]
     where = f"WHERE {' AND '.join(conditions)}" if conditions else ""
     return database.table(f"SELECT * FROM log_lines {where} ORDER BY list_position($runs, run_id), seq", bound)
+
+
+def _among(database: Database, chosen: str, values: Mapping[str, Value] | None = None) -> list[str]:
+    """Return the conditions that an event is among these.
+
+    Only the second reaches the scans of the events, so that a moment of a long run does not take as long as all of it.
+    """
+    span = f"SELECT coalesce(min(seq), 0) AS first, coalesce(max(seq), -1) AS last FROM ({chosen})"
+    [found] = database.rows(span, values)
+    return [f"(run_id, seq) IN ({chosen})", f"seq BETWEEN {found['first']} AND {found['last']}"]
 
 
 def _lines_in(view: View, group: Sequence[int], asked: LogRequest, first: int) -> pa.Table:
@@ -289,8 +302,7 @@ def _lines_in(view: View, group: Sequence[int], asked: LogRequest, first: int) -
         if view.first(group[0]) >= first:
             return _lines(database, asked)
         untold = pa.concat_tables(view.tables_from(first, ["run_id", "seq"]))
-        database.hold("untold", counted_rows(view, untold))
-        return _lines(database, asked, "(run_id, seq) IN (SELECT run_id, seq FROM untold)")
+        return _lines(database, asked, counted_rows(view, untold))
 
 
 def _require_in_run(database: Database, run: str | None, since: Time, since_us: int) -> None:
