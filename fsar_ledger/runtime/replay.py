@@ -232,4 +232,5 @@ def _runs_in(path: Path, files: tuple[str, ...]) -> Iterator[LedgerRun]:
     for file in files:
         for piece in decode(segment.read_table(path / file), is_whole=False):
             pieces.setdefault(piece.run_id, []).append(piece)
-    yield from map(joined, pieces.values())
+    for run in [*pieces]:
+        yield joined(pieces.pop(run))  # no longer held then

@@ -184,9 +184,10 @@ class _Replay(RecordedKernel):
     def _record(self, event: Event, time_us: int, cause: int | None) -> None:
         if cause == 0 and type(event) in FACTS:
             self._deciding = schedule
-        self._require(len(self.events), event, time_us, cause)
+        seq = len(self.events)
+        self._require(seq, event, time_us, cause)
         self._silent.clear()
-        super()._record(event, time_us, cause)
+        super()._record(self._stored.events[seq], time_us, cause)  # the equal one that is there: half of the memory
 
     def _require(self, seq: int, event: Event, time_us: int, cause: int | None) -> None:
         """Check that the record has this event at that seq. Raises: _Mismatch."""
