@@ -14,7 +14,7 @@ from fsar_ledger.base import printable
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.ledger.rows import codec, segment
 from fsar_ledger.ledger.rows.codec import LedgerRun, encode_coded
-from fsar_ledger.ledger.store.locations import chain_of
+from fsar_ledger.ledger.store.locations import chain_of, event_count
 from fsar_ledger.ledger.store.read import View
 from fsar_ledger.metrics.database import Database, from_table
 from fsar_ledger.metrics.results import typed
@@ -29,14 +29,13 @@ def commits_of(view: View, run: str) -> list[tuple[int, int]]:
     sizes = np.array(view.commits.sizes)
     shift = 0
     for name in chain_of(view, run):
-        parts = view.parts(name)
-        for number in view.segments_of(parts):
+        for number in view.segments_of(view.parts(name)):
             table = segment.read_table(view.segment(number), ["run_id", "seq"])
             places = np.flatnonzero(pc.equal(table.column("run_id"), name).to_numpy())
             commits, at = np.unique(np.searchsorted(sizes, places + view.first(number), "right"), return_index=True)
             seqs = np.maximum(table.column("seq").to_numpy()[places[at]], 1 if shift else 0) + shift
             found.update(zip(commits.tolist(), seqs.tolist(), strict=True))
-        shift += sum(part.block.rows for part in parts) - 1
+        shift += event_count(view, name) - 1
     return [(seq, commit) for commit, seq in found.items()]
 
 

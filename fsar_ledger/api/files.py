@@ -24,7 +24,7 @@ from fsar_ledger.exports import Written, documents, mcap
 from fsar_ledger.exports.folders import write_delta
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.rows.schema import SCHEMA
-from fsar_ledger.ledger.store.locations import chain_of, record_of, whole_of, whole_runs, wholes_of
+from fsar_ledger.ledger.store.locations import chain_of, event_count, record_of, whole_of, whole_runs, wholes_of
 from fsar_ledger.ledger.store.paths import require_outside
 from fsar_ledger.metrics.provenance import Provenance
 from fsar_ledger.metrics.sandbox import SENT_BYTES, slices
@@ -248,7 +248,7 @@ def write_as(
         name = name or _only_run(view)
         trace(ledger, file, name)
         runs = [] if name is None else chain_of(view, name)
-        events = sum(part.block.rows for run in runs for part in view.parts(run))
+        events = sum(event_count(view, run) for run in runs)
         return Written(events - len(runs[1:]), ()), provenance
     try:
         return _written(view, file, format, name, progress), provenance

@@ -26,7 +26,7 @@ from fsar_ledger.ledger.log.note import Signer
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows.runs import LedgerRun, counted_on
 from fsar_ledger.ledger.store.append import Writer
-from fsar_ledger.ledger.store.locations import chain_of, record_of, whole_of
+from fsar_ledger.ledger.store.locations import chain_of, event_count, record_of, whole_of
 from fsar_ledger.ledger.store.read import View
 from fsar_ledger.projections.fold import State
 
@@ -345,7 +345,7 @@ class Federation:
 
     def _resume(self, view: View) -> None:
         record = record_of(view, self.run)
-        own = sum(part.block.rows for part in view.parts(self.run))
+        own = event_count(view, self.run)
         started = record.events[0]
         if not isinstance(started, RunStarted) or started.source != SOURCE or started.epoch is None:
             raise UsageError(f"run {value(self.run)}: found a run that is not live, expected a new name or one that is")

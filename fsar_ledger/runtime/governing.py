@@ -12,6 +12,7 @@ from pathlib import Path
 from fsar_ledger.base.errors import UsageError
 from fsar_ledger.base.printable import counted, value
 from fsar_ledger.ledger.opening import open_ledger
+from fsar_ledger.ledger.store.locations import event_count
 
 from . import snapshot
 
@@ -51,7 +52,7 @@ def overtaken(ledger: Path, run: str, known: int) -> str:
     Raises: As `open_ledger`.
     """
     view = open_ledger(ledger)
-    size = sum(part.block.rows for part in view.parts(run)) if view.has_run(run) else 0
+    size = event_count(view, run)
     if size == known:
         return ""
     return (

@@ -19,7 +19,7 @@ import msgspec
 from fsar_ledger.base.errors import FsarLedgerError, WriteFailed
 from fsar_ledger.events.command import CommandGiven
 from fsar_ledger.ledger.opening import open_ledger
-from fsar_ledger.ledger.store.locations import chain_of
+from fsar_ledger.ledger.store.locations import chain_of, event_count
 from fsar_ledger.ledger.store.read import View
 from fsar_ledger.projections.fold import State
 from fsar_ledger.runtime.federation import Federation, newest_of
@@ -107,13 +107,12 @@ def _rows_in(view: View, runs: Sequence[str], seq: int) -> Sequence[Row]:
     """Return the rows from this seq to the end of a part of these runs; none if they end before."""
     before = 0
     for run in runs:
-        parts = view.parts(run)
-        for part in parts:
+        for part in view.parts(run):
             if before + part.block.end > seq:
                 rows = ((_PLACE.decode(row), row) for row in view.rows(part.first, part.end))
                 own = ((before + at.seq, row) for at, row in rows if at.run_id == run and (at.seq or not before))
                 return [Row(at, row) for at, row in own if at >= seq]
-        before += sum(part.block.rows for part in parts) - 1
+        before += event_count(view, run) - 1
     return ()
 
 

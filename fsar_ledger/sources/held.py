@@ -13,7 +13,7 @@ from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows.runs import LedgerRun
 from fsar_ledger.ledger.store.append import Writer
-from fsar_ledger.ledger.store.locations import place_of
+from fsar_ledger.ledger.store.locations import event_count, place_of
 from fsar_ledger.ledger.store.read import View
 
 from .adapter import UNREADABLE
@@ -59,7 +59,7 @@ def stored_run(path: Path, run: str) -> Stored | None:
         elif one.seq:
             opened = msgspec.json.decode(line, type=Opening) if one.type == "SourceOpened.v1" else None
             break
-    return Stored(started, sum(part.block.rows for part in parts), parts[-1].block.last_us, robots, opened)
+    return Stored(started, event_count(view, run), parts[-1].block.last_us, robots, opened)
 
 
 class _Row(msgspec.Struct):

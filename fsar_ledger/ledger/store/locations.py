@@ -27,6 +27,14 @@ from fsar_ledger.ledger.store.read import View
 from fsar_ledger.ledger.store.shards import PREFIX, is_log
 
 
+def event_count(view: View, run: str) -> int:
+    """Return how many events the run has, without those that it continues; 0 if there is no such run.
+
+    Raises: As `View.parts`.
+    """
+    return sum(part.block.rows for part in view.parts(run))
+
+
 def place_of(view: View, run: str, seq: int) -> int:
     """Return the index in the ledger of this event of the run.
 
@@ -36,8 +44,7 @@ def place_of(view: View, run: str, seq: int) -> int:
     """
     parts = view.parts(run)
     part = next((part for part in parts if part.block.first <= seq < part.block.end), None)
-    events = sum(part.block.rows for part in parts)
-    if part is None and seq >= events:
+    if part is None and seq >= (events := event_count(view, run)):
         raise KeyError(events)
     for number in view.segments_of(parts if part is None else [part]):
         table = segment.read_table(view.segment(number), ["run_id", "seq"])
@@ -222,7 +229,7 @@ def place_counted_on(view: View, run: str, seq: int) -> int:
     """As `place_of`, of an event whose seq counts on over the runs that this one continues."""
     before = 0
     for name in chain_of(view, run):
-        size = sum(part.block.rows for part in view.parts(name))
+        size = event_count(view, name)
         if name != run and seq - before >= size:
             before += size - 1
             continue
@@ -236,7 +243,7 @@ def place_counted_on(view: View, run: str, seq: int) -> int:
 def seq_counted_on(view: View, run: str, seq: int) -> int:
     """Return the seq of this event of the run, counted on over those that it continues; its event 0 is not counted."""
     earlier = chain_of(view, run)[:-1]
-    before = sum(sum(part.block.rows for part in view.parts(name)) - 1 for name in earlier)
+    before = sum(event_count(view, name) - 1 for name in earlier)
     return before + max(seq, 1 if earlier else 0)
 
 
