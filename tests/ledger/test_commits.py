@@ -8,11 +8,10 @@ from hypothesis import strategies as st
 
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows.runs import piece
-from fsar_ledger.ledger.store import commits as module
+from fsar_ledger.ledger.store import record as module
 from fsar_ledger.ledger.store import snapshot
 from fsar_ledger.ledger.store.append import Writer
-from fsar_ledger.ledger.store.commits import Commits
-from fsar_ledger.ledger.store.record import Commit
+from fsar_ledger.ledger.store.record import Commit, Commits
 from tests.ledger.samples import ORIGIN, made_up_run
 
 STEPS = st.lists(

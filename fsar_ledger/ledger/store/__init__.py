@@ -7,7 +7,7 @@ paths      where the files are, and where other commands must not write
 manifest   what ledger.json holds
 problem    one finding, with its place
 keys       key files
-record     the lines of a chain: commits, and placements of their rows; Head, how far a ledger goes
+record     the lines of a chain: commits, and placements of their rows; Commits, packed; Head, how far a ledger goes
 segments   find and read segments
 staging    stage: segments that wait for a writer; rows for a journal, and as columns
 links      follow a chain line by line

@@ -18,13 +18,13 @@ from fsar_ledger.base.memory import without_collection
 from fsar_ledger.ledger.log.hashing import digests, sha256_hex
 from fsar_ledger.ledger.log.merkle import EMPTY_ROOT, Frontier
 from fsar_ledger.ledger.rows.schema import FINGERPRINTS, RELEASE, is_later
-from fsar_ledger.ledger.store.commits import Commits
 from fsar_ledger.ledger.store.paths import CHAIN, MANIFEST
 from fsar_ledger.ledger.store.problem import LaterRelease, Problem
 from fsar_ledger.ledger.store.record import (
     LEAST_LINE_BYTES,
     PLACEMENT,
     Commit,
+    Commits,
     Placement,
     Record,
     has_later_append,

@@ -25,14 +25,13 @@ from fsar_ledger.ledger.rows.layout import check_layout
 from fsar_ledger.ledger.rows.runs import gathered
 from fsar_ledger.ledger.rows.schema import RELEASE, SCHEMA
 from fsar_ledger.ledger.store import derived, growing
-from fsar_ledger.ledger.store.commits import Commits
 from fsar_ledger.ledger.store.derived import Extent, Index, Part, RunNames
 from fsar_ledger.ledger.store.journal import Journal, leaves_in, lines_of
 from fsar_ledger.ledger.store.links import Chain, Followed
 from fsar_ledger.ledger.store.manifest import Manifest, parse_manifest
 from fsar_ledger.ledger.store.paths import CHAIN, JOURNAL, MANIFEST, SEALING, SEGMENTS, STAGING
 from fsar_ledger.ledger.store.problem import Problem
-from fsar_ledger.ledger.store.record import EMPTY_HEAD, Head, Placement, parse_line, segment_of
+from fsar_ledger.ledger.store.record import EMPTY_HEAD, Commits, Head, Placement, parse_line, segment_of
 from fsar_ledger.ledger.store.segments import Names, find_segment, read_segment
 from fsar_ledger.ledger.store.snapshot import take_snapshot
 from fsar_ledger.ledger.store.staging import materialized, table_of

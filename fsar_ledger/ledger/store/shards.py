@@ -27,13 +27,12 @@ from fsar_ledger.ledger.log.merkle import consistency_proof, is_consistent
 from fsar_ledger.ledger.log.note import is_name
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.store import growing
-from fsar_ledger.ledger.store.commits import Commits
 from fsar_ledger.ledger.store.derived import Index
 from fsar_ledger.ledger.store.journal import lines_of
 from fsar_ledger.ledger.store.paths import INDEX
 from fsar_ledger.ledger.store.problem import Problem
 from fsar_ledger.ledger.store.read import View
-from fsar_ledger.ledger.store.record import EMPTY_HEAD, Head
+from fsar_ledger.ledger.store.record import EMPTY_HEAD, Commits, Head
 
 MISSING, LATE, SWAPPED, OTHER_ORIGIN = "missing", "late", "swapped", "of another origin"
 OTHER_HISTORY, REPLAYED, TWICE, NESTED = "of another history", "replayed", "shown twice", "a federation itself"
