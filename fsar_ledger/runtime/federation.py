@@ -17,7 +17,7 @@ import msgspec
 
 from fsar_ledger.base import utc
 from fsar_ledger.base.errors import InvalidRun, SequenceConflict, UsageError, WriteFailed
-from fsar_ledger.base.printable import value
+from fsar_ledger.base.printable import counted, value
 from fsar_ledger.designs.constants import Constants
 from fsar_ledger.events import EVENT_TYPES, Event
 from fsar_ledger.events.command import CommandGiven
@@ -31,7 +31,6 @@ from fsar_ledger.ledger.store.read import View
 from fsar_ledger.projections.fold import State
 
 from . import snapshot
-from .governing import Hold, overtaken
 from .isolation import Isolation
 from .live import AT_ONCE_US, SOURCE, Decision, LiveRun, command_given, decision_of, live_started
 from .recipes import recorded_constants
@@ -99,11 +98,11 @@ class Federation:
         # first key in the room of all that were taken out, for 40 microseconds.
         self._keys: OrderedDict[str, bytes] = OrderedDict()
         self._writer = Writer(path, origin or (signer.verifier.name if signer else ORIGIN), signer)
-        self._hold: Hold | None = None
+        self._hold: snapshot.Hold | None = None
         try:
             view = open_ledger(path)
             self.run, self._first = newest_of(view, run)
-            self._hold = Hold(path, self._first)
+            self._hold = snapshot.Hold(path, self._first)
             if view.has_run(self.run):
                 if not self._recall(view):
                     self._resume(view)
@@ -299,9 +298,14 @@ class Federation:
         try:
             self._writer.commit([piece])
         except InvalidRun as error:
-            self._overtaken = overtaken(self._path, self.run, piece.first)
-            if not self._overtaken:
+            size = event_count(open_ledger(self._path), self.run)
+            if size == piece.first:
                 raise
+            self._overtaken = (
+                f"run {value(self.run)}: found {counted(size, 'event')} on record, expected the {piece.first:,} that "
+                "this process knows; another process has written this run meanwhile: stop one of them, and start this "
+                "one again"
+            )
             raise SequenceConflict(self._overtaken) from error
 
     def _begun(self, piece: LedgerRun) -> LedgerRun:

@@ -1,9 +1,11 @@
-"""Where a live run stood, beside its ledger, so that it goes on without being made again from its beginning.
+"""What lies beside the ledger of a live run: where the run stood, and the lock of the process that governs it.
 
-A snapshot is derived and disposable. It counts for one prefix of one ledger and one version of the code, and what the
-ledger has after it is made again and compared. One that is damaged, old or another's is passed over.
+A run goes on from a snapshot of it, without being made again from its beginning. A snapshot is derived and disposable.
+It counts for one prefix of one ledger and one version of the code, and what the ledger has after it is made again and
+compared. One that is damaged, old or another's is passed over.
 """
 
+import fcntl
 import hashlib
 import io
 import os
@@ -19,6 +21,8 @@ from typing import Annotated, Any, Literal, NewType, Union, get_args, get_origin
 import msgspec
 import pyarrow.compute as pc
 
+from fsar_ledger.base.errors import UsageError
+from fsar_ledger.base.printable import value
 from fsar_ledger.ledger.rows.codec import decode
 from fsar_ledger.ledger.rows.runs import LedgerRun, joined
 from fsar_ledger.ledger.rows.schema import SCHEMA
@@ -96,6 +100,41 @@ def load(view: View, run: str) -> tuple[Any, LedgerRun | None] | None:
         mine = table.filter(pc.equal(table.column("run_id"), run))
         pieces += decode(mine, is_whole=False) if mine.num_rows else ()
     return _Known(io.BytesIO(data)).load(), joined(pieces) if pieces else None
+
+
+class Hold:
+    """Holds a run for this process, until it is released: a lock, which the system releases with the process.
+
+    It is one of a process (`lockf`), so that a federation that was dropped without being closed holds up no later one
+    of the same process. Where a disk has no locks, or no place for the file, a second process is found when it commits.
+
+    Raises: UsageError if another process holds it.
+    """
+
+    def __init__(self, ledger: Path, run: str) -> None:
+        self._handle: int | None = None
+        lock = place(ledger, run).with_suffix(".lock")
+        with suppress(OSError):
+            lock.parent.mkdir(exist_ok=True)
+            self._handle = os.open(lock, os.O_RDWR | os.O_CREAT, 0o666)
+        if self._handle is None:
+            return
+        try:
+            fcntl.lockf(self._handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except (BlockingIOError, PermissionError) as error:
+            self.release()
+            raise UsageError(
+                f"{ledger}: run {value(run)}: found that another process governs it, expected none; stop that one "
+                "first, or give this run another name"
+            ) from error
+        except OSError:
+            return  # no locks here
+
+    def release(self) -> None:
+        """Let another process govern the run."""
+        if self._handle is not None:
+            os.close(self._handle)
+            self._handle = None
 
 
 class _Known(pickle.Unpickler):

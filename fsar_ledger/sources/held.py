@@ -191,8 +191,8 @@ def commit(writer: Writer, path: Path, run: LedgerRun) -> None:
     try:
         writer.commit([run])
     except InvalidRun as error:
-        stored = stored_run(path, run.run_id)
-        if (size := stored.size if stored is not None else 0) == run.first:
+        size = event_count(open_ledger(path), run.run_id)
+        if size == run.first:
             raise
         raise UsageError(
             f"run {value(run.run_id)}: found {counted(size, 'event')} on file, expected {run.first:,}; another process "
