@@ -1,4 +1,4 @@
-"""Bases: recorded runs from which others can fork."""
+"""Bases: recorded runs from which others can fork, and what a fleet refuses of the changes of a fork."""
 
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
@@ -31,13 +31,16 @@ from fsar_ledger.runtime.changes import (
     Add,
     Answer,
     AnyChange,
+    Budget,
     Changes,
     Commanded,
+    Density,
     Drop,
     Move,
     Rule,
     Set,
     Trust,
+    microseconds_of,
     seconds_text,
 )
 from fsar_ledger.runtime.forks import Fork, edited_environment, fork, live_again, parts_at, run_again
@@ -131,8 +134,8 @@ class Rerun(NamedTuple):
             if isinstance(change, Answer):
                 _require_used(self, change, forked)
             _require_task(self, change, forked)
-        if rejected := rejected_in(self.base, forked):
-            raise UsageError(rejection(forked.record.events[rejected[0]]))
+        if rejected := _rejected_in(self.base, forked):
+            raise UsageError(_rejection(forked.record.events[rejected[0]]))
         is_same = forked.parts_at is None and forked.end is None
         if is_same and any(not _is_of_model(one) for one in changes):
             said = printable.some(map(str, changes))
@@ -330,7 +333,7 @@ def _unknown(what: str, change: AnyChange, asked: str, names: Sequence[str]) -> 
     )
 
 
-def rejected_in(base: Base, forked: Fork) -> list[int]:
+def _rejected_in(base: Base, forked: Fork) -> list[int]:
     """Return the seqs at which a fork rejects a command that its base does not have."""
     known = {event for event in base.record.events if isinstance(event, CommandRejected)}
     commands = set(commands_of(base.record))
@@ -342,7 +345,56 @@ def rejected_in(base: Base, forked: Fork) -> list[int]:
     return found
 
 
-def rejection(event: Event) -> str:
+def _rejection(event: Event) -> str:
     """Return a rejection in words."""
     assert isinstance(event, CommandRejected)
     return f"{event.command} about {event.subject} is rejected: {event.reason}"
+
+
+class Refusal(NamedTuple):
+    """Why a change of a fork is refused, and whether the fork does the same as its base but for what is refused."""
+
+    why: str
+    is_same: bool
+
+
+def refusal(rerun: Rerun, changes: Changes, forked: Fork) -> Refusal | None:
+    """Return what of the changes is refused in the fork, as an error of `fork_with_effect`; None: nothing is."""
+    base, fork = rerun.base.record, forked.record
+    refused = {change: why for change in changes if (why := rerun.refused(change, forked)) is not None}
+    rejected = _rejected_in(rerun.base, forked)
+    if not refused and not rejected:
+        return None
+    whys = [*refused.values(), *(_rejection(fork.events[seq]) for seq in rejected)]
+    causes = [cause for seq in rejected if (cause := fork.caused_by[seq])]
+    own = {*rejected, *(seq for seq in causes if isinstance(fork.events[seq], CommandGiven))}
+    for seq, (time_us, cause, event) in enumerate(zip(fork.times_us, fork.caused_by, fork.events, strict=True)):
+        if seq and not cause and any(_is_of(one, time_us, event, base.times_us[-1]) for one in refused):
+            own.add(seq)
+    return Refusal(whys[0], forked.end is None and _rest(fork, own) == _rest(base, ()))
+
+
+def _is_of(change: AnyChange, time_us: int, event: Event, last_us: int) -> bool:
+    """Return whether an event that nothing causes is that of the change, which is refused in a run that ends then."""
+    match change:
+        case Add():
+            return event == fact_of(change.event)
+        case Rule() | Trust() if change.task is not None and getattr(event, "context", None) == change.task:
+            return True
+        case Set() | Rule() | Trust() | Budget() | Density() if change.from_s is not None:
+            return time_us >= microseconds_of(change.from_s) > last_us
+        case _:
+            return False
+
+
+def _rest(record: LedgerRun, own: Iterable[int]) -> list[tuple[int, int | None, Event]]:
+    """Return what happens after event 0, without these events and what they lead to."""
+    found: list[tuple[int, int | None, Event]] = []
+    out, places = {*own}, {0: 0}
+    for seq, (time_us, cause, event) in enumerate(zip(record.times_us, record.caused_by, record.events, strict=True)):
+        if seq in out or cause in out:
+            out.add(seq)
+        elif seq:
+            found.append((time_us, None if cause is None else places[cause], event))
+            places[seq] = len(found)
+    return found

@@ -32,8 +32,7 @@ from fsar_ledger.runtime.forks import Fork
 from fsar_ledger.runtime.live import SOURCE
 
 from . import starts_of
-from .fork_base import Base, base_of_record, rerun
-from .refusals import Refusal, refusal
+from .fork_base import Base, Refusal, base_of_record, refusal, rerun
 
 EVENTS_AT_ONCE = 200_000
 """Events of pairs that are judged together."""
