@@ -20,8 +20,7 @@ import pyarrow.parquet as pq
 from fsar_ledger.base.errors import UsageError, WriteFailed, option
 from fsar_ledger.base.memory import unfinished
 from fsar_ledger.base.progress import Progress, each
-from fsar_ledger.exports import Written, documents, mcap
-from fsar_ledger.exports.folders import write_delta
+from fsar_ledger.exports import Written, documents, mcap, write_delta
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.rows.schema import SCHEMA
 from fsar_ledger.ledger.store.locations import chain_of, event_count, record_of, whole_of, whole_runs, wholes_of
