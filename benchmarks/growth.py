@@ -18,7 +18,7 @@ from fsar_ledger.designs.constants import Constants, Load
 from fsar_ledger.events.configuration import PAPER_ARCHITECTURES
 from fsar_ledger.projections.fold import fold
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
-from fsar_ledger.runtime.world.founding import founding
+from fsar_ledger.runtime.world import founding
 
 SIZES = (4, 16, 64, 256, 1024)
 SHELVES = 32

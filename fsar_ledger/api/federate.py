@@ -122,7 +122,7 @@ def _fleet_of(robots: int | None, fleet: str | None, settings: Sequence[str]) ->
     """Return the constants of a new fleet, and how many robots it has. Raises: UsageError."""
     from fsar_ledger.designs.constants import Constants
     from fsar_ledger.runtime.own import with_own
-    from fsar_ledger.runtime.world.founding import team_size
+    from fsar_ledger.runtime.world import team_size
 
     constants, _ = with_own(Constants(), (), fleet, settings)
     team = team_size(constants.fleet)

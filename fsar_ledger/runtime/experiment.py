@@ -41,8 +41,8 @@ from .simulation import (
     run_id,
     run_started,
 )
+from .world import team_size
 from .world.checks import Problem, problems_of_design, problems_of_fleet
-from .world.founding import team_size
 from .world.schedule import happening
 
 ORIGIN = "fsar-ledger/simulated"

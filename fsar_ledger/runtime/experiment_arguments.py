@@ -29,7 +29,7 @@ from fsar_ledger.runtime.experiment import ORIGIN, Experiment, workflow_experime
 from fsar_ledger.runtime.own import is_file, with_own
 from fsar_ledger.runtime.paper import NAMES, paper_ledger, whole_of
 from fsar_ledger.runtime.simulation import plan_id
-from fsar_ledger.runtime.world.founding import team_size
+from fsar_ledger.runtime.world import team_size
 
 RUNS = 20  # per scenario and architecture, as in the paper
 

@@ -32,7 +32,7 @@ from .recipes import (
 from .recorded import FACTS, RecordedEnvironment, RecordedKernel, recorded_environment
 from .simulation import fleet_founding, founding_of, handler_table_of, plan_mismatch, run_id
 from .snapshot import state_sha256
-from .world.founding import founding
+from .world import founding
 from .world.schedule import schedule
 
 _END = "the end of the run"

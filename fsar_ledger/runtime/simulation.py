@@ -28,8 +28,7 @@ from fsar_ledger.projections.fold import State, fold
 
 from .architectures import HandlerTable
 from .kernel import Kernel
-from .world import Draws, SimulatedEnvironment, run_key
-from .world.founding import founding
+from .world import Draws, SimulatedEnvironment, founding, run_key
 from .world.schedule import schedule
 
 MODEL_VERSION = "3"

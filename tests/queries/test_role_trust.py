@@ -11,7 +11,7 @@ from fsar_ledger.events.envelope import Robot, TrustScope, flat
 from fsar_ledger.events.trust import InitialTrustSet, RoleTrustSet
 from fsar_ledger.projections import trust
 from fsar_ledger.projections.fold import fold
-from fsar_ledger.runtime.world.founding import founding
+from fsar_ledger.runtime.world import founding
 from tests import past
 from tests.queries.histories import Row, answer, event, run
 from tests.recycled import from_rows

@@ -167,13 +167,13 @@ FORGERIES = {
         restated(ADMITTED, trust="persistent"), ADMITTED, "trust", "fsar.request.evaluate_request"
     ),
     "the fleet is founded with more trust": Forgery(
-        restated(TRUST, scope="persistent"), TRUST, "scope", "world.founding.founding"
+        restated(TRUST, scope="persistent"), TRUST, "scope", "world.founding"
     ),
     "a robot trusts one robot more at the founding": Forgery(
         added(HONEST, TRUST, past.trusted(Robot("robot/A1"), Robot("robot/C1"), "task"), 0, 0),
         TRUST,
         "type",
-        "world.founding.founding",
+        "world.founding",
     ),
     "an execution starts early": Forgery(
         changed(HONEST, STARTED, time_us=HONEST.times_us[STARTED] - 1), STARTED, "time_us", "fsar.execution.start"

@@ -8,8 +8,7 @@ from fsar_ledger.runtime.architectures import HandlerTable
 from fsar_ledger.runtime.architectures.fsar import FSAR
 from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.simulation import RunSpec, run_id, run_started
-from fsar_ledger.runtime.world import Draws, SimulatedEnvironment, run_key
-from fsar_ledger.runtime.world.founding import founding
+from fsar_ledger.runtime.world import Draws, SimulatedEnvironment, founding, run_key
 from fsar_ledger.runtime.world.schedule import schedule
 
 H_F = Supervisor("supervisor/fleet")

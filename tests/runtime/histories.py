@@ -10,7 +10,7 @@ from fsar_ledger.events.world import PolicyWindowOpened
 from fsar_ledger.projections.fold import State, apply, fold
 from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.simulation import RunSpec, kernel, run_started
-from fsar_ledger.runtime.world.founding import founding
+from fsar_ledger.runtime.world import founding
 from tests import past
 
 STEPS = ("A navigate.indoor", "A door.open.secure B")

@@ -15,7 +15,7 @@ from fsar_ledger.runtime.architectures.fsar.authority import AnswerOutsider
 from fsar_ledger.runtime.architectures.fsar.discovery import QueryRegistry
 from fsar_ledger.runtime.handlers.candidates import Query, candidates
 from fsar_ledger.runtime.simulation import RunSpec, run_started
-from fsar_ledger.runtime.world.founding import founding
+from fsar_ledger.runtime.world import founding
 from tests import past
 from tests.runtime.histories import given
 from tests.runtime.live import decided

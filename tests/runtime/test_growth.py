@@ -24,7 +24,7 @@ from fsar_ledger.projections.policy import ruled
 from fsar_ledger.runtime.experiment import Experiment, run_experiment
 from fsar_ledger.runtime.handlers.attribution import nearest_first
 from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, run_id, run_started, simulate_run
-from fsar_ledger.runtime.world.founding import founding
+from fsar_ledger.runtime.world import founding
 from fsar_ledger.runtime.world.schedule import schedule
 
 WORLD = WorldConstants()

@@ -37,8 +37,7 @@ from fsar_ledger.events.world import (
 from fsar_ledger.runtime.handlers.public import given_in_file
 from fsar_ledger.runtime.ports import Fact
 
-from . import FOREVER_US, Stream, run_key
-from .founding import Member, floor_of, members, team_size
+from . import FOREVER_US, Member, Stream, floor_of, members, run_key, team_size
 
 
 def happening(constants: Constants, name: str) -> Scenario | Workflow:

@@ -47,8 +47,7 @@ from fsar_ledger.runtime.architectures.alliance.motivation import level_us, pati
 from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.ports import Fact
 from fsar_ledger.runtime.simulation import RunSpec, run_started
-from fsar_ledger.runtime.world import Draws, SimulatedEnvironment, run_key
-from fsar_ledger.runtime.world.founding import founding
+from fsar_ledger.runtime.world import Draws, SimulatedEnvironment, founding, run_key
 from tests import past
 from tests.recycled import from_table
 
