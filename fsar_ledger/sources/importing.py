@@ -33,7 +33,7 @@ from fsar_ledger.ledger.store.append import Writer
 from .adapter import UNREADABLE, Adapter, Derived, Input, Record
 from .columns import Declared, declared, storable, storable_text, text_of
 from .held import BYTES, Held, commit, held, record_hashes
-from .recorder import origin_of
+from .recorder import origin_of, roles_of
 
 ORIGIN = "fsar-ledger/imported"
 COMMIT_EVENTS, COMMIT_BYTES = 4_096, 1 << 21
@@ -133,7 +133,7 @@ class _Import:
     def resume(self, opened: SourceOpened, fleet: Mapping[str, str]) -> None:
         """Look at what the ledger holds of the run. Raises: UsageError if this import cannot go on with it."""
         self.opened = opened
-        self.robots_of_fleet = {name if name.startswith("robot/") else f"robot/{name}": fleet[name] for name in fleet}
+        self.robots_of_fleet = dict(roles_of(fleet))
         self.joined_by_fleet = set(self.robots_of_fleet)
         self.held = before = held(self.path, self.run)
         if before is None:

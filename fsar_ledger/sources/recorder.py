@@ -88,7 +88,7 @@ class Recorder:
                 self._begin(fleet, opened)
             else:
                 self._next, self._last_us, self._is_live = stored.size, stored.last_us, False
-                self._epoch = self._continued(stored, dict(_roles(fleet)), epoch and begins)
+                self._epoch = self._continued(stored, dict(roles_of(fleet)), epoch and begins)
                 self._put(self._last_us, None, opened or self._opening())
         except BaseException:
             self._writer.close()
@@ -335,16 +335,8 @@ def kept_origin(path: Path) -> str | None:
 
 
 def origin_of(path: Path, origin: str | None, signer: Signer | None, default: str = ORIGIN) -> str:
-    """Return the name under which the ledger at this path is published, or a new one is to be.
-
-    Raises: NotALedger; UsageError if it has another than this origin.
-    """
-    kept = kept_origin(path)
-    if kept is not None and origin not in (None, kept):
-        raise UsageError(
-            f"{option('origin', origin)}: found a ledger that is published as {value(kept)}, expected that or none"
-        )
-    return kept or origin or (signer.verifier.name if signer is not None else default)
+    """Return this origin, or else that of the ledger at this path, or of a new one. Raises: NotALedger."""
+    return origin or kept_origin(path) or (signer.verifier.name if signer is not None else default)
 
 
 def _members(fleet: Fleet) -> Iterator[RobotJoined]:
@@ -356,7 +348,8 @@ def _members(fleet: Fleet) -> Iterator[RobotJoined]:
         yield RobotJoined(robot=recorded_robot(robot), role=role, supervisor=None)
 
 
-def _roles(fleet: Fleet) -> Iterator[tuple[str, str]]:
+def roles_of(fleet: Fleet) -> Iterator[tuple[str, str]]:
+    """Yield the principal and role of each robot of the fleet."""
     return ((one.robot, one.role) for one in _members(fleet))
 
 

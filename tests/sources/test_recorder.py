@@ -290,7 +290,7 @@ def test_a_fleet_joins_when_the_run_begins_and_not_again(tmp_path: Path) -> None
             {"epoch": BEGINS + timedelta(seconds=1)},
             "found a run that began 2026-03-01T10:00:00Z, expected 2026-03-01T10:00:01Z",
         ),
-        ({"origin": "example.org/other"}, "found a ledger that is published as fsar-ledger/recorded"),
+        ({"origin": "example.org/other"}, "found a ledger of origin 'fsar-ledger/recorded'"),
     ],
 )
 def test_a_run_goes_on_as_it_began_or_not_at_all(tmp_path: Path, otherwise: dict[str, Any], said: str) -> None:
