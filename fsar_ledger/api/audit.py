@@ -120,12 +120,13 @@ def audit(
 
 def _shown(row: "AuditRow") -> Row:
     first = None if row.first_run is None else f"{row.first_run} seq {row.first_seq}: {row.first_found}"
+    cases = "" if row.holds is None or row.cases is None else f" ({printable.counted(row.cases, 'case')})"
     return {
         "invariant": row.invariant,
         "architecture": row.architecture,
         "configuration": row.configuration,
         "runs": row.runs,
-        "verdict": _word(row) if row.holds is None or row.cases is None else f"{_word(row)} ({_cases(row.cases)})",
+        "verdict": _word(row) + cases,
         "offending events": row.events,
         "first offending event": first,
     }
@@ -157,10 +158,6 @@ def _word(row: "AuditRow") -> str:
             f" ({row.runs_not_observed} of {row.runs} runs)" if row.runs_not_observed < row.runs else ""
         )
     return "holds" if row.holds else "broken"
-
-
-def _cases(count: int) -> str:
-    return "1 case" if count == 1 else f"{count:,} cases"
 
 
 def _footer(rows: "Sequence[AuditRow]", ledger: Path) -> Iterator[str]:

@@ -171,12 +171,8 @@ def gather_audit(ledger: Path, demanded: str | None = None) -> AuditFindings:
             "versions": pa.Table.from_pylist([{"name": name, "version": one} for name, one in versions().items()]),
         }
         asked = [*ASKED.values(), *(query for query, _ in SELECTED.values()), *(one.name for one in every)]
-        head = ledger_head(database, None)
-        return AuditFindings(_name_of(ledger), head, relations, sources_of(database, asked))
-
-
-def _name_of(ledger: Path) -> str:
-    return printing.words(ledger.absolute().name, MAX_NAME)
+        name, head = printing.words(ledger.absolute().name, MAX_NAME), ledger_head(database, None)
+        return AuditFindings(name, head, relations, sources_of(database, asked))
 
 
 def _whole(view: View) -> pa.Table:

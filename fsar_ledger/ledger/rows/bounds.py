@@ -4,6 +4,8 @@ A Parquet file of a few kilobytes can claim, and unpack to, any number of rows: 
 store. So all page headers are read first, and a file that needs more than any batch of runs does is refused.
 """
 
+from collections.abc import Iterator
+
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
@@ -39,15 +41,11 @@ small.
 def text_bytes(table: pa.Table) -> int:
     """Return the bytes of all strings of the table, each counted in every row, in dictionaries or not."""
     size = 0
-    for column in table.columns:
-        for chunk in column.chunks:
-            if chunk.null_count == len(chunk):  # as most columns of a short run are
-                continue
-            values = chunk.flatten() if pa.types.is_list(chunk.type) else chunk
-            if pa.types.is_dictionary(values.type):
-                size += pc.sum(pc.binary_length(values.dictionary).cast(pa.int64()).take(values.indices)).as_py() or 0
-            elif pa.types.is_string(values.type):
-                size += pc.sum(pc.binary_length(values).cast(pa.int64())).as_py() or 0
+    for values in _chunks(table):
+        if pa.types.is_dictionary(values.type):
+            size += pc.sum(pc.binary_length(values.dictionary).cast(pa.int64()).take(values.indices)).as_py() or 0
+        elif pa.types.is_string(values.type):
+            size += pc.sum(pc.binary_length(values).cast(pa.int64())).as_py() or 0
     return size
 
 
@@ -57,15 +55,19 @@ def has_more_text_than(table: pa.Table, most: int) -> bool:
     Quick if it would not even with the longest string of each column in every row.
     """
     longest = 0
+    for values in _chunks(table):
+        texts = values.dictionary if pa.types.is_dictionary(values.type) else values
+        if pa.types.is_string(texts.type):
+            longest += len(values) * _longest(texts)
+    return longest > most and text_bytes(table) > most
+
+
+def _chunks(table: pa.Table) -> Iterator[pa.Array]:
+    """Yield the values of each column, those of its lists one by one; not those of a column that has none."""
     for column in table.columns:
         for chunk in column.chunks:
-            if chunk.null_count == len(chunk):
-                continue
-            values = chunk.flatten() if pa.types.is_list(chunk.type) else chunk
-            texts = values.dictionary if pa.types.is_dictionary(values.type) else values
-            if pa.types.is_string(texts.type):
-                longest += len(values) * _longest(texts)
-    return longest > most and text_bytes(table) > most
+            if chunk.null_count < len(chunk):  # most columns of a short run have none
+                yield chunk.flatten() if pa.types.is_list(chunk.type) else chunk
 
 
 def _longest(texts: pa.Array) -> int:

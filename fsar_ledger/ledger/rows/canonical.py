@@ -169,12 +169,9 @@ def compiled_lines(columns: Columns) -> bytes | None:
     """
     if codec is None:
         return None
-    names = [name for name in sorted(columns.table.column_names) if not _is_empty(columns.arrays[name])]
-    return codec.write_rows(len(columns.table), [_taken(name, columns) for name in names])
-
-
-def _is_empty(column: pa.Array) -> bool:
-    return bool(column.null_count == len(column))
+    rows = len(columns.table)
+    names = [name for name in sorted(columns.table.column_names) if columns.arrays[name].null_count < rows]
+    return codec.write_rows(rows, [_taken(name, columns) for name in names])
 
 
 def _taken(name: str, columns: Columns) -> tuple[Any, ...]:

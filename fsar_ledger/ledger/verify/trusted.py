@@ -128,7 +128,7 @@ def find_trusted(path: Path, workers: int, progress: Progress | None, asked: Ver
         while placements and view.chain.placed[placements - 1].end > _size(view, commits):
             placements -= 1
     if problems:
-        commits = min(commits, _commits_to(view, view.chain.placed[placements - 1].end if placements else 0))
+        commits = min(commits, view.commits.up_to(view.chain.placed[placements - 1].end if placements else 0))
     anchored = _anchored(view, look, asked, commits) if report.problems else report.anchored
     return Found(view, placements, commits, tuple(problems), report, anchored)
 
@@ -162,10 +162,6 @@ def _begins_with(nodes: Nodes, then: Checkpoint, size: int, root: str) -> bool:
 
 def _size(view: View, commits: int) -> int:
     return view.commits[commits - 1].tree_size if commits else 0
-
-
-def _commits_to(view: View, size: int) -> int:
-    return view.commits.up_to(size)
 
 
 def _strays(view: View) -> list[str]:
