@@ -20,7 +20,6 @@ from fsar_ledger.events.envelope import (
 )
 from fsar_ledger.events.execution import ExecutionFailed, ExecutionWithdrawn
 from fsar_ledger.events.fleet import Departure, RobotDeparted, RobotJoined, RobotReturned
-from fsar_ledger.events.recovery import RecoveryEscalated
 from fsar_ledger.events.registry import AvailabilityChanged, CapabilityInstalled, CapabilityRemoved
 from fsar_ledger.events.request import RequestClosed
 from fsar_ledger.events.task import TaskAbandoned
@@ -40,6 +39,7 @@ from .candidates import contradiction, version_of
 from .commands import Handlers, acting
 from .execution import holds_robot
 from .public import PublicCommand, absent_robot, carried_out, made_from, not_in_charge, unknown_supervisor
+from .recovery import escalated
 from .task import has_not_begun
 
 ExecutionState = Literal["off", "idle", "executing", "degraded", "failed"]
@@ -247,17 +247,7 @@ def _cut_off(state: State, action: Action, now_us: int) -> tuple[Event, ...]:
     if recovery is not None:
         if recovery.level != "local" or "layered-recovery" in state.fleet.without:
             return (withdrawn,)
-        escalated = RecoveryEscalated(
-            subject=action.subject,
-            principals=parties(state, action).decided(RECOVERY),
-            robot=action.robot,
-            failure=recovery.failure,
-            level="local",
-            to_level="peer",
-            failed_action=action.action_id,
-            reason=DEPARTED,
-        )
-        return escalated, withdrawn
+        return escalated(action, recovery, parties(state, action).decided(RECOVERY), "peer", DEPARTED), withdrawn
     failed = ExecutionFailed(
         subject=action.subject,
         robot=action.robot,

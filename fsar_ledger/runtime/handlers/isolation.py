@@ -21,7 +21,7 @@ from fsar_ledger.events.fleet import (
 )
 from fsar_ledger.events.knowledge import FleetRuleLearned
 from fsar_ledger.events.policy import PolicyRuleSet, RolePolicyRuleSet
-from fsar_ledger.events.recovery import RecoveryBudgetSet, RecoveryEscalated
+from fsar_ledger.events.recovery import RecoveryBudgetSet
 from fsar_ledger.events.registry import (
     CapabilityAdvertised,
     CapabilityInstalled,
@@ -50,6 +50,7 @@ from .attribution import parties
 from .authority import release
 from .commands import BeginStep, ExpireTask, Handlers, Scheduled
 from .public import RobotReport, carried_out, outdated
+from .recovery import escalated
 from .supervision import supervisor_for
 from .task import has_not_begun, is_own_step
 
@@ -140,22 +141,12 @@ def _on_isolation(state: State, _event: IsolationBegan, now_us: int) -> tuple[Sc
 
 
 def outward_alone(state: State, action: Action, recovery: Recovery) -> tuple[Event, ...]:
-    """Let the robot alone pass the levels of those who cannot be reached, and call its own supervisor."""
-    principals = parties(state, action).decided(action.robot)
-    escalated = RecoveryEscalated(
-        subject=action.subject,
-        principals=principals,
-        robot=action.robot,
-        failure=recovery.failure,
-        level="peer",
-        to_level="fleet",
-        failed_action=action.action_id,
-        reason=ALONE,
-    )
+    """Let the robot alone pass the levels of those who cannot be reached, from peers on, and call its supervisor."""
+    moved = escalated(action, recovery, parties(state, action).decided(action.robot), "fleet", ALONE)
     supervisor = supervisor_for(state, action.robot, is_cross_robot=False)
     return (
-        escalated,
-        replace(escalated, level="fleet", to_level="human"),
+        moved,
+        replace(moved, level="fleet", to_level="human"),
         SupervisorCalled(subject=action.subject, supervisor=supervisor, purpose="recovery"),
     )
 

@@ -16,7 +16,7 @@ from fsar_ledger.events.envelope import (
     Supervisor,
 )
 from fsar_ledger.events.execution import ExecutionFailed
-from fsar_ledger.events.recovery import RecoveryAttempted, RecoveryAttemptFailed, RecoveryBudgetSet
+from fsar_ledger.events.recovery import RecoveryAttempted, RecoveryAttemptFailed, RecoveryBudgetSet, RecoveryEscalated
 from fsar_ledger.projections.budget import Budget, Budgets
 from fsar_ledger.projections.execution import Action, left_us
 from fsar_ledger.projections.fleet import Fleet
@@ -156,6 +156,22 @@ def attempted(action: Action, recovery: Recovery, principals: Principals, deadli
         level="local",
         deadline_us=deadline_us,
         failed_action=action.action_id,
+    )
+
+
+def escalated(
+    action: Action, recovery: Recovery, principals: Principals, to_level: RecoveryLevel, reason: str | None = None
+) -> RecoveryEscalated:
+    """Return the fact that recovery has moved on from the level that it is at."""
+    return RecoveryEscalated(
+        subject=action.subject,
+        principals=principals,
+        robot=action.robot,
+        failure=recovery.failure,
+        level=recovery.level,
+        to_level=to_level,
+        failed_action=action.action_id,
+        reason=reason,
     )
 
 

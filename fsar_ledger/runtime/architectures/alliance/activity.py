@@ -13,7 +13,7 @@ from fsar_ledger.events.authority import AuthorityClaimed
 from fsar_ledger.events.envelope import Parties, RequestSubject, Robot, Subject
 from fsar_ledger.events.execution import ExecutionFinished, ExecutionQueued, ExecutionWithdrawn, OwnStepDecided
 from fsar_ledger.events.knowledge import ActivityBroadcast, ActivityHeard, NeedEnded
-from fsar_ledger.events.recovery import FailureResolved, RecoveryEscalated
+from fsar_ledger.events.recovery import FailureResolved
 from fsar_ledger.events.request import RequestAccepted
 from fsar_ledger.events.world import PolicyWindowOpened
 from fsar_ledger.projections.execution import Action
@@ -29,6 +29,7 @@ from fsar_ledger.runtime.handlers.attribution import is_idle
 from fsar_ledger.runtime.handlers.authority import released
 from fsar_ledger.runtime.handlers.commands import CompleteStep, Handlers, Scheduled, message, named
 from fsar_ledger.runtime.handlers.execution import queued
+from fsar_ledger.runtime.handlers.recovery import escalated
 
 from .motivation import HearActivity, NeedCommand, TakeUp, impatience_us, is_applicable, level_us, teammates, wanted
 
@@ -174,18 +175,7 @@ def left(state: State, action: Action, *, is_taken: bool) -> tuple[Event, ...]:
     """Return that the robot leaves the action; `is_taken`: a teammate is at it, so its failure is over."""
     robot, recovery, records = action.robot, state.recovery.get(action.action_id), list[Event]()
     if recovery is not None and recovery.level == "local" and action.is_delegated:
-        records.append(
-            RecoveryEscalated(
-                subject=action.subject,
-                principals=by_robot(robot).decided(robot),
-                robot=robot,
-                failure=recovery.failure,
-                level="local",
-                to_level="peer",
-                failed_action=action.action_id,
-                reason="acquiescence",
-            )
-        )
+        records.append(escalated(action, recovery, by_robot(robot).decided(robot), "peer", "acquiescence"))
     claims = state.authority.claims.get(action_of(action.action_id), ())
     records += released(claim for claim in claims if claim.claimant == robot)
     records.append(ExecutionWithdrawn(action.subject, robot))

@@ -8,7 +8,7 @@ from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import FLEET_SUPERVISOR, Principals, agent
 from fsar_ledger.events.execution import ExecutionFailed
 from fsar_ledger.events.knowledge import PlannerEngaged
-from fsar_ledger.events.recovery import FailureResolved, RecoveryAttempted, RecoveryAttemptFailed, RecoveryEscalated
+from fsar_ledger.events.recovery import FailureResolved, RecoveryAttempted, RecoveryAttemptFailed
 from fsar_ledger.events.supervision import SupervisorCalled
 from fsar_ledger.projections.execution import Action
 from fsar_ledger.projections.fold import State
@@ -27,7 +27,7 @@ from fsar_ledger.runtime.handlers.commands import (
     lasts,
     open_failure,
 )
-from fsar_ledger.runtime.handlers.recovery import attempt_succeeds, attempted
+from fsar_ledger.runtime.handlers.recovery import attempt_succeeds, attempted, escalated
 
 from . import agents, execution, request
 from .agents import RECOVERY, Talk, claims, path, planner, talk
@@ -114,15 +114,7 @@ def escalate(state: State, _command: Escalate, failure: Failure) -> tuple[Event,
 
 def _escalated(state: State, action: Action, recovery: Recovery, heard: Talk = RECOVERY) -> tuple[Event, ...]:
     return (
-        RecoveryEscalated(
-            subject=action.subject,
-            principals=_heard_by(state, action, heard),
-            robot=action.robot,
-            failure=recovery.failure,
-            level="local",
-            to_level="human",
-            failed_action=action.action_id,
-        ),
+        escalated(action, recovery, _heard_by(state, action, heard), "human"),
         SupervisorCalled(subject=action.subject, supervisor=FLEET_SUPERVISOR, purpose="recovery"),
     )
 

@@ -46,7 +46,14 @@ from fsar_ledger.runtime.handlers.commands import (
     speaker,
 )
 from fsar_ledger.runtime.handlers.isolation import outward_alone
-from fsar_ledger.runtime.handlers.recovery import attempt_failed, attempt_succeeds, attempted, budget, end_of_attempt
+from fsar_ledger.runtime.handlers.recovery import (
+    attempt_failed,
+    attempt_succeeds,
+    attempted,
+    budget,
+    end_of_attempt,
+    escalated,
+)
 from fsar_ledger.runtime.handlers.supervision import supervisor_for
 from fsar_ledger.runtime.ports import ANSWERS_LATER, Ask
 
@@ -105,21 +112,6 @@ class CallNext(ActionCommand):
     calls: int
 
 
-def _escalated(
-    action: Action, recovery: Recovery, principals: Principals, to_level: RecoveryLevel, reason: str
-) -> RecoveryEscalated:
-    return RecoveryEscalated(
-        subject=action.subject,
-        principals=principals,
-        robot=action.robot,
-        failure=recovery.failure,
-        level=recovery.level,
-        to_level=to_level,
-        failed_action=action.action_id,
-        reason=reason,
-    )
-
-
 @HANDLERS.decide_on(open_failure, StartRecovery, body)
 def start_recovery(state: State, command: StartRecovery, failure: Failure) -> tuple[Event, ...]:
     """Start the robot's own recovery, if it may; without layered recovery, call H_F at once.
@@ -132,13 +124,13 @@ def start_recovery(state: State, command: StartRecovery, failure: Failure) -> tu
     by_robot = parties(state, action).decided(action.robot)
     if "layered-recovery" in state.fleet.without:
         called = SupervisorCalled(subject=action.subject, supervisor=FLEET_SUPERVISOR, purpose="recovery")
-        return (_escalated(action, recovery, by_robot, "human", "no layered recovery"), called)
+        return (escalated(action, recovery, by_robot, "human", "no layered recovery"), called)
     if action.stage == "withdrawn":
-        return (_escalated(action, recovery, parties(state, action).decided(RECOVERY), "peer", DEPARTED),)
+        return (escalated(action, recovery, parties(state, action).decided(RECOVERY), "peer", DEPARTED),)
     allowed = budget(state.budget, state.fleet, action.robot, "local")
     deadline_us = recovery.detected_us + allowed.t_max_us
     if allowed.n_max == 0 or command.now_us >= deadline_us:
-        return (_escalated(action, recovery, by_robot, "peer", EXHAUSTED),)
+        return (escalated(action, recovery, by_robot, "peer", EXHAUSTED),)
     return (attempted(action, recovery, by_robot, deadline_us),)
 
 
@@ -181,7 +173,7 @@ def _next_attempt(
     by_robot = parties(state, action).decided(action.robot)
     if _may_retry(state, action, recovery, now_us):
         return attempted(action, recovery, by_robot, recovery.deadline_us)
-    return _escalated(action, recovery, by_robot, "peer", EXHAUSTED)
+    return escalated(action, recovery, by_robot, "peer", EXHAUSTED)
 
 
 def _is_exhausted(
@@ -209,7 +201,7 @@ def ask_peers(state: State, command: AskPeers, failure: Failure) -> tuple[Event,
         return outward_alone(state, action, recovery)
     by_service = named.decided(RECOVERY)
     if _is_exhausted(state.budget, state.fleet, action, "peer", command.now_us - command.since_us, len(recovery.tried)):
-        return (_escalated(action, recovery, by_service, "fleet", EXHAUSTED),)
+        return (escalated(action, recovery, by_service, "fleet", EXHAUSTED),)
     helper, reason, silent = peer(state, action, recovery)
     if silent and not command.is_last:
         return ()
@@ -217,7 +209,7 @@ def ask_peers(state: State, command: AskPeers, failure: Failure) -> tuple[Event,
     if helper is None:
         return (
             *query,
-            _escalated(action, recovery, by_service, "fleet", reason),
+            escalated(action, recovery, by_service, "fleet", reason),
             *found_silent(state.fleet, state.registry, silent),
         )
     requested = AssistanceRequested(
@@ -314,7 +306,7 @@ def _to_human(state: State, action: Action, recovery: Recovery, reason: str) -> 
         supervised_by=supervisor_of(state, action),
         path=(),
     )
-    return (_escalated(action, recovery, principals, "human", reason), called)
+    return (escalated(action, recovery, principals, "human", reason), called)
 
 
 @HANDLERS.decide_on(open_failure, CallNext, nobody)

@@ -35,7 +35,6 @@ from fsar_ledger.events.envelope import (
     FLEET_SUPERVISOR,
     FailureCause,
     Principals,
-    RecoveryLevel,
     Robot,
     with_columns,
 )
@@ -53,7 +52,6 @@ from fsar_ledger.events.recovery import (
     AssistanceRequested,
     FailureResolved,
     RecoveryAttempted,
-    RecoveryEscalated,
 )
 from fsar_ledger.events.supervision import SupervisorCalled, SupervisorResponded
 from fsar_ledger.events.world import ContextChanged
@@ -87,7 +85,7 @@ from fsar_ledger.runtime.handlers.commands import (
     open_failure,
 )
 from fsar_ledger.runtime.handlers.execution import approach, pause_running, resume_when_replanned, start
-from fsar_ledger.runtime.handlers.recovery import attempt_failed, attempt_succeeds, attempted, end_of_attempt
+from fsar_ledger.runtime.handlers.recovery import attempt_failed, attempt_succeeds, attempted, end_of_attempt, escalated
 from fsar_ledger.runtime.handlers.supervision import RespondToCall
 
 from . import master
@@ -213,16 +211,16 @@ def _by_robot(robot: Robot) -> Principals:
 
 def _next_method(state: State, action: Action, recovery: Recovery, now_us: int) -> tuple[Event, ...]:
     """Call another robot, then a human, then the brain, as far as the list has them; then the tool again, or fail."""
-    methods = checklist(state.fleet, recovery.cause)
+    methods, by_robot = checklist(state.fleet, recovery.cause), _by_robot(action.robot)
     if "another robot" in methods:
         helper = _idle_robot(state, action, recovery, now_us)
         if helper is not None:
-            moved = (_escalated(action, recovery, "peer"),) if recovery.level != "peer" else ()
+            moved = (escalated(action, recovery, by_robot, "peer"),) if recovery.level != "peer" else ()
             return (
                 *moved,
                 AssistanceRequested(
                     subject=action.subject,
-                    principals=_by_robot(action.robot),
+                    principals=by_robot,
                     robot=action.robot,
                     helper=helper,
                     failure=recovery.failure,
@@ -232,8 +230,8 @@ def _next_method(state: State, action: Action, recovery: Recovery, now_us: int) 
             )
     if "manual help" in methods:
         called = SupervisorCalled(subject=action.subject, supervisor=FLEET_SUPERVISOR, purpose="recovery")
-        return (_escalated(action, recovery, "human"), called)
-    saved = (_escalated(action, recovery, "fleet", "saved"),) if "brain" in methods else ()
+        return (escalated(action, recovery, by_robot, "human"), called)
+    saved = (escalated(action, recovery, by_robot, "fleet", "saved"),) if "brain" in methods else ()
     calls = (1 + recovery.number) // _attempts_of_call(state.fleet, recovery)
     if calls < state.fleet.roboos.max_steps:
         return (*saved, _attempted(state, action, recovery, now_us))
@@ -247,21 +245,6 @@ def _idle_robot(state: State, action: Action, recovery: Recovery, now_us: int) -
     able = helpers(state.fleet, state.registry, action, recovery.cause)
     asked = (robot for robot in able if robot not in recovery.tried)
     return next((robot for robot in asked if is_shown_idle(state, robot, now_us)), None)
-
-
-def _escalated(
-    action: Action, recovery: Recovery, to_level: RecoveryLevel, reason: str | None = None
-) -> RecoveryEscalated:
-    return RecoveryEscalated(
-        subject=action.subject,
-        principals=_by_robot(action.robot),
-        robot=action.robot,
-        failure=recovery.failure,
-        level=recovery.level,
-        to_level=to_level,
-        failed_action=action.action_id,
-        reason=reason,
-    )
 
 
 def _failed_result(state: State, action: Action) -> ExecutionFinished:
