@@ -36,6 +36,7 @@ import re
 from collections.abc import Sequence
 from http import HTTPStatus
 from pathlib import Path
+from typing import ClassVar
 
 import msgspec
 
@@ -44,10 +45,10 @@ from fsar_ledger.ledger.log.hashing import HASH_BYTES
 from fsar_ledger.ledger.log.merkle import EMPTY_ROOT, is_consistent
 from fsar_ledger.ledger.log.note import (
     ED25519,
-    ID_BYTES,
     SIGNATURE_BYTES,
     Checkpoint,
     Note,
+    PublicKey,
     Signature,
     Signer,
     VerifierKey,
@@ -63,27 +64,10 @@ _MAX_COSIGNATURES = 64
 MAX_TIME_S = 2**63 - 1
 
 
-class WitnessKey(msgspec.Struct, frozen=True):
-    """The public key of a witness. Raises: ValueError for a key for which anyone could sign."""
+class WitnessKey(PublicKey, frozen=True):
+    """The public key of a witness, which checks its cosignatures. Raises: As `PublicKey`."""
 
-    name: str
-    public: bytes
-
-    def __post_init__(self) -> None:
-        VerifierKey(self.name, self.public)
-
-    @property
-    def key_id(self) -> bytes:
-        """Return the first four bytes of SHA-256(name, line feed, 0x04, public key)."""
-        return hashlib.sha256(self.name.encode() + b"\n" + _COSIGNATURE + self.public).digest()[:ID_BYTES]
-
-    @property
-    def key(self) -> str:
-        """Return the name of the key in a signature line: `name+id`."""
-        return f"{self.name}+{self.key_id.hex()}"
-
-    def __str__(self) -> str:
-        return f"{self.key}+{base64.b64encode(_COSIGNATURE + self.public).decode()}"
+    KIND: ClassVar[bytes] = _COSIGNATURE
 
     def time_of(self, note: Note) -> int | None:
         """Return the newest time (seconds since 1970) at which this witness cosigned the note, or None."""
@@ -94,10 +78,7 @@ class WitnessKey(msgspec.Struct, frozen=True):
         time = int.from_bytes(signature.data[:_TIME_BYTES], "big")
         if len(signature.data) != _TIME_BYTES + SIGNATURE_BYTES or not 0 < time <= MAX_TIME_S:
             return None
-        is_right = VerifierKey(self.name, self.public).made(
-            signature.data[_TIME_BYTES:], cosigned_text(checkpoint, time)
-        )
-        return time if is_right else None
+        return time if self.made(signature.data[_TIME_BYTES:], cosigned_text(checkpoint, time)) else None
 
 
 class Cosigner:

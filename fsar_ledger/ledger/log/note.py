@@ -19,7 +19,7 @@ import base64
 import binascii
 import hashlib
 from functools import lru_cache
-from typing import Literal
+from typing import ClassVar, Literal
 
 import msgspec
 
@@ -152,12 +152,14 @@ class Note(msgspec.Struct, frozen=True):
         return f"{self.checkpoint.text()}\n{''.join(signature.line() for signature in self.signatures)}"
 
 
-class VerifierKey(msgspec.Struct, frozen=True):
-    """The public half of a key, which checks what the secret half signed.
+class PublicKey(msgspec.Struct, frozen=True):
+    """The public half of an Ed25519 key under a name. `KIND` is the byte by which C2SP tells what it signs.
 
     Raises: ValueError, with the reason, if the point is in a second encoding, off the curve, or outside the prime-order
     subgroup.
     """
+
+    KIND: ClassVar[bytes]
 
     name: str
     public: bytes
@@ -168,8 +170,8 @@ class VerifierKey(msgspec.Struct, frozen=True):
 
     @property
     def key_id(self) -> bytes:
-        """Return the first four bytes of SHA-256(name, line feed, 0x01, public key)."""
-        return hashlib.sha256(self.name.encode() + b"\n" + ED25519 + self.public).digest()[:ID_BYTES]
+        """Return the first four bytes of SHA-256(name, line feed, kind, public key)."""
+        return hashlib.sha256(self.name.encode() + b"\n" + self.KIND + self.public).digest()[:ID_BYTES]
 
     @property
     def key(self) -> str:
@@ -177,7 +179,7 @@ class VerifierKey(msgspec.Struct, frozen=True):
         return f"{self.name}+{self.key_id.hex()}"
 
     def __str__(self) -> str:
-        return f"{self.key}+{base64.b64encode(ED25519 + self.public).decode()}"
+        return f"{self.key}+{base64.b64encode(self.KIND + self.public).decode()}"
 
     def made(self, signature: bytes, text: bytes) -> bool:
         """Return whether this key made the signature of this text.
@@ -194,6 +196,12 @@ class VerifierKey(msgspec.Struct, frozen=True):
         except (InvalidSignature, ValueError):
             return False
         return True
+
+
+class VerifierKey(PublicKey, frozen=True):
+    """The public key of a log, which checks the notes that the secret half signed."""
+
+    KIND: ClassVar[bytes] = ED25519
 
     def has_signed(self, note: Note) -> bool:
         """Return whether this key signed the note.
