@@ -155,7 +155,7 @@ def connect_slice(one: Slice, head: Head, rows_verified: bool | None = None, thr
     Raises: As `database.connect_view`.
     """
     runs, view, releases = one.runs, one.view, one.view.releases
-    numbers = _segments_of(view, runs)
+    numbers = view.segments_of(runs)
     held = {number: view.segment(number) for number in numbers}
     names = {run.run for run in runs}
     others = [run for run in one.beside if run.run not in names and _meets(view, run, numbers)]
@@ -269,16 +269,12 @@ def _continuing(extents: Iterable[Extent], continues: Mapping[str, str]) -> list
     return list(found.values())
 
 
-def _segments_of(view: View, runs: Iterable[Extent]) -> list[int]:
-    return sorted({number for one in runs for number in view.segments_between(one.first, one.end)})
-
-
 def _meets(view: View, extent: Extent, numbers: Sequence[int]) -> bool:
     return extent.first < view.end(numbers[-1]) and extent.end > view.first(numbers[0])
 
 
 def _slice(view: View, runs: Sequence[Extent], beside: Sequence[Extent]) -> Slice:
-    numbers, placed = _segments_of(view, runs), view.chain.placed
+    numbers, placed = view.segments_of(runs), view.chain.placed
     if numbers[-1] >= len(placed):
         return Slice(tuple(runs), None, view, beside)  # a journal has no hash
     held = [(placed[number].first, placed[number].segment_sha256) for number in numbers]

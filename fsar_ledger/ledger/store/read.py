@@ -5,7 +5,7 @@ Readers never write. `snapshot` reads the chain and the journal beside writers; 
 
 import os
 from bisect import bisect_right
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from functools import cached_property
 from itertools import takewhile
 from pathlib import Path
@@ -338,8 +338,8 @@ class View(msgspec.Struct, frozen=True, dict=True):
         self.require_index(*self.segments_of(parts))
         return parts
 
-    def segments_of(self, parts: Sequence[Part]) -> list[int]:
-        """Return the numbers of the segments that hold these parts of a run, in order."""
+    def segments_of(self, parts: Iterable[Part | Extent]) -> list[int]:
+        """Return the numbers of the segments that hold these parts of runs, or whole runs, in order."""
         return sorted({number for part in parts for number in self.segments_between(part.first, part.end)})
 
     def segments_between(self, first: int, end: int) -> list[int]:
