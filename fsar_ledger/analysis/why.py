@@ -4,7 +4,7 @@ The run is made again under observation. Handlers are functions of the state and
 that are asked for, and the reactions that scheduled them, get a state that notes what they read (`reads.py`).
 """
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from typing import Any, Literal, NamedTuple
 
 import msgspec
@@ -22,6 +22,7 @@ from fsar_ledger.runtime.handlers.commands import Command, Decide, React, Schedu
 from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.ports import Ask, Environment, LiveEnvironment
 from fsar_ledger.runtime.recipes import CannotReplay, Recipe, recipe_of, started_of
+from fsar_ledger.runtime.run_replay import function_name
 from fsar_ledger.runtime.simulation import founding_of, handler_table_of
 
 from .reads import ABSENT, LastWrite, Path, Reads, last_writes
@@ -137,7 +138,7 @@ class _ObservedKernel(Kernel):
             events = decide(reads.state(state), command)
             if events:
                 reaction, (_, waited_for) = self._reaction(command), self._released.get(id(command), (command, []))
-                self.made[seq] = Decision(_name(decide), command, reads.values, reaction, tuple(waited_for))
+                self.made[seq] = Decision(function_name(decide), command, reads.values, reaction, tuple(waited_for))
             return events
 
         return decided
@@ -149,7 +150,7 @@ class _ObservedKernel(Kernel):
             reads = Reads()
             found = react(reads.state(state), event, now_us)
             for scheduled in found:
-                self._scheduled[id(scheduled.command)] = scheduled, _name(react), reads.values
+                self._scheduled[id(scheduled.command)] = scheduled, function_name(react), reads.values
             return found
 
         return reacted
@@ -161,11 +162,6 @@ class _ObservedKernel(Kernel):
         asked = scheduled.waits if scheduled.ask is None else (*scheduled.waits, scheduled.ask)
         answers = (self._answers[id(ask)] for ask in asked)
         return Reaction(handler, reads, tuple((ask, answer) for ask, answer in answers if answer is not None))
-
-
-def _name(function: Callable[..., object]) -> str:
-    """Return the function by module and name, without what all handlers share."""
-    return f"{function.__module__}.{function.__qualname__}".removeprefix("fsar_ledger.runtime.")
 
 
 DEPTH = 2

@@ -154,7 +154,7 @@ class _Replay(RecordedKernel):
 
     def handler(self) -> str:
         """Return the function that makes the next event, by module and name."""
-        return _name(self._deciding)
+        return function_name(self._deciding)
 
     def require_end(self) -> None:
         """Check that nothing is recorded that was not decided. Raises: _Mismatch."""
@@ -226,7 +226,7 @@ class _Replay(RecordedKernel):
         decide = dict(self._silent).get(self._stored.times_us[seq])
         if decide is None:
             return None
-        return _Mismatch(self._stored.run_id, seq, "type", _name(decide), "nothing", self._actual(seq))
+        return _Mismatch(self._stored.run_id, seq, "type", function_name(decide), "nothing", self._actual(seq))
 
 
 class _SimulatedReplay(_Replay):
@@ -289,7 +289,8 @@ class _LiveReplay(_Replay):
         super()._apply_fact(fact, time_us)
 
 
-def _name(function: Callable[..., object]) -> str:
+def function_name(function: Callable[..., object]) -> str:
+    """Return the function by module and name, without what all handlers share."""
     return f"{function.__module__}.{function.__qualname__}".removeprefix("fsar_ledger.runtime.")
 
 

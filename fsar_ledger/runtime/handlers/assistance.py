@@ -24,8 +24,10 @@ from .commands import (
     HelpCommand,
     Scheduled,
     StopAssistance,
+    at_once,
     helping,
     holds,
+    message,
     open_failure,
 )
 from .execution import next_turn
@@ -101,6 +103,12 @@ def end_of(event: AssistanceAdmitted, after_us: int, waits: tuple[Ask, ...] = ()
     """
     ask = holds(f"assist/{event.subject.action_id}/{event.failure}/{event.helper}")
     return Scheduled(EndAssistance(event.subject.action_id, event.helper, event.failure), after_us, waits, ask)
+
+
+def end_once_answered(state: State, event: AssistanceAdmitted, _now_us: int) -> tuple[Scheduled, ...]:
+    """Schedule the end of the help for when the helper's answer has reached the robot."""
+    answer = message(event.helper, f"{event.subject.action_id}/{event.failure}", "answer")
+    return (end_of(event, state.fleet.structure.assistance_us, (answer, at_once(event.robot))),)
 
 
 def helped(state: State, action_id: str, who: Robot) -> Failure | None:

@@ -244,13 +244,8 @@ def _on_gap(state: State, event: GapDetected, _now_us: int) -> tuple[Scheduled, 
     )
 
 
-@HANDLERS.react(MotivationBegan)
-def _on_motivation(state: State, event: MotivationBegan, now_us: int) -> tuple[Scheduled, ...]:
-    return take_up_when_ripe(state, event.subject.action_id, event.robot, now_us)
-
-
-@HANDLERS.react(ActivityHeard)
-def _on_heard(state: State, event: ActivityHeard, now_us: int) -> tuple[Scheduled, ...]:
+@HANDLERS.react(MotivationBegan, ActivityHeard)
+def _on_motivation(state: State, event: MotivationBegan | ActivityHeard, now_us: int) -> tuple[Scheduled, ...]:
     return take_up_when_ripe(state, event.subject.action_id, event.robot, now_us)
 
 

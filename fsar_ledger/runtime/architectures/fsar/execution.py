@@ -41,7 +41,6 @@ from fsar_ledger.runtime.handlers.commands import (
     ActionCommand,
     DecideRoutine,
     Handlers,
-    ResumeAction,
     RobotCommand,
     Scheduled,
     StartAction,
@@ -54,7 +53,14 @@ from fsar_ledger.runtime.handlers.commands import (
     open_request,
     requester,
 )
-from fsar_ledger.runtime.handlers.execution import holds_robot, pause_running, queued, start_action, started
+from fsar_ledger.runtime.handlers.execution import (
+    holds_robot,
+    pause_running,
+    queued,
+    resume_when_replanned,
+    start_action,
+    started,
+)
 from fsar_ledger.runtime.handlers.policy import conflict, fleet_policy, own_policy
 from fsar_ledger.runtime.handlers.supervision import supervisor_for
 
@@ -314,9 +320,5 @@ def _on_fleet_rule(state: State, event: PolicyWindowOpened | PolicyWindowClosed,
     return (Scheduled(word, 0, (message(POLICY, event.window, edge),)),)
 
 
-@HANDLERS.react(ExecutionPaused)
-def _on_pause(state: State, event: ExecutionPaused, _now_us: int) -> tuple[Scheduled, ...]:
-    return (Scheduled(ResumeAction(event.subject.action_id), state.fleet.structure.replan_us),)
-
-
+HANDLERS.react(ExecutionPaused)(resume_when_replanned)
 HANDLERS.react(ContextChanged)(pause_running)

@@ -36,7 +36,6 @@ from fsar_ledger.runtime.handlers.commands import (
     Failure,
     Handlers,
     Scheduled,
-    at_once,
     body,
     helping,
     lasts,
@@ -365,10 +364,7 @@ def _asking(
     return (Scheduled(AskPeers(action_id, since_us, asked), 0, told, help_), last)
 
 
-@HANDLERS.react(AssistanceAdmitted)
-def _on_assistance(state: State, event: AssistanceAdmitted, _now_us: int) -> tuple[Scheduled, ...]:
-    answer = message(event.helper, f"{event.subject.action_id}/{event.failure}", "answer")
-    return (assistance.end_of(event, state.fleet.structure.assistance_us, (answer, at_once(event.robot))),)
+HANDLERS.react(AssistanceAdmitted)(assistance.end_once_answered)
 
 
 @HANDLERS.react(AssistanceFailed, AssistanceDeclined)

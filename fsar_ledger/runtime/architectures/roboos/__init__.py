@@ -77,7 +77,6 @@ from fsar_ledger.runtime.handlers.commands import (
     Scheduled,
     StartAction,
     TakeTurn,
-    at_once,
     body,
     helping,
     message,
@@ -306,10 +305,7 @@ def _on_request(state: State, event: AssistanceRequested, _now_us: int) -> tuple
     )
 
 
-@HANDLERS.react(AssistanceAdmitted)
-def _on_assistance(state: State, event: AssistanceAdmitted, _now_us: int) -> tuple[Scheduled, ...]:
-    answer = message(event.helper, f"{event.subject.action_id}/{event.failure}", "answer")
-    return (assistance.end_of(event, state.fleet.structure.assistance_us, (answer, at_once(event.robot))),)
+HANDLERS.react(AssistanceAdmitted)(assistance.end_once_answered)
 
 
 @HANDLERS.react(AssistanceDeclined, AssistanceFailed)
