@@ -149,15 +149,6 @@ def test_every_import_that_breaks_the_rule_is_found(tree: Path) -> None:
     assert [complaint for _, _, complaint in BREAKS if complaint not in result.stdout] == []
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("file", "line", "complaint"), BREAKS)
-def test_an_import_that_breaks_the_rule_is_found(tree: Path, file: str, line: str, complaint: str) -> None:
-    fixture_in(tree, file, line)
-    result = contracts(tree)
-    assert result.returncode == 1
-    assert complaint in result.stdout
-
-
 def test_a_module_that_is_no_layer_is_found(tree: Path) -> None:
     fixture_in(tree, "fixture.py", "")
     result = contracts(tree)

@@ -76,13 +76,6 @@ def test_keys_tell_the_rows_of_all_kept_ledgers_apart(tmp_path: Path) -> None:
         assert broken_keys(database, (query for name, query in FILES.items() if name not in DRAWN)) == []
 
 
-@pytest.mark.soak
-@pytest.mark.parametrize("path", KEPT, ids=lambda path: path.parent.name)
-def test_keys_tell_the_rows_of_a_kept_ledger_apart(path: Path, tmp_path: Path) -> None:
-    with database_of(path, tmp_path / "upgraded") as database:
-        assert broken_keys(database, (query for name, query in FILES.items() if name not in DRAWN)) == []
-
-
 def test_a_query_that_fans_out_is_found() -> None:
     header = dict.fromkeys(REQUIRED_KEYS, "something") | {"Key": "run_id, seq"}
     joined = "SELECT tasks.run_id, tasks.seq, steps.step FROM task_arrived AS tasks INNER JOIN step_began AS steps"

@@ -163,20 +163,6 @@ def test_a_path_that_is_no_list_is_named() -> None:
         told(line(ACCEPTED, path={}))
 
 
-def test_each_line_is_on_disk_before_the_next_one_is_read(tmp_path: Path) -> None:
-    ledger = tmp_path / "out"
-
-    class Slow(io.BytesIO):
-        def readline(self, size: int | None = -1, /) -> bytes:
-            found.append(len(Ledger(ledger).record("n").events))
-            return super().readline(size)
-
-    found: list[int] = []
-    with Recorder(ledger, run="n", observes=TYPES) as recorder:
-        tell(recorder, Slow(line(STARTED) + b"no\n" + line(OBSERVED)))
-    assert [size - found[0] for size in found] == [0, 1, 1, 2]
-
-
 def test_the_command_names_what_it_refused_and_fails(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

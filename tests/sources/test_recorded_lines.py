@@ -55,13 +55,6 @@ def test_lines_that_are_wrong_are_refused_by_number_and_the_others_are_recorded(
     assert tasks(tmp_path / "ledger") == ["a", "b"]
 
 
-def test_a_time_without_a_zone_is_utc(tmp_path: Path) -> None:
-    lines = LINE % (b"a", 1) + (LINE % (b"b", 1)).replace(b'0:01"', b'0:01Z"')
-    told(tmp_path / "ledger", lines, "--observes", "TaskArrived").good()
-    first, second = (row["time_us"] for row in rows(tmp_path / "ledger") if row["type"] == "TaskArrived.v1")
-    assert first == second
-
-
 def test_each_line_is_on_disk_before_the_next_is_read_and_ctrl_c_is_quiet(tmp_path: Path) -> None:
     command = [*COMMAND, "record", str(tmp_path / "ledger"), "--run", "night", "--observes", "TaskArrived"]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
