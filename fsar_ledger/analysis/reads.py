@@ -172,15 +172,8 @@ class _Set(_Members, Set[Any]):
         return frozenset(members)
 
 
-def value_at(state: State, path: Path) -> object:
-    """Return what a read of this path finds in the state; where the way ends early, there is nothing."""
-    found: Any = state
-    for step in path:
-        found = _found(found, step)
-    return found
-
-
-def _found(value: Any, step: Step) -> object:
+def read_step(value: Any, step: Step) -> Any:
+    """Return what this step of a read finds; where the way ends early, there is nothing."""
     match step:
         case Step("field", name):
             return ABSENT if value is ABSENT else getattr(value, name)
@@ -236,7 +229,7 @@ class _WatchedPath:
             self.since = {member: self.since.get(member, seq) for member in members}
             self.changes.append((seq, tuple(sorted(set(self.since.values())))))
         for step, below in self.below.items():
-            below.look(_found(before, step), _found(after, step), seq)
+            below.look(read_step(before, step), read_step(after, step), seq)
 
     def before(self, seq: int) -> LastWrite:
         """Return since when the value was what it was just before the event with this seq."""

@@ -62,14 +62,6 @@ MECHANISMS_OF: dict[Architecture, dict[str, str]] = {
 No two mechanisms share a name. The handlers check the paper's four; `runtime.knockouts` holds the others.
 """
 
-ON_RECORD_ALONE = frozenset(
-    {"engine-closing", "unnamed-requests", "central-decisions", "handoff-records", "agent-decisions"}
-)
-"""The mechanisms without which robots do the same at the same times, but the record names others or holds less.
-
-Taking them out shows how a metric counts.
-"""
-
 EVERY_MECHANISM: tuple[str, ...] = tuple(name for names in MECHANISMS_OF.values() for name in names)
 
 Configuration: TypeAlias = str

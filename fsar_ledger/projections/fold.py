@@ -9,7 +9,7 @@ from typing import Any, TypeVar, get_args
 
 from msgspec.structs import replace
 
-from fsar_ledger.events import EVENT_TYPES, Event
+from fsar_ledger.events import Event
 from fsar_ledger.events.request import OfferAnswered, RequestClosed, RequestDenied, RequestUnanswered
 from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
 
@@ -109,7 +109,6 @@ def _routes() -> dict[type[Event], tuple[tuple[str, _Evolve], ...]]:
 
 
 ROUTES = _routes()
-STATELESS = frozenset(EVENT_TYPES) - ROUTES.keys()
 
 
 def apply(state: State, event: Event) -> None:

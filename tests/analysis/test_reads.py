@@ -1,12 +1,13 @@
 """What decisions read, to the key, and which event wrote it."""
 
 from collections.abc import Iterator
+from functools import reduce
 from typing import Any, NamedTuple
 
 import msgspec
 import pytest
 
-from fsar_ledger.analysis.reads import ABSENT, Path, Reads, Step, last_writes, value_at
+from fsar_ledger.analysis.reads import ABSENT, Path, Reads, Step, last_writes, read_step
 from fsar_ledger.analysis.why import decisions, first_of
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import Robot
@@ -164,7 +165,7 @@ def test_the_last_writer_is_the_event_after_which_the_value_differs(runs: list[L
             if event is not None:
                 apply(state, event)
             for path, history in values.items():
-                history.append(value_at(state, path))
+                history.append(reduce(read_step, path, state))
         for path, history in values.items():
             last = next((at for at in range(len(history) - 1, 0, -1) if history[at] != history[at - 1]), None)
             assert found[path, seq].by == (None if last is None else last - 1)

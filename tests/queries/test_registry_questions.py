@@ -12,11 +12,11 @@ from fsar_ledger.metrics.database import plain_rows
 from fsar_ledger.projections.fold import State, apply
 from fsar_ledger.projections.registry import surface
 from fsar_ledger.runtime.handlers.candidates import FILTERS
-from fsar_ledger.runtime.handlers.fleet import execution_state
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
 from tests.queries.histories import Row, answer, event, run
 from tests.queries.test_audit_questions import ROBOTS, asked, offer, trust
 from tests.recycled import from_table
+from tests.runtime.robot_states import execution_state
 
 B1 = {"robot": "robot/B1", "capability": "lift"}
 

@@ -13,7 +13,7 @@ from fsar_ledger.designs.constants import Constants
 from fsar_ledger.designs.registered import PAPER_SCENARIOS
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityClaimed
-from fsar_ledger.events.configuration import MECHANISMS, MECHANISMS_OF, ON_RECORD_ALONE, without
+from fsar_ledger.events.configuration import MECHANISMS, MECHANISMS_OF, without
 from fsar_ledger.events.envelope import flat, with_columns
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.events.request import ContractQuestioned, InternalHandoff
@@ -93,6 +93,15 @@ def test_the_ledger_of_ablations_holds_every_architecture_without_each_mechanism
         for architecture, names in MECHANISMS_OF.items()
         for name in ("full", *map(without, ([one] for one in names)))
     }
+
+
+ON_RECORD_ALONE = frozenset(
+    {"engine-closing", "unnamed-requests", "central-decisions", "handoff-records", "agent-decisions"}
+)
+"""The mechanisms without which robots do the same at the same times, but the record names others or holds less.
+
+Taking them out shows how a metric counts.
+"""
 
 
 @pytest.mark.parametrize(

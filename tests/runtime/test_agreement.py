@@ -28,11 +28,11 @@ from fsar_ledger.projections.authority import right_of
 from fsar_ledger.projections.fold import State, apply
 from fsar_ledger.projections.registry import surface
 from fsar_ledger.runtime.handlers.candidates import hides
-from fsar_ledger.runtime.handlers.fleet import execution_state
 from tests.quick import few
 from tests.recycled import from_table
 from tests.runtime.bench import Bench
 from tests.runtime.commanded import commanded
+from tests.runtime.robot_states import execution_state
 from tests.runtime.test_federation_model import SETTINGS, Federation
 
 CAPABILITY, CONTEXT = "door.open.secure", "visit"

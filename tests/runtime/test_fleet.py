@@ -20,12 +20,13 @@ from fsar_ledger.runtime.architectures.fsar.availability import HANDLERS as AVAI
 from fsar_ledger.runtime.architectures.fsar.availability import ReportActuator, report_actuator
 from fsar_ledger.runtime.handlers.attribution import nearest_first
 from fsar_ledger.runtime.handlers.commands import Command
-from fsar_ledger.runtime.handlers.fleet import HANDLERS, InstallCapability, JoinFleet, RemoveCapability, execution_state
+from fsar_ledger.runtime.handlers.fleet import HANDLERS, InstallCapability, JoinFleet, RemoveCapability
 from fsar_ledger.runtime.handlers.trust import AssessTrust, SetTrust, trusts
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
 from tests import past
 from tests.runtime.histories import given, happen, types
 from tests.runtime.live import play, refusal
+from tests.runtime.robot_states import execution_state
 
 A, B, C, D = (Robot(f"robot/{name}1") for name in "ABCD")
 

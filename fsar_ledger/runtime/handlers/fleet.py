@@ -5,8 +5,6 @@ Paper: eq:fleet, eq:runtime, eq:possess.
 The commands here are public; `issued_by` is who gave it, None when that is not stated.
 """
 
-from typing import Literal
-
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import (
     COORDINATION,
@@ -30,7 +28,6 @@ from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import Contract, Registry, path_of, possesses, surface
 from fsar_ledger.projections.request import Request
 from fsar_ledger.projections.task import Task
-from fsar_ledger.projections.world import World
 
 from .assistance import help_failed, helped
 from .attribution import parties, recorded_by
@@ -41,8 +38,6 @@ from .execution import holds_robot
 from .public import PublicCommand, absent_robot, carried_out, made_from, not_in_charge, unknown_supervisor
 from .recovery import escalated
 from .task import has_not_begun
-
-ExecutionState = Literal["off", "idle", "executing", "degraded", "failed"]
 
 HANDLERS = Handlers()
 
@@ -89,30 +84,6 @@ class RemoveCapability(PublicCommand):
     robot: Robot
     capability: str
     issued_by: Supervisor | None = None
-
-
-def execution_state(state: State, robot: Robot) -> ExecutionState:
-    """Return the robot's state: off before failed before degraded before executing before idle.
-
-    Failed: what it has in hand failed and has not gone on since, or is being recovered by others. Degraded: its
-    actuator is, or it says so of something it advertises. Executing: it has anything in hand, from its turn on.
-
-    Paper: sec:evaluation:simulator (robot state).
-    """
-    if robot in state.world.off:
-        return "off"
-    held = state.execution.current.get(robot, "")
-    action, recovery = state.execution.actions.get(held), state.recovery.get(held)
-    if (action is not None and action.stage == "failed") or (recovery is not None and recovery.level != "local"):
-        return "failed"
-    if is_degraded(state.registry, state.world, robot):
-        return "degraded"
-    return "executing" if held else "idle"
-
-
-def is_degraded(registry: Registry, world: World, robot: Robot) -> bool:
-    """Tell whether the robot's actuator is degraded, or it says so of something that it advertises."""
-    return robot in world.degraded or any(record.availability == "degraded" for record in surface(registry, robot))
 
 
 @HANDLERS.decide(JoinFleet)
