@@ -8,7 +8,7 @@ principal follows from the types of the events' fields; the others are listed.
 
 import os
 import shutil
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -18,6 +18,7 @@ import msgspec
 
 from fsar_ledger.base import printable, utc
 from fsar_ledger.base.errors import LedgerCorrupted, UsageError, WriteFailed, option
+from fsar_ledger.base.progress import Progress
 from fsar_ledger.events import EVENT_TYPES
 from fsar_ledger.events.envelope import Agent, Coordinator, Part, Robot, Service, Supervisor
 from fsar_ledger.ledger.log.pack import WIDTH, Edge, Tile, partial_tiles
@@ -220,7 +221,7 @@ def _make_log(work: Path, out: Path, root: str) -> None:
         ) from error
 
 
-def write_tiles(view: View, out: Path, progress: Callable[[int, int], None] | None = None) -> int:
+def write_tiles(view: View, out: Path, progress: Progress | None = None) -> int:
     """Write every tile of the tree, and its checkpoint, into a new folder; return how many.
 
     The hashes are those of the rows, each of which is read and hashed. `progress` is called with the segments that were

@@ -61,7 +61,7 @@ def open_checked(path: Path) -> View:
     view = open_ledger(path)
     problems = check_chain_checkpoint(view)
     if problems:
-        with disk.locked(path / SEGMENTS, is_shared=True):
+        with disk.shared_lock(path / SEGMENTS):
             view = open_ledger(path)
             problems = check_chain_checkpoint(view)
     for problem in problems:

@@ -20,7 +20,7 @@ import hashlib
 import os
 import secrets
 import stat
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
@@ -37,6 +37,7 @@ from fsar_ledger.base.errors import (
     SequenceConflict,
     UsageError,
 )
+from fsar_ledger.base.progress import Progress
 from fsar_ledger.ledger.log.hashing import sha256_hex
 from fsar_ledger.ledger.opening import open_checked
 from fsar_ledger.ledger.rows import canonical, numbers, validity, whole
@@ -162,7 +163,7 @@ _BY_OTHERS = stat.S_IWGRP | stat.S_IWOTH
 def full_verify(
     ledger: Path,
     workers: int = 1,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
     asked: VerifyOptions | None = None,
 ) -> VerifyReport:
     """Return the report of `verify`; cache the head if the rows were read and no problem was found.
@@ -193,7 +194,7 @@ def models_of(view: View) -> list[str]:
     return sorted(f"{model}" for (model,) in rows)
 
 
-def ensure_verified(ledger: Path, workers: int = 1, progress: Callable[[int, int], None] | None = None) -> str:
+def ensure_verified(ledger: Path, workers: int = 1, progress: Progress | None = None) -> str:
     """Verify the ledger; return the SHA-256 of its newest record, for `is_verified`.
 
     Raises:

@@ -27,7 +27,7 @@ The record also holds the length of an execution, as `ends_us`. It is drawn agai
 record would be to believe the decision in question.
 """
 
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from itertools import repeat
 from pathlib import Path
 
@@ -35,6 +35,7 @@ import msgspec
 
 from fsar_ledger.base.memory import without_collection
 from fsar_ledger.base.printable import counted, value
+from fsar_ledger.base.progress import Progress
 from fsar_ledger.base.workers import pool_of
 from fsar_ledger.events import ALONE
 from fsar_ledger.events.fleet import RunContinued, RunStarted
@@ -97,7 +98,7 @@ NOT_REPLAYED = ReplayReport(False)
 def replay(
     path: Path,
     workers: int = 1,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
     commits: int | None = None,
     is_recorded: bool = False,
 ) -> ReplayReport:

@@ -156,8 +156,10 @@ def test_a_commit_that_was_on_disk_and_not_visible_counts_once_its_writer_is_gon
 ) -> None:
     path = tmp_path / "ledger"
     leave(path)
-    with disk.locked(path / SEGMENTS):  # by a writer that is at it
+    writer_at_it = disk.FolderLock(path / SEGMENTS)
+    with writer_at_it:
         assert open_for_answers(path).head.size == 10
+    writer_at_it.close()
     assert open_for_answers(path).head.size == 25
     report = verify(path)
     assert (report.ok, report.events) == (True, 25)

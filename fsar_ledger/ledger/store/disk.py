@@ -275,8 +275,8 @@ def write_secret(path: Path, data: bytes) -> None:
 
 
 @contextmanager
-def locked(folder: Path, is_shared: bool = False) -> Iterator[None]:
-    """Hold a lock on this folder that excludes all others or, with `is_shared`, all but shared ones.
+def shared_lock(folder: Path) -> Iterator[None]:
+    """Hold a lock on this folder that excludes all but shared ones.
 
     Has no effect where the file system has no locks. It ends with its process.
 
@@ -286,7 +286,7 @@ def locked(folder: Path, is_shared: bool = False) -> Iterator[None]:
         handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
         with suppress(OSError):
-            fcntl.flock(handle, fcntl.LOCK_SH if is_shared else fcntl.LOCK_EX)
+            fcntl.flock(handle, fcntl.LOCK_SH)
         yield
     finally:
         close(handle)
@@ -294,7 +294,7 @@ def locked(folder: Path, is_shared: bool = False) -> Iterator[None]:
 
 @contextmanager
 def lock_if_free(folder: Path) -> Iterator[bool]:
-    """Hold a shared lock on this folder, as `locked`, if nobody has it alone; yield whether that is so.
+    """Hold a lock on this folder, as `shared_lock`, if nobody has it alone; yield whether that is so.
 
     Yields True also where the file system has no locks, or the folder cannot be opened.
     """

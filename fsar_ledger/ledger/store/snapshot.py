@@ -73,7 +73,7 @@ def _settled(reader: "_Reader") -> Snapshot:
         snapshot = reader.look()
         if not reader.is_steady:
             if monotonic() > until:
-                with disk.locked(reader.path / SEGMENTS, is_shared=True):
+                with disk.shared_lock(reader.path / SEGMENTS):
                     return reader.look(counts_hidden=reader.is_synced())
             continue
         seen = snapshot.followed.end, snapshot.chain.count

@@ -78,7 +78,7 @@ def verify(
     before = _moment(path)
     report = _look(path, workers, progress, asked or VerifyOptions())
     if not report.ok and _moment(path) != before:  # what was read late need not fit what was read early
-        with disk.locked(path / SEGMENTS, is_shared=True):
+        with disk.shared_lock(path / SEGMENTS):
             report = _look(path, workers, progress, asked or VerifyOptions())
     return report
 
