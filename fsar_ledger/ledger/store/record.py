@@ -337,6 +337,12 @@ class Commits(Sequence[Commit]):
     def __iter__(self) -> Iterator[Commit]:
         return chain(chain.from_iterable(map(self._pack, range(len(self._packs)))), self._recent)
 
+    def copy(self) -> "Commits":
+        """Return the same commits, which change apart from these."""
+        other = Commits()
+        other.sizes, other._packs, other._recent = self.sizes[:], [*self._packs], [*self._recent]
+        return other
+
     def up_to(self, size: int) -> int:
         """Return how many of these commits are of the first so many events."""
         return bisect_right(self.sizes, size)
