@@ -1,16 +1,22 @@
 """Commits that are packed are those that were added."""
 
+import os
+from pathlib import Path
 from unittest.mock import patch
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from fsar_ledger.base.errors import LedgerCorrupted
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows.runs import piece
 from fsar_ledger.ledger.store import record as module
 from fsar_ledger.ledger.store import snapshot
 from fsar_ledger.ledger.store.append import Writer
+from fsar_ledger.ledger.store.links import Chain, Followed, follow
+from fsar_ledger.ledger.store.paths import CHAIN
+from fsar_ledger.ledger.store.read import View
 from fsar_ledger.ledger.store.record import Commit, Commits
 from tests.ledger.samples import ORIGIN, made_up_run
 
@@ -74,3 +80,81 @@ def test_a_ledger_of_many_commits_is_read_in_parts_and_its_commits_are_packed(
         with Writer(path, ORIGIN) as writer:
             assert writer.head == whole.head
             assert not writer._view.commits._packs
+
+
+@pytest.fixture
+def remembers(monkeypatch: pytest.MonkeyPatch) -> dict[object, snapshot.Known]:
+    """Every chain is long enough to be remembered; what is remembered, which is nothing yet."""
+    found: dict[object, snapshot.Known] = {}
+    monkeypatch.setattr(snapshot, "LEAST_KNOWN", 1)
+    monkeypatch.setattr(snapshot, "PART_BYTES", 3_000)
+    monkeypatch.setattr(snapshot, "known", found)
+    return found
+
+
+def test_a_chain_that_this_process_knows_reads_as_one_that_it_does_not(
+    tmp_path: Path, remembers: dict[object, snapshot.Known]
+) -> None:
+    path, run = tmp_path / "ledger", made_up_run("long", 60, 3)
+    views: list[tuple[View, View]] = []
+    with Writer(path, ORIGIN) as writer:
+        for at in range(60):
+            writer.add([piece(run, at, at + 1)])
+            if at % 17 == 16:
+                writer.seal()
+            one = open_ledger(path)
+            with patch.object(snapshot, "known", {}):
+                views.append((one, open_ledger(path)))
+    assert len(remembers) == 1
+    for size, (one, fresh) in enumerate(views, start=1):  # an old view has not gone on with the new ones
+        assert one.head == fresh.head
+        assert [*one.commits] == [*fresh.commits]
+        assert (len(one.commits), one.record_sha256, one.followed) == (size, fresh.record_sha256, fresh.followed)
+        assert (one.chain.placed, one.chain.going_on) == (fresh.chain.placed, fresh.chain.going_on)
+
+
+def test_only_the_new_lines_of_a_known_chain_are_followed(
+    tmp_path: Path, remembers: dict[object, snapshot.Known], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, run = tmp_path / "ledger", made_up_run("long", 60, 3)
+    with Writer(path, ORIGIN) as writer:
+        for at in range(50):
+            writer.add([piece(run, at, at + 1)])
+        writer.seal()
+        open_ledger(path)
+        assert remembers
+        followed: list[bytes] = []
+
+        def watched(data: bytes, chain: Chain) -> Followed:
+            followed.append(data)
+            return follow(data, chain)
+
+        monkeypatch.setattr(snapshot, "follow", watched)
+        open_ledger(path)
+        assert b"".join(followed) == b""
+        before = (path / CHAIN).stat().st_size
+        writer.add([piece(run, 50, 51)])
+        writer.seal()
+        open_ledger(path)
+        assert b"".join(followed) == (path / CHAIN).read_bytes()[before:]
+
+
+@pytest.mark.parametrize("where", [0.0, 0.4])
+def test_a_known_chain_that_was_altered_is_read_again(
+    tmp_path: Path, remembers: dict[object, snapshot.Known], where: float
+) -> None:
+    path, run = tmp_path / "ledger", made_up_run("long", 60, 3)
+    with Writer(path, ORIGIN) as writer:
+        for at in range(60):
+            writer.add([piece(run, at, at + 1)])
+            if at % 30 == 29:
+                writer.seal()
+    open_ledger(path)
+    assert remembers
+    data, status = bytearray((path / CHAIN).read_bytes()), (path / CHAIN).stat()
+    place = data.index(b'"rows":', int(where * len(data))) + 7
+    data[place] ^= 2
+    (path / CHAIN).write_bytes(data)
+    os.utime(path / CHAIN, ns=(status.st_atime_ns, status.st_mtime_ns))
+    with pytest.raises(LedgerCorrupted, match="field rows"):
+        open_ledger(path)
