@@ -16,6 +16,7 @@ from fsar_ledger.events.configuration import ARCHITECTURES
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.runtime.experiment import ORIGIN
 from tests.cli.conftest import SMALL, Call, one_message
+from tests.ledger.samples import contents
 from tests.quick import few
 
 
@@ -23,10 +24,6 @@ from tests.quick import few
 def copy(ledger: Path, tmp_path: Path) -> Path:
     """A ledger that a test may damage."""
     return Path(shutil.copytree(ledger, tmp_path / "copy"))
-
-
-def contents_of(folder: Path) -> dict[str, bytes]:
-    return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
 
 
 @pytest.mark.parametrize(
@@ -122,7 +119,7 @@ def test_an_output_that_is_no_ledger_is_left_alone(call: Call, tmp_path: Path) -
     (folder / "cat.txt").write_text("miau")
     one_message(call("simulate", folder, *SMALL), 2, str(folder))
     one_message(call("simulate", folder / "cat.txt", *SMALL), 2, "cat.txt")
-    assert contents_of(folder) == {"cat.txt": b"miau"}
+    assert contents(folder) == {"cat.txt": b"miau"}
 
 
 @pytest.mark.parametrize("command", ["info", "metrics", "statistics", "compare", "verify"])
@@ -217,10 +214,10 @@ def test_a_ledger_of_another_format_version_is_refused(
 ) -> None:
     manifest = copy / "ledger.json"
     manifest.write_text(re.sub('"version":[12]', '"version":99', manifest.read_text()))
-    before = contents_of(copy)
+    before = contents(copy)
     called = call(command, copy)
     assert (called.code, "99" in called.err, part in called.err) == (code, True, True)
-    assert contents_of(copy) == before
+    assert contents(copy) == before
 
 
 @pytest.mark.parametrize(
@@ -301,11 +298,11 @@ def test_no_command_writes_into_any_ledger(
     call: Call, ledger: Path, copy: Path, tmp_path: Path, command: tuple[str, ...]
 ) -> None:
     (tmp_path / "link").symlink_to(copy / "segments")
-    before = contents_of(copy)
+    before = contents(copy)
     for place in (copy / "x", copy / "new" / "x", copy / "staging" / ".." / "x", tmp_path / "link" / "x"):
         arguments = [argument.replace("LEDGER", str(ledger)).replace("PLACE", str(place)) for argument in command]
         one_message(call(*arguments), 2, "inside the ledger", str(copy), "outside")
-        assert contents_of(copy) == before
+        assert contents(copy) == before
 
 
 @pytest.mark.parametrize(
@@ -320,9 +317,9 @@ def test_a_damaged_ledger_is_written_into_no_more_than_a_whole_one(
 ) -> None:
     ledger = Path(shutil.copytree({"new": ledger, "old": older}[which], tmp_path / "copy"))
     (ledger / lost).rename(ledger.parent / "lost")
-    before = contents_of(ledger)
+    before = contents(ledger)
     one_message(call("key", "new", ledger / "fleet.key"), 2, "inside the ledger")
-    assert contents_of(ledger) == before
+    assert contents(ledger) == before
 
 
 def test_a_link_that_leads_into_a_ledger_is_no_way_around(call: Call, ledger: Path, copy: Path, tmp_path: Path) -> None:

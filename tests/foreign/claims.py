@@ -155,12 +155,12 @@ def vain_claims(database: Database, query: Query, whole: str) -> Iterator[str]:
         strange = sum(place not in full for place, _ in rows)
         if strange and is_asked and query.name not in KEPT_BY_NAMES:
             yield f"{query.name} without {concern}: {strange} of {len(rows)} rows that are not there with it"
-        differs = {place: _apart_from_gaps(row) for place, row in rows} != {
-            place: _apart_from_gaps(row) for place, row in full.items()
+        differs = {place: apart_from_gaps(row) for place, row in rows} != {
+            place: apart_from_gaps(row) for place, row in full.items()
         }
         if differs and concern not in {one.concern for one in unobserved(database, query)}:
             yield f"{query.name} without {concern}: another answer, and no word of what is not observed"
 
 
-def _apart_from_gaps(row: Row) -> Row:
+def apart_from_gaps(row: Row) -> Row:
     return {column: value for column, value in row.items() if column not in GAPS}

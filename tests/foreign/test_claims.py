@@ -19,7 +19,7 @@ from fsar_ledger.metrics.library import library
 from fsar_ledger.metrics.provenance import types_read, unobserved
 from fsar_ledger.report import build, layout
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
-from tests.foreign.claims import BY_RUN, GAPS, OF_GAPS, WHOLE, recorded_without, vain_claims, without
+from tests.foreign.claims import BY_RUN, OF_GAPS, WHOLE, apart_from_gaps, recorded_without, vain_claims, without
 from tests.foreign.histories import append
 from tests.foreign.verbs import ask
 from tests.queries.keys import required
@@ -63,7 +63,7 @@ def observed(runs: list[LedgerRun]) -> Iterator[Callable[[str], list[dict[str, o
 
 def answer_about_all_runs(database: Database, name: str) -> list[dict[str, object]]:
     """Return the rows of a query that is not about one run, without gaps."""
-    return [_without_gaps(row) for row in database.query(name, required(ABOUT_ALL[name])).to_pylist()]
+    return [apart_from_gaps(row) for row in database.query(name, required(ABOUT_ALL[name])).to_pylist()]
 
 
 PLAIN = [name for name in ABOUT_ALL if name not in DRAWN]
@@ -219,7 +219,3 @@ def test_the_report_has_no_number_of_what_is_not_observed(
     }
     assert {metric for metric in rests & found.keys() if found[metric] is not None} == set()
     assert any(found[metric] is not None for metric in found.keys() - rests) or rests >= found.keys()
-
-
-def _without_gaps(row: dict[str, object]) -> dict[str, object]:
-    return {column: value for column, value in row.items() if column not in GAPS}

@@ -16,7 +16,7 @@ from fsar_ledger.events import CONCERNS
 from fsar_ledger.ledger.log.merkle import Frontier
 from fsar_ledger.ledger.log.note import Note, Signer, VerifierKey, checkpoint_of
 from fsar_ledger.ledger.rows.codec import LedgerRun
-from fsar_ledger.ledger.rows.schema import SCHEMA, Field
+from fsar_ledger.ledger.rows.schema import Field
 from fsar_ledger.ledger.store.problem import Problem
 from fsar_ledger.ledger.verify import verify
 from fsar_ledger.ledger.verify.report import VerifyOptions, read_anchor
@@ -86,13 +86,6 @@ def files_of(path: Path) -> list[Path]:
 def note_of(tree: Frontier, signer: Signer | None) -> str:
     checkpoint = checkpoint_of(ORIGIN, tree)
     return str(Note(checkpoint, (signer.sign(checkpoint),) if signer else ()))
-
-
-def with_value(table: pa.Table, name: str, row: int, value: object) -> pa.Table:
-    values = table.column(name).to_pylist()
-    values[row] = value
-    at = SCHEMA.get_field_index(name)
-    return table.set_column(at, SCHEMA.field(name), pa.array(values, SCHEMA.field(name).type))
 
 
 # --- both verdicts ---

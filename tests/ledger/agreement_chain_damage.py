@@ -13,8 +13,9 @@ from fsar_ledger.ledger.rows.schema import COLUMNS, ENVELOPE, LAYOUTS
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.paths import CHAIN, INDEX, JOURNAL, NODES, SEALING
 from fsar_ledger.ledger.store.record import segment_of
-from tests.ledger.agreement import KEY, STRANGER, Case, Make, files_of, note_of, with_value
+from tests.ledger.agreement import KEY, STRANGER, Case, Make, files_of, note_of
 from tests.ledger.agreement_chain import anchor_at, records_of, relink, rewrite, tables_of, tree_at, view_of
+from tests.ledger.forgery import changed
 from tests.ledger.samples import ORIGIN
 
 HASH = "ab" * 32
@@ -146,7 +147,7 @@ def another_history(path: Path, draw: random.Random, beside: Path) -> Case | Non
     first = sum(table.num_rows for table in tables[:number]) + row
     kept = draw.randint(0, size)
     anchor = anchor_at(path, kept, None, beside / "anchor")
-    tables[number] = with_value(tables[number], "time_us", row, -123456789)
+    tables[number] = changed(tables[number], "time_us", row, -123456789)
     rewrite(path, tables, draw.choice([None, STRANGER]))
     how = draw.choice(["alone", "anchor", "key"])
     if how == "anchor":
@@ -295,7 +296,7 @@ def a_broken_rule(path: Path, draw: random.Random, beside: Path) -> Case | None:
     column, value = draw.choice(rules)
     if table.column(column)[row].as_py() == value:
         return None
-    tables[number] = with_value(table, column, row, value)
+    tables[number] = changed(table, column, row, value)
     try:
         rewrite(path, tables, draw.choice([None, KEY]))
     except (IndexError, KeyError, TypeError, ValueError, OverflowError):  # the index cannot be made of such rows
@@ -314,7 +315,7 @@ def a_run_again(path: Path, draw: random.Random, beside: Path) -> Case | None:
     values = [new if name == old else name for name in tables[-1].column("run_id").to_pylist()]
     table = tables[-1]
     for row, name in enumerate(values):
-        table = with_value(table, "run_id", row, name) if name != tables[-1].column("run_id")[row].as_py() else table
+        table = changed(table, "run_id", row, name) if name != tables[-1].column("run_id")[row].as_py() else table
     tables[-1] = table
     rewrite(path, tables)
     return Case(f"{old} as {new}", path, False)

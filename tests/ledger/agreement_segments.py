@@ -12,8 +12,9 @@ from fsar_ledger.ledger.log.hashing import sha256_hex
 from fsar_ledger.ledger.rows.schema import SCHEMA
 from fsar_ledger.ledger.rows.segment import to_parquet
 from fsar_ledger.ledger.store.record import segment_of
-from tests.ledger.agreement import OTHER_VERSION, VERSION, Case, Make, with_value
+from tests.ledger.agreement import OTHER_VERSION, VERSION, Case, Make
 from tests.ledger.agreement_chain import records_of, relink, tables_of, view_of
+from tests.ledger.forgery import changed
 from tests.ledger.parquet_damage import DAMAGED
 from tests.ledger.parts import two_faced
 
@@ -47,7 +48,7 @@ def other_rows(path: Path, draw: random.Random, beside: Path) -> Case | None:
     if how != "value" and table.num_rows < 3:
         return None
     other = {
-        "value": lambda: with_value(table, "time_us", draw.randrange(table.num_rows), 4242),
+        "value": lambda: changed(table, "time_us", draw.randrange(table.num_rows), 4242),
         "fewer": lambda: table.slice(0, 2),
         "order": lambda: table.take(list(range(table.num_rows))[::-1]),
     }[how]()
@@ -115,7 +116,7 @@ def two_faces(path: Path, draw: random.Random, beside: Path) -> Case | None:
     if (found := drawn(path, draw)) is None:
         return None
     number, table, _ = found
-    other = with_value(table, "type", draw.randrange(table.num_rows), "Forged.v1")
+    other = changed(table, "type", draw.randrange(table.num_rows), "Forged.v1")
     honest, forged = (bytes(to_parquet(one)) for one in (table, other))
     data = two_faced(*draw.choice([(honest, forged), (forged, honest)]), "type")
     return forged_segment(path, number, data, "a segment with two faces")

@@ -113,6 +113,11 @@ def keep_live_run(path: Path, signer: Signer) -> tuple[str, ...]:
     return before, after
 
 
+def kept_of(version: str) -> Kept:
+    """Return what is known of the ledger that this version keeps."""
+    return msgspec.json.decode((LEDGERS / version / "kept.json").read_bytes(), type=Kept)
+
+
 def write_ledger(path: Path) -> Kept:
     """Write a small signed ledger: a run that spans commits, compacted segments, a journal, and a live run in it."""
     *whole, cut, last = kept_runs()

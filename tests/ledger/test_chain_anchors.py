@@ -12,8 +12,8 @@ from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.ledger.verify import recover, verify
 from fsar_ledger.ledger.verify.report import Anchor, VerifyOptions, VerifyReport, read_anchor
 from fsar_ledger.ledger.verify.trusted import FITS, NO_SEGMENT
-from tests.ledger.agreement import with_value
 from tests.ledger.agreement_chain import anchor_at, records_of, relink, rewrite, tables_of
+from tests.ledger.forgery import changed
 from tests.ledger.samples import ORIGIN, made_up_run
 
 RUN = made_up_run("run-0", 144, 1)
@@ -51,7 +51,7 @@ def test_that_the_record_of_the_anchors_commit_is_there_proves_nothing(path: Pat
     records, _ = records_of(path)
     root = records[0]["tree_root"]
     tables = tables_of(path)
-    rewrite(path, [with_value(tables[0], "time_us", 0, -1)])
+    rewrite(path, [changed(tables[0], "time_us", 0, -1)])
     records, frames = records_of(path)
     assert (records[0]["tree_size"], records[0]["tree_root"] != root) == (THEN, True)
     records[0]["tree_root"] = root

@@ -14,7 +14,8 @@ from fsar_ledger.ledger.rows import segment
 from fsar_ledger.ledger.rows.codec import encode
 from fsar_ledger.ledger.rows.layout import check_layout
 from tests.ledger import thrift
-from tests.ledger.agreement import independent, odd_run, with_value
+from tests.ledger.agreement import independent, odd_run
+from tests.ledger.forgery import changed
 from tests.ledger.hostile import packed
 from tests.ledger.parquet_damage import DAMAGED, in_footer, to
 from tests.ledger.parts import Parts, two_faced
@@ -103,7 +104,7 @@ CONTENT = (
     "statistics of a page that lie",
 )
 """Those that show when the pages are unpacked."""
-OTHER = with_value(TABLE, "type", 3, "Forged.v1")
+OTHER = changed(TABLE, "type", 3, "Forged.v1")
 FACES = two_faced(DATA, bytes(segment.to_parquet(OTHER)), "type")
 
 

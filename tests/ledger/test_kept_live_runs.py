@@ -28,15 +28,11 @@ from fsar_ledger.metrics.database import connect
 from fsar_ledger.runtime.federation import Federation
 from fsar_ledger.runtime.replay import replay
 from fsar_ledger.runtime.run_replay import ForeignDigest, replay_run
-from tests.ledger.keep_release import EPOCH_S, LEDGERS, ORIGIN, SECRET, Kept, write_ledger
+from tests.ledger.keep_release import EPOCH_S, LEDGERS, ORIGIN, SECRET, Kept, kept_of, write_ledger
 from tests.ledger.test_released_ledgers import VERSIONS, number
 
 TODAY = "today"
 FIRST = (0, 13, 0)
-
-
-def kept_of(version: str) -> Kept:
-    return msgspec.json.decode((LEDGERS / version / "kept.json").read_bytes(), type=Kept)
 
 
 @pytest.fixture(scope="module", params=[TODAY, *(one for one in VERSIONS if number(one) >= FIRST)])

@@ -30,7 +30,7 @@ from fsar_ledger.metrics.library import staging_sql, view_name
 from tests.ledger.agreement import Case, judged
 from tests.ledger.bomb_trial import cost_of
 from tests.ledger.bombs import base_ledger, commit, runs
-from tests.ledger.keep_release import COLUMNS, LEDGERS, Kept, keep, stored_types
+from tests.ledger.keep_release import COLUMNS, LEDGERS, Kept, keep, kept_of, stored_types
 from tests.ledger.samples import made_up_batches
 from tests.quick import few
 from tests.untrusted import run_untrusted
@@ -84,7 +84,7 @@ def path(version: str, upgraded: Path) -> Path:
 
 @pytest.fixture
 def kept(version: str) -> Kept:
-    return msgspec.json.decode((LEDGERS / version / "kept.json").read_bytes(), type=Kept)
+    return kept_of(version)
 
 
 # --- ledgers of released versions ---

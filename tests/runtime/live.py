@@ -6,6 +6,8 @@ from typing import Any
 from fsar_ledger.designs.constants import Constants
 from fsar_ledger.events import Event
 from fsar_ledger.events.command import CommandRejected
+from fsar_ledger.events.envelope import flat
+from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.projections.fold import State
 from fsar_ledger.runtime.architectures import HandlerTable
 from fsar_ledger.runtime.architectures.fsar import FSAR
@@ -52,7 +54,13 @@ def played(commands: Iterable[tuple[int, Command]], *before: Event, facts: Itera
     return one
 
 
-def of(run: Kernel, *kinds: type[Event]) -> list[tuple[int, Any]]:
+def when(run: Kernel, kind: type[Event], **fields: object) -> list[int]:
+    """The times of the events of this kind with these fields."""
+    pairs = zip(run.times_us, run.events, strict=True)
+    return [time_us for time_us, event in pairs if isinstance(event, kind) and flat(event).items() >= fields.items()]
+
+
+def of(run: Kernel | LedgerRun, *kinds: type[Event]) -> list[tuple[int, Any]]:
     """The events of these kinds with their times."""
     return [
         (time_us, event) for time_us, event in zip(run.times_us, run.events, strict=True) if isinstance(event, kinds)

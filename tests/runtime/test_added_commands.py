@@ -19,8 +19,9 @@ from fsar_ledger.runtime.recipes import recorded_recipe
 from fsar_ledger.runtime.run_replay import replay_run
 from fsar_ledger.runtime.simulation import handler_table_of
 from tests.runtime.commanded import COMMANDS
+from tests.runtime.live import of
 from tests.runtime.test_replay_refused import restarted
-from tests.runtime.test_scenario_commands import REPORTS, of, ran, scheduled
+from tests.runtime.test_scenario_commands import REPORTS, ran, scheduled
 
 
 def with_commands(record: LedgerRun, *outside: OutsideCommand, more: tuple[str, ...] = ()) -> Fork:

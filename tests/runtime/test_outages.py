@@ -21,7 +21,7 @@ from fsar_ledger.designs.constants import (
 )
 from fsar_ledger.events import Event
 from fsar_ledger.events.configuration import CONFIGURATIONS, PAPER_ARCHITECTURES, Configuration
-from fsar_ledger.events.envelope import Architecture, Robot, flat
+from fsar_ledger.events.envelope import Architecture, Robot
 from fsar_ledger.events.execution import ExecutionFinished, ExecutionHalted, ExecutionResumed, ExecutionStarted
 from fsar_ledger.events.knowledge import CopySynced
 from fsar_ledger.events.registry import RegistryQueried
@@ -55,6 +55,7 @@ from fsar_ledger.runtime.world import Draws, SimulatedEnvironment, Stream, run_k
 from fsar_ledger.runtime.world.schedule import schedule
 from tests import past
 from tests.runtime.histories import started
+from tests.runtime.live import when
 
 EVERY = pytest.mark.parametrize("architecture", PAPER_ARCHITECTURES)
 A, B, DOOR, S = Robot("robot/A1"), Robot("robot/B1"), "door.open.secure", 1_000_000
@@ -118,12 +119,6 @@ def ran(architecture: Architecture, facts: Sequence[Fact], constants: Constants 
     )
     one.run()
     return one
-
-
-def when(run: Kernel, kind: type[Event], **fields: object) -> list[int]:
-    """The times of the events of this kind with these fields."""
-    pairs = zip(run.times_us, run.events, strict=True)
-    return [time_us for time_us, event in pairs if isinstance(event, kind) and flat(event).items() >= fields.items()]
 
 
 @EVERY

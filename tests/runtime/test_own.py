@@ -3,7 +3,6 @@
 import shutil
 import sys
 from pathlib import Path
-from typing import Any
 
 import msgspec
 import pytest
@@ -30,7 +29,6 @@ from fsar_ledger.events.envelope import Supervisor, TrustScope
 from fsar_ledger.events.execution import ExecutionStarted
 from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.events.world import SupervisorLeft, SupervisorReturned
-from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.verify import verify
 from fsar_ledger.metrics.constant_names import unlike_ours
 from fsar_ledger.runtime.experiment import Experiment, run_experiment
@@ -41,6 +39,7 @@ from fsar_ledger.runtime.world.checks import problems_of_fleet, problems_of_scen
 from fsar_ledger.runtime.world.schedule import schedule
 from tests.quick import few
 from tests.running import ran
+from tests.runtime.live import of
 from tests.runtime.test_replay import committed
 from tests.runtime.test_replay_refused import restarted
 
@@ -59,10 +58,6 @@ FLEET = Fleet(
 SCENARIO = Scenario("night", (Task("porter", ("porter door.open.secure east-door", "porter carry.linen")),))
 OWN = Constants(scenario=SCENARIO, fleet=FLEET)
 SPEC = RunSpec(7, "fsar", "full", "night", 3, 0)
-
-
-def of(kind: type, record: LedgerRun) -> list[tuple[int, Any]]:
-    return [one for one in zip(record.times_us, record.events, strict=True) if isinstance(one[1], kind)]
 
 
 def test_what_is_own_is_in_event_0_and_comes_back_from_it_as_it_was() -> None:
@@ -86,7 +81,7 @@ def test_replay_names_own_designs_by_their_name() -> None:
 
 def test_an_own_fleet_is_founded_team_by_team_as_its_file_says() -> None:
     record = simulate_run(msgspec.structs.replace(SPEC, fleet_size=6), OWN)
-    joined = [event for _, event in of(RobotJoined, record) if isinstance(event, RobotJoined)]
+    joined = [event for _, event in of(record, RobotJoined) if isinstance(event, RobotJoined)]
     assert [(one.robot, one.role, one.team, one.supervisor) for one in joined[:3]] == [
         ("robot/porter1", "porter", 1, "supervisor/porter1"),
         ("robot/east-door1", "door", 1, "supervisor/east-door1"),
@@ -101,7 +96,7 @@ def test_at_night_nobody_supervises_but_the_fleets_supervisor_where_a_robot_has_
         own = msgspec.structs.replace(OWN, fleet=msgspec.structs.replace(FLEET, off_shift=off_shift))
         for run in range(4):
             record = simulate_run(msgspec.structs.replace(SPEC, run=run), own)
-            for _, event in of(ExecutionStarted, record):
+            for _, event in of(record, ExecutionStarted):
                 assert isinstance(event, ExecutionStarted)
                 found[bool(off_shift)].add(event.principals.supervised_by)
     assert {"supervisor/porter1", "supervisor/east-door1"} <= found[False]
@@ -374,13 +369,13 @@ def test_one_person_supervises_several_robots_and_is_absent_once() -> None:
     fleet = msgspec.structs.replace(FLEET, robots=(*robots, FLEET.robots[2]))
     assert list(problems_of_fleet(fleet)) == []
     record = simulate_run(SPEC, Constants(scenario=SCENARIO, fleet=fleet))
-    joined = [event.supervisor for _, event in of(RobotJoined, record)]
+    joined = [event.supervisor for _, event in of(record, RobotJoined)]
     assert joined == ["supervisor/maria", "supervisor/maria", None]
-    left = [event.supervisor for _, event in of(SupervisorLeft, record)]
-    alone = [event.supervisor for _, event in of(SupervisorLeft, simulate_run(SPEC, OWN))]
+    left = [event.supervisor for _, event in of(record, SupervisorLeft)]
+    alone = [event.supervisor for _, event in of(simulate_run(SPEC, OWN), SupervisorLeft)]
     assert set(left) == {"supervisor/maria"}
     assert len(left) < len(alone)
-    assert {event.principals.supervised_by for _, event in of(ExecutionStarted, record)} == {"supervisor/maria"}
+    assert {event.principals.supervised_by for _, event in of(record, ExecutionStarted)} == {"supervisor/maria"}
 
 
 @pytest.mark.parametrize(

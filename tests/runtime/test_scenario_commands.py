@@ -28,6 +28,7 @@ from fsar_ledger.runtime.recipes import recorded_recipe
 from fsar_ledger.runtime.run_replay import replay_run
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
 from tests.runtime.commanded import COMMANDS
+from tests.runtime.live import of
 from tests.runtime.test_replay_refused import restarted
 
 S = 1_000_000
@@ -133,10 +134,6 @@ def written(text: str, tmp_path: Path) -> Constants:
 def ran(constants: Constants, architecture: str = "fsar", run: int = 0) -> LedgerRun:
     assert constants.scenario is not None
     return simulate_run(RunSpec(42, architecture, "full", constants.scenario.name, 4, run), constants)
-
-
-def of(record: LedgerRun, kind: type[Any]) -> list[tuple[int, Any]]:
-    return [one for one in zip(record.times_us, record.events, strict=True) if isinstance(one[1], kind)]
 
 
 def scheduled(*outside: OutsideCommand) -> Constants:

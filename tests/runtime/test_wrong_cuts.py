@@ -19,7 +19,7 @@ from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.metrics.database import connect
 from fsar_ledger.metrics.relation import _places
 from tests.ledger.agreement import Case, judged
-from tests.runtime.test_cuts import Day, commands_of
+from tests.runtime.test_cuts import Day, commands_of, replayed
 
 
 @pytest.fixture(scope="module")
@@ -55,13 +55,6 @@ def written(ledger: Path, runs: Iterable[LedgerRun]) -> Path:
         for run in runs:
             writer.commit([run])
     return ledger
-
-
-def replayed(ledger: Path) -> str:
-    """What the replay finds in a ledger that verifies, in words."""
-    found = fsar_ledger.Ledger(ledger).verify(replay=True)
-    assert found.report.ok, found.problems
-    return "" if found.ok else "\n".join(map(str, found.replay.differences))  # type: ignore[union-attr]
 
 
 def wrong(case: str, parts: list[LedgerRun]) -> tuple[list[LedgerRun], str]:

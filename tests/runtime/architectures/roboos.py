@@ -10,7 +10,6 @@ from fsar_ledger.events.envelope import (
     Principal,
     Robot,
     Subject,
-    flat,
 )
 from fsar_ledger.events.knowledge import StoreEntryWritten
 from fsar_ledger.events.task import TaskPlanned
@@ -73,12 +72,6 @@ def ran(*facts: Fact, **dials: int) -> Kernel:
     one = Kernel(ROBOOS, SimulatedEnvironment(facts, draws), begun(4, Roboos(**dials)))
     one.run()
     return one
-
-
-def when(run: Kernel, kind: type[Event], **fields: object) -> list[int]:
-    """The times of the events of this kind with these fields."""
-    pairs = zip(run.times_us, run.events, strict=True)
-    return [time_us for time_us, event in pairs if isinstance(event, kind) and flat(event).items() >= fields.items()]
 
 
 def planned(state: State, *robots: Robot, task_id: str = "A1-1") -> None:

@@ -8,9 +8,8 @@ import pytest
 
 from fsar_ledger.designs.constants import Constants, Range, WorldConstants
 from fsar_ledger.designs.dials import Alliance
-from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityClaimed
-from fsar_ledger.events.envelope import Robot, Subject, flat
+from fsar_ledger.events.envelope import Robot, Subject
 from fsar_ledger.events.execution import (
     ApproachStarted,
     ExecutionFailed,
@@ -50,6 +49,7 @@ from fsar_ledger.runtime.simulation import RunSpec, run_started
 from fsar_ledger.runtime.world import Draws, SimulatedEnvironment, founding, run_key
 from tests import past
 from tests.recycled import from_table
+from tests.runtime.live import when
 
 A, B, C, D, B2 = (Robot(f"robot/{name}") for name in ("A1", "B1", "C1", "D1", "B2"))
 S, DOOR, MINUTES = 1_000_000, "door.open.secure", 600_000_000
@@ -71,12 +71,6 @@ def ran(facts: Sequence[Fact], world: WorldConstants = WORLD, size: int = 8, dia
     one = Kernel(ALLIANCE, SimulatedEnvironment(facts, draws), (begun, *founding(size)))
     one.run()
     return one
-
-
-def when(run: Kernel, kind: type[Event], **fields: object) -> Times:
-    """The times of the events of this kind with these fields."""
-    pairs = zip(run.times_us, run.events, strict=True)
-    return [time_us for time_us, event in pairs if isinstance(event, kind) and flat(event).items() >= fields.items()]
 
 
 def of(run: Kernel, kind: type[Any]) -> list[Any]:

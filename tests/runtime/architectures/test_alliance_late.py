@@ -34,10 +34,9 @@ from tests.runtime.architectures.test_alliance import (
     S,
     opened,
     ran,
-    when,
 )
 from tests.runtime.histories import given
-from tests.runtime.live import decided
+from tests.runtime.live import decided, when
 
 STEP = Subject("A1-1", ACTION)
 PARTIES = past.parties(executed_by=B)

@@ -3,7 +3,8 @@
 from fsar_ledger.designs.dials import Alliance
 from fsar_ledger.events.execution import ExecutionQueued
 from fsar_ledger.events.task import TaskCompleted
-from tests.runtime.architectures.test_alliance import B2, FAR, HOP, B, S, of, ran, when
+from tests.runtime.architectures.test_alliance import B2, FAR, HOP, B, S, of, ran
+from tests.runtime.live import when
 
 BOTH_SENSE_IT = [(S, FAR)]
 """Two robots that can open the door learn of it by messages that take the same time."""

@@ -57,9 +57,9 @@ from tests.runtime.architectures.roboos import (
     ran,
     sent,
     stored,
-    when,
 )
 from tests.runtime.histories import happen
+from tests.runtime.live import when
 from tests.sure import only
 
 

@@ -55,10 +55,10 @@ from tests.runtime.architectures.roboos import (
     ran,
     sent,
     stored,
-    when,
     worn,
 )
 from tests.runtime.histories import happen, types, window
+from tests.runtime.live import when
 from tests.sure import only
 
 

@@ -41,9 +41,9 @@ from tests.runtime.architectures.roboos import (
     ran,
     running,
     sent,
-    when,
 )
 from tests.runtime.histories import happen, types
+from tests.runtime.live import when
 
 
 def test_the_store_is_written_busy_at_dispatch_and_idle_at_the_result() -> None:
