@@ -1,6 +1,6 @@
 """What the ledger holds of a run from outside: how far it is, and how far an import came, read from the run alone."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from hashlib import sha256
 from pathlib import Path
 
@@ -9,6 +9,7 @@ import msgspec
 from fsar_ledger.base import utc
 from fsar_ledger.base.errors import InvalidRun, UsageError
 from fsar_ledger.base.printable import counted, value
+from fsar_ledger.events import Event
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows.runs import LedgerRun
@@ -19,6 +20,8 @@ from fsar_ledger.ledger.store.read import View
 from .adapter import UNREADABLE
 from .columns import Declared
 
+NewEvent = tuple[int, int | None, Event]
+"""The run time of an event, the seq of its cause, and the event."""
 BYTES = "bytes"
 """Under this name an unreadable record says its length: a line that was not whole yet is known by it again."""
 
@@ -183,18 +186,19 @@ def _rows(view: View, run: str) -> Iterator[tuple[_Row, bytes]]:
                 yield row, line
 
 
-def commit(writer: Writer, path: Path, run: LedgerRun) -> None:
-    """Commit this part of a run whole, durably.
+def commit(writer: Writer, path: Path, run: str, rows: Sequence[NewEvent], first: int) -> None:
+    """Commit these events of a run, of which the first has this seq, whole and durably.
 
     Raises: UsageError if the run has other events than those before it, since somebody else adds to it; as `Writer`.
     """
+    times, causes, events = (list(column) for column in zip(*rows, strict=True))
     try:
-        writer.commit([run])
+        writer.commit([LedgerRun(run, times, causes, events, first, goes_on=True)])
     except InvalidRun as error:
-        size = event_count(open_ledger(path), run.run_id)
-        if size == run.first:
+        size = event_count(open_ledger(path), run)
+        if size == first:
             raise
         raise UsageError(
-            f"run {value(run.run_id)}: found {counted(size, 'event')} on file, expected {run.first:,}; another process "
-            "adds to this run: let one end before the other begins"
+            f"run {value(run)}: found {counted(size, 'event')} on file, expected {first:,}; another process adds to "
+            "this run: let one end before the other begins"
         ) from error

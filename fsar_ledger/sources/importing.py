@@ -26,13 +26,12 @@ from fsar_ledger.events.fleet import RobotJoined, RunStarted
 from fsar_ledger.events.source import Observed, SourceClosed, SourceOpened
 from fsar_ledger.ledger.log.hashing import sha256_hex
 from fsar_ledger.ledger.log.note import Signer
-from fsar_ledger.ledger.rows.runs import LedgerRun
 from fsar_ledger.ledger.rows.schema import MAX_INTEGER
 from fsar_ledger.ledger.store.append import Writer
 
 from .adapter import UNREADABLE, Adapter, Derived, Input, Record
 from .columns import Declared, declared, storable, storable_text, text_of
-from .held import BYTES, Held, commit, held, record_hashes
+from .held import BYTES, Held, NewEvent, commit, held, record_hashes
 from .recorder import origin_of, roles_of
 
 ORIGIN = "fsar-ledger/imported"
@@ -122,7 +121,7 @@ class _Import:
         self.joined_by_fleet: set[str] = set()
         self.seq, self.last_us, self.count, self.bytes = 0, 0, 0, 0
         self.epoch_us: int | None = None
-        self.rows: list[tuple[int, int | None, Event]] = []
+        self.rows: list[NewEvent] = []
         self.first = 0
         self.keys: dict[str, int] = {}
         self.made = Counter[str]()
@@ -339,11 +338,9 @@ class _Import:
             )
 
     def _commit(self) -> None:
-        if not self.rows:
-            return
-        times, causes, events = (list(column) for column in zip(*self.rows, strict=True))
-        commit(self.writer, self.path, LedgerRun(self.run, times, causes, events, self.first, goes_on=True))
-        self.rows, self.bytes = [], 0
+        if self.rows:
+            commit(self.writer, self.path, self.run, self.rows, self.first)
+            self.rows, self.bytes = [], 0
 
 
 class _Stream(io.RawIOBase):

@@ -24,7 +24,7 @@ from fsar_ledger.ledger.store.manifest import parse_manifest, read_manifest
 from fsar_ledger.ledger.store.paths import MANIFEST
 
 from .columns import Declared, declared, event_of, storable_text
-from .held import Stored, commit, stored_run
+from .held import NewEvent, Stored, commit, stored_run
 from .names import PrivateNames
 
 ORIGIN = "fsar-ledger/recorded"
@@ -78,7 +78,7 @@ class Recorder:
         self.run = run or begins.isoformat(timespec="seconds")
         self._path = path
         self._writer, self._is_open = Writer(path, origin_of(path, origin, signer), signer), True
-        self._batch: list[tuple[int, int | None, Event]] | None = None
+        self._batch: list[NewEvent] | None = None
         self._count = 0
         self._is_live = epoch is None  # what is told now happens now, so the run ends now; else where it came to
         try:
@@ -311,12 +311,10 @@ class Recorder:
         self._count += isinstance(event, Observed)
         return number
 
-    def _commit(self, rows: Sequence[tuple[int, int | None, Event]]) -> None:
-        if not rows:
-            return
-        first = self._next if self._batch is None else self._next - len(rows)
-        times, causes, events = (list(column) for column in zip(*rows, strict=True))
-        commit(self._writer, self._path, LedgerRun(self.run, times, causes, events, first, goes_on=True))
+    def _commit(self, rows: Sequence[NewEvent]) -> None:
+        if rows:
+            first = self._next if self._batch is None else self._next - len(rows)
+            commit(self._writer, self._path, self.run, rows, first)
 
 
 def _moment(name: str, found: object) -> datetime:
