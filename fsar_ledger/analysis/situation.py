@@ -227,7 +227,7 @@ class Situation(msgspec.Struct, frozen=True, kw_only=True):
     not_observed: tuple[str, ...]
 
 
-def situation(past: Past, robot: str | None = None) -> Situation:
+def situation(past: Past, robot: str | None) -> Situation:
     """Return how things stand then; with `robot`, only what that robot has a part in."""
     state = past.state
     known = dict.fromkeys((*state.fleet.robots, *state.execution.current))  # one that acts need not have joined

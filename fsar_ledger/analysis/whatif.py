@@ -187,7 +187,7 @@ def effects_over(
     runs: Sequence[str],
     changes: Changes,
     names: Mapping[str, str],
-    progress: Callable[[int], None] | None = None,
+    progress: Callable[[int], None] | None,
 ) -> tuple[list[Divergence], list[Effects]]:
     """Fork these runs of a ledger, by a cluster if there is one, and judge the pairs as `effects` does.
 

@@ -262,7 +262,7 @@ def _rows(database: "Database", query: str, run: str, action: str) -> Rows:
     return plain_rows(database.query(query, {"run": run, "action": action}))
 
 
-def _no_action(database: "Database", ledger: Path, run: str | None, asked: str, number: int | None = None) -> str:
+def _no_action(database: "Database", ledger: Path, run: str | None, asked: str, number: int | None) -> str:
     """Say that the run, or with None every run, lacks the action; name the nearest, and how to list those there are."""
     from fsar_ledger.metrics.sql_values import names_on_record
 

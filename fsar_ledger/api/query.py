@@ -207,7 +207,7 @@ def _text_of(file: Path, most: int) -> str:
         ) from problem
 
 
-def limits_of(seconds: int | None = None, memory_mib: int | None = None) -> "Limits":
+def limits_of(seconds: int | None, memory_mib: int | None) -> "Limits":
     """Return these limits, with defaults for the rest.
 
     Raises:

@@ -92,7 +92,7 @@ def json_lines(batch: pa.RecordBatch, before: str = "", after: str = "\n") -> st
     return _joined(_side_by_side(parts, "", len(batch)))
 
 
-def csv_texts(column: pa.Array, *, raw: bool = False) -> pa.Array:
+def csv_texts(column: pa.Array, *, raw: bool) -> pa.Array:
     """Return each value as `field_text` gives it, not yet quoted; NULL is the empty text."""
     kind = column.type
     if pa.types.is_string(kind):

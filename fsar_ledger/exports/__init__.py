@@ -221,7 +221,7 @@ def _make_log(work: Path, out: Path, root: str) -> None:
         ) from error
 
 
-def write_tiles(view: View, out: Path, progress: Progress | None = None) -> int:
+def write_tiles(view: View, out: Path, progress: Progress | None) -> int:
     """Write every tile of the tree, and its checkpoint, into a new folder; return how many.
 
     The hashes are those of the rows, each of which is read and hashed. `progress` is called with the segments that were

@@ -77,7 +77,7 @@ def connect_view(
     return database
 
 
-def connect_run(view: View, run: str, demanded: str | None = None) -> Database:
+def connect_run(view: View, run: str, demanded: str | None) -> Database:
     """Open a database over the events of this run, and of those that it continues; only their segments are read.
 
     `run_numbers` has this run alone.

@@ -96,7 +96,7 @@ def hold_segments(
         database.hold("run_numbers", chosen.run_numbers)
     name = _BY_RUN if types is not None and _CONTINUED in types else "events"
     if holding:
-        _hold_newest(database, parts, holding, where, name)
+        _hold_newest(database, parts, holding, name, where)
     else:
         database.define(name, "\nUNION ALL\n".join(_select(*part) for part in parts))
         if alike.keys() == {(FINGERPRINTS[RELEASE], False, False)}:
@@ -199,15 +199,13 @@ def hold_dataset(database: Database, stored: Any, segments: Sequence[Path]) -> N
         database.hold(name, stored)
     else:
         database.hold(_DATASET, stored)
-        _hold_newest(database, [(_DATASET, frozenset(COLUMNS))], holding, name=name)
+        _hold_newest(database, [(_DATASET, frozenset(COLUMNS))], holding, name)
     continued = _join_continued(database) if name == _BY_RUN else ()
     if types:
         _number_runs(database, segments, continued, is_stored=True)
 
 
-def _number_runs(
-    database: Database, segments: Sequence[Path], continued: Sequence[str] = (), *, is_stored: bool = False
-) -> None:
+def _number_runs(database: Database, segments: Sequence[Path], continued: Sequence[str], *, is_stored: bool) -> None:
     """Make `run_numbers` the runs in the order in which these segments hold their first events.
 
     Those that others continue are counted, and left out.
@@ -229,8 +227,8 @@ def _hold_newest(
     database: Database,
     parts: Sequence[tuple[str, frozenset[str]]],
     holding: Mapping[str, Sequence[Path]],
+    name: str,
     where: str = "",
-    name: str = "events",
 ) -> None:
     """Make the rows of these relations, which have these columns, the database's relation of this name.
 

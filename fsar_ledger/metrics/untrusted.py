@@ -99,9 +99,7 @@ def stream_untrusted(
         yield Stream(view.head, rows_verified, next(parts).schema, parts)
 
 
-def table_untrusted(
-    ledger: Path, sql: str, limits: Limits | None = None, demanded: str | None = None
-) -> tuple[pa.Table, Head, bool]:
+def table_untrusted(ledger: Path, sql: str, limits: Limits | None, demanded: str | None) -> tuple[pa.Table, Head, bool]:
     """Return the answer of this SELECT in Arrow, its head, and whether the rows it read were compared with the root.
 
     Raises: as `stream_untrusted`.

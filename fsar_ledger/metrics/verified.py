@@ -233,7 +233,7 @@ def is_verified(view: View, demanded: str | None = None) -> bool:
     return is_known
 
 
-def is_verified_for_runs(view: View, demanded: str | None = None) -> bool:
+def is_verified_for_runs(view: View, demanded: str | None) -> bool:
     """As `is_verified`, before it is asked which runs a ledger has and where they are.
 
     If the rows are not known to be those under the root, what the chain says of this is compared with them at least. So

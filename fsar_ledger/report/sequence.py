@@ -279,7 +279,7 @@ def _outcome(row: Row) -> str:
     return "\n".join(textwrap.wrap(f"{row['result']}{achieved}{until}", 34))
 
 
-def arcs(rows: Sequence[Row], links: Sequence[tuple[int, int, bool]], asked: int, kind: str = "svg") -> bytes:
+def arcs(rows: Sequence[Row], links: Sequence[tuple[int, int, bool]], asked: int, kind: str) -> bytes:
     """Draw events in order of time, the last of them as many as fit, joined by arcs: what the asked one rests on.
 
     Each row holds seq, time_s, words, and read: what the decision in question read of the event. Each link has a cause,

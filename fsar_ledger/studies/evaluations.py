@@ -276,7 +276,7 @@ def evaluating(
     out: Path,
     workers: int,
     progress: Progress | None,
-    ask: Evaluate = evaluate,
+    ask: Evaluate,
     width: int = len(CELLS),
 ) -> Iterator[Evaluations]:
     """Check that the result can be written, and yield the evaluations of its study.

@@ -40,7 +40,6 @@ from fsar_ledger.ledger.rows.schema import (
     LAYOUTS,
     MAX_INTEGER,
     PAYLOAD,
-    RETIRED,
     SCHEMA,
     STORED,
     StoredType,
@@ -328,7 +327,7 @@ def decode(table: pa.Table, *, is_whole: bool = True) -> Iterator[LedgerRun]:
         )
 
 
-def upcast_rows(table: pa.Table, tags: Sequence[str] = tuple(RETIRED)) -> pa.Table | None:
+def upcast_rows(table: pa.Table, tags: Sequence[str]) -> pa.Table | None:
     """Return the rows of these retired types as their newest version would be stored; None if there are none.
 
     Raises: as `decode`.

@@ -142,7 +142,7 @@ def sync(path: Path) -> None:
 
 
 # See docs/decisions/writers-rewrite-the-last-append.md.
-def write_again(path: Path, start: int, end: int, *, cuts: bool = False) -> None:
+def write_again(path: Path, start: int, end: int, *, cuts: bool) -> None:
     """Write these bytes of a file over themselves, cut off what follows if asked to, and sync the file, once.
 
     Its writer may have ended before it synced them, or after that had failed. Syncing alone would not do: the kernel

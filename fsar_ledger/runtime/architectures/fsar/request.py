@@ -70,7 +70,7 @@ class EvaluateRequest(ActionCommand):
     """Deliver the request to the executor."""
 
 
-def judgement(action_id: str, after_us: int = 0, waits: tuple[Ask, ...] = ()) -> Scheduled:
+def judgement(action_id: str, after_us: int, waits: tuple[Ask, ...] = ()) -> Scheduled:
     """Ask the executor for its own judgement of the request; a simulated robot judges by the model's policy."""
     return Scheduled(EvaluateRequest(action_id), after_us, waits, Ask("decision", "admission", action_id))
 
