@@ -11,11 +11,12 @@ last one of the same vehicle; an action that began and ended between two states 
 | an error that names the order before that | `RequestDenied`, decided by the vehicle |
 | an action that runs, pauses, runs on, ends, fails | `ExecutionStarted`, `Paused`, `Resumed`, `Finished`, `Failed` |
 | an order whose nodes, edges and actions are all done | `TaskCompleted` |
+| an order that was cancelled, or of which an action failed before it was over | `TaskAbandoned` |
 | a connection that breaks, comes back | `LinkWentDown`, `LinkCameUp` |
 | anything else | an observation |
 """
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, Literal
 
 import msgspec
@@ -38,7 +39,7 @@ from fsar_ledger.events.execution import (
     ExecutionStarted,
 )
 from fsar_ledger.events.request import RequestAccepted, RequestDenied, RequestIssued
-from fsar_ledger.events.task import TaskCompleted
+from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
 from fsar_ledger.events.world import LinkCameUp, LinkWentDown, TaskArrived
 
 from .adapter import UNREADABLE, Derived, Input, Record, known, objects, shown, utc_us
@@ -59,20 +60,31 @@ BROKEN = ("CONNECTIONBROKEN", "CONNECTION_BROKEN")
 """As 2.1 and 3.0 spell it."""
 OF_ORDER, BESIDE = "actionStates", ("instantActionStates", "zoneActionStates")
 """The lists of what has become of actions: of an order (before 3.0 also of instant actions), and of others."""
+CANCEL = "cancelOrder"
+"""The type of the instant action that ends an order before it is done."""
+OVER = frozenset(("FINISHED", "FAILED"))
 
 SHOWN = ("orderId", "orderUpdateId", "lastNodeId", "operatingMode", "connectionState", "headerId", "paused", "driving")
 
 
 class Vehicle(msgspec.Struct):
-    """What the messages of a vehicle said so far. `ended` are orders whose end has been told.
+    """What the messages of a vehicle said so far. `ended` are orders whose end has been told, `order` is the last one.
 
-    `newest` is the number and time of the newest message by kind; `is_down` that its connection broke.
+    `newest` is the number and time of the newest message by kind; `is_down` that its connection broke; `parts` the
+    actions that orders have, `instant` the types of instant ones, `cancels` the order that each cancelOrder ends;
+    `orders` under which order an action was told of last.
     """
 
     newest: dict[str, tuple[int, int]] = {}
     asked: dict[str, None] = {}
     accepted: dict[str, None] = {}
+    refused: dict[str, None] = {}
+    parts: dict[str, None] = {}
+    instant: dict[str, str] = {}
+    cancels: dict[str, str] = {}
     statuses: dict[str, str] = {}
+    orders: dict[str, str] = {}
+    order: str = ""
     failures: dict[str, int] = {}
     is_down: bool = False
     ended: dict[str, None] = {}
@@ -101,7 +113,7 @@ class Vda5050:
         return (
             "TaskArrived",
             "TaskArrived.robot",
-            "TaskCompleted",
+            *("TaskCompleted", "TaskAbandoned"),
             *("RequestIssued", *(f"RequestIssued.{name}" for name in principals)),
             *("RequestAccepted", *(f"RequestAccepted.{name}" for name in principals[:3])),
             *("RequestDenied", *(f"RequestDenied.{name}" for name in principals)),
@@ -162,7 +174,11 @@ class Vda5050:
                 events = _changed(vehicle, robot, message)
             case "connection":
                 events = _connected(vehicle, robot, message)
-            case "instantActions" | "visualization" | "factsheet" | "responses" | "zoneSet":
+            case "instantActions":
+                for one in (*_listed(message, "actions"), *_listed(message, "instantActions")):  # the second of 2.0
+                    vehicle.instant[str(one.get("actionId"))] = str(one.get("actionType"))
+                return ()
+            case "visualization" | "factsheet" | "responses" | "zoneSet":
                 return ()
             case _:
                 return None
@@ -231,6 +247,8 @@ def _principals(robot: Robot, decided_by: Any) -> Principals:
 def _ordered(vehicle: Vehicle, robot: Robot, message: Mapping[str, Any]) -> Iterator[Event]:
     """Yield that a task arrives and its vehicle is asked; an update of an order that is known says nothing new."""
     order = _order(message)
+    for part in (*_listed(message, "nodes"), *_listed(message, "edges")):
+        vehicle.parts |= {str(action.get("actionId")): None for action in _listed(part, "actions")}
     if not order or order in vehicle.asked:
         return
     vehicle.asked[order] = None
@@ -247,15 +265,45 @@ def _changed(vehicle: Vehicle, robot: Robot, message: Mapping[str, Any]) -> Iter
     if message.get("errors"):
         yield from _refused(vehicle, robot, message)
     states = _listed(message, OF_ORDER)
-    for state in (*states, *(one for name in BESIDE for one in _listed(message, name))):
+    listed = (*states, *(one for name in BESIDE for one in _listed(message, name)))
+    is_there = message.get("nodeStates") == [] and message.get("edgeStates") == []
+    cancels = [one for one in listed if _type(vehicle, one) == CANCEL]
+    for state in cancels:
+        is_of_last = not is_there and state.get("actionStatus") in OVER
+        vehicle.cancels.setdefault(str(state.get("actionId")), vehicle.order if is_of_last else order)
+    vehicle.order = order or vehicle.order
+    for state in listed:
         if vehicle.statuses.get(str(state.get("actionId"))) != state.get("actionStatus"):
             yield from _acted(vehicle, robot, order, state)
-    is_there = message.get("nodeStates") == [] and message.get("edgeStates") == []
-    if not is_there or order in vehicle.ended or order not in vehicle.asked:
-        return
-    if all(state.get("actionStatus") == "FINISHED" for state in states):
+    yield from _cancelled(vehicle, cancels)
+    is_cancelling = any(state.get("actionStatus") not in OVER for state in cancels)
+    if is_there and not is_cancelling and order in vehicle.asked and order not in vehicle.ended:
+        yield from _over(vehicle, order, states)
+
+
+def _type(vehicle: Vehicle, state: Mapping[str, Any]) -> object:
+    """Return the type of an action, which a state may leave out."""
+    return state.get("actionType") or vehicle.instant.get(str(state.get("actionId")))
+
+
+def _cancelled(vehicle: Vehicle, cancels: Sequence[Mapping[str, Any]]) -> Iterator[Event]:
+    """Yield that orders are given up: a cancelOrder that is finished, not one that failed, has ended them."""
+    for state in cancels:
+        order = vehicle.cancels[str(state.get("actionId"))]
+        if state.get("actionStatus") == "FINISHED" and order in vehicle.asked and order not in vehicle.ended:
+            vehicle.ended[order] = None
+            yield TaskAbandoned(order)
+
+
+def _over(vehicle: Vehicle, order: str, states: Sequence[Mapping[str, Any]]) -> Iterator[Event]:
+    """Yield how an order has ended whose nodes and edges are behind the vehicle, unless an action is under way."""
+    own = {str(state.get("actionId")): state.get("actionStatus") for state in states}
+    own = {action: status for action, status in own.items() if action not in vehicle.instant}
+    failed = [action for action, status in own.items() if status == "FAILED"]
+    # An action that no order has may be an instant one, of which the record has only the state.
+    if OVER.issuperset(own.values()) and all(action in vehicle.parts for action in failed):
         vehicle.ended[order] = None
-        yield TaskCompleted(order)
+        yield TaskAbandoned(order) if failed else TaskCompleted(order)
 
 
 def _refused(vehicle: Vehicle, robot: Robot, message: Mapping[str, Any]) -> Iterator[Event]:
@@ -264,9 +312,9 @@ def _refused(vehicle: Vehicle, robot: Robot, message: Mapping[str, Any]) -> Iter
         for reference in _listed(error, "errorReferences"):
             order = reference.get("referenceValue")
             is_order = reference.get("referenceKey") == "orderId" and isinstance(order, str)
-            if not is_order or order in vehicle.accepted or order not in vehicle.asked or order in vehicle.ended:
+            if not is_order or order in vehicle.accepted or order not in vehicle.asked or order in vehicle.refused:
                 continue
-            vehicle.ended[order] = None
+            vehicle.refused[order] = None
             yield RequestDenied(_subject(order), _principals(robot, robot), f"{error.get('errorType')}")
 
 
@@ -274,6 +322,9 @@ def _acted(vehicle: Vehicle, robot: Robot, order: str, state: Mapping[str, Any])
     """Yield what has become of one action since the last state."""
     action, status = str(state.get("actionId")), str(state.get("actionStatus"))
     before = vehicle.statuses.get(action)
+    if before in OVER and status not in OVER and vehicle.orders.get(action) != order:
+        before = None  # another order has an action of the same name
+    vehicle.orders[action] = order
     if status == before or before == "FINISHED" or (status, before) == ("FAILED", "RETRIABLE"):
         return
     vehicle.statuses[action] = status

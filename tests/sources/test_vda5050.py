@@ -110,6 +110,69 @@ def test_a_retriable_action_has_failed_and_runs_on_when_it_is_tried_again(tmp_pa
     assert [row["failure"] for row in rows(tmp_path / "ledger") if "failure" in row] == [1, 2]
 
 
+@pytest.mark.parametrize("field", ["actionStates", "instantActionStates"])
+@pytest.mark.parametrize("is_typed", [True, False])
+def test_an_order_that_was_cancelled_is_given_up_and_not_completed(tmp_path: Path, field: str, is_typed: bool) -> None:
+    asked = message(2, "0001", "instantActions", actions=[{"actionId": "c", "actionType": "cancelOrder"}])
+    lines = [order(0, "0001", "a"), state(1, "0001", "a"), asked]
+    for at, status in ((3, "RUNNING"), (4, "FINISHED"), (5, "FINISHED")):
+        lines.append(state(at, "0001", "a", nodes=0))
+        lines[-1]["payload"][field] = [{"actionId": "c", "actionStatus": status}]
+        lines[-1]["payload"][field][0] |= {"actionType": "cancelOrder"} if is_typed else {}
+    ends = [order(6, "0001", "b"), state(7, "0001", "b", nodes=0)]
+    ends[-1]["payload"][field] = lines[-1]["payload"][field]  # of 3.0 it stays
+    found = [name for name in derived(tmp_path, [*lines, *ends]) if name.startswith("Task")]
+    assert found == ["TaskArrived", "TaskAbandoned", "TaskArrived", "TaskCompleted"]
+
+
+def test_a_cancellation_that_comes_with_the_next_order_ends_the_one_before_it(tmp_path: Path) -> None:
+    lines = [order(0, "0001", "a"), state(1, "0001", "a"), order(2, "0001", "b"), state(3, "0001", "b")]
+    lines[-1]["payload"]["actionStates"] = [{"actionId": "c", "actionType": "cancelOrder", "actionStatus": "FINISHED"}]
+    imported(tmp_path / "ledger", filed(tmp_path, lines))
+    ended = [row["task_id"] for row in rows(tmp_path / "ledger") if row["type"] == "TaskAbandoned.v1"]
+    assert ended == ["a"]
+
+
+def test_a_cancellation_that_failed_ends_nothing(tmp_path: Path) -> None:
+    cancel = {"actionId": "c", "actionType": "cancelOrder", "actionStatus": "FAILED"}
+    lines = [order(0, "0001", "a", "p"), state(1, "0001", "a", p="RUNNING"), state(2, "0001", "a", nodes=0, p="FAILED")]
+    lines[1]["payload"]["actionStates"].append(cancel)
+    lines[2]["payload"]["instantActionStates"] = [cancel]
+    assert [name for name in derived(tmp_path, lines[:2]) if name.startswith("Task")] == ["TaskArrived"]
+
+
+def test_an_order_that_is_over_with_an_action_that_failed_is_given_up(tmp_path: Path) -> None:
+    lines = [order(0, "0001", "a", "p"), state(1, "0001", "a", p="RUNNING"), state(2, "0001", "a", nodes=0, p="FAILED")]
+    assert derived(tmp_path, lines)[-2:] == ["ExecutionFailed", "TaskAbandoned"]
+    unknown = [order(0, "0001", "a"), state(1, "0001", "a", nodes=0, p="FAILED")]
+    (tmp_path / "unknown").mkdir()
+    assert derived(tmp_path / "unknown", unknown)[-1] == "ExecutionFailed"
+
+
+def test_an_order_that_was_refused_and_then_taken_is_completed(tmp_path: Path) -> None:
+    lines = [order(0, "0001", "a"), state(1, "0001", "", errors=[refusal("a")]), order(2, "0001", "a")]
+    assert derived(tmp_path, [*lines, state(3, "0001", "a"), state(4, "0001", "a", nodes=0)])[2:] == [
+        "RequestDenied",
+        "RequestAccepted",
+        "TaskCompleted",
+    ]
+
+
+def test_an_action_whose_name_is_used_again_under_another_order_runs_again(tmp_path: Path) -> None:
+    lines = [
+        order(0, "0001", "a", "p"),
+        state(1, "0001", "a", p="RUNNING"),
+        state(2, "0001", "a", nodes=0, p="FINISHED"),
+    ]
+    lines += [
+        order(3, "0001", "b", "p"),
+        state(4, "0001", "b", p="RUNNING"),
+        state(5, "0001", "b", nodes=0, p="FINISHED"),
+    ]
+    found = [name for name in derived(tmp_path, lines) if name.startswith("Execution")]
+    assert found == ["ExecutionStarted", "ExecutionFinished"] * 2
+
+
 def test_a_connection_that_breaks_and_comes_back_is_told_once(tmp_path: Path) -> None:
     states = ("ONLINE", "CONNECTIONBROKEN", "CONNECTIONBROKEN", "ONLINE", "OFFLINE", "ONLINE")
     lines = [message(at, "0001", "connection", connectionState=one) for at, one in enumerate(states)]
