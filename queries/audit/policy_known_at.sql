@@ -1,11 +1,10 @@
 -- Title: The policy at a time as its decider knew it, beside the true one
 -- Paper: eq:policy, sec:evaluation:baselines
--- Grain: one row per run, robot, scope and decider that had been told of it by then; one for a robot and scope of
---   which nobody had, which says why
+-- Grain: one row per run, robot, scope and decider that had been told of it by then; where nobody had, one says why
 -- Key: run_id, known_by?, robot, scope
 -- Units: learned_us, as_of_us microseconds of run time; at seconds, by default the end; true_outcome of the windows
 -- NULL: what was known, and the comparison, when nobody had been told; why_unknown when somebody had; true_outcome,
---   is_wrong when no window on record asks for review or denies and the run does not observe policy
+--   is_wrong when no window on record asks for review or denies and the run does not observe all policy of then
 -- Example: fsar-ledger query audit/policy_known_at LEDGER --param run=RUN --param robot=robot/D1 --param at=31.2
 --   answers the coordinator takes the fleet's rule to allow, as of 25.305 s; truly it denies, so it is wrong
 -- Parameters: run: run = all, robot: robot = all, at: time = end
@@ -59,7 +58,7 @@ judged AS (
         CASE
             WHEN bool_or(windows.outcome = 'deny') THEN 'deny'
             WHEN bool_or(windows.outcome = 'review') THEN 'review'
-            WHEN bool_and(list_contains(known.observes, 'policy')) THEN 'allow'
+            WHEN bool_and(list_contains(known.observes, 'policy') AND (past.until_us > $at_us) IS NOT TRUE) THEN 'allow'
         END AS true_outcome,
         known.why_unknown
     FROM known
@@ -68,6 +67,8 @@ judged AS (
             known.run_id = windows.run_id AND known.robot = windows.robot AND known.scope = windows.scope
             AND windows.window_name IS NOT NULL
             AND $at_us::BIGINT BETWEEN windows.opened_us AND coalesce(windows.closed_us - 1, $at_us::BIGINT)
+    LEFT JOIN begun_before AS past
+        ON known.run_id = past.run_id AND known.robot = past.robot AND known.scope = past.scope
     GROUP BY ALL
 )
 

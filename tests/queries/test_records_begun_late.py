@@ -110,6 +110,15 @@ def test_nobody_knows_what_a_policy_said_before_its_window_closed() -> None:
             assert {row["outcome"] for row in rows if row["scope"] == "local"} == {outcome}
 
 
+def test_nobody_is_said_to_know_a_policy_wrongly_that_a_window_before_the_record_may_have_set() -> None:
+    told = event("SnapshotTaken", S, robot=B, outcome="deny")
+    closed = event("PolicyWindowClosed", 50 * S, robot=B, scope="local", window="w")
+    with from_rows(run(*MEMBERS, told, closed, **FOREIGN)) as database:
+        for at, expected in ((12, (None, None)), (55, ("allow", True))):
+            rows = database.query("audit/policy_known_at", {"robot": B, "at_us": f"{at * S}"}).to_pylist()
+            assert [(row["true_outcome"], row["is_wrong"]) for row in rows if row["known_outcome"]] == [expected]
+
+
 def test_who_returns_without_having_left_was_off_shift_before() -> None:
     returned = event("SupervisorReturned", 50 * S, supervisor="supervisor/x")
     found = hidden(returned, **FOREIGN)
