@@ -4,7 +4,8 @@
 -- Key: run_id, robot, action_id?
 -- Units: since_us microseconds of run time; at seconds, by default after the end of every run
 -- NULL: action_id, since_us, on_behalf_of when idle; on_behalf_of also when the robot helps another; doing, too, when
---   nothing is on record and the run does not observe execution and recovery. Without execution only help is told
+--   nothing is on record and the run does not observe execution and recovery, or something was in hand that began
+--   before the record. Without execution only help is told
 -- Example: fsar-ledger query audit/robot_activity LEDGER --param run=RUN --param robot=robot/C1 --param at=20
 --   answers executing B1-1/2.1 for robot/B1 since 18.0 s
 -- Parameters: run: run = all, robot: robot = all, at: time = end
@@ -17,6 +18,7 @@ WITH doings (type, doing) AS (
     ('ExecutionResumed.v1', 'executing'),
     ('ExecutionPaused.v1', 'paused'),
     ('ExecutionHalted.v1', 'off'),
+    ('ExecutionPreempted.v1', 'preempted'),
     ('ExecutionFailed.v1', 'recovering'),
     ('AssistanceAdmitted.v1', 'helping'),
     ('ExecutionFinished.v1', NULL),
@@ -46,9 +48,14 @@ latest AS (
 
 SELECT
     members.run_id, members.robot,
-    coalesce(latest.doing, if(list_has_all(runs.observes, ['execution', 'recovery']), 'idle', NULL)) AS doing,
+    CASE
+        WHEN latest.doing IS NOT NULL THEN latest.doing
+        WHEN past.until_us > $at_us::BIGINT THEN NULL
+        WHEN list_has_all(runs.observes, ['execution', 'recovery']) THEN 'idle'
+    END AS doing,
     latest.action_id, latest.on_behalf_of, latest.since_us
 FROM fleet_members AS members
 INNER JOIN runs ON members.run_id = runs.run_id
 LEFT JOIN latest ON members.run_id = latest.run_id AND members.robot = latest.robot AND latest.doing <> 'done'
+LEFT JOIN work_before AS past ON members.run_id = past.run_id AND members.robot = past.robot
 WHERE $run IN ('all', members.run_id) AND $robot IN ('all', members.robot) AND members.joined_us <= $at_us::BIGINT

@@ -183,11 +183,11 @@ def test_why_a_robot_was_no_candidate() -> None:
     ("at_us", "doing"),
     [
         *((0, "idle"), (1, "queued"), (2, "held by policy"), (3, "executing"), (4, "recovering")),
-        *((5, "executing"), (6, "paused"), (7, "executing"), (8, "idle")),
+        *((5, "executing"), (6, "paused"), (7, "executing"), (8, "preempted"), (9, "executing"), (10, "idle")),
     ],
 )
 def test_a_robot_does_what_its_last_event_by_then_says(at_us: int, doing: str) -> None:
-    names = ("Queued", "Held", "Started", "Failed", "Resumed", "Paused", "Resumed", "Finished")
+    names = ("Queued", "Held", "Started", "Failed", "Resumed", "Paused", "Resumed", "Preempted", "Resumed", "Finished")
     events = [
         event(f"Execution{name}", number, action_id="t1/1", robot="robot/A1") for number, name in enumerate(names, 1)
     ]

@@ -124,3 +124,26 @@ def test_who_returns_without_having_left_was_off_shift_before() -> None:
     found = hidden(returned, **FOREIGN)
     assert found["a5_audit_completeness"] == found["audit_attributability"] == (OFF_SHIFT, True)
     assert not hidden(event("SupervisorLeft", S, supervisor="supervisor/x"), returned, **FOREIGN)
+
+
+@pytest.mark.parametrize(
+    ("first", "until"),
+    [
+        (act("ExecutionFinished", 20 * S, "t/1", robot=A, executed_by=A), 20),
+        (act("ExecutionPaused", 20 * S, "t/1", robot=A), 20),
+        (act("RecoveryEscalated", 15 * S, "t/1", robot=A, failed_action="t/1", failure=1, to_level="fleet"), 30),
+        (act("AssistanceEnded", 20 * S, "t/1", robot=B, helper=A, failure=1), 20),
+    ],
+)
+@pytest.mark.parametrize(("query", "column"), [("robot_state_at", "state"), ("robot_activity", "doing")])
+def test_a_robot_is_not_idle_before_the_end_of_what_it_had_in_hand_when_the_record_began(
+    query: str, column: str, first: Row, until: int
+) -> None:
+    ended = act("ExecutionWithdrawn", 30 * S, "t/1", robot=A)
+    with from_rows(run(*MEMBERS, first, ended, **FOREIGN)) as database:
+        for at, expected in ((5, None), (until - 1, None), (30, "idle")):
+            [row] = database.query(f"audit/{query}", {"robot": A, "at_us": f"{at * S}"}).to_pylist()
+            assert row[column] == expected, at
+    with from_rows(run(*MEMBERS, start("t/1", A, A), ended, **FOREIGN)) as database:
+        [row] = database.query(f"audit/{query}", {"robot": A, "at_us": "0"}).to_pylist()
+        assert row[column] == "idle"

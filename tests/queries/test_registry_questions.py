@@ -289,6 +289,19 @@ def test_help_for_a_failure_is_no_failure_of_the_helper() -> None:
     assert found == [("robot/A1", "failed"), ("robot/B1", "executing")]
 
 
+def test_what_waits_for_its_turn_is_not_what_a_robot_has_in_hand() -> None:
+    events = (
+        doing("ExecutionQueued", 1, action_id="t1/1"),
+        doing("ExecutionQueued", 2, action_id="t2/1"),
+        doing("ApproachStarted", 3, action_id="t2/1"),
+        doing("ExecutionPreempted", 5, action_id="t2/1"),
+        doing("ExecutionStarted", 6, action_id="t3/1"),
+    )
+    for at_us, action in ((1, "t1/1"), (3, "t2/1"), (6, "t3/1")):
+        given: dict[str, Any] = {"at_us": at_us, "robot": "robot/B1"}
+        assert asked("robot_state_at", "state action_id", *ROBOTS[:2], *events, **given) == [("executing", action)]
+
+
 @pytest.mark.slow
 def test_sql_and_the_fold_agree_on_states_and_surfaces_throughout_a_run_with_a_degraded_robot() -> None:
     record = simulate_run(RunSpec(42, "fsar", "full", "failure-recovery-chain", 4, 17), Constants())
