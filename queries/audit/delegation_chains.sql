@@ -5,8 +5,9 @@
 --   belongs to
 -- Key: run_id, chain, action_id
 -- Units: link number of the link from 1; asked_us microseconds of run time
--- NULL: verdict, conjunct, trust while nobody has judged the link; conjunct unless denied; end_scope when the link's
---   executor had set no trust in the chain's first requester by then
+-- NULL: verdict, conjunct, trust while nobody has judged the link; conjunct unless denied; is_well_formed when a link
+--   is not judged in a run that does not observe request; end_scope when the link's executor had set no trust in the
+--   chain's first requester by then
 -- Example: fsar-ledger query audit/delegation_chains LEDGER --param run=RUN
 --   answers link 1 robot/A1 to robot/B1 (task, admitted), link 2 robot/B1 to robot/C1 (session, admitted): well-formed;
 --   robot/C1 has none for robot/A1
@@ -59,12 +60,16 @@ SELECT
     chains.run_id, chains.chain, chains.link, chains.action_id,
     chains.time_us AS asked_us,
     asked.requested_by, asked.executed_by, asked.capability, judged.trust, judged.verdict, judged.conjunct,
-    coalesce(
-        bool_and(coalesce(judged.verdict = 'admitted', FALSE)) OVER (PARTITION BY chains.run_id, chains.chain), FALSE
-    ) AS is_well_formed,
+    CASE
+        WHEN bool_or(judged.verdict <> 'admitted') OVER links THEN FALSE
+        WHEN count(judged.verdict) OVER links = count(*) OVER links THEN TRUE
+        WHEN list_contains(runs.observes, 'request') THEN FALSE
+    END AS is_well_formed,
     ends.end_scope
 FROM chains
 INNER JOIN request_issued AS asked ON chains.run_id = asked.run_id AND chains.seq = asked.seq
+INNER JOIN runs ON chains.run_id = runs.run_id
 LEFT JOIN judged ON chains.run_id = judged.run_id AND chains.seq = judged.seq
 LEFT JOIN ends ON chains.run_id = ends.run_id AND chains.chain = ends.chain AND chains.seq = ends.seq
-QUALIFY count(*) OVER (PARTITION BY chains.run_id, chains.chain) > 1
+WINDOW links AS (PARTITION BY chains.run_id, chains.chain)
+QUALIFY count(*) OVER links > 1

@@ -5,8 +5,10 @@ from typing import Any
 
 import pytest
 
+from fsar_ledger.events import CONCERNS
 from tests.queries.histories import Row, answer, event, run
-from tests.queries.test_audit_questions import asked
+from tests.queries.test_audit_questions import ROBOTS, asked
+from tests.recycled import from_rows
 
 
 def request(time_us: int, action_id: str, requester: str, executor: str, **fields: Any) -> Row:
@@ -211,6 +213,14 @@ def test_a_chain_is_well_formed_when_each_link_was_admitted_by_itself() -> None:
     assert found == [(1, "admitted", None, False), (2, "denied", "trust", False)]
     told = sorted(asked("delegation_chains", "link verdict is_well_formed", *CHAIN))
     assert told == [(1, "admitted", False), (2, None, False)]
+
+
+def test_a_chain_is_not_said_to_be_malformed_where_nobody_records_how_its_links_were_judged() -> None:
+    events, some = (*ROBOTS, *CHAIN), [one for one in CONCERNS if one != "request"]
+    for judgement, expected in (((), None), ((judged(6, "q2", "Denied", "C1", reason="trust"),), False)):
+        with from_rows(run(*events, *judgement, observes=some)) as database:
+            found = {row["is_well_formed"] for row in database.query("audit/delegation_chains").to_pylist()}
+        assert found == {expected}
 
 
 def test_a_request_that_serves_none_and_is_served_by_none_is_no_chain() -> None:
