@@ -15,6 +15,10 @@ WITH shifts AS (
         type = 'SupervisorLeft.v1' AS is_off
     FROM supervision_events
     WHERE type IN ('SupervisorLeft.v1', 'SupervisorReturned.v1')
+    UNION ALL
+    SELECT run_id, -1 AS seq, name AS supervisor, TRUE AS is_off -- who returns without having left was away before
+    FROM begun_before
+    WHERE what = 'absence'
 ),
 
 supervised AS (

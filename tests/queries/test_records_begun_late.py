@@ -147,3 +147,11 @@ def test_a_robot_is_not_idle_before_the_end_of_what_it_had_in_hand_when_the_reco
     with from_rows(run(*MEMBERS, start("t/1", A, A), ended, **FOREIGN)) as database:
         [row] = database.query(f"audit/{query}", {"robot": A, "at_us": "0"}).to_pylist()
         assert row[column] == "idle"
+
+
+def test_the_records_of_a_supervisor_who_returns_without_having_left_were_made_off_shift() -> None:
+    returned = event("SupervisorReturned", 50 * S, supervisor="supervisor/x")
+    later = act("ExecutionStarted", 60 * S, "t/1", robot=A, executed_by=A, supervised_by="supervisor/x")
+    given = run(*MEMBERS, start("t/1", A, A), returned, later, **FOREIGN)
+    columns = ("supervised_by", "records", "records_off_shift")
+    assert set(answer("audit/supervisor_of", given, columns=columns)) == {("supervisor/x", 2, 1)}
