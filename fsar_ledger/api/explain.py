@@ -42,6 +42,7 @@ COLUMNS = (
 LATER = ("capability", "denied_under", "executed_by", "supervised_by", "failures")
 """Columns that a terminal shows if there is room beside the others."""
 
+FAILED = "SELECT seq FROM failures WHERE run_id = $run AND action_id = $action"
 GROUNDS = """
     SELECT DISTINCT unnest(ground_seqs) AS seq
     FROM named_grounds
@@ -219,9 +220,11 @@ def _account(about: "AboutRun", ledger: Path, request: str | None, failure: str 
     (parties,) = _rows(database, "audit/requests", run, action)
     recovery = _rows(database, "audit/failure_timeline", run, action)
     if failure is not None and not recovery:
+        failed = database.rows(FAILED, {"run": run, "action": failure})
+        found_none = "that it failed, and no record of its recovery," if failed else "no failure of this action"
         with resting_on_rows(database.rows_verified):
             raise UsageError(
-                f"{option('failure', failure)}: found no failure of this action in run {run}; "
+                f"{option('failure', failure)}: found {found_none} in run {run}; "
                 f"{option('request', failure)} shows what happened"
             )
     grounds = database.rows(GROUNDS, {"run": run, "seq": parties["seq"], "told": [row["seq"] for row in timeline]})

@@ -2,9 +2,11 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from fsar_ledger import record
 from tests.cli.conftest import Call, one_message
 from tests.quick import few
 
@@ -202,3 +204,17 @@ def test_the_report_takes_no_other_ledger_for_one_of_workflows(
     one_message(call("report", ledger, "--workflows", ledger, "--out", out), 2, "found no run of workflow-door-relay")
     one_message(call("report", ledger, "--workflows", workflows, "--out", workflows / "x.pdf"), 2, "inside the ledger")
     assert not out.exists()
+
+
+def test_a_failure_whose_recovery_nobody_recorded_is_not_denied(call: Call, tmp_path: Path) -> None:
+    ledger = tmp_path / "ledger"
+    at: dict[str, Any] = {"task_id": "t1", "robot": "robot/a"}
+    with record(ledger, run="day", observes=["ExecutionStarted", "ExecutionFailed"]) as recorder:
+        recorder.event("ExecutionStarted", **at, action_id="t1/1", capability="carry")
+        recorder.event("ExecutionFailed", **at, action_id="t1/1", failure=1, cause="jam")
+        recorder.event("ExecutionStarted", **at, action_id="t1/2", capability="carry")
+    for action, found in (
+        ("t1/1", "found that it failed, and no record of its recovery,"),
+        ("t1/2", "found no failure"),
+    ):
+        one_message(call("explain", ledger, "--failure", action), 2, found, f"--request {action} shows what happened")
