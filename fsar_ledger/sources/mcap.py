@@ -7,7 +7,7 @@ with kind, topic, times and hash, and nothing follows from them.
 |---|---|
 | a status in an `action_msgs/msg/GoalStatusArray` that is ACCEPTED, or later, for the first time | `RequestAccepted` |
 | EXECUTING | `ExecutionStarted` |
-| SUCCEEDED, ABORTED | `ExecutionFinished`, `ExecutionFailed` |
+| SUCCEEDED, ABORTED, CANCELED | `ExecutionFinished`, `ExecutionFailed`, `ExecutionWithdrawn` |
 | a `ServiceEvent` (service introspection), a `foxglove.Log`, anything else | an observation |
 
 The robot is the namespace of the topic: `/r1/dock/_action/status` is of `robot/r1`, and its action is `dock`. A topic
@@ -30,7 +30,7 @@ from fsar_ledger.base.errors import UsageError
 from fsar_ledger.base.printable import value
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import Parties, RequestSubject, Robot, Subject, recorded_robot
-from fsar_ledger.events.execution import ExecutionFailed, ExecutionFinished, ExecutionStarted
+from fsar_ledger.events.execution import ExecutionFailed, ExecutionFinished, ExecutionStarted, ExecutionWithdrawn
 from fsar_ledger.events.request import RequestAccepted
 
 from .adapter import Derived, Input, Record, shown, unreadable
@@ -72,7 +72,8 @@ class Mcap:
         return (
             *("RequestAccepted", "RequestAccepted.decided_by", "RequestAccepted.executed_by"),
             *("ExecutionStarted", "ExecutionStarted.executed_by"),
-            *("ExecutionFinished", "ExecutionFinished.executed_by", "ExecutionFailed"),
+            *("ExecutionFinished", "ExecutionFinished.executed_by"),
+            *("ExecutionFailed", "ExecutionWithdrawn"),
         )
 
     def read(self, inputs: Iterable[Input]) -> Iterator[Record]:
@@ -182,6 +183,8 @@ class Mcap:
                 yield ExecutionFinished(subject, parties, robot)
             case "ABORTED":
                 yield ExecutionFailed(subject=subject, robot=robot, failure=1, cause="ABORTED")
+            case "CANCELED":
+                yield ExecutionWithdrawn(subject, robot)
 
 
 def _framed(file: BinaryIO) -> Iterator[Framed]:

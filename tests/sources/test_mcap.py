@@ -39,6 +39,11 @@ def test_every_message_is_kept_and_goals_are_told_once(tmp_path: Path, compressi
     assert is_good(tmp_path / "ledger")
 
 
+def test_a_goal_that_was_canceled_is_no_longer_at_its_robot(tmp_path: Path) -> None:
+    imported(tmp_path, bags.written([bags.statuses("r1", (1, status)) for status in (1, 2, 3, 5, 5)]))
+    assert kinds(tmp_path / "ledger") == ["RequestAccepted", "ExecutionStarted", "ExecutionWithdrawn"]
+
+
 def test_what_is_not_json_is_an_observation_with_kind_topic_time_and_hash(tmp_path: Path) -> None:
     made = imported(tmp_path, bags.written(bags.honest_night()))
     assert [(one.kind, one.count) for one in made.not_understood] == [("sensor_msgs/msg/LaserScan", 1)]
