@@ -23,6 +23,8 @@ from fsar_ledger.projections.registry import surface
 from fsar_ledger.projections.request import Request
 from fsar_ledger.projections.task import Task
 
+from .busy_before import is_busy_before
+
 _T = TypeVar("_T")
 
 
@@ -339,6 +341,7 @@ def _robot(past: Past, name: Robot, seen: Coverage) -> RobotNow:
     work = _work(state, name)
     # A robot that recovers from a failure before the record has in hand what is not on record.
     is_known = all(one.robot != name or one.cause is not None for one in state.recovery.values())
+    is_known = is_known and not is_busy_before(record, seq, name)
     return RobotNow(
         name,
         member.role or None,

@@ -57,5 +57,5 @@ SELECT
 FROM fleet_members AS members
 INNER JOIN runs ON members.run_id = runs.run_id
 LEFT JOIN latest ON members.run_id = latest.run_id AND members.robot = latest.robot AND latest.doing <> 'done'
-LEFT JOIN work_before AS past ON members.run_id = past.run_id AND members.robot = past.robot
+LEFT JOIN busy_before AS past ON members.run_id = past.run_id AND members.robot = past.robot
 WHERE $run IN ('all', members.run_id) AND $robot IN ('all', members.robot) AND members.joined_us <= $at_us::BIGINT

@@ -5,7 +5,7 @@
 -- Units: at seconds of run time; the default time is after the end of every run
 -- NULL: action_id when nothing was in hand; of several things one that failed, else the first that does not wait; state
 --   when nothing is on record and not all of execution, recovery, registry, supervision and world is observed, or
---   something was in hand that began before the record
+--   it was off, or had something in hand, since before the record
 -- Example: fsar-ledger query audit/robot_state_at LEDGER --param run=RUN --param robot=robot/D1 --param at=31
 --   answers robot/D1 is failed, with A1-1/5.1 in hand
 -- Parameters: run: run = all, robot: robot = all, at: time = end
@@ -76,5 +76,5 @@ LEFT JOIN held ON members.run_id = held.run_id AND members.robot = held.robot
 LEFT JOIN amiss AS off ON members.run_id = off.run_id AND members.robot = off.robot AND off.what = 'off'
 LEFT JOIN amiss AS degraded
     ON members.run_id = degraded.run_id AND members.robot = degraded.robot AND degraded.what = 'degraded'
-LEFT JOIN work_before AS past ON members.run_id = past.run_id AND members.robot = past.robot
+LEFT JOIN busy_before AS past ON members.run_id = past.run_id AND members.robot = past.robot
 WHERE $run IN ('all', members.run_id) AND $robot IN ('all', members.robot) AND members.joined_us <= $at_us::BIGINT

@@ -133,10 +133,11 @@ def test_who_returns_without_having_left_was_off_shift_before() -> None:
         (act("ExecutionPaused", 20 * S, "t/1", robot=A), 20),
         (act("RecoveryEscalated", 15 * S, "t/1", robot=A, failed_action="t/1", failure=1, to_level="fleet"), 30),
         (act("AssistanceEnded", 20 * S, "t/1", robot=B, helper=A, failure=1), 20),
+        (event("RobotCameBack", 20 * S, robot=A), 20),
     ],
 )
 @pytest.mark.parametrize(("query", "column"), [("robot_state_at", "state"), ("robot_activity", "doing")])
-def test_a_robot_is_not_idle_before_the_end_of_what_it_had_in_hand_when_the_record_began(
+def test_a_robot_is_not_idle_before_the_end_of_what_it_was_in_when_the_record_began(
     query: str, column: str, first: Row, until: int
 ) -> None:
     ended = act("ExecutionWithdrawn", 30 * S, "t/1", robot=A)

@@ -1,0 +1,50 @@
+"""Nobody is idle before the end of what was under way when the record of another system began; SQL says the same."""
+
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from fsar_ledger import open_ledger, record
+from fsar_ledger.events import CONCERNS
+from fsar_ledger.events.fleet import RobotJoined
+
+BEGAN = datetime(2026, 3, 1, 10, tzinfo=UTC)
+A = RobotJoined(robot="robot/a", role="cart", supervisor=None)  # type: ignore[arg-type]
+OF: dict[str, Any] = {"task_id": "t", "action_id": "t/1", "robot": "robot/a"}
+RESOLVED: dict[str, Any] = {**OF, "failure": 1, "level": "fleet"}
+STEP: dict[str, Any] = {**OF, "failed_action": "t/1", "failure": 1, "level": "local", "to_level": "peer"}
+
+
+@pytest.mark.parametrize(
+    ("events", "idle"),
+    [
+        ([(5, "ExecutionFinished", {**OF, "result": "success"})], [False, False, True]),
+        (
+            [(2, "RecoveryEscalated", STEP), (3, "FailureResolved", RESOLVED), (5, "ExecutionFinished", OF)],
+            [False, False, True],
+        ),
+        ([(5, "RobotCameBack", {"robot": "robot/a"})], [False, False, True]),
+        ([(5, "AssistanceEnded", {**OF, "robot": "robot/b", "helper": "robot/a", "failure": 1})], [False, False, True]),
+        ([(2, "ExecutionStarted", {**OF, "capability": "carry"}), (5, "ExecutionWithdrawn", OF)], [True, False, True]),
+        ([(2, "RobotWentOff", {"robot": "robot/a"}), (5, "RobotCameBack", {"robot": "robot/a"})], [True, None, True]),
+    ],
+)
+def test_a_robot_is_idle_from_the_end_of_what_it_was_in_before(
+    tmp_path: Path, events: list[tuple[int, str, dict[str, Any]]], idle: list[bool | None]
+) -> None:
+    other = (9, "SupervisorLeft", {"supervisor": "supervisor/x"})
+    with record(tmp_path / "ledger", run="day", fleet=[A], observes=CONCERNS, epoch=BEGAN) as recorder:
+        for at_s, name, columns in (*events, other):
+            recorder.event(name, at=BEGAN + timedelta(seconds=at_s), **columns)
+    ledger = open_ledger(tmp_path / "ledger")
+    for at, expected in zip((1, 4, 6), idle, strict=True):
+        robots = ledger.state("day", at=at).standing.robots
+        assert robots is not None
+        (told,) = [one for one in robots if one.robot == "robot/a"]
+        (row,) = ledger.query("audit/robot_state_at", run="day", robot="robot/a", at=at)
+        if expected is None:
+            assert (told.is_on, row["state"]) == (False, "off")
+        else:
+            assert (told.is_idle is True, row["state"] == "idle") == (expected, expected), at
