@@ -133,7 +133,8 @@ def check_anchor(
             Problem(
                 anchor.file,
                 f"a checkpoint with {doubt(anchor.note, trusted)}",
-                f"one signed by {trusted.key}, the trusted key",
+                f"one signed by {trusted.key}, the trusted key; one of before the key changed is compared without "
+                f"{option('trusted_key')}",
             )
         ]
     if then.size > size:
