@@ -125,7 +125,7 @@ def _is_of_these_runs(record: Comparison | Ensemble | Placebo | Systems, finding
 
 
 def fit_changed(findings: Findings, record: Calibration | None) -> str | None:
-    """Say that the record of the fit is of another model than these runs, or of other queries than judge them.
+    """Say that the record of the fit is of another model or constants than these runs, or of other queries.
 
     None if it is of theirs, or if either is missing.
     """
@@ -137,6 +137,9 @@ def fit_changed(findings: Findings, record: Calibration | None) -> str | None:
         unknown = "a model whose version is not on record"
         fitted = unknown if record.model_version is None else f"model version {words(record.model_version)}"
         return f"The model has changed since the fit: the constants were fitted to {fitted}, and these runs are {ran}."
+    if own := own_constants(findings.parameters).to_pylist():
+        names = printable.some(words(row["name"]) for row in own)
+        return f"These runs have constants of their own, not those of the fit: {names}."
     if record.rules is None:
         return "The record of the fit does not say which queries judged its runs."
     later = printable.some(map(words, changed(record.rules)))

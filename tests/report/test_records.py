@@ -241,6 +241,18 @@ def test_a_fit_of_another_model_is_named(fitted: str | None, ran: list[str], wor
     assert found is None if words is None else known(found).endswith(words)
 
 
+def test_runs_under_constants_of_their_own_are_not_those_of_the_fit(findings: Findings) -> None:
+    record = known(packaged(Calibration))
+    same = of_the_record(findings)
+    assert laid_out.fit_changed(same, record) is None
+    moved = msgspec.structs.replace(same, parameters=same.parameters | {"world.routine_rate_per_s": "0"})
+    found = known(laid_out.fit_changed(moved, record))
+    assert found == "These runs have constants of their own, not those of the fit: world.routine_rate_per_s."
+    document = Document(moved, record)
+    assert f"{found} So no number counts as fitted." in said(document, "note")
+    assert "constants were fitted" not in said(document, "answer")
+
+
 @pytest.mark.parametrize("text", ["{", "[]", '{"seeds": "x"}', '{"parameters": [{"name": 1}]}'])
 def test_a_broken_record_is_refused(tmp_path: Path, text: str) -> None:
     (tmp_path / "calibration.json").write_text(text)
