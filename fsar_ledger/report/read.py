@@ -209,7 +209,7 @@ def _results(
         "measured": arrow(mine, MetricRow),
         "other_runs": arrow([row for row in rows if row.scenario is None and setting_of(row) != main], MetricRow),
         "paired": arrow(tests, StatisticRow),
-        "predictive": arrow(_predictive(database, main, tests), ComparedEffect),
+        "predictive": arrow(_predictive(database, main, tests, pair[1]), ComparedEffect),
         "not_judged": pa.table({"name": pa.array(sorted(not_judged), pa.string())}),
     }
     given = of_all_seeds(main or (None,) * len(CONDITIONS))
@@ -220,9 +220,15 @@ def _results(
     return Part(head, tuple(numbers), relations), judge.why_unjudged(*pair), share
 
 
-def _predictive(database: Database, main: Main | None, tests: Sequence[StatisticRow]) -> list[ComparedEffect]:
-    """Ask of each printed effect size whether as many pairs as the paper's could have printed it."""
-    return [] if main is None else compare_effects(tests, drawn_effects(database, main))
+def _predictive(
+    database: Database, main: Main | None, tests: Sequence[StatisticRow], pairs: Mapping[str, RunCounts]
+) -> list[ComparedEffect]:
+    """Ask of each printed effect size whether as many pairs as the paper's could have printed it.
+
+    Left out are comparisons with fewer pairs of a scenario than that, as `judge.drawn_odds` leaves out such numbers.
+    """
+    enough = [row for row in tests if min(pairs.get(row.comparison, {}).values(), default=0) >= judge.PAPER_RUNS]
+    return [] if main is None or not enough else compare_effects(enough, drawn_effects(database, main))
 
 
 def _held(database: Database, main: Main, of: str) -> dict[str, RunCounts]:

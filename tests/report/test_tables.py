@@ -78,6 +78,12 @@ def test_the_tests_and_the_means_by_scenario_are_the_rows_of_their_queries(ledge
         assert column(document, "scenario-means", scenario) == expected
 
 
+def test_no_effect_size_is_judged_by_fewer_runs_than_the_papers(document: Document) -> None:
+    assert max(column(document, "statistical-significance", "n")) < judge.PAPER_RUNS
+    assert {*column(document, "statistical-significance", "chance")} == {None}
+    assert {*column(document, "statistical-significance", "outcome")} == {"undecided"}
+
+
 def test_an_undefined_number_is_a_dash(document: Document) -> None:
     relay = dict(
         zip(keys(document, "scenario-means"), column(document, "scenario-means", "door-relay", "printed"), strict=True)
