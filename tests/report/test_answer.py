@@ -129,6 +129,21 @@ def test_a_ranking_without_tests_is_undecided_and_those_that_are_alike_hold_with
     assert column(apart, "claims", "holds")[0] is False, "FSAR and CFC are no longer alike"
 
 
+def test_alike_ones_that_too_few_runs_put_apart_are_undecided() -> None:
+    numbers = results(coordination_success__fsar=0.80)
+    document = Document(made(numbers, [msgspec.structs.replace(one, p_holm=0.4) for one in pairs_of(numbers)]))
+    assert column(document, "claims", "holds") == [None] * 8, "no test of ours finds a difference"
+
+
+def test_what_fails_and_what_cannot_be_decided_are_both_said() -> None:
+    numbers = results(governance_locality__fsar=0.6)
+    tests = [one for one in pairs_of(numbers) if one.metric != "recovery_containment"]
+    found = said(Document(made(numbers, tests)), "answer")
+    assert "6 of these rankings come out, and that by governance locality does not come out" in found
+    assert "By recovery containment it cannot be decided with these runs." in found
+    assert "cannot be decided with these runs" not in said(page(governance_locality__fsar=0.6), "answer")
+
+
 def test_what_turns_without_a_mechanism_is_named() -> None:
     turned = page(differences=[CONTAINMENT_LOST])
     assert column(turned, "claims", "mechanisms") == [None, None, ["layered recovery"], *[None] * 5]
