@@ -53,12 +53,10 @@ EFFECTS = """
         measured.second_mean AS base_mean,
         measured.first_mean AS fork_mean,
         measured.mean_difference AS difference,
-        CASE measured.test WHEN 'sign' THEN bounds.low WHEN 'paired t' THEN measured.ci_low END AS low,
-        CASE measured.test WHEN 'sign' THEN bounds.high WHEN 'paired t' THEN measured.ci_high END AS high,
-        CASE measured.test WHEN 'sign' THEN 'bootstrap' WHEN 'paired t' THEN 't' END AS interval,
+        measured.ci_low AS low,
+        measured.ci_high AS high,
         measured.test, measured.p, gains.gain
     FROM side_differences AS measured
-    LEFT JOIN side_bootstrap AS bounds ON measured.metric = bounds.metric
     LEFT JOIN side_gains AS gains
         ON measured.metric = gains.metric AND gains.pools_seeds AND gains.scenario IS NULL
     WHERE measured.pools_seeds AND measured.scenario IS NULL
@@ -118,10 +116,9 @@ class Refused(msgspec.Struct, frozen=True):
 class Effect(msgspec.Struct, frozen=True, kw_only=True):
     """The effect of the changes on one metric: fork minus base, in the metric's unit, over `n` pairs.
 
-    In `differing_pairs` of them the metric differs. `low`, `high`: a 95 % interval, by `interval`: `t` (Student, with
-    one degree of freedom less than pairs differ; for a share of runs, Bonett and Price) or `bootstrap` where few pairs
-    differ. `test` is `paired t` or the exact `sign` test. `gain`: so many times as many independent runs would give the
-    same precision.
+    In `differing_pairs` of them the metric differs. `low`, `high` are the 95 % interval, `test` (`paired t` or the
+    exact `sign` test) and `p` those of `compare` (`statistics/side_differences`). `gain`: so many times as many
+    independent runs would give the same precision.
     None: what one pair or equal pairs do not have; means where the metric is undefined.
     """
 
@@ -133,7 +130,6 @@ class Effect(msgspec.Struct, frozen=True, kw_only=True):
     difference: float | None
     low: float | None = None
     high: float | None = None
-    interval: str | None = None
     test: str | None = None
     p: float | None = None
     gain: float | None = None

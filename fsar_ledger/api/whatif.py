@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 NAMES = {"base_mean": "base", "fork_mean": "fork"}
 COLUMNS = (
     *("metric", "differing_pairs", "base_mean", "fork_mean", "difference"),
-    *("low", "high", "interval", "test", "p", "gain"),
+    *("low", "high", "test", "p", "gain"),
 )
 
 Texts = str | Sequence[str]

@@ -8,6 +8,7 @@ from scipy import stats
 
 from fsar_ledger.analysis.fork_base import Base, base_of_record, rerun
 from fsar_ledger.analysis.whatif import Effect, Pair, commit_pairs, effects, forks_of
+from fsar_ledger.api.ledger import open_ledger as open_forks
 from fsar_ledger.base.errors import UsageError
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows.codec import LedgerRun, encode
@@ -78,20 +79,19 @@ def test_where_few_pairs_differ_the_test_is_the_exact_sign_test(pairs: list[Pair
     assert 0 < more + less < RUNS / 2
     assert found.test == "sign"
     assert found.p == pytest.approx(stats.binomtest(min(more, less), more + less).pvalue)
-    assert found.interval == "bootstrap"
 
 
-def test_the_bootstrap_interval_is_that_of_resampled_pairs(pairs: list[Pair]) -> None:
-    found = effect(pairs, "policy_violations")
+def test_the_intervals_are_those_of_compare(pairs: list[Pair], tmp_path: Path) -> None:
+    commit_pairs(tmp_path / "forks", pairs)
+    compared = open_forks(tmp_path / "forks").compare("fsar+fork", "fsar")
+    expected = [(row.metric, row.ci_low, row.ci_high, row.test, row.p) for row in compared.rows]
+    _, (found,) = effects(pairs)
+    assert [(row.metric, row.low, row.high, row.test, row.p) for row in found.rows] == expected
+    few = effect(pairs, "policy_violations")
     base, fork = both_values(pairs, "policy_violations")
-    drawn = np.random.default_rng(3).choice(fork - base, (20_000, RUNS)).mean(axis=1)
-    low, high = np.quantile(drawn, [0.025, 0.975], method="inverted_cdf")
-    assert found.low == pytest.approx(low, abs=1.01 / RUNS)
-    assert found.high == pytest.approx(high, abs=1.01 / RUNS)
-    assert found.low is not None
-    assert found.high is not None
-    assert found.difference is not None
-    assert found.low <= found.difference <= found.high
+    half = stats.t.ppf(0.975, few.differing_pairs - 1) * stats.sem(fork - base)
+    assert few.test == "sign"
+    assert (few.low, few.high) == pytest.approx(((fork - base).mean() - half, (fork - base).mean() + half))
 
 
 def test_a_fork_without_a_change_has_no_effect(bases: list[Base]) -> None:
@@ -100,7 +100,8 @@ def test_a_fork_without_a_change_has_no_effect(bases: list[Base]) -> None:
     assert found.diverging == 0
     for row in found.rows:
         assert row.difference in (0.0, None)
-        assert (row.differing_pairs, row.test, row.p, row.low, row.high) == (0, None, None, None, None)
+        assert (row.differing_pairs, row.test, row.p) == (0, None, None)
+        assert (row.low is None) == (row.metric != "human_intervention"), "a share of runs has an interval also at 0"
 
 
 def test_one_pair_has_values_and_no_intervals(bases: list[Base]) -> None:
