@@ -4,7 +4,7 @@ DuckDB's own list would be of the relations that some SQL has needed so far. So 
 and `DESCRIBE NAME` of a macro describes a call of it. An answer's columns are checked.
 
 The functions are tail probabilities and quantiles from scipy, a column at a time, and constants by name. NULL in, NULL
-out.
+out. No p is 0: one that is too small for a double is the smallest normal one, 2.22507e-308.
 
 | function | value |
 |---|---|
@@ -278,14 +278,18 @@ def _scipy() -> Any:
     return special
 
 
+def _positive(p: Any) -> Any:
+    return np.maximum(p, np.finfo(np.float64).tiny)
+
+
 # See docs/decisions/intervals-keep-their-coverage.md.
 NUMERIC: dict[str, Callable[..., Any]] = {
-    "t_sf2": lambda t, df: 2.0 * _scipy().stdtr(df, -np.abs(t)),
+    "t_sf2": lambda t, df: _positive(2.0 * _scipy().stdtr(df, -np.abs(t))),
     "t_quantile": lambda p, df: _scipy().stdtrit(df, p),
-    "norm_sf2": lambda z: 2.0 * _scipy().ndtr(-np.abs(z)),
+    "norm_sf2": lambda z: _positive(2.0 * _scipy().ndtr(-np.abs(z))),
     "norm_quantile": lambda p: _scipy().ndtri(p),
     "gamma_quantile": lambda p, shape: _scipy().gammaincinv(shape, p),
-    "binomial_half_sf2": lambda k, n: np.minimum(1.0, 2.0 * _scipy().bdtr(k, n.astype(np.int64), 0.5)),
+    "binomial_half_sf2": lambda k, n: _positive(np.minimum(1.0, 2.0 * _scipy().bdtr(k, n.astype(np.int64), 0.5))),
 }
 """The functions of numbers, each of numpy vectors; what they give stands above."""
 

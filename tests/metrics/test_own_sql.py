@@ -1,10 +1,12 @@
 """SQL of one's own can call every query that takes parameters, and can ask what there is to ask."""
 
+import sys
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
 import pytest
+from scipy import stats
 
 from fsar_ledger.base.errors import QueryFailed
 from fsar_ledger.metrics.database import Database, connect, from_rows
@@ -92,3 +94,12 @@ def test_other_sql_is_run_as_it_is_and_makes_no_macro(sql: str) -> None:
 
 def rows(database: Database, sql: str) -> list[dict[str, object]]:
     return [row for batch in database.batches(prepared(database, sql)) for row in batch.to_pylist()]
+
+
+def test_no_p_is_zero_however_far_out(empty: Database) -> None:
+    sql = "SELECT t_sf2(318.0, 999.0) AS t, norm_sf2(-60.0) AS z, binomial_half_sf2(0.0, 3000.0) AS tosses"
+    (found,) = empty.rows(sql)
+    assert set(found.values()) == {sys.float_info.min}
+    (found,) = empty.rows("SELECT t_sf2(2.0, 9.0) AS t, norm_sf2(2.0) AS z, binomial_half_sf2(2.0, 9.0) AS tosses")
+    expected = [2 * stats.t.sf(2, 9), 2 * stats.norm.sf(2), stats.binomtest(2, 9).pvalue]
+    assert [*found.values()] == pytest.approx(expected, rel=1e-12)
