@@ -18,15 +18,15 @@ from fsar_ledger.base.progress import Progress
 from .database import Database
 from .library import READINGS, Query, library
 from .results import CONDITIONS, SETTINGS, setting_of, typed
-from .robustness import OrderUnderReadings, rankings
+from .robustness import OrderUnderReadings, rankings, steady
 from .slices import Asked
 from .verdicts import published
 
 ReadingNames = tuple[str, ...]
 """The readings that replace ours, by name and in order; () is our own."""
 
-PRINTED = ("full", 4)
-"""Configuration and fleet size of the paper's results table."""
+PRINTED = ("full", 4, "simulated")
+"""Configuration, fleet size and kind of the runs in the paper's results table: forks are none of them."""
 
 AT_ONCE = 8
 """Combinations per statement: more are hardly faster, and each takes memory."""
@@ -110,7 +110,8 @@ class Cell(_OfRuns, frozen=True, kw_only=True):
 
     `paper`, `ours`, `lowest`, `highest`, `moved_by` are in the metric's unit; among combinations with the same mean the
     one of fewest readings is named.
-    None: undefined or not observed; `paper` also unless the cell is of a full architecture with four robots;
+    None: undefined or not observed; `paper` also unless the cell is of simulated runs of a full architecture with four
+        robots;
         `most_moving` where no reading alone moves the cell.
     """
 
@@ -340,16 +341,20 @@ def cells(found: Iterable[Universe]) -> Iterator[Cell]:
         by_cell.setdefault((one.metric, setting_of(one), one.architecture), []).append(one)
     for ours, *others in by_cell.values():
         means = [(one.mean, one.readings) for one in (ours, *others) if one.mean is not None]
-        lowest = min(means, key=lambda each: each[0], default=(None, None))
-        highest = max(means, key=lambda each: each[0], default=(None, None))
-        alone = [] if ours.mean is None else [(mean - ours.mean, names[0]) for mean, names in means if len(names) == 1]
+        lowest = min(means, key=lambda each: steady(each[0]), default=(None, None))
+        highest = max(means, key=lambda each: steady(each[0]), default=(None, None))
+        alone = [
+            (mean - ours.mean, names[0])
+            for mean, names in means
+            if len(names) == 1 and ours.mean is not None and steady(mean) != steady(ours.mean)
+        ]
         moved_by, moving = max(alone, key=lambda each: abs(each[0]), default=(0.0, None))
         printed = published().get((ours.metric, ours.architecture or ""))
         yield Cell(
             metric=ours.metric,
             architecture=ours.architecture,
             **_conditions(ours),
-            paper=printed.value if printed is not None and (ours.configuration, ours.fleet_size) == PRINTED else None,
+            paper=printed.value if printed is not None and _of_paper(ours) == PRINTED else None,
             ours=ours.mean,
             lowest=lowest[0],
             highest=highest[0],
@@ -361,6 +366,10 @@ def cells(found: Iterable[Universe]) -> Iterator[Cell]:
             highest_under=highest[1],
             runs_not_observed=ours.runs_not_observed,
         )
+
+
+def _of_paper(one: Universe) -> tuple[str | None, int | None, str]:
+    return one.configuration, one.fleet_size, one.kind
 
 
 def _conditions(one: Universe) -> dict[str, Any]:

@@ -364,8 +364,13 @@ def rankings(found: "Iterable[Universe]", better: Mapping[str, str]) -> Iterator
 def ranked(mine: "Iterable[Universe]", better: str) -> tuple[tuple[str, ...], ...]:
     """Return the architectures that have a mean, the best first; equal ones together, by name."""
     sign = -1 if better == "higher" else 1
-    ordered = sorted((sign * one.mean, one.architecture or "unnamed") for one in mine if one.mean is not None)
+    ordered = sorted((sign * steady(one.mean), one.architecture or "unnamed") for one in mine if one.mean is not None)
     return tuple(tuple(name for _, name in equals) for _, equals in groupby(ordered, key=lambda each: each[0]))
+
+
+def steady(mean: float) -> float:
+    """Return the mean without its last bits, which hang on the order in which the values of runs are added up."""
+    return float(f"{mean:.12g}")
 
 
 def smallest(sets: Sequence[tuple[str, ...]]) -> tuple[tuple[str, ...], ...]:

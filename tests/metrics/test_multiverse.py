@@ -77,6 +77,15 @@ def test_the_best_stands_first_and_equals_together(better: str, order: tuple[tup
     assert ranked(universes({(): {"fsar": 2.0, "dhma": 1.0, "cfc": 2.0}}), better) == order
 
 
+def test_means_that_differ_in_their_last_bits_alone_are_equal() -> None:
+    one, other = 1 / 3 + 1 + 1, 1 + 1 + 1 / 3
+    assert one != other
+    found = ranking({(): {"fsar": other, "cfc": one}, ("a",): {"fsar": one, "cfc": other}})
+    assert (found.order, found.same_order, found.fsar_best) == ("cfc = fsar", 2, 0)
+    still = cell({(): one, ("a",): other})
+    assert (still.most_moving, still.moved_by, still.highest_under) == (None, None, ())
+
+
 def test_a_ranking_that_survives_and_one_that_does_not() -> None:
     kept = ranking({(): {"fsar": 0.9, "cfc": 0.5}, ("a",): {"fsar": 0.6, "cfc": 0.1}})
     assert (kept.order, kept.combinations, kept.same_order, kept.fsar_best) == ("fsar > cfc", 2, 2, 2)
@@ -125,9 +134,9 @@ def test_the_papers_number_stands_beside_cells_of_its_table_alone() -> None:
     assert [one.paper for one in cells(shown)] == [0.14, 0.32, None]
     assert [
         one.paper
-        for changed in ({"fleet_size": 8}, {"configuration": "no-trust"})
+        for changed in ({"fleet_size": 8}, {"configuration": "no-trust"}, {"kind": "fork"})
         for one in cells([structs.replace(shown[0], **changed)])
-    ] == [None, None]
+    ] == [None, None, None]
 
 
 def test_settings_are_never_ranked_together() -> None:
