@@ -225,14 +225,12 @@ def _how_to_read(found: Paired) -> list[str]:
 
     if not found.rows:
         return []
-    alike = [row for row in found.rows if row.n and not row.differing_pairs]
+    undefined = [row for row in found.rows if row.n and row.mean_difference is None]
+    defined = [row for row in found.rows if row.n and row.mean_difference is not None]
+    alike = [row for row in defined if not row.differing_pairs]
+    even = [row for row in defined if row.differing_pairs and row.test is None]
     few = [row for row in found.rows if row.test == "sign" and metric_named(row.metric).scale != "yes-no"]
-    lines = [
-        (
-            "differences are first minus second; containment and latency are ratios over all pairs; Holm adjusts "
-            f"{found.rows[0].family_tests} tests together"
-        )
-    ]
+    lines = ["differences are first minus second; containment and latency are ratios over all pairs" + _holm(found)]
     if fewer := [row for row in found.rows if row.test == "paired t" and row.differing_pairs < row.n]:
         lines.append(
             "paired t has as many degrees of freedom as pairs differ, less one; `statistics` counts every pair, so "
@@ -240,11 +238,30 @@ def _how_to_read(found: Paired) -> list[str]:
         )
     if any(row.metric == "human_intervention" for row in found.rows):
         lines.append("human_intervention is the share of runs that called the fleet supervisor")
+    if undefined:
+        lines.append(f"undefined on one side or both, so there is no difference: {_cells(undefined, found)}")
     if alike:
         lines.append(f"no pair differs, so there is no test: {_cells(alike, found)}")
+    if even:
+        lines.append(f"neither side is higher in any pair, so there is no test: {_cells(even, found)}")
     if few:
         lines.append(f"exact sign test, since few pairs differ, or all alike: {_cells(few, found)}")
     return lines
+
+
+def _holm(found: Paired) -> str:
+    """Say how many tests Holm adjusts together; nothing where there is no test."""
+    from fsar_ledger.metrics.definitions import published_metrics
+
+    tested = [row for row in found.rows if row.p is not None]
+    published = {one.name for one in published_metrics()}
+    counts = sorted({row.family_tests for row in tested if row.metric in published})
+    parts = [f"{counted(counts[0], 'test')} together"] if len(counts) == 1 else []
+    if len(counts) > 1:
+        parts.append(f"{counts[0]} to {counts[-1]} tests of a seed together")
+    if any(row.metric not in published for row in tested):
+        parts.append("each metric that the paper does not print by itself")
+    return f"; Holm adjusts {' and '.join(parts)}" if parts else ""
 
 
 def _cells(rows: list[SideRow], found: Paired) -> str:

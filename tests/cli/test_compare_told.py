@@ -22,6 +22,33 @@ def test_metrics_whose_t_test_counts_fewer_pairs_than_that_of_statistics_are_nam
     assert not [line for line in _how_to_read(structs.replace(found, rows=[every])) if "degrees of freedom" in line]
 
 
+def test_what_holm_adjusts_together_is_said_of_each_kind_of_metric(ledger: Path) -> None:
+    found = open_ledger(ledger).compare("fsar", "cfc")
+    row = structs.replace(found.rows[0], p=0.04, n=4)
+
+    def told(*rows: tuple[str, int, float | None]) -> str:
+        made = [structs.replace(row, metric=name, family_tests=tests, p=p) for name, tests, p in rows]
+        return _how_to_read(structs.replace(found, rows=made))[0].partition("all pairs")[2]
+
+    of_paper, further = ("authority_conflicts", 8, 0.04), ("missed_reviews", 1, 0.04)
+    alone = "each metric that the paper does not print by itself"
+    assert told(of_paper, further) == f"; Holm adjusts 8 tests together and {alone}"
+    assert told(further) == f"; Holm adjusts {alone}"
+    assert told(of_paper, ("policy_violations", 6, 0.04)) == "; Holm adjusts 6 to 8 tests of a seed together"
+    assert told(("authority_conflicts", 0, None)) == ""
+
+
+def test_why_a_row_has_no_test_is_said(ledger: Path) -> None:
+    found = open_ledger(ledger).compare("fsar", "cfc")
+    row = structs.replace(found.rows[0], n=4, test=None, p=None, differing_pairs=2, mean_difference=0.0)
+    even = structs.replace(row, metric="recovery_containment")
+    undefined = structs.replace(row, metric="reassignment_latency_s", mean_difference=None, differing_pairs=0)
+    assert _how_to_read(structs.replace(found, rows=[even, undefined]))[1:] == [
+        "undefined on one side or both, so there is no difference: reassignment_latency_s",
+        "neither side is higher in any pair, so there is no test: recovery_containment",
+    ]
+
+
 def test_compare_says_that_human_intervention_is_a_share_of_runs(call: Call, ledger: Path) -> None:
     said = call("compare", ledger, "--first", "fsar", "--second", "cfc").out.splitlines()
     assert "human_intervention is the share of runs that called the fleet supervisor" in said
