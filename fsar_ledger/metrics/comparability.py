@@ -95,11 +95,14 @@ UNPAIRED = """
 """
 
 IMPUTED = """
+    WITH paired AS (
+        SELECT unnest([first_run_id, second_run_id]) AS run_id FROM run_pairs WHERE differs IS NULL
+    )
     SELECT measured.metric, definitions.published_value, definitions.scale, count(*) AS runs
     FROM run_metrics AS measured
     INNER JOIN metric_definitions AS definitions ON measured.metric = definitions.metric
     WHERE measured.value IS NULL AND measured.published_convention_value IS NOT NULL
-        AND measured.architecture IS NOT NULL
+        AND measured.run_id IN (SELECT run_id FROM paired)
     GROUP BY ALL
     ORDER BY min(definitions.position)
 """
@@ -271,7 +274,7 @@ def left_over(database: Database) -> list[str]:
 
 
 def imputed(database: Database, rows: Iterable[StatisticRow]) -> list[str]:
-    """Say which of the rows count runs without a value, and as what. Raises: as `Database.rows`."""
+    """Say which of the rows count how many runs without a value, and as what. Raises: as `Database.rows`."""
     shown = {row.metric for row in rows}
     return [
         f"{row['metric']}: {counted(row['runs'], 'run')} without a failure {'counts' if row['runs'] == 1 else 'count'} "

@@ -242,7 +242,8 @@ def test_runs_counted_as_the_paper_does_are_said_and_pairs_of_nothing_else_are_n
         event("FailureResolved", S, action_id="t1/1", failure=1, level="local"),
     )
     names = ("recovery_containment", "reassignment_latency_s")
-    for runs, shown in (([of("fsar", 0), of("cfc", 0)], 0), ([of("fsar", 0, *failed), of("cfc", 0)], 2)):
+    alone = of("fsar", 1)  # without a failure, and without a partner: no test counts it
+    for runs, shown in (([of("fsar", 0), of("cfc", 0)], 0), ([of("fsar", 0, *failed), of("cfc", 0), alone], 2)):
         with from_rows([row for rows in runs for row in rows]) as database:
             rows = statistic_rows(database)
             said_of_them = imputed(database, rows)
