@@ -234,6 +234,11 @@ def test_the_negative_control_stands_beside_the_tests(findings: Findings) -> Non
     assert "9 pairs of runs met the same world, and the largest mean difference of any metric is 0" in said(document)
     shown = [column(document, "negative-control", key) for key in ("t", "wilcoxon", "mcnemar", "holm")]
     assert shown == [["0.050 (0.020 to 0.110)", None]] * 2 + [[None, None], [None, "0.050 (0.020 to 0.110)"]]
+    none = placebo(("audit_attributability", "p"))
+    [rejected] = none.tests
+    one = msgspec.structs.replace(none, tests=[msgspec.structs.replace(rejected, rejected=0, kept=1, undefined=99)])
+    document = Document(findings, robustness=robustness_relations(control=one))
+    assert column(document, "negative-control", "t") == ["0.050 (0.020 to 0.110) of 1"]
 
 
 def test_what_must_be_known_before_stands_first(findings: Findings, document: Document) -> None:

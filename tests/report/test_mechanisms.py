@@ -216,4 +216,4 @@ def test_what_never_decided_is_named_and_what_is_not_observed_is_no_zero() -> No
     assert column(document, "mechanism-uses", "door-relay") == ["– / 0", "3 / 0"]
     assert column(document, "mechanism-uses", "fleet-contention") == [None, "1"]
     assert "1 never did in these runs" in said(document)
-    assert "for or against them: registry, never." in said(document)
+    assert "for or against them: registry (never)." in said(document)
