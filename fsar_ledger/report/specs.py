@@ -127,7 +127,7 @@ def text(*path: str) -> str:
 class Titles(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """What a document is called: in the PDF and above each page, on the first page, and the line below.
 
-    `breaks`: its first page has nothing but the section without a title.
+    `breaks`: its first page has nothing but the section without a title, where that has room on it.
     """
 
     title: str

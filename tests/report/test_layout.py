@@ -131,6 +131,14 @@ def widest_gap(page: Any) -> float:
     return float(np.diff([-1, *marked, height]).max() - 1) / height
 
 
+def test_what_the_first_page_has_no_room_for_is_followed_by_the_rest(findings: Findings, tmp_path: Path) -> None:
+    for notes, pages in ((0, (1, 2)), (12, (2, 2))):
+        noted = msgspec.structs.replace(findings, differing=("a long note. " * 12,) * notes)
+        parts = typeset(Document(noted, packaged(Calibration)), tmp_path / f"{notes}", "places")["parts"]
+        where = {one["name"]: one["page"] for one in parts}
+        assert (where["tab-claims"], where["tab-tally"]) == pages
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("held", ["the results alone", "everything"])
 def test_the_report_has_at_most_eighteen_pages_and_none_but_the_last_is_a_quarter_empty(
