@@ -23,8 +23,6 @@ from fsar_ledger.projections.registry import surface
 from fsar_ledger.projections.request import Request
 from fsar_ledger.projections.task import Task
 
-from .busy_before import is_busy_before
-
 _T = TypeVar("_T")
 
 
@@ -229,8 +227,8 @@ class Situation(msgspec.Struct, frozen=True, kw_only=True):
     not_observed: tuple[str, ...]
 
 
-def situation(past: Past, robot: str | None) -> Situation:
-    """Return how things stand then; with `robot`, only what that robot has a part in."""
+def situation(past: Past, busy_us: Mapping[str, int], robot: str | None) -> Situation:
+    """Return how things stand then; with `robot`, what that robot has a part in. `busy_us` is facts/busy_before."""
     state = past.state
     known = dict.fromkeys((*state.fleet.robots, *state.execution.current))  # one that acts need not have joined
     robots = [name for name in known if robot in (None, name)]
@@ -247,7 +245,7 @@ def situation(past: Past, robot: str | None) -> Situation:
 
     seen = Coverage(past.started)
     return Situation(
-        robots=seen.all("fleet", (_robot(past, name, seen) for name in robots)),
+        robots=seen.all("fleet", (_robot(past, name, seen, past.time_us >= busy_us.get(name, 0)) for name in robots)),
         requests=seen.all("request", requests),
         claims=seen.all(
             "authority",
@@ -332,16 +330,13 @@ def _rules(state: State, robot: str | None) -> Iterator[RuleNow]:
         yield RuleNow(scope, f"role {role}{where}", capability, task, outcome)
 
 
-def _robot(past: Past, name: Robot, seen: Coverage) -> RobotNow:
+def _robot(past: Past, name: Robot, seen: Coverage, is_known: bool) -> RobotNow:
     state = past.state
     world, member = state.world, state.fleet.robots.get(name, Member(name, "", 0, None))
     offers: dict[str, tuple[str, ...]] = {}
     for one in surface(state.registry, name):
         offers[one.availability] = (*offers.get(one.availability, ()), one.capability)
     work = _work(state, name)
-    # A robot that recovers from a failure before the record has in hand what is not on record.
-    is_known = all(one.robot != name or one.cause is not None for one in state.recovery.values())
-    is_known = is_known and not is_busy_before(record, seq, name)
     return RobotNow(
         name,
         member.role or None,

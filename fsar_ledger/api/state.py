@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from fsar_ledger.analysis.moments import Belief
     from fsar_ledger.analysis.situation import RobotNow, RuleNow, Situation, TrustNow
     from fsar_ledger.ledger.rows.codec import LedgerRun
+    from fsar_ledger.metrics.database import Database
     from fsar_ledger.metrics.provenance import Provenance
     from fsar_ledger.projections.fold import State
 
@@ -106,6 +107,7 @@ def state(
     with about_run(view, run, ledger.demanded) as (database, name, _):
         at_us = time_of(database, "at", at, name)
         whose = None if robot is None else robot_of(database, robot, name)
+        busy_us = _busy_us(database, name)
     commits = len(view.commits)
     found = commits_of(view, name)
     if by_commit is not None:
@@ -120,7 +122,7 @@ def state(
     ends_us = end_of(view, name, size)
     at_us = ends_us if at_us is None else at_us
     past = past_at(pieces_of(view, name, size), at_us)
-    stands = situation(past, whose)
+    stands = situation(past, busy_us, whose)
     return Moment(
         run=name,
         at_s=at_us / 1e6,
@@ -134,6 +136,12 @@ def state(
         state=past.state,
         provenance=of_run(provenance, stands.not_observed),
     )
+
+
+def _busy_us(database: "Database", run: str) -> dict[str, int]:
+    """Return until when each robot of the run may be in what began before its record."""
+    rows = database.rows("SELECT robot, until_us FROM busy_before WHERE run_id = $run", {"run": run})
+    return {row["robot"]: row["until_us"] for row in rows}
 
 
 def standing_lines(found: "Situation") -> Iterator[str]:
@@ -242,7 +250,9 @@ def _belief(one: "Belief") -> str:
 class Steps:
     """A walk through a run of a ledger: where it is, what happened there, and how things stand."""
 
-    def __init__(self, record: "LedgerRun", provenance: "Provenance", at_us: int | None) -> None:
+    def __init__(
+        self, record: "LedgerRun", provenance: "Provenance", busy_us: Mapping[str, int], at_us: int | None
+    ) -> None:
         """Begin after the last event of that time; None: at event 0. Raises: as `Database.rows`."""
         from fsar_ledger.analysis import lines_of
         from fsar_ledger.analysis.moments import Timeline, Walk
@@ -251,7 +261,7 @@ class Steps:
 
         self.run = record.run_id
         self.provenance = of_run(provenance, Coverage(record.events[0]).lacking)
-        self._record = record
+        self._record, self._busy_us = record, busy_us
         self._timeline = Timeline(record)
         found = lines_of([record], [(record.run_id, seq) for seq in range(len(record.events))])
         self.words = [found[(record.run_id, seq)].text for seq in range(len(record.events))]
@@ -293,7 +303,7 @@ class Steps:
         """Return how things stand after the event at which the walk is."""
         from fsar_ledger.analysis.situation import situation
 
-        return situation(self._timeline.past(self.seq), robot)
+        return situation(self._timeline.past(self.seq), self._busy_us, robot)
 
     def _seq_at(self, text: str) -> int:
         time_us = microseconds("go", text)
@@ -368,5 +378,5 @@ def step(
 
     view, provenance = present(ledger)
     with about_run(view, run, ledger.demanded) as (database, name, _):
-        at_us = time_of(database, "at", at, name)
-    return Steps(recorded(ledger, view, name), provenance, at_us)
+        at_us, busy_us = time_of(database, "at", at, name), _busy_us(database, name)
+    return Steps(recorded(ledger, view, name), provenance, busy_us, at_us)
