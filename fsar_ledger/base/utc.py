@@ -19,3 +19,13 @@ def zoned(when: datetime) -> datetime:
 def shown(when: datetime, timespec: str = "auto") -> str:
     """Return a time in UTC as text that ends in Z; `timespec` as `datetime.isoformat` has it."""
     return when.isoformat(timespec=timespec).replace("+00:00", "Z")
+
+
+def microseconds(when: datetime) -> int:
+    """Return the microseconds from 1970 to a moment with a zone."""
+    return (when - EPOCH) // MICROSECOND
+
+
+def shown_us(time_us: int, timespec: str = "auto") -> str:
+    """Return so many microseconds since 1970 as `shown` has them."""
+    return shown(EPOCH + time_us * MICROSECOND, timespec)

@@ -10,7 +10,7 @@ import os
 import shutil
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple, get_args, get_origin, get_type_hints
 
@@ -65,12 +65,12 @@ def epoch_us(run: str, epoch: str | None) -> int:
             f"run {printable.value(run)}: found the epoch {printable.value(epoch)}, expected a time in ISO 8601 "
             f"between 1970 and {LATEST_YEAR}; name another run"
         ) from error
-    return (found - utc.EPOCH) // utc.MICROSECOND
+    return utc.microseconds(found)
 
 
 def rfc3339(time_us: int) -> str:
     """Return a time in UTC from its microseconds since 1970."""
-    return utc.shown(utc.EPOCH + timedelta(microseconds=time_us), "microseconds")
+    return utc.shown_us(time_us, "microseconds")
 
 
 PRINCIPALS = ("robot", "supervisor", "service", "agent", "coordinator")

@@ -117,8 +117,7 @@ class Federation:
         """Begin a new run: of a fleet from now on, or of a robot alone in the time of its fleet's run."""
         now_us = self._clock() // 1_000
         if isolation is None:
-            epoch = utc.shown(utc.EPOCH + now_us * utc.MICROSECOND)
-            self._begin(live_started(constants, robots, epoch), 0)
+            self._begin(live_started(constants, robots, utc.shown_us(now_us)), 0)
             self._epoch_us = now_us
             self._live = LiveRun(self._started, constants)
             return
@@ -345,7 +344,7 @@ class Federation:
 
     def _begin(self, started: RunStarted, began_us: int) -> None:
         self._started, self._began_us = started, began_us
-        self._epoch_us = (utc.parsed(f"{started.epoch}") - utc.EPOCH) // utc.MICROSECOND
+        self._epoch_us = utc.microseconds(utc.parsed(f"{started.epoch}"))
 
     def _resume(self, view: View) -> None:
         record = record_of(view, self.run)

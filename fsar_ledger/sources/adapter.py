@@ -296,7 +296,7 @@ def utc_us(text: object) -> int | None:
     if not isinstance(text, str):
         return None
     try:
-        return (utc.parsed(text) - utc.EPOCH) // utc.MICROSECOND
+        return utc.microseconds(utc.parsed(text))
     except ValueError:
         return None
 

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import msgspec
 
-from fsar_ledger.base import utc
 from fsar_ledger.base.errors import InvalidRun, UsageError
 from fsar_ledger.base.printable import counted, value
 from fsar_ledger.events import Event
@@ -17,7 +16,7 @@ from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.locations import event_count, place_of
 from fsar_ledger.ledger.store.read import View
 
-from .adapter import UNREADABLE
+from .adapter import UNREADABLE, utc_us
 from .columns import Declared
 
 NewEvent = tuple[int, int | None, Event]
@@ -145,11 +144,10 @@ def held(path: Path, run: str) -> Held | None:
             case "RobotJoined.v1" if not records:
                 robots[f"{row.robot}"] = f"{row.role}"
     started = stored.started
-    epoch = None if started.epoch is None else utc.parsed(started.epoch) - utc.EPOCH
     return Held(
         stored.size,
         stored.last_us,
-        None if epoch is None else epoch // utc.MICROSECOND,
+        utc_us(started.epoch),
         Declared(started.observes, started.records or ()),
         first,
         records,

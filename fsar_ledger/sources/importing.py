@@ -9,7 +9,6 @@ import hashlib
 import io
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from datetime import timedelta
 from itertools import chain
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -250,8 +249,7 @@ class _Import:
         """Take the first time of the input as run time 0, and say so if the beginning is not committed yet."""
         self.epoch_us = when_us
         if when_us is not None and self.rows and isinstance(started := self.rows[0][2], RunStarted):
-            epoch = utc.shown(utc.EPOCH + timedelta(microseconds=when_us))
-            self.rows[0] = (0, None, msgspec.structs.replace(started, epoch=epoch))
+            self.rows[0] = (0, None, msgspec.structs.replace(started, epoch=utc.shown_us(when_us)))
 
     def _add(self, record: Record, derived: Iterable[Derived]) -> None:
         """Add a record, and what follows from it."""
