@@ -3,8 +3,6 @@
 from collections.abc import Iterable, Iterator
 from typing import Any
 
-import msgspec
-
 BEGINS_NS = 1_772_359_200_000_000_000
 """2026-03-01T10:00:00Z."""
 Line = dict[str, Any]
@@ -68,10 +66,6 @@ def honest_day(traces: Iterable[str] = ("1", "2")) -> Iterator[Line]:
         )
         yield batch(span("2", "1", "invoke_agent", trace=trace, agent="picker", from_s=begins + 1, to_s=begins + 6))
         yield batch(span("1", None, "invoke_agent", trace=trace, agent="planner", from_s=begins, to_s=begins + 7))
-
-
-def written(lines: Iterable[Line]) -> bytes:
-    return b"".join(msgspec.json.encode(line) + b"\n" for line in lines)
 
 
 def snake(found: Any) -> Any:

@@ -4,8 +4,6 @@ from collections.abc import Iterable, Iterator
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
-import msgspec
-
 BEGINS = datetime(2026, 3, 1, 10, tzinfo=UTC)
 FLEET = "tinyRobot"
 Line = dict[str, Any]
@@ -97,7 +95,3 @@ def honest_day(robots: Iterable[str] = ("r1", "r2")) -> Iterator[Line]:
     yield state(101, "patrol-1", "canceled", robot="r1", cancellation=cancelled)
     nobody = {"status": "failed_to_assign", "errors": [{"code": 10, "category": "Not Feasible", "detail": "no bid"}]}
     yield state(110, "clean-1", "failed", dispatch=nobody)
-
-
-def written(lines: Iterable[Line]) -> bytes:
-    return b"".join(msgspec.json.encode(line) + b"\n" for line in lines)

@@ -13,8 +13,9 @@ from fsar_ledger.base.errors import UsageError
 from fsar_ledger.sources import otlp
 from fsar_ledger.sources.adapter import Input, Record
 from tests.recycled import asked
-from tests.sources.otel import Line, attributes, batch, honest_day, snake, span, written
+from tests.sources.otel import Line, attributes, batch, honest_day, snake, span
 from tests.sources.pages import printed_otherwise
+from tests.sources.vda import written
 
 FLEET = '[robots]\nplanner = "planner"\npicker = "picker"\n'
 Import = Callable[..., ImportResult]

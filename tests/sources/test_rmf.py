@@ -21,7 +21,8 @@ from fsar_ledger.sources.adapter import UNREADABLE, Input, Record
 from fsar_ledger.sources.importing import Imported, import_files
 from fsar_ledger.sources.rmf import SEARCHED, Rmf
 
-from .rmf_messages import FLEET, Line, booking, dispatched, fleet, honest_day, log, millis, phases, state, written
+from .rmf_messages import FLEET, Line, booking, dispatched, fleet, honest_day, log, millis, phases, state
+from .vda import written
 
 ROBOTS = {f"{FLEET}.r1": "tiny", f"{FLEET}.r2": "tiny"}
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "sources" / "rmf.md"
