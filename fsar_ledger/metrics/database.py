@@ -7,14 +7,14 @@ import pyarrow as pa
 
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.rows.schema import SCHEMA
-from fsar_ledger.ledger.store.locations import chain_of, earlier_runs
+from fsar_ledger.ledger.store.locations import chain_of, earlier_runs, event_count
 from fsar_ledger.ledger.store.paths import SEGMENTS
 from fsar_ledger.ledger.store.read import View
 from fsar_ledger.ledger.store.shards import views_of
 
 from . import relation
 from .connection import Database, Value
-from .slices import Slices, numbered
+from .slices import SLICE_EVENTS, Slices, numbered
 from .sql_values import NULLABLE, plain_rows, with_all_columns
 from .verified import is_verified, is_verified_for_runs
 
@@ -90,7 +90,8 @@ def connect_run(view: View, run: str, demanded: str | None) -> Database:
     runs = chain_of(view, run)
     held = view.segments_of([part for name in runs for part in view.parts(name)])
     segments = [view.segment(number) for number in held]
-    database = Database(view.head, segments, rows_verified=rows_verified)
+    is_long = sum(event_count(view, name) for name in runs) > SLICE_EVENTS
+    database = Database(view.head, segments, rows_verified=rows_verified, may_spill=is_long)
     ordinal, releases = view.ordinal_of(run), view.releases
     numbers = numbered([run] if ordinal else [], ordinal)
     chosen = relation.RowFilter(relation.of_runs(runs), numbers)
