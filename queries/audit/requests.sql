@@ -59,7 +59,7 @@ SELECT
         WHEN actions.refusal = 'nobody to ask' AND NOT list_contains(runs.observes, 'registry') THEN NULL
         ELSE actions.refusal
     END AS result,
-    actions.ended_us / 1000000 AS ended_s,
+    if(actions.result IS NULL AND actions.begun_seq > actions.refused_seq, NULL, actions.ended_us / 1000000) AS ended_s,
     CASE
         WHEN actions.result IS NOT NULL THEN actions.result_seq
         WHEN actions.begun_seq > actions.refused_seq THEN NULL

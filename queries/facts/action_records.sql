@@ -3,7 +3,7 @@
 -- Grain: one row per action that a record names, or that a denial is about by its cause
 -- Key: run_id, action_id
 -- Units: began_us, ended_us microseconds of run time; begun_seq, refused_seq, result_seq positions in the run of the
---   last start or command, refusal, and result
+--   last start, acceptance or command, refusal, and result
 -- NULL: what no record of the action tells; failures when the run does not observe recovery, state when it does not
 --   observe execution and request
 -- Example: fsar-ledger query facts/action_records LEDGER
@@ -45,7 +45,7 @@ SELECT
     max(time_us) FILTER (
         type IN ('ExecutionFinished.v1', 'RequestClosed.v1', 'RequestDenied.v1', 'RequestUnanswered.v1')
     ) AS ended_us,
-    max(events.seq) FILTER (type IN ('CommandIssued.v1', 'ExecutionStarted.v1')) AS begun_seq,
+    max(events.seq) FILTER (type IN ('CommandIssued.v1', 'RequestAccepted.v1', 'ExecutionStarted.v1')) AS begun_seq,
     max(events.seq) FILTER (type IN ('RequestDenied.v1', 'RequestUnanswered.v1')) AS refused_seq,
     max(events.seq) FILTER (
         type IN ('ExecutionFinished.v1', 'RequestClosed.v1') AND result IS NOT NULL

@@ -163,6 +163,16 @@ def test_a_request_without_an_end_is_told_by_how_far_it_came() -> None:
         assert asked("refusals", "reason", {**QUERY, "candidates": candidates}, nobody) == [(reason,)]
 
 
+def test_a_request_that_goes_on_after_a_refusal_has_neither_its_result_nor_its_end() -> None:
+    denied = event("RequestDenied", 3 * S, **about(by=B), reason="trust")
+    accepted = event("RequestAccepted", 4 * S, **about(by=C))
+    again = {**STARTED, "time_us": 5 * S}
+    columns = "result ended_s denied_by"
+    assert asked("requests", columns, request(), denied) == [("denied: trust", 3.0, B)]
+    assert asked("requests", columns, request(), denied, accepted) == [("not begun", None, B)]
+    assert asked("requests", columns, request(), denied, accepted, again) == [("not finished", None, B)]
+
+
 def test_only_approval_allows_and_unknown_principals_stay_open() -> None:
     refusal = event("SupervisorResponded", 4 * S, **about(by="supervisor/fleet"), purpose="review", approves=False)
     assert asked("requests", "allowed_by supervised_by", request(), refusal) == [(None, "supervisor/fleet")]
