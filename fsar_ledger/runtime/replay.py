@@ -44,6 +44,7 @@ from fsar_ledger.ledger.rows import segment
 from fsar_ledger.ledger.rows.codec import LedgerRun, decode
 from fsar_ledger.ledger.rows.runs import joined
 from fsar_ledger.ledger.store.locations import chain_of, continued_by, earlier_runs, places_of, record_of
+from fsar_ledger.ledger.store.paths import JOURNAL
 from fsar_ledger.ledger.store.read import View
 from fsar_ledger.ledger.verify.report import MAX_PROBLEMS
 
@@ -151,6 +152,11 @@ def _within(path: Path, file: Path) -> str:
     return str(file.relative_to(path) if file.is_relative_to(path) else file)
 
 
+def _place(file: str) -> str:
+    """Name where rows are in the ledger: those of the journal were put into a file elsewhere to be read."""
+    return JOURNAL if Path(file).is_absolute() else file
+
+
 def _replayed(
     path: str, files: list[tuple[str, ...]], workers: int, is_recorded: bool, continued: frozenset[str]
 ) -> Iterator[CommitReport]:
@@ -193,10 +199,10 @@ def replay_commit(
                 runs, events = runs + parts, events + size
                 starts += [event for event in record.events[:1] if isinstance(event, RunStarted)]
             else:
-                found.append(msgspec.structs.replace(difference, commit=number, segment=files[0]))
+                found.append(msgspec.structs.replace(difference, commit=number, segment=_place(files[0])))
     except Exception as error:  # a check that fails in an unforeseen way is still a finding
         found.append(
-            Difference(None, None, None, None, "runs that can be replayed", error_text(error), number, files[0])
+            Difference(None, None, None, None, "runs that can be replayed", error_text(error), number, _place(files[0]))
         )
     return CommitReport(tuple(found), constants_used(starts), runs, events, tuple(digests))
 

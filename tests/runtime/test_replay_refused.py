@@ -8,6 +8,7 @@ from typing import Any
 import msgspec
 import pytest
 
+from fsar_ledger import record
 from fsar_ledger.designs.constants import Constants, Range, Structure, WorldConstants
 from fsar_ledger.events import CONCERNS, Event
 from fsar_ledger.events.configuration import PAPER_ARCHITECTURES
@@ -127,6 +128,13 @@ def test_a_segment_that_cannot_be_read_is_a_finding(tmp_path: Path) -> None:
         (0, "segments/000000000001.parquet", None)
     ]
     assert not report.ok
+
+
+def test_a_run_in_the_journal_is_said_to_be_there(tmp_path: Path) -> None:
+    with record(tmp_path / "ledger", run="day", observes=["ExecutionStarted"]) as recorder:
+        recorder.event("ExecutionStarted", task_id="t", action_id="t/1", robot="robot/a", capability="carry")
+    [difference] = replay(tmp_path / "ledger").differences
+    assert (difference.segment, difference.run) == ("journal.jsonl", "day")
 
 
 # --- the command ---
