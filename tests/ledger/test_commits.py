@@ -83,9 +83,9 @@ def test_a_ledger_of_many_commits_is_read_in_parts_and_its_commits_are_packed(
 
 
 @pytest.fixture
-def remembers(monkeypatch: pytest.MonkeyPatch) -> dict[object, snapshot.Known]:
+def remembers(monkeypatch: pytest.MonkeyPatch) -> dict[tuple[Path, str], snapshot.Known]:
     """Every chain is long enough to be remembered; what is remembered, which is nothing yet."""
-    found: dict[object, snapshot.Known] = {}
+    found: dict[tuple[Path, str], snapshot.Known] = {}
     monkeypatch.setattr(snapshot, "LEAST_KNOWN", 1)
     monkeypatch.setattr(snapshot, "PART_BYTES", 3_000)
     monkeypatch.setattr(snapshot, "known", found)
@@ -93,7 +93,7 @@ def remembers(monkeypatch: pytest.MonkeyPatch) -> dict[object, snapshot.Known]:
 
 
 def test_a_chain_that_this_process_knows_reads_as_one_that_it_does_not(
-    tmp_path: Path, remembers: dict[object, snapshot.Known]
+    tmp_path: Path, remembers: dict[tuple[Path, str], snapshot.Known]
 ) -> None:
     path, run = tmp_path / "ledger", made_up_run("long", 60, 3)
     views: list[tuple[View, View]] = []
@@ -114,7 +114,7 @@ def test_a_chain_that_this_process_knows_reads_as_one_that_it_does_not(
 
 
 def test_only_the_new_lines_of_a_known_chain_are_followed(
-    tmp_path: Path, remembers: dict[object, snapshot.Known], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, remembers: dict[tuple[Path, str], snapshot.Known], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path, run = tmp_path / "ledger", made_up_run("long", 60, 3)
     with Writer(path, ORIGIN) as writer:
@@ -141,7 +141,7 @@ def test_only_the_new_lines_of_a_known_chain_are_followed(
 
 @pytest.mark.parametrize("where", [0.0, 0.4])
 def test_a_known_chain_that_was_altered_is_read_again(
-    tmp_path: Path, remembers: dict[object, snapshot.Known], where: float
+    tmp_path: Path, remembers: dict[tuple[Path, str], snapshot.Known], where: float
 ) -> None:
     path, run = tmp_path / "ledger", made_up_run("long", 60, 3)
     with Writer(path, ORIGIN) as writer:
@@ -158,3 +158,14 @@ def test_a_known_chain_that_was_altered_is_read_again(
     os.utime(path / CHAIN, ns=(status.st_atime_ns, status.st_mtime_ns))
     with pytest.raises(LedgerCorrupted, match="field rows"):
         open_ledger(path)
+
+
+def test_only_the_newest_chains_are_remembered(
+    tmp_path: Path, remembers: dict[tuple[Path, str], snapshot.Known]
+) -> None:
+    for at in range(snapshot.MOST_KNOWN + 2):
+        with Writer(tmp_path / f"{at}", ORIGIN) as writer:
+            writer.add([piece(made_up_run("long", 60, 3), 0, 1)])
+            writer.seal()
+        open_ledger(tmp_path / f"{at}")
+    assert [place for place, _ in remembers] == [tmp_path / f"{at}" for at in range(2, snapshot.MOST_KNOWN + 2)]

@@ -154,8 +154,8 @@ class _Reader:
         place, followed = (self.path, self._sha256), Followed(self._followed.end, last=self._followed.last)
         known.pop(place, None)
         known[place] = Known(self._digest.digest(), followed, chain)
-        if len(known) > MOST_KNOWN:
-            del known[next(iter(known))]
+        for oldest in [*known][:-MOST_KNOWN]:
+            known.pop(oldest, None)  # unless another thread was first
 
     def is_synced(self) -> bool:
         """Sync what is hidden to the disk, so that it stays; return whether the disk took it."""
