@@ -47,7 +47,7 @@ def hall(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ]
     with Writer(path, "example.org/hall") as writer:
         writer.append(stage(path, records))
-    assert Ledger(path).verify(replay=True).exit_code == 0
+    assert Ledger(path).verify(replay=True).ok
     return path
 
 

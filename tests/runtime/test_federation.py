@@ -45,7 +45,7 @@ def given(ledger: Path) -> list[CommandGiven]:
 
 
 def is_good(ledger: Path) -> bool:
-    return fsar_ledger.Ledger(ledger).verify(replay=True).exit_code == 0
+    return fsar_ledger.Ledger(ledger).verify(replay=True).ok
 
 
 def test_a_decision_is_on_disk_when_the_call_returns(tmp_path: Path) -> None:

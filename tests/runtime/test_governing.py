@@ -50,7 +50,7 @@ def test_who_was_overtaken_says_that_another_process_wrote_the_run_and_writes_no
             with pytest.raises(SequenceConflict, match="another process has written this run meanwhile: stop one of"):
                 first.give("SubmitTask", "robot/A1", task_id="t2", **TASK)
         assert len(fsar_ledger.Ledger(tmp_path / "ledger").record("day").events) == size
-    assert fsar_ledger.Ledger(tmp_path / "ledger").verify(replay=True).exit_code == 0
+    assert fsar_ledger.Ledger(tmp_path / "ledger").verify(replay=True).ok
 
 
 def test_where_there_is_no_place_for_a_lock_the_run_is_governed_without(tmp_path: Path) -> None:

@@ -312,5 +312,5 @@ def test_a_live_run_on_record_is_verified_replayed_audited_and_measured(tmp_path
             stage(tmp_path / "ledger", [relay().record, msgspec.structs.replace(failing().record, run_id="b")])
         )
     ledger = Ledger(tmp_path / "ledger")
-    assert ledger.verify(replay=True).exit_code == 0
+    assert ledger.verify(replay=True).ok
     assert not [row for row in ledger.audit().rows if row.holds is False]

@@ -93,7 +93,7 @@ class Site:
 
 
 def is_good(ledger: Path) -> bool:
-    return fsar_ledger.Ledger(ledger).verify(replay=True).exit_code == 0
+    return fsar_ledger.Ledger(ledger).verify(replay=True).ok
 
 
 def until(holds: Callable[[], object], seconds: float = 10) -> None:
