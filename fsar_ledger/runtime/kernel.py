@@ -28,7 +28,7 @@ from typing import Any
 from fsar_ledger.events import EVENT_TYPES, Event
 from fsar_ledger.events.fleet import RunContinued, RunStarted
 from fsar_ledger.events.world import LinkCameUp, RobotCameBack, RobotWentOff
-from fsar_ledger.ledger.rows.runs import LedgerRun
+from fsar_ledger.ledger.rows.runs import LedgerRun, is_same_batch
 from fsar_ledger.projections.fleet import NEVER_US
 from fsar_ledger.projections.fold import ENDS, ROUTES, State, apply, forget
 from fsar_ledger.projections.world import is_linked
@@ -84,6 +84,7 @@ class Kernel:
         self._pending = Agenda((isinstance(begun, RunStarted) and begun.fleet_size) or 1)
         self._held_back: list[Pending] = []
         self._serial = 0
+        self._turn_us = 0  # when the last command had its turn: what comes later must not be recorded as before it
         self._submitted_us: list[int] = []  # a heap: when commands from outside are due
         self._taken: deque[tuple[int, array[int]]] = deque()  # first seq and times of what was taken out in a moment
         self._cut = 0  # the seq at which the run was last cut
@@ -127,10 +128,15 @@ class Kernel:
 
     def happen(self, time_us: int, fact: Event) -> int:
         """Let this happen then, or as soon as nothing else does, after all that is due until then; return its seq."""
-        self.run(time_us)
-        time_us = max(time_us, self.last_us + 1)
-        self._apply_fact(fact, time_us)
+        self._apply_fact(fact, self.clear(time_us))
         return self.first + len(self.events) - 1
+
+    def clear(self, time_us: int) -> int:
+        """Let all happen that is due until then; return that time, or the first later one with nothing due or past."""
+        self.run(time_us)
+        while self.last_us >= time_us:
+            self.run(time_us := self.last_us + 1)
+        return time_us
 
     def _is_taken(self, time_us: int) -> bool:
         """Return whether a fact or another command from outside is due at this time."""
@@ -140,8 +146,8 @@ class Kernel:
 
     @property
     def last_us(self) -> int:
-        """When the last event happened."""
-        return self.times_us[-1] if self.times_us else self._taken[-1][1][-1]
+        """When the last event happened, or a command had its turn that made none."""
+        return max(self._turn_us, self.times_us[-1] if self.times_us else self._taken[-1][1][-1])
 
     def take(self) -> LedgerRun:
         """Take out the events recorded so far, which have happened but need not be known for what follows."""
@@ -158,14 +164,14 @@ class Kernel:
 
     def known(self) -> tuple[Any, ...]:
         """Return all that the run knows once its events were taken out, for `recall`; it must not be changed."""
-        pending = self._pending, self._held_back, self._serial, self._submitted_us
+        pending = self._pending, self._held_back, self._serial, self._turn_us, self._submitted_us
         return self.first, self.state, pending, self._taken, self._cut
 
     def recall(self, known: tuple[Any, ...]) -> None:
         """Go on from what a run of the same architecture knew."""
         self.times_us, self.caused_by, self.events = [], [], []
         self.first, self.state, pending, self._taken, self._cut = known
-        self._pending, self._held_back, self._serial, self._submitted_us = pending
+        self._pending, self._held_back, self._serial, self._turn_us, self._submitted_us = pending
 
     def stands(self, time_us: int) -> tuple[Any, ...]:
         """Return from what the run goes on after this time: its state, and what is pending, without its numbers."""
@@ -204,7 +210,7 @@ class Kernel:
                     self._require_end(time_us, cause, scheduled)
                     self._pending.replace(())
                     continue
-                one, world = heappop(pending), state.world
+                one, world, self._turn_us = heappop(pending), state.world, time_us
                 if (world.off or world.unlinked) and self._hold_back(one):
                     continue
                 command, ask = scheduled.command, scheduled.ask
@@ -390,9 +396,3 @@ class Kernel:
 def _is_message(scheduled: Scheduled) -> bool:
     """Return whether this is only a message, which travels while its receiver is off, and waits there."""
     return scheduled.after_us <= 1 and bool(scheduled.waits) and all(ask.sender is not None for ask in scheduled.waits)
-
-
-def is_same_batch(times_us: Sequence[int], caused_by: Sequence[int | None], seq: int) -> bool:
-    """Return whether the event belongs to the batch of the event before it."""
-    cause = caused_by[seq]
-    return cause is not None and times_us[cause] == times_us[seq]

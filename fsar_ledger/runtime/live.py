@@ -119,7 +119,7 @@ class LiveRun:
 
         Until the cut it has this name and this number of its last event, in a ledger of this root.
         """
-        time_us = max(time_us, self.kernel.last_us + 1)
+        time_us = self.kernel.clear(time_us)
         continued = RunContinued(
             continues=run,
             continues_seq=seq,

@@ -19,11 +19,12 @@ from fsar_ledger.events.command import CommandGiven
 from fsar_ledger.events.envelope import flat
 from fsar_ledger.events.world import WorldEvent
 from fsar_ledger.ledger.rows.codec import LedgerRun
+from fsar_ledger.ledger.rows.runs import is_same_batch
 
 from .agenda import Pending
 from .architectures import HandlerTable
 from .handlers.commands import Scheduled
-from .kernel import Kernel, is_same_batch
+from .kernel import Kernel
 from .ports import AS_USUAL, DISAPPROVES, PREFERS_OTHER, Ask, Fact
 from .world import FOREVER_US
 

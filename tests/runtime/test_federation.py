@@ -322,3 +322,17 @@ def test_a_clock_that_jumps_back_stops_run_time_and_nothing_else(tmp_path: Path)
     assert times[0] == 100 * 1_000_000
     assert times[0] < times[1] < times[2] < times[0] + 1_000
     assert is_good(tmp_path / "ledger")
+
+
+def test_what_had_its_turn_before_the_clock_jumped_back_is_not_due_again_in_the_replay(tmp_path: Path) -> None:
+    now = [1_772_359_200]
+    with fsar_ledger.federate(tmp_path / "ledger", run="day", clock=lambda: now[0] * S) as one:
+        one.give("SubmitTask", A, **{**TASK, "steps": ("A door.open.secure B",)})
+        now[0] += 1
+        one.give("JudgeRequest", "robot/B1", robot="robot/B1", action_id="t/1.1", accepts=False)
+        one.give("LeaveFleet", A, robot=A)
+        now[0] += 60
+        assert one.advance() == ()  # the next attempt has been due, and its task is over
+        now[0] -= 59
+        assert one.cut() == "day.2"
+    assert is_good(tmp_path / "ledger")

@@ -315,3 +315,9 @@ def piece(run: LedgerRun, at: int, end: int) -> LedgerRun:
         run.first + at,
         end < len(run.events) or run.goes_on,
     )
+
+
+def is_same_batch(times_us: Sequence[int], caused_by: Sequence[int | None], seq: int) -> bool:
+    """Return whether the event belongs to the batch of the event before it."""
+    cause = caused_by[seq]
+    return cause is not None and times_us[cause] == times_us[seq]
