@@ -20,7 +20,13 @@ from fsar_ledger.events.recovery import (
     RecoveryAttempted,
     RecoveryEscalated,
 )
-from fsar_ledger.events.request import RequestAdmitted, RequestDenied, RequestIssued, RequestUnanswered
+from fsar_ledger.events.request import (
+    RequestAccepted,
+    RequestAdmitted,
+    RequestDenied,
+    RequestIssued,
+    RequestUnanswered,
+)
 from fsar_ledger.events.supervision import SupervisorCalled, SupervisorResponded
 from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
 from fsar_ledger.ledger.rows.runs import LedgerRun
@@ -131,6 +137,18 @@ def test_nobody_is_admitted_started_or_finished_before_the_robot_itself_says_so(
     assert OPENING not in {event.subject.action_id for event in play.of(ExecutionStarted)}
     play.does(ReportStart(robot=B, action_id=OPENING)).wait(300)
     assert OPENING not in {event.subject.action_id for event in play.of(ExecutionFinished)}
+
+
+def test_a_robot_that_is_off_begins_nothing_of_which_its_acceptance_has_not_gone_out() -> None:
+    off, start = ReportPresence(robot=B, is_on=False), ReportStart(robot=B, action_id=OPENING)
+    play = at_the_door().does(off, JudgeRequest(robot=B, action_id=OPENING, accepts=True))
+    assert play.give(start) == (
+        "the acceptance of t/2.1 has not gone out to robot/A1, expected that first; a robot that is off sends nothing"
+    )
+    assert not play.of(RequestAccepted)
+    play.does(ReportPresence(robot=B, is_on=True), start, done(B, OPENING))
+    assert [event.principals.decided_by for event in play.of(RequestAccepted)] == [B]
+    assert OPENING in {event.subject.action_id for event in play.of(ExecutionFinished)}
 
 
 def test_a_request_that_nobody_judges_is_unanswered_after_its_time() -> None:

@@ -189,6 +189,12 @@ def report_start(state: State, command: ReportStart) -> tuple[Event, ...]:
     refused = _not_its_own(state, command)
     if refused is None and command.lasts_us is not None and command.lasts_us < 1:
         refused = f"a length of {command.lasts_us} microseconds, expected at least 1"
+    request = state.request.open.get(command.action_id)
+    if refused is None and request is not None and not request.is_accepted and request.requester != command.robot:
+        refused = (
+            f"the acceptance of {command.action_id} has not gone out to {request.requester}, expected that first; "
+            "a robot that is off sends nothing"
+        )
     if refused is None:
         lasts_us = UNKNOWN_US if command.lasts_us is None else command.lasts_us
         if events := start(state, StartAction(command.action_id, now_us=command.now_us, answer=lasts_us)):
