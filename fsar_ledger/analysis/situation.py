@@ -31,16 +31,17 @@ class Past(msgspec.Struct):
 
     By policy window, `opened` is the seq and the time of the event that opened it last; `told_us` is when somebody was
     last told something, by the type of the event and the robot that it is about. `abandoned` are the actions that were
-    asked for, and whose tasks were abandoned after that.
+    asked for, and whose tasks were abandoned after that; `asked` is the robot to which a request has gone, by action.
     """
 
     started: Event
     state: State
     seq: int = -1
     time_us: int = 0
-    opened: Mapping[str, tuple[int, int]] = {}
+    opened: Mapping[tuple[str, str, str], tuple[int, int]] = {}
     told_us: Mapping[tuple[type[Event], str | None], int] = {}
     abandoned: Mapping[str | None, bool] = {}
+    asked: Mapping[str | None, str | None] = {}
     _asked: Mapping[str | None, tuple[str | None, ...]] = {}  # by task
 
     def add(self, event: Event, time_us: int) -> None:
@@ -48,12 +49,13 @@ class Past(msgspec.Struct):
         self.seq, self.time_us = self.seq + 1, time_us
         apply(self.state, event)
         if isinstance(event, PolicyWindowOpened):
-            self.opened = put(self.opened, event.window, (self.seq, time_us))
+            self.opened = put(self.opened, (event.robot, event.scope, event.window), (self.seq, time_us))
         elif isinstance(event, CopySynced | SnapshotTaken | AvailabilityChanged):
             self.told_us = put(self.told_us, (type(event), getattr(event, "robot", None)), time_us)
         elif isinstance(event, RequestIssued):
             task, action = event.subject.task_id, event.subject.action_id
             self._asked = put(self._asked, task, (*self._asked.get(task, ()), action))
+            self.asked = put(self.asked, action, event.principals.executed_by)
             self.abandoned = without(self.abandoned, action)
         elif isinstance(event, TaskAbandoned):
             for action in self._asked.get(event.task_id, ()):
@@ -277,20 +279,19 @@ def situation(past: Past, busy_us: Mapping[str, int], robot: str | None) -> Situ
 
 
 def _open_requests(past: Past) -> Iterator[Request]:
-    """Yield the open requests.
+    """Yield the open requests, each with the robot that has it, or to which it has gone, as its target.
 
-    Of another system's run it is on record whom a request asked, and no rule of the model takes back what an abandoned
-    task asked for: that is open only while it is executed.
+    No rule of the model takes back what an abandoned task of another system's run asked for: that is open only while it
+    is executed.
     """
-    is_foreign = getattr(past.started, "kind", None) == "foreign"
+    is_foreign, actions = getattr(past.started, "kind", None) == "foreign", past.state.execution.actions
     for one in past.state.request.open.values():
-        if one.is_over:
+        action = actions.get(one.action_id)
+        if one.is_over or (is_foreign and action is None and one.action_id in past.abandoned):
             continue
-        if not is_foreign:
-            yield one
-        elif one.action_id not in past.abandoned or one.action_id in past.state.execution.actions:
-            asked = one.candidates[0] if one.is_adhoc and len(one.candidates) == 1 else None
-            yield msgspec.structs.replace(one, target=one.target or asked)
+        is_asked = one.candidates and one.candidates[0] == past.asked.get(one.action_id)
+        asked = one.candidates[0] if is_asked else None
+        yield msgspec.structs.replace(one, target=one.target or (asked if action is None else action.robot))
 
 
 def _recovery(action: str, one: Recovery, seen: Coverage) -> RecoveryNow:
@@ -371,7 +372,7 @@ def _windows(past: Past, name: Robot) -> Iterator[Window]:
     """Yield the robot's open windows, each with the last event that opened it."""
     for scope, windows in (("local", past.state.world.local), ("fleet", past.state.world.fleet)):
         for window, outcome in windows.get(name, ()):
-            seq, time_us = past.opened[window]
+            seq, time_us = past.opened[name, scope, window]
             yield Window(scope, window, outcome, time_us / 1e6, seq)
 
 

@@ -3,11 +3,14 @@
 import pytest
 
 from fsar_ledger.analysis.moments import EVERY, Timeline
+from fsar_ledger.analysis.situation import Situation, situation
 from fsar_ledger.designs.constants import Constants
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.projections.fold import fold
+from fsar_ledger.runtime.architectures.fsar.reports import JudgeRequest, ReportPresence, ReportWindow
 from fsar_ledger.runtime.simulation import RunSpec, kernel
 from tests.analysis.conftest import OUTAGES, simulated
+from tests.runtime.test_live import OPENING, A, B, Play, at_the_door
 
 CELLS = [(architecture, constants) for architecture in ("fsar", "cfc", "dhma") for constants in (Constants(), OUTAGES)]
 
@@ -43,3 +46,34 @@ def test_states_of_two_moments_do_not_share_what_changes(runs: list[LedgerRun]) 
     timeline.past(101)
     assert before == again
     assert before is not again
+
+
+def now(play: Play) -> Situation:
+    """How things stand at the end of the run."""
+    timeline = Timeline(play.record)
+    return situation(timeline.past(len(play.record.events) - 1), {}, None)
+
+
+def test_a_request_stands_with_the_robot_to_which_it_has_gone_or_that_has_it() -> None:
+    play = at_the_door()
+    assert [(one.action_id, one.target, one.phase) for one in now(play).requests or ()] == [(OPENING, B, "asked")]
+    play.does(ReportPresence(robot=B, is_on=False), JudgeRequest(robot=B, action_id=OPENING, accepts=True))
+    assert [(one.target, one.phase) for one in now(play).requests or ()] == [(B, "received")]
+
+
+def test_an_own_step_is_no_request_to_somebody_unknown() -> None:
+    timeline = Timeline(simulated("fsar", 0, Constants()))
+    for seq in range(0, timeline.seq_at(60_000_000), 5):
+        past = timeline.past(seq)
+        for one in situation(past, {}, None).requests or ():
+            if (action := past.state.execution.actions.get(one.action_id)) is not None:
+                assert one.target == action.robot
+
+
+def test_windows_of_one_name_stand_each_since_it_opened_itself() -> None:
+    play = Play()
+    for robot, scope in ((B, "local"), (B, "fleet"), (A, "local")):
+        play.does(ReportWindow(robot=robot, scope=scope, window="night", outcome="deny"))  # type: ignore[arg-type]
+    windows = ((one.robot, each) for one in now(play).robots or () for each in one.windows or ())
+    found = {(robot, each.scope): round(each.since_s) for robot, each in windows}
+    assert found == {(B, "local"): 1, (B, "fleet"): 2, (A, "local"): 3}
