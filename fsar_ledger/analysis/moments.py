@@ -103,7 +103,8 @@ class Walk:
         if name not in MOVES:
             hint = printable.did_you_mean(name, MOVES) or ";"
             raise UsageError(
-                f"move {printable.value(name)}: there is no such move{hint} expected one of {', '.join(MOVES)}"
+                f"move {printable.value(name)}: there is no such move{hint} expected one of "
+                f"{', '.join(MOVES)}, or state or record in a script"
             )
         if name in ("next-of", "go", "find") and not about:
             raise UsageError(f"move {name}: expected what to look for, {MOVES[name]}")

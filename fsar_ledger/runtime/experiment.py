@@ -95,7 +95,7 @@ class Experiment(msgspec.Struct, frozen=True):
         if self.fleet_size < of_team or self.fleet_size % of_team:
             team = "teams of four roles" if self.constants.fleet is None else f"teams of {self.constants.fleet.name}"
             raise InvalidExperiment(
-                f"fleet size: found {self.fleet_size}, expected a multiple of {of_team} ({team}) from {of_team}"
+                f"fleet size: found {self.fleet_size}, expected {of_team} or a multiple of it ({team})"
             )
         self._require_mechanisms()
         if wrong := negatives(self.constants):

@@ -122,12 +122,16 @@ OWN = tuple(
 """The adapters that come with the package; they need no installed metadata."""
 
 
+def _installed() -> dict[str, EntryPoint]:
+    return {one.name: one for one in (*OWN, *entry_points(group=ENTRY_POINTS))}
+
+
 def adapter_named(name: str) -> Adapter:
     """Return a new adapter of this name.
 
     Raises: UsageError if there is none, or if what it needs is not installed.
     """
-    found = {one.name: one for one in (*OWN, *entry_points(group=ENTRY_POINTS))}
+    found = _installed()
     if name not in found:
         raise UsageError(
             f"--as {value(name)}: found no adapter of that name, expected one of {', '.join(sorted(found))}"
@@ -175,7 +179,11 @@ def adapter_of(name: str | None, mapping: Path | None) -> tuple[Adapter, str | N
     Raises: UsageError unless there is one of both; or as `adapter_named`.
     """
     if (name is None) == (mapping is None):
-        raise UsageError("import: expected either the name of a format (--as) or a mapping (--with)")
+        found = "neither" if name is None else "both"
+        names = ", ".join(sorted(_installed()))
+        raise UsageError(
+            f"import: found {found} of --as and --with, expected --as with one of {names}, or --with and a mapping"
+        )
     if name is not None:
         return adapter_named(name), None
     assert mapping is not None

@@ -158,7 +158,7 @@ def test_a_run_that_records_an_impossible_fleet_is_a_doubt_and_says_why(tmp_path
     ("constants", "scenarios", "size", "message"),
     [
         (OWN, ("door-relay",), 3, "scenario: found door-relay, expected some of night, each once"),
-        (OWN, ("night",), 4, "fleet size: found 4, expected a multiple of 3 (teams of ward) from 3"),
+        (OWN, ("night",), 4, "fleet size: found 4, expected 3 or a multiple of it (teams of ward)"),
         (Constants(fleet=FLEET), ("door-relay",), 3, "scenario door-relay: found fleet ward, expected the paper's"),
         (
             Constants(fleet=FLEET),
