@@ -93,16 +93,20 @@ class Bisected(Answer, msgspec.Struct, frozen=True, kw_only=True):
 def bisect(
     ledger: "Ledger",
     outcome: str = declare(
-        "CONDITION", "On what they disagree: METRIC > NUMBER, INVARIANT > NUMBER, or a SELECT of run_id.", value=""
+        "CONDITION",
+        "The outcome on which they disagree: METRIC > NUMBER, INVARIANT > NUMBER, or a SELECT of run_id.",
+        value="",
     ),
     first: FirstOption = None,
     second: SecondOption = None,
     other: OtherArgument = None,
     *,
-    changes: Names = declare("TEXT", "Instead of two sides: the runs, and forks with this.", flag="--change"),
+    changes: Names = declare(
+        "TEXT", "Compare the recorded runs with forks that have this change, instead of two sides.", flag="--change"
+    ),
     architecture: ArchitectureOption = None,
 ) -> Bisected:
-    """Find the first run in which two sides disagree on an outcome, and the event at which they part there.
+    """Find the first run in which two sides disagree on an outcome, and the event at which they diverge.
 
     The sides are architectures, configurations, constants or models, as in `compare`, from one ledger or two: two
     releases that made the same experiment, too. Or they are the runs as recorded and their forks with --change. Runs

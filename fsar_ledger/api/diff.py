@@ -1,4 +1,4 @@
-"""The verb `diff`: in what two runs differ, where they part and what led there, and what they came to."""
+"""The verb `diff`: how two runs differ, where they diverge and what led there, and how each ended."""
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -55,7 +55,7 @@ class DifferenceLine(msgspec.Struct, frozen=True):
 
 
 class FirstDifference(msgspec.Struct, frozen=True):
-    """Where two runs part: the first event of each that is not the same in the other, with its chain of causes.
+    """Where two runs diverge: the first event of each that is not the same in the other, with its chain of causes.
 
     Each chain begins with the event and goes back to a fact of the world; empty where all events of the run are the
     same in the other. `fields` are those that differ where both are the same event. Units: `at_s` seconds of run time;
@@ -97,7 +97,7 @@ class Diff(Answer, msgspec.Struct, frozen=True, kw_only=True):
         return Table(of_structs(self.differences, DifferenceLine), self.provenances[0])
 
     def text(self, screen: Screen) -> Iterator[SafeText]:
-        """Yield what the runs are, and how they part."""
+        """Yield what the runs are, and how they diverge."""
         head = [f"first: {printable.value(self.first)}", f"second: {printable.value(self.second)}"]
         head += [
             f"{one.field}: {_short(one.first)} and {_short(one.second)}"
@@ -127,10 +127,10 @@ def diff(
     second: Annotated[Run, argument("RUN2", "The second run.", complete="runs")],
     other: "Ledger | Place | None" = declare("LEDGER", "Another ledger, which holds the second run."),
 ) -> Diff:
-    """Say in what two runs differ: where they part and why, and what they came to.
+    """Show how two runs differ: where they diverge and why, and how each ended.
 
     Events are aligned by cause and content, so that one more event does not make all that follow differ. A run is the
-    same, or an event happens in one only, or changed, or has another cause, or moved in time. Where they part, both
+    same, or an event happens in one only, or changed, or has another cause, or moved in time. Where they diverge, both
     events are shown with what caused them, back to a fact of the world.
 
     Raises:
@@ -256,7 +256,7 @@ def _stored(value: object) -> str | None:
 
 
 def story(found: Diff, names: tuple[str, str], screen: Screen) -> Iterator[SafeText]:
-    """Yield how two runs part and what they came to; `names` are the columns of the two."""
+    """Yield where two runs diverge and how they ended; `names` are the columns of the two."""
     if found.parting is None or found.consequences is None:
         yield printable.lines("no event differs")
         return
@@ -264,7 +264,7 @@ def story(found: Diff, names: tuple[str, str], screen: Screen) -> Iterator[SafeT
         f"{kind.replace('first', names[0]).replace('second', names[1])} {count:,}"
         for kind, count in found.counts.items()
     )
-    head = [f"{counted(found.same, 'event')} the same; {counts}", f"they part at {found.parting.at_s:.3f} s", ""]
+    head = [f"{counted(found.same, 'event')} the same; {counts}", f"they diverge at {found.parting.at_s:.3f} s", ""]
     yield printable.lines(*head, *_parting(found.parting, names), "")
     yield _metrics(found.consequences, names, screen)
     yield _tasks(found.consequences, names, screen)

@@ -33,12 +33,14 @@ SETTINGS: Any = declare("NAME=VALUE", "Set a constant, as `simulate` does; may b
 ORIGIN_NAME: Any = declare("NAME", "Publish a new ledger under this name.", "the key's name, else a general one")
 CUT: Any = declare(
     "WHEN",
-    "Cut the run into runs that continue each other: daily, or at times in UTC, as in 06:00,14:00,22:00.",
+    "When to end the run and continue it in a new one: daily, or at times in UTC, as in 06:00,14:00,22:00.",
     "never",
 )
-ISOLATED: Any = declare("ROBOT", "Go on with this robot alone, without the federation; needs --of.")
-OF: Any = declare("LEDGER", "The ledger with the fleet's run, or the robot's copy, from which it goes on alone.")
-"""The options of a fleet that is really there, by whichever door it is governed."""
+ISOLATED: Any = declare("ROBOT", "Govern only this robot, which is cut off from its fleet; needs --of.")
+OF: Any = declare(
+    "LEDGER", "With --isolated: the ledger of the fleet's run, or the robot's copy of it, to continue from."
+)
+"""The options that `federate` and `serve` share."""
 TICK_S = 0.1
 """How often what is due by itself is decided while no command comes."""
 BESIDE = ("command", "by", "key")
@@ -260,7 +262,7 @@ def federate_lines(
     isolated: str | None = ISOLATED,
     of: Place | None = OF,
 ) -> Decisions:
-    """Govern a fleet that is really there: commands come from standard input, decisions go to standard output.
+    """Govern a real fleet: read commands from standard input, write decisions to standard output.
 
     A line is a JSON object with `command`, `by`, perhaps `key`, and the fields of the command (docs/live.md). The line
     that answers it is printed once the decision is on disk. What becomes due by itself is printed as it is decided.
@@ -290,10 +292,10 @@ def _handed_over_line(ledger: "Ledger", *, run: Run | None = RUN) -> Answer:
     call=_handed_over_line,
 )
 def hand_over(ledger: "Ledger", *, run: Run | None = RUN) -> dict[str, Any]:
-    """Give the command by which a robot that was alone hands its run over to its fleet.
+    """Make the command that hands an isolated robot's run over to its fleet.
 
-    It is printed in a line, as `federate` takes it; in Python, its fields are returned. The fleet accepts each result,
-    or says what has overtaken it.
+    On the command line it is printed as one line for `federate`; in Python its fields are returned. Given to the fleet,
+    each result of the robot is accepted, or the answer says what has overtaken it.
 
     Raises:
         UsageError: There is no such run, it is not that of a robot alone, or the ledger is the log of a federation.

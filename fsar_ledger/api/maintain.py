@@ -243,7 +243,7 @@ def _compacted(ledger: "Ledger") -> Lines:
     after_interruption="nothing is lost; run it again to go on",
 )
 def compact(ledger: "Ledger") -> Compacted:
-    """Put small segments together, and what is in the journal into one.
+    """Merge small segments, and write what the journal holds as a segment.
 
     Answers from few large segments are quicker than from many small ones. No event, root, commit or proof changes.
 

@@ -327,7 +327,7 @@ def shards(
     key: KeyOption = None,
     adopt: AdoptOption = False,
 ) -> RecordedShards:
-    """Record the present heads of ledgers, so that all together are asked and proven as one.
+    """Record the present heads of several ledgers in a log, so that they can be queried and proven as one ledger.
 
     The log is a ledger like any other, of the heads of its shards. Every question that is put to it is answered from
     the shards, at these heads. A shard that has grown is recorded again; it must go on from its recorded head.

@@ -131,10 +131,10 @@ def serve_federation(
     say: Annotated["Callable[..., None]", Gives("say")],
     show: Annotated["Callable[[SafeText], None]", Gives("show")],
 ) -> ServedFederation:
-    """Govern a fleet that is really there over HTTP, until interrupted.
+    """Govern a real fleet over HTTP, until interrupted.
 
-    Prints its address, under which a page describes the interface. A command is answered once its decision is on disk.
-    A token tells who speaks, and nobody speaks for another.
+    Prints its address; the page there describes the interface. A command is answered once its decision is on disk. The
+    token identifies the caller, who can give commands only in their own name.
 
     Raises:
         UsageError: A file cannot be read, the run is not live, or the address is taken.
@@ -179,7 +179,7 @@ def principal_new(
     file: Annotated[Place, argument("FILE", "The file of the principals; made if there is none.")],
     name: Annotated[str, argument("NAME", "robot/A1, supervisor/A1, service/NAME or auditor/NAME.")],
 ) -> str:
-    """Let a principal speak to the service, and return its token, which is kept nowhere.
+    """Register a principal with the service, and return its token, of which only the hash is stored.
 
     A robot speaks for itself, a supervisor for what they supervise, a service brings work, an auditor reads. To take a
     token back, remove its line from FILE: the service reads the file when it changes.
@@ -222,12 +222,12 @@ def demo(
     out: Annotated[Place, argument("OUT", "A new folder.")],
     *,
     by_hand: bool = switch("Answer the calls to the fleet's supervisor yourself, in the console."),
-    step: float = declare("SECONDS", "How long a robot takes for anything.", value=1.0),
+    step: float = declare("SECONDS", "How long each action of a robot takes.", value=1.0),
 ) -> Played:
-    """Play six stories with robots and people that are processes, against a service, and put them on record.
+    """Run six stories against a local service, with a process for each robot and supervisor, and record them.
 
     A door relay, failures that only a person resolves, two robots at one door, one that goes off, one that leaves.
-    Prints the address of the console, in which a person sees what happens, and answers with --by-hand.
+    Prints the address of a web console that shows them as they happen; with --by-hand you answer the calls there.
 
     Raises:
         UsageError: OUT is there already, or the extra `service` is not installed.

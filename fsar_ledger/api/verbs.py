@@ -212,7 +212,12 @@ def _documented(function: Callable[..., Any]) -> str:
 
 AnswersOption = Annotated[
     str | None,
-    Option("--answers", "model:SEED", "Let the model answer what nobody on the record of a live run does.", "nobody"),
+    Option(
+        "--answers",
+        "model:SEED",
+        "In the fork of a live run, let the simulation model give the answers that are not on record.",
+        "nobody",
+    ),
 ]
 ByOption = Annotated[By, Option("--by", "scenario", "One row for each scenario.")]
 PoolOption = Annotated[Pool, Option("--pool", "seeds", "Pool the runs of all seeds.", "each seed by itself")]

@@ -36,7 +36,7 @@ class Picture(msgspec.Struct, frozen=True):
     other: "Provenance | None" = None
 
     def __str__(self) -> str:
-        """Return which runs the file shows, and where they part."""
+        """Return which runs the file shows, and where they diverge."""
         shown = f"{self.file}: {self.size:,} bytes, run"
         if len(self.runs) == 1:
             return f"{shown} {printable.value(self.runs[0])}"

@@ -52,7 +52,7 @@ class Fork(msgspec.Struct, frozen=True):
 
     @property
     def parted_s(self) -> float | None:
-        """Return when they part, in seconds of run time."""
+        """Return when they diverge, in seconds of run time."""
         if self.parts_at is None:
             return None
         times = [run.times_us[self.parts_at] for run in (self.base, self.record) if self.parts_at < len(run.times_us)]
@@ -62,8 +62,8 @@ class Fork(msgspec.Struct, frozen=True):
 class WhatIf(Answer, msgspec.Struct, frozen=True):
     """Forks with the same changes, and the effects on every metric.
 
-    `story` says where base and fork of a single run part, and why; None: there are several. `kept` is the head of the
-    ledger in which they were stored, each beside its base; None: nowhere.
+    `story` says where base and fork of a single run diverge, and why; None: there are several. `kept` is the head of
+    the ledger in which they were stored, each beside its base; None: nowhere.
     """
 
     changes: tuple[str, ...]
@@ -107,7 +107,7 @@ class WhatIf(Answer, msgspec.Struct, frozen=True):
 
 def _asked(
     ledger: "Ledger",
-    changes: Names = declare("TEXT", "What is otherwise; may be repeated.", flag="--change"),
+    changes: Names = declare("TEXT", "A change to make, as above; may be repeated.", flag="--change"),
     file: Place | None = declare("FILE", "A .toml file of changes.", flag="--changes"),
     run: Run | None = None,
     answers: str | None = None,
@@ -143,7 +143,7 @@ def _asked(
 )
 def whatif(
     ledger: "Ledger",
-    changes: Annotated[Texts, Option("--change", "TEXT", "What is otherwise; may be repeated.")],
+    changes: Annotated[Texts, Option("--change", "TEXT", "A change to make, as above; may be repeated.")],
     run: Run | None = declare("RUN", "Fork this run: its number, its name, or a unique part of it."),
     *,
     answers: AnswersOption = None,
@@ -306,7 +306,7 @@ def _effects(found: "Effects", screen: Screen, *, is_alone: bool) -> Iterator[Sa
 
     rows = [{NAMES.get(name, name): row[name] for name in COLUMNS} for row in plain(found.rows)]
     who = _who(found) if is_alone or found.side is None else printable.value(found.side)
-    yield printable.lines("", f"{who}: {counted(found.pairs, 'pair')}, {found.diverging:,} of them part")
+    yield printable.lines("", f"{who}: {counted(found.pairs, 'pair')}, {found.diverging:,} of them diverge")
     yield printable.lines(*refusals(found.refused, found.pairs))
     yield screen.table(rows)
     yield printable.lines("")

@@ -144,7 +144,7 @@ def why(
     ledger: "Ledger",
     event: Annotated[
         str | tuple[Run, int],
-        argument("[EVENT]", "RUN:SEQ, or the event's place in the ledger, as for `prove`."),
+        argument("EVENT", "RUN:SEQ, or the event's place in the ledger, as for `prove`."),
     ],
     *,
     depth: int | None = declare(

@@ -40,11 +40,11 @@ GROUPS = {
 """The commands in the groups and the order of the help."""
 FAMILIES = {
     "key": "Make keys that sign ledgers.",
-    "maintain": "Repair a ledger, write it in the newer format, or put its segments together.",
-    "principal": "Let robots, people and programs speak to a service.",
+    "maintain": "Repair a ledger, convert it to the present format, or merge its segments.",
+    "principal": "Register the robots, people and programs that may use a service.",
     "study": "Run a study of the model, or show the result of one.",
     "study run": "Run a study.",
-    "witness": "Check that ledgers only grow, or have your own checked.",
+    "witness": "Run a witness, which checks that ledgers only grow, or have your own ledger cosigned by witnesses.",
 }
 """What the commands do whose names begin with the same words."""
 HOMES = {
@@ -169,7 +169,7 @@ app = typer.Typer(
     ),
     epilog="\b\nStart here:\n  fsar-ledger reproduce              run the paper's experiments and report\n"
     "  fsar-ledger simulate out/ledger    only simulate\n"
-    "  fsar-ledger query --list           every question that has a name",
+    "  fsar-ledger query --list           list the packaged queries",
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 120},

@@ -34,8 +34,8 @@ TAKEN: Mapping[str, Option] = {
     "verified": Option(
         "--verified",
         None,
-        "Answer only from rows that were compared with the root, as `verify` does. Unless `verify` has checked "
-        "this head before, that takes some 4 s for a million events on two cores.",
+        "Compare all rows with the root before answering, as `verify` does. Unless `verify` has already checked "
+        "this head, that takes some 4 s for a million events on two cores.",
     ),
     "cluster": Option(
         "--cluster",
@@ -52,7 +52,7 @@ TAKEN: Mapping[str, Option] = {
         "--memory",
         "MIB",
         "The memory limit.",
-        "640, 192 for each core or worker beyond two, and 16 times the size of the segments",
+        "640 + 192 for each core or worker beyond two + 16 times the size of the segments",
     ),
 }
 """What a command can have beside the options of its verb; without a metavar it is a switch, without a value None."""

@@ -40,7 +40,7 @@ class Principal(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def add_principal(path: Path, name: str) -> str:
-    """Add the principal to the file, which is made if there is none, and return its token, which is kept nowhere.
+    """Add the principal to the file, a new one if need be, and return its token, of which only the hash is stored.
 
     A principal can have several tokens, so that one can be replaced: remove its line and it is void at once.
 

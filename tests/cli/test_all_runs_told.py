@@ -56,7 +56,7 @@ def test_what_is_refused_in_some_runs_is_counted_with_its_reason_and_parts_none_
     call: Call, fleets: Path
 ) -> None:
     out = call("whatif", fleets, "--all-runs", "--change", OF_EIGHT).good().out
-    assert "fsar:full@A/4: 2 pairs, 0 of them part" in out
+    assert "fsar:full@A/4: 2 pairs, 0 of them diverge" in out
     assert out.count(f"\nin 2 of 2 a change comes to nothing: {UNKNOWN}\n") == 1
     told = json.loads(call("whatif", fleets, "--all-runs", "--change", OF_EIGHT, "--json").good().out)
     assert [(one["refused"], one["parts_at"] is None) for one in told["forks"]] == [
@@ -104,11 +104,15 @@ def test_runs_of_several_constants_and_fleet_sizes_have_the_names_that_compare_h
         told = json.loads(call(*words, "--json").good().out)["effects"]
         assert [one["side"] for one in told] == names
         out = call(*words).good().out
-        assert [line.partition(": ")[0] for line in out.splitlines() if " of them part" in line] == names
+        assert [line.partition(": ")[0] for line in out.splitlines() if " of them diverge" in line] == names
         for name in names:
             assert name in call("compare", ledger, "--first", "none").err
 
 
 def test_the_only_runs_of_an_architecture_are_named_by_it_alone(call: Call, ledger: Path) -> None:
     out = call("whatif", ledger, "--all-runs", "--change", "drop window:*").good().out
-    assert [line.partition(": ")[0] for line in out.splitlines() if " of them part" in line] == ["fsar", "cfc", "dhma"]
+    assert [line.partition(": ")[0] for line in out.splitlines() if " of them diverge" in line] == [
+        "fsar",
+        "cfc",
+        "dhma",
+    ]

@@ -237,5 +237,5 @@ def test_step_and_diff_walk_through_live_runs(call: Call, hall: Path) -> None:
     assert "command rejected: ReportStart (about t/2.1; unknown or finished action t/2.1, expected " in walked[0]
     assert walked[1].endswith("robot/B1: gives the command: ReportStart")
     told = call("diff", hall, "day", "quick").good().out
-    assert "they part at 4.000 s" in told
+    assert "they diverge at 4.000 s" in told
     assert "the same " in call("diff", hall, "day", "day").good().out

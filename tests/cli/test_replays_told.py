@@ -49,7 +49,7 @@ def test_the_same_run_has_no_differences_and_two_have_a_story(call: Call, ledger
     assert "the same " in same.out
     other = call("diff", ledger, "1", "2", "--all").good()
     assert "architecture: fsar and cfc" in other.out
-    assert "they part at " in other.out
+    assert "they diverge at " in other.out
     assert "because " in other.out
     told = json.loads(call("diff", ledger, "1", "2", "--json").out)
     assert len(told["differences"]) == sum(told["counts"].values())
@@ -62,7 +62,7 @@ def test_the_same_run_has_no_differences_and_two_have_a_story(call: Call, ledger
 def test_a_fork_is_told_kept_and_replays(call: Call, ledger: Path, tmp_path: Path) -> None:
     place = tmp_path / "forks"
     answer = call("whatif", ledger, "--run", "1", "--change", "drop window:*", "--out", place).good()
-    assert "they part at " in answer.out
+    assert "they diverge at " in answer.out
     assert "kept in " in answer.out
     assert call("verify", place, "--replay").code == 0
     size = (place / "checkpoint").read_bytes()
@@ -91,7 +91,7 @@ def test_where_the_same_event_holds_something_else_its_fields_are_told(call: Cal
 def test_all_runs_of_an_architecture_are_compared_with_their_forks(call: Call, ledger: Path) -> None:
     words = ("whatif", ledger, "--all-runs", "--architecture", "fsar", "--change", "drop window:*")
     answer = call(*words).good()
-    assert "fsar: 4 pairs, 4 of them part" in answer.out
+    assert "fsar: 4 pairs, 4 of them diverge" in answer.out
     told = json.loads(call(*words, "--json").out)
     assert len(told["forks"]) == 4
     assert [one["architecture"] for one in told["effects"]] == ["fsar"]

@@ -93,8 +93,8 @@ def ledger(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_run_is_played_again_with_a_fact_a_dial_or_the_architecture_changed(ledger: Path) -> None:
     for change in ("drop window:fleet/D1/0", "architecture fsar"):
         for run in ("1", "2", "3"):
-            assert "they part at" in ask("whatif", ledger, "--run", run, "--change", change).out
+            assert "they diverge at" in ask("whatif", ledger, "--run", run, "--change", change).out
     slower = ask("whatif", ledger, "--run", "3", "--change", "set alliance.impatience_us=15000000").good()
-    assert "they part at" in slower.out
+    assert "they diverge at" in slower.out
     refused = ask("whatif", ledger, "--run", "3", "--change", "rule fleet deny robot=B1")
     assert (refused.code, "alliance decides no such command" in refused.err) == (2, True)
