@@ -106,7 +106,7 @@ class Divergence(msgspec.Struct, frozen=True):
     refused: str | None = None
 
 
-class Refused(msgspec.Struct, frozen=True):
+class RefusedChange(msgspec.Struct, frozen=True):
     """Why a change is refused, and in how many pairs."""
 
     reason: str
@@ -146,7 +146,7 @@ class Effects(msgspec.Struct, frozen=True, kw_only=True):
     configuration: str | None
     pairs: int
     diverging: int
-    refused: list[Refused]
+    refused: list[RefusedChange]
     rows: list[Effect]
     side: str | None = None
 
@@ -163,9 +163,9 @@ def forks_of(bases: Iterable[Base], changes: Changes) -> Iterator[Pair]:
         yield Pair(base, fork, refusal(made, changes, fork))
 
 
-def refused_in(pairs: Iterable[str | None]) -> list[Refused]:
+def refused_in(pairs: Iterable[str | None]) -> list[RefusedChange]:
     """Return in how many pairs a change is refused for which reason, the most frequent first."""
-    return [Refused(reason, count) for reason, count in Counter(filter(None, pairs)).most_common()]
+    return [RefusedChange(reason, count) for reason, count in Counter(filter(None, pairs)).most_common()]
 
 
 def effects(pairs: Iterable[Pair]) -> tuple[list[Divergence], list[Effects]]:

@@ -19,7 +19,7 @@ from .whatif import refusals
 
 if TYPE_CHECKING:
     from fsar_ledger.analysis.causes import Outcome
-    from fsar_ledger.analysis.whatif import Refused
+    from fsar_ledger.analysis.whatif import RefusedChange
     from fsar_ledger.metrics.comparison_sides import Side
     from fsar_ledger.metrics.database import Database
     from fsar_ledger.metrics.provenance import Provenance
@@ -40,7 +40,7 @@ PAIRS_AT_ONCE = 100
 World = tuple[object, object, object]
 
 
-class Bisected(Answer, msgspec.Struct, frozen=True, kw_only=True):
+class BisectResult(Answer, msgspec.Struct, frozen=True, kw_only=True):
     """The pairs of two sides that met the same seed, scenario and number, by whether they have the outcome.
 
     `undefined` pairs more have a run in which there is no value to compare, or the fork of a live run that ends before
@@ -57,7 +57,7 @@ class Bisected(Answer, msgspec.Struct, frozen=True, kw_only=True):
     first_only: int
     second_only: int
     undefined: int
-    refused: tuple["Refused", ...] = ()
+    refused: tuple["RefusedChange", ...] = ()
     diff: Diff | None
     provenances: tuple["Provenance", ...]
 
@@ -105,7 +105,7 @@ def bisect(
         "TEXT", "Compare the recorded runs with forks that have this change, instead of two sides.", flag="--change"
     ),
     architecture: ArchitectureOption = None,
-) -> Bisected:
+) -> BisectResult:
     """Find the first run in which two sides disagree on an outcome, and the event at which they diverge.
 
     The sides are architectures, configurations, constants or models, as in `compare`, from one ledger or two: two
@@ -136,7 +136,7 @@ def _sides(
     provenances: "tuple[Provenance, ...]",
     names: tuple[str | None, str | None],
     outcome: str,
-) -> Bisected:
+) -> BisectResult:
     """Compare two sides of one ledger, or of two, by an outcome."""
     from fsar_ledger.analysis.causes import outcome_of
     from fsar_ledger.metrics.comparison_sides import chosen, sides
@@ -164,7 +164,9 @@ def _sides(
     return _bisected(asked, (str(both[0]), str(both[1])), has, diff, provenances)
 
 
-def _changes(ledger: "Ledger", changes: str | Sequence[str], architectures: Sequence[str], outcome: str) -> Bisected:
+def _changes(
+    ledger: "Ledger", changes: str | Sequence[str], architectures: Sequence[str], outcome: str
+) -> BisectResult:
     """Compare the runs of a ledger with their forks by an outcome."""
     from fsar_ledger.analysis.causes import outcome_of
     from fsar_ledger.analysis.whatif import changes_of, fork_pairs, refused_in, runs_of
@@ -201,9 +203,9 @@ def _bisected(
     has: list[tuple[bool | None, bool | None]],
     diff: Diff | None,
     provenances: "tuple[Provenance, ...]",
-    refused: "Sequence[Refused]" = (),
-) -> Bisected:
-    return Bisected(
+    refused: "Sequence[RefusedChange]" = (),
+) -> BisectResult:
+    return BisectResult(
         outcome=asked.text,
         first=names[0],
         second=names[1],

@@ -26,7 +26,7 @@ BAR = 40
 """Characters of the bar of a chance of 1."""
 
 
-class Caused(Answer, msgspec.Struct, frozen=True, kw_only=True):
+class CauseResult(Answer, msgspec.Struct, frozen=True, kw_only=True):
     """A smallest cause of an outcome of a run, and how its chances went.
 
     `elements` are facts of the world and answers at ports that suffice for the outcome together, of `candidates`; it
@@ -138,7 +138,7 @@ def cause(
     futures: int | None = declare("N", "Futures to draw from each moment; 0: no curve.", "50, of a live run none"),
     answers: AnswersOption = None,
     progress: Annotated[Progress | None, Shows("played", "runs")] = None,
-) -> Caused:
+) -> CauseResult:
     """Find the smallest cause of an outcome of a run, and when it could no longer be avoided.
 
     A cause is a set of facts of the world and answers at ports with which alone the outcome stands, and without any one
@@ -183,7 +183,7 @@ def cause(
     drawn = (0 if is_live else FUTURES) if futures is None else futures
     chances = None if not drawn else curve(base, asked, drawn, MOMENTS, progress)
     closing = None if chances is None else chances.closing_seq
-    return Caused(
+    return CauseResult(
         run=record.run_id,
         outcome=found.outcome,
         elements=found.elements,
@@ -209,7 +209,7 @@ def _listed(elements: "Sequence[Element]") -> str:
     return printable.some([printable.value(one.name) for one in elements])
 
 
-def _curve(found: Caused) -> Iterator[str]:
+def _curve(found: CauseResult) -> Iterator[str]:
     drawn = max(one.futures + one.undefined for one in found.chances)
     left_out = any(one.undefined for one in found.chances)
     without = "; those in which it has no value are left out" if left_out else ""
@@ -222,7 +222,7 @@ def _curve(found: Caused) -> Iterator[str]:
             yield f"{'...':>10}"
 
 
-def _closing(found: Caused) -> str:
+def _closing(found: CauseResult) -> str:
     if found.closing_seq is None:
         return "some futures avoid it to the end"
     if found.last_open_s is None:

@@ -72,7 +72,7 @@ class Diff(Answer, msgspec.Struct, frozen=True, kw_only=True):
     """The differences of two runs.
 
     `same` events are the same at the same time; `counts` has the others by kind; `parameters` the fields of event 0
-    that differ. `parting`, `outcomes_diff`: None where nothing but event 0 differs.
+    that differ. `parting` and `consequences` are None where nothing but event 0 differs.
     """
 
     first: str

@@ -128,7 +128,7 @@ def export(
     return ExportResult(*write_events(ledger.path, file, raw=raw, demanded=ledger.demanded, progress=progress), file)
 
 
-class Opened(Answer, msgspec.Struct, frozen=True):
+class OpenResult(Answer, msgspec.Struct, frozen=True):
     """The file, how many relations and macros it holds, which queries it does not, and the provenance."""
 
     file: Path
@@ -154,7 +154,7 @@ def open(  # named as the command is
     out: Place | None = declare("FILE", "A .duckdb file; replaced if `open` wrote it.", "LEDGER.duckdb here"),
     *,
     progress: Annotated[Progress | None, Shows("written", "views and queries")] = None,
-) -> Opened:
+) -> OpenResult:
     """Write a small DuckDB file for other programs: every event view and query under its name.
 
     DuckDB, notebooks, Polars and BI tools read the ledger through it and can join tables of their own. It reads the
@@ -190,7 +190,7 @@ def open(  # named as the command is
             ) from problem
 
 
-def _fill(database: "Database", ledger: Path, file: Path, progress: Progress | None) -> Opened:
+def _fill(database: "Database", ledger: Path, file: Path, progress: Progress | None) -> OpenResult:
     """Make every relation and macro, and the tables that say what the file is."""
     import pyarrow as pa
 
@@ -225,7 +225,7 @@ def _fill(database: "Database", ledger: Path, file: Path, progress: Progress | N
     database.hold("not_included", pa.table({"name": names, "reason": reasons}))
     database.write_out()
     provenance = Provenance(head, database.rows_verified)
-    return Opened(file, len(found) - asked, asked - len(left_out), tuple(names.to_pylist()), provenance)
+    return OpenResult(file, len(found) - asked, asked - len(left_out), tuple(names.to_pylist()), provenance)
 
 
 def _hold_facts(database: "Database", queries: "Sequence[Query]") -> None:

@@ -176,7 +176,7 @@ def witness_new(
     return new_state(Path(state), short("name", name))
 
 
-class Served(Answer):
+class ServedWitness(Answer):
     """A server of a witness; to show the answer is to serve until SIGTERM or Ctrl-C."""
 
     def __init__(self, state: Path, logs: Sequence[str], host: str, port: int, **given: "Callable[..., Any]") -> None:
@@ -228,13 +228,13 @@ def witness_serve(
     ticks: Annotated["Callable[[], float]", Gives("ticks")],
     say: Annotated["Callable[[str], None]", Gives("say")],
     show: Annotated["Callable[[SafeText], None]", Gives("show")],
-) -> Served:
+) -> ServedWitness:
     """Cosign checkpoints over HTTP until interrupted.
 
     Prints its public key and URL. Speaks C2SP tlog-witness: a checkpoint is cosigned if the log's key signed it and a
     proof shows that the log only grew since the last one. The witness needs no ledger and sees no event.
     """
-    return Served(Path(state), log, host, port, clock=clock, ticks=ticks, say=say, show=show)
+    return ServedWitness(Path(state), log, host, port, clock=clock, ticks=ticks, say=say, show=show)
 
 
 def _ask(

@@ -29,7 +29,7 @@ SHOWN = 10
 """Lines of each kind that people are shown."""
 
 
-class Recovered(Answer, msgspec.Struct, frozen=True):
+class RecoverResult(Answer, msgspec.Struct, frozen=True):
     """What `recover` found and did in a ledger, what was asked for, and the new folder."""
 
     ledger: Path
@@ -130,14 +130,14 @@ def _recovered(
     trusted_key: str | None,
     workers: int | None,
     progress: Progress | None,
-) -> Recovered:
+) -> RecoverResult:
     from fsar_ledger.ledger.verify import recover
     from fsar_ledger.ledger.verify.report import VerifyOptions
 
     asked = VerifyOptions(trusted=trusted_of(trusted_key), anchor=anchor_of(anchor))
     new = None if into is None else Path(into)
     found = recover(ledger.path, readers_of(workers, ledger.path), progress, asked, new)
-    return Recovered(ledger.path, found, asked, new)
+    return RecoverResult(ledger.path, found, asked, new)
 
 
 @verb(
@@ -209,7 +209,7 @@ def upgrade(
     return upgrade(ledger.path, Path(into), progress)
 
 
-class Compacted(msgspec.Struct, frozen=True):
+class CompactResult(msgspec.Struct, frozen=True):
     """What `compact` did: the head, and the number of segments before and after; a journal counts as one before."""
 
     head: "Head"
@@ -242,7 +242,7 @@ def _compacted(ledger: "Ledger") -> Lines:
     call=_compacted,
     after_interruption="nothing is lost; run it again to go on",
 )
-def compact(ledger: "Ledger") -> Compacted:
+def compact(ledger: "Ledger") -> CompactResult:
     """Merge small segments, and write what the journal holds as a segment.
 
     Answers from few large segments are quicker than from many small ones. No event, root, commit or proof changes.
@@ -261,7 +261,7 @@ def compact(ledger: "Ledger") -> Compacted:
         writer.compact()
         after = open_ledger(ledger.path)
         keep_known(view, after)
-        return Compacted(writer.head, before, len(after.releases))
+        return CompactResult(writer.head, before, len(after.releases))
 
 
 def _done(steps: "Sequence[Step]") -> Iterator[str]:

@@ -190,7 +190,7 @@ def _index_of(view: "View", run: str | None, seq: str, demanded: str | None) -> 
             ) from error
 
 
-class Refused(Answer, msgspec.Struct, frozen=True):
+class RefusedProof(Answer, msgspec.Struct, frozen=True):
     """A file that proves nothing, and why."""
 
     file: Place
@@ -201,7 +201,7 @@ class Refused(Answer, msgspec.Struct, frozen=True):
         return {"head": None, "ok": False, "file": str(self.file), "problem": str(self.failure)}
 
 
-class Checked(Answer, msgspec.Struct, frozen=True):
+class CheckedProof(Answer, msgspec.Struct, frozen=True):
     """A file, what it proves, and what its root was compared with."""
 
     file: Place
@@ -263,14 +263,14 @@ class Checked(Answer, msgspec.Struct, frozen=True):
         )
 
 
-def _checked(file: Path, trusted_key: str | None, anchor: Path | None, root: str | None) -> Checked | Refused:
+def _checked(file: Path, trusted_key: str | None, anchor: Path | None, root: str | None) -> CheckedProof | RefusedProof:
     place = Path("/dev/stdin") if str(file) == "-" else file
     try:
         proven = verify_proof(place, trusted_key, anchor=anchor, root=root)
     except LedgerCorrupted as error:
-        return Refused(file, error)
+        return RefusedProof(file, error)
     compared = tuple(option(name) for name, given in (("anchor", anchor), ("root", root)) if given is not None)
-    return Checked(file, proven, compared)
+    return CheckedProof(file, proven, compared)
 
 
 @verb(

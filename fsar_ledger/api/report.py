@@ -110,7 +110,7 @@ class Reproduced(Answer, msgspec.Struct, frozen=True):
     """The result of `reproduce`: what was added to each ledger, by experiment, and the metrics of the results."""
 
     folder: Path
-    made: "Mapping[Name, SimulationResult]"
+    results: "Mapping[Name, SimulationResult]"
     metrics: "Table"
 
     @property
@@ -123,11 +123,11 @@ class Reproduced(Answer, msgspec.Struct, frozen=True):
         """Return the ledger of each experiment."""
         from .ledger import Ledger
 
-        return {name: Ledger(self.folder / name) for name in self.made}
+        return {name: Ledger(self.folder / name) for name in self.results}
 
     def text(self, screen: Screen) -> Iterator[SafeText]:
         """Yield the metrics of the results, and where the report is."""
-        results = self.made["results"]
+        results = self.results["results"]
         took = f"{results.head.events:,} events, root {results.head.root}, {screen.elapsed_s:.0f} s"
         yield screen.table(self.metrics.rows(), SHOWN)
         yield printable.lines(*beyond(results), "", took, str(self.report))
@@ -226,14 +226,14 @@ def _carried_out(
     for part in experiment.parts:
         with showing(f"{experiment.name}: simulated", "batches") as progress:
             made = run_experiment(out, part, workers, progress, signer, origin, adopts=adopts)
-    return msgspec.structs.replace(made, asked=experiment.size)
+    return msgspec.structs.replace(made, runs_asked=experiment.size)
 
 
-def beyond(made: "SimulationResult") -> list[str]:
+def beyond(result: "SimulationResult") -> list[str]:
     """Return a line on runs beyond those asked for, which are judged too; none where there are none."""
-    if not (more := made.held - made.asked):
+    if not (more := result.runs_held - result.runs_asked):
         return []
     return [
-        f"the ledger holds {counted(more, 'run')} beyond the {made.asked:,} of the paper's experiment, and they are "
-        "judged here, too"
+        f"the ledger holds {counted(more, 'run')} beyond the {result.runs_asked:,} of the paper's experiment, and they "
+        "are judged here, too"
     ]

@@ -193,7 +193,7 @@ def principal_new(
     return add_principal(Path(file), name)
 
 
-class Played(Answer):
+class DemoPlayback(Answer):
     """The stories of the demo as they are played; to show the answer is to play them."""
 
     def __init__(self, out: Path, by_hand: bool, step_s: float) -> None:
@@ -223,7 +223,7 @@ def demo(
     *,
     by_hand: bool = switch("Answer the calls to the fleet's supervisor yourself, in the console."),
     step: float = declare("SECONDS", "How long each action of a robot takes.", value=1.0),
-) -> Played:
+) -> DemoPlayback:
     """Run six stories against a local service, with a process for each robot and supervisor, and record them.
 
     A door relay, failures that only a person resolves, two robots at one door, one that goes off, one that leaves.
@@ -238,4 +238,4 @@ def demo(
         raise UsageError(f"{printable.value(str(out))}: found something, expected a new folder")
     if not 0 < step <= 60:
         raise UsageError(f"{option('step', step)}: expected some seconds, at most 60")
-    return Played(Path(out), by_hand, step)
+    return DemoPlayback(Path(out), by_hand, step)

@@ -43,21 +43,24 @@ class Simulated(Answer):
     """The result of `simulate`; the ledger may also hold runs from before. `key` is the one to sign with."""
 
     ledger: "Ledger"
-    made: "SimulationResult"
+    result: "SimulationResult"
     key: Place | None = None
 
     def document(self, _: Screen) -> Mapping[str, object]:
         """Return the head, and how many runs were made and are there."""
-        head, counts = self.made.head, {f"runs_{name}": getattr(self.made, name) for name in ("asked", "made", "held")}
+        head, counts = (
+            self.result.head,
+            {name: getattr(self.result, name) for name in ("runs_asked", "runs_made", "runs_held")},
+        )
         return {"head": head_json(head), "ledger": str(self.ledger.path), "commits": head.commits, **counts}
 
     def text(self, _: Screen) -> Iterator[SafeText]:
         """Yield the head of the ledger, what was there before, and its signature."""
-        head, place = self.made.head, self.ledger.path
+        head, place = self.result.head, self.ledger.path
         yield printable.lines(
             f"{place}: {counted(head.size, 'event')} in {counted(head.commits, 'commit')}",
             f"root {head.root}",
-            *before(self.made),
+            *before(self.result),
             *([] if self.key is None else [_signed(place, Path(self.key))]),
         )
 
@@ -168,19 +171,20 @@ def simulate(
     return Simulated(Ledger(out), made, key)
 
 
-def before(made: "SimulationResult") -> list[str]:
+def before(result: "SimulationResult") -> list[str]:
     """Return a line on the runs that were there already, if there were any."""
-    more = made.held - made.asked
+    more = result.runs_held - result.runs_asked
     others = f", and {more:,} more" if more else ""
-    if not made.made:
-        are = "is" if made.asked == 1 else "are"
-        return [f"nothing to do: the {counted(made.asked, 'run')} asked for {are} there{others}"]
-    if made.made < made.asked:
-        there = made.asked - made.made
+    if not result.runs_made:
+        are = "is" if result.runs_asked == 1 else "are"
+        return [f"nothing to do: the {counted(result.runs_asked, 'run')} asked for {are} there{others}"]
+    if result.runs_made < result.runs_asked:
+        there = result.runs_asked - result.runs_made
         return [
-            f"made {counted(made.made, 'run')}; of the {made.asked:,} asked for {there:,} were there already{others}"
+            f"made {counted(result.runs_made, 'run')}; {there:,} of the {result.runs_asked:,} asked for were already "
+            f"there{others}"
         ]
-    return [f"made {counted(made.made, 'run')}, beside {more:,} of other experiments"] if more else []
+    return [f"made {counted(result.runs_made, 'run')}, beside {more:,} of other experiments"] if more else []
 
 
 def _signed(ledger: Path, key: Path) -> str:

@@ -312,7 +312,7 @@ class Steps:
         return self._timeline.seq_at(time_us)
 
 
-class Played(Answer):
+class Walkthrough(Answer):
     """A walk, and the script that is played on it; without one the user walks by keys."""
 
     def __init__(self, steps: Steps, script: str | None, walk: "Callable[[Steps, str], None] | None") -> None:
@@ -346,10 +346,10 @@ def _asked(
     at: Time = None,
     script: str | None = declare("MOVES", "Moves with ; between them, instead of keys."),
     walk: Annotated["Callable[[Steps, str], None] | None", Gives("walk")] = None,
-) -> Played:
+) -> Walkthrough:
     if script is None and walk is None:
         raise UsageError('step: found no terminal to walk on, expected one, or --script "next-decision; state"')
-    return Played(step(ledger, run, at), script, walk)
+    return Walkthrough(step(ledger, run, at), script, walk)
 
 
 @verb(

@@ -17,7 +17,7 @@ from .names import Names, Place, Run, names_of
 from .verbs import WIDE, AnswersOption, ArchitectureOption, Option, Shows, declare, switch, verb
 
 if TYPE_CHECKING:
-    from fsar_ledger.analysis.whatif import Divergence, Effects, Pair, Refused
+    from fsar_ledger.analysis.whatif import Divergence, Effects, Pair, RefusedChange
     from fsar_ledger.ledger.rows.codec import LedgerRun
     from fsar_ledger.ledger.store.record import Head
     from fsar_ledger.metrics.provenance import Provenance
@@ -281,7 +281,7 @@ def _end(found: "Divergence") -> Iterator[str]:
         yield ""
 
 
-def refusals(found: "Sequence[Refused]", pairs: int) -> Iterator[str]:
+def refusals(found: "Sequence[RefusedChange]", pairs: int) -> Iterator[str]:
     """Yield in how many pairs a change is refused, and why."""
     reasons: dict[str, int] = {}
     for one in found:

@@ -26,7 +26,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 
-_NAMED_IN_PYTHON = {
+_OPTION_OF_PARAMETER = {
     "memory_mib": "memory",
     "settings": "set",
     "since": "from",
@@ -54,7 +54,7 @@ def option(name: str, value: object = None) -> str:
     """
     if not _is_command_line.get():
         return name if value is None else f"{name}={value}"
-    flag = f"--{_NAMED_IN_PYTHON.get(name, name).replace('_', '-')}"
+    flag = f"--{_OPTION_OF_PARAMETER.get(name, name).replace('_', '-')}"
     return flag if value is None else f"{flag} {value}"
 
 

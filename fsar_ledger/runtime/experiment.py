@@ -317,14 +317,14 @@ def workflow_experiment(
 class SimulationResult(msgspec.Struct, frozen=True):
     """The head of the ledger after `run_experiment`, and counts of runs.
 
-    `asked` is the number asked for and `made` how many of those were missing and are made now; `held` is the number in
-    the ledger now, including those of other experiments.
+    `runs_asked` were asked for, of which `runs_made` were missing and were made now; `runs_held` are in the ledger now,
+    including those of other experiments.
     """
 
     head: Head
-    asked: int
-    made: int
-    held: int
+    runs_asked: int
+    runs_made: int
+    runs_held: int
 
 
 def run_experiment(

@@ -13,7 +13,7 @@ import fsar_ledger
 
 print("begun")
 made = fsar_ledger.simulate("made", architecture="fsar", scenario="door-relay", runs=26, workers=2)
-print(made.made.made, made.ledger.verify(workers=2).ok, made.ledger.sql("SELECT count(*) AS n FROM runs").rows())
+print(made.result.runs_made, made.ledger.verify(workers=2).ok, made.ledger.sql("SELECT count(*) AS n FROM runs").rows())
 """
 
 

@@ -321,7 +321,7 @@ def test_an_enlarged_ledger_says_so_and_fewer_runs_are_nothing_to_do(call: Call,
     call("simulate", tmp_path / "ledger", *options, 2)
     assert "enlarged: " not in said(call, tmp_path / "ledger")
     assert (
-        "made 1 run; of the 3 asked for 2 were there already" in call("simulate", tmp_path / "ledger", *options, 3).out
+        "made 1 run; 2 of the 3 asked for were already there" in call("simulate", tmp_path / "ledger", *options, 3).out
     )
     assert "enlarged: 1 of 2 plans is part of a larger one; runs, run ids and metrics are as if" in said(
         call, tmp_path / "ledger"
@@ -334,7 +334,7 @@ def test_an_enlarged_ledger_says_so_and_fewer_runs_are_nothing_to_do(call: Call,
 
 
 def test_runs_beyond_the_papers_experiment_are_told() -> None:
-    made = SimulationResult(EMPTY_HEAD, asked=300, made=0, held=301)
+    made = SimulationResult(EMPTY_HEAD, runs_asked=300, runs_made=0, runs_held=301)
     assert before(made) == ["nothing to do: the 300 runs asked for are there, and 1 more"]
     assert beyond(made) == [
         "the ledger holds 1 run beyond the 300 of the paper's experiment, and they are judged here, too"

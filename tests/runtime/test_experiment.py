@@ -162,7 +162,7 @@ def test_another_experiment_can_join_a_ledger_if_it_shares_no_run(tmp_path: Path
 def test_runs_that_are_there_in_other_batches_are_not_made_again_and_nothing_changes(tmp_path: Path) -> None:
     head = run_experiment(tmp_path / "ledger", SMALL, 1).head
     made = run_experiment(tmp_path / "ledger", Experiment(("fsar",), SCENARIOS[:1], runs=2, seed=3), 1)
-    assert (made.asked, made.made, made.held, made.head) == (2, 0, 30, head)
+    assert (made.runs_asked, made.runs_made, made.runs_held, made.head) == (2, 0, 30, head)
     assert open_ledger(tmp_path / "ledger").head == head
 
 

@@ -107,7 +107,7 @@ def test_who_goes_on_adds_no_second_plan(tmp_path: Path) -> None:
     run_experiment(tmp_path / "ledger", SMALL, 1)
     assert plans(tmp_path / "ledger") == [2]
     made = run_experiment(tmp_path / "ledger", SMALL, 1)
-    assert (made.asked, made.made, made.held, plans(tmp_path / "ledger")) == (4, 0, 4, [2])
+    assert (made.runs_asked, made.runs_made, made.runs_held, plans(tmp_path / "ledger")) == (4, 0, 4, [2])
 
 
 @pytest.mark.slow
@@ -162,9 +162,9 @@ def test_what_is_there_is_not_made_again_whatever_else_is_asked_for(
 ) -> None:
     before = run_experiment(tmp_path / "ledger", first, 1).head
     after = run_experiment(tmp_path / "ledger", then, 1)
-    assert (after.asked, after.made) == (then.size, made)
+    assert (after.runs_asked, after.runs_made) == (then.size, made)
     assert len(plans(tmp_path / "ledger")) == 2
-    assert len(runs(tmp_path / "ledger")) == after.held == first.size + made
+    assert len(runs(tmp_path / "ledger")) == after.runs_held == first.size + made
     assert after.head.commits > before.commits
     assert verify(tmp_path / "ledger").ok
 

@@ -82,7 +82,7 @@ def test_a_simulation_that_is_interrupted_within_a_run_goes_on_with_that_run(
     again = run_experiment(tmp_path / "stopped", WHOLE, 1)
     whole, found = open_for_answers(made), open_for_answers(tmp_path / "stopped")
     assert (found.head.size, found.head.root) == (whole.head.size, whole.head.root)
-    assert again.held == WHOLE.size
+    assert again.runs_held == WHOLE.size
     assert list(found.runs()) == list(whole.runs())
     assert verify(tmp_path / "stopped").ok
 
