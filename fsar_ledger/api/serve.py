@@ -203,7 +203,7 @@ class DemoPlayback(Answer):
         """Yield a line for each story, once it has ended."""
         from fsar_ledger.service.demo import HUB, HUMAN, TASKS, Demo, play
 
-        with Demo(self._out, self._by_hand, self._step_s) as demo, demo.way(HUB) as hub:
+        with Demo(self._out, self._by_hand, self._step_s) as demo, demo.client(HUB) as hub:
             yield printable.lines(f"console: {demo.url}/console", f"token of {HUMAN}: {demo.tokens[HUMAN]}")
             for number, (name, _tasks) in enumerate(TASKS):
                 ended = play(hub, number, 3_600 if self._by_hand else 120 * self._step_s)

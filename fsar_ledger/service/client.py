@@ -52,7 +52,7 @@ class FollowedEvent(msgspec.Struct, frozen=True):
 
 
 class Client:
-    """One principal's way to a service. Use it as a context manager, or call `close`; one for each thread.
+    """A principal's connection to a service. Use it as a context manager, or call `close`; one for each thread.
 
     Args:
         url: Where it is, as `fsar-ledger serve` prints it.

@@ -57,14 +57,14 @@ class Robot:
     """The program of one robot.
 
     Args:
-        way: Its way to the service.
+        client: Its connection to the service.
         name: Its principal.
         story: What goes wrong.
         pause: Waits so many steps.
     """
 
-    def __init__(self, way: Client, name: str, story: Story, pause: Callable[[float], None]) -> None:
-        self._way, self._name, self._story, self._pause = way, name, story, pause
+    def __init__(self, client: Client, name: str, story: Story, pause: Callable[[float], None]) -> None:
+        self._client, self._name, self._story, self._pause = client, name, story, pause
         self._asked: list[str] = []
         self._withdrawn: set[str] = set()
         self._waiting: list[str] = []
@@ -78,7 +78,7 @@ class Robot:
         Raises: Refused: The service is away, or does not know the robot.
         """
         latest: dict[str, FollowedEvent] = {}
-        events = self._way.events(after=-1)
+        events = self._client.events(after=-1)
         for event in events:
             self._learn(event)
             if event.type not in _PASSING and (action := _action(event)) is not None:
@@ -119,7 +119,7 @@ class Robot:
             self._say("JudgeRequest", action_id=action, accepts=True)
 
     def _return(self) -> None:
-        self._way.give("JoinFleet", robot=self._name, **self._joined)
+        self._client.give("JoinFleet", robot=self._name, **self._joined)
 
     def answer(self, event: FollowedEvent) -> None:
         """Answer one event."""
@@ -161,7 +161,7 @@ class Robot:
             self._say("ReportFailure", action_id=action, cause=cause)
             return
         if self._executions == self._story.leaves_at:
-            self._way.give("LeaveFleet", robot=self._name)
+            self._client.give("LeaveFleet", robot=self._name)
             self._pause(4)
             self._return()
             return
@@ -173,10 +173,10 @@ class Robot:
 
     def _finish(self, action: str) -> None:
         self._pause(1)
-        self._way.give("ReportResult", executor=self._name, action_id=action, result="success", fence=self._fence)
+        self._client.give("ReportResult", executor=self._name, action_id=action, result="success", fence=self._fence)
 
     def _say(self, command: str, **fields: Any) -> bool:
-        return self._way.give(command, robot=self._name, fence=self._fence, **fields).rejected is None
+        return self._client.give(command, robot=self._name, fence=self._fence, **fields).rejected is None
 
 
 def _can_begin(event: FollowedEvent) -> bool:
@@ -189,13 +189,13 @@ def _action(event: FollowedEvent) -> str | None:
     return event.columns.get("action_id", event.columns.get("failed_action"))
 
 
-def supervise(way: Client, name: str, after: float, pause: Callable[[float], None]) -> None:
+def supervise(client: Client, name: str, after: float, pause: Callable[[float], None]) -> None:
     """Answer each call to the supervisor after so many steps: approve, or let what is urgent go first.
 
     Raises: Refused: As `Robot.run`.
     """
     urgent: set[str] = set()
-    for event in way.events(after=-1):
+    for event in client.events(after=-1):
         named = event.columns
         if event.type == "TaskArrived" and named["is_time_critical"]:
             urgent.add(named["task_id"])
@@ -203,7 +203,9 @@ def supervise(way: Client, name: str, after: float, pause: Callable[[float], Non
             pause(after)
             other = named.get("competing")
             preferred = other if other is not None and other.partition("/")[0] in urgent else None
-            way.give("RespondToCall", supervisor=name, action_id=named["action_id"], approves=True, preferred=preferred)
+            client.give(
+                "RespondToCall", supervisor=name, action_id=named["action_id"], approves=True, preferred=preferred
+            )
 
 
 class TaskOf(NamedTuple):
@@ -275,7 +277,7 @@ class Demo:
     def __enter__(self) -> "Demo":
         """Start everything. Raises: WriteFailed if the service does not begin."""
         self._start("service")
-        with self.way(HUMAN) as human:
+        with self.client(HUMAN) as human:
             human.give("SetSupervisionDensity", issued_by=HUMAN, robot=REVIEWED, review_every=1, reason="demo")
         for name in (*STORIES, OWN, *(() if self._by_hand else (HUMAN,))):
             self._start(name)
@@ -290,8 +292,8 @@ class Demo:
             self.processes[name].terminate()
             self.processes[name].wait()
 
-    def way(self, name: str) -> Client:
-        """Return a principal's way to the service."""
+    def client(self, name: str) -> Client:
+        """Return a client of the service that speaks as this principal."""
         return Client(self.url, self.tokens[name])
 
     def _start(self, name: str) -> None:
@@ -323,11 +325,11 @@ def main() -> None:
     def pause(seconds: float) -> None:
         time.sleep(seconds * float(step_s))
 
-    with Client(url, os.environ[TOKEN]) as way:
+    with Client(url, os.environ[TOKEN]) as client:
         if name in (HUMAN, OWN):
-            supervise(way, name, 2, pause)
+            supervise(client, name, 2, pause)
         else:
-            Robot(way, name, STORIES[name], pause).run(way.known())
+            Robot(client, name, STORIES[name], pause).run(client.known())
 
 
 if __name__ == "__main__":

@@ -197,7 +197,7 @@ def test_it_connects_again_after_the_service_was_away(tmp_path: Path, browser: A
 
 def test_the_demo_goes_on_as_each_process_is_killed_in_turn(tmp_path: Path) -> None:
     names, ended = ("service", *STORIES, HUMAN, OWN), list[str]()
-    with Demo(tmp_path / "ledger", by_hand=False, step_s=0.1) as demo, demo.way(HUB) as hub:
+    with Demo(tmp_path / "ledger", by_hand=False, step_s=0.1) as demo, demo.client(HUB) as hub:
         ended += play(hub, 0, 60)
         for number in range(1, len(TASKS)):
             for name in names[number - 1 :: len(TASKS) - 1]:  # it is away as the story begins
@@ -228,11 +228,11 @@ def test_the_command_plays_its_stories(tmp_path: Path) -> None:
 
 
 def test_a_robot_that_died_in_the_middle_of_an_execution_ends_it(tmp_path: Path) -> None:
-    with Demo(tmp_path / "ledger", by_hand=False, step_s=1) as demo, demo.way(HUB) as hub:
+    with Demo(tmp_path / "ledger", by_hand=False, step_s=1) as demo, demo.client(HUB) as hub:
         ended: list[str] = []
         story = threading.Thread(target=lambda: ended.extend(play(hub, 0, 60)), daemon=True)
         story.start()
-        with demo.way(HUB) as other:
+        with demo.client(HUB) as other:
             next(event for event in other.events(after=-1) if event.type == "ExecutionStarted")
         demo.processes["robot/A1"].send_signal(signal.SIGKILL)
         story.join(40)
