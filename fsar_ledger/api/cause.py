@@ -76,7 +76,7 @@ class CauseResult(Answer, msgspec.Struct, frozen=True, kw_only=True):
         if self.elements:
             head.append(
                 f"{counted(len(self.elements), 'cause')} of {self.candidates:,} {what} suffice together; "
-                "without any one of them the outcome falls"
+                "without any one of them there is no such outcome"
             )
             tail.append(f"{_named(one for one in self.elements if one.is_necessary)} necessary in the whole run, too")
             if self.presupposed:
@@ -134,21 +134,21 @@ def cause(
         ),
     ],
     *,
-    lengths: bool = switch("Also ask whether the lengths of messages, ways and work mattered."),
+    lengths: bool = switch("Also test whether the durations of messages, approaches and work mattered."),
     futures: int | None = declare("N", "Futures to draw from each moment; 0: no curve.", "50, of a live run none"),
     answers: AnswersOption = None,
     progress: Annotated[Progress | None, Shows("played", "runs")] = None,
 ) -> CauseResult:
     """Find the smallest cause of an outcome of a run, and when it could no longer be avoided.
 
-    A cause is a set of facts of the world and answers at ports with which alone the outcome stands, and without any one
-    of which it falls. It is found over forks of the run, so it is a cause and no mere correlation; others may suffice,
-    too. A fact without which the outcome has no value is no cause of it: without a task nothing fails. Then the curve:
-    from moments of the run on, the share of futures, drawn anew, that avoid the outcome, up to the event after which
-    none does.
+    A cause is a set of facts of the world, and of answers to what the run asked of it, that suffices for the outcome;
+    without any one of them the outcome does not occur. It is found by forking the run, so it is a cause and not only a
+    correlation; other sets may suffice, too. A fact without which the outcome has no value is no cause of it: without a
+    task nothing fails. Then the curve: from moments of the run on, the share of futures, drawn anew, that avoid the
+    outcome, up to the event after which none does.
 
-    Of a live run, commands are taken away. Without some of them it asks what nobody on record answers: then nobody
-    knows the outcome, unless the model of --answers does answer. There is no curve.
+    Of a live run, commands are removed. Where it then asks what nobody on record answers, the outcome is unknown,
+    unless the model of --answers answers. There is no curve.
 
     Raises:
         UsageError: The run does not have the outcome, or it cannot be made again.

@@ -84,8 +84,8 @@ def export(
     The name of the file decides the format: CSV, Parquet, or JSON with one row a line. In CSV, lists are JSON text, and
     text is made harmless for spreadsheets and terminals unless --raw is given. The others hold the values themselves.
     With --as, write events as another system has them (docs/exports.md says what becomes what); the answer says what
-    the file lacks. A run that was cut is one run there, whichever part is named. Events without --as, and a table of
-    delta, hold rows as they are stored, each part under its own name; queries and SQL have them as one.
+    the file lacks. A run that was cut is one run there, whichever part is named; without --as, and in delta, its parts
+    are separate, as they are stored.
 
     Raises:
         UsageError: The file has another suffix, or lies inside a ledger; there is no such run or format, or the library

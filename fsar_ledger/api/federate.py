@@ -66,7 +66,7 @@ def federate(
 
     Args:
         out: A new folder, or that of a ledger.
-        run: The name of the run; one that is there goes on, or the newest of those that continue it.
+        run: The name of the run; an existing one is continued, or the newest of those that continue it.
         fleet: The .toml file of a fleet (docs/own-fleet.md), or the name of a registered one; None: the paper's.
         robots: How many robots it has; None: one team.
         settings: Constants as NAME=VALUE, such as the budgets of recovery.
@@ -251,7 +251,7 @@ def _line(said: Mapping[str, object]) -> SafeText:
 )
 def federate_lines(
     out: Annotated[Place, argument("OUT", "A new folder, or that of a ledger to add to.")],
-    run: Annotated[str, argument("RUN", "The name of the run; one that is there goes on.")],
+    run: Annotated[str, argument("RUN", "The name of the run; an existing one is continued.")],
     *,
     fleet: str | None = FLEET,
     robots: int | None = ROBOTS,
@@ -265,7 +265,8 @@ def federate_lines(
     """Govern a real fleet: read commands from standard input, write decisions to standard output.
 
     A line is a JSON object with `command`, `by`, perhaps `key`, and the fields of the command (docs/live.md). The line
-    that answers it is printed once the decision is on disk. What becomes due by itself is printed as it is decided.
+    that answers it is printed once the decision is on disk. Decisions that no command triggers, such as timeouts, are
+    printed as they are made.
 
     Raises:
         UsageError: The fleet cannot be read or has another number of robots, or the run is not live.

@@ -106,11 +106,12 @@ def log(
 ) -> "Table":
     """Show a run event by event: who told whom what, or did what, and when.
 
-    A run that continues another is shown from there on, its seqs counted on; without RUN all of it is shown.
+    A run that continues another one is shown from the cut on, numbered as one run with it; without --run, all of it is
+    shown.
 
     The words are those of `explain`. A line has the number of the event in its run, the time in seconds, the action,
-    who tells whom (one name for a robot's own deed, or what befell it), what, and what else the record says. `?` is
-    not on record.
+    who tells whom (one name for what a robot does itself, or what happens to it), what, and what else the record says.
+    `?` is not on record.
 
     Raises:
         UsageError: There is no such run, robot or concern, the run has ended before `since`, or `until` is not after

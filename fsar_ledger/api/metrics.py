@@ -49,7 +49,7 @@ WHERE_ANY = ("undefined", "runs_not_observed")
     takes=("cluster", *ROWS),
 )
 def metrics(ledger: "Ledger", by: ByOption = None, pool: PoolOption = None) -> "Table":
-    """Judge a ledger by the metrics: the eight of the paper, then any that were added.
+    """Compute the metrics of a ledger: the eight of the paper, then any that were added.
 
     Shows mean, SD, 95 % interval and denominator for each architecture, configuration and fleet size; runs of different
     seeds, constants, models or kinds have rows of their own. Shares are in [0,1], latency is in seconds. Where a metric

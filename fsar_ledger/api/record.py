@@ -49,7 +49,7 @@ def record(
         out: A new folder, or that of a ledger.
         fleet: The robots: role by name, or `RobotJoined` events.
         observes: What is recorded completely: concerns, event types and fields of them that may be unknown.
-        run: The name of the run; one that is there goes on. None: the time at which it begins.
+        run: The name of the run; an existing one is continued. None: the time at which it begins.
         source: Who records.
         epoch: The time of run time 0; None: now.
         origin: Publish a new ledger under this name.
@@ -116,7 +116,7 @@ class RecordResult(Answer, msgspec.Struct, frozen=True):
 def record_lines(
     out: Annotated[Place, argument("OUT", "A new folder, or that of a ledger to add to.")],
     *,
-    run: str | None = declare("NAME", "The name of the run; one that is there goes on.", "the present time"),
+    run: str | None = declare("NAME", "The name of the run; an existing one is continued.", "the present time"),
     source: str = declare("NAME", "Who records.", value="recorder"),
     observes: Names = declare(
         "NAME",
@@ -135,8 +135,8 @@ def record_lines(
     """Record events from standard input as they come, one JSON object a line, each on disk before the next is read.
 
     A line has `type` (`ExecutionStarted`) and the columns of that type (`docs/event-types.json`), and perhaps `time`
-    (ISO 8601; UTC if it has no zone) and `caused_by`. A line that is wrong is refused, which is said at once, and the
-    record goes on.
+    (ISO 8601; UTC if it has no zone) and `caused_by`. A wrong line is refused at once, with the reason, and
+    recording goes on.
 
     Raises:
         UsageError: A name in --observes is none, or the run is there and was declared otherwise.

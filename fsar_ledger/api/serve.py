@@ -112,7 +112,7 @@ def serve_federation(
     out: Annotated[Place, argument("OUT", "A new folder, or that of a ledger to add to.")],
     principals: Annotated[Place, Option("--principals", "FILE", "Who may speak: what `principal new` made.")],
     *,
-    run: str = declare("NAME", "The name of the run; one that is there goes on.", value="live"),
+    run: str = declare("NAME", "The name of the run; an existing one is continued.", value="live"),
     fleet: str | None = FLEET,
     robots: int | None = ROBOTS,
     settings: Names = SETTINGS,

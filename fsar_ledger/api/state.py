@@ -88,9 +88,9 @@ def state(
 ) -> Moment:
     """Show a fleet at a moment of a run: who does what, what waits, what is in force, and what is open.
 
-    There are two times: --at is when it held in the run, and --by-commit what the ledger had recorded. With
-    --as-known-by also what a decider had been told by then, how old that is, and what held: its decisions rest on the
-    former.
+    There are two kinds of time: --at is a moment of the run, and --by-commit says how much the ledger had recorded.
+    With --as-known-by, also show what a decider had been told by then, how old that was, and what was true: it decides
+    by what it was told.
 
     Raises:
         UsageError: There is no such run, robot or decider, `at` is no time of the run, or the run came later.

@@ -170,7 +170,7 @@ def verify(
     progress: Annotated[Progress | None, Shows("verified", "segments", {"replay": "verified and replayed"})] = None,
     now_s: Annotated[int | None, Gives("now")] = None,
 ) -> Verification:
-    """Derive every hash, count and record of a ledger again.
+    """Check a ledger: derive every hash, count and record again from its rows.
 
     Where something does not hold, each place is named and the exit code is 3. No ledger can show by itself that all of
     it was rewritten, or that its newest commits were removed. For that, give a trusted key and an anchor (a copy of

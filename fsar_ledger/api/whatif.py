@@ -40,8 +40,8 @@ class Fork(msgspec.Struct, frozen=True):
 
     `record` is what happens in it, as `Ledger.record` returns it; `base` the run as recorded. `parts_at` is the first
     seq at which they differ; None: they do the same. Event 0 of the fork, which says from where it forks and what is
-    changed, does not count. `ends`: what nobody on the record of a live run says, so that the fork ends before all has
-    happened; None: it does not.
+    changed, does not count. `ends`: the question that nobody on the record of a live run answers, so that the fork ends
+    there; None: it does not end early.
     """
 
     base: "LedgerRun"
@@ -159,7 +159,7 @@ def whatif(
     each. The table has every metric in base and fork; over all runs, the difference with a 95 % interval, how many
     pairs differ, p, and how many times as many independent runs would be as precise (gain).
 
-    The fork of a live run takes its commands, and ends where something is asked that none of them answers, unless a
+    The fork of a live run repeats its commands, and ends where it asks something that none of them answers, unless a
     change or the model of --answers does.
 
     Raises:

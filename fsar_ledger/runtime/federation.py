@@ -57,7 +57,7 @@ class Federation:
 
     Args:
         path: The ledger; made if there is none.
-        run: The name of the run; one that is there goes on, and the newest of those that continue each other.
+        run: The name of the run; an existing one is continued, and the newest of those that continue each other.
         constants: The fleet and what it may spend; those of a run that goes on are on record.
         robots: How many robots the fleet has.
         clock: The time in nanoseconds since 1970.

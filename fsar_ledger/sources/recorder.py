@@ -46,7 +46,7 @@ class Recorder:
             join when the run begins; a run that goes on has its robots, and takes no others.
         observes: What is recorded completely: concerns (`task`), event types (`ExecutionStarted`) and fields of them
             that may be unknown (`ExecutionStarted.requested_by`). The absence of anything else means nothing.
-        run: The name of the run; one that is there goes on. None: the time at which it begins.
+        run: The name of the run; an existing one is continued. None: the time at which it begins.
         source: Who records, by a name.
         epoch: The time of run time 0; None: now, or that of the run that goes on.
         origin: The name under which a new ledger is published.
