@@ -1,13 +1,12 @@
--- Title: What the record of another system leaves open, so that a metric cannot count it
+-- Title: What a record leaves open, so that a metric cannot count it
 -- Paper: sec:evaluation:metrics
--- Grain: one row per foreign run and metric that counts outcomes or calls of which some are open
+-- Grain: one row per run of another system, or live run with windows of one name, and judge of what is open in it
 -- Key: run_id, judge
 -- Units: none
 -- NULL: never; hides_offences tells whether what would be an offence may be none
 -- Example: fsar-ledger query facts/censored LEDGER
 WITH foreign_runs AS (
-    SELECT run_id
-    FROM runs
+    SELECT run_id FROM runs
     WHERE kind = 'foreign'
 ),
 
@@ -30,20 +29,22 @@ strangers AS (
     ANTI JOIN fleet_calls AS calls ON called.run_id = calls.run_id
 ),
 
+windows AS (
+    SELECT run_id, 'the policy before the record' AS what
+    FROM begun_before
+    WHERE what = 'window'
+    UNION ALL
+    SELECT run_id, 'which window was closed' AS what
+    FROM reused_windows
+),
+
 left_open AS (
     SELECT
-        work.run_id, 'the end of what was open' AS what,
-        ['coordination_success', 'success_without_violation'] AS judges
-    FROM open_work AS work
-    INNER JOIN foreign_runs ON work.run_id = foreign_runs.run_id
-    WHERE work.open_tasks > 0
-    UNION ALL
-    SELECT
-        work.run_id, 'the end of what was open' AS what,
-        ['recovery_containment', 'reassignment_latency_s', 'time_to_know_s'] AS judges
-    FROM open_work AS work
-    INNER JOIN foreign_runs ON work.run_id = foreign_runs.run_id
-    WHERE work.open_failures > 0
+        run_id, 'the end of what was open' AS what,
+        if(open_tasks > 0, ['coordination_success', 'success_without_violation'], [])
+        || if(open_failures > 0, ['recovery_containment', 'reassignment_latency_s', 'time_to_know_s'], []) AS judges
+    FROM open_work
+    SEMI JOIN foreign_runs ON open_work.run_id = foreign_runs.run_id
     UNION ALL
     SELECT run_id, 'which task was completed' AS what, ['coordination_success', 'success_without_violation'] AS judges
     FROM mixed_up
@@ -52,16 +53,18 @@ left_open AS (
     FROM strangers
     UNION ALL
     SELECT
-        run_id, if(what = 'window', 'the policy', 'who was off shift') || ' before the record' AS what,
-        if(
-            what = 'window',
-            [
-                'policy_violations', 'success_without_violation', 'i3_jointly_composed_policy',
-                'a3_no_silent_policy_override'
-            ],
-            ['audit_attributability', 'i5_audit_attributability', 'a5_audit_completeness']
-        ) AS judges
+        run_id, what,
+        [
+            'policy_violations', 'success_without_violation', 'i3_jointly_composed_policy',
+            'a3_no_silent_policy_override'
+        ] AS judges
+    FROM windows
+    UNION ALL
+    SELECT
+        run_id, 'who was off shift before the record' AS what,
+        ['audit_attributability', 'i5_audit_attributability', 'a5_audit_completeness'] AS judges
     FROM begun_before
+    WHERE what <> 'window'
 ),
 
 judged AS (

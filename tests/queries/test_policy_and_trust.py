@@ -130,6 +130,19 @@ def test_policy_windows_pair_each_opening_with_its_closing() -> None:
     assert rows == [(1, 3, "w1"), (2, None, "w2")]
 
 
+def test_no_policy_is_judged_where_a_window_opens_again_under_its_name() -> None:
+    judges = ["a3_no_silent_policy_override", "i3_jointly_composed_policy", "policy_violations"]
+    judges += ["success_without_violation"]
+    for events, left_out in (
+        ((opened(1), closed(2), opened(4)), judges),
+        ((opened(1), opened(2, "review"), closed(3)), []),
+        ((opened(1), closed(2), opened(4, window="w2")), []),
+    ):
+        assert [row[0] for row in answer("facts/censored", run(*events), columns=("judge",))] == left_out
+    rows = answer("facts/reused_windows", run(opened(1), closed(2), opened(4)), columns=("opened_us", "window_name"))
+    assert rows == [(4, "w1")]
+
+
 def test_trust_in_force_changes_where_it_is_set() -> None:
     def trust(time_us: int, scope: str) -> Row:
         return event("TrustSet", time_us, robot="robot/B1", peer="robot/A1", scope=scope)
