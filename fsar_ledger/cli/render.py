@@ -198,7 +198,7 @@ def warn(ledger: Path, provenance: "Provenance") -> None:
     if not provenance.rows_verified:
         say(
             f"the rows of {ledger} were not compared with its root; `fsar-ledger verify {printable.word(ledger)}` does "
-            "that, and --verified demands it"
+            "that, as does --verified"
         )
 
 

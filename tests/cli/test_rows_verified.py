@@ -60,7 +60,7 @@ def test_an_answer_says_whether_its_rows_were_compared_with_the_root(call: Call,
     assert before.code in (0, 1)
     assert before.err == (
         f"fsar-ledger: the rows of {small} were not compared with its root; `fsar-ledger verify {small}` does "
-        "that, and --verified demands it\n"
+        "that, as does --verified\n"
     )
     after = call(*words(verb, small, *options, "--verified"))
     assert (after.code, after.err) == (before.code, "")
