@@ -12,7 +12,7 @@ from fsar_ledger.base.errors import QueryFailed, UsageError, option
 from fsar_ledger.base.printable import SafeText, counted
 
 from .answers import Answer, Screen
-from .diff import Diff, story
+from .diff import Diff, diff_text
 from .names import Names, names_of
 from .verbs import ArchitectureOption, FirstOption, OtherArgument, SecondOption, declare, verb
 from .whatif import refusals
@@ -82,7 +82,7 @@ class BisectResult(Answer, msgspec.Struct, frozen=True, kw_only=True):
             return
         found = f"the first pair that disagrees: {screen.run_text(self.diff.first)}"
         yield printable.lines(*head, "", found, f"and {printable.value(self.diff.second)}", "")
-        yield from story(self.diff, ("first", "second"), screen)
+        yield from diff_text(self.diff, ("first", "second"), screen)
 
 
 @verb(

@@ -108,7 +108,7 @@ class Diff(Answer, msgspec.Struct, frozen=True, kw_only=True):
         if self.is_same:
             yield printable.lines(f"the same {counted(self.same, 'event')} at the same times")
         else:
-            yield from story(self, ("first", "second"), screen)
+            yield from diff_text(self, ("first", "second"), screen)
         if screen.has("lists") and not self.is_same:
             rows = self.table().rows()
             yield printable.lines("")
@@ -255,7 +255,7 @@ def _stored(value: object) -> str | None:
     return None if value is None else str(value)
 
 
-def story(found: Diff, names: tuple[str, str], screen: Screen) -> Iterator[SafeText]:
+def diff_text(found: Diff, names: tuple[str, str], screen: Screen) -> Iterator[SafeText]:
     """Yield where two runs diverge and how they ended; `names` are the columns of the two."""
     if found.parting is None or found.consequences is None:
         yield printable.lines("no event differs")

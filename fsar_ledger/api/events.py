@@ -35,7 +35,7 @@ from fsar_ledger.metrics.provenance import Provenance, of_rows
 from fsar_ledger.metrics.verified import is_verified
 
 from .log import ALL
-from .lookup import resting_on_rows, robot_of, run_of, run_time
+from .lookup import resolve_run, resting_on_rows, robot_of, run_time
 from .names import Run, Time, microseconds, names_of
 from .table import Table
 
@@ -214,7 +214,7 @@ def asked_of(
             time may come.
     """
     concerns = concerns_of(about)
-    name = None if run == ALL else run_of(database, run, ledger)
+    name = None if run == ALL else resolve_run(database, run, ledger)
     since, until = (
         run_time(database, option(side), asked, name) for side, asked in (("since", since), ("until", until))
     )

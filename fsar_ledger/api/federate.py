@@ -305,10 +305,10 @@ def hand_over(ledger: "Ledger", *, run: Run | None = RUN) -> dict[str, Any]:
     from fsar_ledger.ledger.store.locations import whole_of
     from fsar_ledger.runtime.isolation import handed_over, require_single
 
-    from .lookup import present, run_in
+    from .lookup import present, resolve_run_in
 
     require_single(open_ledger(ledger.path))
     view, _ = present(ledger)
     names = view.run_names.runs
-    name = run_in(view, run, ledger.demanded) if run is not None or not names else names[-1]
+    name = resolve_run_in(view, run, ledger.demanded) if run is not None or not names else names[-1]
     return handed_over(view, whole_of(view, name))

@@ -29,7 +29,7 @@ from fsar_ledger.metrics.provenance import Provenance
 from fsar_ledger.metrics.sandbox import SENT_BYTES, slices
 from fsar_ledger.metrics.verified import is_verified
 
-from .lookup import present, run_in
+from .lookup import present, resolve_run_in
 from .names import Run
 from .table import Table
 from .texts import csv_header, csv_lines, harmless, in_turn, json_lines, json_texts
@@ -242,7 +242,7 @@ def write_as(
             "runs, too; expected one of them: leave the run out, and select it in the table"
         )
     view, provenance = present(ledger)
-    name = None if run is None else whole_of(view, run_in(view, run, ledger.demanded))
+    name = None if run is None else whole_of(view, resolve_run_in(view, run, ledger.demanded))
     if format == "perfetto":
         name = name or _only_run(view)
         trace(ledger, file, name)

@@ -30,7 +30,7 @@ from . import verify as _verify
 from . import view as _view
 from . import whatif as _whatif
 from . import why as _why
-from .lookup import AboutRun, about_run, numbers_of, parameters_of, recorded, robot_of, run_of, time_of
+from .lookup import AboutRun, about_run, numbers_of, parameters_of, recorded, resolve_run, robot_of, time_of
 from .names import Place, Run, Time
 from .verbs import readers_of
 
@@ -109,7 +109,7 @@ class Ledger:
             with self.database() as database:
                 if run is not None:
                     view = open_for_answers(self.path)
-                    name = run_of(database, whole_of(view, run) if run in view.run_names.runs else run, self.path)
+                    name = resolve_run(database, whole_of(view, run) if run in view.run_names.runs else run, self.path)
                 robot = None if robot is None else robot_of(database, robot, name)
                 time_of(database, "since", since, name)
         return Events(self.path, Filter(name, since_us, until_us, robot), self.demanded)

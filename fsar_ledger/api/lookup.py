@@ -66,7 +66,7 @@ class AboutRun(NamedTuple):
     number: int | None
 
 
-def run_of(database: "Database", asked: object, ledger: Path | None = None) -> str:
+def resolve_run(database: "Database", asked: object, ledger: Path | None = None) -> str:
     """Return the full name of a run that is given by name, number or unique part.
 
     An error says how to list the runs of `ledger`, if it is given.
@@ -85,10 +85,10 @@ def _way(ledger: Path) -> str:
     return f"`fsar-ledger query runs {printable.word(ledger)}` lists them"
 
 
-def run_in(view: "View", asked: object, demanded: str | None) -> str:
+def resolve_run_in(view: "View", asked: object, demanded: str | None) -> str:
     """Return the full name of a run that is given by name, number or unique part.
 
-    Raises: As `run_of` and `is_verified`.
+    Raises: As `resolve_run` and `is_verified`.
     """
     with resting_on_rows(is_verified_for_runs(view, demanded)):
         if isinstance(asked, str) and view.has_run(asked):
@@ -106,7 +106,7 @@ def no_run(ledger: Path) -> str:
     return f"{ledger}: found no run, so there is nothing to explain"
 
 
-def chosen_in(view: "View", asked: object, demanded: str | None) -> str:
+def resolve_or_first(view: "View", asked: object, demanded: str | None) -> str:
     """Return the full name of the run that was asked for, or of the first, with those that continue it.
 
     Raises: UsageError if there is none, or as `is_verified`.
@@ -118,7 +118,7 @@ def chosen_in(view: "View", asked: object, demanded: str | None) -> str:
             require_runs(view)
             raise UsageError(no_run(view.path))
         if asked is not None:
-            return run_in(view, asked, demanded)
+            return resolve_run_in(view, asked, demanded)
         from fsar_ledger.ledger.store.locations import whole_of
 
         return whole_of(view, view.run_names.runs[0])
@@ -129,13 +129,13 @@ def about_run(view: "View", asked: object, demanded: str | None, *, is_whole: bo
     """Yield what there is about a run, the first if none is asked for; `is_whole`: with the runs that continue it.
 
     Raises:
-        UsageError: As `chosen_in`.
+        UsageError: As `resolve_or_first`.
         LedgerCorrupted, SequenceConflict: As `connect_run`.
     """
     from fsar_ledger.ledger.store.locations import whole_of
     from fsar_ledger.metrics.database import connect_run
 
-    run = chosen_in(view, asked, demanded)
+    run = resolve_or_first(view, asked, demanded)
     run = whole_of(view, run) if is_whole else run
     with connect_run(view, run, demanded) as database:
         number = view.ordinal_of(run)
@@ -143,7 +143,7 @@ def about_run(view: "View", asked: object, demanded: str | None, *, is_whole: bo
 
 
 def numbers_of(database: "Database") -> dict[str, int]:
-    """Return the number that names each run, as `run_of` takes it; none that is itself the name of a run or a plan."""
+    """Return the number that names each run, for `resolve_run`; none that is itself the name of a run or a plan."""
     return {row["run_id"]: row["number"] for row in database.rows(_NUMBERS)}
 
 
@@ -218,7 +218,7 @@ def parameters_of(database: "Database", query: "Query", given: Mapping[str, obje
         if text is None or text == one.default:
             continue
         if one.kind == "run":
-            found[one.sql_name] = run = run_of(database, given[one.name], ledger)
+            found[one.sql_name] = run = resolve_run(database, given[one.name], ledger)
         else:
             found[one.sql_name] = _value(database, one, text, run)
     return found
@@ -268,7 +268,7 @@ def recorded(ledger: "Ledger", view: "View", run: "Run", *, is_whole: bool = Fal
     """
     from fsar_ledger.ledger.store.locations import record_of, whole_of
 
-    name = run_in(view, run, ledger.demanded)
+    name = resolve_run_in(view, run, ledger.demanded)
     return record_of(view, whole_of(view, name) if is_whole else name)
 
 

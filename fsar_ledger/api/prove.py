@@ -140,7 +140,7 @@ def asked_event(view: "View", event: str, demanded: str | None) -> tuple[str | N
     """
     from fsar_ledger.metrics.verified import is_verified
 
-    from .lookup import run_in
+    from .lookup import resolve_run_in
 
     asked, _, seq = event.rpartition(":")
     if not (seq.isascii() and seq.isdecimal()) or event.startswith(":"):
@@ -149,7 +149,7 @@ def asked_event(view: "View", event: str, demanded: str | None) -> tuple[str | N
             "event's place in the ledger"
         )
     is_verified(view, demanded)
-    return run_in(view, asked, demanded) if asked else None, seq
+    return resolve_run_in(view, asked, demanded) if asked else None, seq
 
 
 def found_event(view: "View", run: str | None, seq: str, demanded: str | None) -> tuple[str, int]:

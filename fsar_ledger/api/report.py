@@ -35,7 +35,7 @@ SHOWN = ("architecture", "metric", "mean", "sd", "n", "ci_low", "ci_high")
     "report out/ledger --out out/report.pdf --numbers out/numbers.json",
     "report out/ledger --kind audit --out out/audit.pdf",
     takes=(),
-    hunger=3,
+    memory_factor=3,
 )
 def report(
     ledger: "Ledger",

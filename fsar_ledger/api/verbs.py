@@ -98,7 +98,7 @@ class Verb(NamedTuple):
     after_interruption: str
     is_apart: Callable[[Mapping[str, Any]], bool]
     arrange: Callable[[dict[str, Any]], None]
-    hunger: int
+    memory_factor: int
 
     @property
     def parameters(self) -> dict[str, inspect.Parameter]:
@@ -146,7 +146,7 @@ def verb(
     after_interruption: str = NOTHING_CHANGED,
     is_apart: Callable[[Mapping[str, Any]], bool] = lambda _: False,
     arrange: Callable[[dict[str, Any]], None] = lambda _: None,
-    hunger: int = 1,
+    memory_factor: int = 1,
 ) -> Callable[[_Function], _Function]:
     """Register a function as a verb of the command line, with calls that show how it is used.
 
@@ -159,7 +159,7 @@ def verb(
         after_interruption: What an interrupted call leaves.
         is_apart: Whether a call with these values works in a process that has a memory limit of its own.
         arrange: Changes the values of a call before its ledgers are opened.
-        hunger: How many times the memory of other commands this one may take for each byte of the segments.
+        memory_factor: How many times the memory of other commands this one may take for each byte of the segments.
     """
 
     def register(function: _Function) -> _Function:
@@ -169,7 +169,16 @@ def verb(
         called = name or function.__name__.replace("_", "-")
         calls = tuple(f"fsar-ledger {one}" if one.startswith(called) else one for one in examples)
         VERBS[called] = Verb(
-            called, function, call or function, takes, calls, beside, after_interruption, is_apart, arrange, hunger
+            called,
+            function,
+            call or function,
+            takes,
+            calls,
+            beside,
+            after_interruption,
+            is_apart,
+            arrange,
+            memory_factor,
         )
         function.__doc__ = _documented(function)
         return function

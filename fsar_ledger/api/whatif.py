@@ -12,7 +12,7 @@ from fsar_ledger.base.printable import SafeText, counted
 from fsar_ledger.base.progress import Progress
 
 from .answers import Answer, Screen
-from .diff import Diff, story
+from .diff import Diff, diff_text
 from .names import Names, Place, Run, names_of
 from .verbs import WIDE, AnswersOption, ArchitectureOption, Option, Shows, declare, switch, verb
 
@@ -94,7 +94,7 @@ class WhatIf(Answer, msgspec.Struct, frozen=True):
         yield printable.lines(*(f"change: {one}" for one in self.changes))
         if self.story is not None:
             yield printable.lines(screen.run_text(self.story.first), "", *_end(self.forks[0]))
-            yield from story(self.story, ("base", "fork"), screen)
+            yield from diff_text(self.story, ("base", "fork"), screen)
             yield printable.lines("")
         else:
             for one in self.effects:

@@ -119,7 +119,7 @@ def _callback(verb: Verb) -> Callable[..., None]:
         read = [given[name] for name in ledgers] + [place for name in stored for place in _several(given[name])]
         # A process that judges takes as much as two that verify.
         workers = given.get("workers") or (2 + 2 * judging if judging else None)
-        limit = partial(bounded, most, *read, workers=workers, hunger=verb.hunger)
+        limit = partial(bounded, most, *read, workers=workers, memory_factor=verb.memory_factor)
         with _shared(beside.get("cluster")), limit() if is_bounded else nullcontext():
             demands = beside.get("verified", False)
             code = respond(verb, given, ledgers, form, asked, drawn, verified=demands, clock=context.obj)
@@ -327,21 +327,21 @@ def _values(line: Line, one: "Parameter") -> Sequence[str]:
 
 def _on_record(line: Line, kind: str, run: str | None) -> list[str]:
     """Return the names of this kind in the ledger that the line names, of one run or of all. Raises: As `connect`."""
-    from fsar_ledger.api.lookup import run_of
+    from fsar_ledger.api.lookup import resolve_run
     from fsar_ledger.metrics.database import connect
     from fsar_ledger.metrics.sql_values import names_on_record
 
     with connect(Path(str(line.given.get("ledger") or ""))) as database:
-        return names_on_record(database, kind, None if run in (None, "all") else run_of(database, run))
+        return names_on_record(database, kind, None if run in (None, "all") else resolve_run(database, run))
 
 
 LEAST_MIB = 256
 BASE_BYTES = 640 << 20
 PER_BYTE = 16
 """By default a command may take `BASE_BYTES`, and `PER_BYTE` bytes for each byte of the segments on disk. Most commands
-need 300 MiB and 10; `report` takes some 40 for each byte (`Verb.hunger`). Of a ledger of ten million events `study run
-multiverse` and `open` need more and are given it with --memory: by default as much would be there for a small file that
-unpacks to much.
+need 300 MiB and 10; `report` takes some 40 for each byte (`Verb.memory_factor`). Of a ledger of ten million events
+`study run multiverse` and `open` need more and are given it with --memory: a larger default would also be there for a
+small file that unpacks to much.
 """
 
 PER_WORKER_BYTES = 192 << 20
@@ -352,7 +352,7 @@ MACHINE_SHARE = 0.8
 
 @contextmanager
 def bounded(
-    asked_mib: int | None, *ledgers: Path | None, workers: int | None = None, hunger: int = 1
+    asked_mib: int | None, *ledgers: Path | None, workers: int | None = None, memory_factor: int = 1
 ) -> Iterator[None]:
     """Limit the memory of the command to what was asked for, or to what ledgers of this size need.
 
@@ -364,7 +364,9 @@ def bounded(
     """
     if asked_mib is not None and not LEAST_MIB <= asked_mib <= memory.MOST_MIB:
         raise UsageError(f"--memory {asked_mib}: expected at least {LEAST_MIB} and at most {memory.MOST_MIB} (MiB)")
-    most = default_bytes(*ledgers, workers=workers, hunger=hunger) if asked_mib is None else asked_mib << 20
+    most = (
+        default_bytes(*ledgers, workers=workers, memory_factor=memory_factor) if asked_mib is None else asked_mib << 20
+    )
 
     def end() -> None:
         from shutil import rmtree
@@ -386,13 +388,13 @@ def bounded(
             raise LimitReached(memory.exceeded_message()) from error
 
 
-def default_bytes(*ledgers: Path | None, workers: int | None = None, hunger: int = 1) -> int:
+def default_bytes(*ledgers: Path | None, workers: int | None = None, memory_factor: int = 1) -> int:
     """Return the default limit, which grows with the segments and workers, and is never all of the machine's memory.
 
-    `hunger` is that of the verb.
+    `memory_factor` is that of the verb.
     """
     more = max(0, (workers_of(None) if workers is None else workers) - 2)
     return min(
-        BASE_BYTES + PER_WORKER_BYTES * more + hunger * PER_BYTE * stored(*ledgers),
+        BASE_BYTES + PER_WORKER_BYTES * more + memory_factor * PER_BYTE * stored(*ledgers),
         int(MACHINE_SHARE * memory.bytes_installed()),
     )

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import fsar_ledger
-from fsar_ledger.api.lookup import numbers_of, run_of
+from fsar_ledger.api.lookup import numbers_of, resolve_run
 from fsar_ledger.api.names import MAX_SECONDS, microseconds, named, principal_named, run_named
 from fsar_ledger.base.errors import InvalidQuery, UnknownQuery, UsageError
 from fsar_ledger.base.printable import ranges
@@ -143,13 +143,13 @@ def test_each_number_that_is_told_names_its_run(ledger: fsar_ledger.Ledger) -> N
     numbers = ledger.numbers()
     assert set(numbers) == {row["run_id"] for row in ledger.runs()}
     with ledger.database() as database:
-        assert all(run_of(database, str(number)) == name for name, number in numbers.items())
+        assert all(resolve_run(database, str(number)) == name for name, number in numbers.items())
 
 
 def test_a_number_that_is_itself_the_name_of_another_run_is_not_told() -> None:
     with from_rows([*run(run_id="2"), *run(run_id="x")]) as database:
         assert numbers_of(database) == {"2": 1}
-        assert run_of(database, "2") == "2"
+        assert resolve_run(database, "2") == "2"
 
 
 @pytest.mark.slow

@@ -138,7 +138,7 @@ def test_the_default_grows_with_what_the_segments_take(
     assert default_bytes(tmp_path, workers=2) == default_bytes(None, workers=2) == BASE_BYTES
     stored = sum(file.stat().st_size for file in (ledger / "segments").iterdir())
     assert default_bytes(ledger, workers=2) - BASE_BYTES == PER_BYTE * stored
-    assert default_bytes(ledger, workers=2, hunger=3) - BASE_BYTES == 3 * PER_BYTE * stored
+    assert default_bytes(ledger, workers=2, memory_factor=3) - BASE_BYTES == 3 * PER_BYTE * stored
     (tmp_path / "segments").mkdir()
     (tmp_path / "segments" / "sparse").touch()
     os.truncate(tmp_path / "segments" / "sparse", 1 << 40)
