@@ -6,7 +6,8 @@
 -- NULL: never; hides_offences tells whether what would be an offence may be none
 -- Example: fsar-ledger query facts/censored LEDGER
 WITH foreign_runs AS (
-    SELECT run_id FROM runs
+    SELECT run_id
+    FROM runs
     WHERE kind = 'foreign'
 ),
 
@@ -29,15 +30,6 @@ strangers AS (
     ANTI JOIN fleet_calls AS calls ON called.run_id = calls.run_id
 ),
 
-windows AS (
-    SELECT run_id, 'the policy before the record' AS what
-    FROM begun_before
-    WHERE what = 'window'
-    UNION ALL
-    SELECT run_id, 'which window was closed' AS what
-    FROM reused_windows
-),
-
 left_open AS (
     SELECT
         run_id, 'the end of what was open' AS what,
@@ -53,12 +45,12 @@ left_open AS (
     FROM strangers
     UNION ALL
     SELECT
-        run_id, what,
+        run_id, why AS what,
         [
             'policy_violations', 'success_without_violation', 'i3_jointly_composed_policy',
             'a3_no_silent_policy_override'
         ] AS judges
-    FROM windows
+    FROM unknown_policy
     UNION ALL
     SELECT
         run_id, 'who was off shift before the record' AS what,

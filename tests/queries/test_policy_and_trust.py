@@ -139,7 +139,7 @@ def test_no_policy_is_judged_where_a_window_opens_again_under_its_name() -> None
         ((opened(1), closed(2), opened(4, window="w2")), []),
     ):
         assert [row[0] for row in answer("facts/censored", run(*events), columns=("judge",))] == left_out
-    rows = answer("facts/reused_windows", run(opened(1), closed(2), opened(4)), columns=("opened_us", "window_name"))
+    rows = answer("facts/unknown_policy", run(opened(1), closed(2), opened(4)), columns=("since_us", "window_name"))
     assert rows == [(4, "w1")]
 
 
