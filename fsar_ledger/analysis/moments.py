@@ -52,7 +52,7 @@ class Timeline:
 
 
 def past_at(pieces: Iterable[LedgerRun], time_us: int) -> Past:
-    """Return a run up to this time, at least up to event 0, in memory that does not grow with the run."""
+    """Return a run up to this time, at least up to event 0, in memory that hardly grows with the run."""
     events = ((us, event) for piece in pieces for us, event in zip(piece.times_us, piece.events, strict=True))
     begun_us, started = next(events)
     past = Past(started, State())

@@ -42,7 +42,7 @@ class Past(msgspec.Struct):
     told_us: Mapping[tuple[type[Event], str | None], int] = {}
     abandoned: Mapping[str | None, bool] = {}
     asked: Mapping[str | None, str | None] = {}
-    _asked: Mapping[str | None, tuple[str | None, ...]] = {}  # by task
+    _of_task: Mapping[str | None, tuple[str | None, ...]] = {}  # what was asked for
 
     def add(self, event: Event, time_us: int) -> None:
         """Add the next event of the run."""
@@ -54,13 +54,13 @@ class Past(msgspec.Struct):
             self.told_us = put(self.told_us, (type(event), getattr(event, "robot", None)), time_us)
         elif isinstance(event, RequestIssued):
             task, action = event.subject.task_id, event.subject.action_id
-            self._asked = put(self._asked, task, (*self._asked.get(task, ()), action))
+            self._of_task = put(self._of_task, task, (*self._of_task.get(task, ()), action))
             self.asked = put(self.asked, action, event.principals.executed_by)
             self.abandoned = without(self.abandoned, action)
         elif isinstance(event, TaskAbandoned):
-            for action in self._asked.get(event.task_id, ()):
+            for action in self._of_task.get(event.task_id, ()):
                 self.abandoned = put(self.abandoned, action, True)
-            self._asked = without(self._asked, event.task_id)
+            self._of_task = without(self._of_task, event.task_id)
 
     def copy(self) -> "Past":
         """Return it as it is now; they share what does not change."""
