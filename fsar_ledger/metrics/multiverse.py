@@ -14,6 +14,7 @@ import msgspec
 import pyarrow as pa
 
 from fsar_ledger.base.progress import Progress
+from fsar_ledger.designs.registered import PAPER_SCENARIOS
 
 from .database import Database
 from .library import READINGS, Query, library
@@ -111,8 +112,7 @@ class Cell(_OfRuns, frozen=True, kw_only=True):
     `paper`, `ours`, `lowest`, `highest`, `moved_by` are in the metric's unit; among combinations with the same mean the
     one of fewest readings is named.
     None: undefined or not observed; `paper` also unless the cell is of simulated runs of a full architecture with four
-        robots;
-        `most_moving` where no reading alone moves the cell.
+        robots, all in the paper's scenarios; `most_moving` where no reading alone moves the cell.
     """
 
     paper: float | None
@@ -286,7 +286,11 @@ def multiverse(
     }
     found = universes(database, list(better), pools_seeds=pools_seeds, progress=progress)
     used = tuple(one for one in readings() if set(one.moves) & better.keys())
-    return Multiverse(used, tuple(cells(found)), tuple(rankings(found, better)), tuple(found))
+    scenarios = {
+        row["scenario"] for row in database.rows("SELECT DISTINCT scenario FROM runs WHERE kind = 'simulated'")
+    }
+    shown = cells(found, is_of_paper=scenarios <= {*PAPER_SCENARIOS})
+    return Multiverse(used, tuple(shown), tuple(rankings(found, better)), tuple(found))
 
 
 def universes(
@@ -334,8 +338,11 @@ def _measured(metric: str, part: Sequence[ReadingNames], database: Database) -> 
     return found
 
 
-def cells(found: Iterable[Universe]) -> Iterator[Cell]:
-    """Return the range of each cell, in the order of the universes of our reading."""
+def cells(found: Iterable[Universe], *, is_of_paper: bool = True) -> Iterator[Cell]:
+    """Return the range of each cell, in the order of the universes of our reading.
+
+    The paper's numbers stand beside cells of its configurations, unless the runs are of other scenarios, too.
+    """
     by_cell: dict[tuple[object, ...], list[Universe]] = {}
     for one in found:
         by_cell.setdefault((one.metric, setting_of(one), one.architecture), []).append(one)
@@ -354,7 +361,7 @@ def cells(found: Iterable[Universe]) -> Iterator[Cell]:
             metric=ours.metric,
             architecture=ours.architecture,
             **_conditions(ours),
-            paper=printed.value if printed is not None and _of_paper(ours) == PRINTED else None,
+            paper=printed.value if printed is not None and is_of_paper and _of_paper(ours) == PRINTED else None,
             ours=ours.mean,
             lowest=lowest[0],
             highest=highest[0],

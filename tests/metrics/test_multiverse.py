@@ -139,6 +139,16 @@ def test_the_papers_number_stands_beside_cells_of_its_table_alone() -> None:
     ] == [None, None, None]
 
 
+@pytest.mark.parametrize(("scenarios", "printed"), [(["door-relay"], 0.14), (["door-relay", "yard"], None)])
+def test_no_number_of_the_paper_stands_beside_runs_of_other_scenarios(
+    scenarios: list[str], printed: float | None
+) -> None:
+    runs = [row for one in scenarios for row in run(run_id=one, scenario=one)]
+    with from_rows(runs) as database:
+        [found] = multiverse(database, ["human_intervention"]).cells
+    assert (found.architecture, found.paper) == ("fsar", printed)
+
+
 def test_settings_are_never_ranked_together() -> None:
     both = [*universes({(): {"fsar": 1.0, "cfc": 2.0}}, seed=1), *universes({(): {"fsar": 2.0, "cfc": 1.0}}, seed=2)]
     assert [(row.seed, row.order) for row in rankings(both, {"m": "higher"})] == [(1, "cfc > fsar"), (2, "fsar > cfc")]
