@@ -159,7 +159,10 @@ def forks_of(bases: Iterable[Base], changes: Changes) -> Iterator[Pair]:
     """
     for base in bases:
         made = rerun(base)
-        fork = made.played(changes)
+        try:
+            fork = made.played(changes)
+        except UsageError as error:
+            raise UsageError(f"{error}; that is run {printable.value(base.record.run_id)}") from error
         yield Pair(base, fork, refusal(made, changes, fork))
 
 
