@@ -29,13 +29,14 @@ def commits_of(view: View, run: str) -> list[tuple[int, int]]:
     sizes = np.array(view.commits.sizes)
     shift = 0
     for name in chain_of(view, run):
-        for number in view.segments_of(view.parts(name)):
+        parts = view.parts(name)
+        for number in view.segments_of(parts):
             table = segment.read_table(view.segment(number), ["run_id", "seq"])
             places = np.flatnonzero(pc.equal(table.column("run_id"), name).to_numpy())
             commits, at = np.unique(np.searchsorted(sizes, places + view.first(number), "right"), return_index=True)
             seqs = np.maximum(table.column("seq").to_numpy()[places[at]], 1 if shift else 0) + shift
             found.update(zip(commits.tolist(), seqs.tolist(), strict=True))
-        shift += event_count(view, name) - 1
+        shift += event_count(parts) - 1
     return [(seq, commit) for commit, seq in found.items()]
 
 

@@ -30,8 +30,8 @@ class Past(msgspec.Struct):
     """A run up to one of its events: the state after that, and what one asks about that no state keeps.
 
     By policy window, `opened` is the seq and the time of the event that opened it last; `told_us` is when somebody was
-    last told something, by the type of the event and the robot that it is about. `abandoned` are the actions that were
-    asked for, and whose tasks were abandoned after that; `asked` is the robot to which a request has gone, by action.
+    last told something, by the type of the event and the robot that it is about. `asked` is the robot to which a
+    request has gone, by action; `abandoned` are those of a foreign run whose tasks were abandoned after that.
     """
 
     started: Event
@@ -54,9 +54,10 @@ class Past(msgspec.Struct):
             self.told_us = put(self.told_us, (type(event), getattr(event, "robot", None)), time_us)
         elif isinstance(event, RequestIssued):
             task, action = event.subject.task_id, event.subject.action_id
-            self._of_task = put(self._of_task, task, (*self._of_task.get(task, ()), action))
             self.asked = put(self.asked, action, event.principals.executed_by)
-            self.abandoned = without(self.abandoned, action)
+            if getattr(self.started, "kind", None) == "foreign":
+                self._of_task = put(self._of_task, task, (*self._of_task.get(task, ()), action))
+                self.abandoned = without(self.abandoned, action)
         elif isinstance(event, TaskAbandoned):
             for action in self._of_task.get(event.task_id, ()):
                 self.abandoned = put(self.abandoned, action, True)
@@ -284,10 +285,10 @@ def _open_requests(past: Past) -> Iterator[Request]:
     No rule of the model takes back what an abandoned task of another system's run asked for: that is open only while it
     is executed.
     """
-    is_foreign, actions = getattr(past.started, "kind", None) == "foreign", past.state.execution.actions
+    actions = past.state.execution.actions
     for one in past.state.request.open.values():
         action = actions.get(one.action_id)
-        if one.is_over or (is_foreign and action is None and one.action_id in past.abandoned):
+        if one.is_over or (action is None and one.action_id in past.abandoned):
             continue
         is_asked = one.candidates and one.candidates[0] == past.asked.get(one.action_id)
         asked = one.candidates[0] if is_asked else None

@@ -247,7 +247,7 @@ def write_as(
         name = name or _only_run(view)
         trace(ledger, file, name)
         runs = [] if name is None else chain_of(view, name)
-        events = sum(event_count(view, run) for run in runs)
+        events = sum(event_count(view.parts(run)) for run in runs)
         return Written(events - len(runs[1:]), ()), provenance
     try:
         return _written(view, file, format, name, progress), provenance

@@ -88,9 +88,10 @@ def connect_run(view: View, run: str, demanded: str | None) -> Database:
     """
     rows_verified = is_verified_for_runs(view, demanded)
     runs = chain_of(view, run)
-    held = view.segments_of([part for name in runs for part in view.parts(name)])
+    parts = [part for name in runs for part in view.parts(name)]
+    held = view.segments_of(parts)
     segments = [view.segment(number) for number in held]
-    is_long = sum(event_count(view, name) for name in runs) > SLICE_EVENTS
+    is_long = event_count(parts) > SLICE_EVENTS
     database = Database(view.head, segments, rows_verified=rows_verified, may_spill=is_long)
     ordinal, releases = view.ordinal_of(run), view.releases
     numbers = numbered([run] if ordinal else [], ordinal)

@@ -297,7 +297,7 @@ class Federation:
         try:
             self._writer.commit([piece])
         except InvalidRun as error:
-            size = event_count(open_ledger(self._path), self.run)
+            size = event_count(open_ledger(self._path).parts(self.run))
             if size == piece.first:
                 raise
             self._overtaken = (
@@ -348,7 +348,7 @@ class Federation:
 
     def _resume(self, view: View) -> None:
         record = record_of(view, self.run)
-        own = event_count(view, self.run)
+        own = event_count(view.parts(self.run))
         started = record.events[0]
         if not isinstance(started, RunStarted) or started.source != SOURCE or started.epoch is None:
             raise UsageError(f"run {value(self.run)}: found a run that is not live, expected a new name or one that is")

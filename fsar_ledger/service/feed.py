@@ -107,12 +107,13 @@ def _rows_in(view: View, runs: Sequence[str], seq: int) -> Sequence[Row]:
     """Return the rows from this seq to the end of a part of these runs; none if they end before."""
     before = 0
     for run in runs:
-        for part in view.parts(run):
+        parts = view.parts(run)
+        for part in parts:
             if before + part.block.end > seq:
                 rows = ((_PLACE.decode(row), row) for row in view.rows(part.first, part.end))
                 own = ((before + at.seq, row) for at, row in rows if at.run_id == run and (at.seq or not before))
                 return [Row(at, row) for at, row in own if at >= seq]
-        before += event_count(view, run) - 1
+        before += event_count(parts) - 1
     return ()
 
 

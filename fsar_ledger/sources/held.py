@@ -61,7 +61,7 @@ def stored_run(path: Path, run: str) -> Stored | None:
         elif one.seq:
             opened = msgspec.json.decode(line, type=Opening) if one.type == "SourceOpened.v1" else None
             break
-    return Stored(started, event_count(view, run), parts[-1].block.last_us, robots, opened)
+    return Stored(started, event_count(parts), parts[-1].block.last_us, robots, opened)
 
 
 class _Row(msgspec.Struct):
@@ -193,7 +193,7 @@ def commit(writer: Writer, path: Path, run: str, rows: Sequence[NewEvent], first
     try:
         writer.commit([LedgerRun(run, times, causes, events, first, goes_on=True)])
     except InvalidRun as error:
-        size = event_count(open_ledger(path), run)
+        size = event_count(open_ledger(path).parts(run))
         if size == first:
             raise
         raise UsageError(

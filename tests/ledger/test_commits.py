@@ -1,6 +1,7 @@
 """Commits that are packed are those that were added."""
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 from unittest.mock import patch
 
@@ -58,15 +59,22 @@ def test_whatever_is_added_packed_and_forgotten_they_are_a_list(
             packed[len(plain)]
 
 
-def test_a_ledger_of_many_commits_is_read_in_parts_and_its_commits_are_packed(
-    tmp_path_factory: pytest.TempPathFactory,
-) -> None:
-    path, run = tmp_path_factory.mktemp("packed") / "ledger", made_up_run("long", 60, 3)
+def growing(path: Path, *, sealed_every: int = 17) -> Iterator[int]:
+    """Write a ledger of 60 events, each a commit of its own; yield the number of each as it is there."""
+    run = made_up_run("long", 60, 3)
     with Writer(path, ORIGIN) as writer:
         for at in range(60):
             writer.add([piece(run, at, at + 1)])
-            if at % 17 == 16:
+            if at % sealed_every == sealed_every - 1:
                 writer.seal()
+            yield at
+
+
+def test_a_ledger_of_many_commits_is_read_in_parts_and_its_commits_are_packed(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> None:
+    path = tmp_path_factory.mktemp("packed") / "ledger"
+    assert len([*growing(path)]) == 60
     whole = open_ledger(path)
     with patch.object(module, "_PACKED", 4), patch.object(snapshot, "PART_BYTES", 3_000):
         view = open_ledger(path)
@@ -95,16 +103,12 @@ def remembers(monkeypatch: pytest.MonkeyPatch) -> dict[tuple[Path, str], snapsho
 def test_a_chain_that_this_process_knows_reads_as_one_that_it_does_not(
     tmp_path: Path, remembers: dict[tuple[Path, str], snapshot.Known]
 ) -> None:
-    path, run = tmp_path / "ledger", made_up_run("long", 60, 3)
+    path = tmp_path / "ledger"
     views: list[tuple[View, View]] = []
-    with Writer(path, ORIGIN) as writer:
-        for at in range(60):
-            writer.add([piece(run, at, at + 1)])
-            if at % 17 == 16:
-                writer.seal()
-            one = open_ledger(path)
-            with patch.object(snapshot, "known", {}):
-                views.append((one, open_ledger(path)))
+    for _ in growing(path):
+        one = open_ledger(path)
+        with patch.object(snapshot, "known", {}):
+            views.append((one, open_ledger(path)))
     assert len(remembers) == 1
     for size, (one, fresh) in enumerate(views, start=1):  # an old view has not gone on with the new ones
         assert one.head == fresh.head
@@ -143,12 +147,8 @@ def test_only_the_new_lines_of_a_known_chain_are_followed(
 def test_a_known_chain_that_was_altered_is_read_again(
     tmp_path: Path, remembers: dict[tuple[Path, str], snapshot.Known], where: float
 ) -> None:
-    path, run = tmp_path / "ledger", made_up_run("long", 60, 3)
-    with Writer(path, ORIGIN) as writer:
-        for at in range(60):
-            writer.add([piece(run, at, at + 1)])
-            if at % 30 == 29:
-                writer.seal()
+    path = tmp_path / "ledger"
+    assert len([*growing(path, sealed_every=30)]) == 60
     open_ledger(path)
     assert remembers
     data, status = bytearray((path / CHAIN).read_bytes()), (path / CHAIN).stat()

@@ -22,17 +22,14 @@ from fsar_ledger.ledger.rows import codec, segment
 from fsar_ledger.ledger.rows.blocks import BLOCK_COLUMNS, Block, Runs, blocks_of
 from fsar_ledger.ledger.rows.runs import Flaw, LedgerRun, continuing, counted_on, require_alike, require_next, whole
 from fsar_ledger.ledger.rows.schema import SCHEMAS, concerns_admitted
-from fsar_ledger.ledger.store.derived import Index, groups_of, require_lines
+from fsar_ledger.ledger.store.derived import Index, Part, groups_of, require_lines
 from fsar_ledger.ledger.store.read import View
 from fsar_ledger.ledger.store.shards import PREFIX, is_log
 
 
-def event_count(view: View, run: str) -> int:
-    """Return how many events the run has, without those that it continues; 0 if there is no such run.
-
-    Raises: As `View.parts`.
-    """
-    return sum(part.block.rows for part in view.parts(run))
+def event_count(parts: Iterable[Part]) -> int:
+    """Return how many events these parts of runs have."""
+    return sum(part.block.rows for part in parts)
 
 
 def place_of(view: View, run: str, seq: int) -> int:
@@ -44,7 +41,7 @@ def place_of(view: View, run: str, seq: int) -> int:
     """
     parts = view.parts(run)
     part = next((part for part in parts if part.block.first <= seq < part.block.end), None)
-    if part is None and seq >= (events := event_count(view, run)):
+    if part is None and seq >= (events := event_count(parts)):
         raise KeyError(events)
     for number in view.segments_of(parts if part is None else [part]):
         table = segment.read_table(view.segment(number), ["run_id", "seq"])
@@ -66,7 +63,7 @@ class Places(NamedTuple):
 def places_of(view: View, runs: Sequence[str]) -> dict[str, Places]:
     """Return where these runs begin and end. Raises: LedgerCorrupted if a segment cannot be read."""
     found: dict[str, Places] = {}
-    for number in view.segments_of([part for run in runs for part in view.parts(run)]):
+    for number in _segments_of(view, runs):
         names = view.table(number, ["run_id"])["run_id"]
         rows = pa.table({"run": names, "row": np.arange(len(names))}).filter(pc.is_in(names, pa.array(runs)))
         ends = rows.group_by("run").aggregate([("row", "min"), ("row", "max")]).to_pylist()
@@ -229,7 +226,7 @@ def place_counted_on(view: View, run: str, seq: int) -> int:
     """As `place_of`, of an event whose seq counts on over the runs that this one continues."""
     before = 0
     for name in chain_of(view, run):
-        size = event_count(view, name)
+        size = event_count(view.parts(name))
         if name != run and seq - before >= size:
             before += size - 1
             continue
@@ -243,7 +240,7 @@ def place_counted_on(view: View, run: str, seq: int) -> int:
 def seq_counted_on(view: View, run: str, seq: int) -> int:
     """Return the seq of this event of the run, counted on over those that it continues; its event 0 is not counted."""
     earlier = chain_of(view, run)[:-1]
-    before = sum(event_count(view, name) - 1 for name in earlier)
+    before = sum(event_count(view.parts(name)) - 1 for name in earlier)
     return before + max(seq, 1 if earlier else 0)
 
 

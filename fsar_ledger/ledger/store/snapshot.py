@@ -149,11 +149,13 @@ class _Reader:
         """Keep how far the chain was followed for the next reader in this process."""
         if not self._trusts_frontiers or self._newest.commits < LEAST_KNOWN or self._followed.problem is not None:
             return
-        chain = _copied(self._chain)
-        chain.back(self._newest)
-        place, followed = (self.path, self._sha256), Followed(self._followed.end, last=self._followed.last)
-        known.pop(place, None)
-        known[place] = Known(self._digest.digest(), followed, chain)
+        place, sha256 = (self.path, self._sha256), self._digest.digest()
+        one = known.pop(place, None)
+        if one is None or one.sha256 != sha256:
+            chain = _copied(self._chain)
+            chain.back(self._newest)
+            one = Known(sha256, Followed(self._followed.end, last=self._followed.last), chain)
+        known[place] = one
         for oldest in [*known][:-MOST_KNOWN]:
             known.pop(oldest, None)  # unless another thread was first
 
