@@ -5,7 +5,7 @@
 -- Units: detected_us, resolved_us, left_us microseconds of run time; latency_us microseconds, 0 when recovery goes to a
 --   human at once
 -- NULL: resolved_level, resolved_us when never resolved; left_us when the first level was never left; latency_us when
---   neither
+--   neither; is_contained when never resolved and the run does not observe recovery
 -- Example: fsar-ledger query facts/failures LEDGER
 -- Stored: containment and latency both read it
 WITH resolutions AS (
@@ -33,7 +33,9 @@ SELECT
     detected.cause,
     detected.time_us AS detected_us,
     resolutions.resolved_us, resolutions.resolved_level, departures.left_us,
-    coalesce(resolutions.resolved_level IN ('local', 'peer'), FALSE) AS is_contained,
+    coalesce(
+        resolutions.resolved_level IN ('local', 'peer'), if(list_contains(runs.observes, 'recovery'), FALSE, NULL)
+    ) AS is_contained,
     -- Every reaction advances the clock by a microsecond (R25): a level that was left at once was left at the
     -- detection.
     CASE
@@ -42,6 +44,7 @@ SELECT
         ELSE departures.left_us
     END - detected.time_us AS latency_us
 FROM execution_failed AS detected
+INNER JOIN runs ON detected.run_id = runs.run_id
 LEFT JOIN resolutions
     ON
         detected.run_id = resolutions.run_id AND detected.action_id = resolutions.action_id

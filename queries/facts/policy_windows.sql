@@ -8,16 +8,6 @@
 -- NULL: window_name for a rule; capability, context when it holds for all of them; closed_us, closed_seq when it was
 --   never closed or replaced
 -- Example: fsar-ledger query facts/policy_windows LEDGER
-WITH closings AS (
-    SELECT
-        run_id, robot, scope,
-        "window",
-        min(time_us) AS closed_us,
-        min(seq) AS closed_seq
-    FROM policy_window_closed
-    GROUP BY run_id, robot, scope, "window"
-)
-
 SELECT
     opened.run_id, opened.seq, opened.robot, opened.scope,
     opened."window" AS window_name,
@@ -25,12 +15,14 @@ SELECT
     NULL::VARCHAR AS context,
     opened.outcome,
     opened.time_us AS opened_us,
-    closings.closed_us, closings.closed_seq
+    closed.time_us AS closed_us,
+    closed.seq AS closed_seq
 FROM policy_window_opened AS opened
-LEFT JOIN closings
+-- The first closing after it: a window may open again under its name.
+ASOF LEFT JOIN policy_window_closed AS closed
     ON
-        opened.run_id = closings.run_id AND opened.robot = closings.robot AND opened.scope = closings.scope
-        AND opened."window" = closings."window"
+        opened.run_id = closed.run_id AND opened.robot = closed.robot AND opened.scope = closed.scope
+        AND opened."window" = closed."window" AND opened.seq < closed.seq
 UNION ALL
 SELECT
     run_id, seq, robot, scope,
