@@ -6,7 +6,7 @@
 -- Units: since_us, until_us microseconds of run time, half-open: from and until when the outcome is this one, whichever
 --   windows and rules give it; at seconds, by default after the end of every run
 -- NULL: capability, context for all that have no row of their own; outcome when nothing on record asks for review or
---   denies and the run does not observe policy, or not of then (facts/unknown_policy); since_us when the outcome is so
+--   denies and the run does not observe policy, or not of then (facts/begun_before); since_us when the outcome is so
 --   since the beginning of the run, or unknown; until_us when it did not change later
 -- Example: fsar-ledger query audit/policy_at LEDGER --param run=RUN --param robot=robot/D1 --param at=31.2
 --   answers robot/D1: its own policy denies since 24.818 s, the fleet's rule since 31.07 s
@@ -46,11 +46,10 @@ known AS (
         OR (
             coalesce(list_contains(runs.observes, 'policy'), FALSE)
             AND NOT EXISTS (
-                FROM unknown_policy AS unseen
+                FROM begun_before AS unseen
                 WHERE
                     moments.run_id = unseen.run_id AND moments.robot = unseen.robot AND moments.scope = unseen.scope
-                    AND $at_us::BIGINT >= unseen.since_us
-                    AND ($at_us::BIGINT < unseen.until_us OR unseen.until_us IS NULL)
+                    AND $at_us::BIGINT < unseen.until_us
             )
         ) AS is_known
     FROM moments

@@ -18,7 +18,9 @@ WITH asked AS (
 latest AS (
     SELECT
         run_id, known_by, robot, scope,
-        max_by(outcome, seq) AS known_outcome, max_by(learned_us, seq) AS learned_us, max_by(as_of_us, seq) AS as_of_us
+        arg_max(outcome, seq) AS known_outcome,
+        arg_max(learned_us, seq) AS learned_us,
+        arg_max(as_of_us, seq) AS as_of_us
     FROM policies_told
     WHERE learned_us <= $at_us::BIGINT
     GROUP BY run_id, known_by, robot, scope
@@ -56,7 +58,7 @@ judged AS (
         CASE
             WHEN bool_or(windows.outcome = 'deny') THEN 'deny'
             WHEN bool_or(windows.outcome = 'review') THEN 'review'
-            WHEN bool_and(list_contains(known.observes, 'policy') AND unseen.run_id IS NULL) THEN 'allow'
+            WHEN bool_and(list_contains(known.observes, 'policy') AND past.run_id IS NULL) THEN 'allow'
         END AS true_outcome,
         known.why_unknown
     FROM known
@@ -65,10 +67,10 @@ judged AS (
             known.run_id = windows.run_id AND known.robot = windows.robot AND known.scope = windows.scope
             AND windows.window_name IS NOT NULL
             AND $at_us::BIGINT BETWEEN windows.opened_us AND coalesce(windows.closed_us - 1, $at_us::BIGINT)
-    LEFT JOIN unknown_policy AS unseen
+    LEFT JOIN begun_before AS past
         ON
-            known.run_id = unseen.run_id AND known.robot = unseen.robot AND known.scope = unseen.scope
-            AND $at_us::BIGINT BETWEEN unseen.since_us AND coalesce(unseen.until_us - 1, $at_us::BIGINT)
+            known.run_id = past.run_id AND known.robot = past.robot AND known.scope = past.scope
+            AND past.until_us > $at_us::BIGINT
     GROUP BY ALL
 )
 

@@ -1,6 +1,6 @@
 -- Title: What a record leaves open, so that a metric cannot count it
 -- Paper: sec:evaluation:metrics
--- Grain: one row per run of another system, or live run with windows of one name, and judge of what is open in it
+-- Grain: one row per run of another system and judge of what is open in it
 -- Key: run_id, judge
 -- Units: none
 -- NULL: never; hides_offences tells whether what would be an offence may be none
@@ -45,18 +45,19 @@ left_open AS (
     FROM strangers
     UNION ALL
     SELECT
-        run_id, why AS what,
+        run_id, 'the policy before the record' AS what,
         [
             'policy_violations', 'success_without_violation', 'i3_jointly_composed_policy',
             'a3_no_silent_policy_override'
         ] AS judges
-    FROM unknown_policy
+    FROM begun_before
+    WHERE what = 'window'
     UNION ALL
     SELECT
         run_id, 'who was off shift before the record' AS what,
         ['audit_attributability', 'i5_audit_attributability', 'a5_audit_completeness'] AS judges
     FROM begun_before
-    WHERE what <> 'window'
+    WHERE what = 'absence'
 ),
 
 judged AS (

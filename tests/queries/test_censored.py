@@ -67,6 +67,22 @@ def test_a_failure_of_a_simulated_run_that_nobody_resolves_is_not_contained() ->
     assert contained() == 0
 
 
+@pytest.mark.parametrize(
+    ("observes", "events", "is_contained"),
+    [
+        (["execution", "recovery"], (), False),
+        (["execution"], (), None),
+        (["execution"], (RESOLVED,), True),
+        (["execution"], ({**RESOLVED, "level": "fleet"},), False),
+    ],
+)
+def test_a_failure_that_was_not_seen_to_recover_is_neither_contained_nor_not(
+    observes: list[str], events: tuple[dict[str, Any], ...], is_contained: bool | None
+) -> None:
+    rows = run(FAILED, *events, **{**FOREIGN, "observes": observes})
+    assert answer("facts/failures", rows, columns=("is_contained",)) == [(is_contained,)]
+
+
 def test_a_name_that_comes_again_is_another_task_and_each_has_the_end_that_follows_it() -> None:
     given_up, done = event("TaskAbandoned", 5 * S, task_id="t"), event("TaskCompleted", 40 * S, task_id="t")
     again = event("TaskArrived", 20 * S, task_id="t", budget_us=10 * S)

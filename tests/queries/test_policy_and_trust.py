@@ -130,17 +130,17 @@ def test_policy_windows_pair_each_opening_with_its_closing() -> None:
     assert rows == [(1, 3, "w1"), (2, None, "w2")]
 
 
-def test_no_policy_is_judged_where_a_window_opens_again_under_its_name() -> None:
-    judges = ["a3_no_silent_policy_override", "i3_jointly_composed_policy", "policy_violations"]
-    judges += ["success_without_violation"]
-    for events, left_out in (
-        ((opened(1), closed(2), opened(4)), judges),
-        ((opened(1), opened(2, "review"), closed(3)), []),
-        ((opened(1), closed(2), opened(4, window="w2")), []),
-    ):
-        assert [row[0] for row in answer("facts/censored", run(*events), columns=("judge",))] == left_out
-    rows = answer("facts/unknown_policy", run(opened(1), closed(2), opened(4)), columns=("since_us", "window_name"))
-    assert rows == [(4, "w1")]
+@pytest.mark.parametrize(
+    ("events", "pairs"),
+    [
+        ((opened(1), closed(2), opened(4), closed(5)), [(1, 2), (4, 5)]),
+        ((opened(1), closed(2), opened(4)), [(1, 2), (4, None)]),
+        ((opened(1), opened(2, "review"), closed(3)), [(1, 3), (2, 3)]),
+    ],
+    ids=["that opens again", "that stays open then", "that opens twice before it closes"],
+)
+def test_a_window_ends_with_the_first_closing_after_it(events: tuple[Row, ...], pairs: list[object]) -> None:
+    assert answer("facts/policy_windows", run(*events), columns=("opened_us", "closed_us")) == pairs
 
 
 def test_trust_in_force_changes_where_it_is_set() -> None:
