@@ -3,14 +3,14 @@
 `python -m tests.records` does so for the records whose queries have changed, or for those that are named. The
 predictions take minutes, their comparison seconds, and the others up to an hour each. It stops at the first record
 whose results differ and keeps that record; the exit code is 1. A query then judges otherwise, and the evaluation is to
-be registered and made anew. `python -m tests.records --stale` only names what each record does not rest on any more.
+be registered and made anew; what was made is kept in `build/records`. An interrupted study goes on from there when the
+same program calls it again. `python -m tests.records --stale` only names what each record does not rest on any more.
 """
 
 import json
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 from fsar_ledger.metrics.study_results import packaged, rules
 from fsar_ledger.studies import result
@@ -25,6 +25,7 @@ from fsar_ledger.studies.systems import systems
 from tests.history import ROOT, results_of
 
 REPORTS = ROOT / "reports"
+MADE = ROOT / "build" / "records"
 MAKERS: Mapping[str, Callable[[Path], object]] = {
     "predictions": predict,
     "comparison": lambda out: judge(REPORTS / "predictions.json", out),
@@ -57,12 +58,12 @@ def reasons(name: str) -> str:
 
 def renew(record: Path, make: Callable[[Path], object]) -> bool:
     """Make the record again; renew it and return True if all but the digests of its queries is the same."""
-    with TemporaryDirectory() as folder:
-        made = Path(folder) / record.name
-        make(made)
-        is_same = results_of(made.read_text("utf-8")) == results_of(record.read_text("utf-8"))
-        if is_same:
-            record.write_bytes(made.read_bytes())
+    MADE.mkdir(parents=True, exist_ok=True)
+    made = MADE / record.name
+    make(made)
+    is_same = results_of(made.read_text("utf-8")) == results_of(record.read_text("utf-8"))
+    if is_same:
+        made.replace(record)
     return is_same
 
 
@@ -75,7 +76,7 @@ def main(arguments: Sequence[str]) -> int:
     for name in arguments or [name for name in KEPT if stale(name)]:
         record = REPORTS / f"{name}.json"
         if not renew(record, MAKERS[name]):
-            print(f"{record.name}: other results; kept")
+            print(f"{record.name}: other results; kept, and these are in {MADE / record.name}")
             return 1
         print(f"{record.name}: the same results")
     return 0

@@ -18,7 +18,7 @@ from fsar_ledger.base.progress import Progress, each
 from fsar_ledger.designs.constants import Constants, Load
 from fsar_ledger.events.configuration import CONFIGURATIONS, MECHANISMS, PAPER_ARCHITECTURES, Configuration, without
 from fsar_ledger.events.envelope import Architecture
-from fsar_ledger.metrics.results import MetricRow, metric_rows, typed
+from fsar_ledger.metrics.results import MetricRow, measure_the_printed, metric_rows, typed
 from fsar_ledger.metrics.study_results import Claim, Predicted, Predictions
 from fsar_ledger.runtime.experiment import Experiment
 from fsar_ledger.runtime.paper import over_seeds
@@ -117,6 +117,7 @@ def predict(out: Place, *, workers: int | None = None, progress: Progress | None
     claims: list[Claim] = []
     for planned in each(list(planned_experiments()), progress):
         with simulated(planned.parts(), workers) as database:
+            measure_the_printed(database)
             for by_scenario in (False, True):
                 rows = metric_rows(database, by_scenario, pools_seeds=True)
                 numbers += [_predicted(planned, row) for row in rows]

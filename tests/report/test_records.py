@@ -99,8 +99,9 @@ def test_what_has_the_fields_of_events_is_no_rule() -> None:
 
 @pytest.mark.parametrize(("made", "is_same"), [({"numbers": [1]}, True), ({"numbers": [2]}, False)])
 def test_a_record_is_renewed_only_if_its_results_are_the_same(
-    tmp_path: Path, made: dict[str, Any], is_same: bool
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, made: dict[str, Any], is_same: bool
 ) -> None:
+    monkeypatch.setattr(records, "MADE", tmp_path / "made")
     record = tmp_path / "predictions.json"
     record.write_text(json.dumps({"numbers": [1], "rules": {"facts/conflicts": "old"}}))
     before = record.read_text()
@@ -111,6 +112,7 @@ def test_a_record_is_renewed_only_if_its_results_are_the_same(
 
     assert renew(record, make) == is_same
     assert record.read_text() == (again if is_same else before)
+    assert (tmp_path / "made" / record.name).exists() != is_same
 
 
 def test_records_are_made_until_one_has_other_results(
@@ -124,7 +126,8 @@ def test_records_are_made_until_one_has_other_results(
     assert records.main(["--stale"]) == 0
     assert capsys.readouterr().out == "".join(f"{name}.json: {CONFLICTS}\n" for name in KEPT)
     assert records.main([]) == 1
-    assert capsys.readouterr().out == "predictions.json: the same results\ncomparison.json: other results; kept\n"
+    out = capsys.readouterr().out
+    assert out.startswith("predictions.json: the same results\ncomparison.json: other results; kept, and these are in ")
 
 
 def of_the_record(findings: Findings, **other: Any) -> Findings:
