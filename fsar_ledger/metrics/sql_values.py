@@ -78,9 +78,10 @@ if TYPE_CHECKING:
 TIME, END = "time", "end"
 KINDS = (
     *("run", "robot", "supervisor", "action", "capability", "context", "reason", "record", "architecture", "claim"),
-    *("case", "seq", TIME),
+    *("case", "period", "seq", TIME),
 )
-"""What a parameter can name. A context is a task, a record the kind of a coordination event, a case one of four."""
+"""What a parameter can name. A context is a task, a record the kind of a coordination event, a case one of four, a
+period a day or a part."""
 
 
 class Parameter(msgspec.Struct, frozen=True):
@@ -179,6 +180,7 @@ ON_RECORD = {
     "architecture": f"SELECT architecture AS name FROM runs UNION ALL SELECT unnest({list(ARCHITECTURES)}) AS name",
     "claim": "SELECT claim AS name FROM case_definitions",
     "case": "SELECT case_number::VARCHAR AS name FROM case_definitions",
+    "period": "SELECT unnest(['day', 'part']) AS name",
 }
 """By kind, the names that have a meaning: in this run, or wherever the kind is the same for every run.
 

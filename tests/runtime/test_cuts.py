@@ -20,6 +20,7 @@ from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows.runs import LedgerRun, joined
 from fsar_ledger.ledger.store.locations import end_of, pieces_of, record_of
 from fsar_ledger.metrics.database import Database, connect
+from fsar_ledger.metrics.definitions import published_metrics
 from fsar_ledger.metrics.invariants import audit_rows, invariants
 from fsar_ledger.metrics.library import Query, library
 from fsar_ledger.metrics.slices import Slices
@@ -197,6 +198,18 @@ def test_every_judge_says_the_same_of_the_cut_run_and_of_the_uncut_one(halls: tu
 @pytest.mark.slow
 def test_every_query_says_the_same_of_the_cut_run_and_of_the_uncut_one(halls: tuple[Day, Day]) -> None:
     assert compare(halls, [one for one in library().queries.values() if not one.parameters]) > 100
+
+
+def test_the_metrics_of_the_parts_add_up_to_those_of_the_whole(halls: tuple[Day, Day]) -> None:
+    with connect(halls[1].ledger) as database:
+        parts = database.query("audit/metrics_by_period", {"per": "part"}).to_pylist()
+        whole = {row["metric"]: row for row in database.query("metrics/run_metrics").to_pylist()}
+    assert list(dict.fromkeys(row["period"] for row in parts)) == ["hall", "hall.2", "hall.3"]
+    for metric, scale in {one.name: one.scale for one in published_metrics()}.items():
+        together = max if scale == "yes-no" else sum
+        assert together(row["numerator"] for row in parts if row["metric"] == metric) == whole[metric]["numerator"]
+        if scale in ("share", "seconds"):
+            assert sum(row["denominator"] for row in parts if row["metric"] == metric) == whole[metric]["denominator"]
 
 
 def test_judged_by_itself_the_second_run_would_be_broken(halls: tuple[Day, Day]) -> None:

@@ -1,0 +1,45 @@
+-- Title: Every case that one of the paper's eight metrics counts, and when it was
+-- Paper: sec:evaluation:metrics
+-- Grain: one row per task, decision, failure (of recovery containment, and of reassignment latency), conflict of
+--   authority, governed start, call of the fleet supervisor, and coordination record
+-- Key: none: several cases of one metric may be at one moment
+-- Units: time_us microseconds of run time: of the arrival, the detection or the beginning; numerator, denominator what
+--   it adds to those of its metric, microseconds for the latency; denominator 0 of what is only counted
+-- NULL: numerator of a case that was not seen to be one or none
+-- Example: fsar-ledger query facts/metric_cases LEDGER
+WITH completions AS (
+    SELECT
+        run_id, task_id,
+        min(time_us) AS completed_us
+    FROM task_completed
+    GROUP BY run_id, task_id
+)
+
+SELECT
+    arrived.run_id, 'coordination_success' AS metric, arrived.time_us,
+    coalesce(completions.completed_us - arrived.time_us <= arrived.budget_us, FALSE)::BIGINT AS numerator,
+    1::BIGINT AS denominator
+FROM task_arrived AS arrived
+LEFT JOIN completions ON arrived.run_id = completions.run_id AND arrived.task_id = completions.task_id
+UNION ALL
+SELECT run_id, 'governance_locality' AS metric, time_us, is_local::BIGINT AS numerator, 1 AS denominator
+FROM decisions
+UNION ALL
+SELECT run_id, 'recovery_containment' AS metric, detected_us, is_contained::BIGINT AS numerator, 1 AS denominator
+FROM failures
+UNION ALL
+SELECT run_id, 'authority_conflicts' AS metric, began_us, 1 AS numerator, 0 AS denominator
+FROM conflicts
+UNION ALL
+SELECT run_id, 'policy_violations' AS metric, started_us, is_violation::BIGINT AS numerator, 0 AS denominator
+FROM governed_starts
+UNION ALL
+SELECT run_id, 'reassignment_latency_s' AS metric, detected_us, latency_us AS numerator, 1 AS denominator
+FROM failures
+WHERE latency_us IS NOT NULL
+UNION ALL
+SELECT run_id, 'human_intervention' AS metric, time_us, 1 AS numerator, 0 AS denominator
+FROM fleet_calls
+UNION ALL
+SELECT run_id, 'audit_attributability' AS metric, time_us, is_attributable::BIGINT AS numerator, 1 AS denominator
+FROM coordination_events
