@@ -102,6 +102,7 @@ def test_what_the_ledger_had_recorded_after_a_commit_is_a_part_of_the_run(both: 
     assert late.commit == late.seq // 90 + 1
 
 
+@pytest.mark.slow
 def test_followers_are_told_every_event_once_while_the_journal_grows_and_is_sealed(tmp_path: Path) -> None:
     path, run = tmp_path / "ledger", RUNS[0]
     told: list[tuple[str, int]] = []

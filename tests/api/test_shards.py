@@ -104,6 +104,7 @@ def test_every_query_answers_as_of_the_one_ledger(name: str, both: tuple[Databas
     assert federation.query(name).equals(one.query(name))
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("cached")
 def test_what_is_known_of_a_shard_alone_is_known_of_it_in_the_federation(
     site: Path, monkeypatch: pytest.MonkeyPatch

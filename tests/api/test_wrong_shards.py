@@ -18,6 +18,7 @@ from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.shards import ShardHead, heads_of, record_of_head
 from tests.api.sites import append, origin, parts
 from tests.ledger.hostile import stage_anything
+from tests.quick import few
 
 
 def older(path: Path, runs: Sequence[LedgerRun]) -> None:
@@ -119,9 +120,9 @@ CLASSES: dict[Callable[[Path, list[LedgerRun]], None], str] = {
 }
 
 
-@pytest.mark.parametrize(("harm", "named"), CLASSES.items())
+@pytest.mark.parametrize("harm", few(CLASSES, [lost, swapped, rewritten_and_shorter, replayed]))
 def test_what_is_wrong_with_a_shard_is_named_and_nothing_is_answered(
-    site_copy: Path, runs: list[LedgerRun], harm: Callable[[Path, list[LedgerRun]], None], named: str
+    site_copy: Path, runs: list[LedgerRun], harm: Callable[[Path, list[LedgerRun]], None]
 ) -> None:
     federation = fsar_ledger.open_ledger(site_copy / "log")
     harm(site_copy, runs)
@@ -129,9 +130,9 @@ def test_what_is_wrong_with_a_shard_is_named_and_nothing_is_answered(
     assert not found.ok
     assert found.root is None
     first = found.problems[0]
-    assert first.found.startswith(f"{named}: ")
+    assert first.found.startswith(f"{CLASSES[harm]}: ")
     assert (first.where, first.expected) != ("", "")
-    with pytest.raises(LedgerCorrupted, match=f"found {named}: .*run fsar-ledger verify"):
+    with pytest.raises(LedgerCorrupted, match=f"found {CLASSES[harm]}: .*run fsar-ledger verify"):
         federation.metrics()
     assert run(["verify", str(site_copy / "log")]) == 3
 

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import pytest
 from msgspec import structs
 
 from fsar_ledger import open_ledger
@@ -80,6 +81,7 @@ def test_a_remark_over_several_seeds_names_each_metric_once_with_the_seeds_that_
     assert said == ["no pair differs, so there is no test: true_attribution, missed_reviews (seeds 7, 9)"]
 
 
+@pytest.mark.slow
 def test_forks_by_several_changes_are_told_apart_and_compared(call: Call, ledger: Path, tmp_path: Path) -> None:
     place = tmp_path / "forks"
     for change in ("drop window:*", "density all 1"):

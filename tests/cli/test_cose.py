@@ -168,6 +168,7 @@ def test_without_the_library_both_verbs_say_what_to_install(
     call("prove", folder / "ledger", "1:12").good()
 
 
+@pytest.mark.slow
 def test_only_a_statement_loads_the_library(folder: Path, tmp_path: Path) -> None:
     pytest.importorskip("cbor2", reason="make test-all installs it")
     code = (

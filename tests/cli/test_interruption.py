@@ -154,7 +154,12 @@ def test_an_interrupted_whatif_keeps_whole_pairs_and_the_same_call_goes_on(call:
 
 @pytest.mark.parametrize(
     ("name", "options"),
-    [("events.csv", ()), ("events.parquet", ()), *((f"{form}.json", ("--as", form)) for form in ("ocel", "otlp"))],
+    [
+        ("events.csv", ()),
+        pytest.param("events.parquet", (), marks=pytest.mark.slow),
+        ("ocel.json", ("--as", "ocel")),
+        pytest.param("otlp.json", ("--as", "otlp"), marks=pytest.mark.slow),
+    ],
 )
 def test_a_full_disk_leaves_no_half_of_an_export(
     ledger: Path, tmp_path: Path, name: str, options: tuple[str, ...]

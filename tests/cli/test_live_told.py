@@ -104,6 +104,7 @@ def test_nothing_that_happens_after_the_end_of_the_fork_is_told_as_missing_in_it
     assert ends_s < Ledger(hall).record("night").times_us[-1] / 1e6
 
 
+@pytest.mark.slow
 def test_with_a_model_the_fork_is_whole_and_compared(call: Call, hall: Path) -> None:
     change = "answer command:JudgeRequest/0 accepts=false"
     answer = json.loads(
@@ -200,6 +201,7 @@ def test_a_run_with_a_command_that_was_added_is_kept_and_replays(call: Call, led
 DENIAL = "SELECT run_id FROM request_denied"
 
 
+@pytest.mark.slow
 def test_the_cause_of_a_denial_is_unknown_where_nobody_says_how_the_run_would_go_on(call: Call, hall: Path) -> None:
     told = json.loads(call("cause", hall, "--run", "night", "--outcome", DENIAL, "--json").good().out)
     assert [one["name"] for one in told["unknown"]] == ["command:ReportWindow/0"]

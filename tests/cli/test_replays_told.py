@@ -229,6 +229,7 @@ def test_a_call_that_makes_no_sense_is_an_error_and_writes_nothing(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_what_is_said_of_a_fork_stays_when_forks_of_other_constants_come(
     call: Call, ledger: Path, tmp_path: Path
 ) -> None:

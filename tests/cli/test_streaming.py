@@ -114,6 +114,7 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", COPY)
 def test_rows_take_little_more_room_than_duckdb_needs(written: Path, kind: str) -> None:
     own, copy = ((written / f"{name}.{kind}").stat().st_size for name in ("ours", "copy"))

@@ -6,6 +6,7 @@ from tests.ledger.agreement_soak import outcomes
 from tests.quick import few
 
 
+@pytest.mark.slow
 def test_both_verifiers_agree_on_random_histories() -> None:
     found = outcomes(8, 2)
     assert [outcome.difference for outcome in found if outcome.difference] == []

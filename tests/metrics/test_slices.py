@@ -56,7 +56,7 @@ def test_slices_hold_whole_runs_and_each_event_once(ledger: Path) -> None:
     ]
 
 
-@pytest.mark.parametrize("most", few([1, 2_000, 5_000], [2_000], [5_000]))
+@pytest.mark.parametrize("most", few([1, 2_000, 5_000], [5_000], [2_000]))
 def test_the_verdicts_of_slices_are_those_of_the_whole_ledger(ledger: Path, most: int) -> None:
     told: list[tuple[int, int]] = []
     with connect(ledger) as whole:
@@ -70,8 +70,8 @@ def test_the_verdicts_of_slices_are_those_of_the_whole_ledger(ledger: Path, most
 
 @pytest.fixture
 def in_slices(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
-    """Have ledgers of more than 1,500 events judged in slices, with a cache of their own, whose file is returned."""
-    monkeypatch.setattr(slices, "SLICE_EVENTS", 1_500)
+    """Have ledgers of more than 3,500 events judged in slices, with a cache of their own, whose file is returned."""
+    monkeypatch.setattr(slices, "SLICE_EVENTS", 3_500)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     return tmp_path / "cache" / "fsar-ledger" / "slices.sqlite"
 
@@ -81,7 +81,7 @@ def known(ledger: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[pa.Ta
     """The metrics of the ledger, judged in such slices, and the file of the cache that this leaves."""
     folder = tmp_path_factory.mktemp("known")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(slices, "SLICE_EVENTS", 1_500)
+        patch.setattr(slices, "SLICE_EVENTS", 3_500)
         patch.setenv("XDG_CACHE_HOME", str(folder))
         return fsar_ledger.open_ledger(ledger).metrics().arrow(), folder / "fsar-ledger" / "slices.sqlite"
 
@@ -201,7 +201,7 @@ def test_a_file_for_other_programs_is_the_same_made_of_slices(
 @pytest.fixture(scope="module")
 def both(ledger: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Database, Database]]:
     with pytest.MonkeyPatch.context() as patch, connect(ledger) as whole:
-        patch.setattr(slices, "SLICE_EVENTS", 1_500)
+        patch.setattr(slices, "SLICE_EVENTS", 3_500)
         patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
         with connect(ledger) as sliced:
             assert sliced.slices is not None

@@ -110,7 +110,9 @@ def places(scenarios: int, runs: int) -> np.ndarray[Any, Any]:
     return times
 
 
-@pytest.mark.parametrize(("runs", "least", "most"), [(20, 0.03, 0.085), (200, 0.03, 0.075)])
+@pytest.mark.parametrize(
+    ("runs", "least", "most"), [(20, 0.03, 0.085), pytest.param(200, 0.03, 0.075, marks=pytest.mark.slow)]
+)
 def test_what_the_model_prints_is_called_impossible_about_as_rarely_as_alpha_says(
     runs: int, least: float, most: float
 ) -> None:

@@ -112,6 +112,7 @@ def test_the_papers_report_has_the_section_beside_and_no_other_number(
     assert [title for title in titles[1] if title not in titles[0]] == ["Members that come and go"]
 
 
+@pytest.mark.slow
 def test_the_audit_report_has_the_section_where_robots_left(churn: Path, ledger: Path) -> None:
     assert kind_of(churn) == "audit"
     rows = json.loads(AuditDocument(gather_audit(churn)).reproduction())["tables"]["departures"]

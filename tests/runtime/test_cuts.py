@@ -223,6 +223,7 @@ def test_judged_by_itself_the_second_run_would_be_broken(halls: tuple[Day, Day])
     assert (alone, row["robots"]) == ([(0,)], 4)
 
 
+@pytest.mark.slow
 def test_slices_keep_runs_that_continue_each_other_together(
     halls: tuple[Day, Day], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -246,6 +247,7 @@ def test_what_is_read_piece_by_piece_is_the_record(halls: tuple[Day, Day], share
     assert past == Timeline(record).past(len(record.events) - 1)
 
 
+@pytest.mark.slow
 def test_one_asks_about_any_of_them(halls: tuple[Day, Day]) -> None:
     ledger = fsar_ledger.Ledger(halls[1].ledger)
     cuts = [seq for seq, event in enumerate(halls[1].record.events) if isinstance(event, RunContinued)]

@@ -157,7 +157,7 @@ def test_after_a_write_that_failed_nothing_is_decided_and_the_next_federation_go
 
 
 @pytest.mark.parametrize(
-    "kills", [2, pytest.param(8, marks=pytest.mark.slow), pytest.param(100, marks=pytest.mark.soak)]
+    "kills", [1, pytest.param(8, marks=pytest.mark.slow), pytest.param(100, marks=pytest.mark.soak)]
 )
 def test_no_acknowledged_command_is_lost_or_there_twice_however_often_the_process_is_killed(
     tmp_path: Path, kills: int
@@ -291,6 +291,7 @@ def test_a_line_that_is_no_command_is_told_and_the_next_is_decided(tmp_path: Pat
     assert len(given(tmp_path / "ledger")) == len(NO_COMMANDS)
 
 
+@pytest.mark.slow
 def test_what_becomes_due_by_itself_is_told_while_no_command_comes(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "fsar_ledger", "federate", str(tmp_path / "ledger"), "day"]
     steps = ["A door.open.secure B"]

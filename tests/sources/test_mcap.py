@@ -75,7 +75,10 @@ def test_a_status_that_comes_twice_or_late_doubles_nothing(tmp_path: Path) -> No
     assert kinds(tmp_path / "ledger") == NIGHT
 
 
-@pytest.mark.parametrize(("compression", "chunks"), [("ZSTD", True), ("LZ4", True), ("NONE", True), ("NONE", False)])
+@pytest.mark.parametrize(
+    ("compression", "chunks"),
+    [("ZSTD", True), pytest.param("LZ4", True, marks=pytest.mark.slow), ("NONE", True), ("NONE", False)],
+)
 def test_a_file_that_was_cut_anywhere_keeps_what_can_be_read_and_says_so(
     tmp_path: Path, compression: str, chunks: bool
 ) -> None:

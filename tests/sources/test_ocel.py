@@ -12,6 +12,7 @@ from fsar_ledger.api.record import ImportResult, import_records
 from fsar_ledger.base.errors import UsageError
 from fsar_ledger.sources.adapter import Input
 from fsar_ledger.sources.ocel import COLUMNS, OWN, Ocel
+from tests.quick import few
 from tests.recycled import asked
 from tests.sources.ocel import CONTEXT, Log, database, event, honest_events, log, orders, written
 from tests.sources.pages import printed_otherwise
@@ -130,23 +131,23 @@ def failed_twice(events: list[Log]) -> list[Log]:
     return [*events, *(event(f"1:9{at}", "ExecutionFailed", 90 + at, run="1", **columns) for at in range(2))]
 
 
-@pytest.mark.parametrize(
-    ("invariant", "change"),
-    [
-        ("i1", changed("OwnStepDecided", decider="robot/X", path="robot/X")),
-        ("i2", left_out("RequestAccepted")),
-        ("i3", left_out("PolicyWindowClosed")),
-        ("i4", failed_twice),
-        ("a1", left_out("OwnStepDecided")),
-        ("a2", changed("ExecutionStarted", executor="service/registry")),
-        ("a3", left_out("PolicyWindowClosed")),
-        ("a4", changed("RequestAccepted", decider="coordinator", path="coordinator")),
-        ("a5", left_out("RequestIssued")),
-    ],
-)
-def test_an_offence_is_found(imported: Import, invariant: str, change: Change) -> None:
+OFFENCES: dict[str, Change] = {
+    "i1": changed("OwnStepDecided", decider="robot/X", path="robot/X"),
+    "i2": left_out("RequestAccepted"),
+    "i3": left_out("PolicyWindowClosed"),
+    "i4": failed_twice,
+    "a1": left_out("OwnStepDecided"),
+    "a2": changed("ExecutionStarted", executor="service/registry"),
+    "a3": left_out("PolicyWindowClosed"),
+    "a4": changed("RequestAccepted", decider="coordinator", path="coordinator"),
+    "a5": left_out("RequestIssued"),
+}
+
+
+@pytest.mark.parametrize("invariant", few(OFFENCES, ["i1", "i4", "a3", "a5"]))
+def test_an_offence_is_found(imported: Import, invariant: str) -> None:
     types = {one["type"] for one in honest_events()}
-    broken, _ = verdicts(imported(log(change(honest_events()), also=(*CONTEXT, *types))))
+    broken, _ = verdicts(imported(log(OFFENCES[invariant](honest_events()), also=(*CONTEXT, *types))))
     assert invariant in broken
 
 
