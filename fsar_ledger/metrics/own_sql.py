@@ -194,23 +194,30 @@ CREATE MACRO IF NOT EXISTS {kind}_named(asked) AS coalesce(
     )
 )
 """
-"""The robot, supervisor or action of this name, for the same reason."""
+"""What has this name, for the same reason."""
+
+_SEQ_NAMED = """
+CREATE MACRO IF NOT EXISTS seq_named(asked) AS if(asked IS NULL, NULL, coalesce(
+    (SELECT max(seq) FROM event_principals WHERE seq = asked::BIGINT),
+    error('seq ' || asked::VARCHAR || ': there is no such event of any run')
+))
+"""
+"""The same for a position; none where none is given, as in `SUMMARIZE decision_owner`."""
+_FOUND = frozenset({"robot", "supervisor", "action", "capability", "context", "reason", "record", "seq"})
 
 
 def _named(kind: str) -> str:
     """Return the statement that makes the macro by which a name of this kind is found in any run."""
-    return _NAMED.format(kind=kind, names=ON_RECORD[kind].replace("$run", "NULL"))
-
-
-_FOUND = frozenset({"robot", "supervisor", "action"})
+    return _SEQ_NAMED if kind == "seq" else _NAMED.format(kind=kind, names=ON_RECORD[kind].replace("$run", "NULL"))
 
 
 def statements(query: Query) -> tuple[str, ...]:
     """Return the statements that make a macro of a query with parameters; it has their defaults.
 
-    It takes only runs, robots, supervisors and actions on record. A parameter hides the column of its name, so that a
-    macro of its own holds the SELECT, with other names. DuckDB compares the names when it makes a macro, not when one
-    is called, so that the SELECT comes last.
+    It takes only names on record. A parameter hides the column of its name, so that a macro of its own holds the
+    SELECT, with other names. DuckDB compares the names when it makes a macro, not when one is called, so that the
+    SELECT comes last. Where it reads no row, DuckDB would look up no name: the other half of the union, which has no
+    row, does.
     """
     defaults = {one.sql_name: one.sql_default for one in query.parameters.values()}
     understood = ", ".join(
@@ -226,7 +233,9 @@ def statements(query: Query) -> tuple[str, ...]:
         *map(_named, sorted(_FOUND & {one.kind for one in query.parameters.values()})),
         f"CREATE MACRO {whole} AS TABLE SELECT NULL",
         f"CREATE MACRO {query.relation}({taken}) AS TABLE FROM {inner}({understood})",
-        f"CREATE OR REPLACE MACRO {whole} AS TABLE\n{sql}",
+        f"CREATE OR REPLACE MACRO {whole} AS TABLE\nWITH answer AS NOT MATERIALIZED (\n{sql}\n)\nFROM answer UNION ALL "
+        "SELECT none.* FROM (SELECT 1) LEFT JOIN (FROM answer LIMIT 0) AS none ON TRUE "
+        f"WHERE length(concat({', '.join(f'{name}_given' for name in defaults)})) < 0",
     )
 
 
