@@ -12,6 +12,12 @@
 --   answers a call for review of A1-2/4.1 door.open.secure at 78.287 s, which supervisor/fleet approved at
 --   137.865 s
 -- Parameters: run: run = all
+WITH firsts AS (
+    SELECT run_id, called_seq, min(seq) AS seq
+    FROM answered_calls
+    GROUP BY run_id, called_seq
+)
+
 SELECT
     calls.run_id, calls.seq,
     calls.time_us / 1000000 AS called_s,
@@ -29,10 +35,8 @@ SELECT
     answers.time_us / 1000000 AS decided_s,
     answers.seq AS decided_seq
 FROM fleet_calls AS calls
-ASOF LEFT JOIN supervisor_responded AS answers
-    ON
-        calls.run_id = answers.run_id AND calls.action_id = answers.action_id AND calls.purpose = answers.purpose
-        AND calls.seq < answers.seq
+LEFT JOIN firsts ON calls.run_id = firsts.run_id AND calls.seq = firsts.called_seq
+LEFT JOIN supervisor_responded AS answers ON firsts.run_id = answers.run_id AND firsts.seq = answers.seq
 LEFT JOIN named_grounds AS grounds ON calls.run_id = grounds.run_id AND calls.seq = grounds.seq
 LEFT JOIN action_records AS actions ON calls.run_id = actions.run_id AND calls.action_id = actions.action_id
 WHERE $run IN ('all', calls.run_id)

@@ -42,28 +42,15 @@ WITH decided AS (
     WHERE
         (type = 'SupervisorResponded.v1' OR starts_with(decided_by, 'supervisor/'))
         AND $run IN ('all', run_id) AND $supervisor IN ('all', decided_by)
-),
-
-answered AS (
-    SELECT
-        decided.run_id, decided.seq, decided.decided_us, decided.type, decided.decided_by, decided.action_id,
-        decided.requested_by, decided.executed_by, decided.robot, decided.capability, decided.purpose, decided.decision,
-        max(calls.time_us) AS called_us,
-        max(calls.seq) AS called_seq
-    FROM decided
-    LEFT JOIN supervisor_called AS calls
-        ON
-            decided.run_id = calls.run_id AND decided.action_id = calls.action_id AND decided.purpose = calls.purpose
-            AND decided.seq > calls.seq
-    GROUP BY ALL
 )
 
 SELECT
-    answered.run_id, answered.seq, answered.type, answered.decided_by, answered.purpose, answered.decision,
-    answered.action_id, answered.robot, answered.capability, answered.requested_by, answered.executed_by,
+    decided.run_id, decided.seq, decided.type, decided.decided_by, decided.purpose, decided.decision,
+    decided.action_id, decided.robot, decided.capability, decided.requested_by, decided.executed_by,
     grounds.told AS called_under,
     grounds.ground_seqs AS under_seqs,
-    answered.called_us, answered.decided_us,
-    answered.decided_us - answered.called_us AS waited_us
-FROM answered
-LEFT JOIN named_grounds AS grounds ON answered.run_id = grounds.run_id AND answered.called_seq = grounds.seq
+    calls.called_us, decided.decided_us,
+    decided.decided_us - calls.called_us AS waited_us
+FROM decided
+LEFT JOIN answered_calls AS calls ON decided.run_id = calls.run_id AND decided.seq = calls.seq
+LEFT JOIN named_grounds AS grounds ON decided.run_id = grounds.run_id AND calls.called_seq = grounds.seq

@@ -186,3 +186,25 @@ def test_a_decision_is_against_a_rule_only_where_the_rule_is_about_it(about: dic
     assert answer("facts/policy_decisions", run(joined, rule, step, admitted), columns=("is_against_requester",)) == [
         (is_against,)
     ]
+
+
+def test_an_answer_answers_the_last_call_of_whoever_gives_it() -> None:
+    def called(at_s: int, whom: str) -> Row:
+        return act("SupervisorCalled", at_s * S, "t1/1", supervisor=whom, purpose="review")
+
+    def answered(at_s: int, by: str, approves: bool) -> Row:
+        return act("SupervisorResponded", at_s * S, "t1/1", decided_by=by, purpose="review", approves=approves)
+
+    events = (
+        *(called(10, H_F), called(15, H_F), called(16, H_B)),
+        *(answered(20, H_B, approves=False), answered(60, H_F, approves=True)),
+    )
+    columns = ("called_s", "decided_by", "decision", "decided_s")
+    assert answer("audit/interventions", run(*events), columns=columns) == [
+        (10.0, None, None, None),
+        (15.0, H_F, "approved", 60.0),
+    ]
+    decisions = answer("audit/supervisor_decisions", run(*events), columns=("decided_by", "called_us"))
+    assert decisions == [(H_B, 16 * S), (H_F, 15 * S)]
+    stranger = answer("facts/answered_calls", run(*events[:3], answered(60, "supervisor/X", approves=True)))
+    assert stranger == [("r1", 4, 3, 16 * S)], "who was not called himself answers the last call"
