@@ -13,7 +13,6 @@
 WITH stays AS (
     SELECT
         moves.run_id, moves.action_id, moves.failure, moves.level, moves.rank, moves.seq, failures.robot,
-        lead(moves.seq) OVER by_failure AS next_seq,
         coalesce(lead(moves.time_us) OVER by_failure, failures.resolved_us)
         - CASE moves.move WHEN 1 THEN failures.detected_us ELSE moves.time_us END AS spent_us
     FROM recovery_moves AS moves
@@ -23,26 +22,37 @@ WITH stays AS (
     WINDOW by_failure AS (PARTITION BY moves.run_id, moves.action_id, moves.failure ORDER BY moves.seq)
 ),
 
-used AS (
+levels AS (
+    -- Recovery that goes back to a level spends what is left of its budget.
     SELECT
-        stays.run_id, stays.action_id, stays.failure, stays.level, stays.rank, stays.seq, stays.robot, stays.next_seq,
-        stays.spent_us,
-        count(uses.seq) AS used
+        run_id, action_id, failure, level, rank, robot,
+        min(seq) AS seq,
+        if(count(*) = count(spent_us), sum(spent_us)::BIGINT, NULL) AS spent_us
     FROM stays
-    LEFT JOIN recovery_acts AS uses
-        ON
-            uses.is_use AND stays.run_id = uses.run_id AND stays.action_id = uses.action_id AND stays.level = uses.level
-            AND stays.seq <= uses.seq AND uses.seq < coalesce(stays.next_seq, uses.seq + 1)
-    GROUP BY ALL
+    GROUP BY run_id, action_id, failure, level, rank, robot
+),
+
+uses AS (
+    SELECT run_id, action_id, failure, level, count(*) AS used
+    FROM recovery_acts
+    WHERE is_use
+    GROUP BY run_id, action_id, failure, level
 )
 
 SELECT
-    used.run_id, used.action_id, used.failure, used.rank, used.level, used.robot, used.spent_us, allowed.t_max_us,
-    if(used.level <> 'human' OR list_contains(runs.observes, 'supervision'), used.used, NULL) AS used,
+    levels.run_id, levels.action_id, levels.failure, levels.rank, levels.level, levels.robot, levels.spent_us,
+    allowed.t_max_us,
+    if(
+        levels.level <> 'human' OR list_contains(runs.observes, 'supervision'), coalesce(uses.used, 0), NULL
+    ) AS used,
     allowed.n_max, allowed.set_by
-FROM used
-INNER JOIN runs ON used.run_id = runs.run_id
+FROM levels
+INNER JOIN runs ON levels.run_id = runs.run_id
+LEFT JOIN uses
+    ON
+        levels.run_id = uses.run_id AND levels.action_id = uses.action_id AND levels.failure = uses.failure
+        AND levels.level = uses.level
 ASOF LEFT JOIN recovery_allowances AS allowed
     ON
-        used.run_id = allowed.run_id AND used.robot = allowed.robot AND used.level = allowed.level
-        AND used.seq >= allowed.since_seq
+        levels.run_id = allowed.run_id AND levels.robot = allowed.robot AND levels.level = allowed.level
+        AND levels.seq >= allowed.since_seq

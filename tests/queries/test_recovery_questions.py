@@ -147,3 +147,15 @@ def test_only_a_call_of_the_fleets_supervisor_is_human_intervention() -> None:
         return asked("metrics/human_intervention", "value", called)
 
     assert (intervention("supervisor/D1"), intervention("supervisor/fleet")) == ([(0.0,)], [(1.0,)])
+
+
+def test_what_a_failure_used_is_its_own_however_often_recovery_turned_to_the_level() -> None:
+    again = (failure("ExecutionFailed", 30, failure=2), failure("RecoveryAttempted", 31, level="local", failure=2))
+    columns = "failure level used spent_us"
+    assert asked("recovery_budgets", columns, *LADDER[:2], BY_ROBOT, *again) == [
+        (1, "local", 1, 3),
+        (2, "local", 1, None),
+    ]
+    back = failure("RecoveryEscalated", 25, level="peer", to_level="local")
+    found = asked("recovery_budgets", columns, *LADDER[:5], back, failure("FailureResolved", 28, level="local"))
+    assert found == [(1, "local", 2, 13), (1, "peer", 0, 5)]
