@@ -84,3 +84,12 @@ def test_each_failure_of_an_action_has_its_own_timeline() -> None:
     rows = asked("failure_timeline", "failure step what", *TO_THE_END, failed(90 * S, 2), second)
     assert [row for row in rows if row[0] == 2] == [(2, 1, "attempt 1")]
     assert len(rows) == 10
+
+
+def test_only_the_last_call_resolved_the_failure() -> None:
+    first = {**CALLED, "time_us": 40 * S}
+    assert asked("failure_timeline", "what result", failed(10 * S), first, CALLED, RESOLVED) == [
+        ("asks supervisor/fleet", None),
+        ("asks supervisor/fleet", "resolved"),
+        ("resolved", None),
+    ]
