@@ -9,27 +9,32 @@
 --   answers link 1 robot/D1 to robot/A1 (capability), link 2 robot/A1 to robot/B1 (task); robot/B1 has set none for
 --   robot/D1
 -- Parameters: run: run = all, action: action = all
-WITH chains AS (
-    -- The relay's record is the first after the request.
+WITH passed AS (
+    -- A relay passes on what it was last asked to.
+    SELECT relayed.run_id, relayed.seq, relayed.time_us, max(asked.seq) AS asked_seq
+    FROM request_relayed AS relayed
+    INNER JOIN request_issued AS asked
+        ON
+            relayed.run_id = asked.run_id AND relayed.action_id = asked.action_id AND relayed.seq > asked.seq
+            AND coalesce(relayed.decided_by = asked.relay, asked.relay IS NOT NULL)
+    GROUP BY relayed.run_id, relayed.seq, relayed.time_us
+),
+
+chains AS (
     SELECT
-        asked.run_id, asked.action_id,
-        asked.seq AS asked_seq,
-        asked.time_us AS asked_us,
-        asked.requested_by, asked.relay, asked.executed_by, asked.capability,
-        asked.task_id AS context,
-        min(relayed.seq) AS relayed_seq,
-        min(relayed.time_us) AS relayed_us
+        asked.run_id, asked.action_id, asked.requested_by, asked.relay, asked.executed_by, asked.capability,
+        asked.seq AS asked_seq, asked.time_us AS asked_us, asked.task_id AS context,
+        min(passed.seq) AS relayed_seq, min(passed.time_us) AS relayed_us
     FROM request_issued AS asked
-    LEFT JOIN request_relayed AS relayed
-        ON asked.run_id = relayed.run_id AND asked.action_id = relayed.action_id AND asked.seq < relayed.seq
+    LEFT JOIN passed ON asked.run_id = passed.run_id AND asked.seq = passed.asked_seq
     WHERE asked.relay IS NOT NULL AND $run IN ('all', asked.run_id) AND $action IN ('all', asked.action_id)
     GROUP BY ALL
 ),
 
 links AS (
     SELECT
-        chains.run_id, chains.action_id, chains.asked_seq, chains.asked_us, chains.requested_by, chains.relay,
-        chains.executed_by, chains.capability, chains.context, chains.relayed_seq, chains.relayed_us, numbers.link,
+        chains.run_id, chains.action_id, chains.asked_seq, chains.requested_by, chains.executed_by, chains.capability,
+        chains.context, numbers.link,
         CASE numbers.link WHEN 1 THEN chains.asked_seq ELSE chains.relayed_seq END AS seq,
         CASE numbers.link WHEN 1 THEN chains.asked_us ELSE chains.relayed_us END AS passed_us,
         CASE numbers.link WHEN 1 THEN chains.requested_by ELSE chains.relay END AS sender,
@@ -39,11 +44,9 @@ links AS (
 ),
 
 judged AS (
-    -- Each link between its own two ends, and the ends of the whole chain beside it.
     SELECT
-        links.run_id, links.action_id, links.asked_seq, links.asked_us, links.requested_by, links.relay,
-        links.executed_by, links.capability, links.context, links.relayed_seq, links.relayed_us, links.link, links.seq,
-        links.passed_us, links.sender, links.receiver,
+        links.run_id, links.action_id, links.asked_seq, links.link, links.seq, links.passed_us, links.sender,
+        links.receiver,
         arg_max(scopes.scope, scopes.precedence) FILTER (
             WHERE links.receiver = trusting.robot AND links.sender = trusted.robot
         ) AS link_scope,
@@ -53,8 +56,7 @@ judged AS (
     FROM links
     LEFT JOIN trust_parties AS trusting
         ON
-            links.run_id = trusting.run_id AND trusting.is_trusting
-            AND coalesce(links.seq, links.asked_seq) > trusting.seq
+            links.run_id = trusting.run_id AND trusting.is_trusting AND coalesce(links.seq, asked_seq) > trusting.seq
             AND trusting.robot IN (links.receiver, links.executed_by)
     LEFT JOIN trust_parties AS trusted
         ON

@@ -259,3 +259,15 @@ def test_a_relay_link_is_judged_by_the_trust_that_is_most_specific() -> None:
     assert asked("relay_links", columns, *broad, *both, *relayed)[1] == (2, "none", False), (
         "the capability's before the context's"
     )
+
+
+def test_a_relay_passes_on_what_it_was_asked_to_itself() -> None:
+    in_vain, relayed = request(5, "q1", "D1", "B1", relay="robot/C1"), request(7, "q1", "D1", "B1", relay="robot/A1")
+    columns = "asked_seq link seq sender"
+    for by in ({}, {"decided_by": "robot/A1"}):
+        assert asked("relay_links", columns, in_vain, relayed, event("RequestRelayed", 8, action_id="q1", **by)) == [
+            (1, 1, 1, "robot/D1"),
+            (1, 2, None, "robot/C1"),
+            (2, 1, 2, "robot/D1"),
+            (2, 2, 3, "robot/A1"),
+        ]
