@@ -19,12 +19,6 @@ records AS (
     FROM observed
     LEFT JOIN derived ON observed.run_id = derived.run_id AND observed.seq = derived.seq
     GROUP BY observed.run_id, observed.source
-),
-
-closings AS (
-    SELECT run_id, source, max(until_us) AS until_us
-    FROM source_closed
-    GROUP BY run_id, source
 )
 
 SELECT
@@ -32,7 +26,8 @@ SELECT
     opened.input_sha256, opened.mapping_sha256,
     coalesce(records.record_count, 0) AS record_count,
     coalesce(records.underived_count, 0) AS underived_count,
-    closings.until_us
+    closed.until_us
 FROM source_opened AS opened
 LEFT JOIN records ON opened.run_id = records.run_id AND opened.source = records.source
-LEFT JOIN closings ON opened.run_id = closings.run_id AND opened.source = closings.source
+ASOF LEFT JOIN source_closed AS closed
+    ON opened.run_id = closed.run_id AND opened.source = closed.source AND opened.seq < closed.seq

@@ -156,3 +156,10 @@ def test_the_records_of_a_supervisor_who_returns_without_having_left_were_made_o
     given = run(*MEMBERS, start("t/1", A, A), returned, later, **FOREIGN)
     columns = ("supervised_by", "records", "records_off_shift")
     assert set(answer("audit/supervisor_of", given, columns=columns)) == {("supervisor/x", 2, 1)}
+
+
+def test_a_source_that_was_opened_again_is_open() -> None:
+    opened = event("SourceOpened", 0, source="bag", format="mcap")
+    closed = event("SourceClosed", 9 * S, source="bag", until_us=8 * S)
+    history = run(opened, closed, {**opened, "time_us": 20 * S}, **FOREIGN)
+    assert answer("audit/recordings", history, columns=("seq", "until_us")) == [(1, 8 * S), (3, None)]
