@@ -22,7 +22,7 @@ considered AS (
     SELECT
         asked.run_id, asked.seq, asked.time_us, asked.caused_by, asked.task_id, asked.action_id, asked.requested_by,
         asked.executed_by, asked.supervised_by, asked.capability, asked.candidates, asked.relay, asked.domain,
-        asked.as_of_us, others.robot, askers.role, runs.configuration,
+        asked.as_of_us, others.robot, askers.role, runs.configuration, runs.observes,
         list_extract(asked.rejected_by, list_position(asked.rejected, others.robot)) AS rejected_by,
         any_value(surfaces.visible_to) AS visible_to, any_value(surfaces.visibility) AS visibility,
         count(surfaces.robot) > 0 AS is_offered,
@@ -65,12 +65,13 @@ SELECT
         WHEN rejected_by = 'authority' THEN 'its authority profile does not allow the override'
         WHEN rejected_by = 'availability' THEN 'offline or restricted'
         WHEN rejected_by = 'embodiment' THEN 'not the body that is needed'
-        WHEN rejected_by IS NULL AND NOT is_offered THEN 'does not offer it'
+        WHEN rejected_by IS NULL AND NOT is_offered AND list_contains(observes, 'registry') THEN 'does not offer it'
         WHEN len(visible_to) > 0 AND NOT coalesce(list_contains(visible_to, role), FALSE)
             THEN 'not visible to role ' || coalesce(role, 'unknown')
         WHEN rejected_by = 'visibility'
             THEN 'not visible outside ' || if(visibility = 'domain', 'its domain', 'its trust')
-        WHEN coalesce(trust_scope, 'none') = 'none' THEN 'no trust in the requester'
+        WHEN coalesce(trust_scope, 'none') = 'none' AND list_has_all(observes, ['fleet', 'trust'])
+            THEN 'no trust in the requester'
         WHEN rejected_by = 'trust' THEN 'too little trust in the requester'
         WHEN regexp_matches(configuration, '^without-(.*[+])?shared-registry([+]|$)') THEN 'not met lately'
         WHEN domain <> '' THEN 'not reached by the search'

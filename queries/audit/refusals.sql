@@ -5,14 +5,16 @@
 -- Key: run_id, type, reason?, decided_by?
 -- Units: refusals count; first_us, last_us microseconds of run time
 -- NULL: decided_by when the record names no decider; conjunct when the refusal is no part of eq:admissible; the reason
---   of an unanswered request, of declined help and of a counter-offer is what their type means
+--   of an unanswered request, of declined help and of a counter-offer is what their type means, NULL where nobody is
+--   known to have been asked and the run does not observe registry
 -- Example: fsar-ledger query audit/refusals LEDGER --param run=RUN
 --   answers RequestDenied, policy (conjunct policy), by robot/B1: 1, at 31.046 s
 -- Parameters: run: run = all, reason: reason = all
 WITH offered AS (
-    SELECT DISTINCT run_id, action_id
+    SELECT run_id, action_id, min(seq) AS seq
     FROM registry_queried
     WHERE len(candidates) > 0
+    GROUP BY run_id, action_id
 ),
 
 refused AS (
@@ -20,13 +22,18 @@ refused AS (
         events.run_id, events.time_us, events.type,
         CASE events.type
             WHEN 'RequestUnanswered.v1'
-                THEN if(events.executed_by IS NULL AND offered.action_id IS NULL, 'no candidate', 'no answer')
+                THEN
+                    CASE
+                        WHEN events.executed_by IS NOT NULL OR offered.seq < events.seq THEN 'no answer'
+                        WHEN list_contains(runs.observes, 'registry') THEN 'no candidate'
+                    END
             WHEN 'AssistanceDeclined.v1' THEN 'helper busy'
             WHEN 'RequestCountered.v1' THEN 'override'
             ELSE events.reason
         END AS reason,
         CASE events.type WHEN 'AssistanceDeclined.v1' THEN events.helper ELSE events.decided_by END AS decided_by
     FROM event_principals AS events
+    INNER JOIN runs ON events.run_id = runs.run_id
     LEFT JOIN offered ON events.run_id = offered.run_id AND events.action_id = offered.action_id
     WHERE
         events.type IN (

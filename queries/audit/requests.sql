@@ -53,7 +53,7 @@ SELECT
     CASE
         WHEN actions.result IS NOT NULL THEN actions.result
         WHEN actions.refused_seq IS NULL OR actions.begun_seq > actions.refused_seq THEN actions.state
-        WHEN actions.refusal = 'nobody to ask' AND actions.is_offered THEN 'no answer'
+        WHEN actions.refusal = 'nobody to ask' AND actions.offered_seq < actions.refused_seq THEN 'no answer'
         -- It may have begun all the same, and somebody may have been offered.
         WHEN NOT list_contains(runs.observes, 'execution') THEN NULL
         WHEN actions.refusal = 'nobody to ask' AND NOT list_contains(runs.observes, 'registry') THEN NULL

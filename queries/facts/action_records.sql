@@ -3,7 +3,7 @@
 -- Grain: one row per action that a record names, or that a denial is about by its cause
 -- Key: run_id, action_id
 -- Units: began_us, ended_us microseconds of run time; begun_seq, refused_seq, result_seq positions in the run of the
---   last start, acceptance or command, refusal, and result
+--   last start, acceptance or command, refusal, and result; offered_seq of the first candidates that were found
 -- NULL: what no record of the action tells; failures when the run does not observe recovery, state when it does not
 --   observe execution and request
 -- Example: fsar-ledger query facts/action_records LEDGER
@@ -63,7 +63,7 @@ SELECT
         WHEN any_value(list_has_all(runs.observes, ['execution', 'request']))
             THEN if(count(*) FILTER (type = 'ExecutionStarted.v1') > 0, 'not finished', 'not begun')
     END AS state,
-    coalesce(max(len(candidates)) FILTER (type = 'RegistryQueried.v1'), 0) > 0 AS is_offered,
+    min(events.seq) FILTER (type = 'RegistryQueried.v1' AND len(candidates) > 0) AS offered_seq,
     count(*) FILTER (
         target_role IS NOT NULL
         OR type IN ('RequestIssued.v1', 'CommandIssued.v1', 'RegistryQueried.v1', 'OutsiderRequestInjected.v1')

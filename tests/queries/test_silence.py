@@ -186,3 +186,30 @@ def test_a_failure_is_over_when_its_task_goes_on_or_is_given_up() -> None:
 def test_a_failure_of_which_nobody_hears_lasts_until_the_run_ends() -> None:
     assert measured("time_to_know_s", failed(1), event("TaskCompleted", 9 * S, task_id="B1-1")) == (8 * S, 1, 8.0)
     assert measured("time_to_know_s", event("RobotWentOff", 9 * S, robot=B)) == (0, 0, None)
+
+
+def test_nobody_is_said_to_lack_trust_or_to_offer_nothing_where_that_is_not_observed() -> None:
+    joined = [event("RobotJoined", robot=robot) for robot in (A, B)]
+    asked = act("RegistryQueried", S, STEP, requested_by=A, capability="lift", candidates=[])
+    for observes in (["fleet"], ["fleet", "registry"], ["fleet", "registry", "trust"]):
+        history = run(*joined, asked, kind="foreign", observes=observes)
+        (reason,) = answer("audit/query_candidates", history, columns=("reason",))
+        assert reason == ("does not offer it" if "registry" in observes else "the record gives no reason",)
+    shown = event("CapabilityAdvertised", robot=B, capability="lift")
+    for observes in (["fleet", "registry"], ["fleet", "registry", "trust"]):
+        history = run(*joined, shown, asked, kind="foreign", observes=observes)
+        (reason,) = answer("audit/query_candidates", history, columns=("reason",))
+        assert reason == ("no trust in the requester" if "trust" in observes else "the record gives no reason",)
+
+
+def test_that_nobody_could_be_asked_is_said_of_what_the_registry_had_answered_by_then() -> None:
+    def found(*events: Row, **given: Any) -> list[Any]:
+        history = run(act("RequestIssued", 0, STEP, decided_by=A), *events, **given)
+        columns = (("audit/refusals", "reason"), ("audit/requests", "result"))
+        return [answer(name, history, columns=(column,))[0][0] for name, column in columns]
+
+    unanswered = act("RequestUnanswered", 2 * S, STEP, decided_by=A)
+    offered = act("RegistryQueried", S, STEP, requested_by=A, capability="lift", candidates=[B])
+    assert found(offered, unanswered) == ["no answer", "no answer"]
+    assert found(unanswered, {**offered, "time_us": 3 * S}) == ["no candidate", "nobody to ask"]
+    assert found(unanswered, kind="foreign", observes=["request", "execution"]) == [None, None]
