@@ -1,29 +1,22 @@
 -- Title: What a robot was doing at a time
 -- Paper: sec:model:robot
--- Grain: one row per run, robot and action that it had in hand; one row for a robot that had none: `idle`, if so
+-- Grain: one row per run, robot and action that it had in hand; one row for a robot that had joined and had none:
+--   `off`, `departed` or `idle`, if so
 -- Key: run_id, robot, action_id?
 -- Units: since_us microseconds of run time; at seconds, by default after the end of every run
--- NULL: action_id, since_us, on_behalf_of when idle; on_behalf_of also when the robot helps another; doing, too, when
---   nothing is on record and the run does not observe execution and recovery, or something was in hand that began
---   before the record. Without execution only help is told
+-- NULL: action_id, since_us, on_behalf_of when nothing was in hand; on_behalf_of also when the robot helps another;
+--   doing, too, when nothing is on record and the run does not observe execution and recovery, or something was in hand
+--   that began before the record. Without execution only help is told
 -- Example: fsar-ledger query audit/robot_activity LEDGER --param run=RUN --param robot=robot/C1 --param at=20
 --   answers executing B1-1/2.1 for robot/B1 since 18.0 s
 -- Parameters: run: run = all, robot: robot = all, at: time = end
 WITH doings (type, doing) AS (
     VALUES
-    ('ExecutionQueued.v1', 'queued'),
-    ('ApproachStarted.v1', 'approaching'),
-    ('ExecutionHeld.v1', 'held by policy'),
-    ('ExecutionStarted.v1', 'executing'),
-    ('ExecutionResumed.v1', 'executing'),
-    ('ExecutionPaused.v1', 'paused'),
-    ('ExecutionHalted.v1', 'off'),
-    ('ExecutionPreempted.v1', 'preempted'),
-    ('ExecutionFailed.v1', 'recovering'),
+    ('ExecutionQueued.v1', 'queued'), ('ApproachStarted.v1', 'approaching'), ('ExecutionHeld.v1', 'held by policy'),
+    ('ExecutionStarted.v1', 'executing'), ('ExecutionResumed.v1', 'executing'), ('ExecutionPaused.v1', 'paused'),
+    ('ExecutionHalted.v1', 'off'), ('ExecutionPreempted.v1', 'preempted'), ('ExecutionFailed.v1', 'recovering'),
     ('AssistanceAdmitted.v1', 'helping'),
-    ('ExecutionFinished.v1', NULL),
-    ('ExecutionWithdrawn.v1', NULL),
-    ('AssistanceEnded.v1', NULL),
+    ('ExecutionFinished.v1', NULL), ('ExecutionWithdrawn.v1', NULL), ('AssistanceEnded.v1', NULL),
     ('AssistanceFailed.v1', NULL)
 ),
 
@@ -44,18 +37,42 @@ latest AS (
         AND (list_contains(runs.observes, 'execution') OR starts_with(events.type, 'Assistance'))
     -- A helper may have an action of its own in hand, and help with another.
     GROUP BY events.run_id, coalesce(events.helper, events.robot), events.action_id, events.helper IS NOT NULL
+),
+
+members AS (
+    -- Not every record of another system says who joined.
+    SELECT run_id, robot
+    FROM fleet_members
+    WHERE joined_us <= $at_us::BIGINT
+    UNION
+    SELECT run_id, robot
+    FROM latest
+    WHERE doing <> 'done' AND robot IS NOT NULL
+),
+
+away AS (
+    SELECT
+        run_id, robot,
+        arg_max(type, seq) FILTER (type IN ('RobotWentOff.v1', 'RobotCameBack.v1')) = 'RobotWentOff.v1' AS is_off,
+        arg_max(type, seq) FILTER (type NOT IN ('RobotWentOff.v1', 'RobotCameBack.v1')) = 'RobotDeparted.v1' AS is_gone
+    FROM event_principals
+    WHERE regexp_matches(type, '^Robot(WentOff|CameBack|Joined|Departed|Returned)') AND time_us <= $at_us::BIGINT
+    GROUP BY run_id, robot
 )
 
 SELECT
     members.run_id, members.robot,
     CASE
         WHEN latest.doing IS NOT NULL THEN latest.doing
+        WHEN away.is_off THEN 'off'
+        WHEN away.is_gone THEN 'departed'
         WHEN past.until_us > $at_us::BIGINT THEN NULL
         WHEN list_has_all(runs.observes, ['execution', 'recovery']) THEN 'idle'
     END AS doing,
     latest.action_id, latest.on_behalf_of, latest.since_us
-FROM fleet_members AS members
+FROM members
 INNER JOIN runs ON members.run_id = runs.run_id
 LEFT JOIN latest ON members.run_id = latest.run_id AND members.robot = latest.robot AND latest.doing <> 'done'
+LEFT JOIN away ON members.run_id = away.run_id AND members.robot = away.robot
 LEFT JOIN busy_before AS past ON members.run_id = past.run_id AND members.robot = past.robot
-WHERE $run IN ('all', members.run_id) AND $robot IN ('all', members.robot) AND members.joined_us <= $at_us::BIGINT
+WHERE $run IN ('all', members.run_id) AND $robot IN ('all', members.robot)

@@ -72,3 +72,18 @@ def test_a_claim_under_an_old_number_is_found() -> None:
         f"{B} claims authority under fencing number 0 after 1 departures"
     ]
     assert found(*twice, claimed(6, fence=2)) == []
+
+
+@pytest.mark.parametrize("question", ["audit/robot_activity", "audit/robot_state_at"])
+def test_who_is_off_or_has_departed_is_not_idle_and_who_works_need_not_have_joined(question: str) -> None:
+    works = act("ExecutionStarted", 3 * S, "t1/1", robot="robot/C1", ends_us=9 * S)
+    off = event("RobotWentOff", 3 * S, robot="robot/A1")
+    history = (event("RobotJoined", 0, robot="robot/A1"), JOINED, departed(2), off, works)
+    assert [row[1:3] for row in answer(question, run(*history))] == [
+        ("robot/A1", "off"),
+        (B, "departed"),
+        ("robot/C1", "executing"),
+    ]
+    ends = act("ExecutionFinished", 4 * S, "t1/1", robot="robot/C1", result="success")
+    back = (event("RobotCameBack", 4 * S, robot="robot/A1"), returned(4), ends)
+    assert [row[1:3] for row in answer(question, run(*history, *back))] == [("robot/A1", "idle"), (B, "idle")]
