@@ -26,5 +26,5 @@ WHERE
     $run IN ('all', denials.run_id) AND $action IN ('all', denials.action_id)
     AND $robot IN (
         'all', denials.requested_by, actions.asked_by, denials.executed_by,
-        'robot/' || split_part(denials.decided_by, '/', 2)
+        'robot/' || regexp_extract(denials.decided_by, '^(?:robot|agent)/([^/]+)', 1)
     )

@@ -314,3 +314,12 @@ def test_without_a_registry_the_requester_asks_itself_whom_it_met_and_a_copy_say
         assert found == [(A, A), (A, A)]
     copied = {**QUERY, "domain": "hall/cell", "as_of_us": S // 2, "rejected": [], "rejected_by": []}
     assert asked("request_timeline", "note", copied)[1] == ("in hall/cell; as of 0.5 s",)
+
+
+def test_what_a_supervisor_denies_is_no_denial_of_the_robot_with_that_name() -> None:
+    events = (
+        event("RobotJoined", robot=B),
+        act("RequestDenied", 1, "t1/1", executed_by=C, decided_by="supervisor/B1", reason="policy"),
+        act("RequestDenied", 2, "t1/1", executed_by=C, decided_by="agent/B1/planning", reason="policy"),
+    )
+    assert asked("denials", "denied_by", *events, robot=B) == [("agent/B1/planning",)]
