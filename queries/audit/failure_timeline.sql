@@ -14,7 +14,11 @@
 WITH steps AS (
     SELECT
         run_id, action_id, failure, detected_us, seq, time_us, until_us, decided_by, level, to_level, deadline_us, what,
-        result, achieved,
+        achieved,
+        -- Of several calls for a human the last one resolved the failure.
+        CASE
+            WHEN type <> 'SupervisorCalled.v1' OR lead(type) OVER in_order = 'FailureResolved.v1' THEN result
+        END AS result,
         row_number() OVER in_order AS step,
         -- A step that follows an escalation began with it; the first began with the detection.
         CASE

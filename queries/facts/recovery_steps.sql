@@ -6,6 +6,7 @@
 -- NULL: decided_by when the record names none; result when none came or is recorded; until_us of the last step
 -- Example: fsar-ledger query facts/recovery_steps LEDGER
 WITH answers AS (
+    -- What came of an attempt, or of a question for help, where the record says so.
     SELECT
         run_id, action_id, failure, number, helper,
         any_value(
@@ -52,8 +53,7 @@ SELECT
         WHEN steps.type = 'RegistryQueried.v1' THEN array_to_string(steps.candidates, ', ')
         WHEN steps.type = 'ReassignmentDecided.v1' AND steps.helper IS NULL THEN concat_ws(': ', 'infeasible', reason)
         WHEN steps.type = 'ReassignmentDecided.v1' THEN 'to ' || concat_ws(' from ', steps.helper, checkpoint)
-        WHEN steps.type = 'SupervisorCalled.v1' AND failures.resolved_level = 'human'
-            THEN if(lead(steps.type) OVER in_order = 'FailureResolved.v1', 'resolved', NULL)
+        WHEN steps.type = 'SupervisorCalled.v1' AND failures.resolved_level = 'human' THEN 'resolved'
         WHEN steps.type = 'RecoveryEscalated.v1' THEN steps.reason
     END AS result,
     answers.achieved
