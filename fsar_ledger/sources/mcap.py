@@ -7,7 +7,8 @@ with kind, topic, times and hash, and nothing follows from them.
 |---|---|
 | a status in an `action_msgs/msg/GoalStatusArray` that is ACCEPTED, or later, for the first time | `RequestAccepted` |
 | EXECUTING | `ExecutionStarted` |
-| SUCCEEDED, ABORTED, CANCELED | `ExecutionFinished`, `ExecutionFailed`, `ExecutionWithdrawn` |
+| SUCCEEDED | `ExecutionFinished` |
+| ABORTED, CANCELED | `ExecutionFailed`, but for CANCELED; `ExecutionWithdrawn` |
 | a `ServiceEvent` (service introspection), a `foxglove.Log`, anything else | an observation |
 
 The robot is the namespace of the topic: `/r1/dock/_action/status` is of `robot/r1`, and its action is `dock`. A topic
@@ -183,6 +184,7 @@ class Mcap:
                 yield ExecutionFinished(subject, parties, robot)
             case "ABORTED":
                 yield ExecutionFailed(subject=subject, robot=robot, failure=1, cause="ABORTED")
+                yield ExecutionWithdrawn(subject, robot, 1)
             case "CANCELED":
                 yield ExecutionWithdrawn(subject, robot)
 

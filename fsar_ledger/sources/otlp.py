@@ -11,7 +11,7 @@ else its parent's. What follows from a span is told once it is known whose its p
 | the same, unless its kind is CLIENT: only the caller saw it | `RequestAccepted`; `ExecutionStarted` for that agent |
 | `invoke_agent` of nobody, or under a span of the same agent | `ExecutionStarted` |
 | `execute_tool` | `ExecutionStarted` by the agent whose span it is, of the tool |
-| each of these executions, as it ended | `ExecutionFinished`; `ExecutionFailed` with the status ERROR |
+| each of these executions, as it ended | `ExecutionFinished`; `ExecutionFailed`, `Withdrawn` with the status ERROR |
 | one with the `error.type` RequestDenied or RequestUnanswered | no execution, and no `RequestAccepted` |
 | any other, and one whose parent is not in the recording | an observation |
 """
@@ -23,7 +23,7 @@ from fsar_ledger.base.errors import UsageError
 from fsar_ledger.base.printable import value
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import Parties, RequestSubject, Robot, Subject
-from fsar_ledger.events.execution import ExecutionFailed, ExecutionFinished, ExecutionStarted
+from fsar_ledger.events.execution import ExecutionFailed, ExecutionFinished, ExecutionStarted, ExecutionWithdrawn
 from fsar_ledger.events.request import RequestAccepted, RequestClosed, RequestIssued
 
 from .adapter import UNREADABLE, Derived, Input, Record
@@ -67,7 +67,7 @@ class Otlp:
             *(f"RequestClosed.{name}" for name in ("decided_by", *parties)),
             *(f"ExecutionStarted.{name}" for name in ("on_behalf_of", *parties)),
             *(f"ExecutionFinished.{name}" for name in parties),
-            "ExecutionFailed",
+            *("ExecutionFailed", "ExecutionWithdrawn"),
         )
 
     def look(self, inputs: Iterable[Input]) -> None:
@@ -180,6 +180,7 @@ def _executed(span: Span, agent: Robot | None, by: Robot | None, action: Key) ->
         yield ExecutionFinished(subject, parties, agent)
     else:
         yield ExecutionFailed(subject=subject, robot=agent, failure=1, cause=span.failure)
+        yield ExecutionWithdrawn(subject, agent, 1)
 
 
 def _read(one: Input) -> Iterator[Record]:

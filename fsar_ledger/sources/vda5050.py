@@ -9,7 +9,8 @@ last one of the same vehicle; an action that began and ended between two states 
 | an order that begins | `TaskArrived`, `RequestIssued` by the coordinator |
 | the first state with that order | `RequestAccepted`, decided by the vehicle |
 | an error that names the order before that | `RequestDenied`, decided by the vehicle |
-| an action that runs, pauses, runs on, ends, fails | `ExecutionStarted`, `Paused`, `Resumed`, `Finished`, `Failed` |
+| an action that runs, pauses, runs on, ends | `ExecutionStarted`, `Paused`, `Resumed`, `Finished` |
+| one that fails: for good, or until it is tried again | `ExecutionFailed`, and `Withdrawn` if it is for good |
 | an order whose nodes, edges and actions are all done | `TaskCompleted` |
 | an order that was cancelled, or of which an action failed before it was over | `TaskAbandoned` |
 | a connection that breaks, comes back | `LinkWentDown`, `LinkCameUp` |
@@ -37,6 +38,7 @@ from fsar_ledger.events.execution import (
     ExecutionPaused,
     ExecutionResumed,
     ExecutionStarted,
+    ExecutionWithdrawn,
 )
 from fsar_ledger.events.request import RequestAccepted, RequestDenied, RequestIssued
 from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
@@ -119,7 +121,8 @@ class Vda5050:
             *("RequestDenied", *(f"RequestDenied.{name}" for name in principals)),
             *("ExecutionStarted", "ExecutionStarted.executed_by"),
             *("ExecutionFinished", "ExecutionFinished.executed_by"),
-            *("ExecutionPaused", "ExecutionResumed", "ExecutionFailed", "LinkWentDown", "LinkCameUp"),
+            *("ExecutionPaused", "ExecutionResumed", "ExecutionFailed", "ExecutionWithdrawn"),
+            *("LinkWentDown", "LinkCameUp"),
         )
 
     def read(self, inputs: Iterable[Input]) -> Iterator[Record]:
@@ -325,7 +328,7 @@ def _acted(vehicle: Vehicle, robot: Robot, order: str, state: Mapping[str, Any])
     if before in OVER and status not in OVER and vehicle.orders.get(action) != order:
         before = None  # another order has an action of the same name
     vehicle.orders[action] = order
-    if status == before or before == "FINISHED" or (status, before) == ("FAILED", "RETRIABLE"):
+    if status == before or before == "FINISHED":
         return
     vehicle.statuses[action] = status
     subject = Subject(order, action)
@@ -342,9 +345,12 @@ def _acted(vehicle: Vehicle, robot: Robot, order: str, state: Mapping[str, Any])
     elif status == "FINISHED":
         yield ExecutionFinished(subject, parties, robot)
     elif status in ("FAILED", "RETRIABLE"):
-        vehicle.failures[action] = vehicle.failures.get(action, 0) + 1
-        cause = str(state.get("actionResult") or state.get("resultDescription") or status)
-        yield ExecutionFailed(subject=subject, robot=robot, failure=vehicle.failures[action], cause=cause)
+        if before != "RETRIABLE":
+            vehicle.failures[action] = vehicle.failures.get(action, 0) + 1
+            cause = str(state.get("actionResult") or state.get("resultDescription") or status)
+            yield ExecutionFailed(subject=subject, robot=robot, failure=vehicle.failures[action], cause=cause)
+        if status == "FAILED":  # for good: what may be tried again is RETRIABLE, and before 3.0 nothing is
+            yield ExecutionWithdrawn(subject, robot, vehicle.failures[action])
 
 
 def _connected(vehicle: Vehicle, robot: Robot, message: Mapping[str, Any]) -> Iterator[Event]:

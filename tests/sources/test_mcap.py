@@ -17,7 +17,7 @@ from tests.sources.importing import filed, is_good, kinds, record_numbers, rows
 
 NIGHT = [
     *("RequestAccepted", "ExecutionStarted", "ExecutionFinished"),
-    *("RequestAccepted", "ExecutionStarted", "ExecutionFailed"),
+    *("RequestAccepted", "ExecutionStarted", "ExecutionFailed", "ExecutionWithdrawn"),
 ]
 
 

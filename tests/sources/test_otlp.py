@@ -68,6 +68,7 @@ def test_an_agent_that_invokes_another_asks_it_and_closes_when_it_ended(imported
         ("ExecutionFinished", "3", "picker", "picker"),
         ("ExecutionStarted", "5", "picker", "picker"),
         ("ExecutionFailed", "5", "None", "None"),
+        ("ExecutionWithdrawn", "5", "None", "None"),
         ("RequestIssued", "2", "planner", "picker"),
         ("RequestAccepted", "2", "planner", "picker"),
         ("ExecutionStarted", "2", "planner", "picker"),

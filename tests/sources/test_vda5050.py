@@ -11,7 +11,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from fsar_ledger.api.ledger import Ledger
 from fsar_ledger.ledger.opening import open_ledger
+from fsar_ledger.sources.vda5050 import Vda5050
 from tests.cli.conftest import Call
 from tests.sources import vda
 from tests.sources.importing import filed, imported, is_good, kinds, record_numbers, rows
@@ -106,8 +108,30 @@ def test_a_retriable_action_has_failed_and_runs_on_when_it_is_tried_again(tmp_pa
     steps = ("RUNNING", "RETRIABLE", "RUNNING", "RETRIABLE", "FAILED")
     lines = [order(0, "0001", "a", "p"), *(state(at, "0001", "a", p=step) for at, step in enumerate(steps, 1))]
     found = [name for name in derived(tmp_path, lines) if name.startswith("Execution")]
-    assert found == ["ExecutionStarted", "ExecutionFailed", "ExecutionResumed", "ExecutionFailed"]
-    assert [row["failure"] for row in rows(tmp_path / "ledger") if "failure" in row] == [1, 2]
+    assert found == [f"Execution{how}" for how in ("Started", "Failed", "Resumed", "Failed", "Withdrawn")]
+    assert [row["failure"] for row in rows(tmp_path / "ledger") if "failure" in row] == [1, 2, 2]
+
+
+def test_a_vehicle_does_nothing_more_about_an_action_that_failed_for_good(tmp_path: Path) -> None:
+    tried = [order(0, "0001", "a", "p"), state(1, "0001", "a", p="RUNNING"), state(2, "0001", "a", p="RETRIABLE")]
+    derived(tmp_path, tried)
+    stands = Ledger(tmp_path / "ledger").state("night").standing
+    assert [one.action_id for one in stands.recoveries or ()] == ["p"]
+    imported(tmp_path / "ledger", filed(tmp_path, [*tried, state(3, "0001", "a", p="FAILED")]))
+    stands = Ledger(tmp_path / "ledger").state("night").standing
+    assert (stands.robots, stands.recoveries) == (None, None)
+
+
+def test_a_run_that_an_older_adapter_began_goes_on_without_what_that_did_not_tell(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lines = [order(0, "0001", "a", "p"), state(1, "0001", "a", p="RUNNING")]
+    declares = Vda5050.declares
+    with monkeypatch.context() as older:
+        older.setattr(Vda5050, "declares", lambda self: [one for one in declares(self) if "Withdrawn" not in one])
+        derived(tmp_path, lines)
+    assert derived(tmp_path, [*lines, state(2, "0001", "a", p="FAILED")])[-1] == "ExecutionFailed"
+    assert is_good(tmp_path / "ledger")
 
 
 @pytest.mark.parametrize("field", ["actionStates", "instantActionStates"])
@@ -143,10 +167,10 @@ def test_a_cancellation_that_failed_ends_nothing(tmp_path: Path) -> None:
 
 def test_an_order_that_is_over_with_an_action_that_failed_is_given_up(tmp_path: Path) -> None:
     lines = [order(0, "0001", "a", "p"), state(1, "0001", "a", p="RUNNING"), state(2, "0001", "a", nodes=0, p="FAILED")]
-    assert derived(tmp_path, lines)[-2:] == ["ExecutionFailed", "TaskAbandoned"]
+    assert derived(tmp_path, lines)[-3:] == ["ExecutionFailed", "ExecutionWithdrawn", "TaskAbandoned"]
     unknown = [order(0, "0001", "a"), state(1, "0001", "a", nodes=0, p="FAILED")]
     (tmp_path / "unknown").mkdir()
-    assert derived(tmp_path / "unknown", unknown)[-1] == "ExecutionFailed"
+    assert derived(tmp_path / "unknown", unknown)[-1] == "ExecutionWithdrawn"
 
 
 def test_an_order_that_was_refused_and_then_taken_is_completed(tmp_path: Path) -> None:
