@@ -115,7 +115,8 @@ def evolve(state: Fleet, event: HANDLES) -> Fleet:
                 event.place,
                 event.public_key,
             )
-            return msgspec.structs.replace(state, robots=put(state.robots, event.robot, robot))
+            robots, departed = put(state.robots, event.robot, robot), without(state.departed, event.robot)
+            return msgspec.structs.replace(state, robots=robots, departed=departed)
         case RobotDeparted():
             departed = put(state.departed, event.robot, event.reason)
             return msgspec.structs.replace(state, departed=departed, fences=put(state.fences, event.robot, event.fence))

@@ -1,7 +1,8 @@
 -- Title: What robots did as members that they were not: after they departed, or under an old fencing number
 -- Paper: sec:discussion:heterogeneity, eq:auth
 -- Grain: one row per event by which a robot takes, begins or goes on with work for the fleet after it departed and
---   before it returned; and per claim of a robot under a smaller number than its departures until then
+--   before it returned or joined anew, which gives it no number; and per claim of a robot that has returned under a
+--   smaller number than its departures until then
 -- Key: run_id, seq
 -- Units: time_us microseconds of run time; fence the number of the claim, 0 where it has none; departures until then
 -- NULL: action_id where the record names none; fence of what is no claim
@@ -31,18 +32,20 @@ WITH acts AS (
 ),
 
 changes AS (
-    SELECT run_id, robot, seq, TRUE AS is_departure FROM robot_departed
+    SELECT run_id, robot, seq, 'departed' AS change FROM robot_departed
     UNION ALL
-    SELECT run_id, robot, seq, FALSE AS is_departure FROM robot_returned
+    SELECT run_id, robot, seq, 'returned' AS change FROM robot_returned
+    UNION ALL
+    SELECT run_id, robot, seq, 'joined' AS change FROM robot_joined
+    WHERE (run_id, robot) IN (SELECT (run_id, robot) FROM robot_departed)
 )
 
 SELECT
     acts.run_id, acts.seq, acts.time_us, acts.type, acts.action_id, acts.robot, acts.fence,
-    arg_max(changes.is_departure, changes.seq) AS is_away,
-    count(*) FILTER (WHERE changes.is_departure) AS departures
+    arg_max(changes.change, changes.seq) = 'departed' AS is_away,
+    count(*) FILTER (WHERE changes.change = 'departed') AS departures
 FROM acts
 INNER JOIN changes ON acts.run_id = changes.run_id AND acts.robot = changes.robot AND acts.seq > changes.seq
 GROUP BY ALL
 HAVING
-    arg_max(changes.is_departure, changes.seq)
-    OR acts.fence < count(*) FILTER (WHERE changes.is_departure)
+    is_away OR (arg_max(changes.change, changes.seq) = 'returned' AND acts.fence < departures)

@@ -1,16 +1,20 @@
 -- Title: I1 broken: a robot acts as more than one fleet-visible principal, or as one that never joined or has departed
 -- Paper: sec:model:invariants (I1), eq:runtime
 -- Grain: one row per event and principal that is no joined robot, no supervisor, no federation service and no
---   coordinator; per second joining of a robot; and per act of a robot that had departed, or claim under its old number
+--   coordinator; per joining of a robot that is in the fleet; and per act of a robot that had departed, or claim under
+--   its old number
 -- Key: run_id, seq, found
 -- Units: time_us microseconds of run time
 -- NULL: action_id when the event is not tied to an action
 -- Example: fsar-ledger query invariants/i1_local_agent_coherence LEDGER
 WITH members AS (
     SELECT
-        run_id, robot, supervisor, seq, time_us,
-        row_number() OVER (PARTITION BY run_id, robot ORDER BY seq) AS joining
-    FROM robot_joined
+        joined.run_id, joined.robot, joined.supervisor, joined.seq, joined.time_us,
+        lag(joined.seq) OVER (PARTITION BY joined.run_id, joined.robot ORDER BY joined.seq) AS joined_before,
+        departed.seq AS departed_seq
+    FROM robot_joined AS joined
+    ASOF LEFT JOIN robot_departed AS departed
+        ON joined.run_id = departed.run_id AND joined.robot = departed.robot AND joined.seq > departed.seq
 ),
 
 known AS (
@@ -60,7 +64,7 @@ SELECT
     NULL AS action_id,
     robot || ' joins although it is in the fleet' AS found
 FROM members
-WHERE joining > 1
+WHERE joined_before > coalesce(departed_seq, -1)
 UNION ALL
 SELECT
     run_id, seq, time_us, type, action_id,

@@ -65,6 +65,13 @@ def test_a_robot_that_acts_after_it_departed_is_found_and_before_it_and_after_it
     assert found(departed(9), returned(10), does) == []
 
 
+def test_a_robot_that_joins_anew_after_it_departed_is_in_the_fleet_again() -> None:
+    again = {**JOINED, "time_us": 10 * S}
+    assert found(departed(9), again, claimed(12)) == []
+    assert found(departed(9), again, departed(11, 2), claimed(12)) == [f"{B} acts after it departed"]
+    assert found(departed(9), again, {**again, "time_us": 11 * S}) == [f"{B} joins although it is in the fleet"]
+
+
 def test_a_claim_under_an_old_number_is_found() -> None:
     twice = (departed(2), returned(3), departed(4, 2), returned(5, 2))
     assert found(*twice, claimed(6, fence=1)) == [f"{B} claims authority under fencing number 1 after 2 departures"]
