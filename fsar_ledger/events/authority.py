@@ -21,7 +21,7 @@ class AuthorityClaimed(Event, frozen=True, kw_only=True):
 
 
 class AuthorityReleased(Event, frozen=True):
-    """`claimant` no longer holds this dimension of authority over the action."""
+    """The claim of `claimant` to this dimension of authority over the action, made for this `reason`, holds no more."""
 
     subject: Subject[TaskId | None, ActionId]
     dimension: Dimension

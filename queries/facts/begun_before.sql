@@ -1,8 +1,10 @@
--- Title: Policy windows and absences that the record of another system ends, and that began before it
--- Paper: eq:policy, eq:supervision
--- Grain: one row per foreign run and window that closes, or supervisor who returns, without having opened or left
+-- Title: Policy windows, claims and absences that the record of another system ends, and that began before it
+-- Paper: eq:policy, eq:auth, eq:supervision
+-- Grain: one row per foreign run and window that closes, claim that is released, or supervisor who returns, without
+--   having opened, been made or left
 -- Key: run_id, what, robot?, scope?, name
--- Units: until_us microseconds of run time, when the window closes or the supervisor returns
+-- Units: until_us microseconds of run time, when the window closes, the claim is released or the supervisor returns;
+--   of a claim robot is its claimant, scope its dimension, name its action
 -- NULL: robot, scope for a supervisor
 -- Example: fsar-ledger query facts/begun_before LEDGER
 SELECT
@@ -14,6 +16,21 @@ ANTI JOIN policy_window_opened AS opened
     ON
         closed.run_id = opened.run_id AND closed.robot = opened.robot AND closed.scope = opened.scope
         AND closed."window" = opened."window" AND closed.seq > opened.seq
+GROUP BY ALL
+UNION ALL
+SELECT
+    released.run_id, 'claim' AS what,
+    released.claimant AS robot,
+    released.dimension AS scope,
+    released.action_id AS name,
+    min(released.time_us) AS until_us
+FROM authority_released AS released
+INNER JOIN runs ON released.run_id = runs.run_id AND runs.kind = 'foreign'
+ANTI JOIN authority_claimed AS claimed
+    ON
+        released.run_id = claimed.run_id AND released.action_id = claimed.action_id
+        AND released.dimension = claimed.dimension AND released.claimant = claimed.claimant
+        AND released.reason = claimed.reason AND released.seq > claimed.seq
 GROUP BY ALL
 UNION ALL
 SELECT

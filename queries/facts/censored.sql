@@ -11,63 +11,70 @@ WITH foreign_runs AS (
     WHERE kind = 'foreign'
 ),
 
-mixed_up AS (
-    -- What arrives twice may be one task or two, and what was completed before it arrived another one.
-    SELECT arrived.run_id, arrived.task_id
-    FROM task_arrived AS arrived
-    INNER JOIN foreign_runs ON arrived.run_id = foreign_runs.run_id
-    LEFT JOIN task_completed AS done ON arrived.run_id = done.run_id AND arrived.task_id = done.task_id
-    GROUP BY arrived.run_id, arrived.task_id
-    HAVING count(DISTINCT arrived.seq) > 1 OR min(done.time_us) < min(arrived.time_us)
-),
-
-strangers AS (
-    -- Who supervises no robot may supervise the fleet. One call that names the fleet's supervisor decides the metric.
-    SELECT DISTINCT called.run_id
-    FROM supervisor_called AS called
-    INNER JOIN foreign_runs ON called.run_id = foreign_runs.run_id
-    ANTI JOIN fleet_members AS members ON called.run_id = members.run_id AND called.supervisor = members.supervisor
-    ANTI JOIN fleet_calls AS calls ON called.run_id = calls.run_id
-),
-
-left_open AS (
-    SELECT
-        run_id, 'the end of what was open' AS what,
-        if(open_tasks > 0, ['coordination_success', 'success_without_violation'], [])
-        || if(open_failures > 0, ['recovery_containment', 'reassignment_latency_s', 'time_to_know_s'], []) AS judges
-    FROM open_work
-    SEMI JOIN foreign_runs ON open_work.run_id = foreign_runs.run_id
-    UNION ALL
-    SELECT run_id, 'which task was completed' AS what, ['coordination_success', 'success_without_violation'] AS judges
-    FROM mixed_up
-    UNION ALL
-    SELECT run_id, 'who supervises the fleet' AS what, ['human_intervention'] AS judges
-    FROM strangers
-    UNION ALL
-    SELECT
-        run_id, 'the policy before the record' AS what,
+meanings (what, not_observed, judges) AS (
+    VALUES
+    ('open task', 'the end of what was open', ['coordination_success', 'success_without_violation']),
+    (
+        'open failure', 'the end of what was open',
+        ['recovery_containment', 'reassignment_latency_s', 'time_to_know_s']
+    ),
+    ('task', 'which task was completed', ['coordination_success', 'success_without_violation']),
+    ('failure', 'which failure was resolved', ['recovery_containment', 'reassignment_latency_s', 'time_to_know_s']),
+    ('supervisor', 'who supervises the fleet', ['human_intervention']),
+    (
+        'window', 'the policy before the record',
         [
             'policy_violations', 'success_without_violation', 'i3_jointly_composed_policy',
             'a3_no_silent_policy_override'
-        ] AS judges
-    FROM begun_before
-    WHERE what = 'window'
+        ]
+    ),
+    ('claim', 'who held authority before the record', ['authority_conflicts']),
+    (
+        'absence', 'who was off shift before the record',
+        ['audit_attributability', 'i5_audit_attributability', 'a5_audit_completeness']
+    )
+),
+
+left_open AS (
+    SELECT run_id, unnest(if(open_tasks > 0, ['open task'], []) || if(open_failures > 0, ['open failure'], [])) AS what
+    FROM open_work
+    SEMI JOIN foreign_runs ON open_work.run_id = foreign_runs.run_id
     UNION ALL
-    SELECT
-        run_id, 'who was off shift before the record' AS what,
-        ['audit_attributability', 'i5_audit_attributability', 'a5_audit_completeness'] AS judges
+    -- What arrives twice may be one task or two, and what was completed before it arrived another one.
+    SELECT arrived.run_id, 'task' AS what
+    FROM task_arrived AS arrived
+    SEMI JOIN foreign_runs ON arrived.run_id = foreign_runs.run_id
+    LEFT JOIN task_completed AS done ON arrived.run_id = done.run_id AND arrived.task_id = done.task_id
+    GROUP BY arrived.run_id, arrived.task_id
+    HAVING count(DISTINCT arrived.seq) > 1 OR min(done.time_us) < min(arrived.time_us)
+    UNION ALL
+    -- What fails twice under one number may be one failure or two.
+    SELECT run_id, 'failure' AS what
+    FROM execution_failed AS failed
+    SEMI JOIN foreign_runs ON failed.run_id = foreign_runs.run_id
+    GROUP BY run_id, action_id, failure
+    HAVING count(*) > 1
+    UNION ALL
+    -- Who supervises no robot may supervise the fleet. One call that names the fleet's supervisor decides the metric.
+    SELECT called.run_id, 'supervisor' AS what
+    FROM supervisor_called AS called
+    SEMI JOIN foreign_runs ON called.run_id = foreign_runs.run_id
+    ANTI JOIN fleet_members AS members ON called.run_id = members.run_id AND called.supervisor = members.supervisor
+    ANTI JOIN fleet_calls AS calls ON called.run_id = calls.run_id
+    UNION ALL
+    SELECT run_id, what
     FROM begun_before
-    WHERE what = 'absence'
 ),
 
 judged AS (
-    SELECT run_id, what, unnest(judges) AS judge
+    SELECT left_open.run_id, left_open.what, meanings.not_observed, unnest(meanings.judges) AS judge
     FROM left_open
+    INNER JOIN meanings ON left_open.what = meanings.what
 )
 
 SELECT
     run_id, judge,
-    string_agg(DISTINCT what, ', ' ORDER BY what) AS not_observed,
-    bool_or(what = 'who was off shift before the record') AS hides_offences
+    string_agg(DISTINCT not_observed, ', ' ORDER BY not_observed) AS not_observed,
+    bool_or(what = 'absence') AS hides_offences
 FROM judged
 GROUP BY run_id, judge

@@ -63,6 +63,25 @@ def test_a_failure_without_an_end_is_open(events: tuple[dict[str, Any], ...], fo
     assert contained(*events, **FOREIGN) == found
 
 
+def test_a_failure_that_is_told_twice_under_its_number_is_not_counted_twice() -> None:
+    assert contained(FAILED, RESOLVED, **FOREIGN) == "which failure was resolved"
+    assert contained({**FAILED, "failure": 2}, RESOLVED, {**RESOLVED, "failure": 2}, **FOREIGN) == 2
+
+
+def test_who_releases_what_nobody_claimed_on_record_may_have_held_it_against_another() -> None:
+    def held(type: str, at_s: int, claimant: str) -> dict[str, Any]:
+        fields = {"task_id": "t", "action_id": "t/1", "dimension": "execution", "reason": "acceptance"}
+        return event(type, at_s * S, claimant=claimant, **fields)
+
+    mine, given_back = held("AuthorityClaimed", 1, "robot/A1"), held("AuthorityReleased", 3, "robot/A1")
+    for rows, expected in (
+        ((mine, given_back), (0, None)),
+        ((mine, held("AuthorityReleased", 2, "robot/B1"), given_back), (None, "who held authority before the record")),
+    ):
+        found = answer("metrics/authority_conflicts", run(*rows, **FOREIGN), columns=("numerator", "not_observed"))
+        assert found == [expected]
+
+
 def test_a_failure_of_a_simulated_run_that_nobody_resolves_is_not_contained() -> None:
     assert contained() == 0
 
