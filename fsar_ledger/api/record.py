@@ -355,7 +355,7 @@ def shards(
     if not given:
         raise UsageError(f"{place}: found no shard, expected at least one LEDGER; name the ledgers to record")
     found = present(place, heads, given)
-    name = kept or origin_of(origin) or (signer.verifier.name if signer is not None else FEDERATION)
+    name = origin_of(origin) or kept or (signer.verifier.name if signer is not None else FEDERATION)
     if name in found.views:
         raise UsageError(f"{option('origin', name)}: found the origin of a shard, expected one of the log's own")
     with Writer(place, name, signer, adopts=adopt) as writer:

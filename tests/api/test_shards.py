@@ -193,6 +193,11 @@ def test_recording_again_changes_nothing_until_a_shard_has_grown(site_copy: Path
     assert federation.verify(anchor=None).ok
 
 
+def test_a_log_keeps_its_origin(site_copy: Path) -> None:
+    with pytest.raises(UsageError, match=r"found a ledger of origin .*, expected 'example.org/other'"):
+        fsar_ledger.shards(site_copy / "log", origin="example.org/other")
+
+
 def test_a_shard_may_be_moved(site_copy: Path) -> None:
     (site_copy / "west").rename(site_copy / "moved")
     fsar_ledger.shards(site_copy / "log", [site_copy / "moved"])
