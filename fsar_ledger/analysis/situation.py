@@ -118,8 +118,9 @@ class Work(msgspec.Struct, frozen=True):
 class RobotNow(msgspec.Struct, frozen=True):
     """A robot: whether it is on and linked, what it does and what waits, and what constrains it.
 
-    `offers`: its advertised capabilities by availability. `grade` of its actuator, None: sound, or not observed; so are
-    `work`, of which `is_idle` tells, and `supervisor`, of which `has_supervisor` does. Any other None: not observed.
+    `offers`: its advertised capabilities by availability. `departed`: how it has left the fleet, None: it has not, or
+    not observed. `grade` of its actuator, None: sound, or not observed; so are `work`, of which `is_idle` tells, and
+    `supervisor`, of which `has_supervisor` does. Any other None: not observed.
     """
 
     robot: str
@@ -127,6 +128,7 @@ class RobotNow(msgspec.Struct, frozen=True):
     team: int | None
     supervisor: str | None
     has_supervisor: bool | None
+    departed: str | None
     is_on: bool | None
     is_linked: bool | None
     grade: str | None
@@ -243,9 +245,6 @@ def situation(past: Past, busy_us: Mapping[str, int], robot: str | None) -> Situ
     names = {one.action_id for one in requests}
     names |= {one for one in state.execution.actions if robot in (None, state.execution.actions[one].robot)}
 
-    def is_about(action_id: str) -> bool:
-        return robot is None or action_id in names
-
     seen = Coverage(past.started)
     return Situation(
         robots=seen.all("fleet", (_robot(past, name, seen, past.time_us >= busy_us.get(name, 0)) for name in robots)),
@@ -256,7 +255,7 @@ def situation(past: Past, busy_us: Mapping[str, int], robot: str | None) -> Situ
                 ClaimNow(action, claim.dimension, claim.claimant)
                 for action, claims in state.authority.claims.items()
                 for claim in claims
-                if is_about(action)
+                if robot is None or action in names
             ),
         ),
         recoveries=seen.all(
@@ -268,7 +267,7 @@ def situation(past: Past, busy_us: Mapping[str, int], robot: str | None) -> Situ
             (
                 CallNow(number, one.supervisor, one.purpose, one.subject.action_id)
                 for number, one in state.supervision.calls.items()
-                if is_about(one.subject.action_id)
+                if robot is None or one.subject.action_id in names
             ),
         ),
         tasks=seen.all("task", (_task(one) for one in state.task.values() if robot in (None, one.robot))),
@@ -345,6 +344,7 @@ def _robot(past: Past, name: Robot, seen: Coverage, is_known: bool) -> RobotNow:
         member.team or None,
         member.supervisor,
         True if member.supervisor else seen.supervises(name in state.fleet.robots),
+        state.fleet.departed.get(name),
         seen.of("world", name not in world.off),
         seen.of("world", name not in world.unlinked),
         seen.of("world", world.degraded.get(name)),

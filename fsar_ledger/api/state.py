@@ -162,6 +162,7 @@ def standing_lines(found: "Situation") -> Iterator[str]:
 def _robot(one: "RobotNow") -> Iterator[str]:
     none = "no supervisor" if one.has_supervisor is False else "supervisor ?"
     signs = [f"supervisor {printable.value(one.supervisor)}"] if one.supervisor else [none]
+    signs += [f"DEPARTED ({one.departed})"] if one.departed else []
     signs += ["OFF"] if one.is_on is False else []
     signs += ["NOT LINKED"] if one.is_linked is False else []
     signs += [f"actuator {one.grade}"] if one.grade else []

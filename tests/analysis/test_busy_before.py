@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 
 from fsar_ledger import open_ledger, record
+from fsar_ledger.api.answers import Screen
 from fsar_ledger.events import CONCERNS
 from fsar_ledger.events.fleet import RobotJoined
 
@@ -48,3 +49,18 @@ def test_a_robot_is_idle_from_the_end_of_what_it_was_in_before(
             assert (told.is_on, row["state"]) == (False, "off")
         else:
             assert (told.is_idle is True, row["state"] == "idle") == (expected, expected), at
+
+
+def test_state_says_who_has_left_the_fleet(tmp_path: Path) -> None:
+    with record(tmp_path / "ledger", run="day", fleet=[A], observes=CONCERNS, epoch=BEGAN) as recorder:
+        for at_s, name, columns in (
+            (2, "RobotDeparted", {"reason": "silent", "fence": 1}),
+            (5, "RobotReturned", {"fence": 1}),
+            (6, "RobotDeparted", {"reason": "announced", "fence": 2}),
+            (8, "RobotJoined", {"role": "cart"}),
+        ):
+            recorder.event(name, at=BEGAN + timedelta(seconds=at_s), robot="robot/a", **columns)
+    ledger = open_ledger(tmp_path / "ledger")
+    found = [[one.departed for one in ledger.state("day", at=at).standing.robots or ()] for at in (1, 3, 5, 7, 8)]
+    assert found == [[None], ["silent"], [None], ["announced"], [None]]
+    assert "DEPARTED (silent)" in "\n".join(ledger.state("day", at=3).text(Screen()))
