@@ -98,7 +98,7 @@ def state(
     from fsar_ledger.analysis import commits_of
     from fsar_ledger.analysis.moments import beliefs, past_at
     from fsar_ledger.analysis.situation import situation
-    from fsar_ledger.ledger.store.locations import end_of, pieces_of
+    from fsar_ledger.ledger.store.locations import end_of, pieces_of, seq_counted_on
     from fsar_ledger.metrics.provenance import of_run
 
     from .lookup import about_run, clock, present, robot_of, time_of
@@ -110,10 +110,14 @@ def state(
         busy_us = _busy_us(database, name)
     commits = len(view.commits)
     found = commits_of(view, name)
+
+    def commit_with(seq: int) -> int:
+        return found[bisect_right(found, seq, key=itemgetter(0)) - 1][1] + 1
+
     if by_commit is not None:
         if not 0 <= by_commit <= commits:
             raise UsageError(f"{option('by_commit', by_commit)}: expected 0 to {commits}, the commits of the ledger")
-        if by_commit < (commit := found[0][1] + 1):
+        if by_commit < (commit := commit_with(seq_counted_on(view, name, 0))):
             raise UsageError(
                 f"{option('by_commit', by_commit)}: by then the ledger had recorded nothing of run "
                 f"{printable.value(name)}, which came with commit {commit}"
@@ -130,7 +134,7 @@ def state(
         event_s=past.time_us / 1e6,
         ends_s=ends_us / 1e6,
         clock=clock(past.started, at_us),
-        commit=found[bisect_right(found, past.seq, key=itemgetter(0)) - 1][1] + 1,
+        commit=commit_with(past.seq),
         standing=stands,
         beliefs=None if as_known_by is None else beliefs(past, as_known_by),
         state=past.state,

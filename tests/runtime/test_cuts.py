@@ -355,6 +355,16 @@ def test_a_run_that_was_continued_goes_on_in_the_one_that_continues_it(tmp_path:
         assert one.run == "hall.3"
 
 
+def test_a_part_that_the_ledger_had_not_recorded_by_a_commit_is_not_shown_as_of_then(tmp_path: Path) -> None:
+    day = Day(tmp_path / "ledger")
+    day.at(S).one.cut()
+    ledger, commits = fsar_ledger.open_ledger(day.ledger), len(open_ledger(day.ledger).commits)
+    assert ledger.state("hall.2", by_commit=commits).commit == commits
+    with pytest.raises(UsageError, match=rf"nothing of run hall\.2, which came with commit {commits}$"):
+        ledger.state("hall.2", by_commit=commits - 1)
+    day.one.close()
+
+
 def test_who_follows_the_events_sees_them_count_on(tmp_path: Path) -> None:
     seen: list[tuple[int, int]] = []
     day = Day(tmp_path / "ledger", on_commit=lambda first, rows: seen.append((first, rows.count(b"\n"))))
