@@ -3,7 +3,8 @@
 -- Grain: one row per run and opening of a source; one that was continued was opened again
 -- Key: run_id, seq
 -- Units: record_count records on file of the source in the run; underived_count those from which no event follows
--- NULL: input_sha256 of what was no file, mapping_sha256 without a mapping; until_us while the source is open
+-- NULL: input_sha256 of what was no file, mapping_sha256 without a mapping; until_us while the source is open, or where
+--   it was opened again without having been closed
 -- Example: fsar-ledger query audit/recordings LEDGER answers which recordings the runs were imported from
 WITH derived AS (
     SELECT DISTINCT run_id, caused_by AS seq
@@ -19,6 +20,11 @@ records AS (
     FROM observed
     LEFT JOIN derived ON observed.run_id = derived.run_id AND observed.seq = derived.seq
     GROUP BY observed.run_id, observed.source
+),
+
+openings AS (
+    SELECT *, lead(seq) OVER (PARTITION BY run_id, source ORDER BY seq) AS next_seq
+    FROM source_opened
 )
 
 SELECT
@@ -26,8 +32,10 @@ SELECT
     opened.input_sha256, opened.mapping_sha256,
     coalesce(records.record_count, 0) AS record_count,
     coalesce(records.underived_count, 0) AS underived_count,
-    closed.until_us
-FROM source_opened AS opened
+    closings.until_us
+FROM openings AS opened
 LEFT JOIN records ON opened.run_id = records.run_id AND opened.source = records.source
-ASOF LEFT JOIN source_closed AS closed
-    ON opened.run_id = closed.run_id AND opened.source = closed.source AND opened.seq < closed.seq
+LEFT JOIN source_closed AS closings
+    ON
+        opened.run_id = closings.run_id AND opened.source = closings.source AND opened.seq < closings.seq
+        AND (opened.next_seq IS NULL OR opened.next_seq > closings.seq)

@@ -55,8 +55,11 @@ findings AS (
     UNION ALL
     SELECT
         admitted.run_id, admitted.seq,
-        'admitted as ' || admitted.outcome || ' although the request carried '
-        || list_extract(['allow', 'review', 'deny'], coalesce(admissions.carried, 0) + 1) AS found
+        'admitted as ' || admitted.outcome || if(
+            admissions.carried > 0,
+            ' although the request carried ' || list_extract(['review', 'deny'], admissions.carried),
+            ', which is no admission'
+        ) AS found
     FROM request_admitted AS admitted
     LEFT JOIN admissions ON admitted.run_id = admissions.run_id AND admitted.seq = admissions.seq
     WHERE

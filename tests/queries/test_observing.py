@@ -19,7 +19,7 @@ from fsar_ledger.metrics.library import library
 from fsar_ledger.metrics.provenance import is_judge, types_read
 from fsar_ledger.metrics.results import metric_rows
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
-from tests.queries.histories import answer, event, run
+from tests.queries.histories import S, act, answer, event, run
 from tests.recycled import from_rows, from_table
 from tests.runtime.pinned import PINNED
 
@@ -307,3 +307,21 @@ def test_runs_that_do_not_observe_have_no_weight_in_a_pooled_metric() -> None:
         return row.mean, row.sd, row.n, row.ci_low, row.ci_high
 
     assert containment(*seen, *(run(run_id=f"x{at}", observes=["task"]) for at in range(5))) == containment(*seen)
+
+
+def test_each_opening_of_a_source_has_its_own_end() -> None:
+    opens = event("SourceOpened", S, source="s", format="f", adapter="a/1", clock="arrival")
+    closes = [event("SourceClosed", at * S, source="s", until_us=at * S) for at in (2, 4)]
+    found = answer("audit/recordings", run(opens, closes[0], opens, opens, closes[1], opens), columns=("until_us",))
+    assert found == [(2 * S,), (None,), (4 * S,), (None,)]
+
+
+def test_a3_says_what_a_request_carried_only_where_it_carried_it() -> None:
+    asks = act("RequestIssued", S, "t/1", requested_by="robot/A1", capability="c")
+    for carried, found in (
+        (None, "admitted as deny, which is no admission"),
+        ("review", "admitted as deny although the request carried review"),
+    ):
+        admits = act("RequestAdmitted", 2 * S, "t/1", decided_by="robot/B1", outcome="deny")
+        rows = run({**asks, "carried_policy": carried}, admits)
+        assert answer("invariants/a3_no_silent_policy_override", rows, columns=("found",)) == [(found,)]
