@@ -175,8 +175,8 @@ def run_time(database: "Database", what: str, asked: Time, run: str | None) -> T
         raise UsageError(f"{what}: found {shown}, expected a time such as 2026-03-01T10:00Z") from error
     rows = database.rows("SELECT epoch FROM run_epochs WHERE run_id = $run", {"run": run})
     if not rows:
-        of = "several runs" if run is None else f"run {printable.value(run)}, which does not know when it began"
-        raise UsageError(f"{what}: found the time of day {shown} in {of}; expected seconds of run time, as 46.6s")
+        of = "every run" if run is None else f"run {printable.value(run)}, which does not know when it began"
+        raise UsageError(f"{what}: found the time of day {shown} for {of}; expected seconds of run time, as 46.6s")
     epoch = rows[0]["epoch"].replace(tzinfo=UTC)
     seconds = (when - epoch) / timedelta(seconds=1)
     if seconds < 0:
