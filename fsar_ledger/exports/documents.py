@@ -154,6 +154,7 @@ class _Span(msgspec.Struct):
     first: int
     last: int = 0
     ended_by: str | None = None
+    failure: str | None = None
     is_executed: bool = False
     own: list[int] = []
     about: dict[str, str] = {}
@@ -214,8 +215,12 @@ def _grouped(run: LedgerRun) -> tuple[dict[_Key, _Span], list[_Key]]:
                 _follow(spans[key], event, columns, seq)
         spans[_RUN].last = seq
         spans[key].own.append(seq)
-        if type(event).__name__ in ENDS:
-            spans[key].ended_by = type(event).__name__
+        if (ends := type(event).__name__) in ENDS:
+            # How an execution has ended is not undone by a request that is closed otherwise, as of one who has left.
+            if (spans[key].ended_by, ends) != ("ExecutionFinished", "RequestClosed"):
+                result = columns.get("result")
+                spans[key].failure = ends if ends in FAILURES else result if result == "failure" else None
+            spans[key].ended_by = ends
         keys.append(key)
     return spans, keys
 
@@ -259,8 +264,8 @@ def _spans(run: LedgerRun, trace: str, counts: _Traces) -> Iterator[dict[str, An
         }
         if span.parent is not None:
             found["parentSpanId"] = ids[span.parent]
-        if span.ended_by in FAILURES:
-            found["status"] = {"code": ERROR, "message": span.ended_by}
+        if span.failure is not None:
+            found["status"] = {"code": ERROR, "message": span.failure}
         counts.spans += 1
         counts.open += is_open
         counts.events += len(span.own)
@@ -283,8 +288,8 @@ def _named(run: LedgerRun, key: _Key, span: _Span) -> tuple[str, dict[str, Any]]
         agent = next((span.about[one] for one in ("executor", "executed_by", "robot") if one in span.about), None)
         about |= {"gen_ai.tool.name": name, "gen_ai.tool.call.id": key.name, "gen_ai.agent.name": agent}
         about |= {"fsar.action_id": key.name, "fsar.requested_by": span.about.get("requested_by")}
-    failed = {"error.type": span.ended_by} if span.ended_by in FAILURES else {}
-    return f"{operation} {name or key.name}".strip(), {"gen_ai.operation.name": operation, **about, **failed}
+    about = {"gen_ai.operation.name": operation, **about, "error.type": span.failure}
+    return f"{operation} {name or key.name}".strip(), about
 
 
 def _event(run: LedgerRun, seq: int, time: str) -> dict[str, Any]:

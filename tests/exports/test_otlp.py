@@ -169,6 +169,25 @@ def test_what_was_refused_has_the_status_of_an_error(data: Any, asked: Asked) ->
     assert {span.status.code for span in refused} == {trace_pb2.Status.STATUS_CODE_ERROR}
 
 
+@pytest.mark.parametrize(
+    ("finished", "closed", "is_error"),
+    [(None, "failure", True), ("success", "failure", False), ("failure", None, True)],
+)
+def test_what_ended_as_a_failure_has_the_status_of_an_error(
+    tmp_path: Path, finished: str | None, closed: str | None, is_error: bool
+) -> None:
+    about: dict[str, Any] = {"task_id": "t", "action_id": "t/1"}
+    with fsar_ledger.record(tmp_path / "ledger", run="r", observes=["request", "execution"]) as recorder:
+        recorder.event("ExecutionStarted", **about, robot="robot/a", capability="c")
+        if finished is not None:
+            recorder.event("ExecutionFinished", **about, robot="robot/a", result=finished)
+        if closed is not None:
+            recorder.event("RequestClosed", **about, result=closed)
+    fsar_ledger.open_ledger(tmp_path / "ledger").export(tmp_path / "out.json", format="otlp")
+    (span,) = [one for one in spans_of(read(tmp_path / "out.json")) if "fsar.action_id" in values_of(one.attributes)]
+    assert (span.status.code == trace_pb2.Status.STATUS_CODE_ERROR) is is_error
+
+
 def test_what_an_event_ended_is_not_open(runs: list[LedgerRun], tmp_path: Path) -> None:
     """A run up to the end of its first execution, whose step is not yet complete."""
     run = runs[0]
