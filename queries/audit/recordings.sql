@@ -22,9 +22,12 @@ records AS (
     GROUP BY observed.run_id, observed.source
 ),
 
-openings AS (
-    SELECT *, lead(seq) OVER (PARTITION BY run_id, source ORDER BY seq) AS next_seq
-    FROM source_opened
+closings AS (
+    SELECT opened.run_id, opened.seq, max(closed.until_us) AS until_us
+    FROM source_closed AS closed
+    ASOF INNER JOIN source_opened AS opened
+        ON closed.run_id = opened.run_id AND closed.source = opened.source AND closed.seq > opened.seq
+    GROUP BY opened.run_id, opened.seq
 )
 
 SELECT
@@ -33,9 +36,6 @@ SELECT
     coalesce(records.record_count, 0) AS record_count,
     coalesce(records.underived_count, 0) AS underived_count,
     closings.until_us
-FROM openings AS opened
+FROM source_opened AS opened
 LEFT JOIN records ON opened.run_id = records.run_id AND opened.source = records.source
-LEFT JOIN source_closed AS closings
-    ON
-        opened.run_id = closings.run_id AND opened.source = closings.source AND opened.seq < closings.seq
-        AND (opened.next_seq IS NULL OR opened.next_seq > closings.seq)
+LEFT JOIN closings ON opened.run_id = closings.run_id AND opened.seq = closings.seq
