@@ -22,6 +22,7 @@ FsarLedgerError            every error that a user can meet          exit code
 ```
 """
 
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -34,6 +35,7 @@ _OPTION_OF_PARAMETER = {
     "second": "with",
     "format": "as",
 }
+_SECRET = re.compile(r"(PRIVATE\+KEY\+)[^\s'\"]+")
 _is_command_line = ContextVar("is_command_line", default=False)
 
 
@@ -61,10 +63,14 @@ def option(name: str, value: object = None) -> str:
 class FsarLedgerError(Exception):
     """An error that a user can meet.
 
-    The message says where, what was found, what was expected and what to do; each argument is a message.
+    The message says where, what was found, what was expected and what to do; each argument is a message. A secret key
+    that was given in place of another file is not quoted.
     """
 
     exit_code = 1
+
+    def __init__(self, *messages: object) -> None:
+        super().__init__(*(_SECRET.sub(r"\1(not shown)", f"{message}") for message in messages))
 
     def __str__(self) -> str:
         return "\n".join(map(str, self.args))

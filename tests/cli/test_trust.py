@@ -167,9 +167,19 @@ def test_the_secret_is_in_no_output_and_in_no_file_of_the_ledger(call: Call, fol
             called = call(arguments[0], target, arguments[1], key)
             assert called.code == 2
             assert secret not in called.out + called.err
-    assert not [
-        file for file in (folder / "ledger").rglob("*") if file.is_file() and secret.encode() in file.read_bytes()
-    ]
+    file, seed = folder / "fleet.key", (folder / "fleet.key").read_text().split("+", 4)[-1][:8]
+    for wrong in (
+        ("verify", folder / "ledger", "--anchor", file),
+        ("verify", folder / "ledger", "--witness-policy", file),
+        ("verify-proof", file),
+        ("verify-proof", file, "--json"),
+        ("verify-proof", folder / "event.tlog-proof", "--anchor", file),
+    ):
+        called = call(*wrong)
+        assert called.code in (2, 3)
+        assert "PRIVATE+KEY+(not shown)" in called.err
+        assert seed not in called.out + called.err
+    assert not [one for one in (folder / "ledger").rglob("*") if one.is_file() and secret.encode() in one.read_bytes()]
 
 
 # --- verify ---
