@@ -20,7 +20,7 @@ from fsar_ledger.metrics import slices
 from fsar_ledger.metrics.database import Database, connect
 from fsar_ledger.metrics.library import library
 from fsar_ledger.metrics.slices import Slice, Slices
-from tests.api.sites import NAMES, append, origin
+from tests.api.sites import NAMES, append, origin, parts
 from tests.quick import few
 from tests.runtime.test_cuts import Day, commands_of
 from tests.runtime.test_isolation import DRIVE, A, Site
@@ -186,7 +186,10 @@ def test_recording_again_changes_nothing_until_a_shard_has_grown(site_copy: Path
         federation.metrics()
     found = federation.verify()
     assert found.ok
-    assert any("more since, run fsar-ledger shards" in remark for remark in found.report.remarks)
+    new = len(more.events)
+    events = sum(len(run.events) for run in parts(runs)[1]) + new
+    told = f"{events:,} events of 5 runs, model version 3; {events - new:,} of them are recorded, run fsar-ledger"
+    assert any(told in remark for remark in found.report.remarks)
     after = fsar_ledger.shards(site_copy / "log")
     assert (after.recorded, after.head.size) == ((origin("west"),), 4)
     assert "one more" in federation.numbers()

@@ -374,11 +374,12 @@ def unreadable(head: ShardHead, place: Path, error: Exception) -> Problem:
 
 def told(head: ShardHead, view: View, runs: int | None, models: Sequence[str], log: Path) -> str:
     """Return a line on a shard that was verified, with so many runs (None: not counted) of these model versions."""
-    more = view.head.size - head.shard_events
-    grown = f"; {more:,} more since, run fsar-ledger shards {printable.word(log)}" if more else ""
+    size = view.head.size
+    more = f"{head.shard_events:,} of them are recorded, run fsar-ledger shards {printable.word(log)} for the rest"
+    grown = f"; {more}" if size > head.shard_events else ""
     of = "" if runs is None else f" of {printable.counted(runs, 'run')}"
     model = ", ".join(map(printable.value, models)) or "unknown"
-    return f"{head}: consistent, {printable.counted(head.shard_events, 'event')}{of}, model version {model}{grown}"
+    return f"{head}: consistent, {printable.counted(size, 'event')}{of}, model version {model}{grown}"
 
 
 def joined(log: View, shards: Sequence[Shard]) -> Federation:
