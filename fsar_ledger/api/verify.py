@@ -213,10 +213,12 @@ def _compared(ledger: Path, fleet: Path, report: "VerifyReport", workers: int | 
     from fsar_ledger.metrics.verified import full_verify
     from fsar_ledger.runtime.isolation import FleetComparison, compared_with_fleet
 
+    if not report.ok:
+        return FleetComparison(0, 0, ())
     theirs = full_verify(fleet, readers_of(workers, fleet), None)
     if not theirs.ok:
         raise LedgerCorrupted(*_of_report(fleet, theirs))
-    return compared_with_fleet(ledger, fleet) if report.ok else FleetComparison(0, 0, ())
+    return compared_with_fleet(ledger, fleet)
 
 
 def replayed(

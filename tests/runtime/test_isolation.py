@@ -273,6 +273,16 @@ def test_what_was_handed_over_as_it_is_on_record_agrees(site: Site) -> None:
     assert (found.runs, found.handed_over) == (1, 1)
 
 
+def test_a_ledger_in_doubt_is_not_compared_and_the_fleets_is_not_read(site: Site) -> None:
+    handed(site)
+    (site.path / "a1" / "stray").touch()
+    (site.path / "hall" / "stray").touch()
+    found = fsar_ledger.open_ledger(site.path / "a1").verify(of=site.path / "hall")
+    assert [problem.where for problem in found.problems] == ["stray"]
+    assert found.fleet is not None
+    assert found.fleet.runs == 0
+
+
 @pytest.mark.parametrize(
     ("name", "changed"),
     [
