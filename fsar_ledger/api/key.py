@@ -116,8 +116,12 @@ def trusted_of(key: str | None) -> "VerifierKey | None":
     return None if key is None else read_verifier(key)
 
 
-def anchor_of(file: str | PathLike[str] | None) -> "Anchor | None":
-    """Read the kept checkpoint in this file, if one was given. Raises: UsageError if it is not a checkpoint."""
+def anchor_of(file: str | PathLike[str] | None, trusted: "VerifierKey | None" = None) -> "Anchor | None":
+    """Read the kept checkpoint in this file, if one was given.
+
+    Raises: UsageError if it is not a checkpoint, or if there is a trusted key, which did not sign it.
+    """
+    from fsar_ledger.ledger.log.note import doubt
     from fsar_ledger.ledger.verify.report import read_anchor
 
     anchor = None if file is None else read_anchor(Path(file))
@@ -125,6 +129,12 @@ def anchor_of(file: str | PathLike[str] | None) -> "Anchor | None":
         raise UsageError(
             f"{option('anchor', anchor.file)}: found no checkpoint ({anchor.reason}), expected one of this ledger that "
             "was kept elsewhere"
+        )
+    note = None if anchor is None else anchor.note
+    if note is not None and trusted is not None and (why := doubt(note, trusted)) is not None:
+        raise UsageError(
+            f"{option('anchor', str(file))}: found a checkpoint with {why}, expected one signed by {trusted.key}, the "
+            f"trusted key; one of before the key changed is compared without {option('trusted_key')}"
         )
     return anchor
 

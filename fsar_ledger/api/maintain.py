@@ -134,7 +134,8 @@ def _recovered(
     from fsar_ledger.ledger.verify import recover
     from fsar_ledger.ledger.verify.report import VerifyOptions
 
-    asked = VerifyOptions(trusted=trusted_of(trusted_key), anchor=anchor_of(anchor))
+    trusted = trusted_of(trusted_key)
+    asked = VerifyOptions(trusted=trusted, anchor=anchor_of(anchor, trusted))
     new = None if into is None else Path(into)
     found = recover(ledger.path, readers_of(workers, ledger.path), progress, asked, new)
     return RecoverResult(ledger.path, found, asked, new)

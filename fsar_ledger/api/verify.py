@@ -195,7 +195,8 @@ def verify(
             f"{option('quick')} and {option('replay')}: expected one of them; a quick look reads no rows, a replay "
             "all of them"
         )
-    place, trusted, kept = ledger.path, trusted_of(trusted_key), anchor_of(anchor)
+    place, trusted = ledger.path, trusted_of(trusted_key)
+    kept = anchor_of(anchor, trusted)
     policy = None if witness_policy is None else Path(witness_policy)
     # Before the check, during which the ledger may grow.
     seen = answers_of(place, policy, list(map(Path, cosigned or ())), trusted, now_s)
@@ -256,7 +257,8 @@ def _of_report(ledger: Path, report: "VerifyReport") -> list[str]:
         count = f"{counted(len(report.problems), 'problem')}{' at a quick look' if report.is_quick else ''}"
         return [
             *map(str, report.problems),
-            f"{ledger}: {count}; do not rely on this ledger, restore it from a copy that verifies",
+            f"{ledger}: {count}; do not rely on this ledger until that is explained; `fsar-ledger maintain recover` "
+            "says how much of a damaged one can be trusted",
         ]
     of_runs = "" if report.is_quick else f" of {counted(report.runs, 'run')}"
     counts = f"{counted(report.events, 'event')}{of_runs} in {counted(report.commits, 'commit')}"

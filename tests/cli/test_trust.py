@@ -225,6 +225,12 @@ def test_verify_ends_with_3_where_the_key_or_the_anchor_does_not_agree(
             called = call("verify", *arguments, *quick)
             assert (called.code, called.out, "Traceback" in called.err) == (3, "", False)
             assert part in called.err
+    anchored = ("verify", folder / "ledger", "--anchor", folder / "ledger" / "checkpoint")
+    for called in (  # of two that contradict each other neither says anything of the ledger
+        call(*anchored, "--trusted-key", tmp_path / "other.key.pub"),
+        call("maintain", "recover", *anchored[1:], "--trusted-key", tmp_path / "other.key.pub"),
+    ):
+        one_message(called, 2, f"--anchor {anchored[-1]}: found a checkpoint with a signature of {key_of(folder)}")
     one_message(call("verify", ledger, "--anchor", tmp_path / "none"), 2, "none", "found no file")
     one_message(call("verify", ledger, "--anchor", folder / "event.tlog-proof"), 2, "found no checkpoint")
     one_message(call("verify", ledger, "--trusted-key", "nonsense"), 2, "nonsense")
