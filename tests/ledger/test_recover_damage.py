@@ -1,5 +1,6 @@
 """Recovery of a ledger that cannot be mended says what can be trusted, copies that, and touches nothing."""
 
+import os
 import random
 import shutil
 from collections.abc import Callable
@@ -12,6 +13,7 @@ from hypothesis import strategies as st
 from fsar_ledger.base.errors import LedgerCorrupted, UsageError
 from fsar_ledger.ledger.log.hashing import sha256_hex
 from fsar_ledger.ledger.opening import open_ledger
+from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.manifest import read_manifest
 from fsar_ledger.ledger.store.read import open_chain
 from fsar_ledger.ledger.verify import recover, verify
@@ -20,7 +22,7 @@ from fsar_ledger.ledger.verify.trusted import FITS, NO_SEGMENT
 from tests.ledger.damage import SIGNER
 from tests.ledger.forgery import forge, segment_at
 from tests.ledger.hostile import append_again
-from tests.ledger.samples import append_all, contents, made_up_batches
+from tests.ledger.samples import ORIGIN, append_all, contents, made_up_batches
 from tests.ledger.test_recover import aside, assert_nothing_lost
 from tests.quick import few
 
@@ -146,6 +148,26 @@ def test_a_segment_of_no_commit_is_no_stray(tmp_path: Path, intact: Path) -> Non
     before = contents(tmp_path / "ledger")
     assert (recover(tmp_path / "ledger").outcome, recover(tmp_path / "ledger").head.commits) == ("damaged", 3)
     assert contents(tmp_path / "ledger") == before
+    assert "; keep it: either newer commits were removed" in str(verify(tmp_path / "ledger").problems[0])
+
+
+def test_an_altered_event_in_the_journal_is_not_said_to_be_removed(tmp_path: Path) -> None:
+    with Writer(tmp_path / "ledger", ORIGIN) as writer:
+        for run in BATCHES[0]:
+            writer.add([run])
+    journal = tmp_path / "ledger" / "journal.jsonl"
+    journal.write_bytes(journal.read_bytes().replace(b"run-0000", b"run-0009", 1))
+    found = recover(tmp_path / "ledger")
+    assert found.outcome == "damaged"
+    assert [problem.where for problem in found.problems] == ["journal.jsonl"]
+
+
+@pytest.mark.parametrize("make", [os.mkfifo, os.mkdir])
+def test_a_chain_that_is_no_file_is_refused(path: Path, make: Callable[[Path], None]) -> None:
+    (path / "chain.jsonl").unlink()
+    make(path / "chain.jsonl")
+    with pytest.raises(LedgerCorrupted, match=r"chain\.jsonl: it cannot be read"):
+        recover(path)
 
 
 def test_a_lost_segment_can_be_restored_by_its_hash(path: Path) -> None:

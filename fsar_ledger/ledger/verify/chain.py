@@ -1,6 +1,7 @@
 """Derive again from the rows of a ledger everything that it says about itself: a part of `verify`."""
 
 import os
+import re
 import stat
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -66,6 +67,7 @@ HIDDEN = (
 )
 TORN = "an append was interrupted, and what is left of it is no commit; the next writer removes it"
 SUPERSEDED = "segments are there that were compacted, as a crash leaves them; the next writer removes them"
+SEGMENT_NAME = re.compile(rf"{SEGMENTS}/[0-9]{{12,}}-[0-9]{{12,}}\.parquet")
 _SYMBOLIC = "a link or something else than a file"
 
 
@@ -108,7 +110,7 @@ class Verification:
         for number, frame in enumerate(view.journal.frames):
             self._add_frame(frame, SEALING if number < view.journal.sealing else JOURNAL)
         strays = [
-            Problem(name, "a file of no placement", "segments that the chain names; take it away")
+            Problem(name, "a file of no placement", f"segments that the chain names; {_of_stray(name)}")
             for name in unplaced(view)
         ]
         checkpoint = [self.checkpoint] if self.checkpoint is not None else []
@@ -379,6 +381,12 @@ def _check_names(path: Path) -> Iterator[Problem]:
             yield Problem(name, _SYMBOLIC, "a file of the ledger")
     if not os.path.lexists(path / SEGMENTS):
         yield Problem(SEGMENTS, MISSING, "a folder of the ledger")
+
+
+def _of_stray(name: str) -> str:
+    if SEGMENT_NAME.fullmatch(name) is None:
+        return "take it away"
+    return "keep it: either newer commits were removed, or the ledger was copied while somebody wrote to it"
 
 
 def unplaced(view: View) -> list[str]:

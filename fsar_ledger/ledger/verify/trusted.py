@@ -1,7 +1,6 @@
 """How much of a ledger can be trusted, how it is mended, and a copy of what is trusted: parts of `recover`."""
 
 import os
-import re
 import shutil
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -29,14 +28,12 @@ from fsar_ledger.ledger.store.read import View, open_chain
 from fsar_ledger.ledger.store.record import EMPTY_HEAD, Head, Placement, Record, segment_of
 from fsar_ledger.ledger.store.segments import check_manifest, names_in
 from fsar_ledger.ledger.store.snapshot import behind, read_checkpoint
-from fsar_ledger.ledger.verify.chain import FILES, FOLDERS, Verification, unplaced
+from fsar_ledger.ledger.verify.chain import FILES, FOLDERS, SEGMENT_NAME, Verification, unplaced
 from fsar_ledger.ledger.verify.report import Nodes, VerifyOptions, VerifyReport, check_anchor
 
 Did = Literal["moved into place", "made again", "set aside"]
 SetAside = Callable[[str], None]
 Done = Callable[[Did, str, str], None]
-
-_SEGMENT_NAME = re.compile(rf"{SEGMENTS}/[0-9]{{12,}}-[0-9]{{12,}}\.parquet")
 
 FITS = "record and segment fit each other"
 NO_SEGMENT = "the segment is missing or not as its record says"
@@ -170,11 +167,16 @@ def _strays(view: View) -> list[str]:
     A file with the name of a segment is none of them: it says that its commits were removed.
     """
     strays = [name for name in names_in(view.path) if name not in FILES | FOLDERS]
-    return strays + [name for name in unplaced(view) if not _SEGMENT_NAME.fullmatch(name)]
+    return strays + [name for name in unplaced(view) if not SEGMENT_NAME.fullmatch(name)]
 
 
 def _removed(view: View) -> list[Problem]:
-    """Return a problem if something is there only because the ledger once had more commits."""
+    """Return a problem if something is there only because the ledger once had more commits.
+
+    Where a record or a frame is damaged, those after it are there, and were not removed.
+    """
+    if view.followed.problem is not None or view.journal.problem is not None:
+        return []
     expected = (
         f"nothing of a tree of more than the {view.head.size} events that are committed: the newest commits were "
         "removed"
@@ -235,10 +237,10 @@ def manifest_of(path: Path) -> bytes:
 
 def _first_hash(path: Path) -> str:
     """Return the hash of ledger.json as the chain's first line has it; empty if it has none."""
-    line = growing.read_at(path / CHAIN, 0, 1 << 20).partition(b"\n")[0]
     try:
+        line = growing.read_at(path / CHAIN, 0, 1 << 20).partition(b"\n")[0]
         return str(msgspec.json.decode(line, type=dict[str, object]).get("previous_sha256", ""))
-    except msgspec.DecodeError:
+    except (OSError, msgspec.DecodeError):
         return ""
 
 
