@@ -120,3 +120,18 @@ def test_the_only_runs_of_an_architecture_are_named_by_it_alone(call: Call, ledg
         "cfc",
         "dhma",
     ]
+
+
+def test_the_query_forks_counts_no_fork_that_differs_only_in_a_command_that_it_rejects(
+    call: Call, fleets: Path, tmp_path: Path
+) -> None:
+    given = 'add 20s {"command": "LeaveFleet", "by": "robot/B2", "robot": "robot/B2"}'
+    for number, changes in enumerate([[OF_EIGHT], [given], [OF_EIGHT, "drop window:*"]]):
+        words = [word for change in changes for word in ("--change", change)]
+        told = json.loads(
+            call("whatif", fleets, "--all-runs", *words, "--out", tmp_path / f"{number}", "--json").good().out
+        )
+        rows = json.loads(call("query", "forks", tmp_path / f"{number}", "--json").good().out)["rows"]
+        parted = {row["run_id"]: (row["diverges"], row["parted_s"]) for row in rows}
+        assert parted == {one["fork"]: (one["parts_at"] is not None, one["parted_s"]) for one in told["forks"]}
+        assert [one["parts_at"] is None for one in told["forks"]] == [number < 2, number < 2, False, False]
