@@ -27,6 +27,11 @@ Chosen = Annotated[_T, msgspec.Meta(extra={"from": "chosen"})]
 END_US = 1_800_000_000  # run time after which no fact of the world happens and no task is open
 SIGNED = ("world.absence_from_s", "world.absence_to_s")
 """The constants that may be negative: an absence may begin before the run does."""
+PERIODS = (
+    *("world.encounter_mean_s", "structure.poll_us", "structure.sync_period_us", "structure.snapshot_period_us"),
+    "roboos.refresh_us",
+)
+"""The constants that may not be 0: without time between two of them, a run does not get past the first moment."""
 
 
 class Range(msgspec.Struct, frozen=True):

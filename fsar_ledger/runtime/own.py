@@ -15,7 +15,7 @@ import msgspec
 from fsar_ledger.base import printable
 from fsar_ledger.base.errors import InvalidExperiment, UsageError
 from fsar_ledger.designs import Fleet, OutsideCommand, Scenario, registered
-from fsar_ledger.designs.constants import DURATIONS, END_US, SIGNED, Constants, with_all_groups
+from fsar_ledger.designs.constants import DURATIONS, END_US, PERIODS, SIGNED, Constants, with_all_groups
 from fsar_ledger.designs.registered import Field, at_line, fault, read_design
 from fsar_ledger.metrics.constant_names import names_of_constants
 
@@ -243,6 +243,8 @@ def _number(setting: str, name: str, value: str) -> float | int:
         raise UsageError(f"--set {setting}: found {printable.value(value)}, expected a number")
     if found < 0 and name not in SIGNED:
         raise UsageError(f"--set {setting}: found {value}, expected 0 or more")
+    if not found and name in PERIODS:
+        raise UsageError(f"--set {setting}: found 0, expected more: what happens after each such time would never end")
     if found < 1 and name == "structure.human_calls":
         raise UsageError(
             f"--set {setting}: found {value}, expected 1 or more: what nobody else resolved must reach a human"

@@ -204,6 +204,8 @@ def test_an_unknown_architecture_or_scenario_is_refused_with_the_nearest_name() 
         ("world.window_mean_s=1e999", "expected a number"),
         ("structure.local_attempts=1.5", "found 1.5, expected a whole number"),
         ("structure.human_calls=0", "found 0, expected 1 or more"),
+        ("structure.poll_us=0", "found 0, expected more"),
+        ("world.encounter_mean_s=0.0", "found 0, expected more"),
         ("world.message.low_s=0.7", "found world.message from 0.7 to 0.5 s, expected the smaller first"),
         ("fleet=x", "unknown constant fleet"),
     ],
