@@ -162,8 +162,19 @@ def forks_of(bases: Iterable[Base], changes: Changes) -> Iterator[Pair]:
         try:
             fork = made.played(changes)
         except UsageError as error:
-            raise UsageError(f"{error}; that is run {printable.value(base.record.run_id)}") from error
+            raise UsageError(f"{error}{of_run(base.record.run_id)}") from error
         yield Pair(base, fork, refusal(made, changes, fork))
+
+
+def of_run(run: str, others: str = "") -> str:
+    """Say at the end of an error which run it is about, and what is so in the others."""
+    return f"; that is run {printable.value(run)}{', and ' if others else ''}{others}"
+
+
+def refused_in_all(pairs: Sequence[tuple[str, str]]) -> UsageError:
+    """Return the error of changes that are refused in every run, given each run and why."""
+    (run, why), count = pairs[0], len(pairs)
+    return UsageError(f"{why}{of_run(run, f'some change is refused in each of {count:,}' if count > 1 else '')}")
 
 
 def refused_in(pairs: Iterable[str | None]) -> list[RefusedChange]:

@@ -169,7 +169,7 @@ def _changes(
 ) -> BisectResult:
     """Compare the runs of a ledger with their forks by an outcome."""
     from fsar_ledger.analysis.causes import outcome_of
-    from fsar_ledger.analysis.whatif import changes_of, fork_pairs, refused_in, runs_of
+    from fsar_ledger.analysis.whatif import changes_of, fork_pairs, refused_in, refused_in_all, runs_of
 
     from .diff import difference_of
     from .lookup import present
@@ -179,22 +179,23 @@ def _changes(
     runs, parsed = runs_of(view, architectures, ("simulated", "live")), changes_of(changes)
     has: list[tuple[bool | None, bool | None]] = []
     diff: Diff | None = None
-    refused: list[str | None] = []
+    refused: list[tuple[str, str]] = []
     pairs = fork_pairs(view, runs, parsed)
     while batch := list(islice(pairs, PAIRS_AT_ONCE)):
         both = [
             (one.times_us, one.caused_by, one.events) for pair in batch for one in (pair.base.record, pair.fork.record)
         ]
         held = asked.of(both)
-        refused += (None if pair.refused is None else pair.refused.why for pair in batch)
+        refused += ((pair.base.record.run_id, pair.refused.why) for pair in batch if pair.refused is not None)
         for pair, first, known in zip(batch, held[::2], held[1::2], strict=True):
             second = known if pair.fork.end is None else None  # nobody knows how such a fork would go on
             has.append((first, second))
             if disagree(first, second) and diff is None:
                 diff = difference_of(pair.base.record, pair.fork.record, (provenance,))
-    if all(refused):
-        raise UsageError(refused[0])
-    return _bisected(asked, ("as recorded", "changed"), has, diff, (provenance,), refused_in(refused))
+    if len(refused) == len(has):
+        raise refused_in_all(refused)
+    found = refused_in(why for _, why in refused)
+    return _bisected(asked, ("as recorded", "changed"), has, diff, (provenance,), found)
 
 
 def _bisected(

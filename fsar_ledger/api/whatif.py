@@ -198,21 +198,17 @@ def whatif(
     with ledger.database() as database:
         names = {one.side: one.name for one in sides(database)}
     found, judged = forks.effects_over(view, runs, meant, names, played)
-    if all(one.refused for one in found):
-        raise UsageError(f"{found[0].refused}{_in_none(found[0].base, len(runs))}")
-    if meant and not any(one.parts_at for one in found):
+    if len(refused := [(one.base, one.refused) for one in found if one.refused is not None]) == len(found):
+        raise forks.refused_in_all(refused)
+    if not any(one.parts_at for one in found):
+        others = f"none of {len(runs):,} does anything else" if len(runs) > 1 else ""
         try:
             forks.fork_of(view, record_of(view, runs[0]), meant)
         except UsageError as why:
-            raise UsageError(f"{why}{_in_none(runs[0], len(runs))}") from why
+            raise UsageError(f"{why}{forks.of_run(runs[0], others)}") from why
         raise UsageError(f"none of {len(runs):,} runs does anything else with these changes; expected some effect")
     kept = None if place is None else forks.commit_pairs(place, forks.fork_pairs(view, runs, meant))
     return WhatIf(texts, tuple(found), judged, None, provenance, kept, place)
-
-
-def _in_none(run: str, count: int) -> str:
-    """Say of which run the reason was, and that the changes have no effect in any."""
-    return f"; that is run {printable.value(run)}, and none of {count:,} does anything else" if count > 1 else ""
 
 
 def _of_one(pair: "Pair", texts: tuple[str, ...], provenance: "Provenance", place: Path | None) -> WhatIf:

@@ -48,7 +48,9 @@ def test_what_is_refused_in_every_run_is_the_error_that_one_run_gives_and_names_
     one = call("whatif", ledger, "--run", "1", "--change", change)
     all_runs = call("whatif", ledger, "--all-runs", *of_fsar, "--out", tmp_path / "forks")
     one_message(all_runs, 2, REFUSED[change])
-    one_message(call("bisect", ledger, *of_fsar, "--outcome", VIOLATED), 2, REFUSED[change])
+    bisected = call("bisect", ledger, *of_fsar, "--outcome", VIOLATED)
+    one_message(bisected, 2, REFUSED[change])
+    assert bisected.err == all_runs.err
     reason, _, named = all_runs.err.partition("; that is run ")
     assert f"{reason}\n" == one.err
     assert named.startswith("fsar.full.")
@@ -120,6 +122,16 @@ def test_the_only_runs_of_an_architecture_are_named_by_it_alone(call: Call, ledg
         "cfc",
         "dhma",
     ]
+
+
+def test_of_several_changes_of_which_one_is_refused_in_every_run_nobody_says_that_none_has_an_effect(
+    call: Call, fleets: Path
+) -> None:
+    words = ("--change", "rule fleet deny robot=Z1", "--change", "drop window:*")
+    told = call("whatif", fleets, "--all-runs", *words)
+    one_message(told, 2, "unknown robot robot/Z1")
+    assert "that is run fsar.full.door-relay.n4" in told.err
+    assert "some change is refused in each of 4" in told.err
 
 
 def test_the_query_forks_counts_no_fork_that_differs_only_in_a_command_that_it_rejects(
