@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import repeat
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import msgspec
 import pyarrow as pa
@@ -49,28 +49,45 @@ RUNS = """
 """The rows of `side_runs`, without what pairs of runs from different worlds would need."""
 EFFECTS = """
     SELECT
-        measured.metric, measured.n, measured.differing_pairs,
+        definitions.metric,
+        coalesce(measured.n, 0) AS n,
+        coalesce(measured.differing_pairs, 0) AS differing_pairs,
         measured.second_mean AS base_mean,
         measured.first_mean AS fork_mean,
         measured.mean_difference AS difference,
         measured.ci_low AS low,
         measured.ci_high AS high,
         measured.test, measured.p, gains.gain
-    FROM side_differences AS measured
+    FROM metric_definitions AS definitions
+    LEFT JOIN side_differences AS measured
+        ON definitions.metric = measured.metric AND measured.pools_seeds AND measured.scenario IS NULL
     LEFT JOIN side_gains AS gains
-        ON measured.metric = gains.metric AND gains.pools_seeds AND gains.scenario IS NULL
-    WHERE measured.pools_seeds AND measured.scenario IS NULL
-    ORDER BY measured.position
+        ON definitions.metric = gains.metric AND gains.pools_seeds AND gains.scenario IS NULL
+    ORDER BY definitions.position
 """
 VALUES = """
-    SELECT firsts.metric, seconds.value AS base_mean, firsts.value AS fork_mean,
-        firsts.value - seconds.value AS difference
+    SELECT
+        firsts.metric,
+        seconds.value AS base_mean,
+        firsts.value AS fork_mean,
+        firsts.value - seconds.value AS difference,
+        (if(definitions.is_pooled, firsts.numerator + seconds.numerator, difference) IS NOT NULL)::BIGINT AS n,
+        coalesce(
+            if(
+                definitions.is_pooled,
+                firsts.numerator <> seconds.numerator OR firsts.denominator <> seconds.denominator,
+                round(difference * 1e9) <> 0
+            ),
+            FALSE
+        )::BIGINT AS differing_pairs
     FROM side_runs AS firsts
     INNER JOIN side_runs AS seconds ON firsts.metric = seconds.metric AND seconds.side = 'second'
     INNER JOIN metric_definitions AS definitions ON firsts.metric = definitions.metric
     WHERE firsts.side = 'first'
     ORDER BY definitions.position
 """
+UNKNOWN = {"fork_mean": None, "difference": None, "n": 0, "differing_pairs": 0}
+"""The effect in a fork that ends before all has happened."""
 
 
 class Pair(NamedTuple):
@@ -114,11 +131,12 @@ class RefusedChange(msgspec.Struct, frozen=True):
 
 
 class Effect(msgspec.Struct, frozen=True, kw_only=True):
-    """The effect of the changes on one metric: fork minus base, in the metric's unit, over `n` pairs.
+    """The effect of the changes on one metric: fork minus base, in the metric's unit.
 
-    In `differing_pairs` of them the metric differs. `low`, `high` are the 95 % interval, `test` (`paired t` or the
-    exact `sign` test) and `p` those of `compare` (`statistics/side_differences`). `gain`: so many times as many
-    independent runs would give the same precision.
+    The means are over `n` pairs, those in which both have it or, of a ratio over all pairs, record it; in
+    `differing_pairs` of them it differs. `low`, `high` are the 95 % interval,
+    `test` (`paired t` or the exact `sign` test) and `p` those of `compare` (`statistics/side_differences`). `gain`: so
+    many times as many independent runs would give the same precision.
     None: what one pair or equal pairs do not have; means where the metric is undefined.
     """
 
@@ -283,8 +301,8 @@ def _effects(every: pa.Table, base: str, fork: str, group: Sequence[Divergence])
         if len(group) > 1:
             rows = typed(database.rows(EFFECTS), Effect)
         else:
-            is_whole = group[0].ends_s is None
-            rows = typed([_of_one(row, is_whole) for row in database.rows(VALUES)], Effect)
+            ended = {} if group[0].ends_s is None else UNKNOWN
+            rows = typed([{**row, **ended} for row in database.rows(VALUES)], Effect)
     return Effects(
         architecture=bases.column("architecture")[0].as_py(),
         configuration=bases.column("configuration")[0].as_py(),
@@ -293,14 +311,6 @@ def _effects(every: pa.Table, base: str, fork: str, group: Sequence[Divergence])
         refused=refused_in(one.refused for one in group),
         rows=rows,
     )
-
-
-def _of_one(row: dict[str, Any], is_whole: bool) -> dict[str, Any]:
-    """Return the effect in one pair; nobody knows it of a fork that ends before all has happened."""
-    if not is_whole:
-        return {**row, "fork_mean": None, "difference": None, "n": 0, "differing_pairs": 0}
-    differs = row["base_mean"] != row["fork_mean"]
-    return {**row, "n": 1, "differing_pairs": int(differs)}
 
 
 def commit_pairs(out: Path, pairs: Iterable[Pair]) -> Head:

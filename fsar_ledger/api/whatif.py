@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 NAMES = {"base_mean": "base", "fork_mean": "fork"}
 COLUMNS = (
-    *("metric", "differing_pairs", "base_mean", "fork_mean", "difference"),
+    *("metric", "n", "differing_pairs", "base_mean", "fork_mean", "difference"),
     *("low", "high", "test", "p", "gain"),
 )
 

@@ -147,3 +147,17 @@ def test_the_query_forks_counts_no_fork_that_differs_only_in_a_command_that_it_r
         parted = {row["run_id"]: (row["diverges"], row["parted_s"]) for row in rows}
         assert parted == {one["fork"]: (one["parts_at"] is not None, one["parted_s"]) for one in told["forks"]}
         assert [one["parts_at"] is None for one in told["forks"]] == [number < 2, number < 2, False, False]
+
+
+def test_a_metric_that_no_pair_has_is_shown_with_the_number_of_its_pairs(call: Call, fleets: Path) -> None:
+    words = ("whatif", fleets, "--all-runs", "--change", "drop task:A1-*")
+    told = json.loads(call(*words, "--json").good().out)["effects"]
+    four, eight = ({row["metric"]: row for row in one["rows"]} for one in told)
+    assert list(four) == list(eight)
+    assert (four["coordination_success"]["n"], four["coordination_success"]["difference"]) == (0, None)
+    assert [four["policy_violations"]["n"], eight["coordination_success"]["n"]] == [2, 2]
+    lines = call(*words).good().out.splitlines()
+    assert [line.split()[1] for line in lines if line.startswith(("metric", "coordination_success"))] == [
+        *("n", "0"),
+        *("n", "2"),
+    ]
