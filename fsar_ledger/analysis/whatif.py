@@ -50,14 +50,9 @@ RUNS = """
 EFFECTS = """
     SELECT
         definitions.metric,
-        coalesce(measured.n, 0) AS n,
-        coalesce(measured.differing_pairs, 0) AS differing_pairs,
-        measured.second_mean AS base_mean,
-        measured.first_mean AS fork_mean,
-        measured.mean_difference AS difference,
-        measured.ci_low AS low,
-        measured.ci_high AS high,
-        measured.test, measured.p, gains.gain
+        coalesce(measured.n, 0) AS n, coalesce(measured.differing_pairs, 0) AS differing_pairs,
+        measured.second_mean AS base_mean, measured.first_mean AS fork_mean, measured.mean_difference AS difference,
+        measured.ci_low AS low, measured.ci_high AS high, measured.test, measured.p, gains.gain
     FROM metric_definitions AS definitions
     LEFT JOIN side_differences AS measured
         ON definitions.metric = measured.metric AND measured.pools_seeds AND measured.scenario IS NULL
@@ -67,9 +62,7 @@ EFFECTS = """
 """
 VALUES = """
     SELECT
-        firsts.metric,
-        seconds.value AS base_mean,
-        firsts.value AS fork_mean,
+        firsts.metric, seconds.value AS base_mean, firsts.value AS fork_mean,
         firsts.value - seconds.value AS difference,
         (if(definitions.is_pooled, firsts.numerator + seconds.numerator, difference) IS NOT NULL)::BIGINT AS n,
         coalesce(
@@ -134,9 +127,8 @@ class Effect(msgspec.Struct, frozen=True, kw_only=True):
     """The effect of the changes on one metric: fork minus base, in the metric's unit.
 
     The means are over `n` pairs, those in which both have it or, of a ratio over all pairs, record it; in
-    `differing_pairs` of them it differs. `low`, `high` are the 95 % interval,
-    `test` (`paired t` or the exact `sign` test) and `p` those of `compare` (`statistics/side_differences`). `gain`: so
-    many times as many independent runs would give the same precision.
+    `differing_pairs` of them it differs. `low`, `high` (95 %), `test` (`paired t` or the exact `sign` test) and `p` are
+    those of `compare` (`statistics/side_differences`). `gain`: so many times as many runs would be as precise.
     None: what one pair or equal pairs do not have; means where the metric is undefined.
     """
 

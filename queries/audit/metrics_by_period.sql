@@ -7,7 +7,7 @@
 --   the tasks that arrived, the failures that were detected and all else that began then
 -- NULL: until_us of the last part; value where nothing was counted; numbers of a run that does not observe what the
 --   metric rests on; not_observed of one that does. What is still open counts as in run_metrics (facts/open_work)
--- Example: fsar-ledger query audit/metrics_by_period LEDGER --param per=part
+-- Example: fsar-ledger query audit/metrics_by_period LEDGER --param per=part answers how the shifts of a run compare
 -- Parameters: run: run = all, per: period = day
 WITH days AS (
     SELECT DISTINCT

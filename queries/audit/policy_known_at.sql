@@ -18,9 +18,7 @@ WITH asked AS (
 latest AS (
     SELECT
         run_id, known_by, robot, scope,
-        arg_max(outcome, seq) AS known_outcome,
-        arg_max(learned_us, seq) AS learned_us,
-        arg_max(as_of_us, seq) AS as_of_us
+        max_by(outcome, seq) AS known_outcome, max_by(learned_us, seq) AS learned_us, max_by(as_of_us, seq) AS as_of_us
     FROM policies_told
     WHERE learned_us <= $at_us::BIGINT
     GROUP BY run_id, known_by, robot, scope

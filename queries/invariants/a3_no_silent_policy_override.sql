@@ -55,11 +55,9 @@ findings AS (
     UNION ALL
     SELECT
         admitted.run_id, admitted.seq,
-        'admitted as ' || admitted.outcome || if(
-            admissions.carried > 0,
-            ' although the request carried ' || list_extract(['review', 'deny'], admissions.carried),
-            ', which is no admission'
-        ) AS found
+        'admitted as ' || admitted.outcome
+        || if(admissions.carried > 0, ' although the request carried ', ', which is no admission')
+        || coalesce(list_extract(['', 'review', 'deny'], admissions.carried + 1), '') AS found
     FROM request_admitted AS admitted
     LEFT JOIN admissions ON admitted.run_id = admissions.run_id AND admitted.seq = admissions.seq
     WHERE

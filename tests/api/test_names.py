@@ -35,6 +35,7 @@ TYPING_ERRORS = {
     "architecture": ("fsra", "no such architecture; did you mean fsar"),
     "claim": ("atempted", "no such claim; did you mean attempted"),
     "case": ("5", "no such case number; expected one of 1, 2, 3, 4"),
+    "period": ("week", "no such period; expected one of day, part"),
     "seq": ("100000", "no such event of any run, expected a number from 0 to"),
     "time": ("46.6 minutes", "expected seconds of run time, 0 or more, as 46.6, 46.6s or 46600ms"),
 }

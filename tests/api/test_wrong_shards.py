@@ -11,15 +11,12 @@ import pytest
 import fsar_ledger
 from fsar_ledger.base.errors import FsarLedgerError, LedgerCorrupted, UsageError
 from fsar_ledger.cli.app import run
-from fsar_ledger.ledger.log.hashing import sha256_hex
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.store import shards
 from fsar_ledger.ledger.store.append import Writer
-from fsar_ledger.ledger.store.paths import INDEX
 from fsar_ledger.ledger.store.shards import ShardHead, heads_of, record_of_head
 from tests.api.sites import append, origin, parts
-from tests.ledger.forgery import forge, records_in
 from tests.ledger.hostile import stage_anything
 from tests.quick import few
 
@@ -187,18 +184,6 @@ def test_another_model_version_is_named_and_never_pooled(site_copy: Path, runs: 
     pooled = {(row["model_version"], row["metric"]): row["n"] for row in federation.metrics(pool="seeds").rows()}
     assert pooled["2", "coordination_success"] == 1
     assert {version for version, _ in pooled} == {"2", "3"}
-
-
-def test_an_index_that_names_no_shard_does_not_make_a_log_of_none(site_copy: Path) -> None:
-    federation = fsar_ledger.open_ledger(site_copy / "log")
-    federation.compact()
-    index = site_copy / "log" / INDEX
-    *_, line = lines = index.read_bytes().replace(b'"run":"shard-', b'"run":"other-').splitlines(keepends=True)
-    index.write_bytes(b"".join(lines))
-    number = len(records_in(site_copy / "log", "placement")) - 1
-    forge(site_copy / "log", "placement", number, index_bytes=len(line), index_sha256=sha256_hex(line))
-    assert len(federation.numbers()) == 12  # the rows are right, and are believed
-    assert not federation.verify().ok
 
 
 def test_a_past_that_the_shard_never_had_is_found_by_verify(site_copy: Path, runs: list[LedgerRun]) -> None:

@@ -7,11 +7,11 @@ from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import Registry, surface
 from fsar_ledger.projections.world import World
 
-ExecutionState = Literal["off", "idle", "executing", "degraded", "failed"]
+ExecutionState = Literal["off", "idle", "executing", "degraded", "failed", "departed"]
 
 
 def execution_state(state: State, robot: Robot) -> ExecutionState:
-    """Return the robot's state: off before failed before degraded before executing before idle.
+    """Return the robot's state: off before failed before degraded before executing before departed before idle.
 
     Failed: what it has in hand failed and has not gone on since, or is being recovered by others. Degraded: its
     actuator is, or it says so of something it advertises. Executing: it has anything in hand, from its turn on.
@@ -26,7 +26,9 @@ def execution_state(state: State, robot: Robot) -> ExecutionState:
         return "failed"
     if is_degraded(state.registry, state.world, robot):
         return "degraded"
-    return "executing" if held else "idle"
+    if held:
+        return "executing"
+    return "departed" if robot in state.fleet.departed else "idle"
 
 
 def is_degraded(registry: Registry, world: World, robot: Robot) -> bool:
