@@ -14,22 +14,28 @@
 --   every capability and context
 -- Parameters: run: run = all, robot: robot = all, peer: robot = all, capability: capability = all,
 --   context: context = all, at: time = end
-WITH entries AS (
+WITH peers AS (
+    -- DuckDB cannot copy the plan of a function of two columns of one name, as a macro needs.
+    SELECT run_id, seq, robot, joined_us AS peer_joined_us
+    FROM trust_parties
+    WHERE NOT is_trusting
+),
+
+entries AS (
     SELECT
         found.run_id, found.role, found.peer_role, found.domain, found.capability, found.context,
-        greatest(found.since_us, trusting.joined_us, trusted.joined_us) AS since_us,
+        greatest(found.since_us, trusting.joined_us, trusted.peer_joined_us) AS since_us,
         found.until_us, found.trust_scope, found.set_by, found.reason, found.precedence, trusting.robot,
         trusted.robot AS peer,
         $capability = 'all' AND $context = 'all' AS is_listed
     FROM trust_in_force AS found
     INNER JOIN trust_parties AS trusting
         ON found.run_id = trusting.run_id AND found.seq = trusting.seq AND trusting.is_trusting
-    INNER JOIN trust_parties AS trusted
-        ON found.run_id = trusted.run_id AND found.seq = trusted.seq AND NOT trusted.is_trusting
+    INNER JOIN peers AS trusted ON found.run_id = trusted.run_id AND found.seq = trusted.seq
     WHERE
         $run IN ('all', found.run_id) AND $robot IN ('all', trusting.robot) AND $peer IN ('all', trusted.robot)
         AND trusting.robot <> trusted.robot
-        AND greatest(found.since_us, trusting.joined_us, trusted.joined_us) <= $at_us::BIGINT
+        AND greatest(found.since_us, trusting.joined_us, trusted.peer_joined_us) <= $at_us::BIGINT
         AND (found.until_us IS NULL OR found.until_us > $at_us::BIGINT)
 )
 
