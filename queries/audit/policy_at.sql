@@ -49,7 +49,7 @@ known AS (
                 FROM begun_before AS unseen
                 WHERE
                     moments.run_id = unseen.run_id AND moments.robot = unseen.robot AND moments.scope = unseen.scope
-                    AND $at_us::BIGINT < unseen.until_us
+                    AND unseen.what = 'window' AND $at_us::BIGINT < unseen.until_us
             )
         ) AS is_known
     FROM moments

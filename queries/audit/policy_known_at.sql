@@ -68,7 +68,7 @@ judged AS (
     LEFT JOIN begun_before AS past
         ON
             known.run_id = past.run_id AND known.robot = past.robot AND known.scope = past.scope
-            AND past.until_us > $at_us::BIGINT
+            AND past.what = 'window' AND past.until_us > $at_us::BIGINT
     GROUP BY ALL
 )
 

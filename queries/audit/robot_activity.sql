@@ -50,22 +50,20 @@ members AS (
     WHERE doing <> 'done' AND robot IS NOT NULL
 ),
 
-away AS (
-    SELECT
-        run_id, robot,
-        arg_max(type, seq) FILTER (type IN ('RobotWentOff.v1', 'RobotCameBack.v1')) = 'RobotWentOff.v1' AS is_off,
-        arg_max(type, seq) FILTER (type NOT IN ('RobotWentOff.v1', 'RobotCameBack.v1')) = 'RobotDeparted.v1' AS is_gone
+gone AS (
+    SELECT run_id, robot
     FROM event_principals
-    WHERE regexp_matches(type, '^Robot(WentOff|CameBack|Joined|Departed|Returned)') AND time_us <= $at_us::BIGINT
+    WHERE type IN ('RobotJoined.v1', 'RobotDeparted.v1', 'RobotReturned.v1') AND time_us <= $at_us::BIGINT
     GROUP BY run_id, robot
+    HAVING arg_max(type, seq) = 'RobotDeparted.v1'
 )
 
 SELECT
     members.run_id, members.robot,
     CASE
         WHEN latest.doing IS NOT NULL THEN latest.doing
-        WHEN away.is_off THEN 'off'
-        WHEN away.is_gone THEN 'departed'
+        WHEN outages.robot IS NOT NULL THEN 'off'
+        WHEN gone.robot IS NOT NULL THEN 'departed'
         WHEN past.until_us > $at_us::BIGINT THEN NULL
         WHEN list_has_all(runs.observes, ['execution', 'recovery']) THEN 'idle'
     END AS doing,
@@ -73,6 +71,10 @@ SELECT
 FROM members
 INNER JOIN runs ON members.run_id = runs.run_id
 LEFT JOIN latest ON members.run_id = latest.run_id AND members.robot = latest.robot AND latest.doing <> 'done'
-LEFT JOIN away ON members.run_id = away.run_id AND members.robot = away.robot
+LEFT JOIN outages
+    ON
+        members.run_id = outages.run_id AND members.robot = outages.robot AND outages.what = 'off'
+        AND outages.since_us <= $at_us::BIGINT AND (outages.until_us IS NULL OR outages.until_us > $at_us::BIGINT)
+LEFT JOIN gone ON members.run_id = gone.run_id AND members.robot = gone.robot
 LEFT JOIN busy_before AS past ON members.run_id = past.run_id AND members.robot = past.robot
 WHERE $run IN ('all', members.run_id) AND $robot IN ('all', members.robot)

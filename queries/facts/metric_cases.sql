@@ -7,20 +7,11 @@
 --   it adds to those of its metric, microseconds for the latency; denominator 0 of what is only counted
 -- NULL: numerator of a case that was not seen to be one or none
 -- Example: fsar-ledger query facts/metric_cases LEDGER
-WITH completions AS (
-    SELECT
-        run_id, task_id,
-        min(time_us) AS completed_us
-    FROM task_completed
-    GROUP BY run_id, task_id
-)
-
 SELECT
-    arrived.run_id, 'coordination_success' AS metric, arrived.time_us,
-    coalesce(completions.completed_us - arrived.time_us <= arrived.budget_us, FALSE)::BIGINT AS numerator,
+    arrived.run_id, 'coordination_success' AS metric, arrived.time_us, (late.run_id IS NULL)::BIGINT AS numerator,
     1::BIGINT AS denominator
 FROM task_arrived AS arrived
-LEFT JOIN completions ON arrived.run_id = completions.run_id AND arrived.task_id = completions.task_id
+LEFT JOIN late_tasks AS late ON arrived.run_id = late.run_id AND arrived.seq = late.arrived_seq
 UNION ALL
 SELECT run_id, 'governance_locality' AS metric, time_us, is_local::BIGINT AS numerator, 1 AS denominator
 FROM decisions
