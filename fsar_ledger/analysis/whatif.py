@@ -13,6 +13,7 @@ import pyarrow.compute as pc
 from fsar_ledger.base import printable
 from fsar_ledger.base.errors import SequenceConflict, UsageError, option
 from fsar_ledger.base.memory import without_collection
+from fsar_ledger.base.progress import parts_of
 from fsar_ledger.base.workers import pool_of
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.rows.codec import LedgerRun, encode_coded
@@ -24,7 +25,6 @@ from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.metrics.comparison_sides import beside
 from fsar_ledger.metrics.database import from_table
 from fsar_ledger.metrics.results import typed
-from fsar_ledger.metrics.slices import parts_of
 from fsar_ledger.runtime.change_texts import parsed, read_changes
 from fsar_ledger.runtime.changes import MODEL, Changes
 from fsar_ledger.runtime.experiment import ORIGIN

@@ -254,7 +254,7 @@ def compact(ledger: "Ledger") -> CompactResult:
     """
     from fsar_ledger.ledger.opening import open_ledger
     from fsar_ledger.ledger.store.append import Writer
-    from fsar_ledger.metrics.slices import keep_known
+    from fsar_ledger.metrics.database import keep_known
 
     view = open_ledger(ledger.path)
     with Writer(ledger.path, view.manifest.origin) as writer:

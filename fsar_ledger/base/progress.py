@@ -1,6 +1,6 @@
-"""Progress reporting for long operations."""
+"""Long operations: how their progress is reported, and their parts."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from typing import TypeVar
 
@@ -24,3 +24,18 @@ def each(items: Sequence[_One], progress: Progress | None) -> Iterator[_One]:
 def unseen(_verb: str, _unit: str) -> AbstractContextManager[None]:
     """Show no progress."""
     return nullcontext()
+
+
+def parts_of(every: Iterable[_One], size_of: Callable[[_One], int], most: int) -> Iterator[list[_One]]:
+    """Yield these in order, in parts of at most this size all together, or of one that is larger."""
+    part: list[_One] = []
+    whole = 0
+    for one in every:
+        size = size_of(one)
+        if part and whole + size > most:
+            yield part
+            part, whole = [], 0
+        part.append(one)
+        whole += size
+    if part:
+        yield part

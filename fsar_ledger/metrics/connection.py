@@ -24,7 +24,7 @@ from .own_sql import FOR_OLDER, FUNCTIONS, LOCK, check_columns, first_lines, reg
 from .sql_values import BATCH_ROWS, literal, quoted, values, with_all_columns
 
 if TYPE_CHECKING:
-    from .slices import Slices
+    from .database import Slices
 
 STORAGE = "v1.0.0"
 """The DuckDB for which files are written: the oldest whose format of storage still is read."""
@@ -143,10 +143,15 @@ class Database:
             self._connection.unregister(_GIVEN)
 
     def refill(self, events: pa.Table) -> None:
-        """Replace `events` by these few rows, in a table of DuckDB's own; columns that they lack are NULL.
+        """Replace `events` by these few rows, in a table of DuckDB's own; columns that they lack are NULL."""
+        self.empty()
+        self._connection.register(_GIVEN, with_all_columns(events))
+        self._change(f"CREATE TABLE events AS SELECT * FROM {_GIVEN}")
+        self._connection.unregister(_GIVEN)
+        self._made.add("events")
 
-        Stored results of other rows are dropped.
-        """
+    def empty(self) -> None:
+        """Drop what was held, defined and stored; the views of queries stay, for other `events` of the same types."""
         for name, kind in sorted(self._given.items()):
             self.drop(name) if kind == "held" else self._change(f"DROP {kind} {name}")
             self._made.discard(name)
@@ -154,10 +159,7 @@ class Database:
         for name in sorted(self._made & {query.relation for query in self.library.queries.values() if query.is_stored}):
             self._change(f"DROP TABLE {name}")
             self._made.discard(name)
-        self._connection.register(_GIVEN, with_all_columns(events))
-        self._change(f"CREATE OR REPLACE TABLE events AS SELECT * FROM {_GIVEN}")
-        self._connection.unregister(_GIVEN)
-        self._made.add("events")
+        self._change("DROP TABLE IF EXISTS events")
 
     def drop(self, name: str) -> None:
         """Drop the relation that `hold` made."""

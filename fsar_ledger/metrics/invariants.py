@@ -12,10 +12,10 @@ from fsar_ledger.base import printable
 from fsar_ledger.base.errors import UnknownQuery, UsageError, option
 from fsar_ledger.base.progress import Progress
 
-from .database import Database, Value, from_rows
+from .database import Database, Slices, Value, from_rows
 from .library import Query, library
 from .results import typed
-from .slices import Slices, asked_of
+from .slices import asked_of
 
 
 class AuditRow(msgspec.Struct, frozen=True):

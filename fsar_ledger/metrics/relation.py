@@ -35,7 +35,11 @@ from .library import SQL_TYPES
 from .sql_values import listed, literal, parquet, quoted, written
 
 _DATASET, _UPCAST, _AS_STORED, _BY_RUN = "events_dataset", "events_upcast", "events_as_stored", "events_by_run"
+_CARRIED = "events_carried"
 _CONTINUED = f"{RunContinued.__struct_config__.tag}"
+
+
+_NUMBERS = pa.schema([("run_id", pa.string()), ("number", pa.int64())])
 
 
 class RowFilter(NamedTuple):
@@ -50,6 +54,20 @@ class RowFilter(NamedTuple):
     whole: frozenset[Path] = frozenset()
 
 
+class Parts(NamedTuple):
+    """Some parts in a row of a run that was cut, with the events of each, in a database that has no others.
+
+    `run` is the name of the whole, and `types` are its event types; `before` is how many events it has before these
+    parts, and `carried` those of them that are to be judged with these, if any.
+    """
+
+    run: str
+    types: frozenset[str] | None
+    sizes: Mapping[str, int]
+    before: int
+    carried: pa.Table | None
+
+
 def of_runs(runs: Sequence[str]) -> str:
     """Return the condition that a row is of one of these runs."""
     return f"run_id IN ({listed(runs)})" if len(runs) > 1 else f"run_id = {quoted(runs[0])}"
@@ -59,24 +77,30 @@ OF_NUMBERED = "run_id IN (SELECT run_numbers.run_id FROM run_numbers)"
 """The condition that a row is of a run that has a number."""
 
 
+def numbered(runs: Sequence[str], first: int = 1) -> pa.Table:
+    """Return the relation `run_numbers` of these runs, numbered from `first` on."""
+    return pa.table([[*runs], [*range(first, first + len(runs))]], schema=_NUMBERS)
+
+
 def hold_segments(
     database: Database,
     segments: Sequence[Path],
     releases: Sequence[str],
     chosen: RowFilter | None = None,
     passing: Collection[Path] = (),
+    parts: Parts | None = None,
 ) -> None:
     """Make the rows of these segments, given the release of each, the database's `events`.
 
-    With `chosen`, some of them; else runs are numbered as these segments hold them. The database keeps the rows of
-    `passing` segments, which do not stay where they are.
+    With `chosen`, some of them; else runs are numbered as these segments hold them. With `parts`, of these alone, with
+    what is carried to them. The database keeps the rows of `passing` segments, which do not stay where they are.
 
     Raises: as `_upcast`.
     """
     if not segments:
         database.hold("events", SCHEMA.empty_table())
         return
-    types = _types(database, segments)
+    types = types_of(database, segments) if parts is None else parts.types
     database.absent = frozenset(
         tag for tag in LAYOUTS if types is not None and _name(tag) not in set(map(_name, types))
     )
@@ -87,20 +111,23 @@ def hold_segments(
         alike.setdefault((FINGERPRINTS[release], is_cut, path in passing), []).append(path)
     present = {FINGERPRINTS[release]: frozenset(SCHEMAS[release].names) for release in releases}
     where = "" if chosen is None else f" WHERE {chosen.condition}"
-    parts = [
+    stored = [
         (f"(SELECT * FROM {source}{where})" if is_cut else source, present[fingerprint])
         for (fingerprint, is_cut, is_passing), paths in alike.items()
         if (source := (_kept if is_passing else _read)(database, paths))
     ]
     if chosen is not None:
         database.hold("run_numbers", chosen.run_numbers)
-    name = _BY_RUN if types is not None and _CONTINUED in types else "events"
+    name = _BY_RUN if parts is not None or (types is not None and _CONTINUED in types) else "events"
     if holding:
-        _hold_newest(database, parts, holding, name, where)
+        _hold_newest(database, stored, holding, name, where)
     else:
-        database.define(name, "\nUNION ALL\n".join(_select(*part) for part in parts))
+        database.define(name, "\nUNION ALL\n".join(_select(*part) for part in stored))
         if alike.keys() == {(FINGERPRINTS[RELEASE], False, False)}:
             database.source = _read(database, segments)
+    if parts is not None:
+        _join(database, _places(parts.sizes, parts.run, parts.before), parts.carried)
+        return
     continued = _join_continued(database) if name == _BY_RUN else ()
     if chosen is None and types:
         _number_runs(database, segments, continued, is_stored=database.is_for_others)
@@ -112,7 +139,6 @@ def _join_continued(database: Database) -> list[str]:
 
     Its seqs count on, as `ledger.rows.runs.continuing` has it. Returns the names of the others.
     """
-    database.source = None
     continues = dict(
         database.direct(f"SELECT run_id, continues FROM {_BY_RUN} WHERE type = {quoted(_CONTINUED)} AND seq = 1")
     )
@@ -121,20 +147,54 @@ def _join_continued(database: Database) -> list[str]:
     sizes = dict(
         database.direct(f"SELECT run_id, max(seq) + 1 FROM {_BY_RUN} WHERE run_id IN ({names}) GROUP BY run_id")
     )
-    places = _places(continues, sizes)
-    database.hold("run_places", pa.Table.from_pylist(places, _PLACES))
+    places = [place for chain in _chains(continues, sizes) for place in _places(chain, [*chain][-1])]
+    _join(database, places)
+    return [f"{place['run_id']}" for place in places if place["run_id"] != place["whole"]]
+
+
+def _chains(continues: Mapping[str, str], sizes: Mapping[str, int]) -> list[dict[str, int]]:
+    """Return the runs that continue each other, in order, with how many events each has."""
+    found = []
+    for last in sorted(sizes.keys() - set(continues.values())):
+        chain = [last]
+        while (before := continues.get(chain[0])) in sizes and before not in chain:
+            chain.insert(0, f"{before}")
+        found.append({run: sizes[run] for run in chain})
+    return found
+
+
+_PLACES = pa.schema([("run_id", pa.string()), ("whole", pa.string()), ("shift", pa.int64()), ("is_first", pa.bool_())])
+
+
+def _places(sizes: Mapping[str, int], whole: str, before: int = 0) -> list[dict[str, object]]:
+    """Return the place of each of these parts of a run, given the events of each, and of all before them."""
+    found: list[dict[str, object]] = []
+    for run, size in sizes.items():
+        shift = before - 1 if before else 0
+        found.append({"run_id": run, "whole": whole, "shift": shift, "is_first": not before})
+        before = shift + size
+    return found
+
+
+def _join(database: Database, places: Sequence[Mapping[str, object]], carried: pa.Table | None = None) -> None:
+    """Make `events` of the rows by run, given the places of parts, and of these rows, which have theirs."""
+    database.source = None
+    database.hold("run_places", pa.Table.from_pylist([*places], _PLACES))
     values = {
         "run_id": "coalesce(place.whole, one.run_id)",
         "seq": "one.seq + coalesce(place.shift, 0)",
         "caused_by": "CASE WHEN one.caused_by > 0 THEN one.caused_by + coalesce(place.shift, 0) ELSE one.caused_by END",
     }
     columns = ", ".join(values.get(name, f'one."{name}"') + f' AS "{name}"' for name in COLUMNS)
-    database.define(
-        "events",
+    joined = (
         f"SELECT {columns} FROM {_BY_RUN} AS one LEFT JOIN run_places AS place ON one.run_id = place.run_id "
-        "WHERE one.seq > 0 OR place.is_first IS DISTINCT FROM FALSE",
+        "WHERE one.seq > 0 OR place.is_first IS DISTINCT FROM FALSE"
     )
-    return [f"{place['run_id']}" for place in places if place["run_id"] != place["whole"]]
+    if carried is not None:
+        database.hold(_CARRIED, carried)
+        of_each = ", ".join(f'"{name}"' for name in COLUMNS)
+        joined += f"\nUNION ALL\nSELECT {of_each} FROM {_CARRIED}"
+    database.define("events", joined)
 
 
 def _require_alike(database: Database, continues: Mapping[str, str], names: str) -> None:
@@ -157,24 +217,6 @@ def _require_alike(database: Database, continues: Mapping[str, str], names: str)
             )
 
 
-_PLACES = pa.schema([("run_id", pa.string()), ("whole", pa.string()), ("shift", pa.int64()), ("is_first", pa.bool_())])
-
-
-def _places(continues: Mapping[str, str], sizes: Mapping[str, int]) -> list[dict[str, object]]:
-    """Return for each run its place in each whole, given which run continues which, and how many events each has."""
-    found: list[dict[str, object]] = []
-    for last in sorted(sizes.keys() - set(continues.values())):
-        chain = [last]
-        while (before := continues.get(chain[0])) in sizes and before not in chain:
-            chain.insert(0, f"{before}")
-        size = 0
-        for run in chain:
-            shift = size - 1 if size else 0
-            found.append({"run_id": run, "whole": last, "shift": shift, "is_first": not size})
-            size = shift + sizes[run]
-    return found
-
-
 def _read(database: Database, paths: Sequence[Path], *options: str) -> str:
     """Return the relation that reads these segments."""
     return parquet(paths, *options, is_for_others=database.is_for_others)
@@ -192,7 +234,7 @@ def hold_dataset(database: Database, stored: Any, segments: Sequence[Path]) -> N
 
     Raises: as `_upcast`.
     """
-    types = _types(database, segments)
+    types = types_of(database, segments)
     holding = _holding(database, segments, types)
     name = _BY_RUN if types is not None and _CONTINUED in types else "events"
     if not holding:
@@ -269,7 +311,7 @@ def _select(source: str, present: frozenset[str], added: Sequence[str] = ()) -> 
     return f"SELECT {columns} FROM {source}"
 
 
-def _types(database: Database, segments: Sequence[Path]) -> frozenset[str] | None:
+def types_of(database: Database, segments: Sequence[Path]) -> frozenset[str] | None:
     """Return the event types of which these segments hold rows; None if one cannot be read."""
     try:
         return frozenset(

@@ -1,20 +1,24 @@
 """What a service does between its clients and the federation: one thread decides, and everybody follows the events.
 
 All commands that wait are decided in one write, so that many clients share a sync. The events come to the feed from
-the commit itself; what is no longer in its memory is read from the ledger.
+the commit itself; what is no longer in its memory is read from the ledger. No connection is held without a limit, and
+who follows events and does not read is let go.
 """
 
 import asyncio
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Coroutine, Sequence
 from contextlib import suppress
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from threading import Thread
 from traceback import print_exc
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import msgspec
+from starlette.responses import Response
+from starlette.types import Receive, Scope, Send
+from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 
 from fsar_ledger.base.errors import FsarLedgerError, WriteFailed
 from fsar_ledger.events.command import CommandGiven
@@ -36,6 +40,13 @@ REOPEN_S = 2.0
 KEPT = 1 << 15
 """So many of the newest events are in memory; older ones are read from the ledger."""
 
+MAX_HEADERS = 1 << 14
+HEADERS_S, WRITE_S = 10.0, 20.0
+"""How long a client may take for its headers, and to read."""
+ABORT = "fsar.abort"
+"""The extension of the scope by which a connection is ended at once."""
+
+Put = Callable[[bytes], Coroutine[Any, Any, None]]
 Result = Decision | FsarLedgerError
 _Asked = TypeVar("_Asked")
 
@@ -225,3 +236,74 @@ class Decider:
         for (_, answer), result in zip(batch, results, strict=True):
             if not answer.done():  # who waited may have gone
                 answer.set_result(result)
+
+
+class EventStream(Response):
+    """Server-sent events. Who does not read is let go, and comes again with the position that it knows.
+
+    `follow` puts what there is to be sent, until the service ends.
+    """
+
+    def __init__(self, first: int, follow: Callable[[Put], Coroutine[Any, Any, None]]) -> None:
+        super().__init__(media_type="text/event-stream", headers={"Cache-Control": "no-store"})
+        del self.headers["content-length"]
+        self._first, self._follow = first, follow
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Send what there is until the client goes, the service ends, or nothing can be sent."""
+
+        async def put(body: bytes) -> None:
+            await asyncio.wait_for(send({"type": "http.response.body", "body": body, "more_body": True}), WRITE_S)
+
+        async def gone() -> None:
+            while (await receive())["type"] != "http.disconnect":
+                pass
+
+        await send({"type": "http.response.start", "status": 200, "headers": self.raw_headers})
+        await put(b": from %d\n\n" % self._first)
+        following = asyncio.create_task(self._follow(put))
+        leaving = asyncio.create_task(gone())
+        await asyncio.wait((following, leaving), return_when=asyncio.FIRST_COMPLETED)
+        for task in (following, leaving):
+            task.cancel()
+        results = await asyncio.gather(following, leaving, return_exceptions=True)
+        if isinstance(results[0], TimeoutError):
+            scope["extensions"][ABORT]["call"]()  # a transport that is closed waits until all has been read
+        else:
+            await send({"type": "http.response.body", "body": b""})
+
+
+class LimitedProtocol(HttpToolsProtocol):
+    """Lets go who does not end its headers, in time or at all."""
+
+    def connection_made(self, transport: Any) -> None:
+        """Begin to wait for headers."""
+        super().connection_made(transport)
+        self._header_bytes = 0
+        self._deadline = self.loop.call_later(HEADERS_S, transport.abort)
+
+    def on_message_begin(self) -> None:
+        """Begin to wait for headers."""
+        super().on_message_begin()
+        self.scope["extensions"] = {ABORT: {"call": self.transport.abort}}
+        self._header_bytes = 0
+        self._deadline.cancel()
+        self._deadline = self.loop.call_later(HEADERS_S, self.transport.abort)
+
+    def data_received(self, data: bytes) -> None:
+        """Take bytes; of headers, not too many."""
+        super().data_received(data)
+        if not self._deadline.cancelled():
+            self._header_bytes += len(data)
+            if self._header_bytes > MAX_HEADERS:
+                self.transport.abort()
+
+    def on_headers_complete(self) -> None:
+        """Wait for headers no more."""
+        self._deadline.cancel()
+        super().on_headers_complete()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Wait for headers no more."""
+        self._deadline.cancel()
+        super().connection_lost(exc)

@@ -33,9 +33,8 @@ from fsar_ledger.runtime.live import Decision, command_given
 from fsar_ledger.sources.columns import object_of
 
 from . import Principal, Principals
-from .feed import Busy, Decider, Feed, Row
+from .feed import Busy, Decider, EventStream, Feed, LimitedProtocol, Put, Row
 from .pages import FILES, described, overview, page, page_file
-from .transport import EventStream, LimitedProtocol, Put
 
 MAX_BODY, MAX_KEY = 1 << 16, 200
 BODY_S, ALIVE_S, END_S = 10.0, 15.0, 3

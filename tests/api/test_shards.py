@@ -16,10 +16,10 @@ from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.store import shards
 from fsar_ledger.ledger.store.paths import segment_bytes
 from fsar_ledger.ledger.store.shards import heads_of, record_of_head
-from fsar_ledger.metrics import slices
-from fsar_ledger.metrics.database import Database, connect
+from fsar_ledger.metrics import database, slices
+from fsar_ledger.metrics.database import Database, Slices, connect
 from fsar_ledger.metrics.library import library
-from fsar_ledger.metrics.slices import Slice, Slices
+from fsar_ledger.metrics.slices import Slice
 from tests.api.sites import NAMES, append, origin, parts
 from tests.quick import few
 from tests.runtime.test_cuts import Day, commands_of
@@ -76,7 +76,7 @@ def expected(whole: Path) -> tuple[dict[str, Any], dict[str, Any]]:
 def test_a_federation_answers_as_the_one_ledger(
     expected: tuple[dict[str, Any], dict[str, Any]], whole: Path, site: Path, most: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(slices, "SLICE_EVENTS", most)
+    monkeypatch.setattr(database, "SLICE_EVENTS", most)
     assert (judged(site / "log"), shown(site / "log")) == expected
     if most == 1 << 30:  # a line for each event of all runs takes seconds, and knows nothing of slices
         one, federation = (fsar_ledger.open_ledger(path) for path in (whole, site / "log"))
@@ -109,15 +109,15 @@ def test_every_query_answers_as_of_the_one_ledger(name: str, both: tuple[Databas
 def test_what_is_known_of_a_shard_alone_is_known_of_it_in_the_federation(
     site: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(slices, "SLICE_EVENTS", 1_500)
+    monkeypatch.setattr(database, "SLICE_EVENTS", 1_500)
     seen: list[Path] = []
-    connect_slice = Slices._connect
+    fill = slices.fill
 
-    def looked(self: Slices, one: Slice) -> Database:
+    def looked(database: Database, one: Slice, *args: Any) -> None:
         seen.append(one.view.path)
-        return connect_slice(self, one)
+        fill(database, one, *args)
 
-    monkeypatch.setattr(Slices, "_connect", looked)
+    monkeypatch.setattr(slices, "fill", looked)
     for name in ("north", "south"):
         fsar_ledger.open_ledger(site / name).metrics()
     assert {path.name for path in seen} == {"north", "south"}
@@ -266,7 +266,7 @@ def test_runs_that_continue_each_other_in_two_shards_are_one(
     assert msgspec.structs.asdict(federation.record("hall.3")) == msgspec.structs.asdict(whole.record("hall.3"))
     found = (whole.metrics().rows(), whole.audit().table().rows())
     assert (federation.metrics().rows(), federation.audit().table().rows()) == found
-    monkeypatch.setattr(slices, "SLICE_EVENTS", 1_500)
+    monkeypatch.setattr(database, "SLICE_EVENTS", 1_500)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     assert (federation.metrics().rows(), federation.audit().table().rows()) == found
     apart = [one for one in Slices(open_for_answers(tmp_path / "log"))._slices if one.digest is None]

@@ -17,11 +17,11 @@ import pytest
 import fsar_ledger
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.store.derived import Extent
-from fsar_ledger.metrics import connection, slices
-from fsar_ledger.metrics.database import Database, connect
+from fsar_ledger.metrics import connection, database, slices
+from fsar_ledger.metrics.database import Database, Slices, connect
 from fsar_ledger.metrics.invariants import audit_rows, invariants
 from fsar_ledger.metrics.library import library
-from fsar_ledger.metrics.slices import Slice, Slices
+from fsar_ledger.metrics.slices import Slice
 from fsar_ledger.runtime import simulation
 from fsar_ledger.runtime.experiment import Experiment, run_experiment
 from tests.quick import few
@@ -45,9 +45,9 @@ def test_slices_hold_whole_runs_and_each_event_once(ledger: Path) -> None:
     with connect(ledger) as whole:
         expected, runs = whole.rows(EVENTS), whole.rows("SELECT run_id FROM runs ORDER BY ALL")
     found, known = [], []
-    for database in of:
-        found += database.rows(EVENTS)
-        known += database.rows("SELECT run_id FROM runs ORDER BY ALL")
+    for some in of:
+        found += some.rows(EVENTS)
+        known += some.rows("SELECT run_id FROM runs ORDER BY ALL")
     assert len(of) > 3
     assert sorted(found, key=str) == sorted(expected, key=str)
     assert sorted(known, key=str) == sorted(runs, key=str)
@@ -71,7 +71,7 @@ def test_the_verdicts_of_slices_are_those_of_the_whole_ledger(ledger: Path, most
 @pytest.fixture
 def in_slices(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     """Have ledgers of more than 3,500 events judged in slices, with a cache of their own, whose file is returned."""
-    monkeypatch.setattr(slices, "SLICE_EVENTS", 3_500)
+    monkeypatch.setattr(database, "SLICE_EVENTS", 3_500)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     return tmp_path / "cache" / "fsar-ledger" / "slices.sqlite"
 
@@ -81,7 +81,7 @@ def known(ledger: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[pa.Ta
     """The metrics of the ledger, judged in such slices, and the file of the cache that this leaves."""
     folder = tmp_path_factory.mktemp("known")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(slices, "SLICE_EVENTS", 3_500)
+        patch.setattr(database, "SLICE_EVENTS", 3_500)
         patch.setenv("XDG_CACHE_HOME", str(folder))
         return fsar_ledger.open_ledger(ledger).metrics().arrow(), folder / "fsar-ledger" / "slices.sqlite"
 
@@ -105,13 +105,13 @@ def judged(ledger: Path) -> list[list[dict[str, Any]]]:
 def looks(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """Return a list that gets the events of each slice that is read from now on."""
     found: list[int] = []
-    connect = Slices._connect
+    fill = slices.fill
 
-    def counted(self: Slices, one: Slice) -> Database:
+    def counted(database: Database, one: Slice, *args: Any) -> None:
         found.append(sum(run.rows for run in one.runs))
-        return connect(self, one)
+        fill(database, one, *args)
 
-    monkeypatch.setattr(Slices, "_connect", counted)
+    monkeypatch.setattr(slices, "fill", counted)
     return found
 
 
@@ -124,7 +124,7 @@ def test_a_question_about_runs_reads_no_event_where_their_beginnings_are_known(
         rows = found.rows(asked)
     assert not read
     assert len(rows) == len({*cached["architecture"].to_pylist()}) * 4
-    monkeypatch.setattr(slices, "SLICE_EVENTS", 1 << 30)
+    monkeypatch.setattr(database, "SLICE_EVENTS", 1 << 30)
     with connect(ledger) as whole:
         assert whole.rows(asked) == rows
 
@@ -151,7 +151,7 @@ def test_verbs_answer_the_same_in_slices_and_from_the_cache(
     ledger: Path, in_slices: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with monkeypatch.context() as whole:
-        whole.setattr(slices, "SLICE_EVENTS", 1 << 30)
+        whole.setattr(database, "SLICE_EVENTS", 1 << 30)
         expected = judged(ledger)
     seen = looks(monkeypatch)
     assert judged(ledger) == expected
@@ -187,7 +187,7 @@ def test_a_file_for_other_programs_is_the_same_made_of_slices(
     read = looks(monkeypatch)
     made = fsar_ledger.open_ledger(ledger).open(tmp_path / "sliced.duckdb")
     assert read
-    monkeypatch.setattr(slices, "SLICE_EVENTS", 1 << 30)
+    monkeypatch.setattr(database, "SLICE_EVENTS", 1 << 30)
     assert fsar_ledger.open_ledger(ledger).open(tmp_path / "whole.duckdb").relations == made.relations
     names = [query.relation for query in library().queries.values() if not query.parameters]
     with duckdb.connect(tmp_path / "sliced.duckdb") as sliced, duckdb.connect(tmp_path / "whole.duckdb") as whole:
@@ -201,7 +201,7 @@ def test_a_file_for_other_programs_is_the_same_made_of_slices(
 @pytest.fixture(scope="module")
 def both(ledger: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Database, Database]]:
     with pytest.MonkeyPatch.context() as patch, connect(ledger) as whole:
-        patch.setattr(slices, "SLICE_EVENTS", 3_500)
+        patch.setattr(database, "SLICE_EVENTS", 3_500)
         patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
         with connect(ledger) as sliced:
             assert sliced.slices is not None
@@ -218,7 +218,7 @@ def test_after_an_append_only_the_last_slices_are_read(
     found = fsar_ledger.open_ledger(grown).metrics().arrow()
     view = open_for_answers(grown)
     added = view.head.size - open_for_answers(ledger).head.size
-    assert added <= sum(seen) <= added + 2 * slices.SLICE_EVENTS < view.head.size
+    assert added <= sum(seen) <= added + 2 * database.SLICE_EVENTS < view.head.size
     in_slices.unlink()
     assert fsar_ledger.open_ledger(grown).metrics().arrow() == found
 
@@ -317,7 +317,7 @@ def test_the_cache_has_an_upper_bound(
     assert fsar_ledger.open_ledger(ledger).metrics().arrow() == known[0]
 
 
-def test_runs_that_continue_each_other_are_in_one_slice_where_they_end() -> None:
+def test_runs_that_continue_each_other_are_in_slices_where_they_end() -> None:
     extents = [Extent("a", 600, 0, 600), Extent("b", 900, 600, 1_500), Extent("a2", 400, 1_500, 1_900)]
-    found = list(slices._windows([[extents[0], extents[2]], [extents[1]]], 1_500))
+    found = list(database._windows([[extents[0], extents[2]], [extents[1]]], 1_500))
     assert [[one.run for one in part] for part in found] == [["b"], ["a", "a2"]]

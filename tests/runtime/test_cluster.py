@@ -17,7 +17,7 @@ from fsar_ledger.analysis import whatif
 from fsar_ledger.base import workers
 from fsar_ledger.base.errors import SequenceConflict, UsageError, WorkerDied
 from fsar_ledger.ledger.opening import open_for_answers
-from fsar_ledger.metrics import slices
+from fsar_ledger.metrics import database, slices
 
 distributed = pytest.importorskip("distributed", reason="make test-all installs it")
 pytestmark = pytest.mark.slow
@@ -26,7 +26,7 @@ pytestmark = pytest.mark.slow
 @pytest.fixture(autouse=True)
 def small_slices(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Have ledgers judged in slices of 3,000 events, without what is known from other tests."""
-    monkeypatch.setattr(slices, "SLICE_EVENTS", 3_000)
+    monkeypatch.setattr(database, "SLICE_EVENTS", 3_000)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
 
 
@@ -156,8 +156,10 @@ SIZES = {"ledger": 4, "other": 8}
 
 def test_a_worker_that_finds_another_ledger_under_the_path_gives_no_rows(tmp_path: Path) -> None:
     ledger, other = simulated(tmp_path / "ledger"), simulated(tmp_path / "other", fleet_size=8)
-    _, first, *_ = slices.Slices(open_for_answers(ledger.path))._slices
+    _, first, *_ = database.Slices(open_for_answers(ledger.path))._slices
     asked = {"runs": slices.asked_of("SELECT run_id FROM runs")}
-    assert slices.answered(str(ledger.path), first.runs, first.digest or "", asked)["runs"].num_rows == len(first.runs)
+    assert database.answered(str(ledger.path), first.runs, first.digest or "", asked)["runs"].num_rows == len(
+        first.runs
+    )
     with pytest.raises(SequenceConflict, match="found other events"):
-        slices.answered(str(other.path), first.runs, first.digest or "", asked)
+        database.answered(str(other.path), first.runs, first.digest or "", asked)

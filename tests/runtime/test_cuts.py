@@ -19,11 +19,10 @@ from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows.runs import LedgerRun, joined
 from fsar_ledger.ledger.store.locations import end_of, pieces_of, record_of
-from fsar_ledger.metrics.database import Database, connect
+from fsar_ledger.metrics.database import Database, Slices, connect
 from fsar_ledger.metrics.definitions import published_metrics
 from fsar_ledger.metrics.invariants import audit_rows, invariants
 from fsar_ledger.metrics.library import Query, library
-from fsar_ledger.metrics.slices import Slices
 from fsar_ledger.runtime import federation
 from fsar_ledger.runtime.federation import Federation
 from fsar_ledger.runtime.snapshot import place
@@ -227,7 +226,7 @@ def test_judged_by_itself_the_second_run_would_be_broken(halls: tuple[Day, Day])
 def test_slices_keep_runs_that_continue_each_other_together(
     halls: tuple[Day, Day], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("fsar_ledger.metrics.slices.LEAST_BYTES", -1)
+    monkeypatch.setattr("fsar_ledger.metrics.database.LEAST_BYTES", -1)
     sliced = Slices(open_ledger(halls[1].ledger), most=10)
     assert sliced._slices
     rows = audit_rows(sliced, invariants())

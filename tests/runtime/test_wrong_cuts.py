@@ -17,7 +17,7 @@ from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.locations import record_of
 from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.metrics.database import connect
-from fsar_ledger.metrics.relation import _places
+from fsar_ledger.metrics.relation import _chains
 from tests.ledger.agreement import Case, judged
 from tests.runtime.test_cuts import Day, commands_of, replayed
 
@@ -250,6 +250,7 @@ def test_rows_that_contradict_the_index_are_not_merged(parts: list[LedgerRun], t
 
 
 def test_runs_that_claim_to_continue_each_other_in_a_circle_are_read_as_they_are() -> None:
-    assert _places({"a": "b", "b": "a"}, {"a": 5, "b": 5}) == []
-    [last, *_] = reversed(_places({"c": "a", "a": "b", "b": "a"}, {"a": 5, "b": 5, "c": 5}))
-    assert last["run_id"] == "c"
+    sizes = {"a": 5, "b": 5}
+    assert _chains({"a": "b", "b": "a"}, sizes) == []
+    [chain] = _chains({"c": "a", "a": "b", "b": "a"}, {**sizes, "c": 5})
+    assert [*chain][-1] == "c"

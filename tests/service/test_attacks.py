@@ -12,7 +12,7 @@ import pytest
 
 pytest.importorskip("uvicorn", reason="make test-all installs it")
 
-from fsar_ledger.service import server, transport
+from fsar_ledger.service import feed, server
 from tests.service.site import TASK, Site, until
 
 pytestmark = pytest.mark.slow
@@ -106,7 +106,7 @@ def test_what_is_no_request_is_let_go(attacked: Site, data: bytes) -> None:
     ids=["headers", "nothing", "body"],
 )
 def test_a_client_that_is_slow_is_let_go(site: Site, monkeypatch: pytest.MonkeyPatch, limit: str, sent: bytes) -> None:
-    monkeypatch.setattr(server if limit == "BODY_S" else transport, limit, 0.3)
+    monkeypatch.setattr(server if limit == "BODY_S" else feed, limit, 0.3)
     began = time.monotonic()
     answer = site.raw(sent % site.tokens["robot/A1"].encode() if b"%s" in sent else sent, wait_s=10)
     assert answer[:12] in (b"", b"HTTP/1.1 408")
@@ -117,7 +117,7 @@ def test_a_client_that_is_slow_is_let_go(site: Site, monkeypatch: pytest.MonkeyP
 def test_who_subscribes_and_does_not_read_is_let_go_and_holds_nobody_up(
     site: Site, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(transport, "WRITE_S", 0.5)
+    monkeypatch.setattr(feed, "WRITE_S", 0.5)
     line = socket.socket()
     line.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
     line.connect(("127.0.0.1", site.port))
