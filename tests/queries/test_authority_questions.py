@@ -223,6 +223,40 @@ def test_a_chain_is_not_said_to_be_malformed_where_nobody_records_how_its_links_
         assert found == {expected}
 
 
+def test_an_action_that_is_asked_for_again_is_one_link_as_it_was_asked_last() -> None:
+    again = (
+        *CHAIN[:3],
+        judged(4, "q1", "Countered", "B1", override="none"),
+        request(5, "q2", "B1", "C1", parent="q1"),
+        judged(6, "q2", "Denied", "C1", reason="trust"),
+        request(7, "q1", "A1", "B1"),
+        judged(8, "q1", "Admitted", "B1", **ADMITTED),
+        request(9, "q2", "B1", "D1", parent="q1"),
+        judged(10, "q2", "Admitted", "D1", **ADMITTED),
+    )
+    assert sorted(asked("delegation_chains", LINKS, *again)) == [
+        ("q1", 1, "q1", "robot/A1", "robot/B1", "admitted", None, True, "task"),
+        ("q1", 2, "q2", "robot/B1", "robot/D1", "admitted", None, True, None),
+    ]
+
+
+def test_a_chain_whose_link_still_waits_for_an_answer_is_not_malformed() -> None:
+    admitted = judged(6, "q2", "Admitted", "C1", **ADMITTED)
+    cases: tuple[tuple[tuple[Row, ...], bool | None], ...] = (
+        ((), None),
+        ((judged(6, "q2", "Countered", "C1", override="none"),), None),
+        ((admitted,), True),
+        ((judged(6, "q2", "Denied", "C1", reason="trust"),), False),
+        ((event("RequestUnanswered", 6, action_id="q2", executed_by="robot/C1"),), False),
+        ((event("ExecutionStarted", 6, action_id="q2", executed_by="robot/C1"),), False),
+    )
+    for kind in ("live", "foreign"):
+        for more, expected in cases:
+            with from_rows(run(*ROBOTS, *CHAIN, *more, kind=kind)) as database:
+                found = {row["is_well_formed"] for row in database.query("audit/delegation_chains").to_pylist()}
+            assert found == {expected}
+
+
 def test_a_request_that_serves_none_and_is_served_by_none_is_no_chain() -> None:
     assert asked("delegation_chains", LINKS, *CHAIN[:4]) == []
     assert asked("delegation_chains", LINKS, *CHAIN, action="q2") == []
