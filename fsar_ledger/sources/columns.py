@@ -18,6 +18,7 @@ from fsar_ledger.base.errors import InvalidRun, UsageError, WriteFailed
 from fsar_ledger.base.printable import counted, did_you_mean, escaped, value
 from fsar_ledger.events import CONCERN_OF, CONCERNS, Event
 from fsar_ledger.events.envelope import flat
+from fsar_ledger.events.request import RequestAdmitted
 from fsar_ledger.events.source import Observed
 from fsar_ledger.events.world import PolicyWindowOpened
 from fsar_ledger.ledger.rows.schema import LAYOUTS, OPENINGS, RECORDS, StoredType
@@ -96,11 +97,21 @@ def laid_out(layout: StoredType, columns: Mapping[str, Any]) -> Event:
     for name in MEASURES & columns.keys():
         if isinstance(found := columns[name], int) and found < 0:
             raise UsageError(f"field {name}: found {found} in {type(event).__name__}, expected 0 or more")
+    require_outcome(event)
+    return event
+
+
+def require_outcome(event: Event) -> None:
+    """Raises: UsageError for an event whose outcome contradicts what it is."""
     if isinstance(event, PolicyWindowOpened) and event.outcome == "allow":
         raise UsageError(
             "field outcome: found allow in PolicyWindowOpened, expected review or deny: a window restricts"
         )
-    return event
+    if isinstance(event, RequestAdmitted) and event.outcome == "deny":
+        raise UsageError(
+            "field outcome: found deny in RequestAdmitted, expected allow or review: a request that is not allowed is "
+            "recorded as RequestDenied"
+        )
 
 
 def _flaw(layout: StoredType, message: str) -> str:

@@ -23,7 +23,7 @@ from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.manifest import parse_manifest, read_manifest
 from fsar_ledger.ledger.store.paths import MANIFEST
 
-from .columns import Declared, declared, event_of, storable_text
+from .columns import Declared, declared, event_of, require_outcome, storable_text
 from .held import NewEvent, Stored, commit, stored_run
 from .names import PrivateNames
 
@@ -285,6 +285,7 @@ class Recorder:
                 f"records ({', '.join(sorted(self.declared.kinds)) or 'none'}); nothing was written: declare it in "
                 "`observes` of a new run"
             )
+        require_outcome(event)
         alone = LedgerRun(self.run, [0], [None], [event], self._next)
         if (flaw := first_unfit([alone])) is not None:
             raise refusal(flaw)

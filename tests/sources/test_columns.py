@@ -9,6 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 
 from fsar_ledger.api.ledger import Ledger
@@ -16,7 +17,7 @@ from fsar_ledger.base.errors import UsageError, WriteFailed
 from fsar_ledger.cli.app import run
 from fsar_ledger.events.source import Observed
 from fsar_ledger.sources import columns
-from fsar_ledger.sources.columns import tell, told
+from fsar_ledger.sources.columns import event_of, tell, told
 from fsar_ledger.sources.recorder import Recorder
 
 STARTED = {"type": "ExecutionStarted", "task_id": "t", "action_id": "t/1", "robot": "robot/A1", "capability": "pick"}
@@ -66,6 +67,11 @@ def refused(recorder: Recorder, data: bytes) -> str:
                 {"type": "PolicyWindowOpened", "robot": "robot/a", "scope": "local", "window": "w", "outcome": "allow"}
             ),
             "field outcome: found allow in PolicyWindowOpened, expected review or deny",
+        ),
+        (
+            line({**without(ACCEPTED, "type"), "type": "RequestAdmitted", "outcome": "deny"}),
+            "field outcome: found deny in RequestAdmitted, expected allow or review: a request that is not allowed is "
+            "recorded as RequestDenied",
         ),
         (line({"type": "RunContinued"}), "expected an event type that is not said of its own accord"),
         (
@@ -196,3 +202,11 @@ def test_where_the_disk_is_full_it_is_said_with_which_line_to_go_on(
     monkeypatch.setattr(Recorder, "event", until_full)
     with pytest.raises(WriteFailed, match="no space; 3 events of the lines before line 4 are on disk"):
         tell(recorder, io.BytesIO(lines))
+
+
+def test_an_event_from_python_is_no_admission_that_denies_either(tmp_path: Path) -> None:
+    columns = {name: one for name, one in ACCEPTED.items() if name != "type"}
+    with Recorder(tmp_path / "out", observes=["RequestAdmitted"]) as one:
+        denied = msgspec.structs.replace(event_of("RequestAdmitted", {**columns, "outcome": "allow"}), outcome="deny")
+        with pytest.raises(UsageError, match="found deny in RequestAdmitted"):
+            one.event(denied)
