@@ -173,13 +173,15 @@ def _time(text: str) -> datetime:
 class ImportResult(Answer, msgspec.Struct, frozen=True):
     """What became of the input, and what can be judged of the run now: `gaps` as `audit/record_gaps`.
 
-    `unseen` are event types that the source is said to record, and of which the run has no event.
+    `unseen` are event types that the source is said to record, and of which the run has no event; `also` the other runs
+    into which the same files were imported.
     """
 
     ledger: "Ledger"
     made: "Imported"
     unseen: tuple[str, ...]
     gaps: tuple[Mapping[str, Any], ...]
+    also: tuple[str, ...] = ()
 
     def document(self, _: Screen) -> Mapping[str, object]:
         """Return all of it."""
@@ -188,6 +190,7 @@ class ImportResult(Answer, msgspec.Struct, frozen=True):
             **msgspec.to_builtins(self.made),
             "unseen": list(self.unseen),
             "gaps": [dict(one) for one in self.gaps],
+            "also": list(self.also),
         }
 
     def text(self, _: Screen) -> Iterator[SafeText]:
@@ -197,6 +200,7 @@ class ImportResult(Answer, msgspec.Struct, frozen=True):
         read = f"{counted(made.records, 'record')} of {value(made.format)}{there}"
         yield printable.lines(
             f"{self.ledger.path}: run {value(made.run)}, {read}",
+            *([f"on file before, as run {', '.join(map(value, self.also))}: all counts twice"] if self.also else []),
             f"events made: {', '.join(f'{count:,} {kind}' for kind, count in made.events.items()) or 'none'}",
             *(
                 f"not understood: {value(one.kind)}, {counted(one.count, 'record')}, the first of them {one.first:,}"
@@ -273,7 +277,11 @@ def import_records(
         seen = {str(row["type"]).partition(".v")[0] for row in database.rows("SELECT DISTINCT type FROM events")}
         gaps = database.rows("SELECT * FROM record_gaps ORDER BY missing_count, kind, judge")
     unseen = tuple(name for name in made.declared.records if "." not in name and name not in seen)
-    return ImportResult(ledger, made, unseen, tuple(gaps))
+    own = "SELECT input_sha256 FROM source_opened WHERE run_id = $run"
+    same = f"SELECT DISTINCT run_id FROM source_opened WHERE run_id <> $run AND input_sha256 IN ({own}) ORDER BY run_id"
+    with ledger.database() as database:
+        also = tuple(row["run_id"] for row in database.rows(same, {"run": made.run}))
+    return ImportResult(ledger, made, unseen, tuple(gaps), also)
 
 
 class RecordedShards(Answer, msgspec.Struct, frozen=True):

@@ -54,6 +54,21 @@ def test_the_same_input_is_refused_and_nothing_is_added(tmp_path: Path) -> None:
     assert rows(ledger) == before
 
 
+def test_a_file_that_is_on_file_under_another_name_is_said_to_be(call: Call, tmp_path: Path) -> None:
+    out = str(tmp_path / "out")
+
+    def said(name: str, lines: list[vda.Line]) -> list[str]:
+        code, told, _ = call("import", out, str(filed(tmp_path, lines, name)), "--as", "vda5050")
+        assert code == 0
+        return [line for line in told.splitlines() if "on file before" in line]
+
+    night, other = vda.long_night(2), vda.long_night(3)
+    assert said("night.jsonl", night) == said("second.jsonl", other) == []
+    assert said("copy.jsonl", night) == ["on file before, as run night: all counts twice"]
+    code, told, _ = call("import", out, str(tmp_path / "night.jsonl"), "--as", "vda5050", "--run", "again", "--json")
+    assert (code, json.loads(told)["also"]) == (0, ["copy", "night"])
+
+
 def test_an_input_that_grows_twice_is_as_one_that_was_whole(tmp_path: Path) -> None:
     whole = vda.long_night(9)
     for end in (11, 40, len(whole)):
