@@ -27,11 +27,21 @@ Chosen = Annotated[_T, msgspec.Meta(extra={"from": "chosen"})]
 END_US = 1_800_000_000  # run time after which no fact of the world happens and no task is open
 SIGNED = ("world.absence_from_s", "world.absence_to_s")
 """The constants that may be negative: an absence may begin before the run does."""
-PERIODS = (
-    *("world.encounter_mean_s", "structure.poll_us", "structure.sync_period_us", "structure.snapshot_period_us"),
-    "roboos.refresh_us",
-)
-"""The constants that may not be 0: without time between two of them, a run does not get past the first moment."""
+LEAST = {
+    "world.encounter_mean_s": 0.001,
+    "structure.poll_us": 1_000,
+    "structure.sync_period_us": 1_000,
+    "structure.snapshot_period_us": 1_000,
+    "alliance.broadcast_us": 1_000,
+    "roboos.refresh_us": 1_000,
+}
+"""The least time between two of what happens again and again, a millisecond: with less a run hardly ever ends."""
+NEVER_AT_0 = ("alliance.broadcast_us",)
+"""The constants of `LEAST` that may be 0 all the same: it does not happen then."""
+MOST_PER_S = 100
+"""The highest rate, some hundreds of times the highest default: with more a run hardly ever ends."""
+MOST = {"world.horizon_s": 100_000, "world.routine_until_s": 100_000, "structure.watch_us": END_US}
+"""How late the world may still act, and the periodic exchanges: facts after `END_US` are made in vain."""
 
 
 class Range(msgspec.Struct, frozen=True):

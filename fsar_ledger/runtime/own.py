@@ -6,7 +6,7 @@ files.
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from math import isfinite
+from math import inf, isfinite
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,17 @@ import msgspec
 from fsar_ledger.base import printable
 from fsar_ledger.base.errors import InvalidExperiment, UsageError
 from fsar_ledger.designs import Fleet, OutsideCommand, Scenario, registered
-from fsar_ledger.designs.constants import DURATIONS, END_US, PERIODS, SIGNED, Constants, with_all_groups
+from fsar_ledger.designs.constants import (
+    DURATIONS,
+    END_US,
+    LEAST,
+    MOST,
+    MOST_PER_S,
+    NEVER_AT_0,
+    SIGNED,
+    Constants,
+    with_all_groups,
+)
 from fsar_ledger.designs.registered import Field, at_line, fault, read_design
 from fsar_ledger.metrics.constant_names import names_of_constants
 
@@ -243,8 +253,10 @@ def _number(setting: str, name: str, value: str) -> float | int:
         raise UsageError(f"--set {setting}: found {printable.value(value)}, expected a number")
     if found < 0 and name not in SIGNED:
         raise UsageError(f"--set {setting}: found {value}, expected 0 or more")
-    if not found and name in PERIODS:
-        raise UsageError(f"--set {setting}: found 0, expected more: what happens after each such time would never end")
+    least, most = LEAST.get(name, -inf), MOST_PER_S if name.endswith("_rate_per_s") else MOST.get(name, inf)
+    if not (least <= found <= most or (not found and name in NEVER_AT_0)):
+        bound = f"{least:,} or more" if found < least else f"at most {most:,}"
+        raise UsageError(f"--set {setting}: found {value}, expected {bound}: the run would hardly ever end")
     if found < 1 and name == "structure.human_calls":
         raise UsageError(
             f"--set {setting}: found {value}, expected 1 or more: what nobody else resolved must reach a human"
