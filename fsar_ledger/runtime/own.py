@@ -189,36 +189,38 @@ def _taken(name: str, names: Sequence[str]) -> Problem:
     return Problem(("name",), name, f"a name other than the registered ones: {', '.join(names)}")
 
 
-def with_settings(constants: Constants, settings: Sequence[str]) -> Constants:
-    """Return the constants with each `NAME=VALUE` set, by the dotted names of `info --json`. Raises: UsageError."""
+def with_settings(constants: Constants, settings: Sequence[str], said: str | None = None) -> Constants:
+    """Return the constants with each `NAME=VALUE` set, by the dotted names of `info --json`.
+
+    `said` is what an error quotes in place of the option `--set` and the setting. Raises: UsageError.
+    """
     if not settings:
         return constants
     tree = msgspec.to_builtins(constants)
     given: dict[str, str] = {}
     for setting in settings:
         name, equals, value = setting.partition("=")
+        where = said or f"--set {setting}"
         if not equals or not name:
-            raise UsageError(f"--set {setting}: expected NAME=VALUE, as in --set world.review_share=0.5")
+            raise UsageError(f"{where}: expected NAME=VALUE, as in --set world.review_share=0.5")
         if name in given:
-            raise UsageError(
-                f"--set {setting}: {name} already has the value {given[name]}, expected one value for each name"
-            )
+            raise UsageError(f"{where}: {name} already has the value {given[name]}, expected one value for each name")
         if name not in names_of_constants():
             hint = printable.did_you_mean(name, names_of_constants())
             hint = hint or "; `fsar-ledger info LEDGER --json` prints all names"
-            raise UsageError(f"--set {setting}: unknown constant {printable.value(name)}{hint}")
+            raise UsageError(f"{where}: unknown constant {printable.value(name)}{hint}")
         given[name] = value
-        _put(tree, name, _number(setting, name, value))
+        _put(tree, name, _number(where, name, value))
         try:
             constants = msgspec.convert(tree, Constants)
         except msgspec.ValidationError as error:
             whole = "" if _is_real(tree, name) else " whole"
-            raise UsageError(f"--set {setting}: found {printable.value(value)}, expected a{whole} number") from error
+            raise UsageError(f"{where}: found {printable.value(value)}, expected a{whole} number") from error
     for name, low_s, high_s in _ranges("", msgspec.to_builtins(constants)):
         if low_s > high_s and any(one.startswith(name) for one in given):
             raise UsageError(
-                f"--set: found {name} from {printable.number(low_s)} to {printable.number(high_s)} s, expected the "
-                "smaller first; set both"
+                f"{said or '--set'}: found {name} from {printable.number(low_s)} to {printable.number(high_s)} s, "
+                "expected the smaller first; set both"
             )
     return constants
 
@@ -243,26 +245,24 @@ def with_values(constants: Constants, values: Mapping[str, float | int | None]) 
     return msgspec.convert(tree, Constants)
 
 
-def _number(setting: str, name: str, value: str) -> float | int:
+def _number(where: str, name: str, value: str) -> float | int:
     """Return the value of a setting. Raises: UsageError if the constant cannot have it."""
     try:
         found = msgspec.json.decode(value)
     except msgspec.DecodeError:
         found = None
     if isinstance(found, bool) or not isinstance(found, int | float) or not isfinite(found) or abs(found) >= 2**53:
-        raise UsageError(f"--set {setting}: found {printable.value(value)}, expected a number")
+        raise UsageError(f"{where}: found {printable.value(value)}, expected a number")
     if found < 0 and name not in SIGNED:
-        raise UsageError(f"--set {setting}: found {value}, expected 0 or more")
+        raise UsageError(f"{where}: found {value}, expected 0 or more")
     least, most = LEAST.get(name, -inf), MOST_PER_S if name.endswith("_rate_per_s") else MOST.get(name, inf)
     if not (least <= found <= most or (not found and name in NEVER_AT_0)):
         bound = f"{least:,} or more" if found < least else f"at most {most:,}"
-        raise UsageError(f"--set {setting}: found {value}, expected {bound}: the run would hardly ever end")
+        raise UsageError(f"{where}: found {value}, expected {bound}: the run would hardly ever end")
     if found < 1 and name == "structure.human_calls":
-        raise UsageError(
-            f"--set {setting}: found {value}, expected 1 or more: what nobody else resolved must reach a human"
-        )
+        raise UsageError(f"{where}: found {value}, expected 1 or more: what nobody else resolved must reach a human")
     if found > 1 and name.endswith(_SHARES):
-        raise UsageError(f"--set {setting}: found {value}, expected a share, 0 to 1")
+        raise UsageError(f"{where}: found {value}, expected a share, 0 to 1")
     return found
 
 

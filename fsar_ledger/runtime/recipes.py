@@ -23,7 +23,7 @@ from fsar_ledger.ledger.rows.runs import LedgerRun
 from fsar_ledger.metrics.constant_names import constants_of, names_of_constants, unlike_ours
 
 from .change_texts import parsed
-from .changes import AnyChange, Architecture, Changes, Set, Without, microseconds_of
+from .changes import AnyChange, Architecture, Changes, Set, Without, microseconds_of, number_text
 from .experiment import Experiment
 from .live import ARCHITECTURE, SOURCE, LiveRecord, live_record, live_started
 from .own import with_settings, with_values
@@ -156,7 +156,7 @@ def _with_before(constants: Constants, change: Set) -> Set:
             f"change {change}: found a time for {name}, expected none: a fleet is built with it, so it holds from the "
             "start"
         )
-    with_settings(constants, [f"{name}={change.value!r}"])  # the checks of `--set`
+    with_settings(constants, [f"{name}={number_text(change.value)}"], f"change {change}")
     text = msgspec.json.encode(msgspec.to_builtins(constants)).decode()
     found = {one["name"]: one["value"] for one in constants_of(text) or ()}
     before = found.get(name, "null" if getattr(constants, group) is not None else ABSENT)

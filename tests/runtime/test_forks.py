@@ -246,8 +246,14 @@ def test_the_base_of_a_fork_has_the_groups_of_constants_that_it_had() -> None:
     [
         ([f"set world.review_share={SHARE}"], f"is {SHARE} already"),
         (["set world.review_shar=0.5"], "did you mean world.review_share"),
-        (["set world.review_share=1.5"], "expected a share"),
-        (["set world.review_share=-1"], "expected 0 or more"),
+        (["set world.review_share=1.5"], "^change set world.review_share=1.5: found 1.5, expected a share"),
+        (
+            ["set world.review_share=-1 from 5s"],
+            "^change set world.review_share=-1 from 5s: found -1, expected 0 or more",
+        ),
+        (["set structure.local_attempts=1.5"], "^change set structure.local_attempts=1.5: found 1.5, expected a whole"),
+        (["set world.message.low_s=0.7"], "^change set world.message.low_s=0.7: found world.message from 0.7 to 0.5 s"),
+        (["set structure.poll_us=1"], "^change set structure.poll_us=1: found 1, expected 1,000 or more"),
         (["set structure.poll_us=3 from 5s"], "found a time for structure.poll_us"),
         (["set world.floor_teams=2 from 5s"], "found a time for world.floor_teams"),
         (["set world.review_share=0.3", "set world.review_share=0.4"], "changed twice"),
