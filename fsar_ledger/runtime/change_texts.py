@@ -145,8 +145,10 @@ def seconds_of(text: str) -> float:
         found = Decimal(number) / (1_000 if text.endswith("ms") else 1)
     except ArithmeticError as error:
         raise _Unfit(f"found {printable.value(text)} where a time belongs") from error
-    if not found.is_finite() or not 0 <= found <= MAX_SECONDS or "e" in number.lower():
-        raise _Unfit(f"found {printable.value(text)} where a time of 0 s or more belongs")
+    if "e" in number.lower():
+        raise _Unfit(f"found {printable.value(text)} where a time in plain digits belongs, as 1000s")
+    if not found.is_finite() or not 0 <= found <= MAX_SECONDS:
+        raise _Unfit(f"found {printable.value(text)} where a time of 0 to {MAX_SECONDS:,} s belongs")
     return float(found)
 
 
@@ -311,6 +313,8 @@ def _checked(event: Event) -> str:
     found = fact_of(text)
     if isinstance(found, PolicyWindowOpened) and found.outcome == "allow":
         raise _Unfit("found a window that allows, where one restricts (review, deny)")
+    if isinstance(found, PeersMet) and found.robot == found.peer:
+        raise _Unfit(f"found a meeting of {printable.value(found.robot)} with itself, where two robots belong")
     return text
 
 

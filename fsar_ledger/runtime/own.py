@@ -29,6 +29,7 @@ from fsar_ledger.designs.constants import (
 from fsar_ledger.designs.registered import Field, at_line, fault, read_design
 from fsar_ledger.metrics.constant_names import names_of_constants
 
+from .changes import Set, number_text
 from .handlers.public import commands, own_fields, with_nulls
 from .world.checks import Problem, problems_of_fleet, problems_of_scenario
 
@@ -92,9 +93,13 @@ def _with_settings_of(
             raise UsageError(f"{where}: found {setting} beside {before[name]}, expected one value for each name")
         before[name] = setting
         try:
-            constants = with_settings(constants, (setting,)) if setting in taken else constants
+            constants = _with_each(constants, (setting,), {}) if setting in taken else constants
         except UsageError as error:
             raise UsageError(f"{where}: {error}") from error
+    try:
+        _require_ranges(constants, taken, {})
+    except UsageError as error:
+        raise UsageError(f"{at_line(str(path), text, ('settings',))}: {error}") from error
     return constants
 
 
@@ -189,18 +194,34 @@ def _taken(name: str, names: Sequence[str]) -> Problem:
     return Problem(("name",), name, f"a name other than the registered ones: {', '.join(names)}")
 
 
-def with_settings(constants: Constants, settings: Sequence[str], said: str | None = None) -> Constants:
+def with_settings(constants: Constants, settings: Sequence[str], said: Mapping[str, str] | None = None) -> Constants:
     """Return the constants with each `NAME=VALUE` set, by the dotted names of `info --json`.
 
-    `said` is what an error quotes in place of the option `--set` and the setting. Raises: UsageError.
+    `said` is what an error quotes in place of the option `--set` and a setting. Raises: UsageError.
     """
+    found = _with_each(constants, settings, said or {})
+    _require_ranges(found, settings, said or {})
+    return found
+
+
+def with_sets(constants: Constants, changes: Sequence[Set]) -> Constants:
+    """Return the constants with these changes of the start, after a check of all. Raises: UsageError."""
+    now = constants
+    for from_s in sorted({one.from_s for one in changes}, key=lambda one: -1.0 if one is None else one):
+        said = {f"{one.constant}={number_text(one.value)}": f"change {one}" for one in changes if one.from_s == from_s}
+        now = with_settings(now, [*said], said)
+        constants = now if from_s is None else constants
+    return constants
+
+
+def _with_each(constants: Constants, settings: Sequence[str], said: Mapping[str, str]) -> Constants:
     if not settings:
         return constants
     tree = msgspec.to_builtins(constants)
     given: dict[str, str] = {}
     for setting in settings:
         name, equals, value = setting.partition("=")
-        where = said or f"--set {setting}"
+        where = said.get(setting, f"--set {setting}")
         if not equals or not name:
             raise UsageError(f"{where}: expected NAME=VALUE, as in --set world.review_share=0.5")
         if name in given:
@@ -216,13 +237,19 @@ def with_settings(constants: Constants, settings: Sequence[str], said: str | Non
         except msgspec.ValidationError as error:
             whole = "" if _is_real(tree, name) else " whole"
             raise UsageError(f"{where}: found {printable.value(value)}, expected a{whole} number") from error
-    for name, low_s, high_s in _ranges("", msgspec.to_builtins(constants)):
-        if low_s > high_s and any(one.startswith(name) for one in given):
-            raise UsageError(
-                f"{said or '--set'}: found {name} from {printable.number(low_s)} to {printable.number(high_s)} s, "
-                "expected the smaller first; set both"
-            )
     return constants
+
+
+def _require_ranges(constants: Constants, settings: Sequence[str], said: Mapping[str, str]) -> None:
+    """Check that what these settings begin or end is no range whose end comes first. Raises: UsageError."""
+    given = {one.partition("=")[0]: one for one in settings}
+    for name, ends, low_s, high_s in _ranges("", msgspec.to_builtins(constants)):
+        own = [given[f"{name}{end}"] for end in ends if f"{name}{end}" in given]
+        if low_s > high_s and own:
+            raise UsageError(
+                f"{said.get(own[0], '--set')}: found {name} from {printable.number(low_s)} to "
+                f"{printable.number(high_s)} s, expected the smaller first; set both"
+            )
 
 
 def _is_real(tree: dict[str, Any], name: str) -> bool:
@@ -281,11 +308,13 @@ def _put(tree: dict[str, Any], name: str, value: float | int | None) -> None:
     where[parts[-1]] = value
 
 
-def _ranges(name: str, value: Any) -> Iterator[tuple[str, float, float]]:
-    """Yield the name and the ends of each range."""
+def _ranges(name: str, value: Any) -> Iterator[tuple[str, tuple[str, str], float, float]]:
+    """Yield the name of each range, how those of its two constants end, and their values."""
     if isinstance(value, dict):
+        if "absence_from_s" in value:
+            yield f"{name}.absence", ("_from_s", "_to_s"), value["absence_from_s"], value["absence_to_s"]
         if value.keys() == {"low_s", "high_s"}:
-            yield name, value["low_s"], value["high_s"]
+            yield name, (".low_s", ".high_s"), value["low_s"], value["high_s"]
         for key, one in value.items():
             yield from _ranges(f"{name}.{key}" if name else key, one)
     elif isinstance(value, list | tuple):

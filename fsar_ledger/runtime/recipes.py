@@ -22,11 +22,11 @@ from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.ledger.rows.runs import LedgerRun
 from fsar_ledger.metrics.constant_names import constants_of, names_of_constants, unlike_ours
 
-from .change_texts import parsed
-from .changes import AnyChange, Architecture, Changes, Set, Without, microseconds_of, number_text
+from .change_texts import COMMAND, parsed
+from .changes import Answer, AnyChange, Architecture, Changes, Set, Without, microseconds_of
 from .experiment import Experiment
 from .live import ARCHITECTURE, SOURCE, LiveRecord, live_record, live_started
-from .own import with_settings, with_values
+from .own import with_sets, with_values
 from .simulation import MODEL_VERSION, RunSpec, run_id, run_started
 from .world.schedule import arrivals_expected
 
@@ -77,16 +77,14 @@ def with_changes(base: Recipe, changes: Changes) -> Recipe:
     Raises:
         UsageError: There is no such constant, architecture or mechanism, or a change of the start is none.
     """
-    spec, constants = base.spec, base.constants
-    whole: list[AnyChange] = []
+    _require_once(changes)
+    spec, whole = base.spec, list[AnyChange]()
     for change in changes:
         if base.live is not None:
             _require_live(change)
         match change:
             case Set():
                 whole.append(_with_before(base.constants, change))
-                if change.from_s is None:
-                    constants = with_values(constants, {change.constant: change.value})
             case Architecture():
                 whole.append(msgspec.structs.replace(change, before=_differs(change, base.spec.architecture)))
                 spec = msgspec.structs.replace(spec, architecture=change.architecture)
@@ -99,7 +97,7 @@ def with_changes(base: Recipe, changes: Changes) -> Recipe:
                 spec = msgspec.structs.replace(spec, configuration=_configuration(change.mechanisms))
             case _:
                 whole.append(change)
-    _require_once(whole)
+    constants = with_sets(base.constants, [one for one in changes if isinstance(one, Set)])
     return Recipe(spec, constants, tuple(whole), base.live)
 
 
@@ -156,7 +154,6 @@ def _with_before(constants: Constants, change: Set) -> Set:
             f"change {change}: found a time for {name}, expected none: a fleet is built with it, so it holds from the "
             "start"
         )
-    with_settings(constants, [f"{name}={number_text(change.value)}"], f"change {change}")
     text = msgspec.json.encode(msgspec.to_builtins(constants)).decode()
     found = {one["name"]: one["value"] for one in constants_of(text) or ()}
     before = found.get(name, "null" if getattr(constants, group) is not None else ABSENT)
@@ -173,17 +170,22 @@ def _differs(change: Architecture | Without, before: str) -> str:
 
 
 def _require_once(changes: Sequence[AnyChange]) -> None:
-    """Check that nothing is changed twice from the start. Raises: UsageError."""
+    """Check that nothing is changed twice from the start, or answered twice. Raises: UsageError."""
     seen: set[str] = set()
     for change in changes:
         match change:
-            case Set(from_s=None) | Architecture() | Without():
-                name = change.constant if isinstance(change, Set) else type(change).__name__.lower()
-                if name in seen:
-                    raise UsageError(f"change {change}: {name} is changed twice, expected one change of it")
-                seen.add(name)
+            case Set(from_s=None):
+                name = change.constant
+            case Architecture() | Without():
+                name = type(change).__name__.lower()
+            case Answer():  # of a command, one field is
+                field = change.answer.partition("=")[0] if change.question.startswith(COMMAND) else ""
+                name = f"{change.question} {field}".rstrip()
             case _:
-                pass
+                continue
+        if name in seen:
+            raise UsageError(f"change {change}: {name} is changed twice, expected one change of it")
+        seen.add(name)
 
 
 def started_of(recipe: Recipe, origin: RunStarted | None = None) -> RunStarted:

@@ -339,3 +339,15 @@ def test_a_scenario_that_gives_a_constant_two_values_is_refused_with_both(tmp_pa
         with pytest.raises(UsageError) as refused:
             with_own(Constants(), [str(path)], str(fleet), settings)
         assert found in str(refused.value)
+
+
+def test_the_settings_of_a_scenario_are_judged_together(tmp_path: Path) -> None:
+    path, fleet = tmp_path / "my.toml", tmp_path / "fleet.toml"
+    fleet.write_text(FLEET)
+    for low, high, is_range in ((0.7, 0.9, True), (0.7, 0.6, False)):
+        path.write_text(f'settings = ["world.message.low_s={low}", "world.message.high_s={high}"]\n{SCENARIO.lstrip()}')
+        if is_range:
+            assert with_own(Constants(), [str(path)], str(fleet))[0].world.message.high_s == high
+            continue
+        with pytest.raises(UsageError, match=r"my\.toml:1: settings: --set: found world\.message from 0\.7 to 0\.6 s"):
+            with_own(Constants(), [str(path)], str(fleet))

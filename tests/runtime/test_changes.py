@@ -37,7 +37,11 @@ befores = st.none() | st.integers(-5, 5).map(str)
 CHANGES: dict[type, st.SearchStrategy[AnyChange]] = {
     Drop: st.builds(Drop, names),
     Move: st.builds(Move, names, st.integers(-(10**9), 10**9).map(lambda us: us / 1e6)),
-    Add: st.builds(lambda at, robot, peer: Add(at, fact_text(PeersMet(robot, peer))), seconds, robots, robots),
+    Add: st.builds(
+        lambda at, pair: Add(at, fact_text(PeersMet(*pair))),
+        seconds,
+        st.lists(robots, min_size=2, max_size=2, unique=True),
+    ),
     Answer: st.builds(Answer, names, st.sampled_from(["deny", "never", "2.5s", "fail"])),
     Rule: st.builds(
         Rule,
@@ -155,7 +159,10 @@ def test_a_time_that_is_no_number_is_an_error(time: str) -> None:
         ("drop a b", "found 2 words after the verb"),
         ("move x 5s", "without \\+ or -"),
         ("move x +5x", "where a time belongs"),
-        ("move x +1e3s", "where a time of 0 s or more belongs"),
+        ("move x +1e3s", "found 1e3s where a time in plain digits belongs, as 1000s"),
+        ("answer approach:* 1E-3s", "found 1E-3s where a time in plain digits belongs"),
+        ("move x +-5s", "found -5s where a time of 0 to 9,007,199,254 s belongs"),
+        ("move x +10000000000s", "found 10000000000s where a time of 0 to 9,007,199,254 s belongs"),
         ("add foo:B1 3s", "known are window"),
         ("add obstruction:B1 3s", "obstruction takes a length"),
         ("add context:B1 3s for 5s", "context takes no length"),
@@ -177,6 +184,8 @@ def test_a_time_that_is_no_number_is_an_error(time: str) -> None:
         ("add window:flet/B1 5s for 5s", "Invalid enum value 'flet'"),
         ("add routine:A1 5s dancing", "Invalid enum value 'dancing'"),
         ("add window:fleet/B1 5s for 5s allow", r"found a window that allows, where one restricts \(review, deny\)"),
+        ("add encounter:A1/A1 5s", "found a meeting of robot/A1 with itself, where two robots belong"),
+        ('add 5s {"type":"PeersMet","robot":"robot/A1","peer":"robot/A1"}', "found a meeting of robot/A1 with itself"),
         ("x" * 20_000, "expected one of drop"),
     ],
 )

@@ -257,6 +257,12 @@ def test_the_base_of_a_fork_has_the_groups_of_constants_that_it_had() -> None:
         (["set structure.poll_us=3 from 5s"], "found a time for structure.poll_us"),
         (["set world.floor_teams=2 from 5s"], "found a time for world.floor_teams"),
         (["set world.review_share=0.3", "set world.review_share=0.4"], "changed twice"),
+        (["set world.review_share=0.3 from 5s", "set world.review_share=0.4 from 5s"], "one value for each name"),
+        (["set world.absence_to_s=-60"], "^change set world.absence_to_s=-60: found world.absence from -50 to -60 s"),
+        (
+            ["answer approach:* 2s", "answer approach:* 3s"],
+            "^change answer approach:\\* 3s: approach:\\* is changed twice",
+        ),
         (["architecture fsar"], "has that already"),
         (["architecture cfc", "architecture dhma"], "changed twice"),
         (["without nothing"], "has that already"),
@@ -268,6 +274,13 @@ def test_the_base_of_a_fork_has_the_groups_of_constants_that_it_had() -> None:
 def test_an_impossible_change_is_an_error(texts: list[str], message: str) -> None:
     with pytest.raises(UsageError, match=message):
         forked(*texts)
+
+
+def test_two_changes_of_a_range_are_judged_together() -> None:
+    for later in ("", " from 5s"):
+        both = [f"set world.message.low_s=0.6{later}", f"set world.message.high_s=0.9{later}"]
+        assert forked(*both).record.events
+        assert forked(*reversed(both)).record.events
 
 
 def test_an_architecture_that_is_none_or_lacks_the_mechanism_is_an_error() -> None:

@@ -219,6 +219,7 @@ def test_an_unknown_architecture_or_scenario_is_refused_with_the_nearest_name() 
             )
         ),
         ("world.message.low_s=0.7", "found world.message from 0.7 to 0.5 s, expected the smaller first"),
+        ("world.absence_to_s=-60", "found world.absence from -50 to -60 s, expected the smaller first; set both"),
         ("fleet=x", "unknown constant fleet"),
     ],
 )
