@@ -235,3 +235,20 @@ def test_a_ledger_that_the_disk_has_no_room_for_can_be_created_later(tmp_path: P
     append_all(path, BATCHES)
     append_all(tmp_path / "calm", BATCHES)
     assert contents(path) == contents(tmp_path / "calm")
+
+
+def test_a_ledger_that_cannot_be_written_to_is_not_said_to_be_interrupted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, opens = tmp_path / "ledger", os.open
+    append_all(path, BATCHES)
+
+    def read_only(name: str | Path, flags: int, mode: int = 0o777) -> int:
+        if flags & (os.O_WRONLY | os.O_RDWR):
+            raise OSError(errno.EROFS, os.strerror(errno.EROFS), str(name))
+        return opens(name, flags, mode)
+
+    monkeypatch.setattr(os, "open", read_only)
+    with pytest.raises(WriteFailed) as refused:
+        Writer(path, ORIGIN)
+    assert f"{path}: opening it for writing failed: {os.strerror(errno.EROFS)}; " in str(refused.value)

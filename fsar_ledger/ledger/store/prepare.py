@@ -134,7 +134,7 @@ def repair(view: View, *, is_alone: bool, settles: bool = True) -> View:
     covered = behind(view)
     is_hidden = bool(view.followed.is_hidden or view.journal.hidden)
     is_changed = bool(view.followed.torn or view.journal.torn or view.journal.sealed or is_hidden)
-    with disk.refusals(path, "finishing what an interrupted writer left"):
+    with disk.refusals(path, "opening it for writing"):
         disk.sync_folder(path)
         growing.write_again(path / CHAIN, view.followed.last, view.followed.end, cuts=view.followed.torn > 0)
         if view.followed.is_hidden:
