@@ -12,7 +12,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
 
-from fsar_ledger.base.errors import LedgerCorrupted, WorkerDied
+from fsar_ledger.base.errors import LedgerCorrupted, NotALedger, WorkerDied
 from fsar_ledger.ledger import verify as verification
 from fsar_ledger.ledger.log.hashing import HASH_BYTES
 from fsar_ledger.ledger.log.merkle import Frontier
@@ -22,6 +22,7 @@ from fsar_ledger.ledger.rows import canonical, layout, schema, segment
 from fsar_ledger.ledger.rows.grammar import Footer
 from fsar_ledger.ledger.rows.schema import SCHEMA, fingerprint
 from fsar_ledger.ledger.store import disk
+from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.verify import segment as verify_segment
 from fsar_ledger.ledger.verify import verify
 from fsar_ledger.ledger.verify.chain import BEHIND
@@ -88,6 +89,16 @@ def test_a_quick_look_that_found_something_makes_no_remark(path: Path) -> None:
 def test_a_file_that_is_missing_is_named_with_the_words_of_the_system(path: Path) -> None:
     (path / "ledger.json").unlink()
     assert [(problem.where, problem.found) for problem in verify(path).problems] == [("ledger.json", "nothing")]
+
+
+def test_a_ledger_that_lacks_its_description_alone_is_damaged_to_whoever_reads_or_writes_it(path: Path) -> None:
+    (path / "ledger.json").unlink()
+    for use in (open_ledger, lambda ledger: Writer(ledger, ORIGIN)):
+        with pytest.raises(LedgerCorrupted, match=r"ledger\.json: found nothing beside chain\.jsonl"):
+            use(path)
+    (path / "chain.jsonl").unlink()
+    with pytest.raises(NotALedger):
+        open_ledger(path)
 
 
 def test_a_segment_that_is_missing_is_named_with_the_words_of_the_system(path: Path) -> None:

@@ -1,5 +1,6 @@
 """The file `ledger.json`, which says what a ledger is."""
 
+import os
 from pathlib import Path
 from typing import TypeVar
 
@@ -10,7 +11,7 @@ from fsar_ledger.base.errors import FormatVersionMismatch, LedgerCorrupted, NotA
 from fsar_ledger.ledger.log.note import is_name
 from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.store import disk
-from fsar_ledger.ledger.store.paths import MANIFEST, require_created
+from fsar_ledger.ledger.store.paths import CHAIN, MANIFEST, require_created
 
 FORMAT, VERSION = "fsar-ledger", 2
 # See docs/decisions/there-is-one-format.md.
@@ -31,12 +32,17 @@ class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 def read_manifest(path: Path) -> bytes:
     """Read ledger.json of the ledger at this path.
 
-    Raises: NotALedger if there is none, or its creation was interrupted.
+    Raises: NotALedger if there is none, or its creation was interrupted; LedgerCorrupted if it alone is missing.
     """
     try:
         return disk.read_document(path / MANIFEST)
     except (FileNotFoundError, NotADirectoryError) as error:
         require_created(path)
+        if os.path.lexists(path / CHAIN):
+            raise LedgerCorrupted(
+                f"{path / MANIFEST}: found nothing beside {CHAIN}, expected the description of the ledger; restore it: "
+                "`fsar-ledger maintain recover` says how much of the ledger can be trusted"
+            ) from error
         instead = "no such path" if not path.exists() else "no ledger.json in it" if path.is_dir() else "a file"
         raise NotALedger(
             f"{path}: found {instead}, expected the directory of a ledger; give the path that `fsar-ledger simulate` "

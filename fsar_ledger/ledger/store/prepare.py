@@ -96,6 +96,8 @@ def create(ledger: Path, origin: str) -> None:
         if os.path.isdir(ledger) and not is_unfinished(ledger):
             if os.path.lexists(ledger / MANIFEST):  # another writer was quicker
                 return
+            if os.path.lexists(ledger / CHAIN):
+                read_manifest(ledger)  # which alone is missing, and says so
             raise NotALedger(
                 f"{ledger}: found a folder with other things in it, expected a ledger or a free path; give another path"
             )
