@@ -3,14 +3,21 @@
 -- Grain: one row per run in which a robot went off, was called away, was suspected, departed or returned
 -- Key: run_id
 -- Units: counts. away: times that a robot went off; announced, found_out: departures by a word, or by silence;
---   suspected, cleared, returned: robots each time; requests_failed: requests that ended as failure(departed);
+--   suspected, cleared, returned (or joined anew): robots each time; requests_failed: requests that ended as
+--   failure(departed);
 --   tasks_recovered, tasks_abandoned: tasks of facts/tasks_of_departed that were completed, or given up;
 --   acts: as in facts/acts_of_departed
 -- NULL: none
 -- Example: fsar-ledger query audit/churn LEDGER --param run=RUN
 --   answers nothing, since no robot leaves in the paper's scenarios; those of the scenario churn do
 -- Parameters: run: run = all
-WITH counted AS (
+WITH memberships AS (
+    SELECT run_id, type, lag(type) OVER (PARTITION BY run_id, robot ORDER BY seq) AS type_before
+    FROM event_principals
+    WHERE type IN ('RobotJoined.v1', 'RobotDeparted.v1', 'RobotReturned.v1')
+),
+
+counted AS (
     SELECT run_id, 'away' AS what FROM robot_went_off
     UNION ALL
     SELECT run_id, 'called' AS what FROM robot_called_away
@@ -21,7 +28,8 @@ WITH counted AS (
     UNION ALL
     SELECT run_id, 'cleared' AS what FROM robot_cleared
     UNION ALL
-    SELECT run_id, 'returned' AS what FROM robot_returned
+    SELECT run_id, 'returned' AS what FROM memberships
+    WHERE type = 'RobotReturned.v1' OR (type = 'RobotJoined.v1' AND type_before = 'RobotDeparted.v1')
     UNION ALL
     SELECT run_id, 'failed' AS what FROM request_closed
     WHERE result = 'failure' AND cause = 'departed'

@@ -24,11 +24,17 @@ WITH cut_off AS (
     GROUP BY run_id, task_id
 ),
 
+back AS (
+    SELECT run_id, robot, seq FROM robot_returned
+    UNION ALL
+    SELECT run_id, robot, seq FROM robot_joined
+),
+
 gone AS (
-    SELECT departed.run_id, departed.robot, departed.seq, min(returned.seq) AS until_seq
+    SELECT departed.run_id, departed.robot, departed.seq, min(back.seq) AS until_seq
     FROM robot_departed AS departed
-    LEFT JOIN robot_returned AS returned
-        ON departed.run_id = returned.run_id AND departed.robot = returned.robot AND departed.seq < returned.seq
+    LEFT JOIN back
+        ON departed.run_id = back.run_id AND departed.robot = back.robot AND departed.seq < back.seq
     GROUP BY departed.run_id, departed.robot, departed.seq
 ),
 
@@ -37,9 +43,14 @@ acting AS (
 ),
 
 ends AS (
-    SELECT run_id, task_id, seq, 'completed' AS outcome FROM task_completed
-    UNION ALL
-    SELECT run_id, task_id, seq, 'abandoned' AS outcome FROM task_abandoned
+    -- A record of another system may end a task twice: the last end counts.
+    SELECT run_id, task_id, max(seq) AS seq, arg_max(outcome, seq) AS outcome
+    FROM (
+        SELECT run_id, task_id, seq, 'completed' AS outcome FROM task_completed
+        UNION ALL
+        SELECT run_id, task_id, seq, 'abandoned' AS outcome FROM task_abandoned
+    ) AS told
+    GROUP BY run_id, task_id
 ),
 
 waited AS (
@@ -51,7 +62,7 @@ waited AS (
 ),
 
 arrived AS (
-    SELECT run_id, task_id FROM task_arrived
+    SELECT DISTINCT run_id, task_id FROM task_arrived
 ),
 
 hit AS (

@@ -9,6 +9,7 @@ from tests.queries.histories import Row, S, act, answer, event, run
 B, T = "robot/B1", "t1"
 ARRIVED = event("TaskArrived", 1 * S, task_id=T, robot="robot/A1", team=1, steps=["A x.y", "B door.open"])
 DEPARTED = event("RobotDeparted", 5 * S, robot=B, reason="silent", fence=1)
+JOINED = event("RobotJoined", 8 * S, robot=B, role="B")
 RETURNED = event("RobotReturned", 8 * S, robot=B, fence=1)
 FAILED = act("RequestClosed", 5 * S, "t1/2.1", request_id="t1/2.1", result="failure", cause="departed")
 COMPLETED, ABANDONED = (event(name, 9 * S, task_id=T) for name in ("TaskCompleted", "TaskAbandoned"))
@@ -32,6 +33,8 @@ def test_departures_suspicions_and_returns_are_counted_by_run() -> None:
     )
     quiet = run(event("TaskArrived", 1 * S, task_id=T), run_id="r2")
     assert answer("audit/churn", run(*events), quiet, columns=COUNTS) == [(1, 1, 1, 2, 1, 1, 1)]
+    anew = (JOINED, *events[:-1], event("RobotJoined", 8 * S, robot="robot/E1"), JOINED)
+    assert answer("audit/churn", run(*anew), columns=COUNTS) == [(1, 1, 1, 2, 1, 1, 1)]
 
 
 @pytest.mark.parametrize(
@@ -55,10 +58,17 @@ def test_a_task_that_a_departure_cut_off_is_recovered_given_up_or_open(cut_off: 
 def test_a_task_is_given_up_for_a_departure_only_while_a_robot_of_its_steps_is_gone() -> None:
     assert fate(DEPARTED, ABANDONED) == [(T, "abandoned")]
     assert fate(DEPARTED, RETURNED, ABANDONED) == []
+    assert fate(DEPARTED, JOINED, ABANDONED) == []
+    assert fate(JOINED, DEPARTED, ABANDONED) == [(T, "abandoned")]
     assert fate(ABANDONED, DEPARTED) == []
     assert fate({**DEPARTED, "robot": "robot/D1"}, ABANDONED) == []
     assert fate({**DEPARTED, "robot": "robot/B2"}, ABANDONED) == []
     assert fate(DEPARTED, COMPLETED) == []
+
+
+def test_a_task_that_is_told_of_twice_is_one() -> None:
+    assert fate(ARRIVED, DEPARTED, FAILED, FAILED, COMPLETED, COMPLETED) == [(T, "completed")]
+    assert fate(ARRIVED, DEPARTED, FAILED, ABANDONED, COMPLETED) == [(T, "completed")]
 
 
 def test_other_failures_are_none_of_a_departure() -> None:
