@@ -6,7 +6,7 @@
 -- Units: since_us microseconds of run time; at seconds, by default after the end of every run
 -- NULL: action_id, since_us, on_behalf_of when nothing was in hand; on_behalf_of also when the robot helps another;
 --   doing, too, when nothing is on record and the run does not observe execution and recovery, or something was in hand
---   that began before the record. Without execution only help is told
+--   that began before the record. Where a source does not record how executions end, only help is told
 -- Example: fsar-ledger query audit/robot_activity LEDGER --param run=RUN --param robot=robot/C1 --param at=20
 --   answers executing B1-1/2.1 for robot/B1 since 18.0 s
 -- Parameters: run: run = all, robot: robot = all, at: time = end
@@ -15,9 +15,8 @@ WITH doings (type, doing) AS (
     ('ExecutionQueued.v1', 'queued'), ('ApproachStarted.v1', 'approaching'), ('ExecutionHeld.v1', 'held by policy'),
     ('ExecutionStarted.v1', 'executing'), ('ExecutionResumed.v1', 'executing'), ('ExecutionPaused.v1', 'paused'),
     ('ExecutionHalted.v1', 'off'), ('ExecutionPreempted.v1', 'preempted'), ('ExecutionFailed.v1', 'recovering'),
-    ('AssistanceAdmitted.v1', 'helping'),
-    ('ExecutionFinished.v1', NULL), ('ExecutionWithdrawn.v1', NULL), ('AssistanceEnded.v1', NULL),
-    ('AssistanceFailed.v1', NULL)
+    ('AssistanceAdmitted.v1', 'helping'), ('ExecutionFinished.v1', NULL), ('ExecutionWithdrawn.v1', NULL),
+    ('AssistanceEnded.v1', NULL), ('AssistanceFailed.v1', NULL)
 ),
 
 latest AS (
@@ -30,23 +29,24 @@ latest AS (
         arg_max(events.on_behalf_of, events.seq) FILTER (WHERE events.on_behalf_of IS NOT NULL) AS on_behalf_of
     FROM event_principals AS events
     INNER JOIN doings ON events.type = doings.type
-    INNER JOIN runs ON events.run_id = runs.run_id
+    INNER JOIN run_started AS runs ON events.run_id = runs.run_id
     WHERE
         $run IN ('all', events.run_id) AND events.time_us <= $at_us::BIGINT
-        -- Whose execution is not observed, of him nothing ends.
-        AND (list_contains(runs.observes, 'execution') OR starts_with(events.type, 'Assistance'))
+        -- Where the ends of executions are not recorded, none is told.
+        AND (
+            list_contains(runs.observes, 'execution') OR starts_with(events.type, 'Assistance')
+            OR list_has_all(runs.records, ['ExecutionFinished', 'ExecutionWithdrawn'])
+        )
     -- A helper may have an action of its own in hand, and help with another.
     GROUP BY events.run_id, coalesce(events.helper, events.robot), events.action_id, events.helper IS NOT NULL
 ),
 
 members AS (
     -- Not every record of another system says who joined.
-    SELECT run_id, robot
-    FROM fleet_members
+    SELECT run_id, robot FROM fleet_members
     WHERE joined_us <= $at_us::BIGINT
     UNION
-    SELECT run_id, robot
-    FROM latest
+    SELECT run_id, robot FROM latest
     WHERE doing <> 'done' AND robot IS NOT NULL
 ),
 

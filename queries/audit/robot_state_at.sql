@@ -5,15 +5,16 @@
 -- Units: at seconds of run time; the default time is after the end of every run
 -- NULL: action_id (of several one that failed, else the first that does not wait) when nothing was in hand; state when
 --   nothing is on record and not all that tells it is observed, or it was off, or busy, since before the record
--- Example: fsar-ledger query audit/robot_state_at LEDGER --param run=RUN --param robot=robot/D1 --param at=31
---   answers robot/D1 is failed, with A1-1/5.1 in hand
+-- Example: fsar-ledger query audit/robot_state_at LEDGER --param at=31 answers robot/D1 is failed, A1-1/5.1 in hand
 -- Parameters: run: run = all, robot: robot = all, at: time = end
 WITH past AS (
-    SELECT events.*
-    FROM event_principals AS events INNER JOIN runs ON events.run_id = runs.run_id
+    SELECT events.* FROM event_principals AS events INNER JOIN run_started AS runs ON events.run_id = runs.run_id
     WHERE
         $run IN ('all', events.run_id) AND events.time_us <= $at_us::BIGINT
-        AND (list_contains(runs.observes, 'execution') OR NOT starts_with(events.type, 'Execution')) -- else none ends
+        AND ( -- where the ends of executions are not recorded, none is told
+            list_contains(runs.observes, 'execution') OR NOT starts_with(events.type, 'Execution')
+            OR list_has_all(runs.records, ['ExecutionFinished', 'ExecutionWithdrawn'])
+        )
 ),
 
 outward AS ( -- failures that are being recovered by others than the robot
@@ -44,8 +45,7 @@ held AS (
 ),
 
 members AS (
-    SELECT run_id, robot, list(what) AS amiss
-    FROM (
+    SELECT run_id, robot, list(what) AS amiss FROM (
         SELECT run_id, robot, what, since_us, until_us FROM outages
         UNION ALL
         SELECT run_id, robot, 'degraded' AS what, since_us, until_us FROM advertisements

@@ -127,6 +127,22 @@ def test_who_returns_without_having_left_was_off_shift_before() -> None:
 
 
 @pytest.mark.parametrize(
+    ("query", "told"), [("robot_state_at", {"state": "executing"}), ("robot_activity", {"doing": "executing"})]
+)
+def test_what_a_robot_does_is_told_where_a_source_records_how_executions_end(query: str, told: Row) -> None:
+    events = (start("t/1", A, A), act("ExecutionFinished", 20 * S, "t/1", robot=A, executed_by=A))
+    for records, expected in (
+        (["ExecutionStarted", "ExecutionFinished", "ExecutionWithdrawn"], [{"action_id": "t/1", **told}]),
+        (["ExecutionStarted", "ExecutionFinished"], []),
+        (["ExecutionStarted"], []),
+    ):
+        with from_rows(run(*events, kind="foreign", observes=[], records=records)) as database:
+            for at, rows in ((10, expected), (20, [])):
+                found = database.query(f"audit/{query}", {"at_us": f"{at * S}"}).to_pylist()
+                assert [{name: row[name] for name in ("action_id", *told)} for row in found] == rows
+
+
+@pytest.mark.parametrize(
     ("first", "until"),
     [
         (act("ExecutionFinished", 20 * S, "t/1", robot=A, executed_by=A), 20),
