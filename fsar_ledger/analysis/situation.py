@@ -16,6 +16,7 @@ from fsar_ledger.events.request import RequestIssued
 from fsar_ledger.events.task import TaskAbandoned
 from fsar_ledger.events.world import PolicyWindowOpened
 from fsar_ledger.projections import put, without
+from fsar_ledger.projections.execution import HELPING
 from fsar_ledger.projections.fleet import Member
 from fsar_ledger.projections.fold import State, apply
 from fsar_ledger.projections.recovery import Recovery
@@ -351,19 +352,18 @@ def _robot(past: Past, name: Robot, seen: Coverage, is_known: bool) -> RobotNow:
         seen.of("world", world.obstructions.get(name, ())),
         False if work is not None else seen.of("execution", seen.of("recovery", True if is_known else None)),
         work,
-        seen.of("execution", state.execution.queues.get(name, ())),
+        seen.of("execution", tuple(one.removeprefix(HELPING) for one in state.execution.queues.get(name, ()))),
         seen.all("policy", _windows(past, name)),
         seen.of("registry", offers),
     )
 
 
 def _work(state: State, name: Robot) -> Work | None:
-    current = state.execution.current.get(name)
-    if current is None:
+    if (current := state.execution.current.get(name)) is None:
         return None
     action = state.execution.actions.get(current)
     if action is None:
-        return Work(current.partition(":")[2], None, "helping", None, None)
+        return Work(current.removeprefix(HELPING), None, "helping", None, None)
     whose = action.on_behalf_of if action.on_behalf_of != action.robot else None
     ends_s = action.ends_us / 1e6 if action.ends_us else None
     return Work(action.action_id, action.capability or None, action.stage, whose, ends_s)

@@ -97,8 +97,8 @@ class Action(msgspec.Struct, frozen=True, gc=False):
 class Execution(msgspec.Struct, frozen=True, gc=False):
     """The actions, and what occupies robots.
 
-    `current`: robot -> the action or assistance that occupies it; `queues`: robot -> waiting actions; `served`: robot
-    -> the actions on its behalf.
+    `current`: robot -> the action or assistance that occupies it; `queues`: robot -> waiting actions, and assistance
+    that another system set aside; `served`: robot -> the actions on its behalf.
     """
 
     current: Mapping[Robot, str] = {}
@@ -146,12 +146,12 @@ def evolve(state: Execution, event: HANDLES) -> Execution:
         case ExecutionWithdrawn():
             return _withdrawn(state, event)
         case AssistanceAdmitted():
-            free = _set_aside(state, event.helper)
-            current = put(free.current, event.helper, HELPING + event.subject.action_id)
+            held = HELPING + event.subject.action_id
+            free = _set_aside(_helps_no_more(state, event.helper, held), event.helper)
+            current = put(free.current, event.helper, held)
             return Execution(current, free.queues, free.actions, free.served)
         case AssistanceEnded() | AssistanceFailed():
-            is_helping = state.current.get(event.helper) == HELPING + event.subject.action_id
-            return _freed(state, event.helper) if is_helping else state
+            return _helps_no_more(state, event.helper, HELPING + event.subject.action_id)
         case _:
             assert_never(event)
 
@@ -225,12 +225,18 @@ def _left(state: Execution, robot: Robot, action_id: str) -> Execution:
     return Execution(state.current, put(state.queues, robot, queue), state.actions, state.served)
 
 
+def _helps_no_more(state: Execution, robot: Robot, held: str) -> Execution:
+    is_helping = held in (state.current.get(robot), *state.queues.get(robot, ()))
+    return _left(state, robot, held) if is_helping else state
+
+
 def _set_aside(state: Execution, robot: Robot) -> Execution:
-    """Let the action that the robot has in hand, if any, wait for what comes next."""
+    """Let the action or the help that the robot has in hand, if any, wait for what comes next."""
     if robot not in state.current:
         return state
     held, queue = state.current[robot], state.queues.get(robot, ())
-    queues = put(state.queues, robot, (held, *queue)) if held in state.actions else state.queues
+    is_kept = held in state.actions or held.startswith(HELPING)
+    queues = put(state.queues, robot, (held, *queue)) if is_kept else state.queues
     return Execution(without(state.current, robot), queues, state.actions, state.served)
 
 
@@ -280,7 +286,9 @@ def _place(state: Execution, queue: tuple[str, ...], override: OverrideLevel) ->
     Only an interrupting level goes ahead of an action that was itself interrupted. Paper: eq:override.
     """
     for place, name in enumerate(queue):
-        waiting = state.actions[name]
+        waiting = state.actions.get(name)
+        if waiting is None:  # a help that another system set aside
+            continue
         if rank(waiting.override) < rank(override) and (waiting.stage != "preempted" or rank(override) >= INTERRUPTING):
             return place
     return len(queue)

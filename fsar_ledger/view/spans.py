@@ -137,7 +137,8 @@ def _execution(state: Execution) -> Iterator[Fact]:
             yield Fact(robot, "work", _WORK.get(action.stage, action.stage), name, action.capability)
     for robot, names in state.queues.items():
         for name in names:
-            yield Fact(robot, "queue", "waiting", name, state.actions[name].capability if name in state.actions else "")
+            about = state.actions[name].capability if name in state.actions else ""
+            yield Fact(robot, "queue", "waiting", name.removeprefix(HELPING), about)
 
 
 def _recoveries(state: Recoveries) -> Iterator[Fact]:

@@ -64,3 +64,47 @@ def test_state_says_who_has_left_the_fleet(tmp_path: Path) -> None:
     found = [[one.departed for one in ledger.state("day", at=at).standing.robots or ()] for at in (1, 3, 5, 7, 8)]
     assert found == [[None], ["silent"], [None], ["announced"], [None]]
     assert "DEPARTED (silent)" in "\n".join(ledger.state("day", at=3).text(Screen()))
+
+
+def test_a_robot_that_does_another_action_meanwhile_helps_on_after_it(tmp_path: Path) -> None:
+    helps: dict[str, Any] = {**OF, "robot": "robot/b", "helper": "robot/a", "failure": 1}
+    own: dict[str, Any] = {"task_id": "u", "action_id": "u/1", "robot": "robot/a"}
+    queued: dict[str, Any] = {
+        "on_behalf_of": "robot/a",
+        "capability": "carry",
+        "step": 0,
+        "attempt": 0,
+        "is_delegated": False,
+        "has_approach": False,
+        "is_supervised": False,
+        "override": "hard-preempt",
+    }
+    with record(tmp_path / "ledger", run="day", fleet=[A], observes=CONCERNS, epoch=BEGAN) as recorder:
+        for at_s, name, columns in (
+            (1, "AssistanceAdmitted", {**helps, "level": "peer"}),
+            (2, "ExecutionStarted", {**own, "capability": "carry"}),
+            (3, "ExecutionQueued", {**own, "action_id": "u/2", **queued}),
+            (4, "ExecutionWithdrawn", {**own, "action_id": "u/2"}),
+            (5, "ExecutionFinished", own),
+            (7, "ExecutionStarted", {**own, "capability": "carry"}),
+            (8, "AssistanceEnded", helps),
+            (9, "ExecutionFinished", own),
+            (10, "SupervisorLeft", {"supervisor": "supervisor/x"}),
+        ):
+            recorder.event(name, at=BEGAN + timedelta(seconds=at_s), **columns)
+    ledger = open_ledger(tmp_path / "ledger")
+    helping, serving = ("helping", "t/1"), ("running", "u/1")
+    for at, expected, waits in (
+        (1, helping, ()),
+        (2, serving, ("t/1",)),
+        (3, serving, ("t/1", "u/2")),
+        (6, helping, ()),
+        (7, serving, ("t/1",)),
+        (8, serving, ()),
+        (9, None, ()),
+    ):
+        robots = ledger.state("day", at=at).standing.robots
+        assert robots is not None
+        (told,) = [one for one in robots if one.robot == "robot/a"]
+        assert (told.work and (told.work.stage, told.work.action_id), told.queue) == (expected, waits), at
+        assert told.is_idle is (expected is None)

@@ -203,8 +203,9 @@ def test_what_a_robot_has_in_hand_is_an_action_at_it_whatever_was_recorded() -> 
         for seq, event in enumerate(run.events):
             apply(state, event)
             of, told = state.execution, told + 1
-            held = [(robot, name) for robot, name in of.current.items() if not name.startswith(execution.HELPING)]
-            held += [(robot, name) for robot, names in of.queues.items() for name in names]
+            held = [*of.current.items(), *((robot, name) for robot, names in of.queues.items() for name in names)]
+            assert len(held) == len(set(held)), (seed, seq)
+            held = [one for one in held if not one[1].startswith(execution.HELPING)]
             at = {name: action.robot for name, action in of.actions.items() if action.stage != "withdrawn"}
             assert sorted(held) == sorted((robot, name) for name, robot in at.items()), (seed, seq)
     assert told > 8_000
