@@ -160,7 +160,8 @@ def settled(
     """Return of each of these relations what no later part changes, and what is carried on to the next, if not known.
 
     The database has the events of some parts and what was carried to them; what is said of what is carried on is left
-    to the next part. None if an event is about a task whose beginning was not carried, or if the rest does not add up.
+    to the next part, if there is one. None if an event is about a task whose beginning was not carried, or if the rest
+    does not add up.
 
     Raises: As `Database.table`.
     """
@@ -170,10 +171,12 @@ def settled(
             return None
         carried = carrying.drop_columns(["has_begun"])
     here = {name: database.table(f"SELECT * FROM {name}") for name in names}
-    numbers = database.table("SELECT * FROM run_numbers")
-    database.refill(carried if not is_last else carried.slice(0, 0))
-    database.hold("run_numbers", numbers)
     made = {_CARRIED: carried}
+    if is_last:
+        return made | here
+    numbers = database.table("SELECT * FROM run_numbers")
+    database.refill(carried)
+    database.hold("run_numbers", numbers)
     for name, table in here.items():
         again = database.table(f"SELECT * FROM {name}").cast(table.schema)
         if "seq" in table.column_names:  # an offence
