@@ -7,7 +7,8 @@
 -- Example: fsar-ledger query facts/carried_events LEDGER
 -- A task is over when it was completed or given up, no authority for it is held, and nobody is at work on it. Before
 -- `since` no task began that is not over: what ended before it meets nothing later. Of what belongs to no task, a
--- robot's routine and what no judge reads are left out. The last event tells when the record ends.
+-- robot's routine and what no judge reads are left out. The last event tells when the record ends, so its task is
+-- carried, too.
 WITH tasks AS (
     SELECT run_id, action_id, min(task_id) AS task_id
     FROM event_principals
@@ -58,10 +59,11 @@ spans AS (
 ),
 
 opened AS (
-    SELECT run_id, min(first_seq) AS since
+    SELECT spans.run_id, min(spans.first_seq) AS since
     FROM spans
-    WHERE NOT (has_begun AND is_over)
-    GROUP BY run_id
+    INNER JOIN ends ON spans.run_id = ends.run_id
+    WHERE NOT (spans.has_begun AND spans.is_over) OR spans.last_seq = ends.last_seq
+    GROUP BY spans.run_id
 )
 
 SELECT named.run_id, named.seq, spans.has_begun

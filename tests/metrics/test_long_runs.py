@@ -156,6 +156,26 @@ def test_after_an_append_only_what_came_since_is_judged_and_compaction_forgets_n
     assert len(set(seen)) <= 2
 
 
+def test_a_part_may_end_with_the_end_of_a_task(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    day = Day(tmp_path / "ledger")
+    for count in range(1, 7):
+        task, action = f"t{count}", f"t{count}/1.1"
+        day.one.give("SubmitTask", A, robot=A, task_id=task, steps=STEPS[:1], budget_us=600 * S)
+        for kind, given in (("ReportStart", {"robot": A}), ("ReportResult", {"executor": A, "result": "success"})):
+            day.at(day.now_us + S).one.give(kind, A, action_id=action, **given)
+        if count % 2 == 0:
+            day.at(day.now_us + S).one.cut()
+            day.again()
+    day.one.close()
+    last = next(iter(open_ledger(day.ledger).runs())).events[-1]
+    assert isinstance(last, TaskCompleted)
+    monkeypatch.setattr(database, "SLICE_EVENTS", 60)
+    seen = looks(monkeypatch)
+    assert sliced(day.ledger, *SOME) == whole(day.ledger, *SOME)
+    assert len(seen) > 2
+    assert max(map(len, seen)) < 4, "none is the whole"
+
+
 @pytest.mark.slow
 def test_where_a_task_comes_back_that_was_over_the_run_is_judged_as_a_whole(
     cut: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
