@@ -14,12 +14,13 @@ import pyarrow as pa
 
 from fsar_ledger.base import printable
 from fsar_ledger.base.errors import FsarLedgerError, LedgerCorrupted
-from fsar_ledger.events.fleet import RunContinued
+from fsar_ledger.events.fleet import RunContinued, RunStarted
 from fsar_ledger.events.retired import ADDITIONS
 from fsar_ledger.ledger.rows.codec import upcast_rows
 from fsar_ledger.ledger.rows.runs import unlike_beginning
 from fsar_ledger.ledger.rows.schema import (
     COLUMNS,
+    ENVELOPE,
     FINGERPRINTS,
     LAYOUTS,
     RELEASE,
@@ -200,7 +201,8 @@ def _join(database: Database, places: Sequence[Mapping[str, object]], carried: p
 def _require_alike(database: Database, continues: Mapping[str, str], names: str) -> None:
     """Require that runs continue different ones, whose event 0 is like their own. Raises: LedgerCorrupted."""
     own = ("run_id", "time_us")
-    columns = ", ".join(f'"{name}"' for name in COLUMNS if name not in own)
+    fields = (*ENVELOPE, *LAYOUTS[f"{RunStarted.__struct_config__.tag}"].fields)
+    columns = ", ".join(f'"{field.name}"' for field in fields if field.name not in own)
     rows = database.direct(
         f"SELECT run_id, CAST(({columns}) AS VARCHAR) FROM {_BY_RUN} WHERE seq = 0 AND run_id IN ({names})"
     )
