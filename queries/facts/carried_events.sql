@@ -1,5 +1,5 @@
 -- Title: What a judge of later events may still need of a run, so that a run of years can be judged part by part
--- Paper: sec:foundations:architecture
+-- Paper: sec:evaluation:metrics
 -- Grain: one row per event that later ones may meet
 -- Key: run_id, seq
 -- Units: has_begun whether the arrival of the event's task is on record
