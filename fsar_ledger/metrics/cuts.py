@@ -11,6 +11,7 @@ from functools import cache, partial
 from itertools import chain, pairwise
 from typing import Any, NamedTuple
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
@@ -126,8 +127,9 @@ def _adding() -> frozenset[str]:
 
 
 def _adds_up(asked: Asked) -> bool:
-    """Return whether an answer follows from what adds up over the parts of a run, and from how it began."""
-    return asked.reads is not None and not library().needs(asked.reads, _adding() | _OF_THE_RUN)
+    """Return whether an answer follows from what adds up over the parts of a run, and else from how it began."""
+    reads = asked.reads or frozenset()
+    return not reads.isdisjoint(_adding()) and not library().needs(reads, _adding() | _OF_THE_RUN)
 
 
 def _settled_of(
@@ -138,7 +140,7 @@ def _settled_of(
     texts = {name: digest_of([carrying, asked_of(f"SELECT * FROM {name}").text]) for name in names}
     texts[_CARRIED] = carrying
     known = slices.remembered(stretch.digest, texts.values())
-    made = {name: slices.decoded(slices.joined([known[text]])) for name, text in texts.items() if text in known}
+    made = {name: slices.joined([known[text]]) for name, text in texts.items() if text in known}
     if lacking := texts.keys() - made.keys():
         database.empty()
         slices.fill(database, stretch.slice, parts)
@@ -147,11 +149,7 @@ def _settled_of(
             return None
         made |= found
         slices.remember(stretch.digest, {texts[name]: slices.written(made[name]) for name in lacking})
-    of_run = {name: pa.array([parts.run] * len(table), pa.string()) for name, table in made.items()}
-    return {
-        name: table.set_column(table.schema.get_field_index("run_id"), "run_id", of_run[name])
-        for name, table in made.items()
-    }
+    return {name: _of_run(slices.coded(table), parts.run) for name, table in made.items()}
 
 
 def settled(
@@ -180,7 +178,8 @@ def settled(
     for name, table in here.items():
         again = database.table(f"SELECT * FROM {name}").cast(table.schema)
         if "seq" in table.column_names:  # an offence
-            made[name], adds_up = _left(table, again), pc.all(pc.is_in(again["seq"], table["seq"]), min_count=0).as_py()
+            made[name] = table.filter(pc.invert(pc.is_in(table["seq"], again["seq"])))
+            adds_up = pc.all(pc.is_in(again["seq"], table["seq"]), min_count=0).as_py()
         else:
             made[name] = _added(name, [(1, table), (-1, again)])
             adds_up = all(
@@ -191,15 +190,9 @@ def settled(
     return made
 
 
-def _left(here: pa.Table, again: pa.Table) -> pa.Table:
-    """Return the offences that are not found again; the texts only of the first one, of which alone they are shown."""
-    left = here.filter(pc.invert(pc.is_in(here["seq"], again["seq"])))
-    is_first = pc.equal(left["seq"], pc.min(left["seq"]))
-    for name in left.column_names:
-        if left[name].type == pa.string() and name != "run_id":
-            told = pc.if_else(is_first, left[name], None)
-            left = left.set_column(left.schema.get_field_index(name), name, told)
-    return left
+def _of_run(table: pa.Table, run: str) -> pa.Table:
+    names = pa.DictionaryArray.from_arrays(pa.array(np.zeros(len(table), np.int32)), pa.array([run]))
+    return table.set_column(table.schema.get_field_index("run_id"), "run_id", names)
 
 
 def summed(name: str, tables: Sequence[pa.Table]) -> pa.Table:
@@ -227,4 +220,4 @@ def _added(name: str, signed: Iterable[tuple[int, pa.Table]]) -> pa.Table:
                 share = row[f"numerator{rest}"] / of if of else None
                 row[f"value{rest}"] = share / 1_000_000 if share is not None and name.endswith("_s") else share
     rows = [row for row in sums.values() if "value" in row or any(isinstance(one, int) and one for one in row.values())]
-    return pa.Table.from_pylist(rows, table.schema)
+    return pa.Table.from_pylist(rows, slices.decoded(table.slice(0, 0)).schema)

@@ -199,10 +199,15 @@ def remember(of: str | None, made: Mapping[str, bytes]) -> None:
         cache.execute(_TOO_MANY, [CACHE_BYTES])
 
 
-def written(table: pa.Table) -> bytes:
+def coded(table: pa.Table) -> pa.Table:
     """Return the rows, each text of a column once: runs of an experiment have the same constants, of 2,000 bytes."""
     columns = [column.dictionary_encode() if column.type == pa.string() else column for column in table.columns]
-    table = pa.table(columns, table.column_names)
+    return pa.table(columns, table.column_names)
+
+
+def written(table: pa.Table) -> bytes:
+    """Return the rows as bytes."""
+    table = coded(table)
     sink = pa.BufferOutputStream()
     with pa.ipc.new_stream(sink, table.schema, options=pa.ipc.IpcWriteOptions(compression="zstd")) as stream:
         stream.write_table(table)
