@@ -7,8 +7,7 @@
 -- Example: fsar-ledger query facts/carried_events LEDGER
 -- A task is over when it was completed or given up, no authority for it is held, and nobody is at work on it. Before
 -- `since` no task began that is not over: what ended before it meets nothing later. Of what belongs to no task, a
--- robot's routine and what no judge reads are left out. The last event tells when the record ends, so its task is
--- carried, too.
+-- robot's routine and what no judge reads are left out. The last event, which ends the record, has its task carried.
 WITH tasks AS (
     SELECT run_id, action_id, min(task_id) AS task_id
     FROM event_principals
@@ -38,8 +37,7 @@ under_way AS (
         FROM occupations
         WHERE action_id IS NOT NULL
         UNION ALL
-        SELECT run_id, action_id, ended_us
-        FROM claims
+        SELECT run_id, action_id, ended_us FROM claims
     ) AS begun
     INNER JOIN ends ON begun.run_id = ends.run_id AND coalesce(begun.ended_us > ends.end_us, TRUE)
     LEFT JOIN tasks ON begun.run_id = tasks.run_id AND begun.action_id = tasks.action_id
@@ -76,5 +74,7 @@ WHERE
     OR CASE
         WHEN spans.task IS NOT NULL THEN spans.last_seq >= opened.since
         WHEN starts_with(named.type, 'Routine') THEN named.seq >= opened.since
-        ELSE named.type NOT IN ('CommandGiven.v1', 'CommandRejected.v1', 'HeartbeatReceived.v1', 'RegistryConsulted.v1')
+        ELSE named.type NOT IN (
+            'CommandGiven.v1', 'CommandRejected.v1', 'HeartbeatReceived.v1', 'RegistryConsulted.v1', 'RunContinued.v1'
+        )
     END
