@@ -5,10 +5,9 @@ still open began can meet nothing that comes later. So some parts are judged tog
 what is said of what is carried on is left to the next ones: the rest is settled, and adds up.
 """
 
-from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache, partial
-from itertools import chain, pairwise
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -39,7 +38,7 @@ def answers(
 ) -> dict[str, pa.Table]:
     """Return what a slice of the ledger with this head answers to these, by their texts.
 
-    Raises: As `connect_slice` and `Database.table`.
+    Raises: As `slices.fill` and `Database.table`.
     """
     connect = partial(slices.connect, one, head, rows_verified, threads)
     found = _answers_by_cuts(one, connect, {text: each for text, each in asked.items() if _adds_up(each)})
@@ -56,24 +55,24 @@ def _answers_by_cuts(one: Slice, connect: Callable[[], Database], asked: Mapping
 
     Nothing, too, where an event of a part is about a task of an earlier one that was over. Raises: As `Database.table`.
     """
-    stretches = _stretches(one) if asked else []
-    names = sorted(_adding() & frozenset[str]().union(*(each.reads or () for each in asked.values())))
-    of_parts: dict[str, list[pa.Table]] = {name: [] for name in names}
-    parts = relation.Parts(one.runs[-1].run, None, Counter(), 0, None)
-    if not stretches:
+    if not (asked and (stretches := _stretches(one))):
         return {}
+    names = sorted(_adding() & frozenset[str]().union(*(each.reads or () for each in asked.values())))
+    carrying = asked_of(_CARRYING).text
+    texts = {name: digest_of([carrying, asked_of(f"SELECT * FROM {name}").text]) for name in names}
+    texts[_CARRIED] = carrying
+    of_parts: dict[str, list[pa.Table]] = {name: [] for name in names}
     with connect() as database:  # one for all of them, since to plan the queries takes as long as to answer them
+        types = relation.types_of(database, slices.segments(one))
+        parts = relation.Parts(one.runs[-1].run, types, {}, 0, None)
         for stretch in stretches:
-            sizes = Counter[str]()
-            for each in stretch.slice.runs:
-                sizes[each.run] += each.rows
-            parts = parts._replace(types=parts.types or relation.types_of(database, slices.segments(one)), sizes=sizes)
-            if (made := _settled_of(stretch, database, names, parts)) is None:
+            last = parts = parts._replace(sizes={each.run: each.rows for each in stretch.slice.runs})
+            if (made := _settled_of(stretch, database, texts, parts)) is None:
                 return {}
             for name in names:
                 of_parts[name].append(made[name])
             # Event 0 of each part repeats that of the first.
-            after, last = max(parts.before, 1) + sizes.total() - len(sizes), parts
+            after = max(parts.before, 1) + sum(parts.sizes.values()) - len(parts.sizes)
             parts = parts._replace(before=after, carried=made[_CARRIED])
     with connect() as database:
         slices.fill(database, stretch.slice, last)
@@ -95,16 +94,14 @@ def _stretches(one: Slice) -> list[_Stretch]:
 
     Nothing, too, if it has several runs, or parts in several ledgers.
     """
-    of_run: dict[str, list[Extent]] = {}
-    for extent in one.runs:
-        of_run.setdefault(extent.run, []).append(extent)
-    earlier = earlier_runs(one.view) if len(of_run) > 1 else {}
-    if any(earlier.get(after) != before for before, after in pairwise(of_run)) or len([*views_of(one.view)]) > 1:
+    earlier = earlier_runs(one.view) if len(one.runs) > 1 else {}
+    follow = all(earlier.get(after.run) == before.run for before, after in pairwise(one.runs))
+    if not follow or len([*views_of(one.view)]) > 1:
         return []
     found: list[_Stretch] = []
     until: list[Extent] = []
-    for some in parts_of(of_run.values(), lambda extents: sum(each.rows for each in extents), one.most):
-        until += (runs := [*chain.from_iterable(some)])
+    for runs in parts_of(one.runs, lambda each: each.rows, one.most):
+        until += runs
         is_last = len(until) == len(one.runs)
         digest = None if is_last else slice_of(one.view, until, one.beside, one.most).digest
         found.append(_Stretch(slice_of(one.view, runs, one.beside, one.most), digest, is_last))
@@ -133,12 +130,9 @@ def _adds_up(asked: Asked) -> bool:
 
 
 def _settled_of(
-    stretch: _Stretch, database: Database, names: Sequence[str], parts: relation.Parts
+    stretch: _Stretch, database: Database, texts: Mapping[str, str], parts: relation.Parts
 ) -> dict[str, pa.Table] | None:
-    """As `settled`, from the cache where it is known; the run may have had another name then."""
-    carrying = asked_of(_CARRYING).text
-    texts = {name: digest_of([carrying, asked_of(f"SELECT * FROM {name}").text]) for name in names}
-    texts[_CARRIED] = carrying
+    """As `settled`, from the cache where it is known by these texts; the run may have had another name then."""
     known = slices.remembered(stretch.digest, texts.values())
     made = {name: slices.joined([known[text]]) for name, text in texts.items() if text in known}
     if lacking := texts.keys() - made.keys():

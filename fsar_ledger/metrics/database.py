@@ -193,7 +193,8 @@ class Slices:
 
     def __iter__(self) -> Iterator[Database]:
         for one in self._slices:
-            with slices.connect_slice(one, self._head, self._rows_verified) as database:
+            with slices.connect(one, self._head, self._rows_verified) as database:
+                slices.fill(database, one)
                 yield database
 
     def tables(self, asked: Mapping[_Name, Asked], progress: Progress | None = None) -> Iterator[pa.Table]:

@@ -38,8 +38,6 @@ from .sql_values import listed, literal, parquet, quoted, written
 _DATASET, _UPCAST, _AS_STORED, _BY_RUN = "events_dataset", "events_upcast", "events_as_stored", "events_by_run"
 _CARRIED = "events_carried"
 _CONTINUED = f"{RunContinued.__struct_config__.tag}"
-
-
 _NUMBERS = pa.schema([("run_id", pa.string()), ("number", pa.int64())])
 
 

@@ -76,20 +76,6 @@ def slice_of(view: View, runs: Sequence[Extent], beside: Sequence[Extent], most:
     return Slice(tuple(runs), digest, view, beside, most)
 
 
-def connect_slice(one: Slice, head: Head, rows_verified: bool | None) -> Database:
-    """Open a database over the events of a slice of the ledger with this head.
-
-    Raises: As `database.connect_view`.
-    """
-    database = connect(one, head, rows_verified)
-    try:
-        fill(database, one)
-    except BaseException:
-        database.close()
-        raise
-    return database
-
-
 def connect(one: Slice, head: Head, rows_verified: bool | None, threads: int | None = None) -> Database:
     """Return a database for the events of a slice, which has none yet."""
     return Database(head, segments(one), threads, rows_verified=rows_verified, may_spill=True)
@@ -101,7 +87,10 @@ def segments(one: Slice) -> list[Path]:
 
 
 def fill(database: Database, one: Slice, parts: relation.Parts | None = None) -> None:
-    """Make the events of a slice, or of a run these parts of which it has, those of a database. Raises: As that."""
+    """Make the events of a slice, or of a run these parts of which it has, those of a database.
+
+    Raises: As `database.connect_view`.
+    """
     runs, view, releases = one.runs, one.view, one.view.releases
     numbers = view.segments_of(runs)
     held = {number: view.segment(number) for number in numbers}
