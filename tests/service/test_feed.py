@@ -2,6 +2,10 @@
 
 from pathlib import Path
 
+import pytest
+
+pytest.importorskip("uvicorn", reason="make test-all installs it")
+
 import fsar_ledger
 from fsar_ledger.service.feed import Feed
 

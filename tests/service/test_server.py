@@ -10,6 +10,8 @@ from typing import Any
 import msgspec
 import pytest
 
+pytest.importorskip("uvicorn", reason="make test-all installs it")
+
 import fsar_ledger
 from fsar_ledger.events.command import CommandGiven, CommandRejected
 from fsar_ledger.ledger.opening import open_ledger
