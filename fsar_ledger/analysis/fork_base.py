@@ -44,7 +44,7 @@ from fsar_ledger.runtime.changes import (
     seconds_text,
 )
 from fsar_ledger.runtime.forks import Fork, edited_environment, fork, live_again, parts_at, run_again
-from fsar_ledger.runtime.live import Asked, commands_of
+from fsar_ledger.runtime.live import QuestionKey, commands_of
 from fsar_ledger.runtime.own import problems_of_commands
 from fsar_ledger.runtime.recipes import CannotReplay, Recipe, recipe_of
 from fsar_ledger.runtime.simulation import founding_of
@@ -84,7 +84,7 @@ class Rerun(NamedTuple):
 
     base: Base
     asked: list[Question]
-    of_whom: Sequence[Asked] = ()
+    of_whom: Sequence[QuestionKey] = ()
 
     def changeable(self) -> list[Changeable]:
         """Return the facts of the world in order of time, and then the questions in the order of asking, each once."""
@@ -171,7 +171,7 @@ def base_of_record(record: LedgerRun, root: str) -> Base:
 
 def rerun(base: Base) -> Rerun:
     """Return the base, made again. Raises: UsageError naming the first event that the record has otherwise."""
-    of_whom: Iterable[Asked] = ()
+    of_whom: Iterable[QuestionKey] = ()
     asked: list[Question] = []
     try:
         if base.recipe.live is None:

@@ -20,7 +20,7 @@ import pyarrow.parquet as pq
 from fsar_ledger.base.errors import UsageError, WriteFailed, option
 from fsar_ledger.base.memory import unfinished
 from fsar_ledger.base.progress import Progress, each
-from fsar_ledger.exports import Written, documents, mcap, write_delta
+from fsar_ledger.exports import ExportedFile, documents, mcap, write_delta
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.rows.schema import SCHEMA
 from fsar_ledger.ledger.store.locations import chain_of, event_count, record_of, whole_of, whole_runs, wholes_of
@@ -218,7 +218,7 @@ EXTRAS = {"mcap": "mcap", "deltalake": "lake"}
 
 def write_as(
     ledger: "Ledger", file: Path, format: str, run: Run | None, progress: Progress | None
-) -> "tuple[Written, Provenance]":
+) -> "tuple[ExportedFile, Provenance]":
     """Write a run, or without one all of them, in a format of `FORMATS`; return what was written, and its provenance.
 
     Raises:
@@ -248,7 +248,7 @@ def write_as(
         trace(ledger, file, name)
         runs = [] if name is None else chain_of(view, name)
         events = sum(event_count(view.parts(run)) for run in runs)
-        return Written(events - len(runs[1:]), ()), provenance
+        return ExportedFile(events - len(runs[1:]), ()), provenance
     try:
         return _written(view, file, format, name, progress), provenance
     except ImportError as error:
@@ -261,7 +261,7 @@ def write_as(
         ) from error
 
 
-def _written(view: "View", file: Path, format: str, run: str | None, progress: Progress | None) -> Written:
+def _written(view: "View", file: Path, format: str, run: str | None, progress: Progress | None) -> ExportedFile:
     if format == "delta":
         return write_delta(file, view)
     with whole_file(file) as temporary:

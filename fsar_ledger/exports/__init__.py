@@ -29,7 +29,7 @@ from fsar_ledger.ledger.store.read import View
 from fsar_ledger.ledger.store.shards import log_of, views_of
 
 
-class Written(NamedTuple):
+class ExportedFile(NamedTuple):
     """The number of events in a file, and what else is to be told about it, a line each."""
 
     events: int
@@ -170,7 +170,7 @@ def _whole_folder(out: Path, doing: str) -> Iterator[Path]:
         raise
 
 
-def write_delta(out: Path, view: View) -> Written:
+def write_delta(out: Path, view: View) -> ExportedFile:
     """Write a new folder with the segments of the ledger, one more of the rows of its journal, and `_delta_log`.
 
     The files of the table are the ledger's own segments, linked and not copied. Its log lies beside its files, and the
@@ -192,7 +192,7 @@ def write_delta(out: Path, view: View) -> Written:
     placed = sum(len(one.chain.placed) for one in views_of(view))
     journal = sum(one.head.size - one.chain.placed_size for one in views_of(view))
     told = f"{linked:,} segments are hard links into the ledger, {placed - linked:,} are copies"
-    return Written(view.head.events, (told, f"{journal:,} events of the journal are in a file of their own"))
+    return ExportedFile(view.head.events, (told, f"{journal:,} events of the journal are in a file of their own"))
 
 
 def _put_segment(view: View, number: int, work: Path, out: Path) -> bool:

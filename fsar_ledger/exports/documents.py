@@ -26,7 +26,7 @@ from fsar_ledger.events.envelope import flat
 from fsar_ledger.events.fleet import RunContinued
 from fsar_ledger.ledger.rows.codec import LedgerRun
 
-from . import NAMING, TOLD, Written, elements, epoch_us, named_in, rfc3339
+from . import NAMING, TOLD, ExportedFile, elements, epoch_us, named_in, rfc3339
 
 RUN = [{"name": "run_id", "type": "string"}]
 """The attributes of every type of object."""
@@ -107,7 +107,7 @@ class _Ocel:
         )
 
 
-def write_ocel(out: Path, runs: Iterable[LedgerRun], numbers: Mapping[str, int]) -> Written:
+def write_ocel(out: Path, runs: Iterable[LedgerRun], numbers: Mapping[str, int]) -> ExportedFile:
     """Write the runs to this path; memory holds one of them. `numbers` has the number of each run.
 
     Raises: OSError, or UsageError as `epoch_us`.
@@ -129,7 +129,7 @@ def write_ocel(out: Path, runs: Iterable[LedgerRun], numbers: Mapping[str, int])
         shutil.copyfileobj(kept, file)
         event_types, object_types = map(msgspec.json.encode, log.types())
         file.write(b'],\n"eventTypes":' + event_types + b',\n"objectTypes":' + object_types + b"}\n")
-    return Written(
+    return ExportedFile(
         log.events, (f"{log.objects:,} objects", f"{log.left_out:,} events name no object and are not in it", TOLD)
     )
 
@@ -169,14 +169,14 @@ class _Traces(msgspec.Struct):
     links: int = 0
 
 
-def write_otlp(out: Path, runs: Iterable[LedgerRun]) -> Written:
+def write_otlp(out: Path, runs: Iterable[LedgerRun]) -> ExportedFile:
     """Write a trace for each run to this path; memory holds one of them. Raises: OSError, UsageError as `epoch_us`."""
     counts = _Traces()
     with out.open("wb") as file:
         file.write(b'{"resourceSpans":[')
         file.writelines(elements(_resource(run, counts) for run in runs))
         file.write(b"]}\n")
-    return Written(
+    return ExportedFile(
         counts.events,
         (
             f"{counts.spans:,} spans of runs, tasks and actions, each from the first to the last of its events",

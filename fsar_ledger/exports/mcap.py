@@ -16,7 +16,7 @@ from fsar_ledger.ledger.rows.schema import COLUMNS, ENVELOPE
 from fsar_ledger.ledger.store.locations import counted_rows
 from fsar_ledger.ledger.store.read import View
 
-from . import OTHER, PRINCIPALS, TOLD, Written, epoch_us, named_in
+from . import OTHER, PRINCIPALS, TOLD, ExportedFile, epoch_us, named_in
 
 if TYPE_CHECKING:
     from mcap.writer import Writer
@@ -47,7 +47,7 @@ _KINDS: dict[str, dict[str, Any]] = {
 _ENVELOPE = {field.name for field in ENVELOPE}
 
 
-def write(out: Path, view: View, tables: Iterable[pa.Table]) -> Written:
+def write(out: Path, view: View, tables: Iterable[pa.Table]) -> ExportedFile:
     """Write the rows of these tables of a ledger to this path, then its checkpoint and what it is.
 
     Memory holds one table. Raises: OSError, UsageError as `epoch_us`, ImportError without the library `mcap`.
@@ -70,7 +70,7 @@ def write(out: Path, view: View, tables: Iterable[pa.Table]) -> Written:
         writer.add_metadata("fsar_ledger", {**about, "runs": runs})
         writer.finish()
     told = f"{written.logs:,} log messages in {len(written.channels):,} channels of principals"
-    return Written(written.events, (f"{told}; {written.unnamed:,} events name none", TOLD))
+    return ExportedFile(written.events, (f"{told}; {written.unnamed:,} events name none", TOLD))
 
 
 class _Messages:

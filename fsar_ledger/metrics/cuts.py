@@ -23,7 +23,7 @@ from fsar_ledger.ledger.store.shards import views_of
 from . import relation, slices
 from .connection import Database
 from .library import library
-from .slices import Asked, Slice, asked_of, digest_of, slice_of
+from .slices import Slice, SliceQuery, digest_of, slice_of, slice_query
 
 _CARRIED = "carried_events"
 _CARRYING = f"SELECT events.*, carried.has_begun FROM events INNER JOIN {_CARRIED} AS carried USING (run_id, seq)"
@@ -34,32 +34,34 @@ _OF_THE_RUN = frozenset({"actions_under_way", "run_started", "runs", "unobservab
 
 
 def answers(
-    one: Slice, head: Head, rows_verified: bool | None, asked: Mapping[str, Asked], threads: int | None = None
+    one: Slice, head: Head, rows_verified: bool | None, queries: Mapping[str, SliceQuery], threads: int | None = None
 ) -> dict[str, pa.Table]:
     """Return what a slice of the ledger with this head answers to these, by their texts.
 
     Raises: As `slices.fill` and `Database.table`.
     """
     connect = partial(slices.connect, one, head, rows_verified, threads)
-    found = _answers_by_cuts(one, connect, {text: each for text, each in asked.items() if _adds_up(each)})
-    if rest := asked.keys() - found.keys():
+    found = _answers_by_cuts(one, connect, {text: each for text, each in queries.items() if _adds_up(each)})
+    if rest := queries.keys() - found.keys():
         with connect() as database:
             slices.fill(database, one)
-            found.update((text, asked[text].of(database)) for text in rest)
+            found.update((text, queries[text].of(database)) for text in rest)
     return found
 
 
 # See docs/decisions/long-runs-are-judged-by-their-cuts.md.
-def _answers_by_cuts(one: Slice, connect: Callable[[], Database], asked: Mapping[str, Asked]) -> dict[str, pa.Table]:
+def _answers_by_cuts(
+    one: Slice, connect: Callable[[], Database], queries: Mapping[str, SliceQuery]
+) -> dict[str, pa.Table]:
     """Return what a slice answers to these if it has one run that was cut, judged some parts at a time; else nothing.
 
     Nothing, too, where an event of a part is about a task of an earlier one that was over. Raises: As `Database.table`.
     """
-    if not (asked and (stretches := _stretches(one))):
+    if not (queries and (stretches := _stretches(one))):
         return {}
-    names = sorted(_adding() & frozenset[str]().union(*(each.reads or () for each in asked.values())))
-    carrying = asked_of(_CARRYING).text
-    texts = {name: digest_of([carrying, asked_of(f"SELECT * FROM {name}").text]) for name in names}
+    names = sorted(_adding() & frozenset[str]().union(*(each.reads or () for each in queries.values())))
+    carrying = slice_query(_CARRYING).text
+    texts = {name: digest_of([carrying, slice_query(f"SELECT * FROM {name}").text]) for name in names}
     texts[_CARRIED] = carrying
     of_parts: dict[str, list[pa.Table]] = {name: [] for name in names}
     with connect() as database:  # one for all of them, since to plan the queries takes as long as to answer them
@@ -78,7 +80,7 @@ def _answers_by_cuts(one: Slice, connect: Callable[[], Database], asked: Mapping
         slices.fill(database, stretch.slice, last)
         for name, tables in of_parts.items():
             database.hold(name, summed(name, tables))
-        return {text: each.of(database) for text, each in asked.items()}
+        return {text: each.of(database) for text, each in queries.items()}
 
 
 class _Stretch(NamedTuple):
@@ -123,9 +125,9 @@ def _adding() -> frozenset[str]:
     return frozenset(metrics | offences | {"invariant_cases", "open_work"})
 
 
-def _adds_up(asked: Asked) -> bool:
+def _adds_up(query: SliceQuery) -> bool:
     """Return whether an answer follows from what adds up over the parts of a run, and else from how it began."""
-    reads = asked.reads or frozenset()
+    reads = query.reads or frozenset()
     return not reads.isdisjoint(_adding()) and not library().needs(reads, _adding() | _OF_THE_RUN)
 
 

@@ -29,7 +29,7 @@ from fsar_ledger.ledger.store.shards import views_of
 from . import cuts, relation, slices
 from .connection import Database, Value
 from .library import Query
-from .slices import Asked, Slice, asked_of, slice_of
+from .slices import Slice, SliceQuery, slice_of, slice_query
 from .sql_values import NULLABLE, plain_rows, with_all_columns
 from .verified import is_verified, is_verified_for_runs
 
@@ -197,18 +197,20 @@ class Slices:
                 slices.fill(database, one)
                 yield database
 
-    def tables(self, asked: Mapping[_Name, Asked], progress: Progress | None = None) -> Iterator[pa.Table]:
+    def tables(self, queries: Mapping[_Name, SliceQuery], progress: Progress | None = None) -> Iterator[pa.Table]:
         """Yield what all slices answer together to each of these, in order, from the cache where it is known.
 
         Raises: As `Database.table`.
         """
-        return (slices.decoded(slices.joined(stored)) for stored in self._stored(asked, progress).values())
+        return (slices.decoded(slices.joined(stored)) for stored in self._stored(queries, progress).values())
 
-    def _stored(self, asked: Mapping[_Name, Asked], progress: Progress | None = None) -> dict[_Name, list[bytes]]:
+    def _stored(
+        self, queries: Mapping[_Name, SliceQuery], progress: Progress | None = None
+    ) -> dict[_Name, list[bytes]]:
         """Return what each slice answers to each of these as the cache has it, which takes little memory."""
-        found: dict[_Name, list[bytes]] = {name: [] for name in asked}
-        known = [slices.remembered(one.digest, {each.text for each in asked.values()}) for one in self._slices]
-        lacking = [{each.text: each for each in asked.values() if each.text not in held} for held in known]
+        found: dict[_Name, list[bytes]] = {name: [] for name in queries}
+        known = [slices.remembered(one.digest, {each.text for each in queries.values()}) for one in self._slices]
+        lacking = [{each.text: each for each in queries.values() if each.text not in held} for held in known]
         with pool_of(1) as pool:
             answers = [
                 pool.submit(answered, str(one.view.path.absolute()), one.runs, one.digest, each)
@@ -224,16 +226,16 @@ class Slices:
                     made = {text: slices.written(table) for text, table in tables.items()}
                     slices.remember(one.digest, made)
                     held |= made
-                for name, sought in asked.items():
+                for name, sought in queries.items():
                     found[name].append(held[sought.text])
                 if progress is not None:
-                    progress(done * len(asked), len(self._slices) * len(asked))
+                    progress(done * len(queries), len(self._slices) * len(queries))
         return found
 
     def rows_of(self, queries: Sequence[Query]) -> Iterator[tuple[str, pa.Table]]:
         """Yield the names of the relations of these queries, which are of one run each, and their rows, texts coded."""
-        asked = {query.relation: asked_of(f"SELECT * FROM {query.relation}") for query in queries}
-        for name, stored in self._stored(asked).items():
+        selects = {query.relation: slice_query(f"SELECT * FROM {query.relation}") for query in queries}
+        for name, stored in self._stored(selects).items():
             yield name, slices.joined(stored)
 
 
@@ -254,7 +256,9 @@ def keep_known(before: View, after: View) -> None:
         )
 
 
-def answered(ledger: str, runs: Sequence[Extent], digest: str, asked: Mapping[str, Asked]) -> dict[str, pa.Table]:
+def answered(
+    ledger: str, runs: Sequence[Extent], digest: str, queries: Mapping[str, SliceQuery]
+) -> dict[str, pa.Table]:
     """Return what the slice of these runs of a ledger answers to these, by their texts, in another process.
 
     Raises: As `Database.table`; SequenceConflict if the ledger there has no slice of this digest.
@@ -266,7 +270,7 @@ def answered(ledger: str, runs: Sequence[Extent], digest: str, asked: Mapping[st
             f"{ledger}: found other events where another process read some of it, expected the same; is it the same "
             "folder there, and was it compacted meanwhile? run it again"
         )
-    return cuts.answers(one, view.head, None, asked, threads=1)  # a worker of a cluster has one core
+    return cuts.answers(one, view.head, None, queries, threads=1)  # a worker of a cluster has one core
 
 
 def _slices(view: View, most: int) -> Iterator[Slice]:

@@ -15,7 +15,7 @@ from fsar_ledger.base.progress import Progress
 from .database import Database, Slices, Value, from_rows
 from .library import Query, library
 from .results import typed
-from .slices import asked_of
+from .slices import slice_query
 
 
 class AuditRow(msgspec.Struct, frozen=True):
@@ -97,7 +97,7 @@ def audit_rows(
     """
     selects = {query.relation: _counted(query) for query in queries}
     if isinstance(judged, Slices):
-        counted = list(judged.tables({name: asked_of(sql) for name, sql in selects.items()}, progress))
+        counted = list(judged.tables({name: slice_query(sql) for name, sql in selects.items()}, progress))
     else:
         counted = []
         for sql in selects.values():

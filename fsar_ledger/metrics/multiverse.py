@@ -20,7 +20,7 @@ from .database import Database
 from .library import READINGS, Query, library
 from .results import CONDITIONS, SETTINGS, setting_of, typed
 from .robustness import OrderUnderReadings, rankings, steady
-from .slices import Asked
+from .slices import SliceQuery
 from .verdicts import published
 
 ReadingNames = tuple[str, ...]
@@ -302,8 +302,8 @@ def universes(
     """
     total, done = sum(len(combinations(metric)) for metric in metrics), 0
     found: list[Universe] = []
-    asked = {(metric, part): _asked(metric, part) for metric in metrics for part in _parts(metric)}
-    of_slices = database.slices.tables(asked, progress) if database.slices is not None else iter(())
+    queries = {(metric, part): _slice_query(metric, part) for metric in metrics for part in _parts(metric)}
+    of_slices = database.slices.tables(queries, progress) if database.slices is not None else iter(())
     for metric in metrics:
         relations = Relations(database, _moving(metric))
         for part in _parts(metric):
@@ -325,10 +325,10 @@ def _parts(metric: str) -> list[tuple[ReadingNames, ...]]:
     return [every[at : at + AT_ONCE] for at in range(0, len(every), AT_ONCE)]
 
 
-def _asked(metric: str, part: Sequence[ReadingNames]) -> Asked:
+def _slice_query(metric: str, part: Sequence[ReadingNames]) -> SliceQuery:
     """Return what asks a slice what this metric measures of its runs under these combinations."""
     needs = library().needs([metric, *(one.name for one in _moving(metric))])
-    return Asked(f"{metric} {part} {[query.sha256 for query in needs]}", partial(_measured, metric, part))
+    return SliceQuery(f"{metric} {part} {[query.sha256 for query in needs]}", partial(_measured, metric, part))
 
 
 def _measured(metric: str, part: Sequence[ReadingNames], database: Database) -> pa.Table:

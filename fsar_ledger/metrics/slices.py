@@ -35,8 +35,8 @@ CACHE_BYTES = 1 << 30
 """The most that the cache holds; what was made first is left out."""
 
 
-class Asked(NamedTuple):
-    """What is asked of each slice: `of` answers it, and `text` names all that the answer depends on but the events.
+class SliceQuery(NamedTuple):
+    """A question to each slice: `of` answers it, and `text` names all that the answer depends on but the events.
 
     `of` can be sent to another process. `reads` are the relations that it reads, None if it reads them otherwise.
     """
@@ -59,11 +59,11 @@ class Slice(NamedTuple):
     most: int
 
 
-def asked_of(sql: str) -> Asked:
-    """Return that this SELECT is asked, which depends on the texts of all queries that it reads."""
+def slice_query(sql: str) -> SliceQuery:
+    """Return the query of this SELECT, whose answer depends on the texts of all queries that it reads."""
     reads = frozenset(library().mentioned(sql))
     needs = library().needs(reads)
-    return Asked(digest_of([sql, *(query.sha256 for query in needs)]), partial(Database.table, sql=sql), reads)
+    return SliceQuery(digest_of([sql, *(query.sha256 for query in needs)]), partial(Database.table, sql=sql), reads)
 
 
 def slice_of(view: View, runs: Sequence[Extent], beside: Sequence[Extent], most: int) -> Slice:

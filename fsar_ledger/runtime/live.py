@@ -179,7 +179,7 @@ MOST = 1 << 50
 """The largest number of a command: times that are added to such a one can still be recorded."""
 REST = "/rest"
 """What the name of the question ends with of when an execution ends: `execution:t1/2.1/rest`."""
-Asked = tuple[str, str]
+QuestionKey = tuple[str, str]
 """A question by name, and of whom it is asked."""
 
 
@@ -194,7 +194,7 @@ class LiveRecord(msgspec.Struct, frozen=True):
     commands: tuple[Fact, ...]
     carried_out: Mapping[tuple[int, CommandGiven], bool]
     until_us: int
-    asked: Mapping[Asked, Sequence[int]] | None = None
+    asked: Mapping[QuestionKey, Sequence[int]] | None = None
     alone: tuple[Event, ...] = ()
 
 
@@ -268,7 +268,7 @@ class LiveKernel(Kernel):
         answer_anew: Callable[[str, Ask], int | None],
     ) -> None:
         self.end: End | None = None
-        self.asked: dict[Asked, list[int]] = defaultdict(list)
+        self.asked: dict[QuestionKey, list[int]] = defaultdict(list)
         self.left_out: list[CommandGiven] = []
         self._live, self._answer_anew = record, answer_anew
         self._known = record.asked

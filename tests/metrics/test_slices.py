@@ -290,7 +290,10 @@ def test_another_program_and_another_query_are_not_answered_from_the_cache(
     monkeypatch.setattr(slices, "_program", lambda: "another")
     fsar_ledger.open_ledger(ledger).metrics()
     assert seen
-    assert slices.asked_of("SELECT * FROM coordination_success").text != slices.asked_of("SELECT * FROM failures").text
+    assert (
+        slices.slice_query("SELECT * FROM coordination_success").text
+        != slices.slice_query("SELECT * FROM failures").text
+    )
 
 
 def test_a_ledger_with_the_root_of_another_is_not_answered_from_its_cache(

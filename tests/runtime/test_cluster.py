@@ -157,7 +157,7 @@ SIZES = {"ledger": 4, "other": 8}
 def test_a_worker_that_finds_another_ledger_under_the_path_gives_no_rows(tmp_path: Path) -> None:
     ledger, other = simulated(tmp_path / "ledger"), simulated(tmp_path / "other", fleet_size=8)
     _, first, *_ = database.Slices(open_for_answers(ledger.path))._slices
-    asked = {"runs": slices.asked_of("SELECT run_id FROM runs")}
+    asked = {"runs": slices.slice_query("SELECT run_id FROM runs")}
     assert database.answered(str(ledger.path), first.runs, first.digest or "", asked)["runs"].num_rows == len(
         first.runs
     )
