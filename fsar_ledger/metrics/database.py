@@ -52,6 +52,8 @@ LEAST_BYTES = 4
 """Of an event in a segment; those of a fleet take 10 to 17."""
 FEW_ROWS = 20_000
 """Up to this many rows, copying costs less than planning over an Arrow table does."""
+ONE_THREAD_ROWS = 1 << 16
+"""Up to this many rows, threads that share them wait for each other longer than they work."""
 
 
 def connect(
@@ -61,7 +63,7 @@ def connect(
 
     Args:
         ledger: Its folder.
-        threads: Of DuckDB; None is one per core.
+        threads: Of DuckDB; None is one per core, and one for few events.
         demanded: The newest record that `ensure_verified` has just checked, if no other head will do.
         file: A new file of DuckDB in which the relations stay, for other programs; None: they are in memory.
 
@@ -84,7 +86,7 @@ def connect_view(
     database = Database(
         view.head,
         segments,
-        threads,
+        threads or _threads_for(view.head.size),
         rows_verified=rows_verified,
         file=file,
         slices=sliced,
@@ -111,13 +113,19 @@ def connect_run(view: View, run: str, demanded: str | None) -> Database:
     parts = [part for name in runs for part in view.parts(name)]
     held = view.segments_of(parts)
     segments = [view.segment(number) for number in held]
-    is_long = event_count(parts) > SLICE_EVENTS
-    database = Database(view.head, segments, rows_verified=rows_verified, may_spill=is_long)
+    count = event_count(parts)
+    database = Database(
+        view.head, segments, _threads_for(count), rows_verified=rows_verified, may_spill=count > SLICE_EVENTS
+    )
     ordinal, releases = view.ordinal_of(run), view.releases
     numbers = relation.numbered([run] if ordinal else [], ordinal)
     chosen = relation.RowFilter(relation.of_runs(runs), numbers)
     _fill(database, segments, [releases[number] for number in held], chosen)
     return database
+
+
+def _threads_for(rows: int) -> int | None:
+    return 1 if rows <= ONE_THREAD_ROWS else None
 
 
 def _fill(
@@ -137,7 +145,7 @@ def _fill(
 
 def from_table(events: pa.Table, threads: int | None = None) -> Database:
     """Open a database over rows in memory; columns that the table lacks are NULL."""
-    database = Database(None, (), threads)
+    database = Database(None, (), threads or _threads_for(len(events)))
     if len(events) <= FEW_ROWS:
         database.refill(events)
     else:
