@@ -74,6 +74,7 @@ class Database:
         file: Path | None = None,
         slices: "Slices | None" = None,
         may_spill: bool = False,
+        is_small: bool = False,
     ):
         self.head = head
         self.rows_verified = rows_verified
@@ -92,12 +93,14 @@ class Database:
         """Event types known to have no row in `events`: their views read nothing."""
         self.slices = slices
         """What is asked for the rows of queries that are `Partial`; None where a ledger is not judged in slices."""
+        self.is_small = is_small
+        """Whether events are few: then one thread is faster than two, and a table than the plan of a view in a view."""
         self._of_slices: set[str] = set()
         self._segments = tuple(segments)
         self._made: set[str] = set()
         self._macros: set[str] = set()
         self._given: dict[str, str] = {}  # how those were made that no packaged query defines
-        config: dict[str, Any] = {"threads": threads} if threads else {}
+        config: dict[str, Any] = {"threads": threads or 1} if threads or is_small else {}
         config |= {"storage_compatibility_version": STORAGE} if file else {}
         self._connection = duckdb.connect(literal(file) if file else ":memory:", config=config)
         if slices is not None and file is None:  # tables of a row for each run take a tenth of the memory then
@@ -197,10 +200,10 @@ class Database:
         for query in self.library.needs(mentioned, self._given):
             if query.relation in self._made or query.parameters:
                 continue
-            kind = "TABLE" if self.keeps(query) else "VIEW"
-            self._change(f"CREATE {kind} {query.relation} AS\n{self._body(query)}")
+            is_table = self.keeps(query) or (self.is_small and not self.is_for_others)
+            self._change(f"CREATE {'TABLE' if is_table else 'VIEW'} {query.relation} AS\n{self._body(query)}")
             self._made.add(query.relation)
-            if kind == "TABLE" and self.slices is not None:
+            if is_table and self.slices is not None:
                 self._change("CHECKPOINT")
 
     def hold_rows_of_slices(self, names: Collection[str]) -> None:

@@ -52,8 +52,8 @@ LEAST_BYTES = 4
 """Of an event in a segment; those of a fleet take 10 to 17."""
 FEW_ROWS = 20_000
 """Up to this many rows, copying costs less than planning over an Arrow table does."""
-ONE_THREAD_ROWS = 1 << 16
-"""Up to this many rows, threads that share them wait for each other longer than they work."""
+SMALL = 1 << 16
+"""A ledger, or a run, of up to this many events is small."""
 
 
 def connect(
@@ -86,11 +86,12 @@ def connect_view(
     database = Database(
         view.head,
         segments,
-        threads or _threads_for(view.head.size),
+        threads,
         rows_verified=rows_verified,
         file=file,
         slices=sliced,
         may_spill=sliced is not None,
+        is_small=sliced is None and view.head.size <= SMALL,
     )
     stay = {one.path / SEGMENTS for one in views_of(view)}
     passing = [] if file is None else [path for path in segments if path.parent not in stay]
@@ -115,17 +116,17 @@ def connect_run(view: View, run: str, demanded: str | None) -> Database:
     segments = [view.segment(number) for number in held]
     count = event_count(parts)
     database = Database(
-        view.head, segments, _threads_for(count), rows_verified=rows_verified, may_spill=count > SLICE_EVENTS
+        view.head,
+        segments,
+        rows_verified=rows_verified,
+        may_spill=count > SLICE_EVENTS,
+        is_small=count <= SMALL,
     )
     ordinal, releases = view.ordinal_of(run), view.releases
     numbers = relation.numbered([run] if ordinal else [], ordinal)
     chosen = relation.RowFilter(relation.of_runs(runs), numbers)
     _fill(database, segments, [releases[number] for number in held], chosen)
     return database
-
-
-def _threads_for(rows: int) -> int | None:
-    return 1 if rows <= ONE_THREAD_ROWS else None
 
 
 def _fill(
@@ -145,7 +146,7 @@ def _fill(
 
 def from_table(events: pa.Table, threads: int | None = None) -> Database:
     """Open a database over rows in memory; columns that the table lacks are NULL."""
-    database = Database(None, (), threads or _threads_for(len(events)))
+    database = Database(None, (), threads or (1 if len(events) <= SMALL else None))
     if len(events) <= FEW_ROWS:
         database.refill(events)
     else:
