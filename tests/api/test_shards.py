@@ -72,7 +72,7 @@ def expected(whole: Path) -> tuple[dict[str, Any], dict[str, Any]]:
 
 
 @pytest.mark.usefixtures("cached")
-@pytest.mark.parametrize("most", few([1 << 30, 1_500], [], [1_500]))
+@pytest.mark.parametrize("most", few([1 << 30, 2_500], [], [2_500]))
 def test_a_federation_answers_as_the_one_ledger(
     expected: tuple[dict[str, Any], dict[str, Any]], whole: Path, site: Path, most: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -85,7 +85,7 @@ def test_a_federation_answers_as_the_one_ledger(
     assert judged(site / "log") == expected[0]  # from the cache, where there is one
     of_shards = [len(Slices(open_for_answers(site / name))) for name in NAMES]
     assert len(Slices(open_for_answers(site / "log"))) == sum(of_shards)
-    assert all(of_shards) is (most == 1_500)
+    assert all(of_shards) is (most == 2_500)
 
 
 @pytest.fixture(scope="module")

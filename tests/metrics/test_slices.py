@@ -172,8 +172,14 @@ def test_where_there_is_no_place_for_a_cache_all_slices_are_read(
     assert len(seen) == len(Slices(open_for_answers(ledger)))
 
 
+OF_SLICES = [
+    name for name, query in library().queries.items() if not query.parameters and library().partial([query.relation])
+]
+"""The queries that read what slices answer; to others it is all one."""
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [name for name, query in library().queries.items() if not query.parameters])
+@pytest.mark.parametrize("name", OF_SLICES)
 def test_every_query_answers_the_same_in_slices(name: str, both: tuple[Database, Database]) -> None:
     whole, sliced = both
     assert sliced.query(name).equals(whole.query(name))
@@ -189,13 +195,19 @@ def test_a_file_for_other_programs_is_the_same_made_of_slices(
     assert read
     monkeypatch.setattr(database, "SLICE_EVENTS", 1 << 30)
     assert fsar_ledger.open_ledger(ledger).open(tmp_path / "whole.duckdb").relations == made.relations
-    names = [query.relation for query in library().queries.values() if not query.parameters]
     with duckdb.connect(tmp_path / "sliced.duckdb") as sliced, duckdb.connect(tmp_path / "whole.duckdb") as whole:
-        kept = [database.execute("SELECT table_name FROM duckdb_tables()").fetchall() for database in (sliced, whole)]
-        assert {*kept[1]} <= {*kept[0]}
-        for name in names:
-            rows = [database.sql(f"FROM {name} ORDER BY ALL").to_arrow_table() for database in (sliced, whole)]
+        tables, views = ([dict(told(file, kind)) for file in (sliced, whole)] for kind in ("table", "view"))
+        assert tables[1].keys() <= tables[0].keys()
+        assert views[0].items() <= views[1].items()
+        assert tables[0].keys() | views[0].keys() == tables[1].keys() | views[1].keys()
+        for name in tables[0]:
+            rows = [file.sql(f"FROM {name} ORDER BY ALL").to_arrow_table() for file in (sliced, whole)]
             assert rows[0].equals(rows[1]), name
+
+
+def told(file: duckdb.DuckDBPyConnection, kind: str) -> list[tuple[str, str]]:
+    """Return the name and the SQL of each table, or each view, of a file; a view reads what the file holds."""
+    return file.execute(f"SELECT {kind}_name, sql FROM duckdb_{kind}s() WHERE NOT internal").fetchall()
 
 
 @pytest.fixture(scope="module")

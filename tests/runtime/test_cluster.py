@@ -25,8 +25,8 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture(autouse=True)
 def small_slices(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Have ledgers judged in slices of 3,000 events, without what is known from other tests."""
-    monkeypatch.setattr(database, "SLICE_EVENTS", 3_000)
+    """Have ledgers judged in slices of 6,000 events, without what is known from other tests."""
+    monkeypatch.setattr(database, "SLICE_EVENTS", 6_000)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
 
 
