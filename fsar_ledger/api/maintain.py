@@ -39,8 +39,8 @@ class RecoverResult(Answer, msgspec.Struct, frozen=True):
 
     @property
     def exit_code(self) -> int:
-        """3 where the ledger is damaged and nothing was copied."""
-        return DAMAGED if self.found.outcome == "damaged" else 0
+        """3 where the ledger is damaged and nothing was copied, or a shard is not whole."""
+        return DAMAGED if self.found.outcome == "damaged" or self.found.shards else 0
 
     def document(self, _: Screen) -> Mapping[str, object]:
         """Return what was found and done; the head is that of the part that can be trusted."""
@@ -52,14 +52,14 @@ class RecoverResult(Answer, msgspec.Struct, frozen=True):
         """Yield what was found, what was done, what can be trusted and what to do next."""
         ledger, found, into = self.ledger, self.found, self.into
         if found.report is not None and not found.problems:
-            lines = [
-                f"{ledger}: {'mended; nothing was deleted' if found.steps else 'whole, there is nothing to mend'}",
-                *_done(found.steps),
-            ]
+            done = "mended; nothing was deleted" if found.steps else "whole, there is nothing to mend"
+            lines = [f"{ledger}: {done}{'; its shards are not all whole' if found.shards else ''}", *_done(found.steps)]
             lines += ["trusted", *self._trusted()]
             lines += ["next"] if found.steps or into is not None else []
             lines += ["  the command that was interrupted continues when it is called again"] if found.steps else []
             lines += [f"  nothing was copied to {into}: {ledger} itself can be trusted"] if into is not None else []
+            lines += ["shards", *_some([f"  {problem}" for problem in found.shards])] if found.shards else []
+            lines += ["  fsar-ledger maintain recover SHARD mends one of them"] if found.shards else []
         else:
             where = found.problems[0].commit
             place = f"commit {where:,}" if where is not None else found.problems[0].where
@@ -131,13 +131,18 @@ def _recovered(
     workers: int | None,
     progress: Progress | None,
 ) -> RecoverResult:
-    from fsar_ledger.ledger.verify import recover
+    from fsar_ledger.ledger.opening import open_checked
+    from fsar_ledger.ledger.store.shards import is_log
+    from fsar_ledger.ledger.verify import recover, shards_to_recover
     from fsar_ledger.ledger.verify.report import VerifyOptions
 
     trusted = trusted_of(trusted_key)
     asked = VerifyOptions(trusted=trusted, anchor=anchor_of(anchor, trusted))
     new = None if into is None else Path(into)
-    found = recover(ledger.path, readers_of(workers, ledger.path), progress, asked, new)
+    readers = readers_of(workers, ledger.path)
+    found = recover(ledger.path, readers, progress, asked, new)
+    if found.outcome in ("whole", "mended") and is_log(view := open_checked(ledger.path)):
+        found = msgspec.structs.replace(found, shards=tuple(shards_to_recover(view, readers, progress)))
     return RecoverResult(ledger.path, found, asked, new)
 
 
@@ -163,7 +168,8 @@ def recover(
 
     Nothing is deleted: what does not belong to the ledger moves to LEDGER.set-aside. A ledger whose rows or records
     were altered or lost is left as it is; the answer says up to which commit it can be trusted, and --into copies that
-    much. Exit code 3 if LEDGER is damaged and nothing was copied.
+    much. Of the log of a federation, the shards are left as they are; those that are not whole are named. Exit code 3
+    if LEDGER is damaged and nothing was copied, or a shard is not whole.
 
     Raises:
         UsageError: `into` exists.

@@ -18,6 +18,7 @@ from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.shards import ShardHead, heads_of, record_of_head
 from tests.api.sites import append, origin, parts
 from tests.ledger.hostile import stage_anything
+from tests.ledger.samples import contents
 from tests.quick import few
 
 
@@ -205,3 +206,35 @@ def test_a_head_that_cannot_be_is_refused(site_copy: Path, change: dict[str, Any
             ask()
     [problem] = federation.verify().problems
     assert "expected a head with an origin" in problem.found
+
+
+def test_a_shard_whose_writer_was_interrupted_is_named_where_its_log_is_recovered(
+    site_copy: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log, west = site_copy / "log", site_copy / "west"
+    assert fsar_ledger.open_ledger(log).recover().shards == ()
+    (west / "checkpoint").unlink()
+    before = contents(west)
+    [problem] = fsar_ledger.Ledger(log).recover().shards
+    assert Path(problem.where) == west
+    assert contents(west) == before
+    assert run(["maintain", "recover", str(log)]) == 3
+    assert str(west) in capsys.readouterr().out
+    assert run(["maintain", "recover", str(west)]) == 0
+    assert run(["maintain", "recover", str(log)]) == 0
+
+
+@pytest.mark.parametrize("harm", [lost, late, swapped, of_another_history])
+def test_a_shard_that_is_not_as_recorded_is_named_where_its_log_is_recovered(
+    site_copy: Path, runs: list[LedgerRun], harm: Callable[[Path, list[LedgerRun]], None]
+) -> None:
+    harm(site_copy, runs)
+    found = fsar_ledger.Ledger(site_copy / "log").recover()
+    assert found.outcome == "whole"
+    assert any(one.where.startswith(str(site_copy / "west")) for one in found.shards)
+
+
+def test_a_shard_whose_writer_is_at_work_is_not_called_whole(site_copy: Path) -> None:
+    with Writer(site_copy / "west", origin("west")):
+        [problem] = fsar_ledger.Ledger(site_copy / "log").recover().shards
+    assert "a writer at work" in problem.found

@@ -139,8 +139,7 @@ def verify_shards(
             problems.append(shards.unreadable(head, place, error))
             continue
         doubt = shards.doubt_of(head, view, heads)
-        tree = Note(Checkpoint(head.origin, head.shard_events, bytes.fromhex(head.shard_root)))
-        kept = () if doubt is not None else (Anchor(f"{head}, as recorded", tree),)
+        kept = () if doubt is not None else (_as_recorded(head),)
         own = VerifyOptions(asked.is_quick, witnessed=kept, second_reader=asked.second_reader)
         told = verify(place, workers, progress, own)
         if told.ok and doubt is None:
@@ -158,6 +157,11 @@ def verify_shards(
         return msgspec.structs.replace(report, ok=False, problems=named, root=None, record_sha256=None), records
     whole = _of_all(report, shards.joined(log, found), reports, reading)
     return whole, [whole.record_sha256, report.record_sha256, *records]
+
+
+def _as_recorded(head: shards.ShardHead) -> Anchor:
+    tree = Checkpoint(head.origin, head.shard_events, bytes.fromhex(head.shard_root))
+    return Anchor(f"{head}, as recorded", Note(tree))
 
 
 def _of_all(
@@ -212,7 +216,7 @@ class Recovery(msgspec.Struct, frozen=True):
     the trusted commits in a new ledger (*continued*) if that was asked for. `head` is that of the trusted commits.
     `problems` are those of the first commit after them, `later` each commit after them, judged on its own. `anchored`
     counts the trusted events that the anchor vouches for, None if it cannot or none was given. `report` is what
-    `verify` says about the whole, the mended or the new ledger.
+    `verify` says about the whole, the mended or the new ledger. `shards` are what is wrong with the shards of a log.
     """
 
     outcome: Outcome
@@ -222,6 +226,7 @@ class Recovery(msgspec.Struct, frozen=True):
     later: tuple[Later, ...] = ()
     anchored: int | None = None
     report: VerifyReport | None = None
+    shards: tuple[Problem, ...] = ()
 
 
 def recover(
@@ -260,9 +265,8 @@ def recover(
         if trusted.problems:
             report = _copy(path, trusted, into, workers, progress, asked) if into is not None else None
             outcome: Outcome = "damaged" if into is None else "continued"
-            return Recovery(
-                outcome, trusted.head, (), trusted.problems, tuple(trusted.later()), trusted.anchored, report
-            )
+            later = tuple(trusted.later())
+            return Recovery(outcome, trusted.head, (), trusted.problems, later, trusted.anchored, report)
         if trusted.is_whole:
             return Recovery("whole", trusted.head, anchored=trusted.anchored, report=trusted.report)
         mending = _Mending(path)
@@ -272,9 +276,26 @@ def recover(
                 disk.sync_folder(folder)
         report = verify(path, workers, progress, asked)
     outcome = "damaged" if not report.ok else "mended" if mending.steps else "whole"
-    return Recovery(
-        outcome, trusted.head, tuple(mending.steps), report.problems, anchored=trusted.anchored, report=report
-    )
+    steps = tuple(mending.steps)
+    return Recovery(outcome, trusted.head, steps, report.problems, anchored=trusted.anchored, report=report)
+
+
+def shards_to_recover(log: View, workers: int = 1, progress: Progress | None = None) -> list[Problem]:
+    """Return what is wrong with shards of a log, or was left there by a crash. Raises: LedgerCorrupted: `heads_of`."""
+    found = []
+    for head in shards.newest(shards.heads_of(log)):
+        place = head.place(log.path)
+        try:
+            require_ledger(place)
+            with _alone(place):
+                look = find_trusted(place, workers, progress, VerifyOptions(anchor=_as_recorded(head)))
+        except FsarLedgerError as error:
+            found.append(shards.unreadable(head, place, error))
+        else:
+            found += [msgspec.structs.replace(one, where=f"{place}/{one.where}") for one in look.problems[:1]]
+            if not (look.problems or look.is_whole):
+                found.append(Problem(str(place), "what an interrupted writer left", f"{head} alone"))
+    return found
 
 
 def _require_free(path: Path, into: Path | None) -> None:
