@@ -11,6 +11,7 @@ last one of the same vehicle; an action that began and ended between two states 
 | an error that names the order before that | `RequestDenied`, decided by the vehicle |
 | an action that runs, pauses, runs on, ends | `ExecutionStarted`, `Paused`, `Resumed`, `Finished` |
 | one that fails: for good, or until it is tried again | `ExecutionFailed`, and `Withdrawn` if it is for good |
+| one that had begun and is listed no more, as after a restart | `ExecutionWithdrawn`: how it ended was not seen |
 | an order whose nodes, edges and actions are all done | `TaskCompleted` |
 | an order that was cancelled, or of which an action failed before it was over | `TaskAbandoned` |
 | a connection that breaks, comes back | `LinkWentDown`, `LinkCameUp` |
@@ -74,7 +75,8 @@ class Vehicle(msgspec.Struct):
 
     `newest` is the number and time of the newest message by kind; `is_down` that its connection broke; `parts` the
     actions that orders have, `instant` the types of instant ones, `cancels` the order that each cancelOrder ends;
-    `orders` under which order an action was told of last.
+    `orders` under which order an action was told of last; `listed` in which list the newest state has it; `unseen` the
+    order of each that the vehicle has no more, and that was not over.
     """
 
     newest: dict[str, tuple[int, int]] = {}
@@ -85,6 +87,8 @@ class Vehicle(msgspec.Struct):
     instant: dict[str, str] = {}
     cancels: dict[str, str] = {}
     statuses: dict[str, str] = {}
+    listed: dict[str, str] = {}
+    unseen: dict[str, str] = {}
     orders: dict[str, str] = {}
     order: str = ""
     failures: dict[str, int] = {}
@@ -275,6 +279,7 @@ def _changed(vehicle: Vehicle, robot: Robot, message: Mapping[str, Any]) -> Iter
         is_of_last = not is_there and state.get("actionStatus") in OVER
         vehicle.cancels.setdefault(str(state.get("actionId")), vehicle.order if is_of_last else order)
     vehicle.order = order or vehicle.order
+    yield from _vanished(vehicle, robot, order, message)
     for state in listed:
         if vehicle.statuses.get(str(state.get("actionId"))) != state.get("actionStatus"):
             yield from _acted(vehicle, robot, order, state)
@@ -282,6 +287,27 @@ def _changed(vehicle: Vehicle, robot: Robot, message: Mapping[str, Any]) -> Iter
     is_cancelling = any(state.get("actionStatus") not in OVER for state in cancels)
     if is_there and not is_cancelling and order in vehicle.asked and order not in vehicle.ended:
         yield from _over(vehicle, order, states)
+
+
+def _vanished(vehicle: Vehicle, robot: Robot, order: str, message: Mapping[str, Any]) -> Iterator[Event]:
+    """Yield that actions are the vehicle's no more that were not over: their list lacks them, or is another order's."""
+    lists = {name: _listed(message, name) for name in (OF_ORDER, *BESIDE) if isinstance(message.get(name), list)}
+    listed = {str(one["actionId"]): name for name, states in lists.items() for one in states}
+    for action, name in [*vehicle.listed.items()]:
+        of, is_of_order = vehicle.orders[action], action in vehicle.parts
+        if name not in lists or (action in listed and not (is_of_order and order and of != order)):
+            continue
+        del vehicle.listed[action]
+        if vehicle.statuses[action] in OVER:
+            continue
+        if is_of_order:
+            vehicle.unseen[action] = of
+        if vehicle.statuses.pop(action) in ("RUNNING", "PAUSED", "RETRIABLE"):
+            yield ExecutionWithdrawn(Subject(of, action), robot)
+    vehicle.listed |= listed
+    for action in listed:
+        if vehicle.unseen.get(action) == order:
+            del vehicle.unseen[action]
 
 
 def _type(vehicle: Vehicle, state: Mapping[str, Any]) -> object:
@@ -304,7 +330,8 @@ def _over(vehicle: Vehicle, order: str, states: Sequence[Mapping[str, Any]]) -> 
     own = {action: status for action, status in own.items() if action not in vehicle.instant}
     failed = [action for action, status in own.items() if status == "FAILED"]
     # An action that no order has may be an instant one, of which the record has only the state.
-    if OVER.issuperset(own.values()) and all(action in vehicle.parts for action in failed):
+    is_seen = OVER.issuperset(own.values()) and order not in vehicle.unseen.values()
+    if is_seen and all(action in vehicle.parts for action in failed):
         vehicle.ended[order] = None
         yield TaskAbandoned(order) if failed else TaskCompleted(order)
 

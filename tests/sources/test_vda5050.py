@@ -197,6 +197,60 @@ def test_an_action_whose_name_is_used_again_under_another_order_runs_again(tmp_p
     assert found == ["ExecutionStarted", "ExecutionFinished"] * 2
 
 
+def ended(folder: Path, *lines: Line) -> list[tuple[str, str | None]]:
+    imported(folder / "ledger", filed(folder, lines))
+    found = [row for row in rows(folder / "ledger") if row["type"].startswith(("Execution", "TaskC", "TaskAb"))]
+    return [(row["type"].partition(".v")[0], row.get("action_id")) for row in found]
+
+
+BEGUN = (order(0, "0001", "a", "p", "q", "r"), state(1, "0001", "a", p="RUNNING", q="PAUSED", r="WAITING"))
+
+
+@pytest.mark.parametrize("after", ["", "a", "b"])
+def test_how_an_action_ended_that_a_state_has_no_more_is_not_told(tmp_path: Path, after: str) -> None:
+    gone = ended(tmp_path, *BEGUN, state(2, "0001", after, nodes=0), state(3, "0001", after, nodes=0))
+    assert gone == [
+        ("ExecutionStarted", "p"),
+        ("ExecutionPaused", "q"),
+        ("ExecutionWithdrawn", "p"),
+        ("ExecutionWithdrawn", "q"),
+    ]
+    assert Ledger(tmp_path / "ledger").state("night").standing.robots is None
+
+
+def test_an_action_that_a_state_has_again_begins_again_and_its_order_can_be_completed(tmp_path: Path) -> None:
+    lines = [order(0, "0001", "a", "p"), state(1, "0001", "a", p="RUNNING"), state(2, "0001", "a")]
+    lines += [state(3, "0001", "a", p="RUNNING"), state(4, "0001", "a", nodes=0, p="FINISHED")]
+    assert ended(tmp_path, *lines)[1:] == [
+        ("ExecutionWithdrawn", "p"),
+        ("ExecutionStarted", "p"),
+        ("ExecutionFinished", "p"),
+        ("TaskCompleted", None),
+    ]
+
+
+def test_an_action_that_the_next_order_names_again_is_not_that_of_the_last_order(tmp_path: Path) -> None:
+    lines = [order(0, "0001", "a", "p"), state(1, "0001", "a", p="RUNNING")]
+    lines += [order(2, "0001", "b", "p"), state(3, "0001", "b", p="RUNNING")]
+    assert ended(tmp_path, *lines) == [
+        ("ExecutionStarted", "p"),
+        ("ExecutionWithdrawn", "p"),
+        ("ExecutionStarted", "p"),
+    ]
+
+
+def test_a_state_without_a_list_says_nothing_of_its_actions(tmp_path: Path) -> None:
+    lines = [*BEGUN, state(2, "0001", "a")]
+    del lines[-1]["payload"]["actionStates"]
+    assert ended(tmp_path, *lines)[2:] == []
+
+
+def test_an_action_that_was_over_is_not_missed_and_is_not_over_twice(tmp_path: Path) -> None:
+    lines = [order(0, "0001", "a", "p"), state(1, "0001", "a", p="FINISHED"), state(2, "0001", "a", p="WAITING")]
+    lines += [state(3, "0001", "a"), state(4, "0001", "a", nodes=0, p="FINISHED")]
+    assert ended(tmp_path, *lines) == [("ExecutionFinished", "p"), ("TaskCompleted", None)]
+
+
 def test_a_connection_that_breaks_and_comes_back_is_told_once(tmp_path: Path) -> None:
     states = ("ONLINE", "CONNECTIONBROKEN", "CONNECTIONBROKEN", "ONLINE", "OFFLINE", "ONLINE")
     lines = [message(at, "0001", "connection", connectionState=one) for at, one in enumerate(states)]
