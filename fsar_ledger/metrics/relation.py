@@ -30,6 +30,7 @@ from fsar_ledger.ledger.rows.schema import (
     STANDS_ALONE,
 )
 from fsar_ledger.ledger.rows.segment import read_table
+from fsar_ledger.ledger.store.shards import HEAD_TYPE
 
 from .connection import Database
 from .library import SQL_TYPES
@@ -94,12 +95,17 @@ def hold_segments(
     With `chosen`, some of them; else runs are numbered as these segments hold them. With `parts`, of these alone, with
     what is carried to them. The database keeps the rows of `passing` segments, which do not stay where they are.
 
-    Raises: as `_upcast`.
+    Raises: as `_upcast`, and LedgerCorrupted if there are heads of shards among them.
     """
     if not segments:
         database.hold("events", SCHEMA.empty_table())
         return
     types = types_of(database, segments) if parts is None else parts.types
+    if types is not None and HEAD_TYPE in types:  # that it is the log of a federation, only its index says
+        raise LedgerCorrupted(
+            f"{segments[0]}: found heads of shards, expected events of runs alone; the index of a log says that it is "
+            "none, or a ledger of runs holds heads: run fsar-ledger verify"
+        )
     database.absent = frozenset(
         tag for tag in LAYOUTS if types is not None and _name(tag) not in set(map(_name, types))
     )

@@ -17,6 +17,7 @@ from fsar_ledger.ledger.store import shards
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.shards import ShardHead, heads_of, record_of_head
 from tests.api.sites import append, origin, parts
+from tests.cli.test_hidden_runs import doctor
 from tests.ledger.hostile import stage_anything
 from tests.ledger.samples import contents
 from tests.quick import few
@@ -238,3 +239,19 @@ def test_a_shard_whose_writer_is_at_work_is_not_called_whole(site_copy: Path) ->
     with Writer(site_copy / "west", origin("west")):
         [problem] = fsar_ledger.Ledger(site_copy / "log").recover().shards
     assert "a writer at work" in problem.found
+
+
+@pytest.mark.parametrize("verb", ["metrics", "info", "log", "audit", "verify"])
+def test_an_index_that_says_that_a_log_has_runs_is_refused(
+    site_copy: Path, capsys: pytest.CaptureFixture[str], verb: str
+) -> None:
+    log = site_copy / "log"
+    fsar_ledger.open_ledger(log).compact()
+
+    def rename(lines: list[Any]) -> None:
+        lines[0]["blocks"][0]["run"] = "morning"
+
+    doctor(log, rename)
+    assert run([verb, str(log)]) == 3
+    told = capsys.readouterr()
+    assert (told.out, str(log) in told.err) == ("", True)

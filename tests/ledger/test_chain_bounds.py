@@ -10,7 +10,10 @@ import pytest
 
 from fsar_ledger.base.errors import LedgerCorrupted
 from fsar_ledger.ledger.opening import open_for_answers
+from fsar_ledger.ledger.rows.bounds import MAX_SEGMENT_BYTES
+from fsar_ledger.ledger.rows.layout import read_file
 from fsar_ledger.ledger.store import record
+from fsar_ledger.ledger.store.growing import read_at
 from fsar_ledger.ledger.store.paths import CHAIN, INDEX, JOURNAL, NODES, SEALING
 from fsar_ledger.ledger.store.record import Commit, parse_line
 from tests.ledger.damage import write_handed_over
@@ -104,3 +107,27 @@ def test_a_later_record_is_sought_in_linear_time(hostile: bytes) -> None:
     with patch.object(record, "parse_line", parse):
         assert not record.has_later_commit(hostile + b"\n", 0, 0)
     assert tried <= len(hostile)
+
+
+def test_a_small_segment_takes_little_memory_to_read(path: Path) -> None:
+    [file, *_] = sorted((path / "segments").iterdir())
+    tracemalloc.start()
+    try:
+        assert read_file(file) == file.read_bytes()
+        _, most = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert most < 16 * MIB
+
+
+def test_the_index_is_read_in_memory_for_what_there_is_of_it_whatever_the_chain_says(path: Path) -> None:
+    [file, *_] = sorted((path / "segments").iterdir())
+    tracemalloc.start()
+    try:
+        whole = read_at(file, 0, MAX_SEGMENT_BYTES)
+        assert whole == file.read_bytes()
+        assert [read_at(file, len(whole) + more, 5) for more in (-2, 0, 9)] == [whole[-2:], b"", b""]
+        _, most = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert most < 16 * MIB

@@ -5,6 +5,7 @@ the footer, in the order of the schema, and pages fill their chunk: a dictionary
 count and size that is stored twice is the same in both places. `grammar` defines how each struct is written.
 """
 
+import os
 import re
 from functools import cache
 from pathlib import Path
@@ -96,7 +97,7 @@ def read_file(path: Path) -> bytes:
         OSError: It cannot be read.
     """
     with path.open("rb") as file:
-        data = file.read(bounds.MAX_SEGMENT_BYTES + 1)
+        data = file.read(min(os.fstat(file.fileno()).st_size, bounds.MAX_SEGMENT_BYTES) + 1)
     if len(data) > bounds.MAX_SEGMENT_BYTES:
         raise LedgerCorrupted(
             f"{path}: found more than {bounds.MAX_SEGMENT_BYTES} bytes, expected a segment; restore the file"

@@ -37,7 +37,7 @@ def read_at(path: Path | str, place: int, most: int) -> bytes:
     except FileNotFoundError:
         return b""
     try:
-        return os.pread(handle, most, place)
+        return os.pread(handle, min(most, max(0, os.fstat(handle).st_size - place)), place)
     finally:
         disk.close(handle)
 
