@@ -219,7 +219,10 @@ def _grouped(run: LedgerRun) -> tuple[dict[_Key, _Span], list[_Key]]:
             # How an execution has ended is not undone by a request that is closed otherwise, as of one who has left.
             if (spans[key].ended_by, ends) != ("ExecutionFinished", "RequestClosed"):
                 result = columns.get("result")
-                spans[key].failure = ends if ends in FAILURES else result if result == "failure" else None
+                # One that was withdrawn because of a failure has failed; how any other would have ended, nobody knows.
+                is_failed = ends == "ExecutionWithdrawn" and columns["failure"] is not None
+                of_type = "ExecutionFailed" if is_failed else ends
+                spans[key].failure = of_type if ends in FAILURES else result if result == "failure" else None
             spans[key].ended_by = ends
         keys.append(key)
     return spans, keys

@@ -12,6 +12,7 @@ else its parent's. What follows from a span is told once it is known whose its p
 | `invoke_agent` of nobody, or under a span of the same agent | `ExecutionStarted` |
 | `execute_tool` | `ExecutionStarted` by the agent whose span it is, of the tool |
 | each of these executions, as it ended | `ExecutionFinished`; `ExecutionFailed`, `Withdrawn` with the status ERROR |
+| one with the status message ExecutionWithdrawn | `ExecutionWithdrawn`: how it would have ended, nobody knows |
 | one with the `error.type` RequestDenied or RequestUnanswered | no execution, and no `RequestAccepted` |
 | any other, and one whose parent is not in the recording | an observation |
 """
@@ -35,6 +36,8 @@ WAITING_SPANS = 1 << 16
 """Spans that wait for their parents at most; those that wait longest are told then, as asked by nobody known."""
 MAX_HOPS = 256
 """Spans between a span and the one that says whose it is: more, or a circle, is nobody's."""
+WITHDRAWN = "ExecutionWithdrawn"
+"""The failure of an execution that was withdrawn and had not failed, as our own export names it."""
 MAX_STRANGE = 100
 """Lines at the beginning that are not of the format, before the input is taken to be none of it."""
 
@@ -178,6 +181,8 @@ def _executed(span: Span, agent: Robot | None, by: Robot | None, action: Key) ->
         return
     if span.failure is None:
         yield ExecutionFinished(subject, parties, agent)
+    elif span.failure == WITHDRAWN:
+        yield ExecutionWithdrawn(subject, agent)
     else:
         yield ExecutionFailed(subject=subject, robot=agent, failure=1, cause=span.failure)
         yield ExecutionWithdrawn(subject, agent, 1)

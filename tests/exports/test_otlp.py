@@ -188,6 +188,22 @@ def test_what_ended_as_a_failure_has_the_status_of_an_error(
     assert (span.status.code == trace_pb2.Status.STATUS_CODE_ERROR) is is_error
 
 
+@pytest.mark.parametrize("failure", [None, 1])
+def test_what_was_withdrawn_without_a_failure_has_not_failed_when_it_is_read_again(
+    tmp_path: Path, failure: int | None
+) -> None:
+    about: dict[str, Any] = {"task_id": "t", "action_id": "t/1", "robot": "robot/a"}
+    with fsar_ledger.record(tmp_path / "ledger", run="r", observes=["execution", "recovery"]) as recorder:
+        recorder.event("ExecutionStarted", **about, capability="c")
+        if failure is not None:
+            recorder.event("ExecutionFailed", **about, failure=failure, cause="jammed")
+        recorder.event("ExecutionWithdrawn", **about, failure=failure)
+    fsar_ledger.open_ledger(tmp_path / "ledger").export(tmp_path / "out.json", format="otlp")
+    made = import_records(str(tmp_path / "again"), [str(tmp_path / "out.json")], format="otlp").made.events
+    failed = {} if failure is None else {"ExecutionFailed": 1}
+    assert made == {"ExecutionStarted": 1, "ExecutionWithdrawn": 1, **failed}
+
+
 def test_what_an_event_ended_is_not_open(runs: list[LedgerRun], tmp_path: Path) -> None:
     """A run up to the end of its first execution, whose step is not yet complete."""
     run = runs[0]
