@@ -10,6 +10,7 @@ import tomllib
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
+from copy import deepcopy
 from hashlib import sha256
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
@@ -194,13 +195,26 @@ def adapter_of(name: str | None, mapping: Path | None) -> tuple[Adapter, str | N
 
 
 def looked(adapter: Adapter, inputs: Sequence[Input]) -> Adapter:
-    """Let the adapter look at its inputs before it declares anything, if what it declares depends on them.
+    """Let the adapter look at its inputs before there is a ledger, and before it declares anything.
 
-    Such an adapter has a method `look`, which leaves every file at its beginning.
+    One whose declarations depend on them has a method `look`; with any other, files are read up to the first record.
+    Each file is at its beginning afterwards.
+
+    Raises: UsageError for files without a record, or as `Adapter.read`.
     """
     if (look := getattr(adapter, "look", None)) is not None:
         look(inputs)
+    elif all(one.path is not None for one in inputs):
+        if next(iter(deepcopy(adapter).read(inputs)), None) is None:
+            raise no_record(inputs)
+        for one in inputs:
+            one.file.seek(0)
     return adapter
+
+
+def no_record(inputs: Sequence[Input]) -> UsageError:
+    """Return that the inputs are empty."""
+    return UsageError(f"{value(inputs[0].name)}: found no record, expected at least one; import it when it has")
 
 
 def read(path: Path) -> bytes:

@@ -28,7 +28,7 @@ from fsar_ledger.ledger.log.note import Signer
 from fsar_ledger.ledger.rows.schema import MAX_INTEGER
 from fsar_ledger.ledger.store.append import Writer
 
-from .adapter import UNREADABLE, Adapter, Derived, Input, Record
+from .adapter import UNREADABLE, Adapter, Derived, Input, Record, no_record
 from .columns import Declared, declared, storable, storable_text, text_of
 from .held import BYTES, Held, NewEvent, commit, held, record_hashes
 from .recorder import origin_of, roles_of
@@ -183,7 +183,7 @@ class _Import:
                 if progress is not None:
                     progress(self.count, 0)
         if not self.count:
-            raise UsageError(f"{value(inputs[0].name)}: found no record, expected at least one; import it when it has")
+            raise no_record(inputs)
         if self.count < before:
             raise self._refused(
                 f"{self.count:,} records in the input",

@@ -13,7 +13,6 @@ from fsar_ledger.events.envelope import Robot
 from fsar_ledger.events.source import Observed
 from fsar_ledger.events.task import TaskCompleted
 from fsar_ledger.events.world import LinkWentDown
-from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.sources.adapter import Input, adapter_of
 from fsar_ledger.sources.columns import storable
 from fsar_ledger.sources.importing import import_files
@@ -218,12 +217,12 @@ def test_a_record_of_which_more_follows_than_a_journal_takes_is_committed_whole(
     ],
     ids=["empty", "blank", "binary", "text"],
 )
-def test_what_is_no_recording_is_refused_and_no_run_is_made(
+def test_what_is_no_recording_is_refused_and_no_ledger_is_made(
     call: Call, tmp_path: Path, content: bytes, said: str
 ) -> None:
     file = filed(tmp_path, content)
     one_message(call("import", tmp_path / "ledger", file, "--as", "vda5050"), 2, said)
-    assert not open_ledger(tmp_path / "ledger").has_run("night")
+    assert not (tmp_path / "ledger").exists()
 
 
 def test_a_missing_file_and_a_folder_are_refused(call: Call, tmp_path: Path) -> None:
