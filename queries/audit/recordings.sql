@@ -2,7 +2,8 @@
 -- Paper: sec:evaluation:metrics
 -- Grain: one row per run and opening of a source; one that was continued was opened again
 -- Key: run_id, seq
--- Units: record_count records on file of the source in the run; underived_count those from which no event follows
+-- Units: record_count records on file of the source in the run, each once though it was cut at first; underived_count
+--   those from which no event follows
 -- NULL: input_sha256 of what was no file, mapping_sha256 without a mapping; until_us while the source is open, or where
 --   it was opened again without having been closed
 -- Example: fsar-ledger query audit/recordings LEDGER answers which recordings the runs were imported from
@@ -12,14 +13,20 @@ WITH derived AS (
     WHERE caused_by IS NOT NULL AND run_id IN (SELECT run_id FROM source_opened)
 ),
 
+whole AS (
+    SELECT run_id, source, max(seq) AS seq
+    FROM observed
+    GROUP BY run_id, source, coalesce(record_number, -seq)
+),
+
 records AS (
     SELECT
-        observed.run_id, observed.source,
+        whole.run_id, whole.source,
         count(*) AS record_count,
         count(*) FILTER (derived.seq IS NULL) AS underived_count
-    FROM observed
-    LEFT JOIN derived ON observed.run_id = derived.run_id AND observed.seq = derived.seq
-    GROUP BY observed.run_id, observed.source
+    FROM whole
+    LEFT JOIN derived ON whole.run_id = derived.run_id AND whole.seq = derived.seq
+    GROUP BY whole.run_id, whole.source
 ),
 
 closings AS (

@@ -316,6 +316,15 @@ def test_each_opening_of_a_source_has_its_own_end() -> None:
     assert found == [(2 * S,), (None,), (4 * S,), (None,)]
 
 
+def test_a_record_that_was_cut_at_first_counts_once_and_those_without_a_number_each() -> None:
+    opens = event("SourceOpened", S, source="s", format="f", adapter="a/1", clock="arrival")
+    told = event("Observed", S, source="s", kind="state", caused_by=None)
+    lines = [told | {"record_number": number} for number in (1, 2, 2, None, None)]
+    follows = event("TaskCompleted", S, task_id="t", caused_by=4)
+    columns = ("record_count", "underived_count")
+    assert answer("audit/recordings", run(opens, *lines, follows), columns=columns) == [(4, 3)]
+
+
 def test_a3_says_what_a_request_carried_only_where_it_carried_it() -> None:
     asks = act("RequestIssued", S, "t/1", requested_by="robot/A1", capability="c")
     for carried, found in (
