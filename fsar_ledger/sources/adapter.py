@@ -53,7 +53,8 @@ class Record(NamedTuple):
 
     `kind` is what the source calls it, `values` what it says and `objects` what it is about, by name, each with its
     part. `raw` are its bytes, `data` whatever the adapter needs to derive events from it. A record that could not be
-    read has no data, and its kind is `unreadable`.
+    read has no data, and its kind is `unreadable`. `line` are the bytes of the line that it is the first of, if that
+    has several records: of one that was still being written, there was one record.
 
     Units: `source_us` and `arrival_us` microseconds since 1970 in UTC, by the clock of the source and of whoever
     received it; None: not told.
@@ -66,6 +67,7 @@ class Record(NamedTuple):
     objects: Mapping[str, str] = {}
     source_us: int | None = None
     arrival_us: int | None = None
+    line: bytes | None = None
 
 
 class Derived(NamedTuple):

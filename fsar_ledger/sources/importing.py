@@ -201,7 +201,7 @@ class _Import:
 
     def _is_whole_now(self, record: Record) -> bool:
         assert self.held is not None
-        if self.held.last is None or not self.held.last.is_begun_by(record.raw):
+        if self.held.last is None or not self.held.last.is_begun_by(record.line or record.raw):
             return False
         self.held.beside.add(self.held.last_seq)
         return True

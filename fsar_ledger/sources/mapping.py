@@ -98,12 +98,12 @@ class Mapped:
                 name = shown(found)
                 about[name] = f"{about[name]}, {part}" if name in about else part
         values = {name: shown(one) for name, one in data.items()}
-        times = (
+        told_us, arrival_us = (
             None if pointer is None else _time_us(_at(pointer, data), mapping.unit)
             for pointer in (mapping.time, mapping.arrival)
         )
         is_told = kind is not _MISSING and kind not in ("", None)
-        return Record(shown(kind) if is_told else "record", raw, data, values, about, *times)
+        return Record(shown(kind) if is_told else "record", raw, data, values, about, told_us, arrival_us)
 
     def derive(self, record: Record) -> Iterable[Derived] | None:
         """Return the event of each rule that the record matches; None where it matches none, or lacks what one needs.

@@ -193,6 +193,7 @@ def _read(one: Input) -> Iterator[Record]:
     is_known = False
     for text in texts(one):
         found = list(records(text))
+        found[:1] = [first._replace(line=text) for first in found[:1]]
         if not is_known and all(record.kind == UNREADABLE for record in found):
             strange += found
             if len(strange) > MAX_STRANGE:

@@ -13,6 +13,7 @@ from fsar_ledger.base.errors import UsageError
 from fsar_ledger.sources import otlp
 from fsar_ledger.sources.adapter import Input, Record
 from tests.recycled import asked
+from tests.sources.importing import is_good
 from tests.sources.otel import Line, attributes, batch, honest_day, snake, span
 from tests.sources.pages import printed_otherwise
 from tests.sources.vda import written
@@ -281,3 +282,13 @@ def test_the_command_of_the_page_prints_what_the_page_shows(
     (tmp_path / "day.jsonl").write_bytes(written(honest_day()))
     (tmp_path / "fleet.toml").write_text(FLEET)
     assert printed_otherwise("otlp.md", capsys) == []
+
+
+def test_a_trace_file_that_was_read_while_a_line_was_written_is_taken_further(imported: Import) -> None:
+    whole = written(honest_day())
+    for end in (len(whole) // 3, len(whole) // 2, len(whole)):
+        grown = imported(whole[:end], "grown")
+    once = imported(whole, "once")
+    assert (grown.made.records, grown.made.events) == (once.made.records, once.made.events)
+    assert said(grown) == said(once)
+    assert is_good(grown.ledger.path)
