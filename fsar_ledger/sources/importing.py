@@ -87,7 +87,9 @@ def import_files(
         UsageError: The input is on file already, or another one is under this name; or as `Adapter.read`.
         NotALedger, LedgerCorrupted, WriteFailed: As `Writer`; what is committed stays, and the import goes on there.
     """
-    names = [*adapter.declares(), *(["RobotJoined"] if fleet is not None else [])]
+    names = [*adapter.declares()]
+    if fleet is not None:  # which does not say who supervises its robots
+        names = [*(name for name in names if name != "RobotJoined.supervisor"), "RobotJoined"]
     with Writer(path, origin_of(path, origin, signer, ORIGIN), signer) as writer:
         one = _Import(writer, path, adapter, run, declared(names), keeps_bodies)
         opened = SourceOpened(

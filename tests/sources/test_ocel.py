@@ -107,6 +107,17 @@ def test_a_run_that_is_honest_and_complete_offends_nothing(imported: Import) -> 
     assert verdicts(imported(log(honest_events(), also=CONTEXT))) == (set(), set())
 
 
+@pytest.mark.parametrize("robots", [["A", "B"], ["A"]])
+def test_a_run_that_is_honest_offends_nothing_beside_a_fleet_that_names_its_robots(
+    tmp_path: Path, robots: list[str]
+) -> None:
+    file, fleet = tmp_path / "run.json", tmp_path / "fleet.toml"
+    file.write_bytes(written(log(honest_events(), also=CONTEXT)))
+    fleet.write_text("[robots]\n" + "".join(f'{name} = "agv"\n' for name in robots))
+    made = import_records(str(tmp_path / "ledger"), [str(file)], format="ocel", fleet=str(fleet))
+    assert verdicts(made)[0] == set()
+
+
 def changed(kind: str, **columns: str) -> Change:
     """A change of the last event of this type: these objects in these parts."""
 
