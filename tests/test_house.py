@@ -146,6 +146,19 @@ def architectures_named(root: Path) -> list[str]:
     return found
 
 
+VAGUE = {"Asked", "Done", "Found", "Given", "Held", "Made", "Played", "Said", "Seen", "Shown", "Told", "Written"}
+
+
+def vague(root: Path) -> list[str]:
+    """Return the classes of the package whose name is a participle, which says nothing to who does not know them."""
+    return [
+        f"{path.relative_to(root)}:{node.lineno}: {node.name}"
+        for path in code_files(root, ".py", ("fsar_ledger",))
+        for node in ast.walk(ast.parse(path.read_text("utf-8")))
+        if isinstance(node, ast.ClassDef) and node.name.lstrip("_") in VAGUE
+    ]
+
+
 def test_the_top_level_is_as_agreed() -> None:
     tracked = ran(["git", "ls-files", "--cached", "--others", "--exclude-standard"], cwd=ROOT)
     if tracked.returncode:
@@ -179,6 +192,16 @@ def test_a_module_without_docstring_is_found(tmp_path: Path) -> None:
     (tmp_path / "fsar_ledger").mkdir()
     (tmp_path / "fsar_ledger" / "silent.py").write_text("X = 1\n")
     assert undocumented(tmp_path) == ["fsar_ledger/silent.py"]
+
+
+def test_classes_are_called_by_what_they_are() -> None:
+    assert vague(ROOT) == []
+
+
+def test_a_class_that_is_called_by_a_participle_is_found(tmp_path: Path) -> None:
+    (tmp_path / "fsar_ledger").mkdir()
+    (tmp_path / "fsar_ledger" / "fixture.py").write_text("class Asked:\n    class _Held:\n        pass\n")
+    assert vague(tmp_path) == ["fsar_ledger/fixture.py:1: Asked", "fsar_ledger/fixture.py:2: _Held"]
 
 
 def test_only_the_terminal_prints() -> None:

@@ -30,8 +30,8 @@ from fsar_ledger.ledger.store.append import Writer
 
 from .adapter import UNREADABLE, Adapter, Derived, Input, Record, no_record
 from .columns import Declared, declared, storable, storable_text, text_of
-from .held import BYTES, Held, NewEvent, commit, held, record_hashes
 from .recorder import origin_of, roles_of
+from .stored import BYTES, EarlierImport, NewEvent, commit, earlier_import, record_hashes
 
 ORIGIN = "fsar-ledger/imported"
 COMMIT_EVENTS, COMMIT_BYTES = 4_096, 1 << 21
@@ -115,7 +115,7 @@ class _Import:
         self.writer, self.path, self.adapter, self.run = writer, path, adapter, run
         self.declared, self.keeps_bodies = says, keeps_bodies
         self.kinds = says.kinds
-        self.held: Held | None = None
+        self.earlier: EarlierImport | None = None
         self.opened: SourceOpened | None = None
         self.robots_of_fleet: Mapping[str, str] = {}
         self.joined_by_fleet: set[str] = set()
@@ -134,7 +134,7 @@ class _Import:
         self.opened = opened
         self.robots_of_fleet = dict(roles_of(fleet))
         self.joined_by_fleet = set(self.robots_of_fleet)
-        self.held = before = held(self.path, self.run)
+        self.earlier = before = earlier_import(self.path, self.run)
         if before is None:
             return
         if before.opened is None or before.opened.adapter.partition("/")[0] != self.adapter.name:
@@ -163,7 +163,7 @@ class _Import:
 
     def read(self, inputs: Sequence[Input], progress: Progress | None) -> None:
         """Read every record, commit those that are not on file, and close the source."""
-        before = self.held.records if self.held is not None else 0
+        before = self.earlier.records if self.earlier is not None else 0
         known = record_hashes(self.path, self.run) if before else iter(())
         for record in self.adapter.read([self._committing(one) for one in inputs]):
             self.count += 1
@@ -202,10 +202,10 @@ class _Import:
         return one if one.path is not None else one._replace(file=io.BufferedReader(_Stream(one.file, self._commit)))
 
     def _is_whole_now(self, record: Record) -> bool:
-        assert self.held is not None
-        if self.held.last is None or not self.held.last.is_begun_by(record.line or record.raw):
+        assert self.earlier is not None
+        if self.earlier.last is None or not self.earlier.last.is_begun_by(record.line or record.raw):
             return False
-        self.held.beside.add(self.held.last_seq)
+        self.earlier.beside.add(self.earlier.last_seq)
         return True
 
     def result(self) -> Imported:
@@ -215,7 +215,7 @@ class _Import:
             self.run,
             self.adapter.format,
             self.count,
-            self.held.records if self.held is not None else 0,
+            self.earlier.records if self.earlier is not None else 0,
             dict(sorted(self.made.items())),
             tuple(Misunderstood(kind, count, first) for kind, (count, first) in missed),
             self.declared,
@@ -227,11 +227,11 @@ class _Import:
         assert self.opened is not None
         self.is_new = True
         opened = msgspec.structs.replace(self.opened, format=self.adapter.format)
-        if self.held is not None:
+        if self.earlier is not None:
             self._pass_beside()
-            if self.seq != self.held.size:
+            if self.seq != self.earlier.size:
                 self.keys.clear()  # this adapter makes other events of the records on file, so their numbers are others
-            self.seq, self.last_us = self.held.size, max(self.last_us, self.held.last_us)
+            self.seq, self.last_us = self.earlier.size, max(self.last_us, self.earlier.last_us)
             self._put(self.last_us, None, opened)
             return
         started = RunStarted(
@@ -325,7 +325,7 @@ class _Import:
         return self.seq - 1
 
     def _pass_beside(self) -> None:
-        while self.held is not None and self.seq in self.held.beside:
+        while self.earlier is not None and self.seq in self.earlier.beside:
             self.seq += 1
 
     def _refused(self, found: str, expected: str) -> UsageError:

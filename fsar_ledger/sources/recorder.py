@@ -24,8 +24,8 @@ from fsar_ledger.ledger.store.manifest import parse_manifest, read_manifest
 from fsar_ledger.ledger.store.paths import MANIFEST
 
 from .columns import Declared, declared, event_of, require_outcome, storable_text
-from .held import NewEvent, Stored, commit, stored_run
 from .names import PrivateNames
+from .stored import NewEvent, StoredRun, commit, stored_run
 
 ORIGIN = "fsar-ledger/recorded"
 FORMAT = "fsar-ledger/1"
@@ -231,7 +231,7 @@ class Recorder:
         adapter = FORMAT if self._names is None else WITH_COMMITMENTS
         return SourceOpened(source=self.source, format=FORMAT, adapter=adapter, clock="arrival")
 
-    def _continued(self, stored: Stored, robots: Mapping[str, str], epoch: datetime | None) -> datetime:
+    def _continued(self, stored: StoredRun, robots: Mapping[str, str], epoch: datetime | None) -> datetime:
         """Check that the run was begun as this recorder would, and return its epoch."""
         started = stored.started
         kept = Declared(started.observes, started.records or ())

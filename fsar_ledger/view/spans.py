@@ -68,20 +68,20 @@ def lane_of(principal: Principal | str) -> str:
 
 def spans_of(run: LedgerRun) -> tuple[Span, ...]:
     """Return what held from when to when, in order of its beginning."""
-    state, held = State(), _Held()
+    state, facts = State(), _Facts()
     for seq, (time_us, event) in enumerate(zip(run.times_us, run.events, strict=True)):
         for slot, evolve in ROUTES.get(type(event), ()):
             before = getattr(state, slot)
             after = evolve(before, event)
             setattr(state, slot, after)
             if after is not before and slot in FACTS:
-                held.now(slot, frozenset(FACTS[slot](after)), time_us, seq)
-        held.beside(event, time_us, seq)
-    held.end()
-    return tuple(sorted(held.spans, key=lambda span: (span.start_us, span.seq, span.fact)))
+                facts.now(slot, frozenset(FACTS[slot](after)), time_us, seq)
+        facts.beside(event, time_us, seq)
+    facts.end()
+    return tuple(sorted(facts.spans, key=lambda span: (span.start_us, span.seq, span.fact)))
 
 
-class _Held:
+class _Facts:
     """The facts that hold at present, by what they were read from, and the spans that are over."""
 
     def __init__(self) -> None:

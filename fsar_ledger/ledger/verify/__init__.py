@@ -52,7 +52,7 @@ from fsar_ledger.ledger.store.record import Head
 from fsar_ledger.ledger.store.snapshot import read_checkpoint
 from fsar_ledger.ledger.verify.chain import Verification
 from fsar_ledger.ledger.verify.report import MAX_PROBLEMS, Anchor, VerifyOptions, VerifyReport
-from fsar_ledger.ledger.verify.trusted import Did, Found, Later, find_trusted, mend, write_copy
+from fsar_ledger.ledger.verify.trusted import Did, Later, TrustedPart, find_trusted, mend, write_copy
 
 
 def verify(
@@ -368,7 +368,7 @@ def _new_folder(ledger: Path) -> Path:
 
 
 def _copy(
-    path: Path, trusted: Found, into: Path, workers: int, progress: Progress | None, asked: VerifyOptions
+    path: Path, trusted: TrustedPart, into: Path, workers: int, progress: Progress | None, asked: VerifyOptions
 ) -> VerifyReport:
     """Copy the trusted commits to a new ledger, byte for byte, and verify it; on failure nothing is there."""
     if not trusted.head.commits:

@@ -52,7 +52,7 @@ class Later(msgspec.Struct, frozen=True):
     file: str | None = None
 
 
-class Found(msgspec.Struct, frozen=True):
+class TrustedPart(msgspec.Struct, frozen=True):
     """What of a ledger can be trusted: the view of it, and how many of its placements and commits.
 
     `problems` are why no more; none if the ledger is whole but for what is derived. `report` is what `verify` says
@@ -103,7 +103,7 @@ class Found(msgspec.Struct, frozen=True):
         return Head(self.commits, last.tree_size, last.tree_root, str(run))
 
 
-def find_trusted(path: Path, workers: int, progress: Progress | None, asked: VerifyOptions) -> Found:
+def find_trusted(path: Path, workers: int, progress: Progress | None, asked: VerifyOptions) -> TrustedPart:
     """Find how much of the ledger can be trusted. Changes nothing.
 
     Raises: LedgerCorrupted if ledger.json cannot be read, and nothing says what was in it.
@@ -127,7 +127,7 @@ def find_trusted(path: Path, workers: int, progress: Progress | None, asked: Ver
     if problems:
         commits = min(commits, view.commits.up_to(view.chain.placed[placements - 1].end if placements else 0))
     anchored = _anchored(view, look, asked, commits) if report.problems else report.anchored
-    return Found(view, placements, commits, tuple(problems), report, anchored)
+    return TrustedPart(view, placements, commits, tuple(problems), report, anchored)
 
 
 def _anchored(view: View, look: Verification, asked: VerifyOptions, commits: int) -> int | None:
@@ -244,7 +244,7 @@ def _first_hash(path: Path) -> str:
         return ""
 
 
-def mend(trusted: Found, set_aside: SetAside, done: Done) -> None:
+def mend(trusted: TrustedPart, set_aside: SetAside, done: Done) -> None:
     """Make the ledger whole again: its derived files, and what an interrupted writer left. Raises: OSError."""
     view, path = trusted.view, trusted.view.path
     for name in _strays(view):
@@ -294,7 +294,7 @@ def _index(view: View) -> bytes:
     return b"".join(line for number in range(len(view.chain.placed)) for line in view.index_lines(number))
 
 
-def write_copy(trusted: Found, work: Path) -> None:
+def write_copy(trusted: TrustedPart, work: Path) -> None:
     """Write a ledger of the trusted commits that segments hold to this new folder, durably.
 
     Raises: OSError, LedgerCorrupted.

@@ -25,7 +25,7 @@ BYTES = "bytes"
 """Under this name an unreadable record says its length: a line that was not whole yet is known by it again."""
 
 
-class Stored(msgspec.Struct, frozen=True):
+class StoredRun(msgspec.Struct, frozen=True):
     """A run as the ledger holds it: its beginning, how many events it has, and the time of the last.
 
     `robots` are the roles of those that joined before the first source was `opened`.
@@ -38,7 +38,7 @@ class Stored(msgspec.Struct, frozen=True):
     opened: "Opening | None"
 
 
-def stored_run(path: Path, run: str) -> Stored | None:
+def stored_run(path: Path, run: str) -> StoredRun | None:
     """Return the run as the ledger holds it, None if it does not.
 
     Raises: LedgerCorrupted; UsageError if another run has this name than one that a recorder or an import began.
@@ -61,7 +61,7 @@ def stored_run(path: Path, run: str) -> Stored | None:
         elif one.seq:
             opened = msgspec.json.decode(line, type=Opening) if one.type == "SourceOpened.v1" else None
             break
-    return Stored(started, event_count(parts), parts[-1].block.last_us, robots, opened)
+    return StoredRun(started, event_count(parts), parts[-1].block.last_us, robots, opened)
 
 
 class _Row(msgspec.Struct):
@@ -99,7 +99,7 @@ class LastRecord(msgspec.Struct, frozen=True):
         return sha256(raw[: int(length)]).hexdigest() == self.record_sha256
 
 
-class Held(msgspec.Struct, frozen=True):
+class EarlierImport(msgspec.Struct, frozen=True):
     """A run that was imported before: its events, its records, and how its source was opened.
 
     `first` is the number of the first event that a record led to; `beside` are the later ones that none did, as where
@@ -120,7 +120,7 @@ class Held(msgspec.Struct, frozen=True):
     is_closed: bool = False
 
 
-def held(path: Path, run: str) -> Held | None:
+def earlier_import(path: Path, run: str) -> EarlierImport | None:
     """Return what the ledger holds of the run, None if there is none of that name.
 
     Raises: As `stored_run`.
@@ -144,7 +144,7 @@ def held(path: Path, run: str) -> Held | None:
             case "RobotJoined.v1" if not records:
                 robots[f"{row.robot}"] = f"{row.role}"
     started = stored.started
-    return Held(
+    return EarlierImport(
         stored.size,
         stored.last_us,
         utc_us(started.epoch),
