@@ -5,7 +5,7 @@
 -- Key: run_id, robot, capability
 -- Units: since_us microseconds of run time; at seconds, by default after the end of every run
 -- NULL: successor unless a deprecation names one; visible_to is empty when every role may discover it, may_ask when no
---   other robot has role and trust; may_ask is NULL when the run does not observe fleet and trust
+--   other member has role and trust; may_ask is NULL when the run does not observe fleet and trust
 -- Example: fsar-ledger query audit/capability_surface LEDGER --param run=RUN --param robot=robot/C1 --param
 --   at=30
 --   answers inspect.private_zone 1.0.0 ready: discoverable by role B, and robot/B1 may ask for it
@@ -23,8 +23,7 @@ scopes (scope, breadth) AS (
 ),
 
 trusted AS (
-    -- Visible_Gamma: the role, the domain around the requester, and, where it is trust-gated, some trust, which asking
-    -- needs at any rate.
+    -- Visible_Gamma: the role, the domain around the requester, and some trust, which asking needs at any rate.
     SELECT
         surfaces.run_id, surfaces.robot, surfaces.capability, surfaces.trust_required,
         peers.robot AS peer,
@@ -41,6 +40,10 @@ trusted AS (
     INNER JOIN fleet_members AS peers
         ON trusted.run_id = peers.run_id AND trusted.robot = peers.robot AND peers.joined_us <= $at_us::BIGINT
     INNER JOIN fleet_members AS owners ON surfaces.run_id = owners.run_id AND surfaces.robot = owners.robot
+    ANTI JOIN departed_robots AS gone
+        ON
+            peers.run_id = gone.run_id AND peers.robot = gone.robot
+            AND $at_us::BIGINT BETWEEN gone.since_us AND coalesce(gone.until_us - 1, $at_us::BIGINT)
     WHERE
         surfaces.robot <> trusted.robot
         AND (len(surfaces.visible_to) = 0 OR list_contains(surfaces.visible_to, peers.role))
@@ -52,8 +55,7 @@ trusted AS (
 ),
 
 admissible AS (
-    -- Those who may ask at all: policy, or what else a request states (version, contract, context), may still rule
-    -- them out.
+    -- Policy, or what else a request states (version, contract, context), may still rule them out.
     SELECT
         trusted.run_id, trusted.robot, trusted.capability,
         list(trusted.peer ORDER BY trusted.peer) AS may_ask

@@ -24,20 +24,6 @@ WITH cut_off AS (
     GROUP BY run_id, task_id
 ),
 
-back AS (
-    SELECT run_id, robot, seq FROM robot_returned
-    UNION ALL
-    SELECT run_id, robot, seq FROM robot_joined
-),
-
-gone AS (
-    SELECT departed.run_id, departed.robot, departed.seq, min(back.seq) AS until_seq
-    FROM robot_departed AS departed
-    LEFT JOIN back
-        ON departed.run_id = back.run_id AND departed.robot = back.robot AND departed.seq < back.seq
-    GROUP BY departed.run_id, departed.robot, departed.seq
-),
-
 acting AS (
     SELECT DISTINCT run_id, task_id, 'robot/' || split_part(unnest(steps), ' ', 1) || team AS robot FROM task_arrived
 ),
@@ -57,8 +43,8 @@ waited AS (
     SELECT DISTINCT ends.run_id, ends.task_id
     FROM ends
     INNER JOIN acting ON ends.run_id = acting.run_id AND ends.task_id = acting.task_id
-    INNER JOIN gone ON acting.run_id = gone.run_id AND acting.robot = gone.robot
-    WHERE ends.outcome = 'abandoned' AND ends.seq > gone.seq AND ends.seq < coalesce(gone.until_seq, ends.seq + 1)
+    INNER JOIN departed_robots AS gone ON acting.run_id = gone.run_id AND acting.robot = gone.robot
+    WHERE ends.outcome = 'abandoned' AND ends.seq > gone.since_seq AND ends.seq < coalesce(gone.until_seq, ends.seq + 1)
 ),
 
 arrived AS (

@@ -342,3 +342,33 @@ def test_every_robot_that_offers_what_a_run_of_two_teams_asked_for_was_candidate
     relayed = {row["seq"] for row in rows if row["relay"]}
     assert all(row["is_candidate"] != (row["rejected_by"] is not None) for row in offering if row["seq"] not in relayed)
     assert all(row["is_candidate"] or row["rejected_by"] for row in offering)
+
+
+AWAY = event("RobotDeparted", 4, robot="robot/A1", reason="silent", fence=1)
+BACK = event("RobotReturned", 8, robot="robot/A1", fence=1)
+
+
+@pytest.mark.parametrize(("at_us", "may_ask"), [(3, ["robot/A1"]), (4, []), (7, []), (8, ["robot/A1"])])
+def test_who_has_departed_may_not_ask_until_it_has_returned(at_us: int, may_ask: list[str]) -> None:
+    offered = change("CapabilityAdvertised", 2, visible_to=[])
+    assert surface_at(at_us, "may_ask", trust(1, "B1", "A1", "task"), offered, AWAY, BACK) == [(may_ask,)]
+
+
+@pytest.mark.parametrize("back", ["RobotReturned", "RobotJoined"])
+def test_a_robot_that_had_departed_is_told_apart_from_one_that_is_offline(back: str) -> None:
+    gone = event("RobotDeparted", 2, robot="robot/B1", reason="silent", fence=1)
+    found = query(3, candidates=["robot/B1"])
+
+    def reasons(*events: Row) -> list[str]:
+        rows = asked("query_candidates", "reason", *ROBOTS, trust(1, "B1", "A1", "task"), *events, robot="robot/B1")
+        return [reason for (reason,) in rows]
+
+    left = (offer(1, "B1"), gone)
+    again = event(back, 4, robot="robot/B1", role="B")
+    assert reasons(*left, query(3, "availability")) == ["it had departed"]
+    assert reasons(*left, query(3)) == ["it had departed"]
+    assert reasons(*left, found) == ["candidate, although it had departed"]
+    assert reasons(*left, query(3, "version")) == [REASONS["version"]]
+    assert reasons(gone, query(3)) == ["does not offer it"]
+    assert reasons(*left, again, query(5, "availability")) == ["offline or restricted"]
+    assert reasons(*left, again, found) == ["candidate"]
