@@ -1,13 +1,14 @@
 -- Title: The policy that was truly in force at a time
 -- Paper: eq:policy, app:foundations
--- Grain: one row per run, robot, scope (its own policy, the fleet's for it), and capability and context that have a
---   rule of their own in that run, with one for all others; or for the capability and context that are asked about
+-- Grain: one row per run, robot and scope (facts/policy_subjects), capability and context that have a rule of their
+--   own in that run, with one for all others; or for the capability and context that are asked about
 -- Key: run_id, robot, scope, capability?, context?
 -- Units: since_us, until_us microseconds of run time, half-open: from and until when the outcome is this one, whichever
 --   windows and rules give it; at seconds, by default after the end of every run
 -- NULL: capability, context for all that have no row of their own; outcome when nothing on record asks for review or
---   denies and the run does not observe policy, or not of then (facts/begun_before); since_us when the outcome is so
---   since the beginning of the run, or unknown; until_us when it did not change later
+--   denies and the run does not observe policy, or not of then (facts/begun_before), or has rules
+--   and not that the robot joined; since_us when the outcome is so since the beginning of the run, or unknown; until_us
+--   when it did not change later
 -- Example: fsar-ledger query audit/policy_at LEDGER --param run=RUN --param robot=robot/D1 --param at=31.2
 --   answers robot/D1: its own policy denies since 24.818 s, the fleet's rule since 31.07 s
 -- Parameters: run: run = all, robot: robot = all, capability: capability = all, context: context = all, at: time = end
@@ -37,12 +38,24 @@ moments AS (
     GROUP BY ALL
 ),
 
+strangers AS (
+    -- Which rules hold for a robot that nobody recorded as a member is unknown.
+    SELECT DISTINCT run_id, robot FROM policy_subjects
+    WHERE
+        NOT is_member
+        AND run_id IN (
+            SELECT run_id FROM policy_events
+            WHERE type IN ('PolicyRuleSet.v1', 'RolePolicyRuleSet.v1')
+        )
+),
+
 known AS (
     -- A run that does not observe policy can show that something was not allowed, and never that it was.
     SELECT
         moments.run_id, moments.robot, moments.scope, moments.capability, moments.context, moments.since_us,
         moments.until_us, moments.strictness,
-        moments.strictness > 1
+        moments.strictness = 3
+        OR (moments.strictness = 2 AND strangers.run_id IS NULL)
         OR (
             coalesce(list_contains(runs.observes, 'policy'), FALSE)
             AND NOT EXISTS (
@@ -51,9 +64,11 @@ known AS (
                     moments.run_id = unseen.run_id AND moments.robot = unseen.robot AND moments.scope = unseen.scope
                     AND unseen.what = 'window' AND $at_us::BIGINT < unseen.until_us
             )
+            AND strangers.run_id IS NULL
         ) AS is_known
     FROM moments
     INNER JOIN runs ON moments.run_id = runs.run_id
+    LEFT JOIN strangers ON moments.run_id = strangers.run_id AND moments.robot = strangers.robot
 )
 
 SELECT

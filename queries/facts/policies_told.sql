@@ -1,11 +1,21 @@
 -- Title: What deciders are told of policy: copies, snapshots, and rules of the fleet
 -- Paper: eq:policy, sec:evaluation:baselines
--- Grain: one row per FleetRuleLearned and SnapshotTaken event, and per CopySynced event, robot of the fleet and scope
+-- Grain: one row per FleetRuleLearned and SnapshotTaken event, and per CopySynced event, scope and robot of the
+--   fleet or that any copy of the run names
 -- Key: run_id, seq, robot, scope
 -- Units: learned_us, as_of_us microseconds of run time
 -- NULL: never
 -- Example: fsar-ledger query facts/policies_told LEDGER
-WITH copies AS (
+WITH covered AS (
+    SELECT run_id, robot FROM fleet_members
+    UNION
+    SELECT
+        run_id,
+        unnest(list_distinct(list_concat(local_deny, local_review, fleet_deny, fleet_review))) AS robot
+    FROM copy_synced
+),
+
+copies AS (
     -- A copy covers every robot; one that it does not name is allowed.
     SELECT
         copies.run_id, copies.seq,
@@ -21,7 +31,7 @@ WITH copies AS (
         END AS outcome,
         copies.time_us AS as_of_us
     FROM copy_synced AS copies
-    INNER JOIN fleet_members AS members ON copies.run_id = members.run_id
+    INNER JOIN covered AS members ON copies.run_id = members.run_id
     CROSS JOIN (VALUES ('local'), ('fleet')) AS scopes (scope)
 )
 

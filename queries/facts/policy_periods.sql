@@ -6,15 +6,9 @@
 -- Units: since_us microseconds of run time; strictness 1 allow, 2 review, 3 deny
 -- NULL: capability, context for all others; since_us for the beginning of the run, when policy allows
 -- Example: fsar-ledger query facts/policy_periods LEDGER
-WITH scopes AS (
-    SELECT members.run_id, members.robot, scopes.scope
-    FROM fleet_members AS members
-    CROSS JOIN (VALUES ('local'), ('fleet')) AS scopes (scope)
-),
-
-capabilities AS (
+WITH capabilities AS (
     SELECT run_id, robot, scope, NULL AS capability
-    FROM scopes
+    FROM policy_subjects
     UNION
     SELECT run_id, robot, scope, capability
     FROM policy_in_force
@@ -22,7 +16,7 @@ capabilities AS (
 
 contexts AS (
     SELECT run_id, robot, scope, NULL AS context
-    FROM scopes
+    FROM policy_subjects
     UNION
     SELECT run_id, robot, scope, context
     FROM policy_in_force

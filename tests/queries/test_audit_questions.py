@@ -90,13 +90,13 @@ def test_policy_lasts_until_its_outcome_changes_whichever_windows_begin_and_end_
 @pytest.mark.parametrize(
     ("at_us", "expected"),
     [
-        (11, [(None, None, None, None)]),
-        (12, [("deny", 10, "deny", False)]),
-        (20, [("deny", 10, "allow", True)]),
-        (22, [("allow", 20, "allow", False)]),
+        (11, ("fleet", None, None, None, None)),
+        (12, ("fleet", "deny", 10, "deny", False)),
+        (20, ("fleet", "deny", 10, "allow", True)),
+        (22, ("fleet", "allow", 20, "allow", False)),
     ],
 )
-def test_a_robot_knows_the_fleet_rule_from_the_moment_it_is_told(at_us: int, expected: list[tuple[Any, ...]]) -> None:
+def test_a_robot_knows_the_fleet_rule_from_the_moment_it_is_told(at_us: int, expected: tuple[Any, ...]) -> None:
     window = {"robot": "robot/B1", "scope": "fleet", "window": "w1"}
     events = (
         event("PolicyWindowOpened", 10, **window, outcome="deny"),
@@ -104,7 +104,8 @@ def test_a_robot_knows_the_fleet_rule_from_the_moment_it_is_told(at_us: int, exp
         event("PolicyWindowClosed", 20, **window),
         event("FleetRuleLearned", 22, robot="robot/B1", outcome="allow", as_of_us=20),
     )
-    assert asked("policy_known_at", "known_outcome as_of_us true_outcome is_wrong", *events, at_us=at_us) == expected
+    found = asked("policy_known_at", "scope known_outcome as_of_us true_outcome is_wrong", *events, at_us=at_us)
+    assert [row for row in found if row[0] == "fleet"] == [expected]
 
 
 @pytest.mark.parametrize(("at_us", "expected"), [(15, "allow"), (25, "deny"), (35, "allow")])
@@ -117,9 +118,10 @@ def test_a_window_that_opens_again_under_its_name_is_in_force_again(at_us: int, 
         event("PolicyWindowOpened", 20, **window, outcome="deny"),
         event("PolicyWindowClosed", 30, **window),
     )
-    told = asked("policy_known_at", "true_outcome is_wrong", *events, at_us=at_us)
-    assert told == [(expected, expected != "allow")]
-    assert asked("policy_at", "outcome", *events, at_us=at_us, robot="robot/B1") == [(expected,)]
+    told = asked("policy_known_at", "scope true_outcome is_wrong", *events, at_us=at_us)
+    assert told == [("fleet", expected, expected != "allow"), ("local", None, None)]
+    found = asked("policy_at", "scope outcome", *events, at_us=at_us, robot="robot/B1")
+    assert found == [("fleet", expected), ("local", "allow")]
 
 
 def test_a_coordinator_knows_its_last_copy_and_a_planner_its_last_snapshot() -> None:

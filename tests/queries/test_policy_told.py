@@ -107,6 +107,43 @@ def test_somebody_who_was_told_needs_no_reason() -> None:
     assert found == [("coordinator", "allow", None), ("coordinator", "deny", None)]
 
 
+def stranger(name: str, columns: str, *events: Row, observes: list[str] | None = None, at_s: int = 5) -> list[Any]:
+    """These columns about a robot of a foreign run that does not tell who joined."""
+    seen = {"kind": "foreign", "observes": list(CONCERNS) if observes is None else observes}
+    acts = event("ExecutionStarted", 0, robot="robot/X1", capability=LIFT)
+    with from_rows(run(acts, *events, **seen)) as database:
+        rows = database.query(f"audit/{name}", {"robot": "robot/X1", "at_us": str(at_s * S)}).to_pylist()
+    return [tuple(row[column] for column in columns.split()) for row in rows]
+
+
+def test_a_robot_of_which_nobody_tells_that_it_joined_has_an_answer_where_the_run_tells_of_policy() -> None:
+    window = {"robot": "robot/X1", "scope": "local", "window": "w"}
+    opened = event("PolicyWindowOpened", S, **window, outcome="deny")
+    closed = event("PolicyWindowClosed", 9 * S, **window)
+    told = event("SnapshotTaken", 2 * S, robot="robot/X1", outcome="allow")
+    known = "scope known_outcome true_outcome is_wrong"
+    nothing = ("fleet", None, None, None)
+    assert stranger("policy_known_at", known, opened) == [nothing, ("local", None, None, None)]
+    assert stranger("policy_known_at", known, told, opened) == [("local", "allow", "deny", True), nothing]
+    assert stranger("policy_at", "scope outcome", opened, closed) == [("fleet", "allow"), ("local", "deny")]
+    assert stranger("policy_at", "scope outcome", opened, closed, at_s=9) == [("fleet", "allow"), ("local", "allow")]
+    unseen = [("fleet", None), ("local", "deny")]
+    assert stranger("policy_at", "scope outcome", opened, observes=WITHOUT_POLICY) == unseen
+    assert stranger("policy_known_at", "scope", observes=WITHOUT_POLICY) == []
+
+
+def test_a_rule_is_not_said_to_allow_what_it_may_deny_a_robot_of_which_nobody_tells_that_it_joined() -> None:
+    denied = event("PolicyRuleSet", S, scope="local", outcome="deny", decided_by="x")
+    assert stranger("policy_at", "scope outcome", denied) == [("fleet", None), ("local", None)]
+
+
+def test_a_copy_tells_of_the_robots_that_it_names_and_of_those_that_another_one_has_named() -> None:
+    copies = [event("CopySynced", 1 * S, local_deny=["robot/X1"]), event("CopySynced", 7 * S)]
+    for at_s, outcome in ((5, "deny"), (8, "allow")):
+        found = stranger("policy_known_at", "known_by scope known_outcome", *copies, at_s=at_s)
+        assert found == [("coordinator", "fleet", "allow"), ("coordinator", "local", outcome)]
+
+
 # --- reviews ---
 
 
