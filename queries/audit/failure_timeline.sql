@@ -6,12 +6,19 @@
 -- Units: step counts from 1 within the failure; level_number 1 local to 4 human; time_s, until_s seconds of run time;
 --   spent_s seconds at the level in all; budget_s seconds from detection to the deadline of the attempt
 -- NULL: decided_by when the record names none; result when nothing came of it or none is recorded; until_s of the last
---   step; budget_s where no attempt has a deadline; achieved when not even a part was
+--   step; budget_s where no attempt has a deadline; achieved when not even a part was; budget_s, and spent_s of the
+--   first level, when nobody recorded that the failure occurred
 -- Example: fsar-ledger query audit/failure_timeline LEDGER --param run=RUN --param action=A1-1/2.1
 --   answers attempt 1 and 2 at robot/D1 in vain, no peer, no reassignment, supervisor/fleet resolved it; 4.356, 0.196,
 --   0.571 and 24.384 s
 -- Parameters: run: run = all, action: action = all
-WITH steps AS (
+WITH told AS (
+    SELECT * FROM recovery_steps
+    UNION ALL BY NAME
+    SELECT * FROM steps_of_unseen_failures
+),
+
+steps AS (
     SELECT
         run_id, action_id, failure, detected_us, seq, time_us, until_us, decided_by, level, to_level, deadline_us, what,
         achieved,
@@ -27,7 +34,7 @@ WITH steps AS (
             ELSE time_us
         END AS since_us,
         CASE WHEN type = 'RecoveryEscalated.v1' OR until_us IS NULL THEN time_us ELSE until_us END AS over_us
-    FROM recovery_steps
+    FROM told
     WHERE $run IN ('all', run_id) AND $action IN ('all', action_id)
     WINDOW in_order AS (PARTITION BY run_id, action_id, failure ORDER BY seq)
 )
@@ -40,9 +47,7 @@ SELECT
     until_us / 1000000 AS until_s,
     decided_by, what, result, achieved,
     (deadline_us - detected_us) / 1000000 AS budget_s,
-    (
-        max(over_us) OVER (PARTITION BY run_id, action_id, failure, level)
-        - min(since_us) OVER (PARTITION BY run_id, action_id, failure, level)
-    )
+    if(bool_and(since_us IS NOT NULL) OVER stay, max(over_us) OVER stay - min(since_us) OVER stay, NULL)
     / 1000000 AS spent_s
 FROM steps
+WINDOW stay AS (PARTITION BY run_id, action_id, failure, level)

@@ -4,7 +4,8 @@
 -- Key: run_id, action_id, failure, level
 -- Units: spent_us, t_max_us microseconds, spent_us with the time of the help; used, n_max attempts (local), helpers
 --   asked (peer), reassignments (fleet), calls (human); rank 1 local to 4 human
--- NULL: spent_us when the failure was still at this level at the end of its record; t_max_us, n_max where the run
+-- NULL: spent_us when the failure was still at this level at the end of its record, and of the first level when nobody
+--   recorded that it occurred; t_max_us, n_max where the run
 --   records neither; set_by where the budget is the fleet's own; used of level human when the run does not observe
 --   supervision
 -- Example: fsar-ledger query audit/recovery_budgets LEDGER --param run=RUN --param action=A1-1/2.1
@@ -14,9 +15,12 @@ WITH stays AS (
     SELECT
         moves.run_id, moves.action_id, moves.failure, moves.level, moves.rank, moves.seq, failures.robot,
         coalesce(lead(moves.time_us) OVER by_failure, failures.resolved_us)
-        - CASE moves.move WHEN 1 THEN failures.detected_us ELSE moves.time_us END AS spent_us
+        - CASE
+            WHEN moves.move > 1 OR (failures.detected_us IS NULL AND moves.from_level IS NOT NULL) THEN moves.time_us
+            ELSE failures.detected_us
+        END AS spent_us
     FROM recovery_moves AS moves
-    INNER JOIN failures
+    INNER JOIN failures_on_record AS failures
         ON moves.run_id = failures.run_id AND moves.action_id = failures.action_id AND moves.failure = failures.failure
     WHERE $run IN ('all', moves.run_id) AND $action IN ('all', moves.action_id)
     WINDOW by_failure AS (PARTITION BY moves.run_id, moves.action_id, moves.failure ORDER BY moves.seq)
@@ -32,10 +36,23 @@ levels AS (
     GROUP BY run_id, action_id, failure, level, rank, robot
 ),
 
+acts AS (
+    SELECT acts.run_id, acts.action_id, acts.failure, acts.level
+    FROM recovery_acts AS acts
+    SEMI JOIN failures
+        ON acts.run_id = failures.run_id AND acts.action_id = failures.action_id AND acts.failure = failures.failure
+    WHERE acts.is_use
+    UNION ALL
+    SELECT run_id, action_id, failure, level
+    FROM steps_of_unseen_failures
+    WHERE
+        type IN ('RecoveryAttempted.v1', 'AssistanceRequested.v1', 'SupervisorCalled.v1')
+        OR (type = 'ReassignmentDecided.v1' AND helper IS NOT NULL)
+),
+
 uses AS (
     SELECT run_id, action_id, failure, level, count(*) AS used
-    FROM recovery_acts
-    WHERE is_use
+    FROM acts
     GROUP BY run_id, action_id, failure, level
 )
 

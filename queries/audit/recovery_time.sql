@@ -5,7 +5,8 @@
 -- Units: entered_us, left_us microseconds of run time; spent_us microseconds; attempts count; the first level counts
 --   from detection
 -- NULL: left_because where nothing else came or the record does not say it; left_us, spent_us when the failure was
---   still at this level at the end of its record
+--   still at this level at the end of its record; entered_us, spent_us of the first level when nobody recorded that it
+--   occurred
 -- Example: fsar-ledger query audit/recovery_time LEDGER --param run=RUN --param action=A1-1/4.1
 --   answers local 4.101 s with 2 attempts (budget exhausted), peer 0.065 s, fleet 0.515 s, human 40.066 s, where it was
 --   resolved
@@ -13,13 +14,16 @@
 WITH stays AS (
     SELECT
         moves.run_id, moves.action_id, moves.failure, moves.move, moves.level, moves.seq,
-        CASE moves.move WHEN 1 THEN coalesce(failures.detected_us, moves.time_us) ELSE moves.time_us END AS entered_us,
+        CASE
+            WHEN moves.move > 1 OR (failures.detected_us IS NULL AND moves.from_level IS NOT NULL) THEN moves.time_us
+            ELSE failures.detected_us
+        END AS entered_us,
         lead(moves.seq) OVER by_failure AS next_seq,
         lead(moves.reason) OVER by_failure AS left_because,
         coalesce(lead(moves.time_us) OVER by_failure, failures.resolved_us) AS left_us,
         lead(moves.seq) OVER by_failure IS NULL AND failures.resolved_us IS NOT NULL AS is_resolved_here
     FROM recovery_moves AS moves
-    LEFT JOIN failures
+    LEFT JOIN failures_on_record AS failures
         ON moves.run_id = failures.run_id AND moves.action_id = failures.action_id AND moves.failure = failures.failure
     WHERE $run IN ('all', moves.run_id) AND $action IN ('all', moves.action_id)
     WINDOW by_failure AS (PARTITION BY moves.run_id, moves.action_id, moves.failure ORDER BY moves.seq)

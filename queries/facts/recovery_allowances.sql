@@ -35,7 +35,8 @@ robots AS (
     FROM fleet_members
     UNION
     SELECT run_id, robot
-    FROM execution_failed
+    FROM recovery_events
+    WHERE robot IS NOT NULL
 )
 
 SELECT

@@ -159,3 +159,22 @@ def test_what_a_failure_used_is_its_own_however_often_recovery_turned_to_the_lev
     back = failure("RecoveryEscalated", 25, level="peer", to_level="local")
     found = asked("recovery_budgets", columns, *LADDER[:5], back, failure("FailureResolved", 28, level="local"))
     assert found == [(1, "local", 2, 13), (1, "peer", 0, 5)]
+
+
+def test_a_failure_of_which_only_its_recovery_is_told_is_told_without_the_time_of_its_detection() -> None:
+    begun = failure("ExecutionFailed", 11, cause="degradation")
+    columns = "level spent_us t_max_us used n_max"
+    known = asked("recovery_budgets", columns, begun, *LADDER[1:])
+    assert known[0] == ("local", 9, 30, 2, 2)
+    assert asked("recovery_budgets", columns, *LADDER[1:]) == [("local", None, 30, 2, 2), *known[1:]]
+    columns = "level entered_us left_us spent_us attempts is_resolved_here left_because"
+    known = asked("recovery_time", columns, begun, *LADDER[1:])
+    assert known[0] == ("local", 11, 20, 9, 2, False, "budget exhausted")
+    assert asked("recovery_time", columns, *LADDER[1:]) == [
+        ("local", None, 20, None, 2, False, "budget exhausted"),
+        *known[1:],
+    ]
+    assert asked("recovery_budgets", "level spent_us", *AT_ONCE[1:], BY_PEER) == [("peer", 17)]
+    moved = failure("ReassignmentDecided", 23, helper="robot/A1")
+    assert asked("recovery_budgets", "level used", *LADDER[1:6], moved)[-1] == ("fleet", 1)
+    assert asked("recovery_time", "level is_resolved_here", *LADDER[1:2], BY_ROBOT) == [("local", True)]
