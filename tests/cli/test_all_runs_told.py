@@ -134,19 +134,41 @@ def test_of_several_changes_of_which_one_is_refused_in_every_run_nobody_says_tha
     assert "some change is refused in each of 4" in told.err
 
 
+ENDS = "SELECT max(time_us) AS ended_us FROM events GROUP BY run_id HAVING max(time_us) > 0 ORDER BY run_id"
+
+
+def fork_counts(call: Call, bases: Path, place: Path, *changes: str) -> list[bool]:
+    """Whether each fork with these changes diverges; `whatif` and the query `forks` agree on that, and when it does."""
+    words = [word for change in changes for word in ("--change", change)]
+    told = json.loads(call("whatif", bases, "--all-runs", *words, "--out", place, "--json").good().out)["forks"]
+    rows = json.loads(call("query", "forks", place, "--json").good().out)["rows"]
+    parted = {row["run_id"]: (row["diverges"], row["parted_s"]) for row in rows}
+    assert parted == {one["fork"]: (one["parts_at"] is not None, one["parted_s"]) for one in told}
+    return [one["parts_at"] is not None for one in told]
+
+
 def test_the_query_forks_counts_no_fork_that_differs_only_in_a_command_that_it_rejects(
     call: Call, fleets: Path, tmp_path: Path
 ) -> None:
     given = 'add 20s {"command": "LeaveFleet", "by": "robot/B2", "robot": "robot/B2"}'
-    for number, changes in enumerate([[OF_EIGHT], [given], [OF_EIGHT, "drop window:*"]]):
-        words = [word for change in changes for word in ("--change", change)]
-        told = json.loads(
-            call("whatif", fleets, "--all-runs", *words, "--out", tmp_path / f"{number}", "--json").good().out
-        )
-        rows = json.loads(call("query", "forks", tmp_path / f"{number}", "--json").good().out)["rows"]
-        parted = {row["run_id"]: (row["diverges"], row["parted_s"]) for row in rows}
-        assert parted == {one["fork"]: (one["parts_at"] is not None, one["parted_s"]) for one in told["forks"]}
-        assert [one["parts_at"] is None for one in told["forks"]] == [number < 2, number < 2, False, False]
+    of_four_and_eight = [False, False, True, True]
+    assert fork_counts(call, fleets, tmp_path / "1", OF_EIGHT) == of_four_and_eight
+    assert fork_counts(call, fleets, tmp_path / "2", given) == of_four_and_eight
+    assert fork_counts(call, fleets, tmp_path / "3", OF_EIGHT, "drop window:*") == [True] * 4
+
+
+def test_the_query_forks_counts_no_fork_that_differs_only_in_what_its_fleet_does_not_know_or_is_too_late(
+    call: Call, fleets: Path, tmp_path: Path
+) -> None:
+    of_four_and_eight = [False, False, True, True]
+    for number, change in enumerate(
+        ("add window:fleet/A2 20s for 30s", "add off:A2 20s for 30s", "rule fleet deny robot=B1 task=A2-1")
+    ):
+        assert fork_counts(call, fleets, tmp_path / f"{number}", change) == of_four_and_eight
+    ends = [row["ended_us"] for row in json.loads(call("sql", fleets, ENDS, "--json").good().out)["rows"]]
+    late_us = (min(ends) + max(ends)) / 2
+    late = fork_counts(call, fleets, tmp_path / "late", f"rule fleet deny robot=B1 from {late_us / 1e6}s")
+    assert late == [ended > late_us for ended in ends]
 
 
 def test_a_metric_that_no_pair_has_is_shown_with_the_number_of_its_pairs(call: Call, fleets: Path) -> None:

@@ -99,7 +99,9 @@ def test_what_recovery_did_is_told_the_same_where_nobody_recorded_the_failure() 
     helped = (step("AssistanceRequested", 31 * S, "peer", helper=C), {**RESOLVED, "level": "peer"})
     for recovery in (TO_THE_END[1:], (*TO_THE_END[1:6], *helped), TO_THE_END[1:4]):
         columns = "level to_level step what achieved time_s until_s decided_by"
-        known = [row for row in asked("failure_timeline", columns, failed(10 * S), *recovery) if "registry" not in row[3]]
+        known = [
+            row for row in asked("failure_timeline", columns, failed(10 * S), *recovery) if "registry" not in row[3]
+        ]
         told = asked("failure_timeline", columns, *recovery)
         assert [(*row[:2], *row[3:6]) for row in told] == [(*row[:2], *row[3:6]) for row in known]
     results = "level what result spent_s budget_s"
