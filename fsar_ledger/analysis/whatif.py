@@ -129,7 +129,7 @@ class Effect(msgspec.Struct, frozen=True, kw_only=True):
     The means are over `n` pairs, those in which both have it or, of a ratio over all pairs, record it; in
     `differing_pairs` of them it differs. `low`, `high` (95 %), `test` (`paired t` or the exact `sign` test) and `p` are
     those of `compare` (`statistics/side_differences`). `gain`: so many times as many runs would be as precise.
-    None: what one pair or equal pairs do not have; means where the metric is undefined.
+    None: what one pair or equal pairs do not have; means where the metric is undefined, of several also where `n` is 0.
     """
 
     metric: str

@@ -3,16 +3,19 @@
 from pathlib import Path
 
 import numpy as np
+import pyarrow.compute as pc
 import pytest
 from scipy import stats
 
 from fsar_ledger.analysis.fork_base import Base, base_of_record, rerun
-from fsar_ledger.analysis.whatif import Effect, Pair, commit_pairs, effects, forks_of
+from fsar_ledger.analysis.whatif import EFFECTS, VALUES, Effect, Pair, commit_pairs, effects, forks_of
+from fsar_ledger.analysis.whatif import RUNS as ROWS
 from fsar_ledger.api.ledger import open_ledger as open_forks
 from fsar_ledger.base.errors import UsageError
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows.codec import LedgerRun, encode
 from fsar_ledger.ledger.verify import verify
+from fsar_ledger.metrics.comparison_sides import beside
 from fsar_ledger.metrics.database import connect, from_table
 from fsar_ledger.runtime.change_texts import parsed
 from fsar_ledger.runtime.replay import replay
@@ -109,6 +112,20 @@ def test_one_pair_has_values_and_no_intervals(bases: list[Base]) -> None:
     (row,) = [row for row in found.rows if row.metric == "policy_violations"]
     assert (row.base_mean, row.fork_mean, row.difference, row.n) == (1.0, 0.0, -1.0, 1)
     assert (row.low, row.high, row.p, row.gain) == (None, None, None, None)
+
+
+@pytest.mark.parametrize("change", ["drop window:*", "drop task:*", "architecture cfc"])
+def test_one_pair_is_counted_as_one_of_many_is(bases: list[Base], change: str) -> None:
+    ((pair,), counts) = list(forks_of(bases[:1], parsed([change]))), ("metric", "n", "differing_pairs", "difference")
+    with from_table(encode(list(pair.records))) as database:
+        rows = database.table(ROWS)
+    base, fork = (rows.filter(pc.equal(rows["run_id"], one.run_id)) for one in pair.records)
+    with beside(fork, base) as database:
+        alone, many = database.rows(VALUES), database.rows(EFFECTS)
+    assert [[row[name] for name in counts] for row in alone] == [[row[name] for name in counts] for row in many]
+    for one, each in zip(alone, many, strict=True):
+        assert not each["n"] or [one["base_mean"], one["fork_mean"]] == [each["base_mean"], each["fork_mean"]]
+    assert {row["n"] for row in alone} >= ({0, 1} if change == "drop task:*" else {1})
 
 
 def test_architectures_are_judged_apart(bases: list[Base]) -> None:
