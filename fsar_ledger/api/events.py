@@ -5,6 +5,7 @@ segments that share runs, with one in memory at a time.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -18,7 +19,7 @@ from fsar_ledger.events import CONCERNS, Event
 from fsar_ledger.events.envelope import flat
 from fsar_ledger.ledger.opening import Pause, growth, open_for_answers
 from fsar_ledger.ledger.rows import codec
-from fsar_ledger.ledger.rows.schema import COLUMNS, ENVELOPE, SCHEMA
+from fsar_ledger.ledger.rows.schema import COLUMNS, ENVELOPE, RELEASE, SCHEMA
 from fsar_ledger.ledger.store.locations import (
     chain_of,
     counted_rows,
@@ -30,7 +31,8 @@ from fsar_ledger.ledger.store.locations import (
 from fsar_ledger.ledger.store.read import View
 from fsar_ledger.metrics import relation
 from fsar_ledger.metrics.connection import Value
-from fsar_ledger.metrics.database import Database, connect
+from fsar_ledger.metrics.cuts import CARRYING
+from fsar_ledger.metrics.database import Database, connect, from_table
 from fsar_ledger.metrics.provenance import Provenance, of_rows
 from fsar_ledger.metrics.verified import is_verified
 
@@ -259,11 +261,81 @@ def stream(
     Raises:
         LedgerCorrupted: The ledger is damaged, or no longer the one whose lines were told.
     """
+    carried: _Carried | None = None
+    again = AFRESH
     for view, first in growth(ledger, pause):
         provenance = Provenance(view.head, is_verified(view, demanded), None, about.not_observed)
+        is_long = pause is not None and view.head.size >= again
+        again = view.head.size + AFRESH if is_long else again
+        if (rows := None if carried is None else _later(view, carried)) is not None:
+            with from_table(rows) as database:
+                found = _lines(database, asked, _untold(view, first))
+                carried = _carried(database, view) if is_long else carried
+            yield Table(found, provenance)
+            continue
+        carried = None
         for group in whole_groups(view):
             if view.end(group[-1]) > first:
-                yield Table(_lines_in(view, group, asked, first), provenance)
+                with _database(view, group) as database:
+                    found = _lines(database, asked, _untold(view, first) if view.first(group[0]) < first else None)
+                    carried = _carried(database, view) if is_long and group[-1] == len(view.releases) - 1 else None
+                yield Table(found, provenance)
+
+
+AFRESH = 20_000
+"""Events after which a ledger that is followed has grown so much that what they leave open is taken for them."""
+
+
+_BEGINNINGS = ("TaskArrived.v1", "OutsiderRequestInjected.v1")
+
+
+class _Carried(NamedTuple):
+    """What later lines may need of the only run that goes on, from before this index in the ledger.
+
+    `begins` is the first of the runs that it consists of.
+    """
+
+    begins: str
+    events: pa.Table
+    until: int
+
+
+def _carried(database: Database, view: View) -> _Carried | None:
+    """Return what is carried on from all events; None if they are of several runs, or of one that is not all there."""
+    runs = database.table("SELECT DISTINCT run_id FROM events")["run_id"].to_pylist()
+    if len(runs) != 1:
+        return None
+    events = database.table(CARRYING)
+    if False in events["has_begun"].to_pylist():
+        return None
+    return _Carried(chain_of(view, runs[0])[0], events.select(SCHEMA.names), view.head.size)
+
+
+def _later(view: View, carried: _Carried) -> pa.Table | None:
+    """Return what was carried, and the events since, as of the whole run.
+
+    None if some are of other runs, or about a task that was left behind.
+    """
+    ends = [view.end(number) for number in range(len(view.releases))]
+    if any(end > carried.until and one != RELEASE for end, one in zip(ends, view.releases, strict=True)):
+        return None
+    rows = _from(view, carried.until, SCHEMA.names)
+    names = rows["run_id"].unique().to_pylist()
+    whole = wholes_of(view).get(names[-1], names[-1])
+    if (chain := chain_of(view, whole))[0] != carried.begins or not {*names} <= {*chain}:
+        return None
+    rows = rows.filter(pc.greater(rows["seq"], 0))  # event 0 of each part repeats that of the first
+    counted = counted_rows(view, rows.select(["run_id", "seq"]))
+    cause = rows["caused_by"]
+    causes = pc.if_else(pc.equal(cause, 0), 0, pc.add(cause, pc.subtract(counted["seq"], rows["seq"])))
+    parts = [(carried.events, {"run_id": pa.array([whole] * len(carried.events))})]
+    parts += [(rows, {"run_id": counted["run_id"], "seq": counted["seq"], "caused_by": causes})]
+    found = pa.concat_tables(
+        pa.table([new.get(name, table[name]) for name in SCHEMA.names], schema=SCHEMA) for table, new in parts
+    )
+    begun = found.filter(pc.is_in(found["type"], pa.array(_BEGINNINGS)))["task_id"]
+    forgotten = pc.invert(pc.is_in(rows["task_id"].drop_null(), begun.combine_chunks()))
+    return None if pc.any(forgotten, min_count=0).as_py() else found
 
 
 def _lines(database: Database, asked: LogRequest, untold: pa.Table | None = None) -> pa.Table:
@@ -294,15 +366,24 @@ def _among(database: Database, chosen: str, values: Mapping[str, Value] | None =
     return [f"(run_id, seq) IN ({chosen})", f"seq BETWEEN {found['first']} AND {found['last']}"]
 
 
-def _lines_in(view: View, group: Sequence[int], asked: LogRequest, first: int) -> pa.Table:
-    """Return the lines of the events in these segments from this index on."""
+@contextmanager
+def _database(view: View, group: Sequence[int]) -> Iterator[Database]:
+    """Yield a database over these segments."""
     segments, releases = [view.segment(number) for number in group], view.releases
     with Database(view.head, segments) as database:
         relation.hold_segments(database, segments, [releases[number] for number in group])
-        if view.first(group[0]) >= first:
-            return _lines(database, asked)
-        untold = pa.concat_tables(view.tables_from(first, ["run_id", "seq"]))
-        return _lines(database, asked, counted_rows(view, untold))
+        yield database
+
+
+def _untold(view: View, first: int) -> pa.Table:
+    """Return the run and seq of the events from this index on, as readers of whole runs have them."""
+    return counted_rows(view, _from(view, first, ["run_id", "seq"]))
+
+
+def _from(view: View, first: int, columns: list[str]) -> pa.Table:
+    """Return these columns of the events from this index on, those of segments and of the journal alike."""
+    schema = pa.schema([SCHEMA.field(name) for name in columns])
+    return pa.concat_tables(table.cast(schema) for table in view.tables_from(first, columns))
 
 
 def _require_in_run(database: Database, run: str | None, since: Time, since_us: int) -> None:

@@ -26,7 +26,7 @@ from .library import library
 from .slices import Slice, SliceQuery, digest_of, slice_of, slice_query
 
 _CARRIED = "carried_events"
-_CARRYING = f"SELECT events.*, carried.has_begun FROM events INNER JOIN {_CARRIED} AS carried USING (run_id, seq)"
+CARRYING = f"SELECT events.*, carried.has_begun FROM events INNER JOIN {_CARRIED} AS carried USING (run_id, seq)"
 _WHETHER = frozenset({"human_intervention"})
 """The metrics that say whether, and not how often."""
 _OF_THE_RUN = frozenset({"actions_under_way", "run_started", "runs", "unobservable"})
@@ -60,7 +60,7 @@ def _answers_by_cuts(
     if not (queries and (stretches := _stretches(one))):
         return {}
     names = sorted(_adding() & frozenset[str]().union(*(each.reads or () for each in queries.values())))
-    carrying = slice_query(_CARRYING).text
+    carrying = slice_query(CARRYING).text
     texts = {name: digest_of([carrying, slice_query(f"SELECT * FROM {name}").text]) for name in names}
     texts[_CARRIED] = carrying
     of_parts: dict[str, list[pa.Table]] = {name: [] for name in names}
@@ -160,7 +160,7 @@ def settled(
     Raises: As `Database.table`.
     """
     if carried is None:
-        carrying = database.table(_CARRYING)
+        carrying = database.table(CARRYING)
         if False in carrying["has_begun"].to_pylist():
             return None
         carried = carrying.drop_columns(["has_begun"])

@@ -1,7 +1,9 @@
 """The timeline of a run, from Python."""
 
 import shutil
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -9,15 +11,21 @@ import pytest
 
 import fsar_ledger
 from fsar_ledger import Ledger
+from fsar_ledger.api import events
 from fsar_ledger.api.events import Filter, LogRequest, about_of
 from fsar_ledger.api.table import Table
 from fsar_ledger.base.errors import LedgerCorrupted, UsageError
 from fsar_ledger.events import CONCERNS
+from fsar_ledger.events.command import CommandGiven
 from fsar_ledger.ledger.rows.schema import CONCERNED
+from fsar_ledger.ledger.store import append
+from fsar_ledger.ledger.store.read import View
 from tests.api.conftest import RUN
+from tests.metrics.test_long_runs import weeks
 from tests.queries.histories import run
 from tests.quick import few
 from tests.recycled import from_rows
+from tests.runtime.test_cuts import Day
 
 Row = dict[str, Any]
 
@@ -123,6 +131,51 @@ def test_a_stream_goes_on_with_the_commits_that_come(ledger: Ledger, every_line:
     assert told[:before] == every_line
     assert len(told) == Ledger(copy).head.size > before
     assert told == Ledger(copy).log("all").rows()
+
+
+def follow_week(path: Path) -> Iterator[list[Row]]:
+    """The lines of each look at a live run that goes on between the looks, and is cut and sealed meanwhile."""
+    record = weeks(8, 3)
+    pairs = zip(record.times_us, record.events, strict=True)
+    commands = iter([(time_us, event) for time_us, event in pairs if isinstance(event, CommandGiven)])
+    day = Day(path)
+
+    def pause() -> None:
+        day.one.cut()
+        day.again()
+        if not (some := list(islice(commands, 50))):
+            raise Waited
+        for time_us, command in some:
+            day.at(time_us).one.decide(command)
+
+    with suppress(Waited):
+        yield from (table.rows() for table in Ledger(path).stream_log(pause=pause))
+
+
+def test_who_follows_a_long_run_is_told_each_line_from_what_is_new_and_what_was_carried_to_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read: list[int] = []
+    segment = View.segment
+
+    def spied(view: View, number: int, *words: bool) -> Path:
+        read.append(number)
+        return segment(view, number, *words)
+
+    monkeypatch.setattr(View, "segment", spied)
+    monkeypatch.setattr(append, "SEAL_ROWS", 120)
+    monkeypatch.setattr(events, "AFRESH", 100)
+    told: list[Row] = []
+    firsts: list[int] = []
+    for rows in follow_week(tmp_path / "week"):
+        told += [{**row, "run_id": None} for row in rows]
+        firsts += [min(read)] if read else []
+        read.clear()
+    every = [{**row, "run_id": None} for row in Ledger(tmp_path / "week").log("all")]
+    assert len(told) > 300
+    assert told == every[: len(told)]
+    assert firsts[-1] > 1
+    assert firsts == sorted(firsts)
 
 
 @pytest.mark.parametrize("what", few(["replaced", "damaged", "gone"], ["damaged"]))
