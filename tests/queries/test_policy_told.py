@@ -109,7 +109,7 @@ def test_somebody_who_was_told_needs_no_reason() -> None:
 
 def stranger(name: str, columns: str, *events: Row, observes: list[str] | None = None, at_s: int = 5) -> list[Any]:
     """These columns about a robot of a foreign run that does not tell who joined."""
-    seen = {"kind": "foreign", "observes": list(CONCERNS) if observes is None else observes}
+    seen: dict[str, Any] = {"kind": "foreign", "observes": list(CONCERNS) if observes is None else observes}
     acts = event("ExecutionStarted", 0, robot="robot/X1", capability=LIFT)
     with from_rows(run(acts, *events, **seen)) as database:
         rows = database.query(f"audit/{name}", {"robot": "robot/X1", "at_us": str(at_s * S)}).to_pylist()
