@@ -1,7 +1,7 @@
 -- Title: Events that contradict what their run says it observes
 -- Paper: sec:evaluation:metrics
--- Grain: one row per event of a concern that its run does not observe, and per concern that a run observes and nobody
---   knows
+-- Grain: one row per event of a concern that its run neither observes nor records types of, and per concern that a run
+--   observes and nobody knows
 -- Key: run_id, seq?, concern
 -- Units: none
 -- NULL: seq, type of a concern that nobody knows
@@ -9,19 +9,30 @@
 --   answers nothing for a ledger that verifies; else run, seq and concern of each event that its run says it does not
 --   observe
 -- A reader of such a run is told that these things were not observed, and then meets some: either the declaration is
--- wrong or the events are.
-WITH named AS (
+-- wrong or the events are. Who records a type says so of its concern, as `verify` has it.
+WITH recorded AS (
+    SELECT
+        run_id,
+        split_part(unnest(records), '.', 1) AS type
+    FROM run_started
+),
+
+named AS (
     SELECT
         run_id,
         unnest(observes) AS concern
     FROM runs
+    UNION
+    SELECT recorded.run_id, kinds.concern
+    FROM recorded
+    INNER JOIN event_concerns AS kinds ON recorded.type = split_part(kinds.type, '.', 1)
 )
 
 SELECT events.run_id, events.seq, events.type, event_concerns.concern
 FROM event_principals AS events
 INNER JOIN event_concerns ON events.type = event_concerns.type
 INNER JOIN runs ON events.run_id = runs.run_id
-WHERE NOT list_contains(coalesce(runs.observes, []), event_concerns.concern)
+ANTI JOIN named ON events.run_id = named.run_id AND event_concerns.concern = named.concern
 UNION ALL
 SELECT named.run_id, NULL AS seq, NULL AS type, named.concern
 FROM named

@@ -290,6 +290,14 @@ def test_events_that_contradict_the_declaration_are_listed() -> None:
     assert answer("audit/undeclared_events", run(*JOINED)) == []
 
 
+@pytest.mark.parametrize("record", ["TaskCompleted", "TaskArrived.robot"])
+def test_events_of_which_a_run_says_that_it_records_their_type_contradict_nothing(record: str) -> None:
+    done = event("TaskCompleted", 9, task_id="t")
+    others = event("LinkWentDown", 9, robot="robot/A1")
+    rows = answer("audit/undeclared_events", run(done, others, observes=[], records=[record]), columns=("type",))
+    assert rows == [("LinkWentDown.v1",)]
+
+
 def test_runs_that_do_not_observe_have_no_weight_in_a_pooled_metric() -> None:
     failed = [
         event("ExecutionFailed", 1, action_id="a", robot="robot/A1", failure=1, cause="obstruction"),
