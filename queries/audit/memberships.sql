@@ -1,10 +1,11 @@
 -- Title: Who was a member when: joined, suspected, departed and returned
 -- Paper: eq:fleet, sec:discussion:heterogeneity
 -- Grain: one row per time for which a robot was a member: from its joining, or its return, to its departure
--- Key: run_id, robot, began_seq
+-- Key: run_id, robot, fence
 -- Units: began_us, ended_us microseconds of run time; fence how often it had departed before; suspected, cleared how
 --   often within that time
--- NULL: ended_us, how, ended_by while it is a member, to the end of the run; ended_by where the record names nobody
+-- NULL: began_us, began_seq where nobody recorded that it joined; ended_us, how, ended_by while it is a member, to the
+--   end of the run; ended_by where the record names nobody
 -- Example: fsar-ledger query audit/memberships LEDGER --param run=RUN --param robot=robot/B1
 --   answers robot/B1, fence 0, began at 0.0 s, suspected 0, cleared 0
 -- Parameters: run: run = all, robot: robot = all
@@ -42,4 +43,4 @@ SELECT
     count(*) FILTER (WHERE change = 'cleared') AS cleared
 FROM numbered
 GROUP BY run_id, robot, fence
-HAVING count(*) FILTER (WHERE change = 'began') > 0
+HAVING fence = 0 OR count(*) FILTER (WHERE change = 'began') > 0

@@ -39,6 +39,15 @@ def test_a_member_has_no_end() -> None:
     assert answer("audit/memberships", run(JOINED), columns=("robot", "fence", "ended_us")) == [(B, 0, None)]
 
 
+def test_a_member_of_which_nobody_recorded_that_it_joined_was_one_until_it_departed() -> None:
+    columns = ("robot", "fence", "began_us", "ended_us", "how")
+    events = (event("RobotSuspected", 5 * S, robot=B), departed(9), returned(20))
+    assert answer("audit/memberships", run(*events), columns=columns) == [
+        (B, 0, None, 9 * S, "silent"),
+        (B, 1, 20 * S, None, None),
+    ]
+
+
 def found(*events: Row) -> list[Any]:
     return [row[0] for row in answer("invariants/i1_local_agent_coherence", run(JOINED, *events), columns=("found",))]
 
