@@ -4,8 +4,8 @@
 -- Key: run_id, action_id
 -- Units: began_us, ended_us microseconds of run time; begun_seq, refused_seq, result_seq positions in the run of the
 --   last start, acceptance or command, refusal, and result; offered_seq of the first candidates that were found
--- NULL: what no record of the action tells; failures when the run does not observe recovery, state when it does not
---   observe execution and request
+-- NULL: what no record of the action tells; failures when none is on record and the run does not observe recovery,
+--   state when it does not observe execution and request
 -- Example: fsar-ledger query facts/action_records LEDGER
 -- Stored: requests, interventions and denials read it
 WITH told AS (
@@ -40,8 +40,9 @@ SELECT
     list(coalesce(if(type = 'SupervisorResponded.v1', decided_by, NULL), supervised_by)) FILTER (
         type IN ('ExecutionStarted.v1', 'RequestDenied.v1', 'SupervisorResponded.v1')
     ) AS supervisors,
-    if(any_value(list_contains(runs.observes, 'recovery')), count(*) FILTER (type = 'ExecutionFailed.v1'), NULL)
-        AS failures,
+    nullif(
+        count(*) FILTER (type = 'ExecutionFailed.v1'), if(any_value(list_contains(runs.observes, 'recovery')), NULL, 0)
+    ) AS failures,
     max(time_us) FILTER (
         type IN ('ExecutionFinished.v1', 'RequestClosed.v1', 'RequestDenied.v1', 'RequestUnanswered.v1')
     ) AS ended_us,

@@ -199,6 +199,15 @@ def test_an_own_step_is_listed_when_it_fails_or_is_asked_for() -> None:
     assert asked("requests", "failures", own, failed) == [(1,)]
 
 
+def test_a_failure_of_an_own_step_is_told_also_where_the_run_does_not_observe_all_failures() -> None:
+    own = event("OwnStepDecided", 0, **about(by=A, executed_by=A, requested_by=A))
+    for events, failures in (((own,), None), ((own, failed(S)), 1)):
+        with from_rows(run(*events, kind="foreign", observes=[], records=["ExecutionFailed"])) as database:
+            rows = database.query("audit/requests", {"action": "t1/1.1"}).to_pylist()
+            assert [row["failures"] for row in rows] == [failures]
+            assert len(database.query("audit/requests").to_pylist()) == (failures or 0)
+
+
 def failed(time_us: int, number: int = 1) -> Row:
     return act("ExecutionFailed", time_us, "t1/1.1", robot=B, failure=number, cause="degradation", detected_us=time_us)
 
