@@ -7,7 +7,7 @@
 --   failure(departed);
 --   tasks_recovered, tasks_abandoned: tasks of facts/tasks_of_departed that were completed, or given up;
 --   acts: as in facts/acts_of_departed
--- NULL: none
+-- NULL: acts when the run does not tell who returned
 -- Example: fsar-ledger query audit/churn LEDGER --param run=RUN
 --   answers nothing, since no robot leaves in the paper's scenarios; those of the scenario churn do
 -- Parameters: run: run = all
@@ -40,7 +40,7 @@ counted AS (
 )
 
 SELECT
-    run_id,
+    counted.run_id,
     count(*) FILTER (what = 'away') AS away,
     count(*) FILTER (what = 'announced') AS announced,
     count(*) FILTER (what = 'found_out') AS found_out,
@@ -50,7 +50,12 @@ SELECT
     count(*) FILTER (what = 'failed') AS requests_failed,
     count(*) FILTER (what = 'completed') AS tasks_recovered,
     count(*) FILTER (what = 'abandoned') AS tasks_abandoned,
-    count(*) FILTER (what = 'acts') AS acts
+    if(
+        any_value(list_contains(runs.observes, 'fleet') OR list_contains(runs.records, 'RobotReturned')),
+        count(*) FILTER (what = 'acts'),
+        NULL
+    ) AS acts
 FROM counted
-WHERE $run IN ('all', run_id)
-GROUP BY run_id
+INNER JOIN run_started AS runs ON counted.run_id = runs.run_id
+WHERE $run IN ('all', counted.run_id)
+GROUP BY counted.run_id

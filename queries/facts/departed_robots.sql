@@ -1,6 +1,6 @@
 -- Title: When robots were away from the fleet: from their departure until they returned or joined anew
 -- Paper: sec:discussion:heterogeneity
--- Grain: one row per RobotDeparted event
+-- Grain: one row per RobotDeparted event of a run that tells who returned
 -- Key: run_id, robot, since_seq
 -- Units: since_us, until_us microseconds of run time, half-open; since_seq, until_seq the events
 -- NULL: until_us and until_seq of a robot that did neither to the end of the run
@@ -18,4 +18,8 @@ SELECT
     back.seq AS until_seq,
     back.time_us AS until_us
 FROM robot_departed AS departed
+INNER JOIN run_started AS runs
+    ON
+        departed.run_id = runs.run_id
+        AND (list_contains(runs.observes, 'fleet') OR list_contains(runs.records, 'RobotReturned'))
 ASOF LEFT JOIN back ON departed.run_id = back.run_id AND departed.robot = back.robot AND departed.seq < back.seq

@@ -103,3 +103,15 @@ def test_who_is_off_or_has_departed_is_not_idle_and_who_works_need_not_have_join
     ends = act("ExecutionFinished", 4 * S, "t1/1", robot="robot/C1", result="success")
     back = (event("RobotCameBack", 4 * S, robot="robot/A1"), returned(4), ends)
     assert [row[1:3] for row in answer(question, run(*history, *back))] == [("robot/A1", "idle"), (B, "idle")]
+
+
+def test_nobody_is_said_to_be_away_or_to_act_meanwhile_where_a_run_does_not_tell_who_returned() -> None:
+    asks = event("RegistryQueried", 12 * S, requested_by="robot/A1", capability="fly", candidates=[B], domain="")
+    started = act("ExecutionStarted", 12 * S, "t/1.1", robot=B, on_behalf_of=B, capability="fly")
+    for records, acts, reason in (
+        (["RobotDeparted"], None, "candidate"),
+        (["RobotDeparted", "RobotReturned"], 1, "candidate, although it had departed"),
+    ):
+        history = run(JOINED, departed(9), asks, started, kind="foreign", observes=[], records=records)
+        assert answer("audit/churn", history, columns=("found_out", "acts")) == [(1, acts)]
+        assert answer("audit/query_candidates", history, columns=("reason",)) == [(reason,)]
