@@ -5,9 +5,8 @@
 -- Units: spent_us, t_max_us microseconds, spent_us with the time of the help; used, n_max attempts (local), helpers
 --   asked (peer), reassignments (fleet), calls (human); rank 1 local to 4 human
 -- NULL: spent_us when the failure was still at this level at the end of its record, and of the first level when nobody
---   recorded that it occurred; t_max_us, n_max where the run
---   records neither; set_by where the budget is the fleet's own; used of level human when the run does not observe
---   supervision
+--   recorded that it occurred; t_max_us, n_max where the run records neither; set_by where the budget is the fleet's
+--   own; used when none is on record and the run does not observe recovery (of level human: supervision)
 -- Example: fsar-ledger query audit/recovery_budgets LEDGER --param run=RUN --param action=A1-1/2.1
 --   answers local 2 of 2 attempts, peer 0 of 1 helpers, fleet 0 of 1 reassignments, human 1 of 2 calls
 -- Parameters: run: run = all, action: action = all
@@ -59,8 +58,8 @@ uses AS (
 SELECT
     levels.run_id, levels.action_id, levels.failure, levels.rank, levels.level, levels.robot, levels.spent_us,
     allowed.t_max_us,
-    if(
-        levels.level <> 'human' OR list_contains(runs.observes, 'supervision'), coalesce(uses.used, 0), NULL
+    coalesce(
+        uses.used, if(list_contains(runs.observes, if(levels.level = 'human', 'supervision', 'recovery')), 0, NULL)
     ) AS used,
     allowed.n_max, allowed.set_by
 FROM levels

@@ -6,7 +6,7 @@
 --   from detection
 -- NULL: left_because where nothing else came or the record does not say it; left_us, spent_us when the failure was
 --   still at this level at the end of its record; entered_us, spent_us of the first level when nobody recorded that it
---   occurred
+--   occurred; attempts when none, is_resolved_here when no end, is on record and the run does not observe recovery
 -- Example: fsar-ledger query audit/recovery_time LEDGER --param run=RUN --param action=A1-1/4.1
 --   answers local 4.101 s with 2 attempts (budget exhausted), peer 0.065 s, fleet 0.515 s, human 40.066 s, where it was
 --   resolved
@@ -21,8 +21,14 @@ WITH stays AS (
         lead(moves.seq) OVER by_failure AS next_seq,
         lead(moves.reason) OVER by_failure AS left_because,
         coalesce(lead(moves.time_us) OVER by_failure, failures.resolved_us) AS left_us,
-        lead(moves.seq) OVER by_failure IS NULL AND failures.resolved_us IS NOT NULL AS is_resolved_here
+        CASE
+            WHEN lead(moves.seq) OVER by_failure IS NOT NULL THEN FALSE
+            WHEN failures.resolved_us IS NOT NULL THEN TRUE
+            WHEN list_contains(runs.observes, 'recovery') THEN FALSE
+        END AS is_resolved_here,
+        if(list_contains(runs.observes, 'recovery'), NULL, 0) AS none_seen
     FROM recovery_moves AS moves
+    INNER JOIN runs ON moves.run_id = runs.run_id
     LEFT JOIN failures_on_record AS failures
         ON moves.run_id = failures.run_id AND moves.action_id = failures.action_id AND moves.failure = failures.failure
     WHERE $run IN ('all', moves.run_id) AND $action IN ('all', moves.action_id)
@@ -32,7 +38,7 @@ WITH stays AS (
 SELECT
     stays.run_id, stays.action_id, stays.failure, stays.move, stays.level, stays.entered_us, stays.left_us,
     stays.left_us - stays.entered_us AS spent_us,
-    count(attempts.seq) AS attempts,
+    nullif(count(attempts.seq), any_value(stays.none_seen)) AS attempts,
     stays.is_resolved_here, stays.left_because
 FROM stays
 LEFT JOIN recovery_attempted AS attempts

@@ -178,3 +178,15 @@ def test_a_failure_of_which_only_its_recovery_is_told_is_told_without_the_time_o
     moved = failure("ReassignmentDecided", 23, helper="robot/A1")
     assert asked("recovery_budgets", "level used", *LADDER[1:6], moved)[-1] == ("fleet", 1)
     assert asked("recovery_time", "level is_resolved_here", *LADDER[1:2], BY_ROBOT) == [("local", True)]
+
+
+def test_no_use_no_attempt_and_no_end_on_record_is_unknown_where_the_run_does_not_observe_recovery() -> None:
+    begun = run(*LADDER[:5], observes=[], parameters=BUDGETS)
+    used, columns = ("level", "used"), ("level", "attempts", "is_resolved_here")
+    assert answer("recovery_budgets", begun, columns=used) == [("local", 2), ("peer", None)]
+    assert answer("recovery_time", begun, columns=columns) == [("local", 2, False), ("peer", None, None)]
+    assert asked("recovery_budgets", "level used", *LADDER[:5]) == [("local", 2), ("peer", 0)]
+    assert asked("recovery_time", "level attempts is_resolved_here", *LADDER[:5]) == [
+        ("local", 2, False),
+        ("peer", 0, False),
+    ]
