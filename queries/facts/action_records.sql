@@ -37,7 +37,7 @@ SELECT
     ) AS allowed_by,
     string_agg(DISTINCT executed_by, ' and ' ORDER BY executed_by) FILTER (type = 'ExecutionStarted.v1')
         AS executed_by,
-    list(coalesce(if(type = 'SupervisorResponded.v1', decided_by, NULL), supervised_by)) FILTER (
+    list(coalesce(if(type = 'SupervisorResponded.v1', decided_by, NULL), supervised_by) ORDER BY events.seq) FILTER (
         type IN ('ExecutionStarted.v1', 'RequestDenied.v1', 'SupervisorResponded.v1')
     ) AS supervisors,
     nullif(

@@ -1,16 +1,19 @@
 """What holds for every packaged query: its header says what it is, it runs on an empty ledger, it repeats itself."""
 
+import random
 import re
 from collections.abc import Iterator
 from importlib.resources import files
 from pathlib import Path
 
 import duckdb
+import pyarrow as pa
 import pytest
 
+from fsar_ledger.api.simulate import simulate
 from fsar_ledger.base.errors import InvalidQuery
 from fsar_ledger.ledger.rows.schema import COLUMNS, LAYOUTS
-from fsar_ledger.metrics.database import Database, from_rows
+from fsar_ledger.metrics.database import Database, connect, from_rows
 from fsar_ledger.metrics.library import KEYS, REQUIRED_KEYS, Library, Query, generated, library, parse
 from fsar_ledger.metrics.own_sql import is_event_view
 from tests.queries.keys import required
@@ -157,3 +160,16 @@ def test_two_queries_with_one_last_name_are_refused() -> None:
 def test_sources_are_what_stands_behind_from_and_join_and_not_in_texts_or_comments() -> None:
     query = Query("facts/a", "-- FROM x\nSELECT 'FROM y' FROM b JOIN c ON TRUE", {})
     assert query.sources() == {"b", "c"}
+
+
+@pytest.mark.slow
+def test_the_order_in_which_events_are_stored_changes_no_answer(tmp_path: Path) -> None:
+    ledger = simulate(tmp_path / "ledger", scenario=["door-relay", "fleet-contention"], runs=2, seed=1).ledger
+    with connect(ledger.path) as database:
+        first, others = (database.table(f"SELECT * FROM events WHERE {one}") for one in ("seq = 0", "seq > 0"))
+    mixed = others.take(random.Random(1).sample(range(len(others)), len(others)))
+    with Database(None, (), is_small=True) as stored, Database(None, (), is_small=True) as shuffled:
+        stored.refill(pa.concat_tables([first, others]))
+        shuffled.refill(pa.concat_tables([first, mixed]))
+        names = [name for name, query in library().queries.items() if not query.parameters]
+        assert [name for name in names if not stored.query(name).equals(shuffled.query(name))] == []
