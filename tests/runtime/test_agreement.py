@@ -62,7 +62,8 @@ def said_by_handlers(state: State) -> Said:
             for peer in robots:
                 given = trust.scope_of(state.trust, robot, peer, record.capability)
                 if peer != robot and given != "none" and trust.covers(given, record.trust_required):
-                    may_ask += [] if hides(state, record, peer, peer, None) else [peer]
+                    is_away = peer in state.fleet.departed
+                    may_ask += [] if is_away or hides(state, record, peer, peer, None) else [peer]
             said["candidates", robot, record.capability] = (
                 record.version,
                 record.availability,
