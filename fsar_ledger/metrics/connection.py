@@ -93,6 +93,7 @@ class Database:
         """Event types known to have no row in `events`: their views read nothing."""
         self.slices = slices
         """What is asked for the rows of queries that are `Partial`; None where a ledger is not judged in slices."""
+        # See docs/decisions/few-events-are-judged-from-tables.md.
         self.is_small = is_small
         """Whether events are few: then one thread is faster than two, and a table than the plan of a view in a view."""
         self._of_slices: set[str] = set()
