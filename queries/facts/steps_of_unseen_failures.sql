@@ -8,10 +8,11 @@
 WITH answers AS (
     SELECT
         run_id, action_id, failure, number, helper,
-        any_value(
-            if(type = 'AssistanceDeclined.v1', 'busy', if(type = 'AssistanceFailed.v1', 'no help: ' || cause, result))
+        arg_min(
+            if(type = 'AssistanceDeclined.v1', 'busy', if(type = 'AssistanceFailed.v1', 'no help: ' || cause, result)),
+            seq
         ) AS answer,
-        any_value(nullif(array_to_string(achieved, ', '), '')) AS achieved
+        arg_min(nullif(array_to_string(achieved, ', '), ''), seq) AS achieved
     FROM recovery_events
     WHERE type IN ('RecoveryAttemptFailed.v1', 'AssistanceDeclined.v1', 'AssistanceFailed.v1')
     GROUP BY run_id, action_id, failure, number, helper
