@@ -6,7 +6,7 @@
 --   asked or denied, itself or by an agent of its own
 -- NULL: asked_by when no record of the action names who asked; any other principal that the record does not name;
 --   action_id when neither the record nor its cause names one; denied_under, under_seqs (the names and positions of the
---   windows and rules, side by side) when none on record explains the denial
+--   windows and rules, side by side) when none on record explains the denial, as where nobody records when windows end
 -- `grounds_of_denials` tells when each window or rule held, and whose policy it was.
 -- Example: fsar-ledger query audit/denials LEDGER --param run=RUN
 --   answers A1-1/3.1 at 31.046 s: denied by robot/B1 for policy, under window local/B1/0, supervised by supervisor/B1

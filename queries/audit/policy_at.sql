@@ -6,9 +6,9 @@
 -- Units: since_us, until_us microseconds of run time, half-open: from and until when the outcome is this one, whichever
 --   windows and rules give it; at seconds, by default after the end of every run
 -- NULL: capability, context for all that have no row of their own; outcome when nothing on record asks for review or
---   denies and the run does not observe policy, or not of then (facts/begun_before), or has rules
---   and not that the robot joined; since_us when the outcome is so since the beginning of the run, or unknown; until_us
---   when it did not change later
+--   denies for sure (of a window, its end would be recorded, too) and the run does not observe policy, or not of then
+--   (facts/begun_before), or has rules and not that the robot joined; since_us when the outcome is so since the
+--   beginning of the run, or unknown; until_us when it did not change later
 -- Example: fsar-ledger query audit/policy_at LEDGER --param run=RUN --param robot=robot/D1 --param at=31.2
 --   answers robot/D1: its own policy denies since 24.818 s, the fleet's rule since 31.07 s
 -- Parameters: run: run = all, robot: robot = all, capability: capability = all, context: context = all, at: time = end

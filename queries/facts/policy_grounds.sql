@@ -53,12 +53,19 @@ under_policy AS (
         max(seen.seen_us) AS seen_us,
         NULL::BIGINT AS review_every
     FROM seen
+    INNER JOIN run_started AS runs ON seen.run_id = runs.run_id
     INNER JOIN policy_windows AS windows
         ON
             seen.run_id = windows.run_id AND seen.robot = windows.robot AND seen.scope = windows.scope
             AND seen.outcome = windows.outcome AND seen.is_window = (windows.window_name IS NOT NULL)
             AND seen.decided_seq > windows.seq AND seen.seen_us >= windows.opened_us
-            AND seen.seen_us < coalesce(windows.closed_us, seen.seen_us + 1)
+            -- Where a run does not tell when windows close, nobody knows how long one held.
+            AND CASE
+                WHEN windows.closed_us IS NOT NULL THEN seen.seen_us < windows.closed_us
+                WHEN seen.is_window AND NOT list_contains(runs.observes, 'policy')
+                    THEN list_contains(runs.records, 'PolicyWindowClosed')
+                ELSE TRUE
+            END
             AND (windows.capability IS NULL OR seen.capability = windows.capability)
             AND (windows.context IS NULL OR seen.task_id = windows.context)
     GROUP BY ALL

@@ -1,7 +1,8 @@
 -- Title: The policy in force by robot, scope, capability and context, from each moment at which it may have changed
 -- Paper: eq:policy, app:foundations
 -- Grain: one row per run, robot, scope, capability, context and moment at which a window or rule about them begins or
---   ends; before the first, policy allows
+--   ends, but for windows without an end in a run that does not tell when windows close; before the first, policy
+--   allows
 -- Key: run_id, robot, scope, capability?, context?, since_us
 -- Units: since_us, until_us microseconds of run time, half-open
 -- NULL: capability, context for what holds for all of them; until_us for the last row of a robot, scope, capability and
@@ -9,11 +10,16 @@
 -- Example: fsar-ledger query facts/policy_in_force LEDGER
 WITH edges AS (
     SELECT
-        run_id, robot, scope, capability, context,
-        opened_us AS since_us,
-        (outcome = 'deny')::INTEGER AS denies,
-        (outcome = 'review')::INTEGER AS reviews
-    FROM policy_windows
+        windows.run_id, windows.robot, windows.scope, windows.capability, windows.context,
+        windows.opened_us AS since_us,
+        (windows.outcome = 'deny')::INTEGER AS denies,
+        (windows.outcome = 'review')::INTEGER AS reviews
+    FROM policy_windows AS windows
+    INNER JOIN run_started AS runs ON windows.run_id = runs.run_id
+    -- Where a run does not tell when windows close, nobody knows how long one held.
+    WHERE
+        windows.window_name IS NULL OR windows.closed_us IS NOT NULL
+        OR list_contains(runs.observes, 'policy') OR list_contains(runs.records, 'PolicyWindowClosed')
     UNION ALL
     SELECT
         run_id, robot, scope, capability, context,

@@ -107,12 +107,21 @@ def test_somebody_who_was_told_needs_no_reason() -> None:
     assert found == [("coordinator", "allow", None), ("coordinator", "deny", None)]
 
 
-def stranger(name: str, columns: str, *events: Row, observes: list[str] | None = None, at_s: int = 5) -> list[Any]:
+def stranger(
+    name: str,
+    columns: str,
+    *events: Row,
+    observes: list[str] | None = None,
+    records: list[str] | None = None,
+    at_s: int = 5,
+) -> list[Any]:
     """These columns about a robot of a foreign run that does not tell who joined."""
-    seen: dict[str, Any] = {"kind": "foreign", "observes": list(CONCERNS) if observes is None else observes}
+    observes = list(CONCERNS) if observes is None else observes
+    seen: dict[str, Any] = {"kind": "foreign", "observes": observes, "records": records}
     acts = event("ExecutionStarted", 0, robot="robot/X1", capability=LIFT)
     with from_rows(run(acts, *events, **seen)) as database:
-        rows = database.query(f"audit/{name}", {"robot": "robot/X1", "at_us": str(at_s * S)}).to_pylist()
+        given = {"robot": "robot/X1"} | ({"at_us": str(at_s * S)} if name.endswith("_at") else {})
+        rows = database.query(f"audit/{name}", given).to_pylist()
     return [tuple(row[column] for column in columns.split()) for row in rows]
 
 
@@ -128,8 +137,28 @@ def test_a_robot_of_which_nobody_tells_that_it_joined_has_an_answer_where_the_ru
     assert stranger("policy_at", "scope outcome", opened, closed) == [("fleet", "allow"), ("local", "deny")]
     assert stranger("policy_at", "scope outcome", opened, closed, at_s=9) == [("fleet", "allow"), ("local", "allow")]
     unseen = [("fleet", None), ("local", "deny")]
-    assert stranger("policy_at", "scope outcome", opened, observes=WITHOUT_POLICY) == unseen
+    assert stranger("policy_at", "scope outcome", opened, closed, observes=WITHOUT_POLICY) == unseen
     assert stranger("policy_known_at", "scope", observes=WITHOUT_POLICY) == []
+
+
+@pytest.mark.parametrize(("records", "deny"), [([], None), (["PolicyWindowClosed"], "deny")])
+def test_a_window_is_not_said_to_hold_for_good_where_nobody_records_that_windows_close(
+    records: list[str], deny: str | None
+) -> None:
+    told = event("SnapshotTaken", 2 * S, robot="robot/X1", outcome="allow")
+    window = {"robot": "robot/X1", "scope": "local", "outcome": "deny"}
+    opened = [event("PolicyWindowOpened", at_s * S, **window, window=f"w{at_s}") for at_s in (1, 3)]
+    seen: dict[str, Any] = {"observes": [], "records": ["PolicyWindowOpened", "RequestDenied", *records]}
+    found = stranger("policy_at", "scope outcome since_us", *opened, **seen)
+    assert found == [("fleet", None, None), ("local", deny, S if deny else None)]
+    found = stranger("policy_known_at", "scope true_outcome is_wrong", told, *opened, **seen)
+    assert found == [("local", deny, True if deny else None), ("fleet", None, None)]
+    denied = event("RequestDenied", 4 * S, reason="policy", executed_by="robot/X1", decided_by="robot/X1")
+    names = ["w1", "w3"] if deny else None
+    assert stranger("denials", "denied_under", *opened, denied, **seen) == [(names,)]
+    ruled = event("PolicyRuleSet", 4 * S, robot="robot/X1", scope="local", outcome="deny", decided_by="x")
+    joined = event("RobotJoined", 4 * S, robot="robot/X1", role="X")
+    assert ("local", "deny") in stranger("policy_at", "scope outcome", *opened, joined, ruled, **seen)
 
 
 def test_a_rule_is_not_said_to_allow_what_it_may_deny_a_robot_of_which_nobody_tells_that_it_joined() -> None:
