@@ -6,7 +6,8 @@
 -- Units: since_us microseconds of run time; at seconds, by default after the end of every run
 -- NULL: action_id, since_us, on_behalf_of when nothing was in hand; on_behalf_of also when the robot helps another;
 --   doing, too, when nothing is on record and the run does not observe execution and recovery, or something was in hand
---   that began before the record. Where a source does not record how executions end, only help is told
+--   that began before the record, or it went off, or departed, and nobody recorded when such robots come back. Where a
+--   source does not record how executions end, only help is told
 -- Example: fsar-ledger query audit/robot_activity LEDGER --param run=RUN --param robot=robot/C1 --param at=20
 --   answers executing B1-1/2.1 for robot/B1 since 18.0 s
 -- Parameters: run: run = all, robot: robot = all, at: time = end
@@ -21,9 +22,7 @@ WITH doings (type, doing) AS (
 
 latest AS (
     SELECT
-        events.run_id,
-        coalesce(events.helper, events.robot) AS robot,
-        events.action_id,
+        events.run_id, coalesce(events.helper, events.robot) AS robot, events.action_id,
         arg_max(coalesce(doings.doing, 'done'), events.seq) AS doing,
         arg_max(events.time_us, events.seq) AS since_us,
         arg_max(events.on_behalf_of, events.seq) FILTER (WHERE events.on_behalf_of IS NOT NULL) AS on_behalf_of
@@ -62,14 +61,15 @@ SELECT
     members.run_id, members.robot,
     CASE
         WHEN latest.doing IS NOT NULL THEN latest.doing
-        WHEN outages.robot IS NOT NULL THEN 'off'
-        WHEN gone.robot IS NOT NULL THEN 'departed'
+        WHEN outages.robot IS NOT NULL THEN if(outages.is_end_told, 'off', NULL)
+        WHEN gone.robot IS NOT NULL
+            THEN if(list_has_any(list_cat(runs.observes, runs.records), ['fleet', 'RobotReturned']), 'departed', NULL)
         WHEN past.until_us > $at_us::BIGINT THEN NULL
         WHEN list_has_all(runs.observes, ['execution', 'recovery']) THEN 'idle'
     END AS doing,
     latest.action_id, latest.on_behalf_of, latest.since_us
 FROM members
-INNER JOIN runs ON members.run_id = runs.run_id
+INNER JOIN run_started AS runs ON members.run_id = runs.run_id
 LEFT JOIN latest ON members.run_id = latest.run_id AND members.robot = latest.robot AND latest.doing <> 'done'
 LEFT JOIN outages
     ON

@@ -4,7 +4,7 @@
 -- Key: run_id, robot
 -- Units: at seconds of run time; the default time is after the end of every run
 -- NULL: action_id (of several one that failed, else the first that does not wait) when nothing was in hand; state when
---   nothing is on record and not all that tells it is observed, or it was off, or busy, since before the record
+--   nothing tells it and not all is observed, it was off, or busy, since before the record, or no return is recorded
 -- Example: fsar-ledger query audit/robot_state_at LEDGER --param at=31 answers robot/D1 is failed, A1-1/5.1 in hand
 -- Parameters: run: run = all, robot: robot = all, at: time = end
 WITH past AS (
@@ -26,9 +26,8 @@ outward AS ( -- failures that are being recovered by others than the robot
 
 in_hand AS (
     SELECT
-        run_id, action_id, coalesce(helper, robot) AS robot, helper IS NOT NULL AS is_help,
-        min(seq) AS since_seq, arg_max(type, seq) AS last_type,
-        last_type IN ('ExecutionQueued.v1', 'ExecutionPreempted.v1') AS is_waiting
+        run_id, action_id, coalesce(helper, robot) AS robot, helper IS NOT NULL AS is_help, min(seq) AS since_seq,
+        arg_max(type, seq) AS last_type, last_type IN ('ExecutionQueued.v1', 'ExecutionPreempted.v1') AS is_waiting
     FROM past
     WHERE regexp_matches(type, '^(Execution|ApproachStarted|Assistance(Admitted|Ended|Failed))')
     GROUP BY run_id, coalesce(helper, robot), action_id, helper IS NOT NULL
@@ -46,7 +45,7 @@ held AS (
 
 members AS (
     SELECT run_id, robot, list(what) AS amiss FROM (
-        SELECT run_id, robot, what, since_us, until_us FROM outages
+        SELECT run_id, robot, if(is_end_told, what, 'perhaps ' || what) AS what, since_us, until_us FROM outages
         UNION ALL
         SELECT run_id, robot, 'degraded' AS what, since_us, until_us FROM advertisements
         WHERE availability = 'degraded'
@@ -65,16 +64,17 @@ SELECT
     members.run_id, members.robot,
     CASE
         WHEN list_contains(members.amiss, 'off') THEN 'off'
+        WHEN list_contains(members.amiss, 'perhaps off') THEN NULL
         WHEN held.is_failed THEN 'failed'
         WHEN list_contains(members.amiss, 'degraded') THEN 'degraded'
         WHEN held.robot IS NOT NULL THEN 'executing'
-        WHEN list_contains(members.amiss, 'RobotDeparted.v1') THEN 'departed'
+        WHEN list_contains(members.amiss, 'RobotDeparted.v1')
+            THEN if(list_has_any(list_cat(runs.observes, runs.records), ['fleet', 'RobotReturned']), 'departed', NULL)
         WHEN past.until_us > $at_us::BIGINT THEN NULL
         WHEN list_has_all(runs.observes, ['execution', 'recovery', 'registry', 'supervision', 'world']) THEN 'idle'
-    END AS state,
-    held.action_id
+    END AS state, held.action_id
 FROM members
-INNER JOIN runs ON members.run_id = runs.run_id
+INNER JOIN run_started AS runs ON members.run_id = runs.run_id
 LEFT JOIN held ON members.run_id = held.run_id AND members.robot = held.robot
 LEFT JOIN busy_before AS past ON members.run_id = past.run_id AND members.robot = past.robot
 WHERE $run IN ('all', members.run_id) AND $robot IN ('all', members.robot)

@@ -115,3 +115,20 @@ def test_nobody_is_said_to_be_away_or_to_act_meanwhile_where_a_run_does_not_tell
         history = run(JOINED, departed(9), asks, started, kind="foreign", observes=[], records=records)
         assert answer("audit/churn", history, columns=("found_out", "acts")) == [(1, acts)]
         assert answer("audit/query_candidates", history, columns=("reason",)) == [(reason,)]
+
+
+@pytest.mark.parametrize("question", ["audit/robot_activity", "audit/robot_state_at"])
+def test_a_robot_is_not_said_to_be_off_or_away_for_good_where_nobody_records_when_robots_come_back(
+    question: str,
+) -> None:
+    off = event("RobotWentOff", 3 * S, robot="robot/A1")
+    history = (event("RobotJoined", 0, robot="robot/A1"), JOINED, departed(2), off)
+    observes = ["execution", "recovery", "registry", "supervision"]
+    leaving = ["RobotJoined", "RobotDeparted", "RobotWentOff"]
+    coming = [*leaving, "RobotCameBack", "RobotReturned"]
+    for records, states in ((leaving, [None, None]), (coming, ["off", "departed"])):
+        rows = run(*history, kind="foreign", observes=observes, records=records)
+        assert [row[2] for row in answer(question, rows)] == states
+    begins = act("ExecutionStarted", 5 * S, "t1/1", robot="robot/A1", ends_us=9 * S)
+    rows = run(*history, begins, kind="foreign", observes=observes, records=leaving)
+    assert [row[2] for row in answer(question, rows)] == ["executing", None]

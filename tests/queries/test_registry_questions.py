@@ -279,6 +279,15 @@ def test_outages_are_spells_that_what_brings_them_back_ends() -> None:
     assert found == expected
 
 
+def test_a_robot_is_not_said_to_be_degraded_for_good_where_nobody_records_when_actuators_are_serviced() -> None:
+    worn = doing("ActuatorDegraded", 1, action_id=None)
+    for records, state in (([], None), (["ActuatorServiced"], "degraded")):
+        rows = run(
+            *ROBOTS[1:2], worn, kind="foreign", observes=[], records=["RobotJoined", "ActuatorDegraded", *records]
+        )
+        assert answer("audit/robot_state_at", rows, columns=("robot", "state")) == [("robot/B1", state)]
+
+
 def test_help_for_a_failure_is_no_failure_of_the_helper() -> None:
     events = (
         doing("ExecutionFailed", 1, robot="robot/A1", action_id="t9/1", failure=1),
