@@ -5,9 +5,9 @@
 -- Key: run_id, robot, capability
 -- Units: since_us microseconds of run time; at seconds, by default after the end of every run
 -- NULL: successor unless a deprecation names one; visible_to is empty when every role may discover it, may_ask when no
---   other member has role and trust; may_ask is NULL when the run does not observe fleet and trust
--- Example: fsar-ledger query audit/capability_surface LEDGER --param run=RUN --param robot=robot/C1 --param
---   at=30
+--   other member has role and trust, and NULL when the run does not observe fleet and trust; availability when it
+--   does not record how that changes
+-- Example: fsar-ledger query audit/capability_surface LEDGER --param run=RUN --param robot=robot/C1 --param at=30
 --   answers inspect.private_zone 1.0.0 ready: discoverable by role B, and robot/B1 may ask for it
 -- Parameters: run: run = all, robot: robot = all, at: time = end
 WITH surfaces AS (

@@ -4,7 +4,8 @@
 --   not advertised
 -- Key: run_id, robot, capability, since_seq
 -- Units: since_us, until_us microseconds of run time, half-open; since_seq the event that began the period
--- NULL: until_us and until_seq for what stands to the end of the run; successor unless a deprecation names one
+-- NULL: until_us and until_seq for what stands to the end of the run; successor unless a deprecation names one;
+--   availability when the run does not record how it changes
 -- Example: fsar-ledger query facts/advertisements LEDGER
 WITH offered AS (
     SELECT DISTINCT run_id, robot, capability
@@ -18,6 +19,7 @@ changes AS (
         events.override_allowed, events.policy_required, events.postconditions, events.preconditions, events.resources,
         events.robot, events.successor, events.trust_required, events.version, events.visibility, events.visible_to,
         offered.capability,
+        list_has_any(list_cat(runs.observes, runs.records), ['registry', 'AvailabilityChanged']) AS tells_changes,
         events.type IN ('CapabilityAdvertised.v1', 'CapabilityWithdrawn.v1', 'CapabilityRemoved.v1') AS is_new,
         count_if(is_new)
             OVER (PARTITION BY offered.run_id, offered.robot, offered.capability ORDER BY events.seq)
@@ -27,6 +29,7 @@ changes AS (
         ON
             offered.run_id = events.run_id AND offered.robot = events.robot
             AND (events.capability IS NULL OR offered.capability = events.capability)
+    INNER JOIN run_started AS runs ON offered.run_id = runs.run_id
     WHERE is_new OR events.type IN ('AvailabilityChanged.v1', 'CapabilityDeprecated.v1')
 ),
 
@@ -45,7 +48,7 @@ terms AS (
         first_value(coalesce(trust_required, 'capability')) OVER terms AS trust_required,
         first_value(policy_required) OVER terms AS policy_required,
         first_value(coalesce(override_allowed, 'none')) OVER terms AS override_allowed,
-        last_value(CASE WHEN is_new THEN coalesce(availability, 'ready') ELSE availability END IGNORE NULLS)
+        last_value(if(tells_changes, if(is_new, coalesce(availability, 'ready'), availability), NULL) IGNORE NULLS)
             OVER terms
             AS availability,
         first_value(embodiment) OVER terms AS embodiment,

@@ -363,6 +363,16 @@ def test_who_has_departed_may_not_ask_until_it_has_returned(at_us: int, may_ask:
     assert surface_at(at_us, "may_ask", trust(1, "B1", "A1", "task"), offered, AWAY, BACK) == [(may_ask,)]
 
 
+@pytest.mark.parametrize(("records", "availability"), [([], None), (["AvailabilityChanged"], "ready")])
+def test_an_offer_is_not_said_to_be_ready_for_good_where_nobody_records_how_that_changes(
+    records: list[str], availability: str | None
+) -> None:
+    seen: dict[str, Any] = {"kind": "foreign", "observes": [], "records": ["CapabilityAdvertised", *records]}
+    rows = run(change("CapabilityAdvertised", 2, visible_to=[]), {**AWAY, "robot": "robot/B1"}, **seen)
+    columns = ("capability", "version", "availability", "may_ask")
+    assert answer("audit/capability_surface", rows, columns=columns) == [("lift", None, availability, None)]
+
+
 @pytest.mark.parametrize("back", ["RobotReturned", "RobotJoined"])
 def test_a_robot_that_had_departed_is_told_apart_from_one_that_is_offline(back: str) -> None:
     gone = event("RobotDeparted", 2, robot="robot/B1", reason="silent", fence=1)
