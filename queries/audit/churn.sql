@@ -7,7 +7,8 @@
 --   failure(departed);
 --   tasks_recovered, tasks_abandoned: tasks of facts/tasks_of_departed that were completed, or given up;
 --   acts: as in facts/acts_of_departed
--- NULL: acts when the run does not tell who returned
+-- NULL: acts when the run does not tell who returned; another count when nothing of it is on record and the run does
+--   not record it all
 -- Example: fsar-ledger query audit/churn LEDGER --param run=RUN
 --   answers nothing, since no robot leaves in the paper's scenarios; those of the scenario churn do
 -- Parameters: run: run = all
@@ -37,25 +38,39 @@ counted AS (
     SELECT run_id, outcome AS what FROM tasks_of_departed
     UNION ALL
     SELECT run_id, 'acts' AS what FROM acts_of_departed
+),
+
+recorded AS (
+    -- Tasks are hit where requests, executions and recoveries end for a departure.
+    SELECT
+        run_id,
+        list_cat(observes, records) AS told,
+        list_contains(observes, 'recovery') AND list_has_any(told, ['request', 'RequestClosed']) AS tells_hits
+    FROM run_started
 )
 
 SELECT
     counted.run_id,
-    count(*) FILTER (what = 'away') AS away,
-    count(*) FILTER (what = 'announced') AS announced,
-    count(*) FILTER (what = 'found_out') AS found_out,
-    count(*) FILTER (what = 'suspected') AS suspected,
-    count(*) FILTER (what = 'cleared') AS cleared,
-    count(*) FILTER (what = 'returned') AS returned,
-    count(*) FILTER (what = 'failed') AS requests_failed,
-    count(*) FILTER (what = 'completed') AS tasks_recovered,
-    count(*) FILTER (what = 'abandoned') AS tasks_abandoned,
-    if(
-        any_value(list_contains(runs.observes, 'fleet') OR list_contains(runs.records, 'RobotReturned')),
-        count(*) FILTER (what = 'acts'),
-        NULL
-    ) AS acts
+    nullif(count(*) FILTER (what = 'away'), if(list_has_any(told, ['world', 'RobotWentOff']), NULL, 0)) AS away,
+    nullif(count(*) FILTER (what = 'announced'), if(list_has_any(told, ['fleet', 'RobotDeparted']), NULL, 0))
+        AS announced,
+    nullif(count(*) FILTER (what = 'found_out'), if(list_has_any(told, ['fleet', 'RobotDeparted']), NULL, 0))
+        AS found_out,
+    nullif(count(*) FILTER (what = 'suspected'), if(list_has_any(told, ['fleet', 'RobotSuspected']), NULL, 0))
+        AS suspected,
+    nullif(count(*) FILTER (what = 'cleared'), if(list_has_any(told, ['fleet', 'RobotCleared']), NULL, 0)) AS cleared,
+    nullif(count(*) FILTER (what = 'returned'), if(list_has_any(told, ['fleet', 'RobotReturned']), NULL, 0))
+        AS returned,
+    nullif(count(*) FILTER (what = 'failed'), if(list_has_any(told, ['request', 'RequestClosed']), NULL, 0))
+        AS requests_failed,
+    nullif(
+        count(*) FILTER (what = 'completed'), if(tells_hits AND list_has_any(told, ['task', 'TaskCompleted']), NULL, 0)
+    ) AS tasks_recovered,
+    nullif(
+        count(*) FILTER (what = 'abandoned'), if(tells_hits AND list_has_any(told, ['task', 'TaskAbandoned']), NULL, 0)
+    ) AS tasks_abandoned,
+    if(list_has_any(told, ['fleet', 'RobotReturned']), count(*) FILTER (what = 'acts'), NULL) AS acts
 FROM counted
-INNER JOIN run_started AS runs ON counted.run_id = runs.run_id
+INNER JOIN recorded ON counted.run_id = recorded.run_id
 WHERE $run IN ('all', counted.run_id)
-GROUP BY counted.run_id
+GROUP BY counted.run_id, told, tells_hits

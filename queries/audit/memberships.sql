@@ -5,7 +5,8 @@
 -- Units: began_us, ended_us microseconds of run time; fence how often it had departed before; suspected, cleared how
 --   often within that time
 -- NULL: began_us, began_seq where nobody recorded that it joined; ended_us, how, ended_by while it is a member, to the
---   end of the run; ended_by where the record names nobody
+--   end of the run; ended_by where the record names nobody; suspected, cleared when none is on record and the run does
+--   not record it
 -- Example: fsar-ledger query audit/memberships LEDGER --param run=RUN --param robot=robot/B1
 --   answers robot/B1, fence 0, began at 0.0 s, suspected 0, cleared 0
 -- Parameters: run: run = all, robot: robot = all
@@ -29,18 +30,25 @@ numbered AS (
         ) - (change = 'ended')::INTEGER AS fence
     FROM changes
     WHERE $run IN ('all', run_id) AND $robot IN ('all', robot)
+),
+
+recorded AS (
+    SELECT run_id, list_cat(observes, records) AS told FROM run_started
 )
 
 SELECT
-    run_id, robot,
+    numbered.run_id, numbered.robot,
     fence::BIGINT AS fence,
     min(time_us) FILTER (WHERE change = 'began') AS began_us,
     min(seq) FILTER (WHERE change = 'began') AS began_seq,
     min(time_us) FILTER (WHERE change = 'ended') AS ended_us,
     min(how) FILTER (WHERE change = 'ended') AS how,
     min(by_whom) FILTER (WHERE change = 'ended') AS ended_by,
-    count(*) FILTER (WHERE change = 'suspected') AS suspected,
-    count(*) FILTER (WHERE change = 'cleared') AS cleared
+    nullif(count(*) FILTER (WHERE change = 'suspected'), if(list_has_any(told, ['fleet', 'RobotSuspected']), NULL, 0))
+        AS suspected,
+    nullif(count(*) FILTER (WHERE change = 'cleared'), if(list_has_any(told, ['fleet', 'RobotCleared']), NULL, 0))
+        AS cleared
 FROM numbered
-GROUP BY run_id, robot, fence
+INNER JOIN recorded ON numbered.run_id = recorded.run_id
+GROUP BY numbered.run_id, numbered.robot, fence, told
 HAVING fence = 0 OR count(*) FILTER (WHERE change = 'began') > 0

@@ -132,3 +132,19 @@ def test_a_robot_is_not_said_to_be_off_or_away_for_good_where_nobody_records_whe
     begins = act("ExecutionStarted", 5 * S, "t1/1", robot="robot/A1", ends_us=9 * S)
     rows = run(*history, begins, kind="foreign", observes=observes, records=leaving)
     assert [row[2] for row in answer(question, rows)] == ["executing", None]
+
+
+def test_what_a_run_does_not_record_is_not_counted_as_never() -> None:
+    columns = ("announced", "found_out", "suspected", "cleared", "returned", "away", "requests_failed")
+    tasks = ("tasks_recovered", "tasks_abandoned")
+    for observes, records, suspected, none in (
+        ([], ["RobotDeparted"], None, None),
+        ([], ["RobotDeparted", "RobotSuspected"], 0, None),
+        (["fleet", "recovery", "request", "task", "world"], None, 0, 0),
+    ):
+        rows = run(JOINED, departed(9), kind="foreign", observes=observes, records=records)
+        assert answer("audit/churn", rows, columns=columns) == [(0, 1, suspected, none, none, none, none)]
+        assert answer("audit/churn", rows, columns=tasks) == [(none, none)]
+        assert answer("audit/memberships", rows, columns=("suspected", "cleared")) == [(suspected, none)]
+    seen = run(JOINED, event("RobotSuspected", 5 * S, robot=B), kind="foreign", observes=[])
+    assert answer("audit/memberships", seen, columns=("suspected", "cleared")) == [(1, None)]
