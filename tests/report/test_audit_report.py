@@ -206,8 +206,21 @@ def test_what_is_not_observed_is_never_0_and_never_holds(blind: Path) -> None:
     assert column(document, "judged", "violations") == ["not observed"]
     assert column(document, "judged", "conflicts") == ["not observed"]
     assert {"requests", "denials", "interventions"}.isdisjoint(names(document, "table"))
+    assert column(document, "departures", "found_out") > [0]
+    assert column(document, "departures", "away") == column(document, "departures", "tasks_abandoned") == [None]
     for concern in set(CONCERNS) - {"fleet", "message"}:
         assert concern in told.rpartition("Not observed, so that no number here is about it: ")[2]
+
+
+def test_a_sum_over_runs_of_which_one_does_not_record_it_is_blank(tmp_path: Path) -> None:
+    for name, observes in (("few", ["RobotDeparted"]), ("more", ["RobotDeparted", "RobotWentOff"])):
+        with record(tmp_path / "ledger", run=name, observes=observes) as recorder:
+            recorder.event("RobotDeparted", robot="robot/B1", reason="silent", fence=1)
+            if "RobotWentOff" in observes:
+                recorder.event("RobotWentOff", robot="robot/B1")
+    document = AuditDocument(gather_audit(tmp_path / "ledger"))
+    assert column(document, "departures", "found_out") == [2]
+    assert column(document, "departures", "away") == column(document, "departures", "cleared") == [None]
 
 
 def test_what_some_runs_observe_is_said_of_those_runs(foreign: Path) -> None:
