@@ -345,7 +345,8 @@ def _recovered(recovery: Sequence[Mapping[str, Any]]) -> Iterator[str]:
             steps, key=lambda row: (row["level_number"], row["level"], row["spent_s"])
         ):
             stay = list(rows)
-            yield f"  {number} {level:<6}{spent_s:>9.3f} s"
+            spent = "?" if spent_s is None else f"{spent_s:.3f}"
+            yield f"  {number} {level:<6}{spent:>9} s"
             for row in stay:
                 by = f", by {row['decided_by']}" if row["decided_by"] else ""
                 yield f"{row['time_s']:>10.3f} s {row['seq']:>6}   {row['what']}{by}{_result(row, stay)}"

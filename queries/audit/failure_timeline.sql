@@ -7,7 +7,8 @@
 --   spent_s seconds at the level in all; budget_s seconds from detection to the deadline of the attempt
 -- NULL: decided_by when the record names none; result when nothing came of it or none is recorded; until_s of the last
 --   step; budget_s where no attempt has a deadline; achieved when not even a part was; budget_s, and spent_s of the
---   first level, when nobody recorded that the failure occurred
+--   first level, when nobody recorded that the failure occurred; spent_s of the last level, when it was not resolved on
+--   record and the run does not record what is
 -- Example: fsar-ledger query audit/failure_timeline LEDGER --param run=RUN --param action=A1-1/2.1
 --   answers attempt 1 and 2 at robot/D1 in vain, no peer, no reassignment, supervisor/fleet resolved it; 4.356, 0.196,
 --   0.571 and 24.384 s
@@ -16,6 +17,11 @@ WITH told AS (
     SELECT * FROM recovery_steps
     UNION ALL BY NAME
     SELECT * FROM steps_of_unseen_failures
+),
+
+telling AS (
+    SELECT run_id FROM run_started
+    WHERE list_has_any(list_cat(observes, records), ['recovery', 'FailureResolved'])
 ),
 
 steps AS (
@@ -33,7 +39,11 @@ steps AS (
             WHEN lag(type) OVER in_order = 'RecoveryEscalated.v1' THEN lag(time_us) OVER in_order
             ELSE time_us
         END AS since_us,
-        CASE WHEN type = 'RecoveryEscalated.v1' OR until_us IS NULL THEN time_us ELSE until_us END AS over_us
+        CASE
+            WHEN type IN ('RecoveryEscalated.v1', 'FailureResolved.v1') THEN time_us
+            WHEN until_us IS NOT NULL THEN until_us
+            WHEN run_id IN (SELECT run_id FROM telling) THEN time_us
+        END AS over_us
     FROM told
     WHERE $run IN ('all', run_id) AND $action IN ('all', action_id)
     WINDOW in_order AS (PARTITION BY run_id, action_id, failure ORDER BY seq)
@@ -47,7 +57,7 @@ SELECT
     until_us / 1000000 AS until_s,
     decided_by, what, result, achieved,
     (deadline_us - detected_us) / 1000000 AS budget_s,
-    if(bool_and(since_us IS NOT NULL) OVER stay, max(over_us) OVER stay - min(since_us) OVER stay, NULL)
+    if(bool_and(since_us + over_us IS NOT NULL) OVER stay, max(over_us) OVER stay - min(since_us) OVER stay, NULL)
     / 1000000 AS spent_s
 FROM steps
 WINDOW stay AS (PARTITION BY run_id, action_id, failure, level)

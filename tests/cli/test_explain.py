@@ -218,3 +218,14 @@ def test_a_failure_whose_recovery_nobody_recorded_is_not_denied(call: Call, tmp_
         ("t1/2", "found no failure"),
     ):
         one_message(call("explain", ledger, "--failure", action), 2, found, f"--request {action} shows what happened")
+
+
+def test_a_failure_is_told_also_where_nobody_recorded_how_long_a_level_took(call: Call, tmp_path: Path) -> None:
+    action: dict[str, Any] = {"task_id": "t1", "action_id": "t1/1"}
+    attempt: dict[str, Any] = {"failed_action": "t1/1", "failure": 1, "number": 1, "level": "local", "deadline_us": 1}
+    with record(tmp_path / "ledger", run="night", observes=["RequestIssued", "RecoveryAttempted"]) as recorder:
+        recorder.event("RequestIssued", **action, request_id="r1", capability="x")
+        recorder.event("RecoveryAttempted", **action, **attempt, robot="robot/B", decided_by="robot/B")
+    said = call("explain", tmp_path / "ledger", "--failure", "t1/1")
+    assert said.code == 0
+    assert "1 local         ? s" in said.out

@@ -2,7 +2,9 @@
 
 from typing import Any
 
-from tests.queries.histories import Row, S, act, event
+import pytest
+
+from tests.queries.histories import Row, S, act, answer, event, run
 from tests.queries.test_audit_questions import asked
 from tests.queries.test_timelines import B, C, about, failed
 
@@ -115,3 +117,13 @@ def test_what_recovery_did_is_told_the_same_where_nobody_recorded_the_failure() 
         ("human", "asks supervisor/fleet", None, 30.0, None),
         ("human", "resolved", None, 30.0, None),
     ]
+
+
+@pytest.mark.parametrize(("records", "open_s"), [([], None), (["FailureResolved"], 0.0)])
+def test_the_time_at_the_last_level_is_unknown_where_nobody_records_that_failures_are_resolved(
+    records: list[str], open_s: float | None
+) -> None:
+    for steps, spent in ((TO_THE_END[:-1], open_s), (TO_THE_END, 30.0)):
+        rows = run(*steps, kind="foreign", observes=[], records=["ExecutionFailed", *records])
+        found = dict(answer("audit/failure_timeline", rows, columns=("level", "spent_s")))
+        assert found == {"local": 20.0, "peer": 1.0, "fleet": 19.0, "human": spent}
