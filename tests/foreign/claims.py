@@ -18,8 +18,9 @@ from tests.queries.keys import required
 
 Row = dict[str, Any]
 
-OF_GAPS = {"facts/unobservable", "audit/record_gaps"}
-"""Queries that are themselves about what is not observed: they have rows only for that."""
+OF_GAPS = {"facts/unobservable", "audit/record_gaps", "facts/carried_events"}
+"""Queries that are themselves about what is not observed, and have rows only for that; or that choose events of the
+record and answer nothing about the run."""
 GAPS = {"observes", "not_observed", "runs_not_observed"}
 """Columns that are themselves about what is not observed."""
 
