@@ -30,7 +30,7 @@ from tests.runtime.test_wrong_cuts import written
 
 ADDING = sorted(cuts._adding())
 SOME = ["coordination_success", "invariant_cases", "time_to_know_s"]
-MOST = 1_000
+MOST = 1_500
 """Events that are judged at once, which are some parts of such a run."""
 
 
@@ -120,7 +120,7 @@ def test_what_is_judged_part_by_part_adds_up_to_what_the_whole_says(
     seen = looks(monkeypatch)
     expected = whole(cut, *names)
     assert sliced(cut, *names) == expected
-    assert len(set(seen)) > 3, "there are several stretches"
+    assert len(set(seen)) > 2, "one begins the run, one goes on with it, one ends it"
     assert max(map(len, seen)) < len({run for runs in seen for run in runs}), "none is the whole"
     assert sum("'numerator'" in row and "'numerator': 0" not in row for found in expected.values() for row in found)
 
@@ -223,12 +223,11 @@ def test_a_judge_that_finds_more_in_what_is_carried_on_than_in_all_is_asked_of_t
     assert max(map(len, seen)) == len(list(open_ledger(cut).runs()))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", few(range(4), [], range(4)))
+@pytest.mark.parametrize("seed", few(range(8), [], range(2)))
 def test_simulated_runs_of_this_architecture_can_be_cut_anywhere(tmp_path: Path, seed: int) -> None:
     """They are cut by nobody, and have more failures, windows and outages than a fleet that is played by hand."""
     draw = random.Random(seed)
-    made = fsar_ledger.simulate(tmp_path / "ledger", architecture=["fsar"], runs=2, seed=seed).ledger
+    made = fsar_ledger.simulate(tmp_path / "ledger", architecture=["fsar"], runs=1, seed=seed).ledger
     with connect(made.path) as database:
         events = database.table("SELECT * FROM events ORDER BY run_id, seq")
         ends = database.rows("SELECT run_id, max(seq) AS last FROM events SEMI JOIN runs USING (run_id) GROUP BY ALL")
