@@ -31,7 +31,7 @@ from fsar_ledger.ledger.store.locations import (
 from fsar_ledger.ledger.store.read import View
 from fsar_ledger.metrics import relation
 from fsar_ledger.metrics.connection import Value
-from fsar_ledger.metrics.cuts import CARRYING
+from fsar_ledger.metrics.cuts import carried_on
 from fsar_ledger.metrics.database import Database, connect, from_table
 from fsar_ledger.metrics.provenance import Provenance, of_rows
 from fsar_ledger.metrics.verified import is_verified
@@ -284,8 +284,6 @@ def stream(
 
 AFRESH = 20_000
 """Events after which a ledger that is followed has grown so much that what they leave open is taken for them."""
-
-
 _BEGINNINGS = ("TaskArrived.v1", "OutsiderRequestInjected.v1")
 
 
@@ -305,10 +303,8 @@ def _carried(database: Database, view: View) -> _Carried | None:
     runs = database.table("SELECT DISTINCT run_id FROM events")["run_id"].to_pylist()
     if len(runs) != 1:
         return None
-    events = database.table(CARRYING)
-    if False in events["has_begun"].to_pylist():
-        return None
-    return _Carried(chain_of(view, runs[0])[0], events.select(SCHEMA.names), view.head.size)
+    events = carried_on(database)
+    return None if events is None else _Carried(chain_of(view, runs[0])[0], events.select(SCHEMA.names), view.head.size)
 
 
 def _later(view: View, carried: _Carried) -> pa.Table | None:

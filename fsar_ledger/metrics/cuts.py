@@ -26,7 +26,7 @@ from .library import library
 from .slices import Slice, SliceQuery, digest_of, slice_of, slice_query
 
 _CARRIED = "carried_events"
-CARRYING = f"SELECT events.*, carried.has_begun FROM events INNER JOIN {_CARRIED} AS carried USING (run_id, seq)"
+_CARRYING = f"SELECT events.*, carried.has_begun FROM events INNER JOIN {_CARRIED} AS carried USING (run_id, seq)"
 _WHETHER = frozenset({"human_intervention"})
 """The metrics that say whether, and not how often."""
 _OF_THE_RUN = frozenset({"actions_under_way", "run_started", "runs", "unobservable"})
@@ -60,7 +60,7 @@ def _answers_by_cuts(
     if not (queries and (stretches := _stretches(one))):
         return {}
     names = sorted(_adding() & frozenset[str]().union(*(each.reads or () for each in queries.values())))
-    carrying = slice_query(CARRYING).text
+    carrying = slice_query(_CARRYING).text
     texts = {name: digest_of([carrying, slice_query(f"SELECT * FROM {name}").text]) for name in names}
     texts[_CARRIED] = carrying
     of_parts: dict[str, list[pa.Table]] = {name: [] for name in names}
@@ -148,6 +148,15 @@ def _settled_of(
     return {name: _of_run(slices.coded(table), parts.run) for name, table in made.items()}
 
 
+def carried_on(database: Database) -> pa.Table | None:
+    """Return the events that later parts may need; None if one is about a task whose beginning is not there.
+
+    Raises: As `Database.table`.
+    """
+    carrying = database.table(_CARRYING)
+    return None if False in carrying["has_begun"].to_pylist() else carrying.drop_columns(["has_begun"])
+
+
 def settled(
     database: Database, names: Sequence[str], carried: pa.Table | None, *, is_last: bool
 ) -> dict[str, pa.Table] | None:
@@ -159,11 +168,8 @@ def settled(
 
     Raises: As `Database.table`.
     """
-    if carried is None:
-        carrying = database.table(CARRYING)
-        if False in carrying["has_begun"].to_pylist():
-            return None
-        carried = carrying.drop_columns(["has_begun"])
+    if carried is None and (carried := carried_on(database)) is None:
+        return None
     here = {name: database.table(f"SELECT * FROM {name}") for name in names}
     made = {_CARRIED: carried}
     if is_last:
