@@ -23,6 +23,7 @@ MOST = 1.5
 """How many times the bytes of DuckDB's file ours may take."""
 MANY = "SELECT range AS seq, 'robot/B' || range % 7 AS robot, range / 7 AS share FROM range(1000000)"
 LONG_NAMES = ", ".join(f"range AS {letter * 63}" for letter in "abcd")
+FAILURES = ("query", "failures", "LEDGER")
 FORMS = ("--json", "--ndjson", "--csv")
 
 
@@ -34,7 +35,7 @@ def in_order(rows: list[dict[str, Any]]) -> list[str]:
     return sorted(json.dumps(row) for row in rows)
 
 
-@pytest.mark.parametrize("asked", [("sql", "LEDGER", "SELECT * FROM events"), ("query", "failures", "LEDGER")])
+@pytest.mark.parametrize("asked", few([("sql", "LEDGER", "SELECT * FROM events"), FAILURES], [FAILURES]))
 def test_each_row_of_json_is_one_line(call: Call, ledger: Path, asked: tuple[str, ...]) -> None:
     words = [ledger if word == "LEDGER" else word for word in asked]
     answer = call(*words, "--json").out

@@ -76,7 +76,7 @@ def test_every_verb_whose_answer_is_rows_is_asked_in_every_form() -> None:
     assert {name for name, verb in VERBS.items() if "ndjson" in verb.takes} == {one.split()[0] for one in ROWS}
 
 
-@pytest.mark.parametrize("name", few(ROWS, ["metrics", "sql", "query failures"]))
+@pytest.mark.parametrize("name", few(ROWS, ["query failures"]))
 def test_rows_are_the_same_in_every_form(call: Call, ledger: Path, name: str) -> None:
     words = (*name.split(), ledger, *ROWS[name])
     whole, lines, table = (call(*words, FORMS[form]) for form in ("json", "ndjson", "csv"))

@@ -119,7 +119,7 @@ def damages(path: Path, count: int, step: int) -> Iterator[tuple[str, dict[str, 
         yield f"{stray} is there", good | {stray: b"x"}
 
 
-@pytest.mark.parametrize("count", few([1, 2, 12], [1], []))
+@pytest.mark.parametrize("count", few([1, 2, 12], [], [1]))
 def test_both_name_the_same_first_file_of_a_damaged_ledger(tmp_path: Path, count: int) -> None:
     step = {1: 5, 2: 3, 12: 1}[count]
     path = write(tmp_path / "ledger")

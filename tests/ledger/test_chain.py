@@ -60,7 +60,7 @@ def path(tmp_path: Path) -> Path:
 # --- the same events ---
 
 
-@settings(max_examples=10, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=4, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_however_runs_are_cut_sealed_and_compacted_rows_root_and_runs_are_the_same(
     tmp_path_factory: pytest.TempPathFactory, data: st.DataObject

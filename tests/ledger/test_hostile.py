@@ -170,7 +170,8 @@ def in_place_of(file: Path) -> dict[str, Callable[[], object]]:
 
 
 @pytest.mark.parametrize(
-    "name", ["ledger.json", "checkpoint", CHAIN, "segments/000000000130-000000000133.parquet", NODES, INDEX]
+    "name",
+    few(["ledger.json", "checkpoint", CHAIN, "segments/000000000130-000000000133.parquet", NODES, INDEX], [CHAIN]),
 )
 def test_what_is_no_file_is_refused_by_every_command(
     path: Path, intact: Path, capsys: pytest.CaptureFixture[str], name: str

@@ -155,7 +155,7 @@ OFFENCES: dict[str, Change] = {
 }
 
 
-@pytest.mark.parametrize("invariant", few(OFFENCES, ["i1", "i4", "a3", "a5"]))
+@pytest.mark.parametrize("invariant", few(OFFENCES, ["i1", "a5"]))
 def test_an_offence_is_found(imported: Import, invariant: str) -> None:
     types = {one["type"] for one in honest_events()}
     broken, _ = verdicts(imported(log(OFFENCES[invariant](honest_events()), also=(*CONTEXT, *types))))
