@@ -59,11 +59,15 @@ SELECT
         WHEN actions.refusal = 'nobody to ask' AND NOT list_contains(runs.observes, 'registry') THEN NULL
         ELSE actions.refusal
     END AS result,
-    if(actions.result IS NULL AND actions.begun_seq > actions.refused_seq, NULL, actions.ended_us / 1000000) AS ended_s,
+    CASE
+        WHEN actions.result IS NULL AND actions.begun_seq > actions.refused_seq THEN actions.withdrawn_us
+        ELSE coalesce(actions.ended_us, actions.withdrawn_us)
+    END / 1000000 AS ended_s,
     CASE
         WHEN actions.result IS NOT NULL THEN actions.result_seq
-        WHEN actions.begun_seq > actions.refused_seq THEN NULL
-        ELSE actions.refused_seq
+        WHEN actions.begun_seq < actions.refused_seq OR actions.withdrawn_us IS NULL
+            THEN if(actions.begun_seq > actions.refused_seq, NULL, actions.refused_seq)
+        ELSE actions.withdrawn_seq
     END AS seq,
     actions.is_request
 FROM action_records AS actions

@@ -18,7 +18,13 @@ WITH decided AS (
         CASE WHEN type = 'SupervisorResponded.v1' THEN purpose END AS purpose,
         CASE type
             WHEN 'SupervisorResponded.v1'
-                THEN CASE WHEN approves = FALSE THEN 'disapproved' ELSE coalesce('first ' || preferred, 'approved') END
+                THEN
+                    CASE
+                        WHEN preferred IS NOT NULL THEN preferred || ' first'
+                        WHEN NOT approves THEN 'refused'
+                        WHEN purpose = 'review' THEN 'approved'
+                        ELSE if(purpose = 'recovery', 'resolved', 'ordered')
+                    END
             WHEN 'RoleTrustSet.v1' THEN role || ' to ' || peer_role || ' ' || scope || coalesce(' in ' || context, '')
             WHEN 'TrustSet.v1' THEN peer || ' ' || scope || coalesce(' in ' || context, '')
             WHEN 'TrustThresholdsSet.v1'

@@ -2,10 +2,11 @@
 -- Paper: eq:request, eq:auth, sec:model:invariants (I5)
 -- Grain: one row per action that a record names, or that a denial is about by its cause
 -- Key: run_id, action_id
--- Units: began_us, ended_us microseconds of run time; begun_seq, refused_seq, result_seq positions in the run of the
---   last start, acceptance or command, refusal, and result; offered_seq of the first candidates that were found
+-- Units: began_us, ended_us, withdrawn_us microseconds of run time; begun_seq, refused_seq, result_seq, withdrawn_seq
+--   positions in the run of the last command, acceptance, queueing or start, refusal, result, and withdrawal;
+--   offered_seq of the first candidates that were found
 -- NULL: what no record of the action tells; failures when none is on record and the run does not observe recovery,
---   state when it does not observe execution and request
+--   state when it does not observe execution and request; withdrawn_us unless the state is withdrawn
 -- Example: fsar-ledger query facts/action_records LEDGER
 -- Stored: requests, interventions and denials read it
 WITH told AS (
@@ -26,17 +27,14 @@ SELECT
     min(time_us) AS began_us,
     arg_min(capability, events.seq) AS capability,
     coalesce(
-        arg_min(decided_by, events.seq) FILTER (
-            type IN ('RequestIssued.v1', 'CommandIssued.v1', 'OwnStepDecided.v1')
-        ),
+        arg_min(decided_by, events.seq) FILTER (type IN ('RequestIssued.v1', 'CommandIssued.v1', 'OwnStepDecided.v1')),
         arg_min(requested_by, events.seq), arg_min(robot, events.seq) FILTER (type = 'OutsiderRequestInjected.v1')
     ) AS asked_by,
     string_agg(DISTINCT decided_by, ' and ' ORDER BY decided_by) FILTER (
         type IN ('RequestAdmitted.v1', 'CommandIssued.v1', 'OwnStepDecided.v1')
         OR (type = 'SupervisorResponded.v1' AND purpose = 'review' AND approves)
     ) AS allowed_by,
-    string_agg(DISTINCT executed_by, ' and ' ORDER BY executed_by) FILTER (type = 'ExecutionStarted.v1')
-        AS executed_by,
+    string_agg(DISTINCT executed_by, ' and ' ORDER BY executed_by) FILTER (type = 'ExecutionStarted.v1') AS executed_by,
     list(coalesce(if(type = 'SupervisorResponded.v1', decided_by, NULL), supervised_by) ORDER BY events.seq) FILTER (
         type IN ('ExecutionStarted.v1', 'RequestDenied.v1', 'SupervisorResponded.v1')
     ) AS supervisors,
@@ -46,12 +44,15 @@ SELECT
     max(time_us) FILTER (
         type IN ('ExecutionFinished.v1', 'RequestClosed.v1', 'RequestDenied.v1', 'RequestUnanswered.v1')
     ) AS ended_us,
-    max(events.seq) FILTER (type IN ('CommandIssued.v1', 'RequestAccepted.v1', 'ExecutionStarted.v1')) AS begun_seq,
-    max(events.seq) FILTER (type IN ('RequestDenied.v1', 'RequestUnanswered.v1')) AS refused_seq,
     max(events.seq) FILTER (
-        type IN ('ExecutionFinished.v1', 'RequestClosed.v1') AND result IS NOT NULL
-    ) AS result_seq,
-    arg_max(result, events.seq) FILTER (type IN ('ExecutionFinished.v1', 'RequestClosed.v1')) AS result,
+        type IN ('CommandIssued.v1', 'RequestAccepted.v1', 'ExecutionQueued.v1', 'ExecutionStarted.v1')
+    ) AS begun_seq,
+    max(events.seq) FILTER (type IN ('RequestDenied.v1', 'RequestUnanswered.v1')) AS refused_seq,
+    max(events.seq) FILTER (type IN ('ExecutionFinished.v1', 'RequestClosed.v1') AND result IS NOT NULL) AS result_seq,
+    -- Only the end of a request has a cause: failure(departed).
+    arg_max(result || coalesce('(' || cause || ')', ''), events.seq) FILTER (
+        type IN ('ExecutionFinished.v1', 'RequestClosed.v1')
+    ) AS result,
     arg_max(
         CASE
             WHEN type = 'RequestDenied.v1' THEN 'denied: ' || reason
@@ -60,10 +61,13 @@ SELECT
         END,
         events.seq
     ) FILTER (type IN ('RequestDenied.v1', 'RequestUnanswered.v1')) AS refusal,
+    max(events.seq) FILTER (type = 'ExecutionWithdrawn.v1') AS withdrawn_seq,
     CASE
-        WHEN any_value(list_has_all(runs.observes, ['execution', 'request']))
-            THEN if(count(*) FILTER (type = 'ExecutionStarted.v1') > 0, 'not finished', 'not begun')
+        WHEN NOT any_value(list_has_all(runs.observes, ['execution', 'request'])) THEN NULL
+        WHEN bool_or(type = 'ExecutionStarted.v1') THEN 'not finished'
+        ELSE if(withdrawn_seq > coalesce(begun_seq, -1), 'withdrawn', 'not begun')
     END AS state,
+    if(state = 'withdrawn', max(time_us) FILTER (type = 'ExecutionWithdrawn.v1'), NULL) AS withdrawn_us,
     min(events.seq) FILTER (type = 'RegistryQueried.v1' AND len(candidates) > 0) AS offered_seq,
     count(*) FILTER (
         target_role IS NOT NULL

@@ -4,8 +4,8 @@
 -- Key: run_id, seq, part
 -- Units: time_us microseconds of run time; part counts from 1
 -- NULL: action_id, sender, receiver when the record does not say; note when there is nothing to add. A robot's own
---   deed has the robot as both, whatever principal the record names.
---   Who calls a supervisor, and whom the answer reaches, is that of facts/supervision_ends
+--   deed has the robot as both, whatever principal the record names. Who calls a supervisor, and whom the answer
+--   reaches, is that of facts/supervision_ends
 -- Example: fsar-ledger query facts/messages LEDGER
 WITH told AS (
     SELECT
@@ -22,7 +22,8 @@ WITH told AS (
             'caller': ends.caller, 'asker': ends.asker
         } AS parties,
         MAP {
-            'capability': capability, 'cause': cause, 'result': result, 'purpose': purpose, 'reason': reason,
+            'capability': capability, 'cause': cause, 'purpose': purpose, 'reason': reason,
+            'result': result || if(events.type = 'RequestClosed.v1', coalesce('(' || cause || ')', ''), ''),
             'candidates': coalesce(nullif(array_to_string(candidates, ', '), ''), 'none'),
             'outcome': outcome, 'policy': 'policy ' || outcome, 'override': override, 'number': events.number::VARCHAR,
             'answer': if(is_accepted, 'accepted', coalesce('asks ' || override, 'let go')),

@@ -173,6 +173,27 @@ def test_a_request_that_goes_on_after_a_refusal_has_neither_its_result_nor_its_e
     assert asked("requests", columns, request(), denied, accepted, again) == [("not finished", None, B)]
 
 
+def test_a_request_that_its_robot_left_before_it_began_was_withdrawn_and_one_that_began_goes_on() -> None:
+    accepted = event("RequestAccepted", 3 * S, **about(by=B))
+    withdrawn = event("ExecutionWithdrawn", 4 * S, **about(), robot=B)
+    queued = event("ExecutionQueued", 5 * S, **about(executed_by=C), robot=C)
+    denied = event("RequestDenied", 5 * S, **about(by=C), reason="trust")
+    columns = "result ended_s seq"
+    assert asked("requests", columns, request(), accepted, withdrawn) == [("withdrawn", 4.0, 3)]
+    assert asked("requests", columns, request(), accepted, withdrawn, queued) == [("not begun", None, None)]
+    assert asked("requests", columns, request(), accepted, withdrawn, denied) == [("denied: trust", 5.0, 4)]
+    early = {**denied, "time_us": 2 * S}
+    assert asked("requests", columns, request(), early, accepted, withdrawn) == [("withdrawn", 4.0, 4)]
+    assert asked("requests", columns, request(), accepted, STARTED, withdrawn) == [("not finished", None, None)]
+
+
+def test_a_request_that_ended_because_a_robot_departed_says_so() -> None:
+    withdrawn = event("ExecutionWithdrawn", 6 * S, **about(), robot=B)
+    departed = {**CLOSED, "result": "failure", "cause": "departed"}
+    assert asked("requests", "result seq", request(), admitted(), withdrawn, departed) == [("failure(departed)", 4)]
+    assert asked("request_timeline", "message", request(), departed)[-1] == ("close: failure(departed)",)
+
+
 def test_only_approval_allows_and_unknown_principals_stay_open() -> None:
     refusal = event("SupervisorResponded", 4 * S, **about(by="supervisor/fleet"), purpose="review", approves=False)
     assert asked("requests", "allowed_by supervised_by", request(), refusal) == [(None, "supervisor/fleet")]

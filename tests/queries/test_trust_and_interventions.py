@@ -90,6 +90,8 @@ def test_every_intervention_of_a_supervisor_is_on_the_list() -> None:
         event("RecoveryBudgetSet", 7, robot="robot/B1", level="local", t_max_us=5, n_max=1, decided_by=H_B),
         reviewed(8, False),
         {**reviewed(9, True), "purpose": "ordering", "preferred": "t1/2"},
+        {**reviewed(10, True), "purpose": "recovery"},
+        reviewed(11, True),
     )
     others = (trust(1, "task"), trust(1, "task", by="service/trust"), admitted(2))
     assert [
@@ -103,8 +105,10 @@ def test_every_intervention_of_a_supervisor_is_on_the_list() -> None:
         (H_F, "up to emergency-only"),
         (H_F, "human override"),
         (H_B, "local 1 in 5 us"),
-        (H_F, "disapproved"),
-        (H_F, "first t1/2"),
+        (H_F, "refused"),
+        (H_F, "t1/2 first"),
+        (H_F, "resolved"),
+        (H_F, "approved"),
     ]
     assert len(asked("supervisor_decisions", "seq", *interventions, supervisor=H_B)) == 4
 
