@@ -1,5 +1,5 @@
 -- Title: Who went on alone when, and what of it was accepted or overtaken once the federation was back
--- Paper: sec:architecture:local, sec:architecture:invariants (A1)
+-- Paper: sec:architecture:overview, sec:architecture:invariants (A1)
 -- Grain: one row per run of a robot alone, and per handing over in a fleet's run
 -- Key: run_id, seq
 -- Units: began_us, ended_us microseconds of run time; accepted, overtaken how many results

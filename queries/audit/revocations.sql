@@ -1,5 +1,5 @@
 -- Title: Revocations of authority, and when each took effect
--- Paper: eq:nontransitive, sec:model:authority
+-- Paper: sec:model:authority
 -- Grain: one row per claim whose reason is a revocation, and per AuthorityRevoked event
 -- Key: run_id, seq
 -- Units: revoked_us, effective_us microseconds of run time; waited_us microseconds

@@ -31,11 +31,16 @@ own_starts AS (
 
 SELECT
     run_id, seq, time_us, type, action_id,
-    coalesce(decided_by, 'nobody')
-    || ' decides by way of '
-    || array_to_string(coalesce(path, []), ', ')
-    || ' what is for '
-    || coalesce(owner, 'nobody') || ' alone to decide' AS found
+    coalesce(decided_by, 'nobody on record')
+    || coalesce(
+        ' through '
+        || nullif(array_to_string(list_filter(path, LAMBDA one: one IS DISTINCT FROM decided_by), ', '), ''),
+        ''
+    )
+    || ' decides what is for '
+    || coalesce(owner, 'a robot that is not on record')
+    || ' alone to decide'
+    || if(decided_by = owner AND coalesce(len(path), 0) = 0, ', and its path is not on record', '') AS found
 FROM decided
 WHERE decided_by IS DISTINCT FROM owner OR path IS DISTINCT FROM [owner]
 UNION ALL

@@ -30,6 +30,9 @@ WITH decided AS (
 
 SELECT
     run_id, seq, time_us, type, action_id,
-    coalesce(decided_by, 'nobody') || ' decides what ' || coalesce(executor, 'nobody') || ' executes' AS found
+    coalesce(decided_by, 'nobody on record')
+    || ' decides what '
+    || coalesce(executor, 'an executor that is not on record')
+    || ' executes' AS found
 FROM decided
 WHERE decided_by IS DISTINCT FROM executor OR NOT coalesce(starts_with(decided_by, 'robot/'), FALSE)

@@ -1,5 +1,5 @@
 -- Title: Runs that know when they began
--- Paper: eq:runtime
+-- Paper: sec:evaluation:simulator
 -- Grain: one row per run with an epoch
 -- Key: run_id
 -- Units: epoch the time in UTC of run time 0

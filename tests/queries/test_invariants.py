@@ -37,7 +37,7 @@ from tests.queries.defects import (
     where,
     without,
 )
-from tests.queries.histories import answer
+from tests.queries.histories import answer, run
 from tests.quick import few
 from tests.recycled import from_rows
 from tests.runtime.pinned import PINNED
@@ -264,3 +264,27 @@ def reviewed_start(rows: list[Row]) -> tuple[int, int, int]:
         if starts and admitted and admitted[0] > approved and starts[0] > admitted[0] + 1:
             return approved, admitted[0], starts[0]
     raise AssertionError("no start after a review")
+
+
+def test_who_decides_for_another_is_said_without_those_that_the_record_does_not_name() -> None:
+    step = {"type": "OwnStepDecided.v1", "time_us": 1, "task_id": "t1", "executed_by": "robot/A1"}
+    admitted = {"type": "RequestAdmitted.v1", "time_us": 2, "decided_by": AGENT}
+    rows = run(
+        {**step, "decided_by": "coordinator", "path": ["coordinator"]},
+        {**step, "decided_by": "robot/A1", "path": [AGENT, "robot/A1"]},
+        {**step, "decided_by": "robot/A1"},
+        step,
+        admitted,
+    )
+    alone = "decides what is for robot/A1 alone to decide"
+    assert answer("invariants/a1_local_runtime_self_sufficiency", rows, columns=("found",)) == [
+        (f"coordinator {alone}",),
+        (f"robot/A1 through {AGENT} {alone}",),
+        (f"robot/A1 {alone}, and its path is not on record",),
+        (f"nobody on record {alone}",),
+    ]
+    assert answer("invariants/a4_thin_federation_interface", rows, columns=("found",)) == [
+        ("coordinator decides what robot/A1 executes",),
+        ("nobody on record decides what robot/A1 executes",),
+        (f"{AGENT} decides what an executor that is not on record executes",),
+    ]

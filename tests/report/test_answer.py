@@ -71,6 +71,8 @@ def test_a_cell_that_moves_changes_the_words() -> None:
     moved = page(governance_locality__fsar=0.6)
     assert "7 of these rankings come out, and that by governance locality does not come out" in said(moved, "answer")
     assert "Of its main table governance locality of FSAR does not come out" in said(moved, "answer")
+    both = said(page(governance_locality__fsar=0.6, policy_violations__fsar=9.0), "answer")
+    assert "and those by governance locality and policy violations do not come out" in both
     assert column(moved, "claims", "holds") == [True, False, *[True] * 6]
     assert column(moved, "claims", "fsar_ours")[1] == 0.6
 

@@ -39,6 +39,7 @@ def paper() -> Document:
         ("fractions-of-runs", "times 20 = 13.4$ runs (the neighbours are 65 % and 70 %)"),
         ("fractions-of-runs", "times 20 = 4.6$ runs (20 % and 25 %)"),
         ("fractions-of-runs", "67 % can be 2/3, 4/6, 6/9, 8/12, 10/15, 12/18, but 23 % only 3/13;"),
+        ("zero-conflicts", "If these are all conflicts of the scenario"),
         # 4 means of 1.3 and a 0: sqrt((1.04^2 + 4 * 0.26^2) / 5) = sqrt(0.2704); 1.96 * 0.52 / 10 = 0.1019
         ("zero-conflicts", "the other 4 average 1.30, and the SD of the 5 is smallest when they are equal: 0.52"),
         ("zero-conflicts", "= 0.10$, not 0.03"),
@@ -52,6 +53,7 @@ def paper() -> Document:
         ("binary-effects", "0.32 and 0.19 give 0.302"),
         ("two-full-systems", "4 of the 6 means that both tables print differ"),
         ("two-full-systems", "policy violations 0.40 and 0.46"),
+        ("growth", 'match "super-linear conflict growth" under "Scaling analysis"'),
         ("growth", "16, 32, 64 agents for 4, 8, 16 robots (exponent 1.00)"),
         ("growth", f"= {math.log(14.1 / 8.1) / math.log(4):.2f}$, which is sub-linear"),
         ("caption", "as Workflow 2."),

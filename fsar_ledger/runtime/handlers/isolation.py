@@ -1,6 +1,6 @@
 """A robot without the federation: what it goes on with alone, and what of it counts once the federation is back.
 
-Paper: sec:architecture:local, sec:architecture:invariants (A1).
+Paper: sec:architecture:overview, sec:architecture:invariants (A1).
 """
 
 from collections.abc import Iterator, Sequence
