@@ -7,7 +7,7 @@ import msgspec
 
 from fsar_ledger.base import printable
 from fsar_ledger.base.errors import UsageError, option
-from fsar_ledger.base.printable import SafeText, counted
+from fsar_ledger.base.printable import SafeText
 from fsar_ledger.base.progress import Progress
 
 from .answers import Answer, Screen
@@ -75,8 +75,9 @@ class CauseResult(Answer, msgspec.Struct, frozen=True, kw_only=True):
         what = "commands" if all(one.name.startswith("command:") for one in found) else "facts and answers"
         if self.elements:
             head.append(
-                f"{counted(len(self.elements), 'cause')} of {self.candidates:,} {what} suffice together; "
-                "without any one of them there is no such outcome"
+                f"{len(self.elements):,} of {self.candidates:,} {what} "
+                + ("suffices; without it" if len(self.elements) == 1 else "suffice together; without any one of them")
+                + " there is no such outcome"
             )
             tail.append(f"{_named(one for one in self.elements if one.is_necessary)} necessary in the whole run, too")
             if self.presupposed:

@@ -3,7 +3,7 @@
 -- Grain: one row per failure and level that its recovery turned to
 -- Key: run_id, action_id, failure, level
 -- Units: spent_us, t_max_us microseconds, spent_us with the time of the help; used, n_max attempts (local), helpers
---   asked (peer), reassignments (fleet), calls (human); rank 1 local to 4 human
+--   asked (peer), reassignments and help that is ordered (fleet), calls (human); rank 1 local to 4 human
 -- NULL: spent_us when the failure was still at this level at the end of its record, and of the first level when nobody
 --   recorded that it occurred; t_max_us, n_max where the run records neither; set_by where the budget is the fleet's
 --   own; used when none is on record and the run does not observe recovery (of level human: supervision)

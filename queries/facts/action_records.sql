@@ -10,16 +10,17 @@
 -- Example: fsar-ledger query facts/action_records LEDGER
 -- Stored: requests, interventions and denials read it
 WITH told AS (
-    SELECT run_id, seq, action_id
-    FROM keyed_events
-    WHERE action_id IS NOT NULL
+    SELECT run_id, seq, action_id FROM keyed_events
     UNION ALL
-    SELECT run_id, seq, action_id
-    FROM competing_calls
+    SELECT run_id, seq, action_id FROM competing_calls
     UNION ALL
-    SELECT run_id, seq, action_id
-    FROM denied_actions
-    WHERE action_id IS NOT NULL
+    SELECT run_id, seq, action_id FROM denied_actions
+    UNION ALL
+    -- A decision on an own step that names no action is about the action of what it caused.
+    SELECT DISTINCT decided.run_id, decided.seq, caused.action_id
+    FROM own_step_decided AS decided
+    INNER JOIN keyed_events AS caused ON decided.run_id = caused.run_id AND decided.seq = caused.caused_by
+    WHERE decided.action_id IS NULL
 )
 
 SELECT
@@ -49,7 +50,6 @@ SELECT
     ) AS begun_seq,
     max(events.seq) FILTER (type IN ('RequestDenied.v1', 'RequestUnanswered.v1')) AS refused_seq,
     max(events.seq) FILTER (type IN ('ExecutionFinished.v1', 'RequestClosed.v1') AND result IS NOT NULL) AS result_seq,
-    -- Only the end of a request has a cause: failure(departed).
     arg_max(result || coalesce('(' || cause || ')', ''), events.seq) FILTER (
         type IN ('ExecutionFinished.v1', 'RequestClosed.v1')
     ) AS result,
@@ -76,4 +76,5 @@ SELECT
 FROM told
 INNER JOIN events ON told.run_id = events.run_id AND told.seq = events.seq
 INNER JOIN runs ON told.run_id = runs.run_id
+WHERE told.action_id IS NOT NULL
 GROUP BY told.run_id, told.action_id

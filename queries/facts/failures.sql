@@ -2,8 +2,8 @@
 -- Paper: sec:model:recovery
 -- Grain: one row per ExecutionFailed event (run, action, number of the failure within the action)
 -- Key: run_id, action_id, failure
--- Units: detected_us, resolved_us, left_us microseconds of run time; latency_us microseconds, 0 when recovery goes to a
---   human at once
+-- Units: detected_us, resolved_us, left_us microseconds of run time; latency_us microseconds, 0 when recovery leaves
+--   its first level at once
 -- NULL: resolved_level, resolved_us when never resolved; left_us when the first level was never left; latency_us when
 --   neither; is_contained when never resolved and the run does not observe recovery
 -- Example: fsar-ledger query facts/failures LEDGER

@@ -29,7 +29,7 @@ WITH words (type, part, sender, receiver, words, detail) AS (
     ('RequestAccepted.v1', 1, 'decider', 'requester', 'accept', NULL),
     ('ContractQuestioned.v1', 1, 'robot', 'robot', 'contract in doubt', NULL),
     ('ContractVoided.v1', 1, 'robot', 'robot', 'contract void', NULL),
-    ('OwnStepDecided.v1', 1, 'decider', 'decider', 'does it itself', 'capability'),
+    ('OwnStepDecided.v1', 1, 'decider', 'doer', 'own step', 'capability'),
     ('ApproachStarted.v1', 1, 'robot', 'robot', 'approaches', NULL),
     ('ExecutionHeld.v1', 1, 'robot', 'robot', 'waits, policy says', 'outcome'),
     ('ExecutionStarted.v1', 1, 'robot', 'robot', 'executes', 'capability'),

@@ -13,7 +13,7 @@ WITH told AS (
         MAP {
             'decider': decided_by, 'requester': requested_by, 'executor': executed_by, 'supervisor': supervised_by,
             'robot': robot, 'peer': peer, 'claimant': claimant, 'sender': sender, 'receiver': receiver,
-            'called': supervisor, 'helper': coalesce(helper, decided_by),
+            'called': supervisor, 'helper': coalesce(helper, decided_by), 'doer': coalesce(executed_by, decided_by),
             'registry': if(
                 regexp_matches(runs.configuration, '^without-(.*[+])?shared-registry([+]|$)'), requested_by,
                 'service/registry'
@@ -71,8 +71,7 @@ SELECT
     nullif(concat_ws(
         '; ',
         if(told.type <> 'RegistryQueried.v1' OR part = 2, told.note, NULL),
-        denied.note,
-        'under ' || called.told
+        denied.note, 'under ' || called.told
     ), '') AS note
 FROM told
 INNER JOIN message_words AS words ON told.type = words.type

@@ -194,6 +194,17 @@ def test_a_request_that_ended_because_a_robot_departed_says_so() -> None:
     assert asked("request_timeline", "message", request(), departed)[-1] == ("close: failure(departed)",)
 
 
+def test_who_orders_an_own_step_allows_it_and_does_not_do_it_itself() -> None:
+    ordered = event("OwnStepDecided", 2 * S, task_id="t1", decided_by="coordinator", executed_by=B, capability="lift")
+    claimed = event("AuthorityClaimed", 2 * S, **about(), dimension="execution", claimant="coordinator")
+    told = asked("request_timeline", "sender receiver message", ordered, claimed)
+    assert told == [("coordinator", B, "own step: lift")]
+    failed = event("ExecutionFailed", 4 * S, **about(), robot=B, failure=1, cause="obstruction")
+    assert asked("requests", "allowed_by", ordered, claimed, failed) == [("coordinator",)]
+    own = event("OwnStepDecided", 2 * S, **about(by=A, executed_by=None), capability="lift")
+    assert asked("request_timeline", "sender receiver message", own) == [(A, A, "own step: lift")]
+
+
 def test_only_approval_allows_and_unknown_principals_stay_open() -> None:
     refusal = event("SupervisorResponded", 4 * S, **about(by="supervisor/fleet"), purpose="review", approves=False)
     assert asked("requests", "allowed_by supervised_by", request(), refusal) == [(None, "supervisor/fleet")]
