@@ -194,6 +194,11 @@ def parts() -> Iterator[tuple[str, specs.AnyPart]]:
             yield name, part
 
 
+def test_the_table_of_cases_says_where_the_paper_has_words_and_no_number() -> None:
+    (caption,) = (part.caption for _, part in parts() if isinstance(part, specs.Table) and part.name == "cases")
+    assert "of case 1, and of FSAR in case 4, it has words alone" in caption
+
+
 def test_every_table_and_figure_has_a_name_of_its_own_a_caption_and_a_query_that_is_there() -> None:
     shown = [part for _, part in parts() if isinstance(part, specs.Table | specs.Figure)]
     labels = [("tab" if isinstance(part, specs.Table) else "fig", part.name) for part in shown]
