@@ -37,7 +37,7 @@ from tests.queries.defects import (
     where,
     without,
 )
-from tests.queries.histories import answer, run
+from tests.queries.histories import answer, event, run
 from tests.quick import few
 from tests.recycled import from_rows
 from tests.runtime.pinned import PINNED
@@ -267,8 +267,8 @@ def reviewed_start(rows: list[Row]) -> tuple[int, int, int]:
 
 
 def test_who_decides_for_another_is_said_without_those_that_the_record_does_not_name() -> None:
-    step = {"type": "OwnStepDecided.v1", "time_us": 1, "task_id": "t1", "executed_by": "robot/A1"}
-    admitted = {"type": "RequestAdmitted.v1", "time_us": 2, "decided_by": AGENT}
+    step = event("OwnStepDecided", 1, task_id="t1", executed_by="robot/A1")
+    admitted = event("RequestAdmitted", 2, decided_by=AGENT)
     rows = run(
         {**step, "decided_by": "coordinator", "path": ["coordinator"]},
         {**step, "decided_by": "robot/A1", "path": [AGENT, "robot/A1"]},
