@@ -231,10 +231,10 @@ def _replay_chain(view: View, run: str, digests: list[ForeignDigest]) -> tuple[D
 
 
 def _runs_in(path: Path, files: tuple[str, ...]) -> Iterator[LedgerRun]:
-    """Yield the runs in these files of the ledger, which share them with no others."""
-    if len(files) == 1:
-        yield from decode(segment.read_table(path / files[0]))
-        return
+    """Yield the runs in these files of the ledger, which share them with no others.
+
+    Where runs took turns, one file has a run in pieces.
+    """
     pieces: dict[str, list[LedgerRun]] = {}
     for file in files:
         for piece in decode(segment.read_table(path / file), is_whole=False):

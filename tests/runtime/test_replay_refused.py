@@ -8,7 +8,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from fsar_ledger import record
+from fsar_ledger import federate, record
 from fsar_ledger.designs.constants import Constants, Range, Structure, WorldConstants
 from fsar_ledger.events import CONCERNS, Event
 from fsar_ledger.events.configuration import PAPER_ARCHITECTURES
@@ -135,6 +135,17 @@ def test_a_run_in_the_journal_is_said_to_be_there(tmp_path: Path) -> None:
         recorder.event("ExecutionStarted", task_id="t", action_id="t/1", robot="robot/a", capability="carry")
     [difference] = replay(tmp_path / "ledger").differences
     assert (difference.segment, difference.run) == ("journal.jsonl", "day")
+
+
+def test_a_run_between_whose_commits_another_was_recorded_replays(tmp_path: Path) -> None:
+    task = {"robot": "robot/A1", "task_id": "t", "steps": ("A navigate.indoor",), "budget_us": 600_000_000}
+    with federate(tmp_path / "ledger", run="day", clock=lambda: 1_772_359_200 * 10**9) as one:
+        one.give("SubmitTask", "robot/A1", **task)
+        with record(tmp_path / "ledger", run="beside", observes=["ExecutionStarted"]):
+            one.give("ReportStart", "robot/A1", robot="robot/A1", action_id="t/1.1")
+    report = replay(tmp_path / "ledger")
+    assert [(one.run, one.field) for one in report.differences] == [("beside", "kind")]
+    assert report.runs == 1
 
 
 # --- the command ---
