@@ -135,8 +135,9 @@ class LoggedEvent(NamedTuple):
 class Events:
     """Some events of a ledger; every method reads the ledger anew.
 
-    Iterating yields a `LoggedEvent` for each, run by run in commit order, with one commit in memory at a time. Events
-    of retired types come as their newest version. Of one run, those that it continues come first, and seqs count on.
+    Iterating yields a `LoggedEvent` for each, in the order of the ledger, with one segment in memory at a time: runs
+    that were recorded at the same time take turns. Events of retired types come as their newest version. Of one run,
+    those that it continues come first, and seqs count on.
     """
 
     def __init__(self, path: Path, meant: Filter, demanded: str | None = None) -> None:
@@ -147,11 +148,12 @@ class Events:
         is_verified(view, self._demanded)
         for run in self._runs(view):
             rows = zip(run.times_us, run.caused_by, run.events, strict=True)
-            for seq, (time_us, caused_by, event) in enumerate(rows):
+            for seq, (time_us, caused_by, event) in enumerate(rows, run.first):
                 if self._meant.takes(time_us, event):
                     yield LoggedEvent(run.run_id, seq, time_us, caused_by, event)
 
     def _runs(self, view: View) -> Iterator[codec.LedgerRun]:
+        """Yield the runs, whole or in the pieces that the ledger has of them."""
         if self._meant.run is not None and len(chain_of(view, self._meant.run)) > 1:
             yield record_of(view, self._meant.run)
             return
@@ -162,7 +164,7 @@ class Events:
             if self._meant.run is not None:
                 table = table.filter(pc.equal(table.column("run_id"), self._meant.run))
             if table.num_rows:
-                yield from codec.decode(table)
+                yield from codec.decode(table, is_whole=False)
 
     def table(self) -> Table:
         """Return a row for each event, by run and seq; columns that its type does not have are NULL."""

@@ -60,6 +60,15 @@ def test_every_answer_is_that_of_whole_runs(both: tuple[Ledger, Ledger]) -> None
     assert [row.holds for row in pieces.audit().rows] == [row.holds for row in whole.audit().rows]
 
 
+def test_events_of_runs_that_took_turns_are_those_of_whole_runs(both: tuple[Ledger, Ledger]) -> None:
+    whole, pieces = both
+    for run in RUNS:
+        assert list(pieces.events(run=run.run_id)) == list(whole.events(run=run.run_id))
+    assert sorted(pieces.events(), key=lambda one: (one.run, one.seq)) == sorted(
+        whole.events(), key=lambda one: (one.run, one.seq)
+    )
+
+
 def test_tiles_of_an_upgraded_ledger_are_those_that_format_1_kept(tmp_path: Path) -> None:
     old = LEDGERS / "0.8.1" / "ledger"
     Ledger(old).upgrade(tmp_path / "new")
