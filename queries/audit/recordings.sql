@@ -11,6 +11,14 @@ WITH derived AS (
     SELECT DISTINCT run_id, caused_by AS seq
     FROM keyed_events
     WHERE caused_by IS NOT NULL AND run_id IN (SELECT run_id FROM source_opened)
+    UNION
+    -- What follows from a record of an import stands behind it, also where it has another cause, such as the request.
+    SELECT observed.run_id, observed.seq
+    FROM observed
+    INNER JOIN keyed_events AS following ON observed.run_id = following.run_id AND observed.seq + 1 = following.seq
+    WHERE
+        observed.record_number IS NOT NULL
+        AND following.type NOT IN ('Observed.v1', 'SourceOpened.v1', 'SourceClosed.v1')
 ),
 
 whole AS (

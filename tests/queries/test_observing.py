@@ -333,6 +333,18 @@ def test_a_record_that_was_cut_at_first_counts_once_and_those_without_a_number_e
     assert answer("audit/recordings", run(opens, *lines, follows), columns=columns) == [(4, 3)]
 
 
+def test_a_record_whose_event_has_another_cause_than_the_record_is_not_without_an_event() -> None:
+    opens = event("SourceOpened", S, source="s", format="f", adapter="a/1", clock="source")
+    asks, battery, ends = (
+        event("Observed", S, source="s", kind="job", record_number=number, caused_by=None) for number in (1, 2, 3)
+    )
+    follows = [event("TaskArrived", S, task_id="t", caused_by=2), event("TaskCompleted", S, task_id="t", caused_by=3)]
+    closes = event("SourceClosed", S, source="s", until_us=S)
+    columns = ("record_count", "underived_count")
+    rows = run(opens, asks, follows[0], battery, ends, follows[1], closes)
+    assert answer("audit/recordings", rows, columns=columns) == [(3, 1)]
+
+
 def test_a3_says_what_a_request_carried_only_where_it_carried_it() -> None:
     asks = act("RequestIssued", S, "t/1", requested_by="robot/A1", capability="c")
     for carried, found in (
