@@ -8,13 +8,14 @@ from typing import TypeVar
 
 import msgspec
 
-from fsar_ledger.events import CONCERNS, Event
+from fsar_ledger.events import CONCERN_OF, CONCERNS, Event
 from fsar_ledger.events.envelope import Robot
 from fsar_ledger.events.knowledge import CopySynced, SnapshotTaken
 from fsar_ledger.events.registry import AvailabilityChanged
 from fsar_ledger.events.request import RequestIssued
 from fsar_ledger.events.task import TaskAbandoned
 from fsar_ledger.events.world import PolicyWindowOpened
+from fsar_ledger.metrics.provenance import IN_PART
 from fsar_ledger.projections import put, without
 from fsar_ledger.projections.execution import HELPING
 from fsar_ledger.projections.fleet import Member
@@ -70,12 +71,12 @@ class Past(msgspec.Struct):
 
 
 class Coverage:
-    """What the source of a run observes. `lacking` are the concerns that it does not, or (`is_in_part`) not whole."""
+    """What the source of a run observes; `lacking` names the concerns that it does not, or (`is_in_part`) not whole."""
 
     def __init__(self, started: Event) -> None:
-        observes = getattr(started, "observes", ())
-        self.lacking = tuple(one for one in CONCERNS if one not in observes)
-        records = getattr(started, "records", None)
+        observes, records = getattr(started, "observes", ()), getattr(started, "records", None)
+        partly = {CONCERN_OF.get(name) for name in records or ()}
+        self.lacking = {one: f"{one}{IN_PART}" if one in partly else one for one in CONCERNS if one not in observes}
         self.is_in_part = records is not None
         self._names_supervisors = "fleet" in observes or "RobotJoined.supervisor" in (records or ())
 
@@ -275,7 +276,7 @@ def situation(past: Past, busy_us: Mapping[str, int], robot: str | None) -> Situ
         trust=seen.all("trust", (one for one in _trust(state) if robot in (None, one.robot, one.peer))),
         rules=seen.all("policy", _rules(state, robot)),
         off_shift=seen.all("supervision", sorted(state.world.off_shift)),
-        not_observed=seen.lacking,
+        not_observed=tuple(seen.lacking.values()),
     )
 
 
@@ -290,8 +291,7 @@ def _open_requests(past: Past) -> Iterator[Request]:
         action = actions.get(one.action_id)
         if one.is_over or (action is None and one.action_id in past.abandoned):
             continue
-        is_asked = one.candidates and one.candidates[0] == past.asked.get(one.action_id)
-        asked = one.candidates[0] if is_asked else None
+        asked = next((name for name in one.candidates[:1] if name == past.asked.get(one.action_id)), None)
         yield msgspec.structs.replace(one, target=one.target or (asked if action is None else action.robot))
 
 

@@ -265,7 +265,7 @@ class Steps:
         from fsar_ledger.metrics.provenance import of_run
 
         self.run = record.run_id
-        self.provenance = of_run(provenance, Coverage(record.events[0]).lacking)
+        self.provenance = of_run(provenance, Coverage(record.events[0]).lacking.values())
         self._record, self._busy_us = record, busy_us
         self._timeline = Timeline(record)
         found = lines_of([record], [(record.run_id, seq) for seq in range(len(record.events))])
