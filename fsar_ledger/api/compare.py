@@ -146,8 +146,13 @@ def _pairing(both: tuple[Side, Side], found: Paired) -> list[str]:
     if not found.pairs:
         left = " that is not left out" if found.left_out else ""
         lines.append(
-            f"nothing to compare: no run of both has the same seed, scenario and number{left}; simulate one as the "
-            "other"
+            f"nothing to compare: no run of both has the same seed, scenario and number{left}; "
+            + (
+                "simulate one as the other"
+                if first.named_count and second.named_count
+                else "runs of a real fleet have none, and are in no pair: `fsar-ledger metrics` shows what each side "
+                "came to, `fsar-ledger query metrics_by_period` each day"
+            )
         )
         lines += [f"found {side.held()}" for side in both]
     else:
@@ -159,11 +164,13 @@ def _pairing(both: tuple[Side, Side], found: Paired) -> list[str]:
             )
     lines += [f"left out: {_left_out(one)}" for one in found.left_out]
     differing = [f"{one.name}={one.first_value} and {one.second_value}" for one in found.constants]
-    unread = " as far as they are on record" if first.parameter_set is None or second.parameter_set is None else ""
+    unread = [one for one in both if one.parameter_set is None]
     said = (
-        f"the constants are the same{unread}"
-        if not differing
-        else f"constants that differ, first and second: {printable.some(differing)}"
+        f"constants that differ, first and second: {printable.some(differing)}"
+        if differing
+        else "no constants are on record"
+        if len(unread) == len(both)
+        else f"the constants are the same{' as far as they are on record' if unread else ''}"
     )
     return [*lines, said]
 

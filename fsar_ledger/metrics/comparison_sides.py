@@ -314,7 +314,7 @@ def _of_one(held: Sequence[Side], first: Side | None, second: Side | None, place
             "--first NAME and --second NAME" if one is None else "--second NAME" if second is None else "--first NAME"
         )
         what = (
-            f"{place}: found {len(held):,} sides, expected two, or {missing} to say which"
+            f"{place}: found {counted(len(held), 'side')}, expected two, or {missing} to say which"
             if held
             else f"{place}: found no runs, expected two sides to compare"
         )

@@ -5,6 +5,7 @@ import io
 import json
 from pathlib import Path
 
+from fsar_ledger import record
 from fsar_ledger.metrics.definitions import metrics, published_metrics
 from tests.cli.conftest import Call, one_message
 
@@ -39,6 +40,17 @@ def test_two_ledgers_are_compared_each_with_its_head(call: Call, ledger: Path, t
     assert answer["second"]["fleet_size"] == 8
     assert answer["other"]["head"]["root"] != answer["head"]["root"]
     assert any("the fleets differ in size (4 and 8 robots)" in line for line in answer["remarks"])
+
+
+def test_recordings_are_in_no_pair_and_nobody_is_told_to_simulate_them(call: Call, tmp_path: Path) -> None:
+    for name in ("hall", "yard"):
+        with record(tmp_path / name, run=name, observes=["ExecutionStarted"]):
+            pass
+    told = call("compare", tmp_path / "hall", tmp_path / "yard")
+    assert "runs of a real fleet have none, and are in no pair: `fsar-ledger metrics` shows" in told.out
+    assert "simulate" not in told.out
+    assert told.out.splitlines()[-1] == "no constants are on record"
+    one_message(call("compare", tmp_path / "hall"), 2, "found 1 side, expected two")
 
 
 def test_compare_refuses_what_it_cannot_tell(call: Call, ledger: Path) -> None:

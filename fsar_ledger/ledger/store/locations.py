@@ -347,8 +347,12 @@ class ExistingRuns:
                 return Flaw(-1, block.run, block.first, "run_id", "the run twice in one commit", "each run once")
             seen.add(block.run)
             if (is_log := _is_head(blocks[0]) if self._is_log is None else self._is_log) != _is_head(block):
-                found, expected = ("a run", "heads of shards") if is_log else ("the head of a shard", "runs and plans")
-                return Flaw(-1, block.run, block.first, "type", found, f"{expected} alone, as the ledger holds them")
+                found, expected = (
+                    ("a run", "heads of shards alone, since the ledger is a log of shards; name the ledger of a shard")
+                    if is_log
+                    else ("the head of a shard", "runs and plans alone, as the ledger holds them")
+                )
+                return Flaw(-1, block.run, block.first, "type", found, expected)
             for run in (block.run, *(block.goes_on_from or ())[:1]):
                 self._seek(f"{run}")
             if block.first and block.run in self._indexed:
