@@ -13,17 +13,16 @@ from fsar_ledger.events.envelope import Robot
 from fsar_ledger.events.knowledge import CopySynced, SnapshotTaken
 from fsar_ledger.events.registry import AvailabilityChanged
 from fsar_ledger.events.request import RequestIssued
-from fsar_ledger.events.task import TaskAbandoned
 from fsar_ledger.events.world import PolicyWindowOpened
 from fsar_ledger.metrics.provenance import IN_PART
-from fsar_ledger.projections import put, without
+from fsar_ledger.projections import put
 from fsar_ledger.projections.execution import HELPING
 from fsar_ledger.projections.fleet import Member
 from fsar_ledger.projections.fold import State, apply
 from fsar_ledger.projections.recovery import Recovery
 from fsar_ledger.projections.registry import surface
 from fsar_ledger.projections.request import Request
-from fsar_ledger.projections.task import Task
+from fsar_ledger.projections.task import RequestEnds, Task
 
 _T = TypeVar("_T")
 
@@ -33,7 +32,7 @@ class Past(msgspec.Struct):
 
     By policy window, `opened` is the seq and the time of the event that opened it last; `told_us` is when somebody was
     last told something, by the type of the event and the robot that it is about. `asked` is the robot to which a
-    request has gone, by action; `abandoned` are those of a foreign run whose tasks were abandoned after that.
+    request has gone, by action; `ends` are the requests that nobody closes.
     """
 
     started: Event
@@ -42,28 +41,20 @@ class Past(msgspec.Struct):
     time_us: int = 0
     opened: Mapping[tuple[str, str, str], tuple[int, int]] = {}
     told_us: Mapping[tuple[type[Event], str | None], int] = {}
-    abandoned: Mapping[str | None, bool] = {}
     asked: Mapping[str | None, str | None] = {}
-    _of_task: Mapping[str | None, tuple[str | None, ...]] = {}  # what was asked for
+    ends: RequestEnds = RequestEnds()
 
     def add(self, event: Event, time_us: int) -> None:
         """Add the next event of the run."""
         self.seq, self.time_us = self.seq + 1, time_us
         apply(self.state, event)
+        self.ends = self.ends.after(event)
         if isinstance(event, PolicyWindowOpened):
             self.opened = put(self.opened, (event.robot, event.scope, event.window), (self.seq, time_us))
         elif isinstance(event, CopySynced | SnapshotTaken | AvailabilityChanged):
             self.told_us = put(self.told_us, (type(event), getattr(event, "robot", None)), time_us)
         elif isinstance(event, RequestIssued):
-            task, action = event.subject.task_id, event.subject.action_id
-            self.asked = put(self.asked, action, event.principals.executed_by)
-            if getattr(self.started, "kind", None) == "foreign":
-                self._of_task = put(self._of_task, task, (*self._of_task.get(task, ()), action))
-                self.abandoned = without(self.abandoned, action)
-        elif isinstance(event, TaskAbandoned):
-            for action in self._of_task.get(event.task_id, ()):
-                self.abandoned = put(self.abandoned, action, True)
-            self._of_task = without(self._of_task, event.task_id)
+            self.asked = put(self.asked, event.subject.action_id, event.principals.executed_by)
 
     def copy(self) -> "Past":
         """Return it as it is now; they share what does not change."""
@@ -78,6 +69,7 @@ class Coverage:
         partly = {CONCERN_OF.get(name) for name in records or ()}
         self.lacking = {one: f"{one}{IN_PART}" if one in partly else one for one in CONCERNS if one not in observes}
         self.is_in_part = records is not None
+        self.tells_ends = "execution" in observes or {"ExecutionFinished", "ExecutionWithdrawn"} <= {*(records or ())}
         self._names_supervisors = "fleet" in observes or "RobotJoined.supervisor" in (records or ())
 
     def of(self, concern: str, value: _T) -> _T | None:
@@ -283,13 +275,13 @@ def situation(past: Past, busy_us: Mapping[str, int], robot: str | None) -> Situ
 def _open_requests(past: Past) -> Iterator[Request]:
     """Yield the open requests, each with the robot that has it, or to which it has gone, as its target.
 
-    No rule of the model takes back what an abandoned task of another system's run asked for: that is open only while it
-    is executed.
+    What nobody closes, such as what an abandoned task of another system's run asked for, is open only while it is
+    executed.
     """
     actions = past.state.execution.actions
     for one in past.state.request.open.values():
         action = actions.get(one.action_id)
-        if one.is_over or (action is None and one.action_id in past.abandoned):
+        if one.is_over or (action is None and past.ends.has(one.action_id, one.result)):
             continue
         asked = next((name for name in one.candidates[:1] if name == past.asked.get(one.action_id)), None)
         yield msgspec.structs.replace(one, target=one.target or (asked if action is None else action.robot))
@@ -338,7 +330,7 @@ def _robot(past: Past, name: Robot, seen: Coverage, is_known: bool) -> RobotNow:
     offers: dict[str, tuple[str, ...]] = {}
     for one in surface(state.registry, name):
         offers[one.availability] = (*offers.get(one.availability, ()), one.capability)
-    work = _work(state, name)
+    work = _work(state, name, seen)
     return RobotNow(
         name,
         member.role or None,
@@ -358,12 +350,15 @@ def _robot(past: Past, name: Robot, seen: Coverage, is_known: bool) -> RobotNow:
     )
 
 
-def _work(state: State, name: Robot) -> Work | None:
+def _work(state: State, name: Robot, seen: Coverage) -> Work | None:
+    """Return what the robot has in hand; None also where its source does not record how executions end."""
     if (current := state.execution.current.get(name)) is None:
         return None
     action = state.execution.actions.get(current)
     if action is None:
         return Work(current.removeprefix(HELPING), None, "helping", None, None)
+    if not seen.tells_ends:
+        return None
     whose = action.on_behalf_of if action.on_behalf_of != action.robot else None
     ends_s = action.ends_us / 1e6 if action.ends_us else None
     return Work(action.action_id, action.capability or None, action.stage, whose, ends_s)

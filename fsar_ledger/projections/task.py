@@ -7,7 +7,10 @@ import msgspec
 from msgspec.structs import replace
 
 from fsar_ledger.designs.constants import END_US
+from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import Robot, recorded_robot
+from fsar_ledger.events.fleet import RunStarted
+from fsar_ledger.events.request import RequestIssued
 from fsar_ledger.events.task import StepBegan, StepCompleted, TaskAbandoned, TaskCompleted, TaskPlanned
 from fsar_ledger.events.world import TaskArrived
 
@@ -82,6 +85,41 @@ def evolve(state: Tasks, event: HANDLES) -> Tasks:
             return without(state, event.task_id)
         case _:
             assert_never(event)
+
+
+class RequestEnds(msgspec.Struct, frozen=True):
+    """Which requests of another system's run are over although nobody closes them: with their task, or their result.
+
+    `over` are the actions of those whose task was abandoned, or was completed where the source does not record that
+    requests are closed. Runs of our own close theirs.
+    """
+
+    is_foreign: bool = False
+    tells_closings: bool = True
+    over: Mapping[str | None, bool] = {}
+    of_task: Mapping[str | None, tuple[str | None, ...]] = {}
+
+    def after(self, event: Event) -> "RequestEnds":
+        """Return it after this event, of which the first is the beginning of the run."""
+        if isinstance(event, RunStarted):
+            tells = "request" in (event.observes or ()) or "RequestClosed" in (event.records or ())
+            return RequestEnds(event.kind == "foreign", tells)
+        if not self.is_foreign:
+            return self
+        if isinstance(event, RequestIssued):
+            task, action = event.subject.task_id, event.subject.action_id
+            asked = put(self.of_task, task, (*self.of_task.get(task, ()), action))
+            return replace(self, over=without(self.over, action), of_task=asked)
+        if isinstance(event, TaskAbandoned) or (isinstance(event, TaskCompleted) and not self.tells_closings):
+            over = self.over
+            for action in self.of_task.get(event.task_id, ()):
+                over = put(over, action, True)
+            return replace(self, over=over, of_task=without(self.of_task, event.task_id))
+        return self
+
+    def has(self, action: str, result: str | None) -> bool:
+        """Return whether the request of this action is over, whose result is that."""
+        return action in self.over or (self.is_foreign and not self.tells_closings and result is not None)
 
 
 # See docs/decisions/late-tasks-are-given-up.md.

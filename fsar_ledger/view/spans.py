@@ -19,7 +19,7 @@ from fsar_ledger.projections.policy import Policy, rules_in_force
 from fsar_ledger.projections.recovery import Recoveries
 from fsar_ledger.projections.request import Requests
 from fsar_ledger.projections.supervision import Supervision
-from fsar_ledger.projections.task import Tasks
+from fsar_ledger.projections.task import RequestEnds, Tasks
 from fsar_ledger.projections.world import World
 
 TRACKS = ("task", "work", "queue", "recovery", "request", "call", "claim", "policy", "told", "world")
@@ -68,14 +68,19 @@ def lane_of(principal: Principal | str) -> str:
 
 def spans_of(run: LedgerRun) -> tuple[Span, ...]:
     """Return what held from when to when, in order of its beginning."""
-    state, facts = State(), _Facts()
+    state, facts, ends = State(), _Facts(), RequestEnds()
     for seq, (time_us, event) in enumerate(zip(run.times_us, run.events, strict=True)):
+        requests, actions, told = state.request, state.execution.actions, ends
+        ends = ends.after(event)
         for slot, evolve in ROUTES.get(type(event), ()):
             before = getattr(state, slot)
             after = evolve(before, event)
             setattr(state, slot, after)
-            if after is not before and slot in FACTS:
+            if after is not before and slot in FACTS and slot != "request":
                 facts.now(slot, frozenset(FACTS[slot](after)), time_us, seq)
+        is_freed = ends.is_foreign and state.execution.actions is not actions
+        if state.request is not requests or ends is not told or is_freed:
+            facts.now("request", frozenset(_open_requests(state, ends)), time_us, seq)
         facts.beside(event, time_us, seq)
     facts.end()
     return tuple(sorted(facts.spans, key=lambda span: (span.start_us, span.seq, span.fact)))
@@ -145,6 +150,14 @@ def _recoveries(state: Recoveries) -> Iterator[Fact]:
     for name, failure in state.items():
         cause = failure.cause or "cause not on record"
         yield Fact(failure.robot, "recovery", failure.level, name, f"{cause}, failure {failure.failure}")
+
+
+def _open_requests(state: State, ends: RequestEnds) -> Iterator[Fact]:
+    """Yield the requests without those that are over although nobody closes them."""
+    for fact in _requests(state.request):
+        is_executed = fact.about in state.execution.actions
+        if is_executed or not ends.has(fact.about, state.request.open[fact.about].result):
+            yield fact
 
 
 def _requests(state: Requests) -> Iterator[Fact]:

@@ -10,6 +10,7 @@ from fsar_ledger import open_ledger, record
 from fsar_ledger.api.answers import Screen
 from fsar_ledger.events import CONCERNS
 from fsar_ledger.events.fleet import RobotJoined
+from fsar_ledger.view.spans import spans_of
 
 BEGAN = datetime(2026, 3, 1, 10, tzinfo=UTC)
 A = RobotJoined(robot="robot/a", role="cart", supervisor=None)  # type: ignore[arg-type]
@@ -108,3 +109,48 @@ def test_a_robot_that_does_another_action_meanwhile_helps_on_after_it(tmp_path: 
         (told,) = [one for one in robots if one.robot == "robot/a"]
         assert (told.work and (told.work.stage, told.work.action_id), told.queue) == (expected, waits), at
         assert told.is_idle is (expected is None)
+
+
+@pytest.mark.parametrize(("ends", "doing"), [((), []), (("ExecutionFinished", "ExecutionWithdrawn"), ["t/1"])])
+def test_what_a_robot_does_is_told_where_its_source_records_how_that_ends(
+    tmp_path: Path, ends: tuple[str, ...], doing: list[str]
+) -> None:
+    observes = ("fleet", "ExecutionStarted", *ends)
+    with record(tmp_path / "ledger", run="day", fleet=[A], observes=observes, epoch=BEGAN) as recorder:
+        recorder.event("ExecutionStarted", at=BEGAN, capability="carry", **OF)
+    ledger = open_ledger(tmp_path / "ledger")
+    robots = ledger.state("day").standing.robots or ()
+    assert [one.work.action_id for one in robots if one.work is not None] == doing
+    assert [row["action_id"] for row in ledger.query("audit/robot_activity", run="day") if row["action_id"]] == doing
+
+
+@pytest.mark.parametrize(
+    ("event", "closes", "is_open"),
+    [
+        ("TaskCompleted", (), False),
+        ("TaskCompleted", ("RequestClosed",), True),
+        ("TaskAbandoned", (), False),
+        ("TaskAbandoned", ("RequestClosed",), False),
+        ("ExecutionFinished", (), False),
+        ("ExecutionFinished", ("RequestClosed",), True),
+    ],
+)
+def test_a_request_that_nobody_closes_is_over_with_its_task_or_its_result(
+    tmp_path: Path, event: str, closes: tuple[str, ...], is_open: bool
+) -> None:
+    ends = {**OF, "result": "success"} if event == "ExecutionFinished" else {"task_id": "t"}
+    asked = {"task_id": "t", "action_id": "t/1", "requested_by": "coordinator", "executed_by": "robot/a"}
+    told: list[tuple[int, str, dict[str, Any]]] = [
+        (1, "RequestIssued", {**asked, "decided_by": "coordinator", "capability": "order"}),
+        (2, "RequestAccepted", {**asked, "decided_by": "robot/a"}),
+        *([(3, "ExecutionStarted", {**OF, "capability": "order"})] if event == "ExecutionFinished" else []),
+        (5, event, ends),
+    ]
+    observes = [*closes, *(name for _, name, _ in told)]
+    with record(tmp_path / "ledger", run="day", fleet=[A], observes=observes, epoch=BEGAN) as recorder:
+        for at_s, name, columns in told:
+            recorder.event(name, at=BEGAN + timedelta(seconds=at_s), **columns)
+    ledger = open_ledger(tmp_path / "ledger")
+    assert [len(ledger.state("day", at=at).standing.requests or ()) for at in (4, 5)] == [1, int(is_open)]
+    spans = [one for one in spans_of(ledger.record("day")) if one.fact.kind == "accepted"]
+    assert [(one.start_us, one.end_us) for one in spans] == [(2_000_000, None if is_open else 5_000_000)]

@@ -151,9 +151,12 @@ def test_audit_says_how_many_actions_were_under_way_when_the_record_began(call: 
     assert "1 action under way when the record began: what asked for and allowed it is not judged" in said.err
 
 
+ENDS = ("ExecutionFinished", "ExecutionWithdrawn")
+
+
 def test_state_step_and_log_name_alike_what_is_recorded_in_part(call: Call, tmp_path: Path) -> None:
     ledger = tmp_path / "ledger"
-    with record(ledger, run="day", observes=["fleet", "ExecutionStarted"]) as recorder:
+    with record(ledger, run="day", observes=["fleet", "ExecutionStarted", *ENDS]) as recorder:
         recorder.event("ExecutionStarted", task_id="t", action_id="t/1", robot="robot/a", capability="carry")
     asked = ("state", "--run", "day"), ("step", "--run", "day", "--script", "last"), ("log", "--run", "day")
     for verb, *words in asked:
