@@ -138,7 +138,7 @@ def test_a_run_in_the_journal_is_said_to_be_there(tmp_path: Path) -> None:
 
 
 def test_a_run_between_whose_commits_another_was_recorded_replays(tmp_path: Path) -> None:
-    task = {"robot": "robot/A1", "task_id": "t", "steps": ("A navigate.indoor",), "budget_us": 600_000_000}
+    task: dict[str, Any] = {"robot": "robot/A1", "task_id": "t", "steps": ("A navigate.indoor",), "budget_us": 1 << 30}
     with federate(tmp_path / "ledger", run="day", clock=lambda: 1_772_359_200 * 10**9) as one:
         one.give("SubmitTask", "robot/A1", **task)
         with record(tmp_path / "ledger", run="beside", observes=["ExecutionStarted"]):
