@@ -97,6 +97,9 @@ class Mcap:
                     break
             if not is_ended and not is_cut:
                 yield unreadable(b"", f"{one.name}: the file ends without a footer")
+            rest = one.file.read(MAX_KEPT) if is_ended else b""
+            if not MAGIC.startswith(rest):
+                yield unreadable(rest.removeprefix(MAGIC), f"{one.name}: bytes behind its end, as of two files in one")
 
     def _chunk(self, framed: Framed) -> Iterator[Record]:
         try:

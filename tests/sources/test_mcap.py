@@ -112,6 +112,15 @@ def test_a_damaged_chunk_does_not_hide_the_next(tmp_path: Path) -> None:
     assert 1 < made.records < 9
 
 
+@pytest.mark.parametrize("behind", [b"garbage", bags.written(bags.honest_night()), b""])
+def test_what_is_behind_the_end_of_a_file_is_a_record_that_cannot_be_read(tmp_path: Path, behind: bytes) -> None:
+    whole = bags.written(bags.honest_night())
+    made = imported(tmp_path, whole + behind)
+    messages = len(bags.honest_night())
+    assert made.records == messages + bool(behind)
+    assert [row["kind"] for row in seen(tmp_path)[messages:]] == ["unreadable"] * bool(behind)
+
+
 def test_another_file_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="expected a file of MCAP"):
         imported(tmp_path, b"#ROSBAG V2.0\n")
