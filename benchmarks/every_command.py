@@ -12,16 +12,25 @@ of 0 or 1 is an answer; any other one is shown. Peak memory is that of the large
 
 import argparse
 import os
+import shlex
 import shutil
 import sys
 import tempfile
 import time
+from collections.abc import Collection
+from importlib import import_module
 from pathlib import Path
+from pkgutil import iter_modules
 from typing import NamedTuple
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from benchmarks.table import note
+from fsar_ledger import api
+from fsar_ledger.api.verbs import VERBS, Verb
+
+for module in iter_modules(api.__path__):
+    import_module(f"{api.__name__}.{module.name}")
 
 EVENTS_A_RUN = 547
 ONE_SEED = "42"
@@ -45,6 +54,29 @@ LEFT_OUT = {
     "witness": "it asks other machines",
 }
 """The commands that are not measured, and why."""
+
+
+def example_of(verb: Verb) -> list[str]:
+    """Return the words of the first example of a verb, after its name."""
+    return shlex.split(verb.examples[0], comments=True)[1 + len(verb.name.split()) :]
+
+
+def from_examples(others: Collection[str]) -> dict[str, str]:
+    """Return the first example of each verb that reads a ledger, but for the others and those of `maintain`.
+
+    As `COMMANDS` holds calls: the first path is that of the ledger, all others are those of files that the verb writes.
+    """
+    covered = {"maintain", *(name.split()[0] for name in others)}
+    found = {}
+    for name, verb in VERBS.items():
+        if name.split()[0] in covered or "ledger" not in verb.parameters:
+            continue
+        words = example_of(verb)
+        ledger = next((word for word in words if word.startswith("out/")), None)
+        given = (f"{{out}}{Path(word).suffix}" if word.startswith("out/") else word.replace(" ", "|") for word in words)
+        found[name] = " ".join("{ledger}" if word == ledger else one for word, one in zip(words, given, strict=True))
+    return found
+
 
 COMMANDS: dict[str, str] = {
     "info": "{ledger}",
@@ -80,7 +112,11 @@ COMMANDS: dict[str, str] = {
     "report": "{ledger} --out {out}.pdf",
     "maintain compact": "{copy}",
 }
-"""The commands by name with first option, and what follows; a space within an argument is written as |."""
+COMMANDS |= from_examples(COMMANDS.keys() | LEFT_OUT.keys())
+"""The commands by name with first option, and what follows; a space within an argument is written as |.
+
+A verb that is not listed is called as in its first example.
+"""
 
 
 KNOWN = "fsar-ledger/slices.sqlite"

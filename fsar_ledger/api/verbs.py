@@ -11,6 +11,7 @@ The number of processes that a piece of work is worth is told here, too (`worker
 
 import inspect
 import os
+import re
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, TypeVar
@@ -113,17 +114,24 @@ class Verb(NamedTuple):
 
     @property
     def help(self) -> str:
-        """Return the text that Python and the command line share: the docstring up to its sections."""
-        text = inspect.getdoc(self.function) or ""
-        return text.partition("\n\nArgs:")[0].partition("\n\nRaises:")[0]
+        """Return the text that Python and the command line share."""
+        return help_in(inspect.getdoc(self.function) or "")
 
 
 VERBS: dict[str, Verb] = {}
 """The verbs of the modules that are imported, by name."""
 
 
+def help_in(docstring: str) -> str:
+    """Return the docstring up to its sections, of which `Raises:` may also follow on the first line."""
+    return re.split(r"\s+(?:Args|Raises):", docstring)[0]
+
+
 def declare(metavar: str | None, help: str, default: str | None = None, *, flag: str = "", **more: Any) -> Any:
-    """Declare an option, in place of the default of its parameter, which is `value`; `flag`: if not the name of it."""
+    """Declare an option, in place of the default of its parameter, which is `value`; `flag`: if not the name of it.
+
+    `default` is what the help says in place of that value, as "all" for None.
+    """
     return Option(flag, metavar, help, default, **more)
 
 

@@ -18,7 +18,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from fsar_ledger.api.verbs import NOTHING_CHANGED, VERBS, Verb
+from fsar_ledger.api.verbs import NOTHING_CHANGED, VERBS, Verb, help_in
 from fsar_ledger.base import printable
 from fsar_ledger.base.errors import FsarLedgerError, UsageError, named_as_options
 
@@ -138,7 +138,7 @@ def _summary(name: str) -> str:
     named = rf'^    name="{name}",$.*?^def \w+\(.*?"""(.*?)$'
     found = re.search(named, source, re.DOTALL | re.MULTILINE) or re.search(own, source, re.DOTALL | re.MULTILINE)
     assert found is not None  # a test reads the help
-    return found[1].removesuffix('"""')
+    return help_in(found[1].removesuffix('"""'))
 
 
 def _made(words: str, verbs: Sequence[Verb]) -> Any:

@@ -64,5 +64,7 @@ def test_every_verb_that_reads_a_ledger_is_asked() -> None:
     group: Any = get_command(app)
     commands = {name for name, one in group.commands.items() if not one.hidden} - {"maintain"}
     maintain = {f"maintain {name}" for name in group.commands["maintain"].commands}
+    missing = (commands | maintain) - VERBS.keys() - LEFT_OUT.keys()
+    assert not missing, f"{sorted(missing)}: give a call of each in tests/foreign/verbs.py"
     assert VERBS.keys() | LEFT_OUT.keys() == commands | maintain
     assert not VERBS.keys() & LEFT_OUT.keys()

@@ -7,6 +7,7 @@ import traceback
 from pathlib import Path
 from typing import NamedTuple
 
+from benchmarks.every_command import LEFT_OUT, from_examples
 from fsar_ledger.cli import app
 from fsar_ledger.events.envelope import flat
 from fsar_ledger.ledger.rows.codec import LedgerRun
@@ -67,7 +68,11 @@ VERBS: dict[str, tuple[set[int], tuple[str, ...]]] = {
     "report": (REFUSED, ("{ledger} --out {out}.pdf",)),
     "maintain compact": (REFUSED, ("{ledger}",)),
 }
-"""Each verb, its exit codes on a sound ledger, and its calls; a space within a word is written as |."""
+VERBS |= {name: (REFUSED, (call,)) for name, call in from_examples(VERBS.keys() | LEFT_OUT.keys()).items()}
+"""Each verb, its exit codes on a sound ledger, and its calls; a space within a word is written as |.
+
+A verb that is not listed is called as in its first example.
+"""
 
 QUERIES = 12
 """Packaged queries that are asked of each ledger, drawn anew for each."""
