@@ -10,13 +10,22 @@
 -- Example: fsar-ledger query audit/supervisor_decisions LEDGER --param supervisor=supervisor/fleet
 --   answers recovery of A1-1/4.1, called at 84.854 s, decided at 124.92 s
 -- Parameters: run: run = all, supervisor: supervisor = all
-WITH decided AS (
+WITH told AS (
+    SELECT type, words
+    FROM occurrence_words
+    UNION ALL
+    SELECT type, words
+    FROM message_words
+    WHERE part = 1 AND type NOT IN (SELECT occurrence_words.type FROM occurrence_words)
+),
+
+decided AS (
     SELECT
         run_id, seq,
         time_us AS decided_us,
-        type, decided_by, action_id, requested_by, executed_by, robot, capability,
-        CASE WHEN type = 'SupervisorResponded.v1' THEN purpose END AS purpose,
-        CASE type
+        events.type, decided_by, action_id, requested_by, executed_by, robot, capability,
+        CASE WHEN events.type = 'SupervisorResponded.v1' THEN purpose END AS purpose,
+        CASE events.type
             WHEN 'SupervisorResponded.v1'
                 THEN
                     CASE
@@ -43,10 +52,12 @@ WITH decided AS (
             WHEN 'AuthorityGranted.v1' THEN 'up to ' || override
             WHEN 'AuthorityRevoked.v1' THEN reason
             WHEN 'RecoveryBudgetSet.v1' THEN level || ' ' || n_max || ' in ' || t_max_us || ' us'
+            ELSE told.words
         END AS decision
     FROM events
+    LEFT JOIN told ON events.type = told.type
     WHERE
-        (type = 'SupervisorResponded.v1' OR starts_with(decided_by, 'supervisor/'))
+        (events.type = 'SupervisorResponded.v1' OR starts_with(decided_by, 'supervisor/'))
         AND $run IN ('all', run_id) AND $supervisor IN ('all', decided_by)
 )
 

@@ -113,6 +113,11 @@ def test_every_intervention_of_a_supervisor_is_on_the_list() -> None:
     assert len(asked("supervisor_decisions", "seq", *interventions, supervisor=H_B)) == 4
 
 
+def test_a_decision_of_a_supervisor_that_has_no_words_of_its_own_reads_as_in_the_log() -> None:
+    events = (event("SegmentTransferred", 1, decided_by=H_F), event("RequestDenied", 2, decided_by=H_F))
+    assert asked("supervisor_decisions", "decision", *events) == [("gives the task on",), ("deny",)]
+
+
 def test_each_call_of_the_fleet_supervisor_is_an_intervention_with_its_purpose_and_answer() -> None:
     def called(at: int, action: str, purpose: str, supervisor: str = H_F) -> dict[str, Any]:
         return event("SupervisorCalled", at, action_id=action, purpose=purpose, supervisor=supervisor)
