@@ -30,6 +30,8 @@ def words(name: str) -> set[str]:
 
 def test_every_event_type_has_words() -> None:
     told, others = words("message_words"), words("occurrence_words")
+    missing = set(LAYOUTS) - told - others
+    assert not missing, f"{sorted(missing)}: say how `log` words each in queries/facts/occurrence_words.sql"
     assert told | others == set(LAYOUTS)
     assert told & others == IN_BOTH
 
