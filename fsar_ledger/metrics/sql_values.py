@@ -109,7 +109,7 @@ def parse_parameters(query: str, text: str) -> dict[str, Parameter]:
     """Return the parameters in `name: kind = default, other: kind`, by name.
 
     Raises:
-        InvalidQuery: A kind is missing or unknown.
+        InvalidQuery: A kind is missing or unknown, or a time has another default than the end of the run.
     """
     parameters: dict[str, Parameter] = {}
     for part in filter(None, (part.strip() for part in text.split(","))):
@@ -119,6 +119,11 @@ def parse_parameters(query: str, text: str) -> dict[str, Parameter]:
             raise InvalidQuery(
                 f"queries/{query}.sql: found {printable.value(part)} among the parameters, expected NAME: KIND or "
                 f"NAME: KIND = DEFAULT{printable.did_you_mean(kind, KINDS) or ';'} a kind is one of {', '.join(KINDS)}"
+            )
+        if kind == TIME and equals and default != END:
+            raise InvalidQuery(
+                f"queries/{query}.sql: found {printable.value(part)} among the parameters, expected {name}: {TIME} = "
+                f"{END} or {name}: {TIME}, a moment of the run; a duration is no parameter: write it into the SQL"
             )
         parameters[name] = Parameter(name, kind, default if equals else None)
     return parameters

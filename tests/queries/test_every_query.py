@@ -66,6 +66,14 @@ def test_header_with_an_empty_unknown_or_repeated_key_is_refused() -> None:
     assert "Parameters" in KEYS
 
 
+def test_a_time_has_no_other_default_than_the_end_of_the_run() -> None:
+    for default in ("5s", "5000000", "all"):
+        with pytest.raises(InvalidQuery, match=f"found within: time = {default} among .* expected within: time = end"):
+            parse("facts/x", f"{HEADER}-- Parameters: within: time = {default}\nSELECT 1")
+    at = parse("facts/x", f"{HEADER}-- Parameters: at: time = end, since: time\nSELECT 1").parameters
+    assert [str(one) for one in at.values()] == ["at=end", "since="]
+
+
 def test_header_goes_on_over_several_lines() -> None:
     query = parse("facts/x", HEADER.replace("Units: something", "Units: one\n--        two") + "SELECT 1")
     assert query.header["Units"] == "one two"
