@@ -281,11 +281,10 @@ def _require_own_words(started: RunStarted, recipe: Recipe) -> None:
     if started.observes != own.observes:
         raise CannotReplay("observes", repr(own.observes), repr(started.observes))
     if started.parameters != own.parameters:
-        raise CannotReplay(
-            "parameters",
-            "all constants of the model, in the form in which it writes them",
-            f"{started.parameters!r:.300}",
-        )
+        recorded, ours = ([one["name"] for one in constants_of(each.parameters) or ()] for each in (started, own))
+        lacks = some(name for name in ours if name not in recorded)
+        actual = f"{started.parameters!r:.300}{lacks and f' without {lacks}'}"
+        raise CannotReplay("parameters", "all constants of the model, in the form in which it writes them", actual)
     if started.changes is not None:
         base = base_of(recipe)
         _require_same("forked_from_run", run_id(run_started(base.spec, base.constants)), started.forked_from_run)

@@ -60,7 +60,12 @@ UNCHECKED = {
         "cfc",
     ),
     "no constants": (restarted(parameters="no JSON"), "parameters", "malformed"),
-    "not all constants": (restarted(parameters="{}"), "parameters", "'{}'"),
+    "not all constants": (restarted(parameters="{}"), "parameters", "'{}' without structure.assistance_us, "),
+    "all constants but one": (
+        restarted(parameters=parameters(CONSTANTS).replace('"back_off_us":7000000,', "")),
+        "parameters",
+        " without structure.back_off_us, so the run cannot be replayed",
+    ),
     "constants in nests": (restarted(parameters="[" * 100_000), "parameters", "Expected `object`"),
     "another name": (LedgerRun("run", HONEST.times_us, HONEST.caused_by, HONEST.events), "run_id", "'run'"),
     "no beginning": (LedgerRun("run", HONEST.times_us[:1], [None], HONEST.events[1:2]), "type", "RobotJoined.v1"),
