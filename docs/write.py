@@ -3,7 +3,7 @@
     python docs/write.py            docs/queries.md, docs/event-types.json, the example in docs/ledger-format.md, the
                                     lists in docs/commands.md and docs/python.md, the tables of constants, readings and
                                     mechanisms in docs/model.md, and the output in every ```console block
-    python docs/write.py PAGE...    only these of the first five pages, which takes a second
+    python docs/write.py PAGE...    only these of the first six pages, without output of commands, in a second or two
     python docs/write.py --check    exit code 1 and a diff where a page would change in what a reader notices: not in
                                     digests alone, where no command is run; what begins like words after it is not run
 
@@ -55,7 +55,7 @@ PAGES = (
     DOCS.parent / "README.md",
     *(DOCS / f"{name}.md" for name in WITH_OUTPUT.split()),
 )
-FORMAT = DOCS / "ledger-format.md"
+FORMAT, MODEL = DOCS / "ledger-format.md", DOCS / "model.md"
 NEEDS_NO_SHELL = re.compile(
     r"(?P<call>fsar-ledger(?: (?:[\w./:=,-]+|\"[^\"$`\\]*\"))+)"
     r"(?:(?P<code>; echo \"exit code \$\?\")| \| (?P<pipe>.*))?"
@@ -240,18 +240,14 @@ def with_mechanisms(page: str) -> str:
         (architecture, name, what) for architecture, names in MECHANISMS_OF.items() for name, what in names.items()
     ]
     rows = [f"| {architecture} | `{name}` | {what} |" for architecture, name, what in named]
-    text = "\n".join(
-        [
-            "",
-            f"{len(rows)} mechanisms:",
-            "",
-            "| of | `--without` | what it is (what stands in its place) |",
-            "|---|---|---|",
-            *rows,
-            "",
-        ]
-    )
+    head = ["| of | `--without` | what it is (what stands in its place) |", "|---|---|---|"]
+    text = "\n".join(["", f"{len(rows)} mechanisms:", "", *head, *rows, ""])
     return with_section(page, "mechanisms", f"{text}\n")
+
+
+def with_tables(page: str) -> str:
+    """Return the page on the model with its tables of constants, readings and mechanisms."""
+    return with_mechanisms(with_readings(with_constants(page)))
 
 
 def event_types() -> str:
@@ -370,16 +366,17 @@ def exact() -> dict[Path, str]:
 def main(arguments: list[str]) -> int:
     """Write all pages, or those named that run no command, or compare them with what they would be."""
     texts = exact()
-    if arguments and {DOCS / name for name in arguments} <= texts.keys():
+    quick = texts | {MODEL: with_tables(MODEL.read_text("utf-8"))}
+    if arguments and {DOCS / name for name in arguments} <= quick.keys():
         for name in arguments:
-            (DOCS / name).write_text(texts[DOCS / name], "utf-8")
+            (DOCS / name).write_text(quick[DOCS / name], "utf-8")
         return 0
     if arguments[:1] not in ([], ["--check"]):
-        named = ", ".join(page.name for page in texts)
+        named = ", ".join(page.name for page in quick)
         print(f"docs/write.py: found {shlex.join(arguments)}, expected --check, {named}, or nothing", file=sys.stderr)
         return 2
     pages = {page: with_output(page.read_text("utf-8"), tuple(arguments[1:])) for page in PAGES}
-    pages[DOCS / "model.md"] = with_mechanisms(with_readings(with_constants(pages[DOCS / "model.md"])))
+    pages[MODEL] = with_tables(pages[MODEL])
     if not arguments:
         for page, text in (pages | texts).items():
             if not page.exists() or page.read_text("utf-8") != text:

@@ -212,17 +212,8 @@ DESIGNS = ("scenario", "fleet")
 
 def with_all_groups(constants: Constants) -> Constants:
     """Return the constants with every group that may be absent, at its defaults where it is."""
-    defaults = {
-        "outages": Outages(),
-        "load": Load(),
-        "jade": Jade(),
-        "alliance": Alliance(),
-        "roboos": Roboos(),
-        "membership": Membership(),
-    }
-    return msgspec.structs.replace(
-        constants, **{name: getattr(constants, name) or group for name, group in defaults.items()}
-    )
+    absent = {name: kind() for name, kind in _groups().items() if getattr(constants, name) is None}
+    return msgspec.structs.replace(constants, **absent)
 
 
 def write_constants(constants: Constants) -> str:
@@ -290,12 +281,19 @@ def origins() -> dict[str, str]:
     "" if its type says nothing, or more than one thing.
     """
     found: dict[str, str] = {}
-    groups = {name: kind for name, kind in _hints(Constants).items() if name not in DESIGNS}
-    for group, kind in groups.items():
-        [inner] = [one for one in (kind, *get_args(kind)) if isinstance(one, type) and issubclass(one, msgspec.Struct)]
-        for name, hint in _hints(inner).items():
+    for group, kind in _groups().items():
+        for name, hint in _hints(kind).items():
             found |= _split(f"{group}.{name}", _word(hint))
     return found
+
+
+def _groups() -> dict[str, type[msgspec.Struct]]:
+    """Return the type of each group of constants."""
+    hints = {name: hint for name, hint in _hints(Constants).items() if name not in DESIGNS}
+    return {
+        name: next(one for one in (hint, *get_args(hint)) if isinstance(one, type) and issubclass(one, msgspec.Struct))
+        for name, hint in hints.items()
+    }
 
 
 def _hints(kind: type[msgspec.Struct]) -> dict[str, Any]:

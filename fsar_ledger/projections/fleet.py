@@ -7,7 +7,7 @@ from typing import TypeVar, assert_never
 import msgspec
 
 from fsar_ledger.designs import registered
-from fsar_ledger.designs.constants import Constants, Membership, Outages, Structure, read_constants
+from fsar_ledger.designs.constants import Constants, Membership, Outages, Structure, read_constants, with_all_groups
 from fsar_ledger.designs.dials import Alliance, Jade, Roboos
 from fsar_ledger.events.configuration import removed_mechanisms
 from fsar_ledger.events.envelope import Robot, Supervisor
@@ -45,6 +45,7 @@ class Member(msgspec.Struct, frozen=True, gc=False):
 class Fleet(msgspec.Struct, frozen=True, dict=True):
     """The run's structure, the mechanisms that its configuration lacks, and its robots in order of joining.
 
+    Groups of constants are those of the run's `Constants` of the same names, or their defaults if it has none.
     `departed`: robot that has left and not returned -> how; `fences`: robot -> its departures so far. `bodies` are the
     roles whose robots can clear an obstruction; `substitutes` maps a capability to the one that can replace it.
     `is_live`: the robots are really there. `isolated`: the robot that is alone, without the federation; `handed_over`:
@@ -138,17 +139,15 @@ def _made(parameters: str | None) -> Fleet:
 
     Cached, because all runs of an experiment share their parameters.
     """
-    constants = Constants() if parameters is None else read_constants(parameters)
+    constants = with_all_groups(Constants() if parameters is None else read_constants(parameters))
     design = constants.fleet or registered.fleet()
+    assert constants.outages is not None
+    groups = {name: getattr(constants, name) for name in Fleet.__struct_fields__ if name in constants.__struct_fields__}
     return Fleet(
-        structure=constants.structure,
-        answer_us=round((constants.outages or Outages()).answer_s * 1e6),
+        **groups,
+        answer_us=round(constants.outages.answer_s * 1e6),
         bodies=design.bodies,
         substitutes={one.of: one.by for one in design.substitutes},
-        jade=constants.jade or Jade(),
-        alliance=constants.alliance or Alliance(),
-        roboos=constants.roboos or Roboos(),
-        membership=constants.membership or Membership(),
     )
 
 
