@@ -280,4 +280,4 @@ def test_a_diff_whose_place_is_missing_or_ambiguous_is_refused() -> None:
 
 if __name__ == "__main__":
     _, name, where = sys.argv
-    make(pages()[name], copied(Path(where)))
+    make(pages()[name], copied(Path(where).resolve()))
