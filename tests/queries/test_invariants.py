@@ -192,6 +192,13 @@ def test_a_seeded_defect_is_caught_at_its_event(defect: Defect) -> None:
     assert (rows[shows_at]["run_id"], rows[shows_at]["seq"]) in offending(defect.invariant, rows)
 
 
+def test_every_invariant_yields_what_audit_reads() -> None:
+    with from_rows([]) as database:
+        for query in invariants():
+            lacking = {"run_id", "seq", "type", "found"} - set(database.query(query.name).column_names)
+            assert not lacking, f"queries/{query.name}.sql: it has no column {', '.join(sorted(lacking))}"
+
+
 def test_every_invariant_has_at_least_three_seeded_defects() -> None:
     count = {
         query.relation[:2]: sum(defect.invariant == query.relation[:2] for defect in DEFECTS) for query in invariants()

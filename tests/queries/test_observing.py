@@ -106,7 +106,7 @@ def test_a_judge_rests_on_the_concerns_of_all_events_that_its_query_reads(judge:
         read -= ONLY_RECORDS
     if judge == "i1_local_agent_coherence":
         read |= concerns_with(PRINCIPALS)
-    assert NEEDED[judge] == read
+    assert NEEDED.get(judge) == read, f"{judge}: facts/judged_concerns says what it rests on"
 
 
 # --- real runs, each also as a source would record it that does not observe one concern ---
