@@ -275,6 +275,8 @@ def test_every_folder_with_modules_is_listed_among_the_packages() -> None:
     listed = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["tool"]["setuptools"]["packages"]
     folders = {path.parent.relative_to(ROOT) for path in (ROOT / "fsar_ledger").rglob("*.py")}
     own = {".".join(folder.parts) for folder in folders}
+    missing = own - {*listed}
+    assert not missing, f"list {', '.join(sorted(missing))} under `packages` in pyproject.toml"
     assert sorted(listed) == sorted(own | {"fsar_ledger.queries", "fsar_ledger.reports"})
 
 
