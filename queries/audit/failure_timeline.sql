@@ -13,13 +13,7 @@
 --   answers attempt 1 and 2 at robot/D1 in vain, no peer, no reassignment, supervisor/fleet resolved it; 4.356, 0.196,
 --   0.571 and 24.384 s
 -- Parameters: run: run = all, action: action = all
-WITH told AS (
-    SELECT * FROM recovery_steps
-    UNION ALL BY NAME
-    SELECT * FROM steps_of_unseen_failures
-),
-
-telling AS (
+WITH telling AS (
     SELECT run_id FROM run_started
     WHERE list_has_any(list_cat(observes, records), ['recovery', 'FailureResolved'])
 ),
@@ -44,7 +38,7 @@ steps AS (
             WHEN until_us IS NOT NULL THEN until_us
             WHEN run_id IN (SELECT run_id FROM telling) THEN time_us
         END AS over_us
-    FROM told
+    FROM recovery_steps
     WHERE $run IN ('all', run_id) AND $action IN ('all', action_id)
     WINDOW in_order AS (PARTITION BY run_id, action_id, failure ORDER BY seq)
 )

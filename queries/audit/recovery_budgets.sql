@@ -35,23 +35,12 @@ levels AS (
     GROUP BY run_id, action_id, failure, level, rank, robot
 ),
 
-acts AS (
-    SELECT acts.run_id, acts.action_id, acts.failure, acts.level
-    FROM recovery_acts AS acts
-    SEMI JOIN failures
-        ON acts.run_id = failures.run_id AND acts.action_id = failures.action_id AND acts.failure = failures.failure
-    WHERE acts.is_use
-    UNION ALL
-    SELECT run_id, action_id, failure, level
-    FROM steps_of_unseen_failures
+uses AS (
+    SELECT run_id, action_id, failure, level, count(*) AS used
+    FROM recovery_steps
     WHERE
         type IN ('RecoveryAttempted.v1', 'AssistanceRequested.v1', 'SupervisorCalled.v1')
         OR (type = 'ReassignmentDecided.v1' AND helper IS NOT NULL)
-),
-
-uses AS (
-    SELECT run_id, action_id, failure, level, count(*) AS used
-    FROM acts
     GROUP BY run_id, action_id, failure, level
 )
 

@@ -3,8 +3,7 @@
 -- Grain: one row per action that a record names, or that a denial is about by its cause
 -- Key: run_id, action_id
 -- Units: began_us, ended_us, withdrawn_us microseconds of run time; begun_seq, refused_seq, result_seq, withdrawn_seq
---   positions in the run of the last command, acceptance, queueing or start, refusal, result, and withdrawal;
---   offered_seq of the first candidates that were found
+--   of the last command, acceptance, queueing or start, refusal, result, withdrawal; offered_seq of the first offer
 -- NULL: what no record of the action tells; failures when none is on record and the run does not observe recovery,
 --   state when it does not observe execution and request; withdrawn_us unless the state is withdrawn
 -- Example: fsar-ledger query facts/action_records LEDGER
@@ -21,60 +20,61 @@ WITH told AS (
     FROM own_step_decided AS decided
     INNER JOIN keyed_events AS caused ON decided.run_id = caused.run_id AND decided.seq = caused.caused_by
     WHERE decided.action_id IS NULL
+),
+
+records AS (
+    SELECT
+        events.* REPLACE (told.action_id AS action_id),
+        -- What a robot failed to do while it was alone is still to be done.
+        events.type IN ('ExecutionFinished.v1', 'RequestClosed.v1')
+        OR (events.type = 'IsolatedResultAccepted.v1' AND events.result = 'success') AS is_end,
+        events.type IN ('RequestDenied.v1', 'RequestUnanswered.v1') AS is_refusal
+    FROM told
+    INNER JOIN events ON told.run_id = events.run_id AND told.seq = events.seq
+    WHERE told.action_id IS NOT NULL
 )
 
 SELECT
-    told.run_id, told.action_id,
+    records.run_id, records.action_id,
     min(time_us) AS began_us,
-    arg_min(capability, events.seq) AS capability,
+    arg_min(capability, seq) AS capability,
     coalesce(
-        arg_min(decided_by, events.seq) FILTER (type IN ('RequestIssued.v1', 'CommandIssued.v1', 'OwnStepDecided.v1')),
-        arg_min(requested_by, events.seq), arg_min(robot, events.seq) FILTER (type = 'OutsiderRequestInjected.v1')
+        arg_min(decided_by, seq) FILTER (type IN ('RequestIssued.v1', 'CommandIssued.v1', 'OwnStepDecided.v1')),
+        arg_min(requested_by, seq), arg_min(robot, seq) FILTER (type = 'OutsiderRequestInjected.v1')
     ) AS asked_by,
     string_agg(DISTINCT decided_by, ' and ' ORDER BY decided_by) FILTER (
         type IN ('RequestAdmitted.v1', 'CommandIssued.v1', 'OwnStepDecided.v1')
         OR (type = 'SupervisorResponded.v1' AND purpose = 'review' AND approves)
     ) AS allowed_by,
     string_agg(DISTINCT executed_by, ' and ' ORDER BY executed_by) FILTER (type = 'ExecutionStarted.v1') AS executed_by,
-    list(coalesce(if(type = 'SupervisorResponded.v1', decided_by, NULL), supervised_by) ORDER BY events.seq) FILTER (
+    list(coalesce(if(type = 'SupervisorResponded.v1', decided_by, NULL), supervised_by) ORDER BY seq) FILTER (
         type IN ('ExecutionStarted.v1', 'RequestDenied.v1', 'SupervisorResponded.v1')
     ) AS supervisors,
     nullif(
         count(*) FILTER (type = 'ExecutionFailed.v1'), if(any_value(list_contains(runs.observes, 'recovery')), NULL, 0)
     ) AS failures,
-    max(time_us) FILTER (
-        type IN ('ExecutionFinished.v1', 'RequestClosed.v1', 'RequestDenied.v1', 'RequestUnanswered.v1')
-    ) AS ended_us,
-    max(events.seq) FILTER (
+    max(time_us) FILTER (is_end OR is_refusal) AS ended_us,
+    max(seq) FILTER (
         type IN ('CommandIssued.v1', 'RequestAccepted.v1', 'ExecutionQueued.v1', 'ExecutionStarted.v1')
     ) AS begun_seq,
-    max(events.seq) FILTER (type IN ('RequestDenied.v1', 'RequestUnanswered.v1')) AS refused_seq,
-    max(events.seq) FILTER (type IN ('ExecutionFinished.v1', 'RequestClosed.v1') AND result IS NOT NULL) AS result_seq,
-    arg_max(result || coalesce('(' || cause || ')', ''), events.seq) FILTER (
-        type IN ('ExecutionFinished.v1', 'RequestClosed.v1')
-    ) AS result,
+    max(seq) FILTER (is_refusal) AS refused_seq,
+    max(seq) FILTER (is_end AND result IS NOT NULL) AS result_seq,
+    arg_max(result || coalesce('(' || cause || ')', ''), seq) FILTER (is_end) AS result,
     arg_max(
-        CASE
-            WHEN type = 'RequestDenied.v1' THEN 'denied: ' || reason
-            WHEN executed_by IS NULL THEN 'nobody to ask'
-            ELSE 'no answer'
-        END,
-        events.seq
-    ) FILTER (type IN ('RequestDenied.v1', 'RequestUnanswered.v1')) AS refusal,
-    max(events.seq) FILTER (type = 'ExecutionWithdrawn.v1') AS withdrawn_seq,
+        if(type = 'RequestDenied.v1', 'denied: ' || reason, if(executed_by IS NULL, 'nobody to ask', 'no answer')), seq
+    ) FILTER (is_refusal) AS refusal,
+    max(seq) FILTER (type = 'ExecutionWithdrawn.v1') AS withdrawn_seq,
     CASE
         WHEN NOT any_value(list_has_all(runs.observes, ['execution', 'request'])) THEN NULL
         WHEN bool_or(type = 'ExecutionStarted.v1') THEN 'not finished'
         ELSE if(withdrawn_seq > coalesce(begun_seq, -1), 'withdrawn', 'not begun')
     END AS state,
     if(state = 'withdrawn', max(time_us) FILTER (type = 'ExecutionWithdrawn.v1'), NULL) AS withdrawn_us,
-    min(events.seq) FILTER (type = 'RegistryQueried.v1' AND len(candidates) > 0) AS offered_seq,
-    count(*) FILTER (
+    min(seq) FILTER (type = 'RegistryQueried.v1' AND len(candidates) > 0) AS offered_seq,
+    bool_or(
         target_role IS NOT NULL
         OR type IN ('RequestIssued.v1', 'CommandIssued.v1', 'RegistryQueried.v1', 'OutsiderRequestInjected.v1')
-    ) > 0 AS is_request
-FROM told
-INNER JOIN events ON told.run_id = events.run_id AND told.seq = events.seq
-INNER JOIN runs ON told.run_id = runs.run_id
-WHERE told.action_id IS NOT NULL
-GROUP BY told.run_id, told.action_id
+    ) AS is_request
+FROM records
+INNER JOIN runs ON records.run_id = runs.run_id
+GROUP BY records.run_id, records.action_id

@@ -45,7 +45,7 @@ ended AS (
 works AS (
     SELECT
         run_id, action_id,
-        any_value(CASE WHEN step > 0 THEN task_id || ' ' || step END) AS work
+        arg_min(task_id || ' ' || step, seq) FILTER (step > 0) AS work
     FROM execution_queued
     GROUP BY run_id, action_id
 )

@@ -147,6 +147,15 @@ def test_a_request_has_its_parties_and_its_result() -> None:
     ]
 
 
+def test_what_a_robot_did_while_it_was_alone_has_its_result_once_the_fleet_accepts_it() -> None:
+    queued = event("ExecutionQueued", S, **about(executed_by=B), robot=B)
+    withdrawn = event("ExecutionWithdrawn", 9 * S, **about(), robot=B)
+    for result, told in (("success", ("success", 9.0)), ("failure", ("not begun", None))):
+        accepted = event("IsolatedResultAccepted", 9 * S, **about(), robot=B, isolated_run="alone", result=result)
+        after = [withdrawn] if result == "success" else []
+        assert asked("requests", "result ended_s", queued, accepted, *after, action="t1/1.1") == [told]
+
+
 def test_a_request_without_an_end_is_told_by_how_far_it_came() -> None:
     denied = event("RequestDenied", 3 * S, **about(by=B), reason="trust")
     nobody = event("RequestUnanswered", 3 * S, **about(by=A, executed_by=None), capability="lift")
