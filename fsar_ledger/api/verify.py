@@ -103,8 +103,17 @@ class Verification(Answer, msgspec.Struct, frozen=True):
             return []
         if not report.ok:
             return [f"{ledger}: not replayed, as its rows are in doubt"]
-        if again.ok and not report.runs:
-            return ["replayed: nothing; the ledger holds no run", *again.remarks]
+        recorded = (
+            [f"not replayed: {counted(again.recordings, 'recording')} of what other systems did and decided"]
+            if again.recordings
+            else []
+        )
+        if again.ok and not again.runs:
+            return [
+                f"replayed: nothing; the ledger holds no {'other ' if recorded else ''}run",
+                *recorded,
+                *again.remarks,
+            ]
         if again.ok:
             makers = (
                 "the handlers make them in the world on record; whether it was the world of the seed, this does not "
@@ -114,11 +123,11 @@ class Verification(Answer, msgspec.Struct, frozen=True):
             )
             return [
                 f"replayed: all {again.events:,} events of {counted(again.runs, 'run')} are as {makers}",
+                *recorded,
                 *again.remarks,
             ]
-        count = (
-            f"{report.runs - again.runs:,} of {report.runs:,} runs" if report.runs > again.runs else "what was planned"
-        )
+        doubted = report.runs - again.recordings - again.runs
+        count = f"{doubted:,} of {report.runs:,} runs" if doubted else "what was planned"
         return [
             f"{ledger}: consistent, but replay doubts {count}; do not rely on what they say happened and was decided"
         ]
@@ -248,6 +257,7 @@ def replayed(
         sum(one.runs for one in found),
         sum(one.events for one in found),
         tuple(dict.fromkeys(remark for one in found for remark in one.remarks)),
+        sum(one.recordings for one in found),
     )
 
 

@@ -18,7 +18,8 @@ The first event of a fork says what is otherwise than in its base (`recipes.py`)
 base without, and how far the one repeats the other is compared with what the first event says.
 
 A live run whose commands are on record (`CommandGiven`) is made again from these alone; when they came and what they
-say is taken on trust. Other live and foreign runs declare nothing from which they could be made: they are refused.
+say is taken on trust. Other live runs declare nothing from which they could be made: they are refused. Foreign runs are
+recordings of what others decided, which no handler of ours could make: they are counted, and no doubt.
 
 A replay can also be asked to take what the world did and answered from the record (`recorded.py`). It checks every
 decision, and that none is missing, whatever world the run was in; that this world was the one of the seed, it does not.
@@ -60,7 +61,8 @@ from .run_replay import Difference, ForeignDigest, error_text, replay_run
 class ReplayReport(msgspec.Struct, frozen=True):
     """The result of `replay`.
 
-    Units: `commits`, `runs` and `events` (of runs) count what replay made exactly as recorded.
+    Units: `commits`, `runs` and `events` (of runs) count what replay made exactly as recorded; `recordings` the foreign
+    runs, which it does not make.
 
     `remarks` do not cast doubt on a run: they name constants that are not this version's, and digests of a state in a
     shape that is not.
@@ -72,6 +74,7 @@ class ReplayReport(msgspec.Struct, frozen=True):
     runs: int = 0
     events: int = 0
     remarks: tuple[str, ...] = ()
+    recordings: int = 0
 
 
 class CommitReport(msgspec.Struct, frozen=True):
@@ -85,6 +88,7 @@ class CommitReport(msgspec.Struct, frozen=True):
     runs: int
     events: int
     digests: tuple[ForeignDigest, ...] = ()
+    recordings: int = 0
 
     @property
     def ok(self) -> bool:
@@ -121,17 +125,18 @@ def replay(
     found: list[Difference] = []
     worlds: list[WorldConstantsUsed] = []
     digests: list[ForeignDigest] = []
-    whole = runs = events = 0
+    whole = runs = events = recordings = 0
     continued = frozenset(earlier_runs(view).values())
     for done, result in enumerate(_replayed(str(path), files, max(1, workers), is_recorded, continued), start=1):
         found += result.differences
         worlds += result.worlds
         digests += result.digests
         whole, runs, events = whole + result.ok, runs + result.runs, events + result.events
+        recordings += result.recordings
         if progress is not None:
             progress(done, len(files))
     remarks = (*remarks_on(worlds), *_remarks_on_digests(digests))
-    return ReplayReport(not found, tuple(found[:MAX_PROBLEMS]), whole, runs, events, remarks)
+    return ReplayReport(not found, tuple(found[:MAX_PROBLEMS]), whole, runs, events, remarks, recordings)
 
 
 def _remarks_on_digests(found: Sequence[ForeignDigest]) -> Iterator[str]:
@@ -184,10 +189,13 @@ def replay_commit(
     found: list[Difference] = []
     starts: list[RunStarted] = []
     digests: list[ForeignDigest] = []
-    runs = events = 0
+    runs = events = recordings = 0
     try:
         for record in _runs_in(Path(path), files):
             if record.run_id in continued:
+                continue
+            if isinstance(started := record.events[0], RunStarted) and started.kind == "foreign":
+                recordings += 1
                 continue
             if continued_by(record) is None:
                 difference, parts, size = replay_run(record, is_recorded) or _cut_within(record), 1, len(record.events)
@@ -197,14 +205,14 @@ def replay_commit(
                 continue
             if difference is None:
                 runs, events = runs + parts, events + size
-                starts += [event for event in record.events[:1] if isinstance(event, RunStarted)]
+                starts += [started] if isinstance(started, RunStarted) else []
             else:
                 found.append(msgspec.structs.replace(difference, commit=number, segment=_place(files[0])))
     except Exception as error:  # a check that fails in an unforeseen way is still a finding
         found.append(
             Difference(None, None, None, None, "runs that can be replayed", error_text(error), number, _place(files[0]))
         )
-    return CommitReport(tuple(found), constants_used(starts), runs, events, tuple(digests))
+    return CommitReport(tuple(found), constants_used(starts), runs, events, tuple(digests), recordings)
 
 
 def _cut_within(record: LedgerRun, runs: int = 1) -> Difference | None:

@@ -15,6 +15,7 @@ from fsar_ledger.events.configuration import PAPER_ARCHITECTURES
 from fsar_ledger.events.envelope import Architecture, Robot
 from fsar_ledger.events.world import RoutineDue
 from fsar_ledger.ledger.rows.codec import LedgerRun
+from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.runtime.replay import NOT_REPLAYED, ReplayReport, replay, replay_commit
 from fsar_ledger.runtime.run_replay import replay_run
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
@@ -136,10 +137,11 @@ def test_a_segment_that_cannot_be_read_is_a_finding(tmp_path: Path) -> None:
 
 
 def test_a_run_in_the_journal_is_said_to_be_there(tmp_path: Path) -> None:
-    with record(tmp_path / "ledger", run="day", observes=["ExecutionStarted"]) as recorder:
-        recorder.event("ExecutionStarted", task_id="t", action_id="t/1", robot="robot/a", capability="carry")
+    forged = FORGERIES["no supervisor is named"].run
+    with Writer(tmp_path / "ledger", "test") as writer:
+        writer.add([forged])
     [difference] = replay(tmp_path / "ledger").differences
-    assert (difference.segment, difference.run) == ("journal.jsonl", "day")
+    assert (difference.segment, difference.run) == ("journal.jsonl", forged.run_id)
 
 
 def test_a_run_between_whose_commits_another_was_recorded_replays(tmp_path: Path) -> None:
@@ -149,8 +151,7 @@ def test_a_run_between_whose_commits_another_was_recorded_replays(tmp_path: Path
         with record(tmp_path / "ledger", run="beside", observes=["ExecutionStarted"]):
             one.give("ReportStart", "robot/A1", robot="robot/A1", action_id="t/1.1")
     report = replay(tmp_path / "ledger")
-    assert [(one.run, one.field) for one in report.differences] == [("beside", "kind")]
-    assert report.runs == 1
+    assert (report.differences, report.runs, report.recordings) == ((), 1, 1)
 
 
 # --- the command ---
@@ -165,6 +166,18 @@ def test_verify_with_replay_says_what_was_replayed(call: Call, tmp_path: Path) -
     answer = json.loads(call("verify", path, "--replay", "--json").out)
     assert (answer["ok"], answer["replay"]["ok"], answer["replay"]["events"]) == (True, True, len(HONEST.events))
     assert "replay" not in json.loads(call("verify", path, "--json").out)
+
+
+def test_a_recording_is_counted_as_not_replayed_and_no_doubt(call: Call, tmp_path: Path) -> None:  # noqa: F811
+    with record(tmp_path / "ledger", run="day", observes=["ExecutionStarted"]) as recorder:
+        recorder.event("ExecutionStarted", task_id="t", action_id="t/1", robot="robot/a", capability="carry")
+    called = call("verify", tmp_path / "ledger", "--replay").good()
+    assert called.out.splitlines()[-2:] == [
+        "replayed: nothing; the ledger holds no other run",
+        "not replayed: 1 recording of what other systems did and decided",
+    ]
+    answer = json.loads(call("verify", tmp_path / "ledger", "--replay", "--json").out)
+    assert (answer["ok"], answer["replay"]["runs"], answer["replay"]["recordings"]) == (True, 0, 1)
 
 
 def test_a_forged_decision_ends_the_command_with_3(call: Call, tmp_path: Path) -> None:  # noqa: F811
