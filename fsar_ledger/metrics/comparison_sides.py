@@ -313,12 +313,12 @@ def _of_one(held: Sequence[Side], first: Side | None, second: Side | None, place
         missing = (
             "--first NAME and --second NAME" if one is None else "--second NAME" if second is None else "--first NAME"
         )
-        what = (
-            f"{place}: found {counted(len(held), 'side')}, expected two, or {missing} to say which"
-            if held
-            else f"{place}: found no runs, expected two sides to compare"
+        if len(held) < 2:
+            found = f"1 side, {held[0]}" if held else "no runs"
+            raise UsageError(f"{place}: found {found}, expected two sides to compare; give a second ledger")
+        raise UsageError(
+            f"{place}: found {len(held):,} sides, expected two, or {missing} to say which; it holds {_listed(held)}"
         )
-        raise UsageError(f"{what}; it holds {_listed(held)}" if held else what)
     return (others[0], others[1]) if one is None else (one, others[0]) if first is not None else (others[0], one)
 
 
