@@ -50,7 +50,7 @@ def test_recordings_are_in_no_pair_and_nobody_is_told_to_simulate_them(call: Cal
     assert "runs of a real fleet have none, and are in no pair: `fsar-ledger metrics` shows" in told.out
     assert "simulate" not in told.out
     assert told.out.splitlines()[-1] == "no constants are on record"
-    one_message(call("compare", tmp_path / "hall"), 2, "found 1 side, expected two")
+    one_message(call("compare", tmp_path / "hall"), 2, "found 1 side", "give a second ledger")
 
 
 def test_compare_refuses_what_it_cannot_tell(call: Call, ledger: Path) -> None:
