@@ -1,10 +1,12 @@
 """The fixes of `tests/reverts` still stand in their files, and each names a test that exists."""
 
 import re
+import sys
 
 import pytest
 
 from tests.reverts import ROOT, reverted, reverts
+from tests.running import ran
 
 FIXES = reverts()
 LINES = {*(f"1.{number}" for number in range(1, 10)), *(f"2.{number}" for number in range(1, 8))}
@@ -25,3 +27,11 @@ def test_a_fix_names_a_test_that_exists(name: str) -> None:
 
 def test_every_line_of_the_right_answers_has_a_fix() -> None:
     assert {fix.line for fix in FIXES.values()} >= LINES
+
+
+@pytest.mark.slow
+def test_a_fix_that_names_a_case_of_a_test_names_one_that_exists() -> None:
+    named = {fix.test for fix in FIXES.values() if "[" in fix.test}
+    files = sorted({test.partition("::")[0] for test in named})
+    listed = ran([sys.executable, "-m", "pytest", "--collect-only", "-m", "", *files], cwd=ROOT).stdout.splitlines()
+    assert named <= {*listed}

@@ -110,8 +110,8 @@ class Verification(Answer, msgspec.Struct, frozen=True):
         )
         if again.ok and not again.runs:
             return [
-                f"replayed: nothing; the ledger holds no {'other ' if recorded else ''}run",
                 *recorded,
+                f"replayed: nothing; the ledger holds no {'other ' if recorded else ''}run",
                 *again.remarks,
             ]
         if again.ok:

@@ -173,8 +173,8 @@ def test_a_recording_is_counted_as_not_replayed_and_no_doubt(call: Call, tmp_pat
         recorder.event("ExecutionStarted", task_id="t", action_id="t/1", robot="robot/a", capability="carry")
     called = call("verify", tmp_path / "ledger", "--replay").good()
     assert called.out.splitlines()[-2:] == [
-        "replayed: nothing; the ledger holds no other run",
         "not replayed: 1 recording of what other systems did and decided",
+        "replayed: nothing; the ledger holds no other run",
     ]
     answer = json.loads(call("verify", tmp_path / "ledger", "--replay", "--json").out)
     assert (answer["ok"], answer["replay"]["runs"], answer["replay"]["recordings"]) == (True, 0, 1)

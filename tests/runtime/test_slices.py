@@ -10,7 +10,7 @@ from fsar_ledger.events.configuration import PAPER_ARCHITECTURES
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.rows.runs import joined
 from fsar_ledger.ledger.verify import verify
-from fsar_ledger.runtime import simulation
+from fsar_ledger.runtime import experiment, simulation
 from fsar_ledger.runtime.experiment import Experiment, run_experiment
 from fsar_ledger.runtime.replay import replay
 from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, simulate_run, simulate_slices
@@ -93,7 +93,11 @@ def test_any_number_of_workers_gives_the_same_bytes(tmp_path: Path) -> None:
     assert contents(tmp_path / "1") == contents(tmp_path / "2")
 
 
-def test_a_fleet_that_no_memory_holds_is_refused_before_anything_is_written(tmp_path: Path) -> None:
-    with pytest.raises(InvalidExperiment, match="fleet size: found 1000000000, expected at most 65536"):
-        run_experiment(tmp_path / "ledger", Experiment(("fsar",), SCENARIOS[:1], 1, fleet_size=10**9), 1)
+def test_a_fleet_that_no_memory_holds_is_refused_before_anything_is_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert experiment.MOST_ROBOTS == 1 << 16
+    monkeypatch.setattr(experiment, "MOST_ROBOTS", 8)  # more would take all memory if they were not refused
+    with pytest.raises(InvalidExperiment, match="fleet size: found 12, expected at most 8"):
+        run_experiment(tmp_path / "ledger", Experiment(("fsar",), SCENARIOS[:1], 1, fleet_size=12), 1)
     assert not (tmp_path / "ledger").exists()
