@@ -105,6 +105,20 @@ def test_who_is_off_or_has_departed_is_not_idle_and_who_works_need_not_have_join
     assert [row[1:3] for row in answer(question, run(*history, *back))] == [("robot/A1", "idle"), (B, "idle")]
 
 
+@pytest.mark.parametrize(
+    ("question", "needed"),
+    [
+        ("audit/robot_activity", {"execution", "recovery"}),
+        ("audit/robot_state_at", {"execution", "recovery", "registry", "supervision", "world"}),
+    ],
+)
+def test_a_robot_is_idle_only_where_all_that_it_could_be_at_is_observed(question: str, needed: set[str]) -> None:
+    for missing in (None, *needed):
+        observes = sorted({"fleet", *needed} - {missing})
+        history = run(JOINED, kind="foreign", observes=observes, records=["RobotJoined"])
+        assert [row[2] for row in answer(question, history)] == [None if missing else "idle"], missing
+
+
 def test_nobody_is_said_to_be_away_or_to_act_meanwhile_where_a_run_does_not_tell_who_returned() -> None:
     asks = event("RegistryQueried", 12 * S, requested_by="robot/A1", capability="fly", candidates=[B], domain="")
     started = act("ExecutionStarted", 12 * S, "t/1.1", robot=B, on_behalf_of=B, capability="fly")
