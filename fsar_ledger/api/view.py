@@ -171,7 +171,8 @@ def _write(out: Path, content: bytes) -> None:
 
 def _shown(ledger: "Ledger", asked: Run | None) -> "tuple[PageOptions, Provenance]":
     """Return a run with all that is drawn of it, and the provenance of that."""
-    from fsar_ledger.events import ALONE, CONCERNS
+    from fsar_ledger.analysis.situation import Coverage
+    from fsar_ledger.events import ALONE
     from fsar_ledger.ledger.store.locations import record_of
     from fsar_ledger.view import PageOptions, drawn, words_of
 
@@ -188,7 +189,6 @@ def _shown(ledger: "Ledger", asked: Run | None) -> "tuple[PageOptions, Provenanc
             f"`fsar-ledger query runs {printable.word(ledger.path)}` lists them"
         )
     provenance = told.provenance
-    missing = tuple(concern for concern in CONCERNS if concern not in getattr(run.events[0], "observes", ()))
     head = provenance.head
     picture = PageOptions(
         drawn(run, name if number is None else f"{number}", words_of(told.rows())),
@@ -196,7 +196,7 @@ def _shown(ledger: "Ledger", asked: Run | None) -> "tuple[PageOptions, Provenanc
         head.events if head else 0,
         head.root if head else "",
         bool(provenance.rows_verified),
-        missing,
+        tuple(Coverage(run.events[0]).lacking.values()),
     )
     return picture, provenance
 

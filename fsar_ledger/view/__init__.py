@@ -177,7 +177,7 @@ _ABOUT = ("architecture", "configuration", "scenario", "seed", "fleet_size", "ki
 class PageOptions(msgspec.Struct, frozen=True):
     """A run to show, and where it comes from: the words that name its ledger in a command, and the head.
 
-    `not_observed` names the concerns that its source does not record.
+    `not_observed` names the concerns that its source does not record, or only in part.
     """
 
     drawn: Drawn

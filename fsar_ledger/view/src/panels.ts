@@ -9,6 +9,7 @@ type Choose = (run: number, seq: number) => void;
 const LINKS_MOST = 40;
 /** The concerns without which nobody knows that a robot is idle. */
 const DOINGS = ["execution", "recovery"];
+const IN_PART = " in part";
 
 const WORDS: Record<string, (span: Span) => string> = {
   task: (span) => `task ${span.about}`,
@@ -43,7 +44,7 @@ function momentOf(state: State, run: Run, choose: Choose): HTMLElement {
   found.append(...clock(run, state.cursor).map((time) => element("p", { class: "note" }, time)));
   const order = Object.keys(WORDS);
   const held = heldAt(run, state.cursor).sort((one, other) => order.indexOf(one.track) - order.indexOf(other.track));
-  const unseen = run.notObserved.filter((concern) => DOINGS.includes(concern));
+  const unseen = run.notObserved.filter((concern) => DOINGS.includes(concern.replace(IN_PART, "")));
   const nothing = unseen.length > 0 ? `not observed: ${unseen.join(", ")}` : "idle";
   const list = element("dl", { class: "lanes" });
   for (const lane of run.lanes.filter((one) => showsLane(state.filters, run, one.index))) {
