@@ -1,7 +1,7 @@
 -- Title: What came of each attempt at recovery, and of each question for help
 -- Paper: eq:recovery
 -- Grain: one row per failure and attempt, or helper that was asked, of which the record says what came of it
--- Key: run_id, action_id, failure, number, helper
+-- Key: run_id, action_id, failure, number?, helper?
 -- Units: number counts the attempts at a failure from 1
 -- NULL: number of a question for help; helper of an attempt; achieved when not even a part was
 -- Example: fsar-ledger query facts/recovery_answers LEDGER
