@@ -65,9 +65,9 @@ SELECT
     END / 1000000 AS ended_s,
     CASE
         WHEN actions.result IS NOT NULL THEN actions.result_seq
-        WHEN actions.begun_seq < actions.refused_seq OR actions.withdrawn_us IS NULL
-            THEN if(actions.begun_seq > actions.refused_seq, NULL, actions.refused_seq)
-        ELSE actions.withdrawn_seq
+        WHEN actions.refused_seq IS NULL OR actions.begun_seq > actions.refused_seq
+            THEN if(actions.state = 'withdrawn', actions.withdrawn_seq, NULL)
+        ELSE actions.refused_seq
     END AS seq,
     actions.is_request
 FROM action_records AS actions

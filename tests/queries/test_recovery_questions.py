@@ -79,6 +79,18 @@ def test_the_use_of_each_budget_stands_beside_it() -> None:
     ]
 
 
+@pytest.mark.parametrize("is_resolved", [False, True])
+def test_a_call_is_no_use_of_the_budget_of_an_earlier_failure(is_resolved: bool) -> None:
+    to_human = failure("RecoveryEscalated", 11, level="local", to_level="human")
+    call = event("SupervisorCalled", 11, action_id="t1/1", purpose="recovery", supervisor="supervisor/D1")
+    again = [*({**row, "time_us": 20, "failure": 2} for row in (FAILED, to_human)), {**call, "time_us": 20}]
+    resolved = [failure("FailureResolved", 20, level="human")] if is_resolved else []
+    assert asked("recovery_budgets", "failure level used", FAILED, to_human, call, *resolved, *again) == [
+        (1, "human", 1),
+        (2, "human", 1),
+    ]
+
+
 def test_a_budget_counts_from_the_moment_in_which_it_was_set() -> None:
     def budget(n_max: int, **fields: Any) -> Row:
         of_robot = {"robot": "robot/D1", "level": "local", "decided_by": "supervisor/D1", **fields}

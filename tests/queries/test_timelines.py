@@ -191,6 +191,7 @@ def test_a_request_that_its_robot_left_before_it_began_was_withdrawn_and_one_tha
     assert asked("requests", columns, request(), accepted, withdrawn) == [("withdrawn", 4.0, 3)]
     assert asked("requests", columns, request(), accepted, withdrawn, queued) == [("not begun", None, None)]
     assert asked("requests", columns, request(), accepted, withdrawn, denied) == [("denied: trust", 5.0, 4)]
+    assert asked("requests", columns, request(), withdrawn, denied) == [("denied: trust", 5.0, 3)]
     early = {**denied, "time_us": 2 * S}
     assert asked("requests", columns, request(), early, accepted, withdrawn) == [("withdrawn", 4.0, 4)]
     assert asked("requests", columns, request(), accepted, STARTED, withdrawn) == [("not finished", None, None)]
