@@ -62,7 +62,11 @@ class Past(msgspec.Struct):
 
 
 class Coverage:
-    """What the source of a run observes; `lacking` names the concerns that it does not, or (`is_in_part`) not whole."""
+    """What the source of a run observes.
+
+    `lacking` has the concerns that it does not observe, or only in part, and how each is named to people. `is_in_part`:
+    the run names the event types that it records. `tells_ends`: it records how executions end.
+    """
 
     def __init__(self, started: Event) -> None:
         observes, records = getattr(started, "observes", ()), getattr(started, "records", None)
@@ -281,7 +285,7 @@ def _open_requests(past: Past) -> Iterator[Request]:
     actions = past.state.execution.actions
     for one in past.state.request.open.values():
         action = actions.get(one.action_id)
-        if one.is_over or (action is None and past.ends.has(one.action_id, one.result)):
+        if one.is_over or (action is None and past.ends.is_over(one.action_id, one.result)):
             continue
         asked = next((name for name in one.candidates[:1] if name == past.asked.get(one.action_id)), None)
         yield msgspec.structs.replace(one, target=one.target or (asked if action is None else action.robot))

@@ -136,8 +136,8 @@ class Events:
     """Some events of a ledger; every method reads the ledger anew.
 
     Iterating yields a `LoggedEvent` for each, in the order of the ledger, with one segment in memory at a time: runs
-    that were recorded at the same time take turns. Events of retired types come as their newest version. Of one run,
-    those that it continues come first, and seqs count on.
+    that were recorded at the same time take turns. Events of retired types come as their newest version. If some run
+    continues another, whole runs come instead, and those that continue each other as one, with seqs that count on.
     """
 
     def __init__(self, path: Path, meant: Filter, demanded: str | None = None) -> None:

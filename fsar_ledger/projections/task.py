@@ -100,7 +100,7 @@ class RequestEnds(msgspec.Struct, frozen=True):
     of_task: Mapping[str | None, tuple[str | None, ...]] = {}
 
     def after(self, event: Event) -> "RequestEnds":
-        """Return it after this event, of which the first is the beginning of the run."""
+        """Return what is over after this event. The first event of a run says what its source records."""
         if isinstance(event, RunStarted):
             tells = "request" in (event.observes or ()) or "RequestClosed" in (event.records or ())
             return RequestEnds(event.kind == "foreign", tells)
@@ -117,8 +117,8 @@ class RequestEnds(msgspec.Struct, frozen=True):
             return replace(self, over=over, of_task=without(self.of_task, event.task_id))
         return self
 
-    def has(self, action: str, result: str | None) -> bool:
-        """Return whether the request of this action is over, whose result is that."""
+    def is_over(self, action: str, result: str | None) -> bool:
+        """Return whether the request for this action is over; `result` is that of its execution, if known."""
         return action in self.over or (self.is_foreign and not self.tells_closings and result is not None)
 
 

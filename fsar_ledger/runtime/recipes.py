@@ -205,7 +205,7 @@ def started_of(recipe: Recipe, origin: RunStarted | None = None) -> RunStarted:
 
 
 def recorded_recipe(started: RunStarted, event_count: int) -> Recipe:
-    """Return what the run with this event 0 was made from. Raises: Unmade."""
+    """Return what the run with this event 0 was made from. Raises: CannotReplay."""
     if started.kind != "simulated":
         raise CannotReplay("kind", "a simulated run", f"a {started.kind} run, whose commands are not stored")
     _require_our_model(started)
@@ -276,7 +276,7 @@ def require_possible(recipe: Recipe) -> None:
 
 
 def _require_own_words(started: RunStarted, recipe: Recipe) -> None:
-    """Check that event 0 says what this version says of such a run. Raises: Unmade."""
+    """Check that event 0 says what this version says of such a run. Raises: CannotReplay."""
     own = started_of(recipe, started)
     if started.observes != own.observes:
         raise CannotReplay("observes", repr(own.observes), repr(started.observes))

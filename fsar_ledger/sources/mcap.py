@@ -99,7 +99,7 @@ class Mcap:
                 yield unreadable(b"", f"{one.name}: the file ends without a footer")
             rest = one.file.read(MAX_KEPT) if is_ended else b""
             if not MAGIC.startswith(rest):
-                yield unreadable(rest.removeprefix(MAGIC), f"{one.name}: bytes behind its end, as of two files in one")
+                yield unreadable(rest.removeprefix(MAGIC), f"{one.name}: bytes after its end, as in joined files")
 
     def _chunk(self, framed: Framed) -> Iterator[Record]:
         try:

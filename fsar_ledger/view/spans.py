@@ -17,7 +17,6 @@ from fsar_ledger.projections.fold import ROUTES, State
 from fsar_ledger.projections.knowledge import Knowledge
 from fsar_ledger.projections.policy import Policy, rules_in_force
 from fsar_ledger.projections.recovery import Recoveries
-from fsar_ledger.projections.request import Requests
 from fsar_ledger.projections.supervision import Supervision
 from fsar_ledger.projections.task import RequestEnds, Tasks
 from fsar_ledger.projections.world import World
@@ -76,11 +75,11 @@ def spans_of(run: LedgerRun) -> tuple[Span, ...]:
             before = getattr(state, slot)
             after = evolve(before, event)
             setattr(state, slot, after)
-            if after is not before and slot in FACTS and slot != "request":
+            if after is not before and slot in FACTS:
                 facts.now(slot, frozenset(FACTS[slot](after)), time_us, seq)
         is_freed = ends.is_foreign and state.execution.actions is not actions
         if state.request is not requests or ends is not told or is_freed:
-            facts.now("request", frozenset(_open_requests(state, ends)), time_us, seq)
+            facts.now("request", frozenset(open_requests(state, ends)), time_us, seq)
         facts.beside(event, time_us, seq)
     facts.end()
     return tuple(sorted(facts.spans, key=lambda span: (span.start_us, span.seq, span.fact)))
@@ -152,17 +151,11 @@ def _recoveries(state: Recoveries) -> Iterator[Fact]:
         yield Fact(failure.robot, "recovery", failure.level, name, f"{cause}, failure {failure.failure}")
 
 
-def _open_requests(state: State, ends: RequestEnds) -> Iterator[Fact]:
-    """Yield the requests without those that are over although nobody closes them."""
-    for fact in _requests(state.request):
-        is_executed = fact.about in state.execution.actions
-        if is_executed or not ends.has(fact.about, state.request.open[fact.about].result):
-            yield fact
-
-
-def _requests(state: Requests) -> Iterator[Fact]:
-    for name, request in state.open.items():
-        if request.is_delegated and not request.is_over:
+def open_requests(state: State, ends: RequestEnds) -> Iterator[Fact]:
+    """Yield the open requests, without those that are over although nobody closes them."""
+    for name, request in state.request.open.items():
+        is_over = request.is_over or (name not in state.execution.actions and ends.is_over(name, request.result))
+        if request.is_delegated and not is_over:
             kind = "accepted" if request.is_accepted else "open"
             yield Fact(request.requester, "request", kind, name, request.capability)
 
@@ -213,11 +206,10 @@ FACTS: dict[str, Callable[[Any], Iterator[Fact]]] = {
     "task": _tasks,
     "execution": _execution,
     "recovery": _recoveries,
-    "request": _requests,
     "supervision": _calls,
     "authority": _claims,
     "policy": _rules,
     "world": _world,
     "knowledge": _told,
 }
-"""By slot of the state, the facts that it holds."""
+"""By slot of the state, the facts that it holds; requests rest on more than one (`open_requests`)."""

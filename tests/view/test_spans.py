@@ -12,7 +12,8 @@ from fsar_ledger.events.world import PolicyWindowOpened
 from fsar_ledger.ledger.rows.codec import LedgerRun, encode
 from fsar_ledger.metrics.database import from_table
 from fsar_ledger.projections.fold import State, apply
-from fsar_ledger.view.spans import FACTS, TRACKS, Fact, Span, lane_of, spans_of
+from fsar_ledger.projections.task import RequestEnds
+from fsar_ledger.view.spans import FACTS, TRACKS, Fact, Span, lane_of, open_requests, spans_of
 from tests import past
 from tests.view.conftest import a_run
 
@@ -33,6 +34,7 @@ def test_at_every_event_exactly_the_facts_of_the_state_hold(runs: dict[str, Ledg
         for seq, event in enumerate(run.events):
             apply(state, event)
             facts = {fact for slot, read in FACTS.items() for fact in read(getattr(state, slot))}
+            facts |= {*open_requests(state, RequestEnds())}
             assert held(of_state, seq) == {fact for fact in facts if fact.lane != "coordinator"}, seq
 
 
