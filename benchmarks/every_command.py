@@ -62,9 +62,10 @@ def example_of(verb: Verb) -> list[str]:
 
 
 def from_examples(others: Collection[str]) -> dict[str, str]:
-    """Return the first example of each verb that reads a ledger, but for the others and those of `maintain`.
+    """Return the first example of each verb that reads a ledger, written like `COMMANDS`.
 
-    As `COMMANDS` holds calls: the first path is that of the ledger, all others are those of files that the verb writes.
+    It leaves out the verbs of `others` and of `maintain`. The first path of an example is taken for the ledger, every
+    other path for a file that the verb writes.
     """
     covered = {"maintain", *(name.split()[0] for name in others)}
     found = {}
