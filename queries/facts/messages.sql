@@ -13,13 +13,13 @@ WITH told AS (
         MAP {
             'decider': decided_by, 'requester': requested_by, 'executor': executed_by, 'supervisor': supervised_by,
             'robot': robot, 'peer': peer, 'claimant': claimant, 'sender': sender, 'receiver': receiver,
-            'called': supervisor, 'helper': coalesce(helper, decided_by), 'doer': coalesce(executed_by, decided_by),
+            'called': supervisor, 'helper': coalesce(helper, decided_by), 'caller': ends.caller, 'asker': ends.asker,
             'registry': if(
                 regexp_matches(runs.configuration, '^without-(.*[+])?shared-registry([+]|$)'), requested_by,
                 'service/registry'
             ),
             'target': if(events.action_id IS NULL AND request_id IS NULL, decided_by, coalesce(relay, executed_by)),
-            'caller': ends.caller, 'asker': ends.asker
+            'doer': coalesce(executed_by, if(regexp_matches(decided_by, '^(robot|agent)/'), decided_by, NULL))
         } AS parties,
         MAP {
             'capability': capability, 'cause': cause, 'purpose': purpose, 'reason': reason,

@@ -213,6 +213,8 @@ def test_who_orders_an_own_step_allows_it_and_does_not_do_it_itself() -> None:
     assert asked("requests", "allowed_by", ordered, claimed, failed) == [("coordinator",)]
     own = event("OwnStepDecided", 2 * S, **about(by=A, executed_by=None), capability="lift")
     assert asked("request_timeline", "sender receiver message", own) == [(A, A, "own step: lift")]
+    for_nobody = {**own, "decided_by": "coordinator"}
+    assert asked("request_timeline", "sender receiver", for_nobody) == [("coordinator", None)]
 
 
 def test_only_approval_allows_and_unknown_principals_stay_open() -> None:
