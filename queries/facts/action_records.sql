@@ -24,14 +24,14 @@ WITH told AS (
 
 records AS (
     SELECT
-        events.* REPLACE (told.action_id AS action_id),
+        told.run_id, told.action_id, told.seq, time_us, type, capability, candidates, target_role, decided_by,
+        requested_by, executed_by, supervised_by, robot, purpose, approves, result, cause, reason,
         -- What a robot failed to do while it was alone is still to be done.
         events.type IN ('ExecutionFinished.v1', 'RequestClosed.v1')
         OR (events.type = 'IsolatedResultAccepted.v1' AND events.result = 'success') AS is_end,
         events.type IN ('RequestDenied.v1', 'RequestUnanswered.v1') AS is_refusal
     FROM told
-    INNER JOIN events ON told.run_id = events.run_id AND told.seq = events.seq
-    WHERE told.action_id IS NOT NULL
+    INNER JOIN events ON told.run_id = events.run_id AND told.seq = events.seq AND told.action_id IS NOT NULL
 )
 
 SELECT
