@@ -35,19 +35,12 @@ levels AS (
     GROUP BY run_id, action_id, failure, level, rank, robot
 ),
 
-acts AS (
-    -- A call names no failure: of several that it could be about, it is about the last.
-    SELECT run_id, action_id, level, max(failure) AS failure
+uses AS (
+    SELECT run_id, action_id, failure, level, count(*) AS used
     FROM recovery_steps
     WHERE
         type IN ('RecoveryAttempted.v1', 'AssistanceRequested.v1', 'SupervisorCalled.v1')
         OR (type = 'ReassignmentDecided.v1' AND helper IS NOT NULL)
-    GROUP BY run_id, action_id, level, seq
-),
-
-uses AS (
-    SELECT run_id, action_id, failure, level, count(*) AS used
-    FROM acts
     GROUP BY run_id, action_id, failure, level
 )
 

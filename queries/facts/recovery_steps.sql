@@ -18,25 +18,29 @@ WITH records AS (
 
 steps AS (
     SELECT
-        records.* REPLACE (failures.failure AS failure),
-        failures.detected_us, failures.resolved_level,
+        failures.run_id, failures.action_id, failures.failure, failures.detected_us, failures.resolved_level,
+        records.seq, records.time_us, records.type, records.helper, records.supervisor, records.decided_by,
+        records.level, records.to_level, records.number, records.deadline_us, records.checkpoint, records.reason,
+        records.undone, records.capability, records.candidates,
         lead(records.time_us) OVER in_order AS until_us,
         lead(records.type) OVER in_order AS next_type
-    FROM failures_on_record AS failures
-    -- A question to the registry, and a call, name no failure: they are about the one that is not resolved yet.
-    INNER JOIN records
+    FROM records
+    ASOF INNER JOIN failures_on_record AS latest
+        ON records.run_id = latest.run_id AND records.action_id = latest.action_id AND records.seq >= latest.seq
+    -- A question to the registry, and a call, name no failure: they are about the last one, until it is resolved.
+    INNER JOIN failures_on_record AS failures
         ON
-            failures.run_id = records.run_id AND failures.action_id = records.action_id AND failures.seq <= records.seq
-            AND CASE
-                WHEN records.type IN ('RegistryQueried.v1', 'SupervisorCalled.v1')
-                    THEN records.time_us <= coalesce(failures.resolved_us, records.time_us)
-                ELSE
-                    failures.failure = records.failure
-                    AND records.type IN (
-                        'RecoveryAttempted.v1', 'AttemptRolledBack.v1', 'RecoveryEscalated.v1',
-                        'AssistanceRequested.v1', 'ReassignmentDecided.v1', 'FailureResolved.v1'
-                    )
-            END
+            records.run_id = failures.run_id AND records.action_id = failures.action_id
+            AND failures.failure = coalesce(records.failure, latest.failure)
+    WHERE
+        records.type IN (
+            'RecoveryAttempted.v1', 'AttemptRolledBack.v1', 'RecoveryEscalated.v1', 'AssistanceRequested.v1',
+            'ReassignmentDecided.v1', 'FailureResolved.v1'
+        )
+        OR (
+            records.type IN ('RegistryQueried.v1', 'SupervisorCalled.v1')
+            AND records.time_us <= coalesce(failures.resolved_us, records.time_us)
+        )
     WINDOW in_order AS (PARTITION BY failures.run_id, failures.action_id, failures.failure ORDER BY records.seq)
 )
 

@@ -60,6 +60,14 @@ def test_a_failure_is_told_level_by_level_with_results_reasons_and_times() -> No
     assert found == [(1, "gripped", 30.0, 20.0), (2, None, 30.0, 30.0)]
 
 
+@pytest.mark.parametrize("is_resolved", [False, True])
+def test_a_call_is_a_step_of_the_last_failure_alone(is_resolved: bool) -> None:
+    first, later = failed(10 * S), {**failed(50 * S), "failure": 2}
+    resolved = [{**RESOLVED, "time_us": 50 * S}] if is_resolved else []
+    answers = asked("failure_timeline", "failure what", first, *resolved, later, CALLED)
+    assert answers == [*([(1, "resolved")] if is_resolved else []), (2, "asks supervisor/fleet")]
+
+
 def test_the_last_attempt_succeeded_when_the_failure_is_resolved_after_it_and_is_open_otherwise() -> None:
     begun = TO_THE_END[:2]
     assert asked("failure_timeline", "result", *begun) == [(None,)]
