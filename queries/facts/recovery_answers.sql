@@ -1,16 +1,18 @@
--- Title: What came of each attempt at recovery, and of each question for help
+-- Title: Answers to attempts at recovery, and to questions for help
 -- Paper: eq:recovery
--- Grain: one row per failure and attempt, or helper that was asked, of which the record says what came of it
--- Key: run_id, action_id, failure, number?, helper?
--- Units: number counts the attempts at a failure from 1
+-- Grain: one row per record of what came of an attempt or of a question for help
+-- Key: run_id, seq
+-- Units: question the type of the event that it answers; number counts the attempts at a failure from 1
 -- NULL: number of a question for help; helper of an attempt; achieved when not even a part was
 -- Example: fsar-ledger query facts/recovery_answers LEDGER
 SELECT
-    run_id, action_id, failure, number, helper,
-    arg_min(
-        if(type = 'AssistanceDeclined.v1', 'busy', if(type = 'AssistanceFailed.v1', 'no help: ' || cause, result)), seq
-    ) AS answer,
-    arg_min(nullif(array_to_string(achieved, ', '), ''), seq) AS achieved
+    run_id, seq, action_id, failure, number, helper,
+    if(type = 'RecoveryAttemptFailed.v1', 'RecoveryAttempted.v1', 'AssistanceRequested.v1') AS question,
+    CASE type
+        WHEN 'AssistanceDeclined.v1' THEN 'busy'
+        WHEN 'AssistanceFailed.v1' THEN 'no help: ' || cause
+        ELSE result
+    END AS answer,
+    nullif(array_to_string(achieved, ', '), '') AS achieved
 FROM recovery_events
 WHERE type IN ('RecoveryAttemptFailed.v1', 'AssistanceDeclined.v1', 'AssistanceFailed.v1')
-GROUP BY run_id, action_id, failure, number, helper

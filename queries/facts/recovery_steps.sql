@@ -73,8 +73,8 @@ SELECT
     END AS result,
     answers.achieved
 FROM steps
-LEFT JOIN recovery_answers AS answers
+ASOF LEFT JOIN recovery_answers AS answers
     ON
         steps.run_id = answers.run_id AND steps.action_id = answers.action_id AND steps.failure = answers.failure
-        AND steps.number IS NOT DISTINCT FROM answers.number AND steps.helper IS NOT DISTINCT FROM answers.helper
-        AND steps.type IN ('RecoveryAttempted.v1', 'AssistanceRequested.v1')
+        AND steps.type = answers.question AND coalesce(steps.number, 0) = coalesce(answers.number, 0)
+        AND steps.seq < answers.seq AND coalesce(steps.helper, '') = coalesce(answers.helper, '')
