@@ -13,12 +13,12 @@
 --   left out
 -- Example: fsar-ledger query metrics/coordination_cost LEDGER
 WITH told AS (
-    -- A registry's answer is two messages.
+    -- A registry's answer is two messages; a decision on an own step is none, whoever decides it.
     SELECT
         type,
         count(*) AS messages
     FROM message_words
-    WHERE sender <> receiver
+    WHERE sender <> receiver AND type <> 'OwnStepDecided.v1'
     GROUP BY type
 ),
 

@@ -105,6 +105,16 @@ def test_only_the_last_call_resolved_the_failure() -> None:
     ]
 
 
+def test_a_helper_that_is_asked_twice_gives_each_question_its_own_answer() -> None:
+    asks = [step("AssistanceRequested", at * S, "peer", helper=C) for at in (31, 41)]
+    busy = act("AssistanceDeclined", 32 * S, "t1/1.1", robot=B, helper=C, failure=1)
+    broken = act("AssistanceFailed", 45 * S, "t1/1.1", robot=B, helper=C, failure=1, cause="obstruction")
+    assert asked("failure_timeline", "what result", failed(10 * S), asks[0], busy, asks[1], broken) == [
+        (f"asks {C} for help", "busy"),
+        (f"asks {C} for help", "no help: obstruction"),
+    ]
+
+
 def test_what_recovery_did_is_told_the_same_where_nobody_recorded_the_failure() -> None:
     helped = (step("AssistanceRequested", 31 * S, "peer", helper=C), {**RESOLVED, "level": "peer"})
     for recovery in (TO_THE_END[1:], (*TO_THE_END[1:6], *helped), TO_THE_END[1:4]):

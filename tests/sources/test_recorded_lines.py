@@ -121,8 +121,11 @@ def test_an_action_whose_beginning_is_not_on_record_is_marked(tmp_path: Path, ca
     assert "running t/2 open\n" in call("state", tmp_path / "ledger", "--run", "night").good().out
 
 
+ENDED = ["ExecutionStarted", "ExecutionFinished", "ExecutionWithdrawn"]
+
+
 def test_the_state_invents_neither_for_whom_a_robot_works_nor_that_nobody_supervises_it(tmp_path: Path) -> None:
-    with fsar_ledger.record(tmp_path / "ledger", run="r", observes=["ExecutionStarted", "ExecutionWithdrawn"]) as one:
+    with fsar_ledger.record(tmp_path / "ledger", run="r", observes=ENDED) as one:
         for name in ("a", "b"):
             about: dict[str, Any] = {"task_id": "t", "action_id": "t/1", "robot": f"robot/{name}"}
             one.event("ExecutionStarted", capability="carry", **about)
