@@ -258,12 +258,12 @@ def fails(swap: Swap) -> bool:
 
 
 def _tests_of(file: Path) -> list[str]:
-    """The files of tests that import this module."""
+    """The files of tests that import this module, or are named after it, in the room of tests that its room has."""
     root = PACKAGE.parent
     module = ".".join(file.relative_to(root).with_suffix("").parts)
-    tests = sorted((root / "tests" / "runtime").glob("test_*.py"))
-    return [str(one.relative_to(root)) for one in tests if f"from {module} import" in one.read_text()]
-
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    tests = sorted((root / "tests" / file.relative_to(PACKAGE).parts[0]).glob("test_*.py"))
+    return [
+        str(one.relative_to(root))
+        for one in tests
+        if one.stem == f"test_{file.stem}" or f"from {module} import" in one.read_text()
+    ]
