@@ -267,3 +267,7 @@ def _tests_of(file: Path) -> list[str]:
         for one in tests
         if one.stem == f"test_{file.stem}" or f"from {module} import" in one.read_text()
     ]
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
