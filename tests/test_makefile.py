@@ -50,3 +50,11 @@ def test_what_it_imports_is_there() -> None:
     assert imports
     for module, names in imports:
         assert set(names.split(", ")) <= vars(import_module(module)).keys()
+
+
+def test_each_module_of_tests_that_make_calls_does_something() -> None:
+    called = re.findall(r"python -m (tests[\w.]+)", (ROOT / "Makefile").read_text("utf-8"))
+    assert len(called) > 8
+    for module in called:
+        text = (ROOT / f"{module.replace('.', '/')}.py").read_text("utf-8")
+        assert '\nif __name__ == "__main__":\n' in text, module
