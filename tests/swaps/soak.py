@@ -208,7 +208,7 @@ def replaced(swap: Swap) -> bool:
     )
     changed = {place: code for place, code in after.items() if code != before[place]}
     patched = False
-    module = import_module(".".join(swap.file.relative_to(PACKAGE.parent).with_suffix("").parts))
+    module = import_module(_module(swap.file))
     for function in [one for one in _held(vars(module)) if isinstance(one, FunctionType)]:
         code = changed.get((function.__code__.co_qualname, function.__code__.co_firstlineno))
         if code is not None and function.__code__.co_filename == name:
@@ -223,6 +223,11 @@ def _held(names: Mapping[str, object]) -> Iterator[object]:
         yield getattr(one, "__wrapped__", one)
         if isinstance(one, type):
             yield from vars(one).values()
+
+
+def _module(file: Path) -> str:
+    """The name under which others import this file: a package by its own, since `__init__` would be a second copy."""
+    return ".".join(file.relative_to(PACKAGE.parent).with_suffix("").parts).removesuffix(".__init__")
 
 
 def _functions(code: CodeType) -> dict[tuple[str, int], CodeType]:
@@ -258,14 +263,15 @@ def fails(swap: Swap) -> bool:
 
 
 def _tests_of(file: Path) -> list[str]:
-    """The files of tests that import this module, or are named after it, in the room of tests that its room has."""
+    """The files of tests that import this module, or are named after it or its package, in its room of the tests."""
     root = PACKAGE.parent
-    module = ".".join(file.relative_to(root).with_suffix("").parts)
-    tests = sorted((root / "tests" / file.relative_to(PACKAGE).parts[0]).glob("test_*.py"))
+    module = _module(file)
+    names = f"test_{file.stem}", f"test_{file.parent.name}"
+    tests = sorted((root / "tests" / file.relative_to(PACKAGE).parts[0]).rglob("test_*.py"))
     return [
         str(one.relative_to(root))
         for one in tests
-        if one.stem == f"test_{file.stem}" or f"from {module} import" in one.read_text()
+        if one.stem.startswith(names) or f"from {module} import" in one.read_text()
     ]
 
 
