@@ -5,7 +5,9 @@ from hashlib import sha256
 
 import msgspec
 
+from fsar_ledger.designs import Budget, Density, Policy, TrustByRecord
 from fsar_ledger.designs.constants import Constants, Outages, Structure
+from fsar_ledger.designs.registered import fleet
 from fsar_ledger.events import Event
 from fsar_ledger.events.configuration import FULL, MECHANISMS_OF, without
 from fsar_ledger.events.envelope import Robot, Scenario, Supervisor, Workflow, flat
@@ -29,6 +31,7 @@ from fsar_ledger.runtime.handlers.request import RequestCapability
 from fsar_ledger.runtime.handlers.task import SubmitTask
 from fsar_ledger.runtime.handlers.trust import SetRoleTrust, SetTrust, SetTrustThresholds
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
+from fsar_ledger.runtime.world import founding
 from tests.runtime.commanded import commanded
 from tests.runtime.live import played
 
@@ -102,6 +105,16 @@ OUTAGE: tuple[tuple[int, Event], ...] = (
 """A robot is not as available in one capability as in another: it is off, it is back, its actuator wears."""
 
 
+DESIGNED = msgspec.structs.replace(
+    fleet(),
+    trust_by_record=TrustByRecord(promote_after=2, downgrade_after=3),
+    policies=(Policy("B", "review", "fleet", DOOR, "hall"),),
+    density=(Density(4, "C"),),
+    budgets=(Budget("local", 30.0, 2, "D"),),
+)
+"""A fleet of another design than the paper's, with a value in every field that the founding records."""
+
+
 def _simulated(spec: RunSpec, constants: Constants) -> History:
     return lambda: list(simulate_run(spec, constants).events)
 
@@ -114,6 +127,7 @@ def histories() -> Iterator[History]:
     yield lambda: played(TRUSTING).events
     yield lambda: played(SILENT, facts=OUTAGE).events
     yield lambda: [Experiment(("fsar",), ("door-relay",), runs=1, seed=2, fleet_size=8).plan()]
+    yield lambda: list(founding(8, fleet=DESIGNED))
     plain, silent = Constants(), Constants(outages=Outages(off_rate_per_s=0.01, link_rate_per_s=0.02))
     for run in range(2):
         for scenario in SCENARIOS:
