@@ -284,9 +284,9 @@ def _open_requests(past: Past) -> Iterator[Request]:
     """
     actions = past.state.execution.actions
     for one in past.state.request.open.values():
-        action = actions.get(one.action_id)
-        if one.is_over or (action is None and past.ends.is_over(one.action_id, one.result)):
+        if past.ends.is_over(one, actions):
             continue
+        action = actions.get(one.action_id)
         asked = next((name for name in one.candidates[:1] if name == past.asked.get(one.action_id)), None)
         yield msgspec.structs.replace(one, target=one.target or (asked if action is None else action.robot))
 

@@ -1,6 +1,6 @@
 """Open tasks and how far they are. Paper: sec:evaluation:metrics (fleet tasks)."""
 
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from typing import assert_never
 
 import msgspec
@@ -16,6 +16,7 @@ from fsar_ledger.events.world import TaskArrived
 
 from . import put, without
 from .fleet import NEVER_US, Fleet
+from .request import Request
 
 HANDLES = TaskArrived | TaskPlanned | StepBegan | StepCompleted | TaskCompleted | TaskAbandoned
 
@@ -117,9 +118,12 @@ class RequestEnds(msgspec.Struct, frozen=True):
             return replace(self, over=over, of_task=without(self.of_task, event.task_id))
         return self
 
-    def is_over(self, action: str, result: str | None) -> bool:
-        """Return whether the request for this action is over; `result` is that of its execution, if known."""
-        return action in self.over or (self.is_foreign and not self.tells_closings and result is not None)
+    def is_over(self, request: Request, in_hand: Container[str]) -> bool:
+        """Return whether the request is over; what nobody closes is open while its action is among those `in_hand`."""
+        if request.is_over or request.action_id in in_hand:
+            return request.is_over
+        has_result = self.is_foreign and not self.tells_closings and request.result is not None
+        return has_result or request.action_id in self.over
 
 
 # See docs/decisions/late-tasks-are-given-up.md.

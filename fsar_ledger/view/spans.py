@@ -154,8 +154,7 @@ def _recoveries(state: Recoveries) -> Iterator[Fact]:
 def open_requests(state: State, ends: RequestEnds) -> Iterator[Fact]:
     """Yield the open requests, without those that are over although nobody closes them."""
     for name, request in state.request.open.items():
-        is_over = request.is_over or (name not in state.execution.actions and ends.is_over(name, request.result))
-        if request.is_delegated and not is_over:
+        if request.is_delegated and not ends.is_over(request, state.execution.actions):
             kind = "accepted" if request.is_accepted else "open"
             yield Fact(request.requester, "request", kind, name, request.capability)
 
