@@ -3,7 +3,7 @@
 -- Grain: one row per AuthorityClaimed event
 -- Key: run_id, seq
 -- Units: began_us, ended_us microseconds of run time, half-open: a claim no longer holds at ended_us
--- NULL: ended_us when the claim was never released; task_id when the claim is about no task
+-- NULL: ended_us when the claim was never released and its claimant has not departed; task_id when it is about no task
 -- Example: fsar-ledger query facts/claims LEDGER
 WITH edges AS (
     SELECT run_id, seq, time_us, type, task_id, action_id, dimension, claimant, reason
@@ -23,6 +23,12 @@ paired AS (
     FROM edges
 )
 
-SELECT run_id, seq, task_id, action_id, dimension, claimant, reason, time_us AS began_us, ended_us
+SELECT
+    paired.run_id, paired.seq, paired.task_id, paired.action_id, paired.dimension, paired.claimant, paired.reason,
+    paired.time_us AS began_us,
+    least(paired.ended_us, departed.time_us) AS ended_us
 FROM paired
-WHERE type = 'AuthorityClaimed.v1'
+-- Who leaves the fleet gives up what it holds, also where no release is on record.
+ASOF LEFT JOIN robot_departed AS departed
+    ON paired.run_id = departed.run_id AND paired.claimant = departed.robot AND paired.seq < departed.seq
+WHERE paired.type = 'AuthorityClaimed.v1'

@@ -7,14 +7,24 @@
 --   is_chained: each link through the relay that passed the request on was trusted
 -- Example: fsar-ledger query facts/delegated_trust LEDGER
 WITH delegated AS (
-    SELECT run_id, seq, task_id, action_id, capability, robot AS executor, on_behalf_of AS requester
-    FROM executions
-    WHERE robot <> on_behalf_of
+    -- Trust counts when the executor admitted the request, and where it admitted none, when it started.
+    SELECT
+        done.run_id, done.seq, done.task_id, done.action_id, done.capability,
+        done.robot AS executor,
+        done.on_behalf_of AS requester,
+        coalesce(admitted.seq, done.seq) AS trusted_by_seq
+    FROM executions AS done
+    ASOF LEFT JOIN request_admitted AS admitted
+        ON
+            done.run_id = admitted.run_id AND done.action_id = admitted.action_id
+            AND done.robot = admitted.executed_by AND done.seq > admitted.seq
+    WHERE done.robot <> done.on_behalf_of
 ),
 
 links AS (
     SELECT
         delegated.run_id, delegated.seq, delegated.task_id, delegated.action_id, delegated.capability,
+        delegated.trusted_by_seq,
         unnest(
             CASE
                 WHEN relayed.decided_by IS NULL THEN [{ 'trusting': executor, 'trusted': requester, 'is_direct': TRUE }]
@@ -39,7 +49,7 @@ scopes AS (
     LEFT JOIN trust_parties AS trusting
         ON
             links.run_id = trusting.run_id AND links.link.trusting = trusting.robot AND trusting.is_trusting
-            AND links.seq > trusting.seq
+            AND links.trusted_by_seq > trusting.seq
     LEFT JOIN trust_parties AS trusted
         ON
             trusting.run_id = trusted.run_id AND trusting.seq = trusted.seq AND links.link.trusted = trusted.robot

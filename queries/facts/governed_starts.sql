@@ -15,13 +15,13 @@ WITH starts AS (
 subjects AS (
     -- Whose policy counts: the executor's own and the fleet's for its zone, and the requester's own.
     SELECT
-        starts.run_id, starts.seq, starts.started_us, starts.task_id, starts.capability,
+        starts.run_id, starts.seq, starts.task_id, starts.capability,
         starts.robot AS subject,
         FALSE AS own_only
     FROM starts
     UNION ALL
     SELECT
-        starts.run_id, starts.seq, starts.started_us, starts.task_id, starts.capability,
+        starts.run_id, starts.seq, starts.task_id, starts.capability,
         starts.on_behalf_of AS subject,
         TRUE AS own_only
     FROM starts
@@ -29,8 +29,8 @@ subjects AS (
 ),
 
 checks AS (
-    -- A window that closes at the start no longer counts; one that opens then does. A rule counts if it applies to
-    -- this capability and context.
+    -- What opens or closes at the time of the start comes before it or after it, as the log has it. A rule counts if it
+    -- applies to this capability and context.
     SELECT
         subjects.run_id, subjects.seq,
         bool_or(windows.outcome = 'deny') AS is_denied,
@@ -39,21 +39,19 @@ checks AS (
     INNER JOIN policy_windows AS windows
         ON
             subjects.run_id = windows.run_id AND subjects.subject = windows.robot
-            AND subjects.started_us >= windows.opened_us
-            AND subjects.started_us < coalesce(windows.closed_us, subjects.started_us + 1)
+            AND subjects.seq BETWEEN windows.seq + 1 AND coalesce(windows.closed_seq, subjects.seq)
             AND (windows.scope = 'local' OR NOT subjects.own_only)
             AND (windows.capability IS NULL OR subjects.capability = windows.capability)
             AND (windows.context IS NULL OR subjects.task_id = windows.context)
     GROUP BY subjects.run_id, subjects.seq
 ),
 
-approved AS (
+reviews AS (
     SELECT
-        run_id, action_id,
-        min(seq) AS approved_seq
+        run_id, seq, action_id,
+        coalesce(approves, TRUE) AS is_approved -- a response that does not say whether it approves does
     FROM supervisor_responded
-    WHERE purpose = 'review' AND coalesce(approves, TRUE) -- a response that does not say whether it approves does
-    GROUP BY run_id, action_id
+    WHERE purpose = 'review'
 ),
 
 judged AS (
@@ -64,13 +62,14 @@ judged AS (
             WHEN checks.run_id IS NOT NULL THEN 'review'
             WHEN list_contains(runs.observes, 'policy') THEN 'allow'
         END AS outcome,
-        coalesce(approved.approved_seq < starts.seq, if(list_contains(runs.observes, 'supervision'), FALSE, NULL))
-            AS is_approved,
+        coalesce(reviews.is_approved, if(list_contains(runs.observes, 'supervision'), FALSE, NULL)) AS is_approved,
         if(list_contains(runs.observes, 'policy'), coalesce(checks.under_seqs, []), NULL) AS under_seqs
     FROM starts
     INNER JOIN runs ON starts.run_id = runs.run_id
     LEFT JOIN checks ON starts.run_id = checks.run_id AND starts.seq = checks.seq
-    LEFT JOIN approved ON starts.run_id = approved.run_id AND starts.action_id = approved.action_id
+    -- The last answer before the start: a refusal takes an approval back.
+    ASOF LEFT JOIN reviews
+        ON starts.run_id = reviews.run_id AND starts.action_id = reviews.action_id AND starts.seq > reviews.seq
 )
 
 SELECT

@@ -35,12 +35,8 @@ outcomes AS (
     INNER JOIN policy_windows AS windows
         ON
             starts.run_id = windows.run_id AND starts.robot = windows.robot
-            AND CASE
-                WHEN windows.scope = 'local'
-                    THEN starts.time_us BETWEEN windows.opened_us AND coalesce(windows.closed_us - 1, starts.time_us)
-                WHEN windows.window_name IS NULL
-                    THEN starts.seq BETWEEN windows.seq + 1 AND coalesce(windows.closed_seq, starts.seq)
-            END
+            AND (windows.scope = 'local' OR windows.window_name IS NULL)
+            AND starts.seq BETWEEN windows.seq + 1 AND coalesce(windows.closed_seq, starts.seq)
             AND (windows.capability IS NULL OR starts.capability = windows.capability)
             AND (windows.context IS NULL OR starts.task_id = windows.context)
     UNION ALL

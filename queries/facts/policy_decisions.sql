@@ -9,13 +9,12 @@
 --   is_heeded: it was refused, put to review, or approved in one
 -- Example: fsar-ledger query facts/policy_decisions LEDGER
 -- Stored: the evidence of governance reads it twice
-WITH approvals AS (
+WITH reviews AS (
     SELECT
-        run_id, action_id,
-        min(seq) AS seq
+        run_id, seq, action_id,
+        coalesce(approves, TRUE) AS is_approved -- a response that does not say whether it approves does
     FROM supervisor_responded
-    WHERE purpose = 'review' AND approves
-    GROUP BY run_id, action_id
+    WHERE purpose = 'review'
 ),
 
 judgements AS (
@@ -34,10 +33,13 @@ judgements AS (
 decided AS (
     SELECT
         judgements.run_id, judgements.seq, judgements.time_us, judgements.task_id,
-        judgements.is_refused OR coalesce(approvals.seq < judgements.seq, FALSE) AS is_heeded,
+        judgements.is_refused OR coalesce(reviews.is_approved, FALSE) AS is_heeded,
         judgements.executor
     FROM judgements
-    LEFT JOIN approvals ON judgements.run_id = approvals.run_id AND judgements.action_id = approvals.action_id
+    ASOF LEFT JOIN reviews
+        ON
+            judgements.run_id = reviews.run_id AND judgements.action_id = reviews.action_id
+            AND judgements.seq > reviews.seq
 ),
 
 asked AS (

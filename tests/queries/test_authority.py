@@ -13,6 +13,10 @@ def release(claimant: str, time_s: int, dimension: str = "override", action_id: 
     return event("AuthorityReleased", time_s * S, claimant=claimant, dimension=dimension, action_id=action_id)
 
 
+def departed(robot: str, time_s: int) -> Row:
+    return event("RobotDeparted", time_s * S, robot=robot, reason="announced", fence=1)
+
+
 def claims(*events: Row) -> list[tuple[str, int, int | None]]:
     rows = answer("facts/claims", run(*events), columns=("seq", "claimant", "began_us", "ended_us"))
     return [(claimant, began // S, ended and ended // S) for _, claimant, began, ended in rows]
@@ -35,6 +39,10 @@ ENDS: dict[str, tuple[tuple[Row, ...], list[tuple[str, int, int | None]]]] = {
         (claim("a", 1), release("a", 2), claim("a", 3), release("a", 4)),
         [("a", 1, 2), ("a", 3, 4)],
     ),
+    "when its claimant leaves the fleet, whoever else left before": (
+        (departed("a", 1), claim("a", 2), departed("b", 3), departed("a", 4), release("a", 5), claim("a", 6)),
+        [("a", 2, 4), ("a", 6, None)],
+    ),
 }
 OTHER = (
     claim("a", 1, "execution"),
@@ -50,6 +58,7 @@ CONFLICTS: dict[str, tuple[tuple[Row, ...], int]] = {
     "logged before the release that it touches": ((claim("a", 1), claim("b", 2), release("a", 2), release("b", 3)), 0),
     "a claim that was never released and a later one": ((claim("a", 1), claim("b", 900)), 1),
     "a claim of no duration was never held": ((claim("a", 1), claim("b", 2), release("b", 2), release("a", 3)), 0),
+    "the claim of one that had left the fleet": ((claim("a", 1), departed("a", 2), claim("b", 3)), 0),
     "two claims of one principal": ((claim("a", 1), claim("a", 2), release("a", 3)), 0),
     "three principals and many pairs are one": (THREE, 1),
     "dimensions and actions apart": ((claim("a", 1), claim("b", 2), *OTHER), 3),

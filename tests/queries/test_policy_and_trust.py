@@ -25,8 +25,8 @@ def performed(time_us: int, operation: str = "motion", robot: str = "robot/B1") 
     return event("RoutinePerformed", time_us, robot=robot, operation=operation)
 
 
-def responded(time_us: int, purpose: str = "review", action_id: str = "t1/1") -> Row:
-    return event("SupervisorResponded", time_us, purpose=purpose, action_id=action_id)
+def responded(time_us: int, purpose: str = "review", action_id: str = "t1/1", approves: bool | None = None) -> Row:
+    return event("SupervisorResponded", time_us, purpose=purpose, action_id=action_id, approves=approves)
 
 
 def violations(*events: Row) -> int:
@@ -41,9 +41,11 @@ MANY = (
 )
 REVIEW = opened(1, "review")
 VIOLATIONS: dict[str, tuple[tuple[tuple[Row, ...], int], ...]] = {
-    "a window holds from its opening until just before its closing": tuple(
-        ((opened(10), started(time_us), closed(20)), count)
-        for time_us, count in ((9, 0), (10, 1), (19, 1), (20, 0), (21, 0))
+    "a window holds from its opening until its closing, at one time in the order of the log": (
+        ((started(10), opened(10)), 0),
+        ((opened(10), started(10)), 1),
+        ((opened(10), started(20), closed(20)), 1),
+        ((opened(10), closed(20), started(20)), 0),
     ),
     "a window that never closes holds for ever": (((opened(10), started(10**9)), 1),),
     "a window of no duration never held": (((opened(10), closed(10), started(10)), 0),),
@@ -65,7 +67,11 @@ VIOLATIONS: dict[str, tuple[tuple[tuple[Row, ...], int], ...]] = {
     ),
     "the first closing of a window counts": (((opened(1), closed(3), started(4), closed(5)), 0),),
     "a review with an earlier approval of the same action is none": (((REVIEW, responded(2), started(3)), 0),),
-    "the first approval of an action counts": (((REVIEW, responded(2), started(3), responded(4)), 0),),
+    "the last answer before the start counts": (
+        ((REVIEW, responded(2), started(3), responded(4, approves=False)), 0),
+        ((REVIEW, responded(2, approves=True), responded(3, approves=False), started(4)), 1),
+        ((REVIEW, responded(2, approves=False), responded(3, approves=True), started(4)), 0),
+    ),
     "a review without approval is one": (((REVIEW, started(3)), 1),),
     "a review that was approved too late is one": (((REVIEW, started(3), responded(3)), 1),),
     "the approval of another action is none": (((REVIEW, responded(2, action_id="t1/2"), started(3)), 1),),

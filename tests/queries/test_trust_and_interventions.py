@@ -177,6 +177,14 @@ def test_the_entry_of_the_capability_goes_before_that_of_the_context_for_an_exec
     ) == [(False,)]
 
 
+@pytest.mark.parametrize(("admitted_by", "is_direct"), [("robot/B1", True), ("robot/C1", False), (None, False)])
+def test_trust_counts_when_the_executor_admitted_the_request(admitted_by: str | None, is_direct: bool) -> None:
+    admission = act("RequestAdmitted", 2, "t1/1", decided_by=admitted_by, executed_by=admitted_by)
+    began = act("ExecutionStarted", 4, "t1/1", robot="robot/B1", on_behalf_of="robot/A1", capability=DOOR, ends_us=9)
+    events = (trust(1, "session"), admission, trust(3, "none"), began)
+    assert answer("facts/delegated_trust", run(*events), columns=("is_direct",)) == [(is_direct,)]
+
+
 @pytest.mark.parametrize(
     ("about", "is_against"),
     [
