@@ -1,12 +1,12 @@
 -- Title: Who was a member when: joined, suspected, departed and returned
 -- Paper: eq:fleet, sec:discussion:heterogeneity
 -- Grain: one row per time for which a robot was a member: from its joining, or its return, to its departure
--- Key: run_id, robot, fence
+-- Key: run_id, robot, fence?
 -- Units: began_us, ended_us microseconds of run time; fence how often it had departed before; suspected, cleared how
 --   often within that time
 -- NULL: began_us, began_seq where nobody recorded that it joined; ended_us, how, ended_by while it is a member, to the
---   end of the run; ended_by where the record names nobody; suspected, cleared when none is on record and the run does
---   not record it
+--   end of the run; ended_by where the record names nobody; fence, suspected, cleared when none is on record and the
+--   run does not record it
 -- Example: fsar-ledger query audit/memberships LEDGER --param run=RUN --param robot=robot/B1
 --   answers robot/B1, fence 0, began at 0.0 s, suspected 0, cleared 0
 -- Parameters: run: run = all, robot: robot = all
@@ -38,7 +38,7 @@ recorded AS (
 
 SELECT
     numbered.run_id, numbered.robot,
-    fence::BIGINT AS fence,
+    nullif(numbered.fence::BIGINT, if(list_has_any(told, ['fleet', 'RobotDeparted']), NULL, 0)) AS fence,
     min(time_us) FILTER (WHERE change = 'began') AS began_us,
     min(seq) FILTER (WHERE change = 'began') AS began_seq,
     min(time_us) FILTER (WHERE change = 'ended') AS ended_us,
@@ -50,5 +50,5 @@ SELECT
         AS cleared
 FROM numbered
 INNER JOIN recorded ON numbered.run_id = recorded.run_id
-GROUP BY numbered.run_id, numbered.robot, fence, told
-HAVING fence = 0 OR count(*) FILTER (WHERE change = 'began') > 0
+GROUP BY numbered.run_id, numbered.robot, numbered.fence, told
+HAVING numbered.fence = 0 OR count(*) FILTER (WHERE change = 'began') > 0

@@ -48,6 +48,11 @@ def test_a_member_of_which_nobody_recorded_that_it_joined_was_one_until_it_depar
     ]
 
 
+def test_how_often_a_robot_had_departed_is_not_known_where_departures_are_not_recorded() -> None:
+    history = run(JOINED, returned(20), observes=["trust"], records=["RobotJoined", "RobotReturned"])
+    assert answer("audit/memberships", history, columns=("fence", "began_us")) == [(None, 0)]
+
+
 def found(*events: Row) -> list[Any]:
     return [row[0] for row in answer("invariants/i1_local_agent_coherence", run(JOINED, *events), columns=("found",))]
 
