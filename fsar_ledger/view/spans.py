@@ -4,8 +4,10 @@ The facts are read from the projections, so a span means what the handlers thems
 """
 
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any, NamedTuple
 
+from fsar_ledger.analysis.situation import Coverage
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import COORDINATOR, Principal, Robot
 from fsar_ledger.events.knowledge import WorkQueued
@@ -68,17 +70,21 @@ def lane_of(principal: Principal | str) -> str:
 def spans_of(run: LedgerRun) -> tuple[Span, ...]:
     """Return what held from when to when, in order of its beginning."""
     state, facts, ends = State(), _Facts(), RequestEnds()
+    # As `state`: not how long a robot acts, or what waits, where the source does not say so.
+    seen = Coverage(run.events[0])
+    told = partial(_execution, is_work_told=seen.tells_ends, is_queue_told="execution" not in seen.lacking)
+    reads: dict[str, Callable[[Any], Iterator[Fact]]] = {**FACTS, "execution": told}
     for seq, (time_us, event) in enumerate(zip(run.times_us, run.events, strict=True)):
-        requests, actions, told = state.request, state.execution.actions, ends
+        requests, actions, ended = state.request, state.execution.actions, ends
         ends = ends.after(event)
         for slot, evolve in ROUTES.get(type(event), ()):
             before = getattr(state, slot)
             after = evolve(before, event)
             setattr(state, slot, after)
-            if after is not before and slot in FACTS:
-                facts.now(slot, frozenset(FACTS[slot](after)), time_us, seq)
+            if after is not before and slot in reads:
+                facts.now(slot, frozenset(reads[slot](after)), time_us, seq)
         is_freed = ends.is_foreign and state.execution.actions is not actions
-        if state.request is not requests or ends is not told or is_freed:
+        if state.request is not requests or ends is not ended or is_freed:
             facts.now("request", frozenset(open_requests(state, ends)), time_us, seq)
         facts.beside(event, time_us, seq)
     facts.end()
@@ -131,15 +137,15 @@ def _tasks(state: Tasks) -> Iterator[Fact]:
         yield Fact(task.robot, "task", "task", task.task_id, task.task_id)
 
 
-def _execution(state: Execution) -> Iterator[Fact]:
+def _execution(state: Execution, *, is_work_told: bool = True, is_queue_told: bool = True) -> Iterator[Fact]:
     for robot, name in state.current.items():
         if name.startswith(HELPING):
             about = name.removeprefix(HELPING)
             yield Fact(robot, "work", "helping", about, f"helps with {about}")
-        elif name in state.actions:
+        elif is_work_told and name in state.actions:
             action = state.actions[name]
             yield Fact(robot, "work", _WORK.get(action.stage, action.stage), name, action.capability)
-    for robot, names in state.queues.items():
+    for robot, names in state.queues.items() if is_queue_told else ():
         for name in names:
             about = state.actions[name].capability if name in state.actions else ""
             yield Fact(robot, "queue", "waiting", name.removeprefix(HELPING), about)
