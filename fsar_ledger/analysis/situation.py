@@ -64,14 +64,15 @@ class Past(msgspec.Struct):
 class Coverage:
     """What the source of a run observes.
 
-    `lacking` has the concerns that it does not observe, or only in part, and how each is named to people. `is_in_part`:
-    the run names the event types that it records. `tells_ends`: it records how executions end.
+    `lacking` has the concerns of which it does not record every event type, and how each is named to people.
+    `is_in_part`: the run names the event types that it records. `tells_ends`: it records how executions end.
     """
 
     def __init__(self, started: Event) -> None:
         observes, records = getattr(started, "observes", ()), getattr(started, "records", None)
         partly = {CONCERN_OF.get(name) for name in records or ()}
-        self.lacking = {one: f"{one}{IN_PART}" if one in partly else one for one in CONCERNS if one not in observes}
+        unnamed = {one for name, one in CONCERN_OF.items() if name not in (records or ())} - {*observes}
+        self.lacking = {one: f"{one}{IN_PART}" if one in partly else one for one in CONCERNS if one in unnamed}
         self.is_in_part = records is not None
         self.tells_ends = "execution" in observes or {"ExecutionFinished", "ExecutionWithdrawn"} <= {*(records or ())}
         self._names_supervisors = "fleet" in observes or "RobotJoined.supervisor" in (records or ())

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from fsar_ledger import record
-from fsar_ledger.events import CONCERNS
+from fsar_ledger.events import CONCERN_OF, CONCERNS
 from fsar_ledger.events.envelope import ActionId, Parties, Robot, Subject, Supervisor, TaskId
 from fsar_ledger.events.execution import ExecutionStarted
 from fsar_ledger.events.fleet import RobotJoined, RunStarted
@@ -154,15 +154,21 @@ def test_audit_says_how_many_actions_were_under_way_when_the_record_began(call: 
 ENDS = ("ExecutionFinished", "ExecutionWithdrawn")
 
 
-def test_state_step_and_log_name_alike_what_is_recorded_in_part(call: Call, tmp_path: Path) -> None:
-    ledger = tmp_path / "ledger"
-    with record(ledger, run="day", observes=["fleet", "ExecutionStarted", *ENDS]) as recorder:
+WHOLE = tuple(name for name, concern in CONCERN_OF.items() if concern == "execution")
+
+
+@pytest.mark.parametrize("types", [("ExecutionStarted", *ENDS), WHOLE], ids=["in part", "every type"])
+def test_state_step_and_log_name_alike_what_is_recorded_in_part(
+    call: Call, tmp_path: Path, types: tuple[str, ...]
+) -> None:
+    ledger, lacking = tmp_path / "ledger", set() if types == WHOLE else {"execution in part"}
+    with record(ledger, run="day", observes=["fleet", *types]) as recorder:
         recorder.event("ExecutionStarted", task_id="t", action_id="t/1", robot="robot/a", capability="carry")
     asked = ("state", "--run", "day"), ("step", "--run", "day", "--script", "last"), ("log", "--run", "day")
     for verb, *words in asked:
         said = call(verb, ledger, *words)
         found = {one.partition(" (")[0] for one in said.err.partition("nothing about it: ")[2].split(", ")}
-        assert {name for name in found if "execution" in name} == {"execution in part"}, (verb, said.err)
+        assert {name for name in found if "execution" in name} == lacking, (verb, said.err)
         assert {one for one in found if one.startswith("fleet")} == set()
     assert "running t/1 carry" in (shown := call("state", ledger, "--run", "day").out)
-    assert "execution in part, " in shown.partition("nothing is said of it: ")[2]
+    assert {one for one in shown.partition("nothing is said of it: ")[2].split(", ") if "execution" in one} == lacking
