@@ -1,7 +1,7 @@
 """Open tasks and how far they are. Paper: sec:evaluation:metrics (fleet tasks)."""
 
 from collections.abc import Container, Mapping
-from typing import assert_never
+from typing import Any, assert_never
 
 import msgspec
 from msgspec.structs import replace
@@ -92,13 +92,14 @@ class RequestEnds(msgspec.Struct, frozen=True):
     """Which requests of another system's run are over although nobody closes them: with their task, or their result.
 
     `over` are the actions of those whose task was abandoned, or was completed where the source does not record that
-    requests are closed. Runs of our own close theirs.
+    requests are closed. `asked`: by open task, the action of its last request, and the same of those before it. Runs of
+    our own close theirs.
     """
 
     is_foreign: bool = False
     tells_closings: bool = True
     over: Mapping[str | None, bool] = {}
-    of_task: Mapping[str | None, tuple[str | None, ...]] = {}
+    asked: Mapping[str | None, "tuple[str | None, Any] | None"] = {}
 
     def after(self, event: Event) -> "RequestEnds":
         """Return what is over after this event. The first event of a run says what its source records."""
@@ -109,13 +110,14 @@ class RequestEnds(msgspec.Struct, frozen=True):
             return self
         if isinstance(event, RequestIssued):
             task, action = event.subject.task_id, event.subject.action_id
-            asked = put(self.of_task, task, (*self.of_task.get(task, ()), action))
-            return replace(self, over=without(self.over, action), of_task=asked)
+            asked = put(self.asked, task, (action, self.asked.get(task)))
+            return replace(self, over=without(self.over, action), asked=asked)
         if isinstance(event, TaskAbandoned) or (isinstance(event, TaskCompleted) and not self.tells_closings):
-            over = self.over
-            for action in self.of_task.get(event.task_id, ()):
+            over, before = self.over, self.asked.get(event.task_id)
+            while before is not None:
+                action, before = before
                 over = put(over, action, True)
-            return replace(self, over=over, of_task=without(self.of_task, event.task_id))
+            return replace(self, over=over, asked=without(self.asked, event.task_id))
         return self
 
     def is_over(self, request: Request, in_hand: Container[str]) -> bool:

@@ -3,13 +3,13 @@
 The facts are read from the projections, so a span means what the handlers themselves knew by that name.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from typing import Any, NamedTuple
 
 from fsar_ledger.analysis.situation import Coverage
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import COORDINATOR, Principal, Robot
+from fsar_ledger.events.envelope import COORDINATOR, Principal, Robot, flat
 from fsar_ledger.events.knowledge import WorkQueued
 from fsar_ledger.events.registry import AvailabilityChanged
 from fsar_ledger.ledger.rows.codec import LedgerRun
@@ -19,6 +19,7 @@ from fsar_ledger.projections.fold import ROUTES, State
 from fsar_ledger.projections.knowledge import Knowledge
 from fsar_ledger.projections.policy import Policy, rules_in_force
 from fsar_ledger.projections.recovery import Recoveries
+from fsar_ledger.projections.request import Request
 from fsar_ledger.projections.supervision import Supervision
 from fsar_ledger.projections.task import RequestEnds, Tasks
 from fsar_ledger.projections.world import World
@@ -85,7 +86,7 @@ def spans_of(run: LedgerRun) -> tuple[Span, ...]:
                 facts.now(slot, frozenset(reads[slot](after)), time_us, seq)
         is_freed = ends.is_foreign and state.execution.actions is not actions
         if state.request is not requests or ends is not ended or is_freed:
-            facts.now("request", frozenset(open_requests(state, ends)), time_us, seq)
+            facts.requests(state, ends, event, time_us, seq)
         facts.beside(event, time_us, seq)
     facts.end()
     return tuple(sorted(facts.spans, key=lambda span: (span.start_us, span.seq, span.fact)))
@@ -99,6 +100,7 @@ class _Facts:
         self._open: dict[str, dict[Fact, tuple[int, int]]] = {}
         self._availability: dict[tuple[Robot, str | None], Fact] = {}
         self._coordinator_us = 0
+        self._requests: set[str] = set()
 
     def now(self, source: str, facts: frozenset[Fact], time_us: int, seq: int) -> None:
         """From this event on exactly these facts hold, of those with this source."""
@@ -108,6 +110,18 @@ class _Facts:
             self.spans.append(Span(fact, start_us, time_us, since, seq))
         for fact in facts - known.keys():
             known[fact] = (time_us, seq)
+
+    def requests(self, state: State, ends: RequestEnds, event: Event, time_us: int, seq: int) -> None:
+        """Follow the open requests. What is over may stay in the state for ever; it opens again only if it is named."""
+        fields = flat(event)
+        named: set[str] = {fields.get("action_id") or "", fields.get("task_id") or ""}
+        known, actions = state.request.open, state.execution.actions
+        self._requests = {
+            name
+            for name in self._requests | named
+            if (request := known.get(name)) is not None and not ends.is_over(request, actions)
+        }
+        self.now("request", frozenset(request_facts(known[name] for name in self._requests)), time_us, seq)
 
     def beside(self, event: Event, time_us: int, seq: int) -> None:
         """Follow what the state holds only in part: the availability on record, and the work of the coordinator."""
@@ -157,12 +171,12 @@ def _recoveries(state: Recoveries) -> Iterator[Fact]:
         yield Fact(failure.robot, "recovery", failure.level, name, f"{cause}, failure {failure.failure}")
 
 
-def open_requests(state: State, ends: RequestEnds) -> Iterator[Fact]:
-    """Yield the open requests, without those that are over although nobody closes them."""
-    for name, request in state.request.open.items():
-        if request.is_delegated and not ends.is_over(request, state.execution.actions):
+def request_facts(requests: Iterable[Request]) -> Iterator[Fact]:
+    """Yield the requests to somebody else."""
+    for request in requests:
+        if request.is_delegated:
             kind = "accepted" if request.is_accepted else "open"
-            yield Fact(request.requester, "request", kind, name, request.capability)
+            yield Fact(request.requester, "request", kind, request.action_id, request.capability)
 
 
 def _calls(state: Supervision) -> Iterator[Fact]:
@@ -217,4 +231,4 @@ FACTS: dict[str, Callable[[Any], Iterator[Fact]]] = {
     "world": _world,
     "knowledge": _told,
 }
-"""By slot of the state, the facts that it holds; requests rest on more than one (`open_requests`)."""
+"""By slot of the state, the facts that it holds; requests rest on more than one (`_Facts.requests`)."""

@@ -1,7 +1,10 @@
 """What held from when to when: spans say the same as the state."""
 
+import random
+from collections.abc import Container
 from typing import Any
 
+import pytest
 from msgspec.structs import replace
 
 from fsar_ledger.analysis.moments import Timeline
@@ -10,13 +13,16 @@ from fsar_ledger.events.envelope import Robot, Subject
 from fsar_ledger.events.execution import ExecutionFinished, ExecutionQueued
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.events.policy import PolicyRuleSet, RolePolicyRuleSet
+from fsar_ledger.events.task import TaskCompleted
 from fsar_ledger.events.world import PolicyWindowOpened
 from fsar_ledger.ledger.rows.codec import LedgerRun, encode
 from fsar_ledger.metrics.database import from_table
 from fsar_ledger.projections.fold import State, apply
+from fsar_ledger.projections.request import Request
 from fsar_ledger.projections.task import RequestEnds
-from fsar_ledger.view.spans import FACTS, TRACKS, Fact, Span, lane_of, open_requests, spans_of
+from fsar_ledger.view.spans import FACTS, TRACKS, Fact, Span, lane_of, request_facts, spans_of
 from tests import past
+from tests.foreign.histories import foreign_run
 from tests.view.conftest import a_run
 
 FOREIGN = RunStarted(kind="foreign", observes=("execution", "policy"), source="example.org")
@@ -36,8 +42,48 @@ def test_at_every_event_exactly_the_facts_of_the_state_hold(runs: dict[str, Ledg
         for seq, event in enumerate(run.events):
             apply(state, event)
             facts = {fact for slot, read in FACTS.items() for fact in read(getattr(state, slot))}
-            facts |= {*open_requests(state, RequestEnds())}
+            facts |= {*request_facts(one for one in state.request.open.values() if not one.is_over)}
             assert held(of_state, seq) == {fact for fact in facts if fact.lane != "coordinator"}, seq
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_at_every_event_of_another_systems_run_its_open_requests_hold(seed: int) -> None:
+    observes = ("task", "request", "execution", "world") if seed % 2 else ("task", "execution", "world")
+    run = foreign_run("r", 600, random.Random(seed), observes)
+    began = RunStarted(kind="foreign", observes=observes, records=("RequestIssued", "RequestAccepted"), source="s")
+    run = replace(run, events=(began, *run.events[1:]))
+    found = tuple(span for span in spans_of(run) if span.fact.track == "request")
+    assert found
+    state, ends = State(), RequestEnds()
+    for seq, event in enumerate(run.events):
+        apply(state, event)
+        ends = ends.after(event)
+        actions = state.execution.actions
+        still = request_facts(one for one in state.request.open.values() if not ends.is_over(one, actions))
+        assert held(found, seq) == {*still}, seq
+
+
+def test_what_is_over_is_not_looked_at_again_with_every_event(monkeypatch: pytest.MonkeyPatch) -> None:
+    looks: list[str] = []
+    is_over = RequestEnds.is_over
+
+    def counted(ends: RequestEnds, request: Request, in_hand: Container[str]) -> bool:
+        looks.append(request.action_id)
+        return is_over(ends, request, in_hand)
+
+    monkeypatch.setattr(RequestEnds, "is_over", counted)
+    asked = [
+        event
+        for number in range(300)
+        for event in (
+            past.issued(f"q{number}", past.principals(A1, A1, B1), "lift", f"t{number}"),
+            TaskCompleted(task_id=f"t{number}"),
+        )
+    ]
+    source = replace(FOREIGN, observes=("task",), records=("RequestIssued",))
+    run = LedgerRun("r", tuple(range(601)), (None, *[0] * 600), (source, *asked))
+    assert len([one for one in spans_of(run) if one.fact.track == "request"]) == 300
+    assert len(looks) < 3 * len(run.events)
 
 
 def test_an_execution_is_a_span_from_its_start_to_its_end(runs: dict[str, LedgerRun]) -> None:
