@@ -30,7 +30,7 @@ from fsar_ledger.ledger.store.append import Writer
 
 from .adapter import UNREADABLE, Adapter, Derived, Input, Record, no_record
 from .columns import Declared, declared, storable, storable_text, text_of
-from .recorder import origin_of, roles_of
+from .recorder import FORMAT, origin_of, roles_of
 from .stored import BYTES, EarlierImport, NewEvent, commit, earlier_import, record_hashes
 
 ORIGIN = "fsar-ledger/imported"
@@ -137,9 +137,14 @@ class _Import:
         self.earlier = before = earlier_import(self.path, self.run)
         if before is None:
             return
-        if before.opened is None or before.opened.adapter.partition("/")[0] != self.adapter.name:
+        if before.opened is None or before.opened.adapter.startswith(FORMAT):
             raise self._refused(
-                f"a run of {value(before.opened.adapter if before.opened else 'a recorder')}",
+                "a run into which events were recorded as they happened",
+                "one that holds imports alone; what is on file stays: give the import another name (--run)",
+            )
+        if before.opened.adapter.partition("/")[0] != self.adapter.name:
+            raise self._refused(
+                f"a run of {value(before.opened.adapter)}",
                 f"one that was imported as {self.adapter.name}; give the import another name (--run)",
             )
         digest = opened.input_sha256

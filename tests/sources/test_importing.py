@@ -16,6 +16,7 @@ from fsar_ledger.events.world import LinkWentDown
 from fsar_ledger.sources.adapter import Input, adapter_of
 from fsar_ledger.sources.columns import storable
 from fsar_ledger.sources.importing import import_files
+from fsar_ledger.sources.recorder import Recorder
 from tests.cli.conftest import Call, one_message
 from tests.sources import vda
 from tests.sources.importing import filed, imported, is_good, kinds, record_numbers, recorded, rows
@@ -133,6 +134,20 @@ def test_another_input_under_the_same_name_is_refused(tmp_path: Path) -> None:
     for end in ([], vda.long_night(3)[16:]):
         with pytest.raises(UsageError, match="found another record 7 in the input"):
             imported(tmp_path / "ledger", filed(tmp_path, [*altered, *end]))
+    assert rows(tmp_path / "ledger") == before
+
+
+@pytest.mark.parametrize("imported_before", [0, 9])
+def test_a_run_into_which_something_was_recorded_takes_no_imports(tmp_path: Path, imported_before: int) -> None:
+    whole = vda.long_night(2)
+    if imported_before:
+        imported(tmp_path / "ledger", filed(tmp_path, whole[:imported_before]))
+    with Recorder(tmp_path / "ledger", run="night", observes=["TaskArrived"]) as recorder:
+        recorder.event("TaskArrived", task_id="by hand")
+    before = rows(tmp_path / "ledger")
+    found = "run night: found a run into which events were recorded as they happened, expected one that holds imports"
+    with pytest.raises(UsageError, match=f"{found} alone; what is on file stays: give the import another name"):
+        imported(tmp_path / "ledger", filed(tmp_path, whole))
     assert rows(tmp_path / "ledger") == before
 
 
