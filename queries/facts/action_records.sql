@@ -53,7 +53,7 @@ SELECT
     nullif(
         count(*) FILTER (type = 'ExecutionFailed.v1'), if(any_value(list_contains(runs.observes, 'recovery')), NULL, 0)
     ) AS failures,
-    max(time_us) FILTER (is_end OR is_refusal) AS ended_us,
+    coalesce(max(time_us) FILTER (is_end), max(time_us) FILTER (is_refusal)) AS ended_us,
     max(seq) FILTER (
         type IN ('CommandIssued.v1', 'RequestAccepted.v1', 'ExecutionQueued.v1', 'ExecutionStarted.v1')
     ) AS begun_seq,

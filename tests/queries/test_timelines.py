@@ -180,6 +180,9 @@ def test_a_request_that_goes_on_after_a_refusal_has_neither_its_result_nor_its_e
     assert asked("requests", columns, request(), denied) == [("denied: trust", 3.0, B)]
     assert asked("requests", columns, request(), denied, accepted) == [("not begun", None, B)]
     assert asked("requests", columns, request(), denied, accepted, again) == [("not finished", None, B)]
+    late = {**denied, "time_us": 9 * S}  # another system's record may refuse what was done
+    assert asked("requests", columns, request(), STARTED, FINISHED, late) == [("success", 5.0, B)]
+    assert asked("requests", columns, request(), STARTED, FINISHED, CLOSED, late) == [("success", 6.0, B)]
 
 
 def test_a_request_that_its_robot_left_before_it_began_was_withdrawn_and_one_that_began_goes_on() -> None:
