@@ -46,7 +46,8 @@ named AS (
 
 SELECT
     named.run_id, named.seq, named.time_us, named.type, named.action_id,
-    named.principal || ' acts, which is neither a robot of the fleet nor one of its supervisors or services' AS found
+    -- It need not have acted: the event may only ask it for something.
+    named.principal || ' is named, and is neither a robot of the fleet nor one of its supervisors or services' AS found
 FROM named
 LEFT JOIN known ON named.run_id = known.run_id AND named.principal = known.principal
 LEFT JOIN run_started AS runs ON named.run_id = runs.run_id

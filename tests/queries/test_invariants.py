@@ -295,3 +295,11 @@ def test_who_decides_for_another_is_said_without_those_that_the_record_does_not_
         ("nobody on record decides what robot/A1 executes",),
         (f"{AGENT} decides what an executor that is not on record executes",),
     ]
+
+
+def test_who_is_asked_and_is_of_no_fleet_is_not_said_to_act() -> None:
+    joined = event("RobotJoined", 1, robot="robot/A1", supervisor="supervisor/A1", role="A", team=1)
+    asks = event("RequestIssued", 2, decided_by="robot/A1", requested_by="robot/A1", executed_by="robot/X9")
+    assert answer("invariants/i1_local_agent_coherence", run(joined, asks), columns=("found",)) == [
+        ("robot/X9 is named, and is neither a robot of the fleet nor one of its supervisors or services",)
+    ]
