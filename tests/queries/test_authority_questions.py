@@ -267,6 +267,19 @@ def test_a_request_that_serves_none_and_is_served_by_none_is_no_chain() -> None:
     )
 
 
+def test_a_chain_whose_first_request_is_not_on_record_begins_with_what_is_and_is_not_said_to_be_well_formed() -> None:
+    admitted = judged(6, "q2", "Admitted", "C1", **{**ADMITTED, "trust": "session"})
+    on, then = request(7, "q3", "C1", "D1", parent="q2"), judged(8, "q3", "Admitted", "D1", **ADMITTED)
+    trusts = trust(1, "D1", "B1", "task")  # not in the chain's first requester, whom no record names
+    assert sorted(asked("delegation_chains", LINKS, trusts, CHAIN[4], admitted, on, then)) == [
+        ("q2", 1, "q2", "robot/B1", "robot/C1", "admitted", None, None, None),
+        ("q2", 2, "q3", "robot/C1", "robot/D1", "admitted", None, None, None),
+    ]
+    assert asked("delegation_chains", "chain link is_well_formed", CHAIN[4], admitted) == [("q2", 1, None)]
+    denied = judged(6, "q2", "Denied", "C1", reason="trust")
+    assert asked("delegation_chains", "chain link is_well_formed", CHAIN[4], denied) == [("q2", 1, False)]
+
+
 def test_the_trust_of_the_last_in_the_first_is_that_for_the_capability() -> None:
     about = (
         trust(1, "C1", "A1", "none"),
