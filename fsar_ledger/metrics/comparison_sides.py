@@ -7,6 +7,7 @@ database of its own (`paired`).
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from itertools import product
 from typing import TYPE_CHECKING
 
 import msgspec
@@ -107,10 +108,8 @@ class Side(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def name(self) -> str:
-        """Return its full name: `fsar:full@A/4`."""
-        robots = "-" if self.fleet_size is None else self.fleet_size
-        named = f"{self.architecture or '-'}:{self.configuration or '-'}@{self.letter or '-'}"
-        return f"{named}/{robots}{self._end}"
+        """Return its full name, `fsar:full@A/4`, without what is not on record."""
+        return "".join(self._parts) + self._end
 
     @property
     def names(self) -> set[str]:
@@ -118,17 +117,20 @@ class Side(msgspec.Struct, frozen=True, kw_only=True):
 
         The configuration `full`, the constants and the fleet size may be left out.
         """
-        heads = {f"{self.architecture or '-'}:{self.configuration or '-'}"} | (
-            {self.architecture or "-"} if self.configuration in (FULL, None) else set()
+        made, configuration, constants, robots = self._parts
+        configurations = {configuration, ""} if self.configuration == FULL else {configuration}
+        ends = {self._end, self._end.rstrip("0123456789")}
+        return {"".join(parts) for parts in product((made,), configurations, (constants, ""), (robots, ""), ends)}
+
+    @property
+    def _parts(self) -> tuple[str, str, str, str]:
+        """Return the parts of its name. Without an architecture on record, the source or the kind has its place."""
+        return (
+            self.architecture or self.source or self.kind,
+            f":{self.configuration}" if self.configuration else "",
+            f"@{self.letter}" if self.letter else "",
+            "" if self.fleet_size is None else f"/{self.fleet_size}",
         )
-        size = "-" if self.fleet_size is None else str(self.fleet_size)
-        return {
-            f"{head}{constants}{robots}{end}"
-            for head in heads
-            for constants in ("", f"@{self.letter or '-'}")
-            for robots in ("", f"/{size}")
-            for end in (self._end, self._end.rstrip("0123456789"))
-        }
 
     @property
     def _end(self) -> str:

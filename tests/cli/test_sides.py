@@ -49,8 +49,18 @@ def test_recordings_are_in_no_pair_and_nobody_is_told_to_simulate_them(call: Cal
     told = call("compare", tmp_path / "hall", tmp_path / "yard")
     assert "runs of a real fleet have none, and are in no pair: `fsar-ledger metrics` shows" in told.out
     assert "simulate" not in told.out
+    assert told.out.splitlines()[0] == "first: recorder (1 run), foreign, recorder"
     assert told.out.splitlines()[-1] == "no constants are on record"
     one_message(call("compare", tmp_path / "hall"), 2, "found 1 side", "give a second ledger")
+
+
+def test_recordings_without_an_architecture_are_named_by_their_sources(call: Call, tmp_path: Path) -> None:
+    for source in ("hall", "yard"):
+        with record(tmp_path / "both", run=source, source=source, observes=["ExecutionStarted"]):
+            pass
+    one_message(call("compare", tmp_path / "both", "--first", "door"), 2, "it holds hall (1 run), yard (1 run)")
+    lines = call("compare", tmp_path / "both", "--first", "yard").out.splitlines()
+    assert lines[:2] == ["first: yard (1 run), foreign, yard", "second: hall (1 run), foreign, hall"]
 
 
 def test_compare_refuses_what_it_cannot_tell(call: Call, ledger: Path) -> None:
