@@ -42,7 +42,7 @@ SELECT
     || ' alone to decide'
     || if(decided_by = owner AND coalesce(len(path), 0) = 0, ', and its path is not on record', '') AS found
 FROM decided
-WHERE decided_by IS DISTINCT FROM owner OR path IS DISTINCT FROM [owner]
+WHERE decided_by IS DISTINCT FROM owner OR list_distinct(path) IS DISTINCT FROM [owner]
 UNION ALL
 SELECT
     run_id, seq, time_us,

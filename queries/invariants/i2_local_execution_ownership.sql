@@ -17,7 +17,7 @@ WITH acceptances AS (
             bool_or(
                 accepted.decided_by = starts.robot
                 AND accepted.executed_by = starts.robot
-                AND accepted.path = [starts.robot]
+                AND list_distinct(accepted.path) = [starts.robot]
             ),
             FALSE
         ) AS is_own

@@ -280,6 +280,7 @@ def test_who_decides_for_another_is_said_without_those_that_the_record_does_not_
         {**step, "decided_by": "coordinator", "path": ["coordinator"]},
         {**step, "decided_by": "robot/A1", "path": [AGENT, "robot/A1"]},
         {**step, "decided_by": "robot/A1"},
+        {**step, "decided_by": "robot/A1", "path": ["robot/A1", "robot/A1"]},  # asks itself: nobody else had a part
         step,
         admitted,
     )
@@ -303,3 +304,11 @@ def test_who_is_asked_and_is_of_no_fleet_is_not_said_to_act() -> None:
     assert answer("invariants/i1_local_agent_coherence", run(joined, asks), columns=("found",)) == [
         ("robot/X9 is named, and is neither a robot of the fleet nor one of its supervisors or services",)
     ]
+
+
+def test_an_executor_that_stands_twice_on_its_path_accepted_alone() -> None:
+    own = {"decided_by": "robot/B1", "requested_by": "robot/A1", "executed_by": "robot/B1", "action_id": "t/1"}
+    starts = event("ExecutionStarted", 2, **own, robot="robot/B1", on_behalf_of="robot/A1")
+    for path, found in ((["robot/B1", "robot/B1"], 0), (["robot/B1", "coordinator"], 1)):
+        rows = run(event("RequestAccepted", 1, **own, path=path), starts)
+        assert len(answer("invariants/i2_local_execution_ownership", rows, columns=("found",))) == found
