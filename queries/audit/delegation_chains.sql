@@ -33,7 +33,7 @@ chains AS (
 ),
 
 judged AS (
-    FROM evaluations
+    SELECT * FROM evaluations
     QUALIFY row_number() OVER (PARTITION BY run_id, asked_seq ORDER BY seq DESC) = 1
 ),
 
