@@ -263,16 +263,19 @@ def fails(swap: Swap) -> bool:
 
 
 def _tests_of(file: Path) -> list[str]:
-    """The files of tests that import this module, or are named after it or its package, in its room of the tests."""
-    root = PACKAGE.parent
-    module = _module(file)
+    """The files of tests that import this module, or are named after it or its package: those in its room of the tests,
+    or in every room if its own has none."""
+    root = PACKAGE.parent / "tests"
+    package, _, module = _module(file).rpartition(".")
     names = f"test_{file.stem}", f"test_{file.parent.name}"
-    tests = sorted((root / "tests" / file.relative_to(PACKAGE).parts[0]).rglob("test_*.py"))
-    return [
-        str(one.relative_to(root))
-        for one in tests
-        if one.stem.startswith(names) or f"from {module} import" in one.read_text()
-    ]
+    imports = re.compile(rf"^from {package}(\.{module} import| import .*\b{module}\b)", re.M)
+
+    def among(room: Path) -> list[str]:
+        tests = sorted(room.rglob("test_*.py"))
+        found = [one for one in tests if one.stem.startswith(names) or imports.search(one.read_text())]
+        return [str(one.relative_to(PACKAGE.parent)) for one in found]
+
+    return among(root / file.relative_to(PACKAGE).parts[0]) or among(root)
 
 
 if __name__ == "__main__":
