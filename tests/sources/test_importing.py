@@ -54,6 +54,14 @@ def test_the_same_input_is_refused_and_nothing_is_added(tmp_path: Path) -> None:
     assert rows(ledger) == before
 
 
+def test_a_run_says_which_adapter_read_what_and_how_much_of_it_until_when(tmp_path: Path) -> None:
+    imported(tmp_path / "ledger", filed(tmp_path, vda.long_night(2)))
+    started, begun, *_, closed = rows(tmp_path / "ledger")
+    assert started["source"] == "vda5050"
+    assert [begun[name] for name in ("source", "format", "adapter")] == ["vda5050", "vda5050/2.1.0", "vda5050/1"]
+    assert (closed["until_us"], closed["record_count"]) == (16_000_000, 16)
+
+
 def test_a_file_that_is_on_file_under_another_name_is_said_to_be(call: Call, tmp_path: Path) -> None:
     out = str(tmp_path / "out")
 

@@ -14,6 +14,7 @@ from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.events.request import RequestAccepted
 from fsar_ledger.events.source import Observed
 from fsar_ledger.sources.names import NamedPerson, PrivateNames, committed
+from fsar_ledger.sources.recorder import FORMAT, WITH_COMMITMENTS, Recorder
 from tests.recycled import asked
 
 ANN = "supervisor/ann"
@@ -38,6 +39,12 @@ def test_a_run_with_commitments_goes_on_only_with_the_table_of_names(tmp_path: P
         record(tmp_path / "out", fleet=[joined(ANN)], run="n", private_names=tmp_path / "names").close()
     with pytest.raises(UsageError, match="commitments in place of the names of people, expected their table"):
         record(tmp_path / "out", run="n")
+
+
+def test_a_run_says_who_recorded_it_in_which_format_and_that_people_are_commitments(tmp_path: Path) -> None:
+    Recorder(tmp_path / "out", run="n", source="plc", names=PrivateNames(tmp_path / "names")).close()
+    [opened] = asked(tmp_path / "out", "SELECT source, format, adapter FROM source_opened")
+    assert opened == {"source": "plc", "format": FORMAT, "adapter": WITH_COMMITMENTS}
 
 
 def test_a_person_that_is_observed_is_hidden_and_other_objects_are_not(tmp_path: Path) -> None:

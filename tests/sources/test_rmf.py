@@ -17,9 +17,11 @@ from fsar_ledger.api.ledger import Ledger
 from fsar_ledger.base.errors import UsageError
 from fsar_ledger.cli.app import run
 from fsar_ledger.events import Event
+from fsar_ledger.events.envelope import Robot
 from fsar_ledger.sources.adapter import UNREADABLE, Input, Record
 from fsar_ledger.sources.importing import Imported, import_files
 from fsar_ledger.sources.rmf import SEARCHED, Rmf
+from tests import past
 
 from .rmf_messages import FLEET, Line, booking, dispatched, fleet, honest_day, log, millis, phases, state
 from .vda import written
@@ -101,6 +103,11 @@ def test_a_start_between_two_states_is_told_by_the_end() -> None:
         "ExecutionFinished",
         "TaskCompleted",
     ]
+
+
+def test_the_robot_of_a_task_executes_it_and_nobody_is_said_to_have_asked_or_to_supervise() -> None:
+    executed = derived([state(9, "t", "completed", robot="r1")])[1:3]
+    assert [event.principals for event in executed] == [past.parties(executed_by=Robot(f"robot/{FLEET}.r1"))] * 2  # type: ignore[attr-defined]
 
 
 def test_a_task_that_was_cancelled_before_it_began_was_never_executed() -> None:

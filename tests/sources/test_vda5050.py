@@ -70,7 +70,7 @@ def test_a_recording_that_begins_in_the_midst_of_an_order_accuses_nobody(call: C
     assert [name for name, row in audited(call, tmp_path / "ledger").items() if row["holds"] is False] == []
 
 
-def test_each_step_of_an_order_is_told_once(tmp_path: Path) -> None:
+def test_each_step_of_an_order_is_told_once_and_an_action_is_executed_by_its_vehicle(tmp_path: Path) -> None:
     assert derived(tmp_path, list(vda.honest_night(["0001"]))) == [
         "TaskArrived",
         "RequestIssued",
@@ -81,6 +81,8 @@ def test_each_step_of_an_order_is_told_once(tmp_path: Path) -> None:
         "ExecutionFinished",
         "TaskCompleted",
     ]
+    done = [row for row in rows(tmp_path / "ledger") if row["type"].startswith(("ExecutionSt", "ExecutionFi"))]
+    assert [(row["executed_by"], row.get("requested_by")) for row in done] == [("robot/KIT.0001", None)] * 2
 
 
 def test_every_derived_event_is_caused_by_its_message(tmp_path: Path) -> None:
