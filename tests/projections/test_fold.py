@@ -11,8 +11,8 @@ from fsar_ledger.designs.constants import Constants, Membership, Outages
 from fsar_ledger.designs.registered import PAPER_WORKFLOWS
 from fsar_ledger.events import EVENT_TYPES, Event
 from fsar_ledger.events.configuration import CONFIGURATIONS, PAPER_ARCHITECTURES
-from fsar_ledger.events.envelope import Robot, Subject
-from fsar_ledger.events.execution import ExecutionFinished, ExecutionQueued, ExecutionWithdrawn
+from fsar_ledger.events.envelope import FLEET_SUPERVISOR, Robot, Subject, Supervisor
+from fsar_ledger.events.execution import ExecutionFinished, ExecutionQueued, ExecutionStarted, ExecutionWithdrawn
 from fsar_ledger.events.world import PolicyWindowClosed, PolicyWindowOpened
 from fsar_ledger.projections import execution, world
 from fsar_ledger.projections.fold import ROUTES, State, apply, fold
@@ -24,7 +24,7 @@ from tests.foreign.histories import foreign_run
 from tests.runtime.commanded import commanded
 from tests.runtime.histories import happen
 
-A = Robot("robot/A1")
+A, B = Robot("robot/A1"), Robot("robot/B1")
 
 RECORDS_ONLY = {
     "ExperimentPlanned",  # of no run
@@ -185,6 +185,31 @@ def test_a_robot_serves_one_at_a_time_in_order_of_arrival(moves: list[int]) -> N
             state = execution.evolve(state, ExecutionWithdrawn(Subject(model[-1], model[-1]), A))
             model.pop()
         assert [*([state.current[A]] if model else []), *state.queues.get(A, ())] == model
+
+
+@pytest.mark.parametrize(
+    ("on_behalf_of", "supervisor", "stands"),
+    [(A, None, (B, A, True, False, False)), (None, FLEET_SUPERVISOR, (B, B, False, False, True))],
+)
+def test_an_execution_that_was_not_queued_is_what_its_start_says_of_it(
+    on_behalf_of: Robot | None, supervisor: Supervisor | None, stands: tuple[Robot, Robot, bool, bool, bool]
+) -> None:
+    started = ExecutionStarted(
+        subject=Subject("t", "t/1"),
+        principals=past.parties(supervised_by=supervisor),
+        robot=B,
+        on_behalf_of=on_behalf_of,
+        capability="lift",
+    )
+    one = execution.evolve(execution.INITIAL, started).actions["t/1"]
+    assert (one.robot, one.on_behalf_of, one.is_delegated, one.has_approach, one.is_supervised) == stands
+
+
+def test_an_action_that_starts_at_another_robot_keeps_its_step_and_attempt() -> None:
+    first = past.queued(Subject("t", "t/2.1"), A, A, "lift", step=2)
+    state = execution.evolve(execution.INITIAL, first)
+    moved = execution.evolve(state, past.started(first.subject, B, A, "lift", 9)).actions["t/2.1"]
+    assert (moved.robot, moved.step, moved.attempt) == (B, 2, 1)
 
 
 def test_events_are_immutable_to_the_leaves() -> None:
