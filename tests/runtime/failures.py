@@ -37,7 +37,7 @@ def executing(
     )
 
 
-def failed(state: State, level: RecoveryLevel = "local", cause: str = "obstruction") -> State:
+def failed(state: State, level: RecoveryLevel = "local", cause: str = "obstruction", failure: int = 1) -> State:
     """The execution has failed at 2 s, and its recovery has come to this level."""
     action = state.execution.actions[ACTION]
     apply(
@@ -45,7 +45,7 @@ def failed(state: State, level: RecoveryLevel = "local", cause: str = "obstructi
         ExecutionFailed(
             subject=Subject("A1-1", ACTION),
             robot=action.robot,
-            failure=1,
+            failure=failure,
             cause=cause,
             remaining_us=1_000_000,
             detected_us=2_000_000,

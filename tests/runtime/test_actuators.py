@@ -29,24 +29,24 @@ def test_an_actuator_holds_as_far_as_it_is_sound(grade: Grade | None, drawn: int
 
 
 def test_a_slipping_grip_achieves_part_of_its_contract_which_is_rolled_back_and_is_lost_after_it() -> None:
-    state = failed(executing(D, "grasp.robust", ActuatorDegraded(D, "slipping")), cause="degradation")
+    state = failed(executing(D, "grasp.robust", ActuatorDegraded(D, "slipping")), cause="degradation", failure=2)
     taken(state, decided(state, StartRecovery(ACTION, now_us=2_000_001)))
     [first] = taken(state, decided(state, EndAttempt(ACTION, 1, now_us=4_000_000, answer=1)))
     assert first == RecoveryAttemptFailed(
-        subject=Subject("A1-1", ACTION), robot=D, failure=1, number=1, result="partial", achieved=("load.gripped",)
+        subject=Subject("A1-1", ACTION), robot=D, failure=2, number=1, result="partial", achieved=("load.gripped",)
     )
     assert state.world.degraded == {D: "lost"}
     [back] = [one for react in FSAR.reacts[RecoveryAttemptFailed] for one in react(state, first, 4_000_000)]
-    assert back.command == RollBack(ACTION, 1, 1, ("load.gripped",))
+    assert back.command == RollBack(ACTION, 2, 1, ("load.gripped",))
     assert [wait.what for wait in back.waits] == ["retry"], "it takes time"
     undone, again = taken(state, decided(state, msgspec.structs.replace(back.command, now_us=5_500_000)))
     assert undone == AttemptRolledBack(
-        subject=Subject("A1-1", ACTION), robot=D, failure=1, number=1, undone=("load.gripped",)
+        subject=Subject("A1-1", ACTION), robot=D, failure=2, number=1, undone=("load.gripped",)
     )
     assert isinstance(again, RecoveryAttempted)
     second, _ = taken(state, decided(state, EndAttempt(ACTION, 2, now_us=6_000_000, answer=1)))
     assert second == RecoveryAttemptFailed(
-        subject=Subject("A1-1", ACTION), robot=D, failure=1, number=2, result="failure", achieved=()
+        subject=Subject("A1-1", ACTION), robot=D, failure=2, number=2, result="failure", achieved=()
     )
     apply(state, ActuatorServiced(D))
     assert state.world.degraded == {}

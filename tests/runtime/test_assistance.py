@@ -2,13 +2,21 @@
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import FailureCause, Robot, Subject, Supervisor
-from fsar_ledger.events.recovery import AssistanceAdmitted, AssistanceFailed, AssistanceRequested, RecoveryEscalated
+from fsar_ledger.events.recovery import (
+    AssistanceAdmitted,
+    AssistanceDeclined,
+    AssistanceFailed,
+    AssistanceRequested,
+    RecoveryEscalated,
+)
 from fsar_ledger.events.world import ActuatorDegraded, Grade, ObstructionAppeared, RobotWentOff
 from fsar_ledger.projections.fold import State, apply
 from fsar_ledger.runtime.architectures.cfc import process
 from fsar_ledger.runtime.architectures.cfc.coordinator import ProcessWork
+from fsar_ledger.runtime.architectures.cfc.execution import ReachHelper
 from fsar_ledger.runtime.architectures.fsar import FSAR
 from fsar_ledger.runtime.architectures.fsar.recovery import AskPeers, ask_peers
+from fsar_ledger.runtime.handlers.assistance import ordered
 from fsar_ledger.runtime.handlers.commands import EndAssistance, StopAssistance
 from tests import past
 from tests.runtime.failures import ACTION, A, B, D, executing, failed
@@ -132,6 +140,18 @@ def test_a_peer_that_does_not_answer_is_nobodys_help() -> None:
     assert silent == past.available(A, None, "offline", "no answer")
     assert isinstance(escalated, RecoveryEscalated)
     assert escalated.reason == "no trusted peer"
+
+
+def test_a_helper_that_is_ordered_while_it_has_work_declines_for_itself() -> None:
+    state = failed(executing(B, DOOR))
+    happen(
+        state,
+        *process(state, ProcessWork(ACTION, "no help")),
+        past.queued(Subject("A1-2", "A1-2/1.1"), A, A, "navigate.indoor"),
+    )
+    failure = state.execution.actions[ACTION], state.recovery[ACTION]
+    declined = only(AssistanceDeclined, ordered(state, ReachHelper(ACTION, A), failure, "fleet"))
+    assert (declined.robot, declined.helper) == (B, A)
 
 
 def test_the_coordinator_sends_the_next_helper_and_then_calls() -> None:

@@ -7,7 +7,7 @@ import msgspec
 from fsar_ledger.events.authority import AuthorityClaimed
 from fsar_ledger.events.envelope import COORDINATOR, FLEET_SUPERVISOR, Robot, Subject
 from fsar_ledger.events.knowledge import CopySynced, WorkQueued
-from fsar_ledger.events.recovery import RecoveryAttemptFailed
+from fsar_ledger.events.recovery import RecoveryAttempted, RecoveryAttemptFailed
 from fsar_ledger.events.request import CommandIssued, GapDetected, RequestDenied
 from fsar_ledger.events.world import ActuatorDegraded, ObstructionAppeared
 from fsar_ledger.projections.fold import State, apply
@@ -180,9 +180,11 @@ def test_a_failure_gets_one_ordered_retry() -> None:
     assert types(decided(state, ProcessWork(ACTION, "retry-failed"))) == ["AssistanceRequested"]
 
 
-def test_a_retry_that_failed_says_of_which_failure_it_was() -> None:
+def test_a_retry_says_of_which_failure_it_is_also_when_it_has_failed() -> None:
     state = failed()
     state.recovery = {ACTION: msgspec.structs.replace(state.recovery[ACTION], failure=2)}
+    attempt = only(RecoveryAttempted, decided(state, ProcessWork(ACTION, "failure", now_us=10_000_000)))
+    assert (attempt.failure, attempt.number) == (2, 1)
     report = only(RecoveryAttemptFailed, decided(state, EndAttempt(ACTION, 1)))
     assert (report.failure, report.number) == (2, 1)
 

@@ -134,6 +134,11 @@ def test_each_short_form_makes_facts(kind: str) -> None:
     assert parsed(list(map(str, found))) == found
 
 
+def test_an_encounter_is_of_the_robot_that_is_named_first_with_the_other() -> None:
+    in_full = 'add 20s {"type":"PeersMet","robot":"robot/A1","peer":"robot/B1"}'
+    assert parsed(["add encounter:A1/B1 20s"]) == parsed([in_full])
+
+
 def test_an_added_window_can_ask_for_review() -> None:
     opened, closed = (
         fact_of(one.event) for one in parsed(["add window:fleet/B1 1s for 2s review"]) if isinstance(one, Add)

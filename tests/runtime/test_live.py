@@ -13,8 +13,10 @@ from fsar_ledger.events import Event
 from fsar_ledger.events.command import CommandGiven, CommandRejected
 from fsar_ledger.events.envelope import FLEET_SUPERVISOR, Robot
 from fsar_ledger.events.execution import ExecutionFailed, ExecutionFinished, ExecutionHalted, ExecutionStarted
+from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.events.recovery import (
     AssistanceAdmitted,
+    AssistanceDeclined,
     AssistanceRequested,
     FailureResolved,
     RecoveryAttempted,
@@ -109,6 +111,11 @@ def relay() -> Play:
     return opening().does(done(B, OPENING), ReportStart(robot=A, action_id="t/3.1"), done(A, "t/3.1"))
 
 
+def test_a_live_run_is_on_record_as_one_of_fsar_with_every_mechanism() -> None:
+    [started] = Play().of(RunStarted)
+    assert (started.kind, started.architecture, started.configuration) == ("live", "fsar", "full")
+
+
 def failing() -> Play:
     """The door's first attempt to recover fails, and the second succeeds."""
     play = opening().does(ReportFailure(robot=B, action_id=OPENING, cause="hinge jammed"))
@@ -160,6 +167,7 @@ def test_a_robot_may_refuse_what_every_rule_allows() -> None:
     play = at_the_door().does(JudgeRequest(robot=B, action_id=OPENING, accepts=False))
     [denied] = play.of(RequestDenied)
     assert (denied.reason, denied.principals.decided_by) == ("declined", B)
+    assert (denied.principals.requested_by, denied.principals.executed_by) == (A, B)
 
 
 def test_a_robot_cannot_allow_what_a_rule_denies() -> None:
@@ -205,6 +213,7 @@ def test_a_peer_that_declines_or_does_not_answer_is_passed_over() -> None:
         helper = play.of(AssistanceRequested)[-1].helper
         if answers:
             play.does(JudgeAssistance(robot=helper, action_id=OPENING, accepts=False)).wait(1)
+            assert [(event.robot, event.helper) for event in play.of(AssistanceDeclined)] == [(B, helper)]
         else:
             play.wait(60)
             assert play.give(JudgeAssistance(robot=helper, action_id=OPENING, accepts=True)) is not None

@@ -16,7 +16,7 @@ from fsar_ledger.events.fleet import (
     RobotSuspected,
 )
 from fsar_ledger.events.recovery import AssistanceFailed, ReassignmentDecided, RecoveryEscalated
-from fsar_ledger.events.registry import RegistryQueried
+from fsar_ledger.events.registry import AvailabilityChanged, RegistryQueried
 from fsar_ledger.events.request import RequestClosed
 from fsar_ledger.events.supervision import SupervisorCalled
 from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
@@ -33,6 +33,7 @@ from fsar_ledger.runtime.architectures.fsar.reports import (
 from fsar_ledger.runtime.handlers.fleet import JoinFleet, LeaveFleet
 from fsar_ledger.runtime.handlers.public import PublicCommand
 from fsar_ledger.runtime.handlers.recovery import ReportFailure
+from fsar_ledger.runtime.handlers.registry import ReportAvailability
 from fsar_ledger.runtime.handlers.request import ReportResult, RequestCapability
 from fsar_ledger.runtime.handlers.supervision import RespondToCall
 from fsar_ledger.runtime.handlers.task import SubmitTask
@@ -64,6 +65,7 @@ def test_what_the_robot_executes_goes_outward_through_recovery_level_by_level() 
     assert (departed.reason, departed.fence, departed.decided_by) == ("announced", 1, B)
     [failed] = play.of(ExecutionFailed)
     assert (failed.cause, failed.subject.action_id) == (DEPARTED, OPENING)
+    assert (failed.failure, failed.remaining_us, failed.detected_us // S) == (1, None, 6)
     assert [event.to_level for event in play.of(RecoveryEscalated)] == ["peer", "fleet", "human"]
     assert [event.helper for event in play.of(ReassignmentDecided)] == [None]
     assert [event.supervisor for event in play.of(SupervisorCalled)] == [FLEET_SUPERVISOR]
@@ -78,6 +80,16 @@ def test_its_claims_are_released_its_entries_offline_and_it_has_nothing_in_hand(
     assert {event.dimension for event in play.of(AuthorityReleased)} == {"execution", "override"}
     assert availabilities(play, B) == {"offline"}
     assert B not in play.run.kernel.state.execution.current
+
+
+def test_an_entry_that_a_robot_reported_after_it_had_not_answered_is_offline_when_it_leaves() -> None:
+    play = at_the_door().wait(60)
+    assert availabilities(play, B) == {"offline"}
+    play.does(ReportAvailability(B, "door.open.basic", "ready", "restarted"))
+    assert availabilities(play, B) == {"offline", "ready"}
+    [gone] = play.does(leave(B)).of(AvailabilityChanged)[-1:]
+    assert (gone.capability, gone.reason) == ("door.open.basic", DEPARTED)
+    assert availabilities(play, B) == {"offline"}
 
 
 def test_a_human_who_settles_it_ends_the_request_as_a_departure_and_the_step_is_begun_again() -> None:

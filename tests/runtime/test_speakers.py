@@ -48,6 +48,7 @@ def test_the_word_of_another_is_rejected_on_record_and_replays(by: str) -> None:
     assert isinstance(given, CommandGiven)
     assert isinstance(rejected, CommandRejected)
     assert rejected.issued_by == given.issued_by == by
+    assert (rejected.command, rejected.subject) == ("ReportContext", by)
     assert replay_run(play.record) is None
 
 

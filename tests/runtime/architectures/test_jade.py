@@ -108,9 +108,9 @@ def test_a_subscriber_searches_once_and_is_told_of_changes() -> None:
 def test_a_dead_agent_is_deregistered_when_its_node_was_silent_for_the_dials_time_and_registers_again() -> None:
     for ends, begins in ((RobotWentOff, RobotCameBack), (LinkWentDown, LinkCameUp)):
         run = ran([(S, ends(B)), (30 * S, begins(B))], dead_after_us=4 * S)
-        found = [(time_us // S, event.availability) for time_us, event in of(run, AvailabilityChanged)]
-        assert found[0] == (5, "offline")
-        assert set(found[1:]) == {(31, "ready")}
+        found = [(time_us // S, event.availability, event.reason) for time_us, event in of(run, AvailabilityChanged)]
+        assert found[0] == (5, "offline", NO_ANSWER)
+        assert set(found[1:]) == {(31, "ready", "registered again")}
 
 
 def test_a_node_that_was_back_in_time_was_never_dead() -> None:
