@@ -57,7 +57,11 @@ def main(parts: list[str]) -> int:
     left = [swap for swap in left if not shows(swap, runs)]
     by_runs = len(mutants) - by_types - len(left)
     print(f"{by_runs} dead by a run that records something else ({time.monotonic() - began:.0f} s)", flush=True)
-    survivors = [swap for swap in left if not fails(swap)]
+    tests = sorted({test for swap in left for test in _tests_of(swap.file)})
+    if tests and fails(tests, None):
+        print("the tests fail even without a mutant")
+        return 1
+    survivors = [swap for swap in left if not fails(_tests_of(swap.file), swap)]
     names = {str(swap) for swap in survivors}
     for name in sorted(names):
         print(f"SURVIVED {name}\n    {EQUIVALENT.get(_placeless(name), 'no test fails')}")
@@ -242,9 +246,9 @@ def _functions(code: CodeType) -> dict[tuple[str, int], CodeType]:
 # --- by tests ---
 
 
-def fails(swap: Swap) -> bool:
-    """Tell whether a test that imports the handlers fails in a copy of the tree with this mutant in it."""
-    if not _tests_of(swap.file):
+def fails(tests: list[str], swap: Swap | None) -> bool:
+    """Tell whether one of these tests fails in a copy of the tree with this mutant in it; no tests do not."""
+    if not tests:
         return False
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder)
@@ -254,11 +258,13 @@ def fails(swap: Swap) -> bool:
                 shutil.copytree(whole, root / name, ignore=shutil.ignore_patterns("__pycache__", "ledgers"))
             else:
                 shutil.copy(whole, root)
-        tree = swapped(ast.parse(swap.file.read_text()), swap)
-        _copy_of(root, swap.file).write_text(ast.unparse(tree))
+        if swap is not None:
+            tree = swapped(ast.parse(swap.file.read_text()), swap)
+            _copy_of(root, swap.file).write_text(ast.unparse(tree))
         pytest = [sys.executable, "-m", "pytest", "-q", "-x", "-m", "not soak", "-p", "no:cacheprovider"]
-        command = [*pytest, *_tests_of(swap.file)]
-        done = subprocess.run(command, cwd=root, env={**os.environ, "PYTHONPATH": str(root)}, capture_output=True)
+        done = subprocess.run(
+            [*pytest, *tests], cwd=root, env={**os.environ, "PYTHONPATH": str(root)}, capture_output=True
+        )
         return done.returncode != 0
 
 
