@@ -7,11 +7,16 @@
 -- Example: fsar-ledger query facts/known_policy LEDGER
 -- Stored: I3 and A3 both read it
 WITH said AS (
-    SELECT run_id, seq, action_id, type, outcome
+    -- A refusal is that of its robot; one that names no robot is that of all.
+    SELECT
+        run_id, seq, action_id, type, outcome,
+        CASE type WHEN 'RequestDenied.v1' THEN coalesce(
+            executed_by, 'robot/' || nullif(regexp_extract(decided_by, '^(?:robot|agent)/([^/]+)', 1), '')
+        ) END AS refused_by
     FROM request_events
     WHERE type IN ('RequestAdmitted.v1', 'RequestDenied.v1')
     UNION ALL
-    SELECT run_id, seq, action_id, 'approved' AS type, NULL AS outcome
+    SELECT run_id, seq, action_id, 'approved' AS type, NULL AS outcome, NULL AS refused_by
     FROM supervisor_responded
     WHERE purpose = 'review' AND coalesce(approves, TRUE)
 ),
@@ -23,7 +28,10 @@ starts AS (
         max(said.seq) FILTER (said.type = 'RequestAdmitted.v1' AND said.outcome <> 'deny') AS admitted_seq,
         max(said.seq) FILTER (said.type = 'RequestDenied.v1') AS denied_seq
     FROM execution_events AS done
-    LEFT JOIN said ON done.run_id = said.run_id AND done.action_id = said.action_id AND done.seq > said.seq
+    LEFT JOIN said
+        ON
+            done.run_id = said.run_id AND done.action_id = said.action_id AND done.seq > said.seq
+            AND done.robot = coalesce(said.refused_by, done.robot)
     WHERE done.type = 'ExecutionStarted.v1' OR (done.type = 'RoutinePerformed.v1' AND done.operation = 'motion')
     GROUP BY done.run_id, done.seq, done.time_us, done.type, done.task_id, done.action_id, done.robot, done.capability
 ),
@@ -45,12 +53,12 @@ outcomes AS (
     ASOF JOIN fleet_rule_learned AS rules
         ON starts.run_id = rules.run_id AND starts.robot = rules.robot AND starts.seq > rules.seq
     UNION ALL
-    -- The requester's own, and that of a relay, as the request carried it.
-    SELECT starts.run_id, starts.seq, requests.seq AS known_seq, requests.carried_policy AS outcome
+    SELECT starts.run_id, starts.seq, carried.seq AS known_seq, carried.outcome -- the requester's, and that of a relay
     FROM starts
-    INNER JOIN request_events AS requests
-        ON starts.run_id = requests.run_id AND starts.action_id = requests.action_id AND starts.seq > requests.seq
-    WHERE requests.carried_policy IS NOT NULL
+    INNER JOIN policies_carried AS carried
+        ON
+            starts.run_id = carried.run_id AND starts.action_id = carried.action_id
+            AND starts.seq BETWEEN carried.seq + 1 AND coalesce(carried.replaced_seq, starts.seq)
 )
 
 SELECT

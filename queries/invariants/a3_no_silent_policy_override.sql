@@ -1,7 +1,7 @@
 -- Title: A3 broken: a known conflict of policies is passed over instead of escalated
 -- Paper: sec:architecture:invariants (A3), eq:policy
 -- Grain: one row per start under a known deny or unapproved review, or after a refusal or hold that still stands; per
---   admission milder than what the request carried; and per stop against a mandate that was not escalated
+--   admission milder than what the last request carried; and per stop against a mandate that was not escalated
 -- Key: run_id, seq
 -- Units: time_us microseconds of run time
 -- NULL: action_id for a motion
@@ -20,22 +20,20 @@ WITH holds AS (
     GROUP BY begun.run_id, begun.seq
 ),
 
-said AS (
-    SELECT run_id, seq, action_id, carried_policy, FALSE AS is_approved
-    FROM request_events
-    WHERE carried_policy IS NOT NULL
-    UNION ALL
-    SELECT run_id, seq, action_id, NULL AS carried_policy, TRUE AS is_approved
-    FROM supervisor_responded
-    WHERE purpose = 'review' AND coalesce(approves, TRUE)
-),
-
 admissions AS (
     SELECT
-        admitted.run_id, admitted.seq, bool_or(said.is_approved) AS is_approved,
-        max(CASE said.carried_policy WHEN 'deny' THEN 2 WHEN 'review' THEN 1 ELSE 0 END) AS carried
+        admitted.run_id, admitted.seq,
+        count(approvals.seq) > 0 AS is_approved,
+        max(CASE told.outcome WHEN 'deny' THEN 2 WHEN 'review' THEN 1 ELSE 0 END) AS carried
     FROM request_admitted AS admitted
-    INNER JOIN said ON admitted.run_id = said.run_id AND admitted.action_id = said.action_id AND admitted.seq > said.seq
+    INNER JOIN policies_carried AS told
+        ON
+            admitted.run_id = told.run_id AND admitted.action_id = told.action_id
+            AND admitted.seq BETWEEN told.seq + 1 AND coalesce(told.replaced_seq, admitted.seq)
+    LEFT JOIN hold_ends AS approvals -- only these are about an action
+        ON
+            admitted.run_id = approvals.run_id AND admitted.action_id = approvals.action_id
+            AND admitted.seq > approvals.seq
     GROUP BY admitted.run_id, admitted.seq
 ),
 
@@ -62,7 +60,7 @@ findings AS (
     LEFT JOIN admissions ON admitted.run_id = admissions.run_id AND admitted.seq = admissions.seq
     WHERE
         admitted.outcome = 'deny' OR admissions.carried = 2
-        OR (admissions.carried = 1 AND admitted.outcome = 'allow' AND NOT coalesce(admissions.is_approved, FALSE))
+        OR (admissions.carried = 1 AND admitted.outcome = 'allow' AND NOT admissions.is_approved)
     UNION ALL
     SELECT
         run_id, seq,

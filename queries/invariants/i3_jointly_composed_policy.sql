@@ -1,12 +1,13 @@
 -- Title: I3 broken: an execution or motion starts although the composed policy known then denies it
 -- Paper: sec:model:invariants (I3), eq:policy
--- Grain: one row per start under a known deny, or after a refusal that no later admission or approval lifted
+-- Grain: one row per start under a known deny, or after a refusal, the robot's own or one that names no robot, that no
+--   later admission or approval lifted
 -- Key: run_id, seq
 -- Units: time_us microseconds of run time
 -- NULL: action_id for a motion
 -- Example: fsar-ledger query invariants/i3_jointly_composed_policy LEDGER
--- Known are the executor's own policy, the fleet's rule as it was last told, and what the request carried. Windows of
--- which no message had arrived are for the metric of policy violations.
+-- Known are the executor's own policy, the fleet's rule as it was last told, and what the last request carried. Windows
+-- of which no message had arrived are for the metric of policy violations.
 SELECT
     run_id, seq, time_us, type, action_id,
     robot || CASE

@@ -146,8 +146,11 @@ def test_a_disapproval_is_no_approval(approves: bool | None, count: int) -> None
     assert len(asked("unapproved_executions", "action_id", *history)) == count
 
 
+ASKED = act("RequestIssued", 3, "t1/1", capability=DOOR, carried_policy="allow")
+REFUSED = act("RequestDenied", 6, "t1/1", executed_by="robot/B1", decided_by="robot/B1", reason="policy")
 FLEETS, LIFTED = rule(1, scope="fleet"), rule(3, "allow", scope="fleet")
 CARRIED = act("RequestIssued", 1, "t1/1", carried_policy="deny")
+OTHER = {"executed_by": None, "decided_by": "agent/B2/planning"}
 HELD = event("ExecutionHeld", 2, robot="robot/B1", action_id="t1/1", outcome="deny")
 BROKEN: dict[str, tuple[tuple[str, tuple[Row, ...], list[int]], ...]] = {
     "a start under the robot's own rule is known to be denied": (
@@ -182,6 +185,26 @@ BROKEN: dict[str, tuple[tuple[str, tuple[Row, ...], list[int]], ...]] = {
         ("a3", (HELD, rule(3, "allow", robot="robot/A1"), started(4)), [4]),
         ("a3", (HELD, reviewed(3, False), started(4)), [4]),  # a disapproval ends no hold
     ),
+    "a refusal is that of its robot": tuple(
+        (name, events, times)
+        for name in ("i3", "a3")
+        for events, times in (
+            ((ASKED, admitted(4), REFUSED, started(9)), [9]),
+            ((ASKED, admitted(4), {**REFUSED, **OTHER}, started(9)), []),
+            ((ASKED, admitted(4), {**REFUSED, "executed_by": None, "decided_by": H_F}, started(9)), [9]),
+            ((ASKED, REFUSED, admitted(7), started(9)), []),
+        )
+    ),
+    "what the last request carried is known, and what was relayed of it": tuple(
+        (name, events, times)
+        for name in ("i3", "a3")
+        for events, times in (
+            ((CARRIED, ASKED, admitted(4), started(5)), []),
+            (({**CARRIED, "type": "RequestRelayed.v1"}, ASKED, admitted(4), started(5)), []),
+            ((ASKED, {**CARRIED, "time_us": 3}, started(5)), [5]),
+            ((ASKED, {**CARRIED, "time_us": 3, "type": "RequestRelayed.v1"}, started(5)), [5]),
+        )
+    ),
 }
 
 
@@ -191,8 +214,6 @@ def test_what_is_known_of_rules_is_heeded(name: str) -> None:
         assert broken(invariant, *events) == times
 
 
-ASKED = act("RequestIssued", 3, "t1/1", capability=DOOR, carried_policy="allow")
-REFUSED = act("RequestDenied", 6, "t1/1", executed_by="robot/B1", decided_by="robot/B1", reason="policy")
 ESCALATED = act(
     "PolicyConflictEscalated", 6, "t1/1", decided_by=POLICY, requested_by="robot/A1", executed_by="robot/B1"
 )
