@@ -20,6 +20,11 @@ WITH finished AS (
         ON done.run_id = starts.run_id AND done.action_id = starts.action_id AND done.seq > starts.seq
 ),
 
+steps AS (
+    SELECT DISTINCT run_id, action_id
+    FROM step_began
+),
+
 progress AS (
     SELECT run_id, seq, task_id, type = 'TaskAbandoned.v1' AS is_given_up
     FROM task_events
@@ -34,10 +39,11 @@ ends AS (
         CASE WHEN steps.run_id IS NOT NULL THEN later.seq END AS next_seq,
         CASE WHEN steps.run_id IS NOT NULL THEN later.is_given_up END AS is_given_up
     FROM finished
-    LEFT JOIN step_began AS steps ON finished.run_id = steps.run_id AND finished.action_id = steps.action_id
+    LEFT JOIN steps ON finished.run_id = steps.run_id AND finished.action_id = steps.action_id
     ASOF LEFT JOIN progress AS later
         ON finished.run_id = later.run_id AND finished.task_id = later.task_id AND finished.seq < later.seq
-    WHERE finished.robot IS DISTINCT FROM finished.on_behalf_of OR finished.robot IS DISTINCT FROM finished.began_by
+    -- For whom the robot began it may be unknown.
+    WHERE finished.robot <> finished.on_behalf_of OR finished.robot IS DISTINCT FROM finished.began_by
 )
 
 SELECT

@@ -65,7 +65,7 @@ SELECT
     robot || ' for ' || coalesce(on_behalf_of, 'nobody') || ': ' || lacks AS found
 FROM judged
 WHERE lacks <> ''
-UNION ALL
+UNION DISTINCT -- absences overlap where a supervisor is recorded as leaving twice
 SELECT
     admitted.run_id, admitted.seq, admitted.time_us, 'AssistanceAdmitted.v1' AS type, admitted.action_id,
     admitted.helper || ' helps ' || admitted.robot || ': a principal is missing' AS found

@@ -37,7 +37,7 @@ from tests.queries.defects import (
     where,
     without,
 )
-from tests.queries.histories import answer, event, run
+from tests.queries.histories import act, answer, event, run
 from tests.quick import few
 from tests.recycled import from_rows
 from tests.runtime.pinned import PINNED
@@ -237,6 +237,33 @@ def test_a5_holds_when_a_task_is_given_up_while_its_request_is_being_closed() ->
     assert offending("a5", rows) == set()
     rows[closed]["action_id"] = None
     assert offending("a5", rows) == {(rows[end]["run_id"], rows[end]["seq"])}
+
+
+def test_a5_finds_an_offence_once_however_often_a_step_began_or_its_supervisor_left() -> None:
+    door = event("RobotJoined", robot="robot/B1", role="B", supervisor="supervisor/B1")
+    parties = {"robot": "robot/B1", "on_behalf_of": "robot/A1", "requested_by": "robot/A1", "executed_by": "robot/B1"}
+    once = (
+        event("SupervisorLeft", 1, supervisor="supervisor/B1"),
+        act("StepBegan", 2, "t1/1", robot="robot/A1"),
+    )
+    ends = (act("ExecutionStarted", 3, "t1/1", **parties), act("ExecutionFinished", 4, "t1/1", **parties))
+    helps = act("AssistanceAdmitted", 5, "t1/1", helper="robot/B1", robot="robot/A1", failure=1)
+    found = answer("invariants/a5_audit_completeness", run(door, *once, *ends, helps), columns=("time_us", "found"))
+    assert [time_us for time_us, _ in found] == [3, 4, 5]
+    twice = run(door, *once, *once, *ends, helps)
+    assert answer("invariants/a5_audit_completeness", twice, columns=("time_us", "found")) == found
+    assert len(answer("facts/cross_robot_records", twice)) == len(ends)
+
+
+@pytest.mark.parametrize(("on_behalf_of", "offences"), [("robot/B1", 0), (None, 0), ("robot/A1", 2)])
+def test_a5_judges_no_end_of_an_execution_that_may_be_the_robots_own(on_behalf_of: str | None, offences: int) -> None:
+    parties = {"robot": "robot/B1", "requested_by": "robot/B1", "executed_by": "robot/B1", "supervised_by": "x"}
+    history = run(
+        act("StepBegan", 1, "t1/1", robot="robot/B1"),
+        act("ExecutionStarted", 2, "t1/1", **parties, on_behalf_of=on_behalf_of),
+        act("ExecutionFinished", 3, "t1/1", **parties),
+    )
+    assert len(answer("invariants/a5_audit_completeness", history)) == offences
 
 
 @pytest.mark.parametrize("is_broken", [False, True])
