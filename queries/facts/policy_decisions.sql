@@ -1,7 +1,7 @@
 -- Title: Decisions on delegated requests, and whose policy did not allow them at that moment
 -- Paper: eq:policy
--- Grain: one row per admission, command, refusal for policy and call for review of a step that one robot delegates to
---   another
+-- Grain: one row per admission, command, refusal for whatever reason and call for review of a step that one robot
+--   delegates to another
 -- Key: run_id, seq
 -- Units: time_us microseconds of run time
 -- NULL: is_against_* when the run does not observe policy, is_heeded when nothing shows it and the run does not
