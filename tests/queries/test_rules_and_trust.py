@@ -150,6 +150,10 @@ ASKED = act("RequestIssued", 3, "t1/1", capability=DOOR, carried_policy="allow")
 REFUSED = act("RequestDenied", 6, "t1/1", executed_by="robot/B1", decided_by="robot/B1", reason="policy")
 FLEETS, LIFTED = rule(1, scope="fleet"), rule(3, "allow", scope="fleet")
 CARRIED = act("RequestIssued", 1, "t1/1", carried_policy="deny")
+OPENED, SHUT = (
+    event(f"PolicyWindow{what}", 5, robot="robot/B1", scope="local", window="w1", outcome="deny")
+    for what in ("Opened", "Closed")
+)
 OTHER = {"executed_by": None, "decided_by": "agent/B2/planning"}
 HELD = event("ExecutionHeld", 2, robot="robot/B1", action_id="t1/1", outcome="deny")
 BROKEN: dict[str, tuple[tuple[str, tuple[Row, ...], list[int]], ...]] = {
@@ -184,6 +188,16 @@ BROKEN: dict[str, tuple[tuple[str, tuple[Row, ...], list[int]], ...]] = {
         ("a3", (HELD, rule(3, "allow", robot=None, scope="fleet"), started(4)), []),
         ("a3", (HELD, rule(3, "allow", robot="robot/A1"), started(4)), [4]),
         ("a3", (HELD, reviewed(3, False), started(4)), [4]),  # a disapproval ends no hold
+    ),
+    "a window of its own is known from its opening on, at one time in the order of the log": tuple(
+        (name, events, times)
+        for name in ("i3", "a3")
+        for events, times in (
+            ((OPENED, started(5)), [5]),
+            ((started(5), OPENED), []),
+            ((OPENED, started(5), SHUT), [5]),
+            ((OPENED, SHUT, started(5)), []),
+        )
     ),
     "a refusal is that of its robot": tuple(
         (name, events, times)

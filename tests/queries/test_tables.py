@@ -209,6 +209,8 @@ def test_policy_is_composed_when_executor_requester_and_fleet_are_each_heeded() 
         ((OWN, RULE, REVIEW), "1/1", "1/1"),
         ((RULE, REVIEW, APPROVED, admitted()), "not shown", "2/2"),
         ((RULE, REVIEW, {**APPROVED, "approves": False}, admitted()), "not shown", "1/2"),
+        ((RULE, REVIEW, APPROVED, {**APPROVED, "approves": False}, admitted()), "not shown", "1/2"),
+        ((RULE, REVIEW, {**APPROVED, "approves": None}, admitted()), "not shown", "2/2"),
         (({**OWN, "time_us": 2 * S + 1}, admitted()), "not shown", "not shown"),
         (
             (OWN, event("PolicyWindowClosed", 3 * S, robot=A, scope="local", window="w1"), admitted()),
