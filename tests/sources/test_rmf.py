@@ -251,7 +251,7 @@ def test_an_honest_day_offends_nobody_and_names_what_it_cannot_show(tmp_path: Pa
 def test_a_robot_outside_of_the_fleet_offends_i1(tmp_path: Path) -> None:
     imported(tmp_path, written([*honest_day(), state(200, "t", "underway", robot="r9")]), ROBOTS)
     [found] = offences(tmp_path, "i1_local_agent_coherence")
-    assert found.startswith(f"robot/{FLEET}.r9 acts")
+    assert found.startswith(f"robot/{FLEET}.r9 is named")
 
 
 def test_a_name_of_a_service_is_still_that_of_a_robot(tmp_path: Path) -> None:

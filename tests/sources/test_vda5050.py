@@ -55,7 +55,7 @@ def test_a_vehicle_that_is_not_of_the_fleet_breaks_i1(call: Call, tmp_path: Path
     call("import", tmp_path / "ledger", night, "--as", "vda5050", "--fleet", fleet).good()
     offence = audited(call, tmp_path / "ledger")["i1"]
     assert (offence["holds"], offence["first_type"]) == (False, "RequestIssued.v1")
-    assert offence["first_found"].startswith("robot/KIT.0002 acts")
+    assert offence["first_found"].startswith("robot/KIT.0002 is named")
 
 
 def test_without_a_fleet_nothing_is_said_of_who_belongs_to_it(call: Call, tmp_path: Path) -> None:
