@@ -42,7 +42,7 @@ help:
 	@echo "make test        run every check and the tests, 6 minutes; skips tests that need an extra, and says so"
 	@echo "make test-all    install the extras and run all tests but the soaks, 20 minutes; a skipped test is a failure"
 	@echo "make check       run the checks without the tests: style, types, imports, SQL"
-	@echo "make soak        run the long tests, over an hour: $(SOAKS)"
+	@echo "make soak        run the long tests, for hours: $(SOAKS)"
 	@echo "make soak-sensitivity   measure how much each number depends on each constant, most of an hour;"
 	@echo "                 resumes where it was interrupted"
 	@echo "make fleets      measure what coordination costs in fleets of 4 to 4,096 robots, into $$OUT/fleets.pdf;"
