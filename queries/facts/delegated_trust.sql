@@ -36,8 +36,11 @@ links AS (
             END
         ) AS link
     FROM delegated
-    LEFT JOIN request_relayed AS relayed
-        ON delegated.run_id = relayed.run_id AND delegated.action_id = relayed.action_id
+    -- The last relay by then: what was relayed before or later belongs to another request for the action.
+    ASOF LEFT JOIN request_relayed AS relayed
+        ON
+            delegated.run_id = relayed.run_id AND delegated.action_id = relayed.action_id
+            AND delegated.trusted_by_seq > relayed.seq
 ),
 
 scopes AS (

@@ -46,14 +46,6 @@ checks AS (
     GROUP BY subjects.run_id, subjects.seq
 ),
 
-reviews AS (
-    SELECT
-        run_id, seq, action_id,
-        coalesce(approves, TRUE) AS is_approved -- a response that does not say whether it approves does
-    FROM supervisor_responded
-    WHERE purpose = 'review'
-),
-
 judged AS (
     SELECT
         starts.run_id, starts.seq, starts.started_us, starts.action_id, starts.robot, starts.on_behalf_of,
@@ -62,14 +54,14 @@ judged AS (
             WHEN checks.run_id IS NOT NULL THEN 'review'
             WHEN list_contains(runs.observes, 'policy') THEN 'allow'
         END AS outcome,
-        coalesce(reviews.is_approved, if(list_contains(runs.observes, 'supervision'), FALSE, NULL)) AS is_approved,
+        coalesce(answers.is_approved, if(list_contains(runs.observes, 'supervision'), FALSE, NULL)) AS is_approved,
         if(list_contains(runs.observes, 'policy'), coalesce(checks.under_seqs, []), NULL) AS under_seqs
     FROM starts
     INNER JOIN runs ON starts.run_id = runs.run_id
     LEFT JOIN checks ON starts.run_id = checks.run_id AND starts.seq = checks.seq
     -- The last answer before the start: a refusal takes an approval back.
-    ASOF LEFT JOIN reviews
-        ON starts.run_id = reviews.run_id AND starts.action_id = reviews.action_id AND starts.seq > reviews.seq
+    ASOF LEFT JOIN review_answers AS answers
+        ON starts.run_id = answers.run_id AND starts.action_id = answers.action_id AND starts.seq > answers.seq
 )
 
 SELECT

@@ -15,16 +15,12 @@ WITH said AS (
         ) END AS refused_by
     FROM request_events
     WHERE type IN ('RequestAdmitted.v1', 'RequestDenied.v1')
-    UNION ALL
-    SELECT run_id, seq, action_id, 'approved' AS type, NULL AS outcome, NULL AS refused_by
-    FROM supervisor_responded
-    WHERE purpose = 'review' AND coalesce(approves, TRUE)
 ),
 
 starts AS (
     SELECT
         done.run_id, done.seq, done.time_us, done.type, done.task_id, done.action_id, done.robot, done.capability,
-        coalesce(max(said.seq) FILTER (said.type = 'approved'), -1) AS approved_seq,
+        if(any_value(answers.is_approved), any_value(answers.seq), -1) AS approved_seq,
         max(said.seq) FILTER (said.type = 'RequestAdmitted.v1' AND said.outcome <> 'deny') AS admitted_seq,
         max(said.seq) FILTER (said.type = 'RequestDenied.v1') AS denied_seq
     FROM execution_events AS done
@@ -32,6 +28,8 @@ starts AS (
         ON
             done.run_id = said.run_id AND done.action_id = said.action_id AND done.seq > said.seq
             AND done.robot = coalesce(said.refused_by, done.robot)
+    ASOF LEFT JOIN review_answers AS answers
+        ON done.run_id = answers.run_id AND done.action_id = answers.action_id AND done.seq > answers.seq
     WHERE done.type = 'ExecutionStarted.v1' OR (done.type = 'RoutinePerformed.v1' AND done.operation = 'motion')
     GROUP BY done.run_id, done.seq, done.time_us, done.type, done.task_id, done.action_id, done.robot, done.capability
 ),

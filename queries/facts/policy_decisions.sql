@@ -9,15 +9,7 @@
 --   is_heeded: it was refused, put to review, or approved in one
 -- Example: fsar-ledger query facts/policy_decisions LEDGER
 -- Stored: the evidence of governance reads it twice
-WITH reviews AS (
-    SELECT
-        run_id, seq, action_id,
-        coalesce(approves, TRUE) AS is_approved -- a response that does not say whether it approves does
-    FROM supervisor_responded
-    WHERE purpose = 'review'
-),
-
-judgements AS (
+WITH judgements AS (
     SELECT
         run_id, seq, time_us, task_id, action_id,
         type = 'RequestDenied.v1' AS is_refused,
@@ -33,13 +25,13 @@ judgements AS (
 decided AS (
     SELECT
         judgements.run_id, judgements.seq, judgements.time_us, judgements.task_id,
-        judgements.is_refused OR coalesce(reviews.is_approved, FALSE) AS is_heeded,
+        judgements.is_refused OR coalesce(answers.is_approved, FALSE) AS is_heeded,
         judgements.executor
     FROM judgements
-    ASOF LEFT JOIN reviews
+    ASOF LEFT JOIN review_answers AS answers
         ON
-            judgements.run_id = reviews.run_id AND judgements.action_id = reviews.action_id
-            AND judgements.seq > reviews.seq
+            judgements.run_id = answers.run_id AND judgements.action_id = answers.action_id
+            AND judgements.seq > answers.seq
 ),
 
 asked AS (

@@ -2,7 +2,7 @@
 -- Paper: eq:policy, app:foundations
 -- Grain: one row per PolicyRuleSet or RolePolicyRuleSet event and robot for which it comes into force; a rule for
 --   every robot, or for a role, has one row for each member of the fleet that it applies to, also for those that
---   joined later
+--   joined later; a robot with a rule of its own is a member although no record says that it joined
 -- Key: run_id, seq, robot
 -- Units: set_us, until_us microseconds of run time, half-open; seq, until_seq positions in the run
 -- NULL: role, domain for a rule about no role (an empty domain is the whole fleet); capability, context when the rule
@@ -23,12 +23,25 @@ WITH stated AS (
     FROM role_policy_rule_set
 ),
 
+members AS (
+    SELECT run_id, robot, role, domain
+    FROM fleet_members
+    UNION ALL
+    SELECT DISTINCT
+        ruled.run_id, ruled.robot,
+        NULL AS role,
+        NULL AS domain
+    FROM policy_rule_set AS ruled
+    ANTI JOIN fleet_members AS joined ON ruled.run_id = joined.run_id AND ruled.robot = joined.robot
+    WHERE ruled.robot IS NOT NULL
+),
+
 of_members AS (
     SELECT
         stated.run_id, stated.seq, stated.time_us, stated.scope, stated.capability, stated.context, stated.outcome,
         stated.decided_by, stated.role, stated.domain, stated.nearness, members.robot
     FROM stated
-    INNER JOIN fleet_members AS members
+    INNER JOIN members
         ON
             stated.run_id = members.run_id
             AND CASE

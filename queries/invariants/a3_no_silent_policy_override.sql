@@ -7,33 +7,36 @@
 -- NULL: action_id for a motion
 -- Example: fsar-ledger query invariants/a3_no_silent_policy_override LEDGER
 WITH holds AS (
-    SELECT begun.run_id, begun.seq, max(held.seq) AS held_seq, max(ends.seq) AS changed_seq
+    SELECT
+        begun.run_id, begun.seq,
+        max(held.seq) AS held_seq,
+        greatest(max(ends.seq), any_value(answers.seq) FILTER (answers.is_approved)) AS changed_seq
     FROM execution_started AS begun
     INNER JOIN execution_held AS held
         ON
             begun.run_id = held.run_id AND begun.action_id = held.action_id AND begun.robot = held.robot
             AND begun.seq > held.seq
     LEFT JOIN hold_ends AS ends
-        ON
-            begun.run_id = ends.run_id AND (begun.robot = ends.robot OR begun.action_id = ends.action_id)
-            AND begun.seq > ends.seq
+        ON begun.run_id = ends.run_id AND begun.robot = ends.robot AND begun.seq > ends.seq
+    ASOF LEFT JOIN review_answers AS answers
+        ON begun.run_id = answers.run_id AND begun.action_id = answers.action_id AND begun.seq > answers.seq
     GROUP BY begun.run_id, begun.seq
 ),
 
 admissions AS (
     SELECT
         admitted.run_id, admitted.seq,
-        count(approvals.seq) > 0 AS is_approved,
+        coalesce(any_value(answers.is_approved), FALSE) AS is_approved,
         max(CASE told.outcome WHEN 'deny' THEN 2 WHEN 'review' THEN 1 ELSE 0 END) AS carried
     FROM request_admitted AS admitted
     INNER JOIN policies_carried AS told
         ON
             admitted.run_id = told.run_id AND admitted.action_id = told.action_id
             AND admitted.seq BETWEEN told.seq + 1 AND coalesce(told.replaced_seq, admitted.seq)
-    LEFT JOIN hold_ends AS approvals -- only these are about an action
+    ASOF LEFT JOIN review_answers AS answers
         ON
-            admitted.run_id = approvals.run_id AND admitted.action_id = approvals.action_id
-            AND admitted.seq > approvals.seq
+            admitted.run_id = answers.run_id AND admitted.action_id = answers.action_id
+            AND admitted.seq > answers.seq
     GROUP BY admitted.run_id, admitted.seq
 ),
 

@@ -100,6 +100,18 @@ def test_rules_that_deny_or_ask_for_review_are_windows_and_those_that_allow_are_
     assert rows == [(5, 9, None, DOOR, None, "deny"), (6, None, None, None, "t1", "review")]
 
 
+@pytest.mark.parametrize("joined", [ROBOTS, ()], ids=["joined", "nobody saw them join"])
+def test_a_robots_own_rule_holds_for_it_whether_or_not_it_is_known_to_have_joined(joined: tuple[Row, ...]) -> None:
+    rules = (rule(1), rule(2, "review", robot=None, scope="fleet"))
+    history = run(*joined, *rules, started(3), rule(4, "allow"), started(5))
+    rows = answer("facts/governed_starts", history, columns=("outcome", "is_violation", "under_seqs"))
+    first = len(joined) + 1
+    assert rows == [("deny", True, [first, first + 1]), ("review", True, [first + 1])]
+    with from_rows(history) as database:
+        (i3,) = chosen(["i3"])
+        assert len(database.rows(f"SELECT seq FROM {i3.relation}")) == 1
+
+
 VIOLATIONS: dict[str, tuple[tuple[tuple[Row, ...], int], ...]] = {
     "from the setting of a rule that denies until its replacement, at one time in the order of the log": (
         ((started(5), rule(5)), 0),
@@ -142,7 +154,7 @@ def test_what_starts_under_a_rule_is_a_violation(name: str) -> None:
 def test_a_disapproval_is_no_approval(approves: bool | None, count: int) -> None:
     history = (rule(1, "review"), reviewed(2, approves), started(3))
     assert violations(*history) == len(broken("a3", *history)) == count
-    assert len(answer("facts/hold_ends", run(*history))) == 1 - count
+    assert answer("facts/review_answers", run(*history), columns=("is_approved",)) == [(count == 0,)]
     assert len(asked("unapproved_executions", "action_id", *history)) == count
 
 
@@ -188,6 +200,15 @@ BROKEN: dict[str, tuple[tuple[str, tuple[Row, ...], list[int]], ...]] = {
         ("a3", (HELD, rule(3, "allow", robot=None, scope="fleet"), started(4)), []),
         ("a3", (HELD, rule(3, "allow", robot="robot/A1"), started(4)), [4]),
         ("a3", (HELD, reviewed(3, False), started(4)), [4]),  # a disapproval ends no hold
+    ),
+    "of several answers to a review the last before the start counts": tuple(
+        ("a3", (*before, reviewed(3, first), reviewed(4, last), *then, started(6)), [] if last else times)
+        for first, last in ((True, False), (False, True))
+        for before, then, times in (
+            ((HELD,), (), [6]),
+            ((rule(1, "review"),), (), [6]),
+            (({**CARRIED, "carried_policy": "review"},), (admitted(5),), [5, 6]),
+        )
     ),
     "a window of its own is known from its opening on, at one time in the order of the log": tuple(
         (name, events, times)

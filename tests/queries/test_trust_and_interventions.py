@@ -186,6 +186,25 @@ def test_trust_counts_when_the_executor_admitted_the_request(admitted_by: str | 
 
 
 @pytest.mark.parametrize(
+    ("relays", "is_chained"),
+    [
+        ({}, False),
+        ({2: "robot/C1"}, True),
+        ({4: "robot/C1"}, False),
+        ({1: "robot/D1", 2: "robot/C1"}, True),
+        ({1: "robot/C1", 2: "robot/D1"}, False),
+    ],
+    ids=["none", "trusted", "too late", "the last one is trusted", "the last one is not trusted"],
+)
+def test_trust_reaches_through_the_last_relay_before_the_start(relays: dict[int, str], is_chained: bool) -> None:
+    links = ({**trust(0, "session"), "peer": "robot/C1"}, {**trust(0, "session"), "robot": "robot/C1"})
+    relayed = {time_us: act("RequestRelayed", time_us, "t1/1", decided_by=by) for time_us, by in relays.items()}
+    began = act("ExecutionStarted", 3, "t1/1", robot="robot/B1", on_behalf_of="robot/A1", capability=DOOR, ends_us=9)
+    events = [one for _, one in sorted({**relayed, 3: began}.items())]
+    assert answer("facts/delegated_trust", run(*links, *events), columns=("is_chained",)) == [(is_chained,)]
+
+
+@pytest.mark.parametrize(
     ("about", "is_against"),
     [
         ({}, True),
