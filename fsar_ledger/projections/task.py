@@ -1,7 +1,7 @@
 """Open tasks and how far they are. Paper: sec:evaluation:metrics (fleet tasks)."""
 
 from collections.abc import Container, Mapping
-from typing import Any, assert_never
+from typing import assert_never
 
 import msgspec
 from msgspec.structs import replace
@@ -91,15 +91,16 @@ def evolve(state: Tasks, event: HANDLES) -> Tasks:
 class RequestEnds(msgspec.Struct, frozen=True):
     """Which requests of another system's run are over although nobody closes them: with their task, or their result.
 
-    `over` are the actions of those whose task was abandoned, or was completed where the source does not record that
-    requests are closed. `asked`: by open task, the action of its last request, and the same of those before it. Runs of
-    our own close theirs.
+    Requests are numbered as they are issued. `numbers` has the last one for each action; `ended`, by task, how many
+    there were when the task was abandoned, or was completed where the source does not record that requests are closed.
+    Runs of our own close theirs.
     """
 
     is_foreign: bool = False
     tells_closings: bool = True
-    over: Mapping[str | None, bool] = {}
-    asked: Mapping[str | None, "tuple[str | None, Any] | None"] = {}
+    requests: int = 0
+    numbers: Mapping[str, int] = {}
+    ended: Mapping[str, int] = {}
 
     def after(self, event: Event) -> "RequestEnds":
         """Return what is over after this event. The first event of a run says what its source records."""
@@ -109,15 +110,10 @@ class RequestEnds(msgspec.Struct, frozen=True):
         if not self.is_foreign:
             return self
         if isinstance(event, RequestIssued):
-            task, action = event.subject.task_id, event.subject.action_id
-            asked = put(self.asked, task, (action, self.asked.get(task)))
-            return replace(self, over=without(self.over, action), asked=asked)
+            number = self.requests + 1
+            return replace(self, requests=number, numbers=put(self.numbers, event.subject.action_id, number))
         if isinstance(event, TaskAbandoned) or (isinstance(event, TaskCompleted) and not self.tells_closings):
-            over, before = self.over, self.asked.get(event.task_id)
-            while before is not None:
-                action, before = before
-                over = put(over, action, True)
-            return replace(self, over=over, asked=without(self.asked, event.task_id))
+            return replace(self, ended=put(self.ended, event.task_id, self.requests))
         return self
 
     def is_over(self, request: Request, in_hand: Container[str]) -> bool:
@@ -125,7 +121,8 @@ class RequestEnds(msgspec.Struct, frozen=True):
         if request.is_over or request.action_id in in_hand:
             return request.is_over
         has_result = self.is_foreign and not self.tells_closings and request.result is not None
-        return has_result or request.action_id in self.over
+        number = self.numbers.get(request.action_id)
+        return has_result or (number is not None and number <= self.ended.get(request.task_id, 0))
 
 
 # See docs/decisions/late-tasks-are-given-up.md.

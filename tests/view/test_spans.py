@@ -63,6 +63,17 @@ def test_at_every_event_of_another_systems_run_its_open_requests_hold(seed: int)
         assert held(found, seq) == {*still}, seq
 
 
+def test_a_request_is_over_with_its_task_until_it_is_issued_again() -> None:
+    issued, completed = past.issued("q", past.principals(A1, A1, B1), "lift"), TaskCompleted(task_id="t1")
+    state, ends = State(), RequestEnds().after(replace(FOREIGN, observes=("task",)))
+    found = []
+    for event in (issued, TaskCompleted(task_id="t2"), completed, issued, completed):
+        apply(state, event)
+        ends = ends.after(event)
+        found.append(ends.is_over(state.request.open["q"], ()))
+    assert found == [False, False, True, False, True]
+
+
 def test_what_is_over_is_not_looked_at_again_with_every_event(monkeypatch: pytest.MonkeyPatch) -> None:
     looks: list[str] = []
     is_over = RequestEnds.is_over
