@@ -68,8 +68,8 @@ def swapped(tree: ast.Module, swap: Swap) -> ast.Module:
     return tree
 
 
-def calls(tree: ast.Module) -> list[ast.Call]:
-    """Return every call of the module, in an order that unparsing does not change."""
+def calls(tree: ast.AST) -> list[ast.Call]:
+    """Return every call of the module, or of a part, in an order that unparsing does not change."""
     return [node for node in ast.walk(tree) if isinstance(node, ast.Call)]
 
 
@@ -99,6 +99,7 @@ def _slots(call: ast.Call) -> list[_Slot]:
 
 def _swaps_in(file: Path) -> Iterator[Swap]:
     tree = ast.parse(file.read_text())
+    within = {call: node.name for node in ast.walk(tree) if isinstance(node, ast.FunctionDef) for call in calls(node)}
     for number, call in enumerate(calls(tree)):
         name = call.func.id if isinstance(call.func, ast.Name) else ""
         if isinstance(call.func, ast.Attribute) and call.func.attr == "decided":
@@ -116,7 +117,7 @@ def _swaps_in(file: Path) -> Iterator[Swap]:
             alike = kinds == others or (kinds & PRINCIPALS and others & PRINCIPALS)
             if alike and ast.dump(slots[one].get()) != ast.dump(slots[other].get()):
                 pair = f"{name or 'decided'}: {fields[one][0]}, {fields[other][0]}"
-                yield Swap(file, number, one, other, call.lineno, pair)
+                yield Swap(file, number, one, other, call.lineno, f"{within.get(call, 'module')} {pair}")
 
 
 def _kinds(kind: Any) -> frozenset[Any]:

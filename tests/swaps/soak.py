@@ -33,13 +33,13 @@ LIMIT_S = 60
 EQUIVALENT: dict[str, str] = {
     **dict.fromkeys(
         (
-            "runtime/architectures/fsar/request.py RequestAdmitted: may_request, may_execute",
-            "runtime/architectures/fsar/request.py RequestAdmitted: may_request, is_audited",
-            "runtime/architectures/fsar/request.py RequestAdmitted: may_execute, is_audited",
+            "runtime/architectures/fsar/request.py _admitted RequestAdmitted: may_request, may_execute",
+            "runtime/architectures/fsar/request.py _admitted RequestAdmitted: may_request, is_audited",
+            "runtime/architectures/fsar/request.py _admitted RequestAdmitted: may_execute, is_audited",
         ),
         "what is admitted may be requested, may be executed and is audited: all three are true",
     ),
-    "runtime/architectures/fsar/helpers.py recorded_by: requested_by, executed_by": (
+    "runtime/architectures/fsar/helpers.py peer_query recorded_by: requested_by, executed_by": (
         "the robot that failed asks for help, and it is on record as the executor"
     ),
 }
