@@ -150,6 +150,12 @@ def test_a_third_step_is_refused(proof: Proof) -> None:
     assert "no third step" in judged(three)
 
 
+def test_a_proof_of_thousands_of_steps_is_refused_like_any_other(proof: Proof) -> None:
+    for text in ("c2sp.org/tlog-proof@v1\n\n" * 5_000, "\n".join([str(proof)] * 500)):
+        with pytest.raises(LedgerCorrupted, match=r"found more than two steps, .*no third step"):
+            parse_proof("it", text)
+
+
 def test_an_event_of_another_shard_does_not_lead_to_this_one(proof: Proof, site: Path) -> None:
     west = prove(open_for_answers(site / "west"), 3)
     assert "found step 1 in a tree of origin" in judged(msgspec.structs.replace(west, log=proof.log))

@@ -153,9 +153,20 @@ def parse_proof(where: str, text: str) -> Proof:
     Raises:
         LedgerCorrupted: It is not in the form of C2SP, or lacks the event.
     """
-    if (end := text.find(f"\n\n{TITLE}\n")) >= 0:
-        log = parse_proof(where, text[end + 2 :])
-        return msgspec.structs.replace(parse_proof(where, text[: end + 1]), log=log)
+    first, *others = text.split(f"\n\n{TITLE}\n")
+    if len(others) > 1:
+        raise LedgerCorrupted(
+            f"{where}: found more than two steps, expected one, or two for an event of a federation, no third step; "
+            "get it again"
+        )
+    if others:
+        log = _parse_step(where, f"{TITLE}\n{others[0]}")
+        return msgspec.structs.replace(_parse_step(where, f"{first}\n"), log=log)
+    return _parse_step(where, text)
+
+
+def _parse_step(where: str, text: str) -> Proof:
+    """Parse this text as a proof of one step. Raises: As `parse_proof`."""
     head, _, note = text.partition("\n\n")
     lines = head.split("\n")
     if len(lines) < 3 or not note:
