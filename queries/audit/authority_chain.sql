@@ -5,8 +5,9 @@
 --   concerned its request
 -- Key: run_id, action_id, seq
 -- Units: time_us microseconds of run time
--- NULL: a principal that the record does not name; the authority tuple and trust where it gives none; recovery is also
---   found where only its failed action ties it to the action
+-- NULL: a principal that the record does not name; the authority tuple and trust where it gives none; found, too, are
+--   recovery that only its failed action ties to the action, a denial that only its cause does, an own step that only
+--   what it caused does
 -- Example: fsar-ledger query audit/authority_chain LEDGER --param run=RUN --param action=B1-1/2.1
 --   answers asked robot/B1, admitted robot/C1 (session; may ask, may execute, none, audited), accepted, acted,
 --   finished, closed service/coordination
@@ -25,16 +26,12 @@ WITH deeds (type, deed) AS (
     ('RequestAccepted.v1', 'accepted'),
     ('SupervisorResponded.v1', 'supervised'),
     ('ExecutionPreempted.v1', 'interrupted'),
-    ('ExecutionStarted.v1', 'acted'),
-    ('ExecutionFinished.v1', 'finished'),
-    ('RecoveryAttempted.v1', 'recovered'),
-    ('RecoveryEscalated.v1', 'escalated'),
-    ('AssistanceRequested.v1', 'asked for help'),
-    ('AssistanceAdmitted.v1', 'agreed to help'),
+    ('ExecutionStarted.v1', 'acted'), ('ExecutionFinished.v1', 'finished'),
+    ('RecoveryAttempted.v1', 'recovered'), ('RecoveryEscalated.v1', 'escalated'),
+    ('AssistanceRequested.v1', 'asked for help'), ('AssistanceAdmitted.v1', 'agreed to help'),
     ('ReassignmentDecided.v1', 'reassigned'),
     ('RequestClosed.v1', 'closed'),
-    ('AuthorityGranted.v1', 'granted'),
-    ('AuthorityRevoked.v1', 'revoked')
+    ('AuthorityGranted.v1', 'granted'), ('AuthorityRevoked.v1', 'revoked')
 ),
 
 tuples AS (
@@ -58,11 +55,15 @@ concerned AS (
             AND coalesce(rights.context = evaluations.context, TRUE)
     WHERE rights.type IN ('AuthorityGranted.v1', 'AuthorityRevoked.v1')
     UNION ALL
-    SELECT
-        run_id, seq,
-        coalesce(action_id, failed_action) AS action_id
-    FROM event_principals
-    WHERE coalesce(action_id, failed_action) IS NOT NULL
+    SELECT run_id, seq, action_id FROM keyed_events
+    WHERE type <> 'RequestDenied.v1'
+    UNION ALL
+    SELECT run_id, seq, action_id FROM denied_actions
+    UNION ALL
+    SELECT DISTINCT decided.run_id, decided.seq, caused.action_id
+    FROM own_step_decided AS decided
+    INNER JOIN keyed_events AS caused ON decided.run_id = caused.run_id AND decided.seq = caused.caused_by
+    WHERE decided.action_id IS NULL
 )
 
 SELECT
@@ -74,4 +75,6 @@ FROM concerned
 INNER JOIN event_principals AS events ON concerned.run_id = events.run_id AND concerned.seq = events.seq
 INNER JOIN deeds ON events.type = deeds.type
 LEFT JOIN tuples ON events.run_id = tuples.run_id AND events.seq = tuples.seq
-WHERE $run IN ('all', events.run_id) AND $action IN ('all', concerned.action_id)
+WHERE
+    concerned.action_id IS NOT NULL
+    AND $run IN ('all', events.run_id) AND $action IN ('all', concerned.action_id)

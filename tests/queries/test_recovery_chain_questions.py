@@ -52,6 +52,23 @@ def test_the_authority_chain_names_each_part_in_order_and_no_other_action() -> N
     ]
 
 
+def test_the_authority_chain_has_what_only_its_cause_or_its_effect_ties_to_the_action() -> None:
+    events = (
+        event("GapDetected", 1, action_id="t1/1"),
+        event("RequestDenied", 2, decided_by="coordinator", reason="policy"),  # its cause names the action
+        event("OwnStepDecided", 3, decided_by="coordinator"),  # what it caused does
+        event("ExecutionStarted", 4, action_id="t1/1", executed_by="robot/B1"),
+        event("OutsiderRequestInjected", 5, task_id="t2", robot="robot/X1"),
+        event("RequestDenied", 6, task_id="t2", decided_by="robot/B1", reason="trust"),
+    )
+    assert asked("authority_chain", "time_us action_id deed principal", *events) == [
+        (2, "t1/1", "denied", "coordinator"),
+        (3, "t1/1", "decided", "coordinator"),
+        (4, "t1/1", "acted", "robot/B1"),
+        (6, "t2", "denied", "robot/B1"),
+    ]
+
+
 def test_the_owner_is_the_nearest_decision_on_the_way_back() -> None:
     events = (
         event("RequestIssued", 1, decided_by="robot/A1", path=["robot/A1"]),
