@@ -49,10 +49,10 @@ concerned AS (
     INNER JOIN evaluations
         ON
             rights.run_id = evaluations.run_id AND rights.seq < evaluations.seq
-            AND rights.requested_by = evaluations.requested_by
-            AND coalesce(rights.executed_by = evaluations.executed_by, TRUE)
-            AND coalesce(rights.capability = evaluations.capability, TRUE)
-            AND coalesce(rights.context = evaluations.context, TRUE)
+            AND rights.requested_by IN (evaluations.requested_by, evaluations.relay)
+            AND coalesce(rights.executed_by = evaluations.executed_by, rights.executed_by IS NULL)
+            AND coalesce(rights.capability = evaluations.capability, rights.capability IS NULL)
+            AND coalesce(rights.context = evaluations.context, rights.context IS NULL)
     WHERE rights.type IN ('AuthorityGranted.v1', 'AuthorityRevoked.v1')
     UNION ALL
     SELECT run_id, seq, action_id FROM keyed_events

@@ -192,6 +192,26 @@ def test_the_authority_chain_starts_with_the_rights_that_the_request_rested_on()
     ]
 
 
+def test_a_right_for_one_executor_or_capability_is_no_part_of_a_chain_whose_record_names_none() -> None:
+    rights = (
+        right(1, "Granted", "A1", "C1", override="none"),
+        right(2, "Granted", "A1", capability="grasp", override="none"),
+        right(3, "Granted", "A1", override="none"),
+    )
+    issued = event("RequestIssued", 4, action_id="q1", decided_by="robot/A1", requested_by="robot/A1")
+    admitted = event("RequestAdmitted", 5, action_id="q1", outcome="allow")
+    assert [at for (at,) in asked("authority_chain", "time_us", *rights, issued, admitted)] == [3, 4, 5]
+
+
+def test_the_authority_chain_has_the_right_of_the_relay_as_well() -> None:
+    of_relay, of_another = (
+        right(at, "Revoked", robot, reason="human override") for at, robot in ((1, "D1"), (2, "C1"))
+    )
+    through = request(4, "q1", "A1", "B1", relay="robot/D1"), judged(5, "q1", "Admitted", "B1", **ADMITTED)
+    told = asked("authority_chain", "time_us deed", of_relay, of_another, *through)
+    assert told == [(1, "revoked"), (4, "asked"), (5, "admitted")]
+
+
 CHAIN = (
     trust(1, "B1", "A1", "task"),
     trust(2, "C1", "B1", "session"),
