@@ -15,11 +15,10 @@ WITH told AS (
     UNION ALL
     SELECT run_id, seq, action_id FROM denied_actions
     UNION ALL
-    -- A decision on an own step that names no action is about the action of what it caused.
     SELECT DISTINCT decided.run_id, decided.seq, caused.action_id
     FROM own_step_decided AS decided
     INNER JOIN keyed_events AS caused ON decided.run_id = caused.run_id AND decided.seq = caused.caused_by
-    WHERE decided.action_id IS NULL
+    WHERE decided.action_id IS NULL -- it is about the action of what it caused
 ),
 
 records AS (
@@ -29,6 +28,7 @@ records AS (
         -- What a robot failed to do while it was alone is still to be done.
         events.type IN ('ExecutionFinished.v1', 'RequestClosed.v1')
         OR (events.type = 'IsolatedResultAccepted.v1' AND events.result = 'success') AS is_end,
+        events.type IN ('ExecutionStarted.v1', 'ExecutionFinished.v1') AS is_deed, -- a record may begin between them
         events.type IN ('RequestDenied.v1', 'RequestUnanswered.v1') AS is_refusal
     FROM told
     INNER JOIN events ON told.run_id = events.run_id AND told.seq = events.seq AND told.action_id IS NOT NULL
@@ -46,9 +46,9 @@ SELECT
         type IN ('RequestAdmitted.v1', 'CommandIssued.v1', 'OwnStepDecided.v1')
         OR (type = 'SupervisorResponded.v1' AND purpose = 'review' AND approves)
     ) AS allowed_by,
-    string_agg(DISTINCT executed_by, ' and ' ORDER BY executed_by) FILTER (type = 'ExecutionStarted.v1') AS executed_by,
+    string_agg(DISTINCT executed_by, ' and ' ORDER BY executed_by) FILTER (is_deed) AS executed_by,
     list(coalesce(if(type = 'SupervisorResponded.v1', decided_by, NULL), supervised_by) ORDER BY seq) FILTER (
-        type IN ('ExecutionStarted.v1', 'RequestDenied.v1', 'SupervisorResponded.v1')
+        is_deed OR type IN ('RequestDenied.v1', 'SupervisorResponded.v1')
     ) AS supervisors,
     nullif(
         count(*) FILTER (type = 'ExecutionFailed.v1'), if(any_value(list_contains(runs.observes, 'recovery')), NULL, 0)

@@ -220,6 +220,16 @@ def test_who_orders_an_own_step_allows_it_and_does_not_do_it_itself() -> None:
     assert asked("request_timeline", "sender receiver", for_nobody) == [("coordinator", None)]
 
 
+def test_who_finishes_has_executed_though_the_record_began_later_or_named_no_supervisor_before() -> None:
+    finished = event("ExecutionFinished", 5 * S, **{**about(), "executed_by": B, "supervised_by": "supervisor/B1"})
+    done = [(B, "supervisor/B1")]
+    assert asked("requests", "executed_by supervised_by", finished, action="t1/1.1") == done
+    off_shift = {**STARTED, "executed_by": B, "supervised_by": None}
+    assert asked("requests", "executed_by supervised_by", request(), off_shift, finished) == done
+    unnamed = {**finished, "executed_by": None, "supervised_by": None}
+    assert asked("requests", "executed_by supervised_by", unnamed, action="t1/1.1") == [(None, None)]
+
+
 def test_only_approval_allows_and_unknown_principals_stay_open() -> None:
     refusal = event("SupervisorResponded", 4 * S, **about(by="supervisor/fleet"), purpose="review", approves=False)
     assert asked("requests", "allowed_by supervised_by", request(), refusal) == [(None, "supervisor/fleet")]
