@@ -4,7 +4,7 @@
 -- Key: run_id, seq
 -- Units: time_us, decided_us microseconds of run time; decided_seq, decided_us of the bid for a call about a bid, else
 --   of the call
--- NULL: task_id, action_id, robot when no record names one; decided_by unless it is the coordinator
+-- NULL: task_id, action_id, robot when no record names one; decided_by unless the call names a robot
 -- Example: fsar-ledger query facts/review_calls LEDGER
 -- Stored: it orders the events of each task, and is read for several ends
 WITH bids AS (
@@ -19,10 +19,19 @@ asked AS (
     SELECT run_id, seq, action_id, executed_by
     FROM request_events
     WHERE type IN ('RequestIssued.v1', 'RequestRelayed.v1') AND executed_by IS NOT NULL
+),
+
+coordinated AS (
+    SELECT run_id FROM copy_synced
+    UNION
+    SELECT run_id
+    FROM request_events
+    WHERE decided_by = 'coordinator'
 )
 
--- Who calls is not recorded: the coordinator names the robot that it has picked, a bidder has said that its policy
--- wants a review, an executor was asked before, and otherwise the step is the robot's own.
+-- Who calls is not recorded: a coordinator names the robot that it has picked, and where none decides, the robot that
+-- holds an action names itself; a bidder has said that its policy wants a review, an executor was asked before, and
+-- otherwise the step is the robot's own.
 SELECT
     called.run_id, called.seq, called.time_us, called.task_id, called.action_id,
     CASE
@@ -31,7 +40,7 @@ SELECT
         WHEN asked.seq IS NOT NULL THEN 'review'
         ELSE 'own step'
     END AS reason,
-    if(called.robot IS NULL, NULL, 'coordinator') AS decided_by,
+    if(coordinated.run_id IS NULL, called.robot, if(called.robot IS NULL, NULL, 'coordinator')) AS decided_by,
     coalesce(called.robot, bids.robot, asked.executed_by, steps.robot) AS robot,
     if(called.robot IS NULL, coalesce(bids.seq, called.seq), called.seq) AS decided_seq,
     if(called.robot IS NULL, coalesce(bids.time_us, called.time_us), called.time_us) AS decided_us
@@ -42,4 +51,5 @@ ASOF LEFT JOIN asked
     ON called.run_id = asked.run_id AND called.action_id = asked.action_id AND called.seq > asked.seq
 ASOF LEFT JOIN step_began AS steps
     ON called.run_id = steps.run_id AND called.task_id = steps.task_id AND called.seq > steps.seq
+LEFT JOIN coordinated ON called.run_id = coordinated.run_id
 WHERE called.purpose = 'review'

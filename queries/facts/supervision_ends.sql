@@ -3,10 +3,10 @@
 -- Grain: one row per SupervisorCalled and SupervisorResponded event
 -- Key: run_id, seq
 -- Units: none
--- NULL: caller of an answer, and where no record names one: it is the coordinator for a review that names a robot, the
---   requester for one about a bid, for recovery the decider that was named last, else the executor named last or the
---   robot whose step it is; asker of a call, and of an answer whose records name nobody: it is the executor that the
---   answer names, or who called, else the requester, or the supervisor itself
+-- NULL: caller of an answer, and where no record names one: for a review that names a robot it is the coordinator, or
+--   that robot where none decides; the requester for one about a bid, for recovery the decider that was named last,
+--   else the executor named last or the robot whose step it is; asker of a call, and of an answer whose records name
+--   nobody: it is the executor that the answer names, or who called, else the requester, or the supervisor itself
 -- Example: fsar-ledger query facts/supervision_ends LEDGER
 WITH named AS (
     SELECT
@@ -32,7 +32,7 @@ ends AS (
         named.executed_by, named.supervised_by,
         CASE
             WHEN named.type <> 'SupervisorCalled.v1' THEN NULL
-            WHEN named.purpose = 'review' AND named.robot IS NOT NULL THEN 'coordinator'
+            WHEN named.purpose = 'review' AND named.robot IS NOT NULL THEN calls.decided_by
             WHEN named.purpose = 'recovery' THEN named.last_decider
             WHEN calls.reason = 'bid' THEN named.last_requester
             ELSE coalesce(named.last_executor, calls.robot)

@@ -266,3 +266,30 @@ def test_an_answer_without_a_call_goes_to_whom_the_record_names_or_is_a_deed(kno
     with from_rows(run(*ROBOTS, answer)) as made:
         (line,) = made.rows("SELECT receiver FROM messages")
     assert line["receiver"] == (names[known[-1]] if known else None)
+
+
+@pytest.mark.parametrize(("decider", "caller"), [("coordinator", "coordinator"), ("robot/A1", "robot/B1")])
+def test_only_where_a_coordinator_decides_is_it_said_to_call_for_the_review_of_a_robot(
+    decider: str, caller: str
+) -> None:
+    about = {"task_id": "t1", "action_id": "t1/1"}
+    asked = event("RequestIssued", 1 * S, capability=DOOR, executed_by="robot/B1", decided_by=decider, **about)
+    called = event("SupervisorCalled", 2 * S, supervisor=FLEET_SUPERVISOR, purpose="review", robot="robot/B1", **about)
+    with from_rows(run(*ROBOTS, asked, called)) as made:
+        assert made.rows("SELECT sender FROM messages WHERE type = 'SupervisorCalled.v1'") == [{"sender": caller}]
+
+
+def test_a_call_of_a_coordinator_is_its_own_in_every_run_that_has_one(database: Database) -> None:
+    callers = database.rows("""
+        SELECT DISTINCT runs.architecture, messages.sender = 'coordinator' AS is_coordinator
+        FROM messages
+        INNER JOIN runs ON messages.run_id = runs.run_id
+        INNER JOIN supervisor_called AS called ON messages.run_id = called.run_id AND messages.seq = called.seq
+        WHERE called.purpose = 'review'
+    """)
+    assert {row["architecture"]: row["is_coordinator"] for row in callers} == {
+        "cfc": True,
+        "fsar": False,
+        "dhma": False,
+    }
+    assert len(callers) == 3
