@@ -11,6 +11,7 @@ last one of the same vehicle; an action that began and ended between two states 
 | an error that names the order before that | `RequestDenied`, decided by the vehicle |
 | an action that runs, pauses, runs on, ends | `ExecutionStarted`, `Paused`, `Resumed`, `Finished` |
 | one that fails: for good, or until it is tried again | `ExecutionFailed`, and `Withdrawn` if it is for good |
+| one that had begun and fails as its order is cancelled | `ExecutionWithdrawn`: it was called off |
 | one that had begun and is listed no more, as after a restart | `ExecutionWithdrawn`: how it ended was not seen |
 | an order whose nodes, edges and actions are all done | `TaskCompleted` |
 | an order that was cancelled, or of which an action failed before it was over | `TaskAbandoned` |
@@ -280,9 +281,10 @@ def _changed(vehicle: Vehicle, robot: Robot, message: Mapping[str, Any]) -> Iter
         vehicle.cancels.setdefault(str(state.get("actionId")), vehicle.order if is_of_last else order)
     vehicle.order = order or vehicle.order
     yield from _vanished(vehicle, robot, order, message)
+    given_up = {vehicle.cancels[str(one.get("actionId"))] for one in cancels if one.get("actionStatus") != "FAILED"}
     for state in listed:
         if vehicle.statuses.get(str(state.get("actionId"))) != state.get("actionStatus"):
-            yield from _acted(vehicle, robot, order, state)
+            yield from _acted(vehicle, robot, order, state, order in given_up)
     yield from _cancelled(vehicle, cancels)
     is_cancelling = any(state.get("actionStatus") not in OVER for state in cancels)
     if is_there and not is_cancelling and order in vehicle.asked and order not in vehicle.ended:
@@ -348,8 +350,8 @@ def _refused(vehicle: Vehicle, robot: Robot, message: Mapping[str, Any]) -> Iter
             yield RequestDenied(_subject(order), _principals(robot, robot), f"{error.get('errorType')}")
 
 
-def _acted(vehicle: Vehicle, robot: Robot, order: str, state: Mapping[str, Any]) -> Iterator[Event]:
-    """Yield what has become of one action since the last state."""
+def _acted(vehicle: Vehicle, robot: Robot, order: str, state: Mapping[str, Any], is_cancelled: bool) -> Iterator[Event]:
+    """Yield what has become of one action since the last state. What a cancelled order still had has not failed."""
     action, status = str(state.get("actionId")), str(state.get("actionStatus"))
     before = vehicle.statuses.get(action)
     if before in OVER and status not in OVER and vehicle.orders.get(action) != order:
@@ -371,6 +373,9 @@ def _acted(vehicle: Vehicle, robot: Robot, order: str, state: Mapping[str, Any])
         yield ExecutionPaused(subject, robot)
     elif status == "FINISHED":
         yield ExecutionFinished(subject, parties, robot)
+    elif status == "FAILED" and is_cancelled and before != "RETRIABLE":
+        if before in ("RUNNING", "PAUSED"):
+            yield ExecutionWithdrawn(subject, robot)
     elif status in ("FAILED", "RETRIABLE"):
         if before != "RETRIABLE":
             vehicle.failures[action] = vehicle.failures.get(action, 0) + 1

@@ -21,11 +21,12 @@ from fsar_ledger.ledger.store.paths import MANIFEST
 from fsar_ledger.sources import importing
 from fsar_ledger.sources.adapter import Input, adapter_of
 from fsar_ledger.sources.importing import import_files
+from fsar_ledger.sources.vda5050 import Vda5050
 from tests.cli.conftest import Call
 from tests.running import ran
 from tests.sources import vda
-from tests.sources.importing import filed, imported, is_good, record_numbers, recorded
-from tests.sources.vda import message
+from tests.sources.importing import filed, imported, is_good, kinds, record_numbers, recorded
+from tests.sources.vda import message, order, state
 
 COMMAND = (sys.executable, "-m", "fsar_ledger")
 ONE = message(0, "0001", "connection", connectionState="ONLINE")
@@ -183,3 +184,17 @@ def test_an_import_that_is_killed_and_called_again_until_done_is_as_one_that_was
     assert record_numbers(tmp_path / "ledger") == list(range(1, 24_001))
     assert recorded(tmp_path / "ledger") == recorded(tmp_path / "once")
     assert is_good(tmp_path / "ledger")
+
+
+def test_a_run_that_an_older_adapter_began_goes_on_without_what_that_did_not_tell(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ledger = tmp_path / "ledger"
+    lines = [order(0, "0001", "a", "p"), state(1, "0001", "a", p="RUNNING")]
+    declares = Vda5050.declares
+    with monkeypatch.context() as older:
+        older.setattr(Vda5050, "declares", lambda self: [one for one in declares(self) if "Withdrawn" not in one])
+        imported(ledger, filed(tmp_path, lines))
+    imported(ledger, filed(tmp_path, [*lines, state(2, "0001", "a", p="FAILED")]))
+    assert kinds(ledger)[-1] == "ExecutionFailed"
+    assert is_good(ledger)

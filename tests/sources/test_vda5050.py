@@ -12,7 +12,6 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from fsar_ledger.api.ledger import Ledger
-from fsar_ledger.sources.vda5050 import Vda5050
 from tests.cli.conftest import Call
 from tests.sources import vda
 from tests.sources.importing import filed, imported, is_good, kinds, record_numbers, rows
@@ -123,16 +122,16 @@ def test_a_vehicle_does_nothing_more_about_an_action_that_failed_for_good(tmp_pa
     assert (stands.robots, stands.recoveries) == (None, None)
 
 
-def test_a_run_that_an_older_adapter_began_goes_on_without_what_that_did_not_tell(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    lines = [order(0, "0001", "a", "p"), state(1, "0001", "a", p="RUNNING")]
-    declares = Vda5050.declares
-    with monkeypatch.context() as older:
-        older.setattr(Vda5050, "declares", lambda self: [one for one in declares(self) if "Withdrawn" not in one])
-        derived(tmp_path, lines)
-    assert derived(tmp_path, [*lines, state(2, "0001", "a", p="FAILED")])[-1] == "ExecutionFailed"
-    assert is_good(tmp_path / "ledger")
+def test_what_a_cancelled_order_still_had_is_called_off_and_has_not_failed(tmp_path: Path) -> None:
+    lines = [order(0, "0001", "a", "p", "q"), state(1, "0001", "a", p="RUNNING", q="WAITING")]
+    for at, status, cancel in ((2, "RUNNING", "RUNNING"), (3, "FAILED", "FINISHED")):
+        lines.append(state(at, "0001", "a", nodes=0, p=status, q=status.replace("RUNNING", "WAITING")))
+        asks = {"actionId": "c", "actionType": "cancelOrder", "actionStatus": cancel}
+        lines[-1]["payload"]["actionStates"].append(asks)
+    found = derived(tmp_path, lines)
+    assert ("ExecutionFailed" not in found, found[-1]) == (True, "TaskAbandoned")
+    withdrawn = [row for row in rows(tmp_path / "ledger") if row["type"] == "ExecutionWithdrawn.v1"]
+    assert [(row["action_id"], row.get("failure")) for row in withdrawn] == [("p", None)]
 
 
 @pytest.mark.parametrize("field", ["actionStates", "instantActionStates"])
