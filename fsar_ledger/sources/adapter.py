@@ -31,6 +31,8 @@ LOOKED_AT = 100
 """Records at the beginning of which one at least is known, where an input is of the format."""
 
 BOM = b"\xef\xbb\xbf"
+COMPRESSED = {b"\x1f\x8b": "zcat", b"\x28\xb5\x2f\xfd": "zstdcat", b"BZh": "bzcat", b"\xfd7zXZ\x00": "xzcat"}
+"""How a file begins that is compressed as a whole, and what writes it as it was."""
 
 One = TypeVar("One")
 _DECODER = msgspec.json.Decoder()
@@ -202,8 +204,16 @@ def looked(adapter: Adapter, inputs: Sequence[Input]) -> Adapter:
     One whose declarations depend on them has a method `look`; with any other, files are read up to the first record.
     Each file is at its beginning afterwards.
 
-    Raises: UsageError for files without a record, or as `Adapter.read`.
+    Raises: UsageError for files without a record, or as `Adapter.read`; it says of a compressed file that it is one.
     """
+    try:
+        _look(adapter, inputs)
+    except UsageError as error:
+        raise _compressed(inputs) or error from None
+    return adapter
+
+
+def _look(adapter: Adapter, inputs: Sequence[Input]) -> None:
     if (look := getattr(adapter, "look", None)) is not None:
         look(inputs)
     elif all(one.path is not None for one in inputs):
@@ -211,7 +221,23 @@ def looked(adapter: Adapter, inputs: Sequence[Input]) -> Adapter:
             raise no_record(inputs)
         for one in inputs:
             one.file.seek(0)
-    return adapter
+
+
+def _compressed(inputs: Iterable[Input]) -> UsageError | None:
+    """Return that one of the files is compressed as a whole, None if none is."""
+    for one in inputs:
+        if one.path is None:
+            continue
+        one.file.seek(0)
+        begins = one.file.read(max(map(len, COMPRESSED)))
+        for mark, writer in COMPRESSED.items():
+            if begins.startswith(mark):
+                name = value(str(one.path))
+                return UsageError(
+                    f"{name}: found a compressed file, expected one that is not; uncompress it, or give {STDIN} as "
+                    f"the file and pipe the output of `{writer} {name}`"
+                )
+    return None
 
 
 def no_record(inputs: Sequence[Input]) -> UsageError:

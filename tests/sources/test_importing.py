@@ -1,5 +1,6 @@
 """An import keeps every record once, in order, whatever the input holds and however often it was interrupted."""
 
+import gzip
 import json
 import sys
 from pathlib import Path
@@ -52,6 +53,15 @@ def test_the_same_input_is_refused_and_nothing_is_added(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"found the same input .* 16 records"):
         imported(ledger, night)
     assert rows(ledger) == before
+
+
+@pytest.mark.parametrize("format", ["vda5050", "otlp", "ocel", "rmf"])
+def test_a_compressed_file_is_said_to_be_one(tmp_path: Path, call: Call, format: str) -> None:
+    night = filed(tmp_path, gzip.compress(vda.written(vda.long_night(2))), "night.jsonl.gz")
+    refused = call("import", tmp_path / "ledger", night, "--as", format)
+    assert (refused.code, "found a compressed file, expected one that is not" in refused.err) == (2, True)
+    assert f"`zcat {night}`" in refused.err
+    assert not (tmp_path / "ledger").exists()
 
 
 def test_a_run_says_which_adapter_read_what_and_how_much_of_it_until_when(tmp_path: Path) -> None:
