@@ -2,7 +2,7 @@
 -- Paper: sec:model:invariants (I1)
 -- Grain: one row per event of such a type
 -- Key: run_id, seq
--- Units: time_us microseconds of run time; names_somebody whether a principal is named
+-- Units: time_us microseconds of run time; names_somebody whether a principal is named, or the robot that executes
 -- NULL: the event's type has no such field, or the record does not name it
 -- Example: fsar-ledger query facts/naming_events LEDGER
 -- The types are those left out, so that the columns of their events are not read.
@@ -11,6 +11,7 @@ SELECT
     claimant, sender, receiver, path,
     decided_by IS NOT NULL OR requested_by IS NOT NULL OR executed_by IS NOT NULL OR supervised_by IS NOT NULL
     OR claimant IS NOT NULL OR sender IS NOT NULL OR receiver IS NOT NULL OR coalesce(len(path) > 0, FALSE)
+    OR (robot IS NOT NULL AND type IN ('ExecutionStarted.v1', 'ExecutionFinished.v1'))
         AS names_somebody
 FROM event_principals
 WHERE

@@ -38,7 +38,12 @@ named AS (
         run_id, seq, time_us, type, action_id,
         -- Each principal once, and none for NULL.
         unnest(list_distinct(list_concat(
-            [decided_by, requested_by, executed_by, supervised_by, claimant, sender, receiver], coalesce(path, [])
+            [
+                decided_by, requested_by, executed_by, supervised_by, claimant, sender, receiver,
+                -- Whoever records an execution may leave the executor to its robot.
+                if(type IN ('ExecutionStarted.v1', 'ExecutionFinished.v1'), robot, NULL)
+            ],
+            coalesce(path, [])
         ))) AS principal
     FROM naming_events
     WHERE names_somebody

@@ -37,7 +37,7 @@ from tests.queries.defects import (
     where,
     without,
 )
-from tests.queries.histories import act, answer, event, run
+from tests.queries.histories import S, act, answer, event, run
 from tests.quick import few
 from tests.recycled import from_rows
 from tests.runtime.pinned import PINNED
@@ -339,3 +339,18 @@ def test_an_executor_that_stands_twice_on_its_path_accepted_alone() -> None:
     for path, found in ((["robot/B1", "robot/B1"], 0), (["robot/B1", "coordinator"], 1)):
         rows = run(event("RequestAccepted", 1, **own, path=path), starts)
         assert len(answer("invariants/i2_local_execution_ownership", rows, columns=("found",))) == found
+
+
+def test_a_stranger_that_executes_offends_i1_also_where_the_record_leaves_its_executor_out() -> None:
+    joined = event("RobotJoined", 0, robot="robot/A1", role="A")
+    history = run(
+        joined,
+        act("ExecutionStarted", 1 * S, "t1/1", robot="robot/A1", capability="lift"),
+        act("ExecutionStarted", 2 * S, "t1/2", robot="robot/X9", capability="lift"),
+        act("ExecutionFinished", 3 * S, "t1/2", robot="robot/X9", result="success"),
+        kind="foreign",
+        records=["RobotJoined", "ExecutionStarted", "ExecutionFinished"],
+    )
+    assert answer("invariants/i1_local_agent_coherence", history, columns=("seq",)) == [(3,), (4,)]
+    cases = answer("facts/invariant_cases", history, columns=("invariant", "cases"))
+    assert ("i1_local_agent_coherence", 4) in cases
