@@ -189,7 +189,7 @@ def deciders(state: State) -> list[str]:
     return [*dict.fromkeys([COORDINATOR, REGISTRY, *robots, *supervisors, FLEET_SUPERVISOR, *agents])]
 
 
-def beliefs(past: Past, decider: str) -> list[Belief]:
+def beliefs(past: Past, decider: str, now_us: int) -> list[Belief]:
     """Return what a decider had been told by then, about each robot in order.
 
     Raises:
@@ -201,7 +201,7 @@ def beliefs(past: Past, decider: str) -> list[Belief]:
         raise UsageError(
             f"{printable.value(decider)}: there is no such principal{hint} expected one of {printable.some(known)}"
         )
-    last = _Last(past)
+    last = _Last(past, now_us)
     robots = {str(robot): robot for robot in state.fleet.robots}
     planned = {f"agent/{robot[6:]}/planning": robot for robot in robots.values()}
     if decider == COORDINATOR:
@@ -221,13 +221,15 @@ def beliefs(past: Past, decider: str) -> list[Belief]:
 class _Last:
     """When somebody was last told something, and what the run observes."""
 
-    def __init__(self, past: Past) -> None:
-        self._told_us, self.now_us = past.told_us, past.time_us
+    def __init__(self, past: Past, now_us: int) -> None:
+        self._told_us, self.now_us = past.told_us, now_us
         self._seen = Coverage(past.started)
 
     def time_us(self, kind: type[Event], robot: str | None = None) -> int | None:
         """Return when the last event of this type (about this robot) happened; None: there is none."""
         return self._told_us.get((kind, robot))
+
+    `now_us` is the moment, which the last event of the past may lie before: what was told ages without events.
 
     def belief(
         self, about: str, what: str, told: tuple[str, str | None], as_of_us: int | None, *holds: tuple[str, str]

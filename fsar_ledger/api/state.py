@@ -136,7 +136,7 @@ def state(
         clock=clock(past.started, at_us),
         commit=commit_with(past.seq),
         standing=stands,
-        beliefs=None if as_known_by is None else beliefs(past, as_known_by),
+        beliefs=None if as_known_by is None else beliefs(past, as_known_by, at_us),
         state=past.state,
         provenance=of_run(provenance, stands.not_observed),
     )

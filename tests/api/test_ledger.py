@@ -12,6 +12,7 @@ from fsar_ledger.metrics import definitions
 from fsar_ledger.projections.fold import fold
 from tests.api.conftest import RUN
 
+from fsar_ledger.events.knowledge import FleetRuleLearned
 
 def test_a_run_is_found_by_a_part_that_only_one_has(ledger: fsar_ledger.Ledger) -> None:
     names = {row["run_id"] for row in ledger.runs()}
