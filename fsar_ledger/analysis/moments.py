@@ -2,7 +2,7 @@
 
 import re
 from bisect import bisect_right
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from itertools import takewhile
 
 import msgspec
@@ -15,16 +15,53 @@ from fsar_ledger.events.envelope import COORDINATOR, FLEET_SUPERVISOR, REGISTRY,
 from fsar_ledger.events.knowledge import CopySynced, SnapshotTaken
 from fsar_ledger.events.recovery import AssistanceDeclined
 from fsar_ledger.events.registry import AvailabilityChanged
-from fsar_ledger.events.request import RequestCountered, RequestDenied, RequestUnanswered
+from fsar_ledger.events.request import RequestCountered, RequestDenied, RequestIssued, RequestUnanswered
+from fsar_ledger.events.world import PolicyWindowOpened
 from fsar_ledger.ledger.rows.codec import LedgerRun
-from fsar_ledger.projections.fold import State
+from fsar_ledger.projections import put
+from fsar_ledger.projections.fold import State, apply
 from fsar_ledger.projections.registry import surface
+from fsar_ledger.projections.task import RequestEnds
 from fsar_ledger.projections.world import in_force
 
-from .situation import Coverage, Past
+from .situation import Coverage
 
 EVERY = 256
 """Events between two states that are kept; they share all that did not change."""
+
+
+class Past(msgspec.Struct):
+    """A run up to one of its events: the state after that, and what one asks about that no state keeps.
+
+    By policy window, `opened` is the seq and the time of the event that opened it last; `told_us` is when somebody was
+    last told something, by the type of the event and the robot that it is about. `asked` is the robot to which a
+    request has gone, by action; `ends` are the requests that nobody closes.
+    """
+
+    started: Event
+    state: State
+    seq: int = -1
+    time_us: int = 0
+    opened: Mapping[tuple[str, str, str], tuple[int, int]] = {}
+    told_us: Mapping[tuple[type[Event], str | None], int] = {}
+    asked: Mapping[str | None, str | None] = {}
+    ends: RequestEnds = RequestEnds()
+
+    def add(self, event: Event, time_us: int) -> None:
+        """Add the next event of the run."""
+        self.seq, self.time_us = self.seq + 1, time_us
+        apply(self.state, event)
+        self.ends = self.ends.after(event)
+        if isinstance(event, PolicyWindowOpened):
+            self.opened = put(self.opened, (event.robot, event.scope, event.window), (self.seq, time_us))
+        elif isinstance(event, CopySynced | SnapshotTaken | AvailabilityChanged):
+            self.told_us = put(self.told_us, (type(event), getattr(event, "robot", None)), time_us)
+        elif isinstance(event, RequestIssued):
+            self.asked = put(self.asked, event.subject.action_id, event.principals.executed_by)
+
+    def copy(self) -> "Past":
+        """Return it as it is now; they share what does not change."""
+        return msgspec.structs.replace(self, state=self.state.copy())
 
 
 class Timeline:
@@ -192,6 +229,8 @@ def deciders(state: State) -> list[str]:
 def beliefs(past: Past, decider: str, now_us: int) -> list[Belief]:
     """Return what a decider had been told by then, about each robot in order.
 
+    `now_us` is the moment, which the last event of the past may lie before: what was told ages without events.
+
     Raises:
         UsageError: There is no such principal, or it decides on the present state and keeps no copies.
     """
@@ -228,8 +267,6 @@ class _Last:
     def time_us(self, kind: type[Event], robot: str | None = None) -> int | None:
         """Return when the last event of this type (about this robot) happened; None: there is none."""
         return self._told_us.get((kind, robot))
-
-    `now_us` is the moment, which the last event of the past may lie before: what was told ages without events.
 
     def belief(
         self, about: str, what: str, told: tuple[str, str | None], as_of_us: int | None, *holds: tuple[str, str]

@@ -4,61 +4,27 @@ What rests on a concern that the run does not observe is None: nobody knows.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import msgspec
 
 from fsar_ledger.events import CONCERN_OF, CONCERNS, Event
 from fsar_ledger.events.envelope import Robot
-from fsar_ledger.events.knowledge import CopySynced, SnapshotTaken
-from fsar_ledger.events.registry import AvailabilityChanged
-from fsar_ledger.events.request import RequestIssued
-from fsar_ledger.events.world import PolicyWindowOpened
 from fsar_ledger.metrics.provenance import IN_PART
-from fsar_ledger.projections import put
 from fsar_ledger.projections.execution import HELPING
 from fsar_ledger.projections.fleet import Member
-from fsar_ledger.projections.fold import State, apply
+from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.recovery import Recovery
 from fsar_ledger.projections.registry import surface
 from fsar_ledger.projections.request import Request
-from fsar_ledger.projections.task import RequestEnds, Task
+from fsar_ledger.projections.task import Task
+from fsar_ledger.projections.trust import is_within
+
+if TYPE_CHECKING:
+    from .moments import Past
 
 _T = TypeVar("_T")
-
-
-class Past(msgspec.Struct):
-    """A run up to one of its events: the state after that, and what one asks about that no state keeps.
-
-    By policy window, `opened` is the seq and the time of the event that opened it last; `told_us` is when somebody was
-    last told something, by the type of the event and the robot that it is about. `asked` is the robot to which a
-    request has gone, by action; `ends` are the requests that nobody closes.
-    """
-
-    started: Event
-    state: State
-    seq: int = -1
-    time_us: int = 0
-    opened: Mapping[tuple[str, str, str], tuple[int, int]] = {}
-    told_us: Mapping[tuple[type[Event], str | None], int] = {}
-    asked: Mapping[str | None, str | None] = {}
-    ends: RequestEnds = RequestEnds()
-
-    def add(self, event: Event, time_us: int) -> None:
-        """Add the next event of the run."""
-        self.seq, self.time_us = self.seq + 1, time_us
-        apply(self.state, event)
-        self.ends = self.ends.after(event)
-        if isinstance(event, PolicyWindowOpened):
-            self.opened = put(self.opened, (event.robot, event.scope, event.window), (self.seq, time_us))
-        elif isinstance(event, CopySynced | SnapshotTaken | AvailabilityChanged):
-            self.told_us = put(self.told_us, (type(event), getattr(event, "robot", None)), time_us)
-        elif isinstance(event, RequestIssued):
-            self.asked = put(self.asked, event.subject.action_id, event.principals.executed_by)
-
-    def copy(self) -> "Past":
-        """Return it as it is now; they share what does not change."""
-        return msgspec.structs.replace(self, state=self.state.copy())
+EVERY_ROBOT = "every robot"
 
 
 class Coverage:
@@ -197,7 +163,10 @@ class TaskNow(msgspec.Struct, frozen=True):
 
 
 class TrustNow(msgspec.Struct, frozen=True):
-    """An entry of trust: of a robot in a peer, or of every robot of a role in those of another; None: all of them."""
+    """An entry of trust: of a robot in a peer, or of every robot of a role in those of another; None: all of them.
+
+    One between a robot and every robot holds where no other entry does.
+    """
 
     robot: str
     peer: str
@@ -231,7 +200,7 @@ class Situation(msgspec.Struct, frozen=True, kw_only=True):
     not_observed: tuple[str, ...]
 
 
-def situation(past: Past, busy_us: Mapping[str, int], robot: str | None) -> Situation:
+def situation(past: "Past", busy_us: Mapping[str, int], robot: str | None) -> Situation:
     """Return how things stand then; with `robot`, what that robot has a part in. `busy_us` is facts/busy_before."""
     state = past.state
     known = dict.fromkeys((*state.fleet.robots, *state.execution.current))  # one that acts need not have joined
@@ -270,14 +239,14 @@ def situation(past: Past, busy_us: Mapping[str, int], robot: str | None) -> Situ
             ),
         ),
         tasks=seen.all("task", (_task(one) for one in state.task.values() if robot in (None, one.robot))),
-        trust=seen.all("trust", (one for one in _trust(state) if robot in (None, one.robot, one.peer))),
+        trust=seen.all("trust", _trust(state, robot)),
         rules=seen.all("policy", _rules(state, robot)),
         off_shift=seen.all("supervision", sorted(state.world.off_shift)),
         not_observed=tuple(seen.lacking.values()),
     )
 
 
-def _open_requests(past: Past) -> Iterator[Request]:
+def _open_requests(past: "Past") -> Iterator[Request]:
     """Yield the open requests, each with the robot that has it, or to which it has gone, as its target.
 
     What nobody closes, such as what an abandoned task of another system's run asked for, is open only while it is
@@ -310,14 +279,19 @@ def _task(one: Task) -> TaskNow:
     )
 
 
-def _trust(state: State) -> Iterator[TrustNow]:
-    for (robot, peer), entries in state.trust.entries.items():
-        for (capability, task), scope in entries.items():
-            yield TrustNow(robot, peer, scope, capability, task)
+def _trust(state: State, robot: str | None) -> Iterator[TrustNow]:
+    for (truster, peer), entries in state.trust.entries.items():
+        if robot in (None, truster, peer):
+            for (capability, task), scope in entries.items():
+                yield TrustNow(truster, peer, scope, capability, task)
     for (role, peer_role, domain), entries in state.trust.of_roles.items():
-        where = f" in {domain}" if domain else ""
-        for (capability, task), scope in entries.items():
-            yield TrustNow(f"role {role}{where}", f"role {peer_role}", scope, capability, task)
+        if _has_role(state, robot, (role, peer_role), domain):
+            for (capability, task), scope in entries.items():
+                yield TrustNow(_role(role, domain), f"role {peer_role}", scope, capability, task)
+    for (one, is_trusting), scope in state.trust.initial.items():
+        if robot in (None, one):
+            truster_and_peer = (one, EVERY_ROBOT) if is_trusting else (EVERY_ROBOT, one)
+            yield TrustNow(truster_and_peer[0], truster_and_peer[1], scope, None, None)
 
 
 def _rules(state: State, robot: str | None) -> Iterator[RuleNow]:
@@ -325,11 +299,22 @@ def _rules(state: State, robot: str | None) -> Iterator[RuleNow]:
         if robot is None or whose in (None, robot):
             yield RuleNow(scope, whose, capability, task, outcome)
     for (scope, role, domain, capability, task), outcome in state.policy.of_roles.items():
-        where = f" in {domain}" if domain else ""
-        yield RuleNow(scope, f"role {role}{where}", capability, task, outcome)
+        if _has_role(state, robot, (role,), domain):
+            yield RuleNow(scope, _role(role, domain), capability, task, outcome)
 
 
-def _robot(past: Past, name: Robot, seen: Coverage, is_known: bool) -> RobotNow:
+def _role(role: str, domain: str) -> str:
+    return f"role {role} in {domain}" if domain else f"role {role}"
+
+
+def _has_role(state: State, robot: str | None, roles: tuple[str, ...], domain: str) -> bool:
+    """Return whether the robot has one of these roles in the domain; True if no robot is asked for."""
+    return robot is None or any(
+        one.role in roles and is_within(one.domain, domain) for one in state.fleet.robots.values() if one.name == robot
+    )
+
+
+def _robot(past: "Past", name: Robot, seen: Coverage, is_known: bool) -> RobotNow:
     state = past.state
     world, member = state.world, state.fleet.robots.get(name, Member(name, "", 0, None))
     offers: dict[str, tuple[str, ...]] = {}
@@ -369,7 +354,7 @@ def _work(state: State, name: Robot, seen: Coverage) -> Work | None:
     return Work(action.action_id, action.capability or None, action.stage, whose, ends_s)
 
 
-def _windows(past: Past, name: Robot) -> Iterator[Window]:
+def _windows(past: "Past", name: Robot) -> Iterator[Window]:
     """Yield the robot's open windows, each with the last event that opened it."""
     for scope, windows in (("local", past.state.world.local), ("fleet", past.state.world.fleet)):
         for window, outcome in windows.get(name, ()):

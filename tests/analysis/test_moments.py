@@ -5,6 +5,9 @@ import pytest
 from fsar_ledger.analysis.moments import EVERY, Timeline
 from fsar_ledger.analysis.situation import Situation, situation
 from fsar_ledger.designs.constants import Constants
+from fsar_ledger.events.envelope import FLEET_SUPERVISOR
+from fsar_ledger.events.policy import RolePolicyRuleSet
+from fsar_ledger.events.trust import InitialTrustSet
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.projections.fold import fold
 from fsar_ledger.runtime.architectures.fsar.reports import JudgeRequest, ReportPresence, ReportWindow
@@ -77,3 +80,33 @@ def test_windows_of_one_name_stand_each_since_it_opened_itself() -> None:
     windows = ((one.robot, each) for one in now(play).robots or () for each in one.windows or ())
     found = {(robot, each.scope): round(each.since_s) for robot, each in windows}
     assert found == {(B, "local"): 1, (B, "fleet"): 2, (A, "local"): 3}
+
+
+def test_the_trust_and_the_rules_of_a_robot_are_those_of_its_role_too() -> None:
+    timeline = Timeline(simulated("fsar"))
+    past = timeline.past(timeline.seq_at(0))
+    for role in ("C", "D"):
+        ruled = RolePolicyRuleSet(scope="fleet", role=role, outcome="deny", decided_by=FLEET_SUPERVISOR)
+        past.add(ruled, past.time_us)
+
+    def shown(robot: str | None) -> tuple[set[tuple[str, str]], list[str | None]]:
+        found = situation(past, {}, robot)
+        return {(one.robot, one.peer) for one in found.trust or ()}, [one.robot for one in found.rules or ()]
+
+    trust, rules = shown(None)
+    assert trust == {(f"role {one}", f"role {other}") for one, other in ("AB", "BA", "AD", "DA", "BC", "CB")}
+    assert rules == ["role C", "role D"]
+    assert shown("robot/D1") == ({("role A", "role D"), ("role D", "role A")}, ["role D"])
+    assert shown("robot/A1") == ({one for one in trust if "role A" in one}, [])
+
+
+def test_the_initial_trust_of_a_robot_that_joined_later_is_shown() -> None:
+    timeline = Timeline(simulated("fsar"))
+    past = timeline.past(timeline.seq_at(0))
+    for is_trusting, scope in ((True, "session"), (False, "task")):
+        initial = InitialTrustSet(robot=B, scope=scope, is_trusting=is_trusting, decided_by=FLEET_SUPERVISOR)  # type: ignore[arg-type]
+        past.add(initial, past.time_us)
+    for robot in (None, B):
+        found = [(one.robot, one.peer, one.scope) for one in situation(past, {}, robot).trust or ()]
+        assert found[-2:] == [(B, "every robot", "session"), ("every robot", B, "task")]
+    assert not any("every robot" in (one.robot, one.peer) for one in situation(past, {}, A).trust or ())
