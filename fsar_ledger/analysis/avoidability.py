@@ -4,6 +4,7 @@ From a moment on the world goes on as it might have: what has begun keeps its en
 drawn again, for another seed each time. Tasks keep their times, since they are the work and not the world's doing.
 """
 
+from bisect import bisect_left
 from collections.abc import Sequence
 
 import msgspec
@@ -73,23 +74,19 @@ def curve(
     times_us = repeated.base.record.times_us
     chances = _Chances(repeated, outcome, futures, moments, progress)
     chances.add([times_us[-1] * number // (moments - 1) for number in range(moments)])
-    is_open = [at_us for at_us, found in chances.found.items() if found.avoided]
-    closed = [at_us for at_us in chances.found if is_open and at_us > max(is_open)]
-    if not is_open:
-        return Curve(chances.in_order, None, 0)
-    if not closed:
-        return Curve(chances.in_order, max(is_open) / 1_000_000, None)
-    between = sorted({at_us for at_us in times_us if max(is_open) < at_us <= min(closed)})
-    low, high = 0, len(between) - 1
-    while low < high:  # the first event from which on none avoids it
-        middle = (low + high) // 2
-        chances.add([between[middle]])
-        low, high = (middle + 1, high) if chances.found[between[middle]].avoided else (low, middle)
-    if between:
-        chances.add([between[low]])
-    last_us = max(at_us for at_us, found in chances.found.items() if found.avoided)
-    after = [at_us for at_us in between if at_us > last_us]
-    return Curve(chances.in_order, last_us / 1_000_000, times_us.index(after[0]) if after else None)
+    while True:
+        last_us = max((at_us for at_us, found in chances.found.items() if found.avoided), default=None)
+        if last_us is None:
+            return Curve(chances.in_order, None, 0)
+        closed = [at_us for at_us in chances.found if at_us > last_us]
+        if not closed:
+            return Curve(chances.in_order, last_us / 1_000_000, None)
+        # The last moment is that of an event, so there is one to close what is closed at a moment between two.
+        end_us = times_us[bisect_left(times_us, min(closed))]
+        event_us = chances.first_closed(sorted({at_us for at_us in times_us if last_us < at_us <= end_us}))
+        if not chances.found[event_us].avoided:
+            last_us = max(at_us for at_us, found in chances.found.items() if found.avoided)
+            return Curve(chances.in_order, last_us / 1_000_000, times_us.index(event_us))
 
 
 class _Chances:
@@ -107,6 +104,16 @@ class _Chances:
     def in_order(self) -> tuple[Chance, ...]:
         """Return the chances in order of time."""
         return tuple(self.found[at_us] for at_us in sorted(self.found))
+
+    def first_closed(self, between: Sequence[int]) -> int:
+        """Return the first of these moments from which no future avoids the outcome; the last if some always does."""
+        low, high = 0, len(between) - 1
+        while low < high:
+            middle = (low + high) // 2
+            self.add([between[middle]])
+            low, high = (middle + 1, high) if self.found[between[middle]].avoided else (low, middle)
+        self.add([between[low]])
+        return between[low]
 
     def add(self, times_us: Sequence[int]) -> None:
         """Play the futures from these moments on. Raises: QueryFailed."""

@@ -218,3 +218,18 @@ def test_an_outcome_that_never_comes_is_avoided_to_the_end() -> None:
     found = curve(again(simulated("fsar")), outcome_of("policy_violations > 99"), futures=3, moments=3)
     assert [one.avoided for one in found.chances] == [3, 3, 3]
     assert found.closing_seq is None
+
+
+def test_what_is_decided_while_nothing_happens_is_closed_by_the_next_event() -> None:
+    run = simulated("fsar")
+    begins_us, ends_us = 136_881_061, 146_006_465  # moments between two events of the run
+    assert not any(begins_us < time_us <= ends_us for time_us in run.times_us)
+    quiet = outcome_of(
+        "SELECT run_id FROM runs WHERE run_id NOT IN "
+        f"(SELECT run_id FROM events WHERE time_us > {begins_us} AND time_us <= {ends_us})"
+    )
+    found = curve(again(run), quiet, futures=2, moments=28)
+    assert begins_us / 1_000_000 in [one.at_s for one in found.chances if one.avoided]
+    assert not any(one.avoided for one in found.chances if one.at_s > begins_us / 1_000_000)
+    assert found.last_open_s == begins_us / 1_000_000
+    assert found.closing_seq == next(seq for seq, time_us in enumerate(run.times_us) if time_us > ends_us)
