@@ -33,7 +33,7 @@ from fsar_ledger.ledger.rows.codec import LedgerRun, encode_coded
 from fsar_ledger.metrics.database import from_table
 from fsar_ledger.metrics.definitions import metrics
 from fsar_ledger.metrics.invariants import invariants
-from fsar_ledger.runtime.changeable import ATTEMPT, CALL, EditedEnvironment, facts_by_name, name_of
+from fsar_ledger.runtime.changeable import ATTEMPT, CALL, EditedEnvironment, Question, facts_by_name, name_of
 from fsar_ledger.runtime.forks import edited_environment, kernel_of, run_to_end, world_of
 from fsar_ledger.runtime.live import LiveKernel
 from fsar_ledger.runtime.ports import Ask
@@ -161,7 +161,7 @@ class Search:
     def __init__(
         self, repeated: Rerun, outcome: Outcome, *, lengths: bool = False, progress: Progress | None = None
     ) -> None:
-        """Find out what the run took from outside.
+        """Find out what the run took from outside. `middles` are the lengths taken for those of the world, by name.
 
         Args:
             repeated: The run, made again.
@@ -171,6 +171,7 @@ class Search:
         """
         self.played = 0
         self.ended: set[frozenset[str]] = set()
+        self.middles: dict[str, int] = {}
         self._recipe = repeated.base.recipe
         self._edited = None if self._recipe.live is None else edited_environment(self._recipe)
         self._world = world_of(self._recipe)
@@ -216,7 +217,10 @@ class Search:
             kind = name.partition(":")[0]
             if kind in USUAL:
                 return USUAL[kind]
-            return self._world.middle(ask) if self._lengths else drawn
+            if not self._lengths:
+                return drawn
+            self.middles[name] = self._world.middle(ask)
+            return self.middles[name]
 
         reduced = EditedEnvironment(self._world, facts, ())
         reduced.answer = answer
@@ -295,6 +299,8 @@ def cause(repeated: Rerun, outcome: Outcome, *, lengths: bool = False, progress:
     def element(name: str) -> Element:
         kind, one, seq = name.partition(":")[0], told[name], seqs.get(name)
         change = {ATTEMPT: f"answer {name} hold", CALL: f"answer {name} approve"}.get(kind, f"drop {name}")
+        if name in search.middles:
+            change = f"answer {name} {Question(name, search.middles[name]).text}"
         words = f"the answer is {one.is_now}" if seq is None else lines[(record.run_id, seq)].text
         return Element(name, words, seq, one.begins_s, name in necessary, change)
 

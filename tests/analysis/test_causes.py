@@ -9,6 +9,7 @@ from fsar_ledger.analysis.causes import Cause, Outcome, Search, cause, outcome_o
 from fsar_ledger.analysis.fork_base import Rerun, base_of_record, rerun
 from fsar_ledger.base.errors import QueryFailed, UnknownQuery, UsageError
 from fsar_ledger.designs.registered import PAPER_SCENARIOS
+from fsar_ledger.events.execution import ExecutionFinished
 from fsar_ledger.events.world import PolicyWindowOpened
 from fsar_ledger.ledger.rows.codec import LedgerRun, encode
 from fsar_ledger.metrics.database import from_table
@@ -144,6 +145,26 @@ def test_lengths_can_be_causes_too() -> None:
     found = cause(base, VIOLATED, lengths=True)
     require_smallest(base, VIOLATED, found, lengths=True)
     assert found.candidates > len(Search(base, VIOLATED).candidates)
+
+
+def test_a_length_is_taken_away_by_the_answer_that_its_law_has_in_the_middle() -> None:
+    base = again(simulated("fsar"))
+    record = base.base.record
+    time_us = next(
+        time_us
+        for time_us, event in zip(record.times_us, record.events, strict=True)
+        if isinstance(event, ExecutionFinished) and event.subject.action_id == "A1-1/1.1"
+    )
+    then = outcome_of(
+        "SELECT run_id FROM events WHERE type = 'ExecutionFinished.v1' AND action_id = 'A1-1/1.1' "
+        f"AND time_us = {time_us}"
+    )
+    found = cause(base, then, lengths=True)
+    lengths = [one for one in found.elements if one.seq is None]
+    assert "execution:A1-1/1.1" in [one.name for one in lengths]
+    for one in lengths:
+        forked = base.fork_with_effect(parsed([one.change])).record
+        assert then.of([(forked.times_us, forked.caused_by, forked.events)]) == [not one.is_necessary]
 
 
 def test_an_outcome_that_the_run_does_not_have_has_no_cause() -> None:
