@@ -261,6 +261,10 @@ VERDICTS = """
 """
 
 
+COUNTED_BY = {"policy violation": "policy_violations", "authority conflict": "authority_conflicts"}
+"""The metric that counts each verdict: a run in which it is undefined does not observe what tells."""
+
+
 class MetricPair(msgspec.Struct, frozen=True):
     """A metric of both runs, in its unit; None: undefined."""
 
@@ -287,13 +291,17 @@ class TaskPair(msgspec.Struct, frozen=True):
 
 
 class Verdict(msgspec.Struct, frozen=True):
-    """What SQL finds in one of the runs alone: a policy violation (at the event `seq`) or an authority conflict."""
+    """What SQL finds in one of the runs alone: a policy violation (at the event `seq`) or an authority conflict.
+
+    `is_judged_in_both`: False where the other run does not observe what tells, so that it may have it, too.
+    """
 
     run: str
     verdict: str
     seq: int | None
     time_s: float
     what: str
+    is_judged_in_both: bool = True
 
 
 class OutcomesDiff(msgspec.Struct, frozen=True):
@@ -311,11 +319,17 @@ def outcomes_diff(database: Database, first: LedgerRun, second: LedgerRun, pairs
 
     Raises: as `Database.rows`.
     """
-    found = typed(database.rows(VERDICTS), Verdict)
+    found, measured = typed(database.rows(VERDICTS), Verdict), typed(database.rows(METRICS), MetricPair)
+    undefined = {(FIRST, one.metric) for one in measured if one.first is None}
+    undefined |= {(SECOND, one.metric) for one in measured if one.second is None}
+    alone = [
+        msgspec.structs.replace(one, is_judged_in_both=(_other(one.run), COUNTED_BY[one.verdict]) not in undefined)
+        for one in _alone(found, pairs)
+    ]
     return OutcomesDiff(
-        typed(database.rows(METRICS), MetricPair),
+        measured,
         _tasks(first, second),
-        _alone(found, pairs),
+        alone,
         first.times_us[-1] / 1e6,
         second.times_us[-1] / 1e6,
     )
@@ -345,7 +359,11 @@ def _alone(found: Sequence[Verdict], pairs: dict[int, int]) -> list[Verdict]:
         return one.verdict, seq
 
     sides = {run: {place(one) for one in found if one.run == run} for run in (FIRST, SECOND)}
-    return [one for one in found if place(one) not in sides[SECOND if one.run == FIRST else FIRST]]
+    return [one for one in found if place(one) not in sides[_other(one.run)]]
+
+
+def _other(run: str) -> str:
+    return SECOND if run == FIRST else FIRST
 
 
 def _tasks(first: LedgerRun, second: LedgerRun) -> list[TaskPair]:

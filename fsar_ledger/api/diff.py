@@ -328,14 +328,15 @@ def _tasks(found: "OutcomesDiff", names: tuple[str, str], screen: Screen) -> Saf
         if (one.first, one.first_s) != (one.second, one.second_s)
     ]
     if not rows:
-        return printable.lines("", "all tasks end alike")
+        return printable.lines("", "all tasks end alike" if found.tasks else "no task is on record in either")
     return printable.joined(printable.lines(""), screen.table(rows))
 
 
 def _verdicts(found: "OutcomesDiff", names: tuple[str, str]) -> SafeText:
-    told = {"first": names[0], "second": names[1]}
+    told, others = (dict(zip(("first", "second"), each, strict=True)) for each in (names, names[::-1]))
     lines = [
-        f"only {told[one.run]}: {one.verdict} at {one.time_s:.3f} s, {printable.value(one.what)}"
+        f"{'only ' if one.is_judged_in_both else ''}{told[one.run]}: {one.verdict} at {one.time_s:.3f} s, "
+        + printable.value(one.what)
         + ("" if one.seq is None else f" (event {one.seq})")
         for one in found.verdicts
     ]
@@ -344,3 +345,4 @@ def _verdicts(found: "OutcomesDiff", names: tuple[str, str]) -> SafeText:
 
 def _short(text: str | None) -> str:
     return "-" if text is None else printable.value(text, MAX_PARAMETER)
+        + ("" if one.is_judged_in_both else f"; {others[one.run]} does not observe what would tell")

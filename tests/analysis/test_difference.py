@@ -4,12 +4,16 @@ from collections import Counter
 from itertools import pairwise
 
 import pytest
+from msgspec.structs import replace
 
 from fsar_ledger.analysis.difference import align, chain
-from fsar_ledger.api.diff import difference_of
+from fsar_ledger.api.answers import Screen
+from fsar_ledger.api.diff import diff_text, difference_of
+from fsar_ledger.events.fleet import RobotJoined, RunStarted
 from fsar_ledger.events.world import TaskArrived
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.runtime.forks import until
+from tests.analysis.conftest import simulated
 from tests.analysis.planted import planted
 
 MIRROR = {"only first": "only second", "only second": "only first"}
@@ -94,3 +98,25 @@ def test_of_a_run_that_ends_before_all_has_happened_no_more_is_told_than_had_com
         assert ended.verdicts == [one for one in whole.verdicts if one.time_s <= ends_us / 1e6]
         late += len(whole.verdicts) - len(ended.verdicts)
     assert late, "some run has a verdict later than that"
+
+
+def test_what_a_run_does_not_observe_is_not_said_to_be_of_the_other_alone() -> None:
+    run = simulated("cfc", 0)
+    started = run.events[0]
+    assert isinstance(started, RunStarted)
+    blind = replace(started, kind="foreign", source="elsewhere", model_version=None, observes=("fleet", "execution"))
+    events = [blind, *(one for one in run.events[1:] if isinstance(one, RobotJoined))]
+    causes = [None, *([0] * (len(events) - 1))]
+    silent = replace(run, events=events, times_us=[*run.times_us[: len(events)]], caused_by=causes)
+    told = difference_of(run, silent, ())
+    assert told.consequences is not None
+    assert {one.verdict for one in told.consequences.verdicts} == {"policy violation", "authority conflict"}
+    assert not any(one.is_judged_in_both for one in told.consequences.verdicts)
+    text = "".join(diff_text(told, ("first", "second"), Screen()))
+    assert "only first: policy violation" not in text
+    assert "first: policy violation at " in text
+    assert "; second does not observe what would tell" in text
+    nothing = replace(silent, events=events[:-1], times_us=silent.times_us[:-1], caused_by=causes[:-1])
+    assert "no task is on record in either" in "".join(
+        diff_text(difference_of(silent, nothing, ()), ("first", "second"), Screen())
+    )
