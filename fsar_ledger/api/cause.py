@@ -71,26 +71,25 @@ class CauseResult(Answer, msgspec.Struct, frozen=True, kw_only=True):
         """Yield the cause, what else is necessary, and the curve."""
         head = [screen.run_text(self.run), f"outcome: {self.outcome}"]
         tail = []
-        found = (*self.elements, *self.presupposed, *self.unknown)
-        what = "commands" if all(one.name.startswith("command:") for one in found) else "facts and answers"
         if self.elements:
             head.append(
-                f"{len(self.elements):,} of {self.candidates:,} {what} "
+                f"{len(self.elements):,} of {self.candidates:,} facts and answers "
                 + ("suffices; without it" if len(self.elements) == 1 else "suffice together; without any one of them")
                 + " there is no such outcome"
             )
             tail.append(f"{_named(one for one in self.elements if one.is_necessary)} necessary in the whole run, too")
             if self.presupposed:
-                tail.append(f"{_named(self.presupposed)} presupposed: without it, there is no value to compare")
+                without = "it" if len(self.presupposed) == 1 else "any one of them"
+                tail.append(f"{_named(self.presupposed)} presupposed: without {without}, there is no value to compare")
         elif self.unknown:
             head.append(
-                f"none of {self.candidates:,} {what} is known to be a cause: without any one of these, something is "
-                "asked that nobody on record answers"
+                f"none of {self.candidates:,} facts and answers is known to be a cause: without any one of these, "
+                "something is asked that nobody on record answers"
             )
         else:
             head += [_closing(self)] if self.chances else []
             head.append(
-                f"none of {self.candidates:,} {what} is a cause: the outcome stands with these alone, "
+                f"none of {self.candidates:,} facts and answers is a cause: the outcome stands with these alone, "
                 "without any one of which there is no value to compare"
             )
         if self.unknown:

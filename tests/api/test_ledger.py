@@ -4,15 +4,19 @@ from pathlib import Path
 
 import pyarrow.compute as pc
 import pytest
+from msgspec.structs import replace
 
 import fsar_ledger
+from fsar_ledger.analysis.causes import Element
+from fsar_ledger.api.answers import Screen
+from fsar_ledger.api.cause import CauseResult
 from fsar_ledger.api.table import Table
 from fsar_ledger.base.errors import InvalidExperiment, LedgerCorrupted, QueryFailed, UnknownQuery, UsageError
+from fsar_ledger.events.knowledge import FleetRuleLearned
 from fsar_ledger.metrics import definitions
 from fsar_ledger.projections.fold import fold
 from tests.api.conftest import RUN
 
-from fsar_ledger.events.knowledge import FleetRuleLearned
 
 def test_a_run_is_found_by_a_part_that_only_one_has(ledger: fsar_ledger.Ledger) -> None:
     names = {row["run_id"] for row in ledger.runs()}
@@ -40,6 +44,43 @@ def test_a_wrong_name_or_time_is_an_error_and_no_empty_answer(
 ) -> None:
     with pytest.raises(UsageError, match=message):
         ledger.events(**asked)  # type: ignore[arg-type]
+
+
+def test_what_a_decider_was_told_ages_while_nothing_happens(ledger: fsar_ledger.Ledger) -> None:
+    record = ledger.record(1)
+    between = zip(record.times_us, record.times_us[1:], record.events, strict=False)
+    later_us, learned = next(
+        (next_us - 1, event)
+        for time_us, next_us, event in between
+        if isinstance(event, FleetRuleLearned) and next_us - time_us > 200_000
+    )
+    found = ledger.state(1, at=later_us / 1e6, as_known_by=learned.robot).beliefs or []
+    ages = {one.what: one.age_s for one in found}
+    assert ages["fleet's rule"] == (later_us - learned.as_of_us) / 1e6
+    assert ages["own policy"] == 0
+
+
+def test_a_command_of_a_simulated_run_is_one_of_its_facts_and_answers(ledger: fsar_ledger.Ledger) -> None:
+    leaves = "command:LeaveFleet/0"
+    element = Element(leaves, "robot/B1: gives the command: LeaveFleet", 90, 12.0, True, f"drop {leaves}")
+    found = CauseResult(
+        run=ledger.record(1).run_id,
+        outcome="authority_conflicts > 0",
+        elements=(element,),
+        presupposed=(replace(element, name="task:A1-1"), replace(element, name="task:A1-2")),
+        unknown=(),
+        also_necessary=(),
+        candidates=60,
+        forks=9,
+        chances=(),
+        last_open_s=None,
+        closing_seq=None,
+        closing_s=None,
+        provenance=ledger.runs().provenance,
+    )
+    text = "".join(found.text(Screen(ledger)))
+    assert "1 of 60 facts and answers suffices; without it there is no such outcome" in text
+    assert "task:A1-1, task:A1-2 are presupposed: without any one of them, there is no value to compare" in text
 
 
 def test_calls_that_make_no_sense_are_errors_of_the_package(ledger: fsar_ledger.Ledger) -> None:

@@ -219,7 +219,7 @@ def test_with_a_model_the_rule_is_the_cause_of_the_denial(call: Call, hall: Path
     names = [one["name"] for one in told["elements"]]
     assert "command:ReportWindow/0" in names
     assert all(name.startswith("command:") for name in names)
-    assert f"{len(names)} of 11 commands suffice together" in call(*asked).out
+    assert f"{len(names)} of 11 facts and answers suffice together" in call(*asked).out
     for name in names:
         fork = Ledger(hall).fork("night", [f"drop {name}", "answer * model:7"])
         assert "RequestDenied" not in {type(event).__name__ for event in fork.record.events}
