@@ -15,7 +15,7 @@ from .answers import Answer, Screen
 from .diff import Diff, diff_text
 from .names import Names, names_of
 from .verbs import ArchitectureOption, FirstOption, OtherArgument, SecondOption, declare, verb
-from .whatif import refusals
+from .whatif import refusals, without_effect
 
 if TYPE_CHECKING:
     from fsar_ledger.analysis.causes import Outcome
@@ -113,7 +113,7 @@ def bisect(
     are paired by seed, scenario and number, in the order of the ledger.
 
     Raises:
-        UsageError: There is no such side or outcome, or nothing to pair.
+        UsageError: There is no such side or outcome, or nothing to pair, or no run does anything else with the changes.
         QueryFailed: The SELECT of the outcome fails.
     """
     from .lookup import ledgers_of, present
@@ -179,6 +179,7 @@ def _changes(
     runs, parsed = runs_of(view, architectures, ("simulated", "live")), changes_of(changes)
     has: list[tuple[bool | None, bool | None]] = []
     diff: Diff | None = None
+    differs = False
     refused: list[tuple[str, str]] = []
     pairs = fork_pairs(view, runs, parsed)
     while batch := list(islice(pairs, PAIRS_AT_ONCE)):
@@ -189,11 +190,14 @@ def _changes(
         refused += ((pair.base.record.run_id, pair.refused.why) for pair in batch if pair.refused is not None)
         for pair, first, known in zip(batch, held[::2], held[1::2], strict=True):
             second = known if pair.fork.end is None else None  # nobody knows how such a fork would go on
+            differs |= pair.fork.parts_at is not None or pair.fork.end is not None
             has.append((first, second))
             if disagree(first, second) and diff is None:
                 diff = difference_of(pair.base.record, pair.fork.record, (provenance,))
     if len(refused) == len(has):
         raise refused_in_all(refused)
+    if not differs:
+        raise without_effect(view, runs, parsed)
     found = refused_in(why for _, why in refused)
     return _bisected(asked, ("as recorded", "changed"), has, diff, (provenance,), found)
 

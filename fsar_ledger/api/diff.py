@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import msgspec
 
 from fsar_ledger.base import printable
+from fsar_ledger.base.errors import UsageError
 from fsar_ledger.base.printable import SafeText, counted
 
 from .answers import Answer, Screen
@@ -134,8 +135,10 @@ def diff(
     events are shown with what caused them, back to a fact of the world.
 
     Raises:
-        UsageError: There is no such run.
+        UsageError: There is no such run, or it is a plan.
     """
+    from fsar_ledger.events.fleet import RunStarted
+
     from .lookup import ledgers_of, present, recorded
 
     ledgers = ledgers_of(ledger, other)
@@ -144,6 +147,11 @@ def diff(
         recorded(one, view, run, is_whole=True)
         for one, (view, _), run in ((ledger, found[0], first), (ledgers[-1], found[-1], second))
     ]
+    for record in records:
+        if not isinstance(record.events[0], RunStarted):
+            raise UsageError(
+                f"{printable.value(record.run_id)}: found a plan, expected a run; nothing happens in a plan"
+            )
     return difference_of(records[0], records[1], tuple(provenance for _, provenance in found))
 
 
@@ -338,6 +346,7 @@ def _verdicts(found: "OutcomesDiff", names: tuple[str, str]) -> SafeText:
         f"{'only ' if one.is_judged_in_both else ''}{told[one.run]}: {one.verdict} at {one.time_s:.3f} s, "
         + printable.value(one.what)
         + ("" if one.seq is None else f" (event {one.seq})")
+        + ("" if one.is_judged_in_both else f"; {others[one.run]} does not observe what would tell")
         for one in found.verdicts
     ]
     return printable.lines("", *lines) if lines else printable.lines()
@@ -345,4 +354,3 @@ def _verdicts(found: "OutcomesDiff", names: tuple[str, str]) -> SafeText:
 
 def _short(text: str | None) -> str:
     return "-" if text is None else printable.value(text, MAX_PARAMETER)
-        + ("" if one.is_judged_in_both else f"; {others[one.run]} does not observe what would tell")

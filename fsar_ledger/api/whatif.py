@@ -19,8 +19,10 @@ from .verbs import WIDE, AnswersOption, ArchitectureOption, Option, Shows, decla
 if TYPE_CHECKING:
     from fsar_ledger.analysis.whatif import Divergence, Effects, Pair, RefusedChange
     from fsar_ledger.ledger.rows.codec import LedgerRun
+    from fsar_ledger.ledger.store.read import View
     from fsar_ledger.ledger.store.record import Head
     from fsar_ledger.metrics.provenance import Provenance
+    from fsar_ledger.runtime.changes import Changes
 
     from .ledger import Ledger
     from .table import Table
@@ -168,7 +170,6 @@ def whatif(
         WriteFailed: `out` cannot be written.
     """
     from fsar_ledger.analysis import whatif as forks
-    from fsar_ledger.ledger.store.locations import record_of
     from fsar_ledger.ledger.store.paths import require_outside
     from fsar_ledger.metrics.comparison_sides import sides
 
@@ -201,14 +202,22 @@ def whatif(
     if len(refused := [(one.base, one.refused) for one in found if one.refused is not None]) == len(found):
         raise forks.refused_in_all(refused)
     if not any(one.parts_at for one in found):
-        others = f"none of {len(runs):,} does anything else" if len(runs) > 1 else ""
-        try:
-            forks.fork_of(view, record_of(view, runs[0]), meant)
-        except UsageError as why:
-            raise UsageError(f"{why}{forks.of_run(runs[0], others)}") from why
-        raise UsageError(f"none of {len(runs):,} runs does anything else with these changes; expected some effect")
+        raise without_effect(view, runs, meant)
     kept = None if place is None else forks.commit_pairs(place, forks.fork_pairs(view, runs, meant))
     return WhatIf(texts, tuple(found), judged, None, provenance, kept, place)
+
+
+def without_effect(view: "View", runs: Sequence[str], changes: "Changes") -> UsageError:
+    """Return the error of changes with which none of these runs does anything else; it says why the first does not."""
+    from fsar_ledger.analysis import whatif as forks
+    from fsar_ledger.ledger.store.locations import record_of
+
+    others = f"none of {len(runs):,} does anything else" if len(runs) > 1 else ""
+    try:
+        forks.fork_of(view, record_of(view, runs[0]), changes)
+    except UsageError as why:
+        return UsageError(f"{why}{forks.of_run(runs[0], others)}")
+    return UsageError(f"none of {len(runs):,} runs does anything else with these changes; expected some effect")
 
 
 def _of_one(pair: "Pair", texts: tuple[str, ...], provenance: "Provenance", place: Path | None) -> WhatIf:

@@ -219,6 +219,9 @@ def test_the_first_pair_that_disagrees_is_told(call: Call, ledger: Path) -> None
             "expected one or the other",
         ),
         (("bisect", "--architecture", "fsar", "--outcome", VIOLATED), "found an architecture without changes"),
+        (("bisect", "--change", "drop window:none/*", "--outcome", VIOLATED), "the run has no fact"),
+        (("diff", "1", "plan."), "found a plan, expected a run"),
+        (("diff", "plan.", "plan."), "found a plan, expected a run"),
     ],
 )
 def test_a_call_that_makes_no_sense_is_an_error_and_writes_nothing(
