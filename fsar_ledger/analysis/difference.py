@@ -150,6 +150,8 @@ def _getters(kind: type[Event]) -> tuple[Callable[[Event], Any], Callable[[Event
         names.append(field.name)
         if field.name in ("subject", "task_id", "robot", "failed_action", "window", "obstruction"):
             about.append(field.name)
+    if len(about) == 1:  # of no robot and no task
+        about += [name for name in names if name in ("supervisor", "holder")]
     return _tuple_of(names), _tuple_of(about)
 
 

@@ -7,11 +7,13 @@ import pytest
 from msgspec.structs import replace
 
 from fsar_ledger.analysis.difference import align, chain
+from fsar_ledger.analysis.fork_base import base_of_record, rerun
 from fsar_ledger.api.answers import Screen
 from fsar_ledger.api.diff import diff_text, difference_of
 from fsar_ledger.events.fleet import RobotJoined, RunStarted
-from fsar_ledger.events.world import TaskArrived
+from fsar_ledger.events.world import SupervisorLeft, SupervisorReturned, TaskArrived
 from fsar_ledger.ledger.rows.codec import LedgerRun
+from fsar_ledger.runtime.change_texts import parsed
 from fsar_ledger.runtime.forks import until
 from tests.analysis.conftest import simulated
 from tests.analysis.planted import planted
@@ -120,3 +122,15 @@ def test_what_a_run_does_not_observe_is_not_said_to_be_of_the_other_alone() -> N
     assert "no task is on record in either" in "".join(
         diff_text(difference_of(silent, nothing, ()), ("first", "second"), Screen())
     )
+
+
+def test_the_absences_of_two_supervisors_are_two_and_none_has_changed() -> None:
+    base = base_of_record(simulated("fsar"), "0" * 64)
+    fork = rerun(base).fork(parsed(["drop absence:A1/0", "add absence:D1 20s for 5s"])).record
+    kinds = Counter(
+        one.kind
+        for one in align(base.record, fork).differences
+        for seq, run in ((one.first_seq, base.record), (one.second_seq, fork))
+        if seq is not None and isinstance(run.events[seq], SupervisorLeft | SupervisorReturned)
+    )
+    assert kinds == {"only first": 2, "only second": 2}
