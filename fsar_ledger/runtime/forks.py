@@ -22,6 +22,7 @@ from fsar_ledger.projections.fleet import NEVER_US, Fleet
 from .change_texts import COMMAND, altered, fact_of
 from .changeable import (
     EditedEnvironment,
+    FactPositions,
     Question,
     QuestionRecorder,
     facts_by_name,
@@ -54,33 +55,48 @@ from .recipes import Recipe, base_of, constants_by_time, require_possible, start
 from .simulation import draws_of, environment_of, fleet_founding, founding_of, handler_table_of, run_id
 from .world import Draws, SimulatedEnvironment
 
+_Placed = tuple[int, Event, int | None]
+"""A fact in an edited world: when, what, and its place among the facts as they were, None if it was added."""
 
-def edited_facts(facts: Sequence[Fact], changes: Sequence[OfFacts], last_us: int = END_US) -> tuple[Fact, ...]:
+
+def edited_facts(
+    facts: Sequence[Fact], changes: Sequence[OfFacts], last_us: int = END_US, *, counts_anew: bool = False
+) -> tuple[Fact, ...]:
     """Return the facts with these changes, in order of time, no two at the same microsecond and none after `last_us`.
 
-    A name that no fact has changes nothing.
+    Names are those of the facts as given, whatever the changes before do to them; with `counts_anew`, of what these
+    have left. A name that no fact has changes nothing.
 
     Raises:
         UsageError: A fact would happen before the run begins, or after it has ended.
     """
-    found = tuple(facts)
+    found, names = _placed(facts), facts_by_name(tuple(facts))
     for change in changes:
-        found = _changed(found, change, last_us)
-    return found
+        if counts_anew:
+            found = _placed(_unplaced(found))
+            names = facts_by_name(_unplaced(found))
+        found = _changed(found, change, names, last_us)
+    return _unplaced(found)
 
 
-def _changed(facts: tuple[Fact, ...], change: OfFacts, last_us: int) -> tuple[Fact, ...]:
+def _placed(facts: Sequence[Fact]) -> list[_Placed]:
+    return [(time_us, fact, at) for at, (time_us, fact) in enumerate(facts)]
+
+
+def _unplaced(facts: list[_Placed]) -> tuple[Fact, ...]:
+    return tuple((time_us, fact) for time_us, fact, _ in facts)
+
+
+def _changed(facts: list[_Placed], change: OfFacts, names: FactPositions, last_us: int) -> list[_Placed]:
     if isinstance(change, Add):
-        return _apart(facts, [(_within(change, microseconds_of(change.at_s), last_us), fact_of(change.event))])
-    names = facts_by_name(facts)
+        return _apart(facts, [(_within(change, microseconds_of(change.at_s), last_us), fact_of(change.event), None)])
     places = {at for name in matching_names(change.fact, names) for at in names[name]}
-    if not places:
-        return facts
-    left = tuple(fact for at, fact in enumerate(facts) if at not in places)
+    left = [one for one in facts if one[2] not in places]
     if isinstance(change, Drop):
         return left
     by_us = microseconds_of(change.by_s)
-    return _apart(left, [(_within(change, facts[at][0] + by_us, last_us), facts[at][1]) for at in sorted(places)])
+    moved = [one for one in facts if one[2] in places]
+    return _apart(left, [(_within(change, time_us + by_us, last_us), fact, at) for time_us, fact, at in moved])
 
 
 def _within(change: Add | Move, time_us: int, last_us: int) -> int:
@@ -92,16 +108,16 @@ def _within(change: Add | Move, time_us: int, last_us: int) -> int:
     return time_us
 
 
-def _apart(facts: tuple[Fact, ...], more: list[Fact]) -> tuple[Fact, ...]:
+def _apart(facts: list[_Placed], more: list[_Placed]) -> list[_Placed]:
     """Return all facts in order of time; those of `more` move to the next free microsecond."""
-    taken = {time_us for time_us, _ in facts}
-    placed: list[Fact] = []
-    for time_us, fact in more:
+    taken = {time_us for time_us, *_ in facts}
+    placed: list[_Placed] = []
+    for time_us, fact, at in more:
         while time_us in taken:
             time_us += 1
         taken.add(time_us)
-        placed.append((time_us, fact))
-    return tuple(sorted((*facts, *placed), key=lambda fact: fact[0]))
+        placed.append((time_us, fact, at))
+    return sorted((*facts, *placed), key=lambda one: one[0])
 
 
 class Fork(NamedTuple):
@@ -148,13 +164,14 @@ def edited_environment(recipe: Recipe) -> EditedEnvironment:
     answers = [one for one in recipe.changes if isinstance(one, Answer)]
     facts = _altered(facts, answers)
     if recipe.live is None:
-        return EditedEnvironment(usual, edited_facts(facts, of_facts), answers)
+        return EditedEnvironment(usual, edited_facts(facts, of_facts, counts_anew=recipe.counts_anew), answers)
     facts = edited_facts(facts, of_facts, recipe.live.until_us)
     fleet = fleet_founding(recipe.spec.fleet_size, recipe.constants, recipe.live.alone)[1].fleet
-    for change in recipe.changes:
-        if isinstance(change, Commanded):
-            asked = _commanded(fleet, change)
-            facts = _apart(facts, [(max(1, microseconds_of(change.from_s)), given(asked, asked.issued_by))])
+    asked = [(one, _commanded(fleet, one)) for one in recipe.changes if isinstance(one, Commanded)]
+    commanded: list[_Placed] = [
+        (max(1, microseconds_of(one.from_s)), given(command, command.issued_by), None) for one, command in asked
+    ]
+    facts = _unplaced(_apart(_placed(facts), commanded))
 
     def draws(seed: int) -> Draws:
         return draws_of(msgspec.structs.replace(recipe.spec, seed=seed), recipe.constants)

@@ -55,12 +55,14 @@ class Recipe(msgspec.Struct, frozen=True):
     """What a run is made from. The changes of the start are already in `spec` and `constants`.
 
     `live`: the record of a live run; then `spec` says under which name the model draws what nobody answers.
+    `counts_anew`: each change names the facts that those before it left, as in forks made by releases to 0.15.
     """
 
     spec: RunSpec
     constants: Constants
     changes: Changes = ()
     live: LiveRecord | None = None
+    counts_anew: bool = False
 
 
 class CannotReplay(Exception):

@@ -34,9 +34,7 @@ admissions AS (
             admitted.run_id = told.run_id AND admitted.action_id = told.action_id
             AND admitted.seq BETWEEN told.seq + 1 AND coalesce(told.replaced_seq, admitted.seq)
     ASOF LEFT JOIN review_answers AS answers
-        ON
-            admitted.run_id = answers.run_id AND admitted.action_id = answers.action_id
-            AND admitted.seq > answers.seq
+        ON admitted.run_id = answers.run_id AND admitted.action_id = answers.action_id AND admitted.seq > answers.seq
     GROUP BY admitted.run_id, admitted.seq
 ),
 
