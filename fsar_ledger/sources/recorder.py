@@ -73,6 +73,7 @@ class Recorder:
         names: PrivateNames | None = None,
     ):
         self._names = names
+        fleet = fleet if isinstance(fleet, Mapping) else [*fleet]
         self.declared, self.source, self._lock = declared(observes), source, RLock()
         begins = utc.zoned(datetime.now(UTC) if epoch is None else _moment("epoch", epoch)).astimezone(UTC)
         self.run = run or begins.isoformat(timespec="seconds")
@@ -89,6 +90,7 @@ class Recorder:
             else:
                 self._next, self._last_us, self._is_live = stored.size, stored.last_us, False
                 self._epoch = self._continued(stored, dict(roles_of(fleet)), epoch and begins)
+                self._require_same_supervisors(stored, fleet)
                 self._put(self._last_us, None, opened or self._opening())
         except BaseException:
             self._writer.close()
@@ -264,6 +266,16 @@ class Recorder:
             )
         self.declared = kept
         return utc.parsed(started.epoch)
+
+    def _require_same_supervisors(self, stored: StoredRun, fleet: Fleet) -> None:
+        """Refuse a robot with another supervisor than at the beginning; whose line is erased has another commitment."""
+        for one in () if isinstance(fleet, Mapping) or self._names is not None else fleet:
+            if (before := stored.supervisors[one.robot]) != one.supervisor:
+                raise UsageError(
+                    f"run {value(self.run)}: found {value(before or 'nobody')} as the supervisor of {value(one.robot)} "
+                    f"when it began, expected the same as now ({value(one.supervisor or 'nobody')}); give the run "
+                    "another name"
+                )
 
     def _time_us(self, at: datetime | None) -> int:
         if at is None:

@@ -28,13 +28,14 @@ BYTES = "bytes"
 class StoredRun(msgspec.Struct, frozen=True):
     """A run as the ledger holds it: its beginning, how many events it has, and the time of the last.
 
-    `robots` are the roles of those that joined before the first source was `opened`.
+    `robots` are the roles of those that joined before the first source was `opened`, `supervisors` who supervises them.
     """
 
     started: RunStarted
     size: int
     last_us: int
     robots: dict[str, str]
+    supervisors: dict[str, str | None]
     opened: "Opening | None"
 
 
@@ -54,14 +55,14 @@ def stored_run(path: Path, run: str) -> StoredRun | None:
         )
     own = {name: row[name] for name in ("type", *RunStarted.__struct_fields__) if name in row}
     started = msgspec.convert(own, RunStarted)
-    robots, opened = dict[str, str](), None
+    robots, supervisors, opened = dict[str, str](), dict[str, str | None](), None
     for one, line in _rows(view, run):
         if one.type == "RobotJoined.v1":
-            robots[f"{one.robot}"] = f"{one.role}"
+            robots[f"{one.robot}"], supervisors[f"{one.robot}"] = f"{one.role}", one.supervisor
         elif one.seq:
             opened = msgspec.json.decode(line, type=Opening) if one.type == "SourceOpened.v1" else None
             break
-    return StoredRun(started, event_count(parts), parts[-1].block.last_us, robots, opened)
+    return StoredRun(started, event_count(parts), parts[-1].block.last_us, robots, supervisors, opened)
 
 
 class _Row(msgspec.Struct):
@@ -73,6 +74,7 @@ class _Row(msgspec.Struct):
     record_number: int | None = None
     robot: str | None = None
     role: str | None = None
+    supervisor: str | None = None
 
 
 class Opening(msgspec.Struct, frozen=True):

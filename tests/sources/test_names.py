@@ -123,3 +123,17 @@ def test_the_table_is_never_within_the_ledger(tmp_path: Path) -> None:
     record(tmp_path / "out", run="n").close()
     with pytest.raises(UsageError, match="private_names"):
         record(tmp_path / "out", run="n", private_names=tmp_path / "out" / "names")
+
+
+def test_a_robot_with_another_supervisor_does_not_go_on_in_the_run_but_with_an_erased_name(tmp_path: Path) -> None:
+    def fleet(supervisor: str) -> list[RobotJoined]:
+        columns = {"robot": "robot/a", "role": "agv", "supervisor": supervisor}
+        return [msgspec.convert({"type": "RobotJoined.v1", **columns}, RobotJoined)]
+
+    for _ in range(2):
+        record(tmp_path / "ledger", run="r", fleet=iter(fleet(ANN))).close()
+    with pytest.raises(UsageError, match="found supervisor/ann as the supervisor of robot/a when it began"):
+        record(tmp_path / "ledger", run="r", fleet=fleet("supervisor/ben"))
+    for _ in range(2):
+        record(tmp_path / "hidden", run="r", fleet=fleet(ANN), private_names=tmp_path / "names").close()
+        (tmp_path / "names").write_bytes(b"")
