@@ -60,7 +60,6 @@ from fsar_ledger.ledger.store import disk
 _COSIGNATURE = b"\x04"
 _TIME_BYTES = 8
 _SECRET = "PRIVATE+KEY+"
-_MAX_COSIGNATURES = 64
 MAX_TIME_S = 2**63 - 1
 
 
@@ -106,19 +105,12 @@ def cosigned_text(checkpoint: Checkpoint, time_s: int) -> bytes:
 
 
 def parse_cosigned(where: str, data: bytes) -> Note:
-    """Parse a note as `parse_note` does, but with up to 64 signatures.
-
-    Raises:
-        LedgerCorrupted: The bytes are not such a note.
-    """
+    """Parse the bytes of a note. Raises: LedgerCorrupted, as `parse_note`."""
     try:
         text = data.decode()
     except UnicodeDecodeError as error:
         raise LedgerCorrupted(f"{where}: found bytes that are not UTF-8, expected a C2SP checkpoint") from error
-    count = len(text.rpartition("\n\n")[2].splitlines())
-    if count > _MAX_COSIGNATURES:
-        raise LedgerCorrupted(f"{where}: found {count} signatures, expected at most {_MAX_COSIGNATURES}")
-    return parse_note(where, text, _MAX_COSIGNATURES)
+    return parse_note(where, text)
 
 
 def parse_vkey(text: str) -> VerifierKey | WitnessKey:

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from fsar_ledger.base.errors import LedgerCorrupted, UsageError, WriteFailed
 from fsar_ledger.ledger.log.merkle import Frontier, leaf_hash
-from fsar_ledger.ledger.log.note import MAX_SIGNATURES, Checkpoint, Note, Signature, Signer, checkpoint_of, parse_note
+from fsar_ledger.ledger.log.note import Checkpoint, Note, Signature, Signer, checkpoint_of, parse_note
 from fsar_ledger.ledger.store.keys import new_key, read_signer, read_verifier
 from tests.ledger.samples import ORIGIN
 
@@ -179,13 +179,11 @@ def test_what_is_written_otherwise_is_no_note(text: str) -> None:
         parse_note("here", text)
 
 
-def test_a_note_carries_sixteen_signatures_and_no_more() -> None:
+def test_a_note_carries_64_signatures_and_no_more() -> None:
     signature = SIGNER.sign(CHECKPOINT)
-    assert (
-        len(parse_note("note", str(Note(CHECKPOINT, (signature,) * MAX_SIGNATURES))).signatures) == MAX_SIGNATURES == 16
-    )
-    with pytest.raises(LedgerCorrupted):
-        parse_note("note", str(Note(CHECKPOINT, (signature,) * (MAX_SIGNATURES + 1))))
+    assert len(parse_note("note", str(Note(CHECKPOINT, (signature,) * 64))).signatures) == 64
+    with pytest.raises(LedgerCorrupted, match="found 65 signatures, expected at most 64"):
+        parse_note("note", str(Note(CHECKPOINT, (signature,) * 65)))
 
 
 def test_a_key_of_the_same_name_does_not_sign_for_another() -> None:

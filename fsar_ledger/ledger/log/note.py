@@ -104,7 +104,7 @@ SIGNATURE_BYTES = 64  # RFC 8032
 _DASH = "\N{EM DASH} "
 Signed = Literal["unsigned", "signer not checked", "signed"]
 
-MAX_SIGNATURES = 16
+MAX_SIGNATURES = 64
 """The most signatures that a note may carry: the log's own, and those of witnesses."""
 
 
@@ -244,28 +244,30 @@ def checkpoint_of(origin: str, tree: Frontier) -> Checkpoint:
     return Checkpoint(origin, tree.size, tree.root())
 
 
-def parse_note(where: str, text: str, most: int = MAX_SIGNATURES) -> Note:
-    """Parse this text as a note of at most so many signatures, whose `str` is the same text to the byte.
+def parse_note(where: str, text: str) -> Note:
+    """Parse this text as a note, whose `str` is the same text to the byte.
 
     Errors name it `where`.
 
     Raises:
         LedgerCorrupted: It is not a checkpoint, not in the form of C2SP, or has signatures that no Ed25519 key makes.
     """
-    body, _, lines = text.rpartition("\n\n")
+    body, _, end = text.rpartition("\n\n")
+    if len(lines := end.splitlines()) > MAX_SIGNATURES:
+        raise LedgerCorrupted(f"{where}: found {len(lines):,} signatures, expected at most {MAX_SIGNATURES}")
     origin, size, root, *_ = [*body.split("\n"), "", ""]
     number = int(size) if size.isdecimal() and len(size) <= 16 else -1
     try:
         note = Note(
             Checkpoint(origin, number, base64.b64decode(root, validate=True)),
-            tuple(map(_parse_signature, lines.splitlines())),
+            tuple(map(_parse_signature, lines)),
         )
     except (binascii.Error, ValueError) as error:
         raise LedgerCorrupted(
             f"{where}: found a note with a part that is not base64 ({error}), expected a C2SP checkpoint; restore it"
         ) from error
     is_checkpoint = number >= 0 and is_name(origin) and len(note.checkpoint.root) == HASH_BYTES
-    if str(note) != text or not is_checkpoint or len(note.signatures) > most:
+    if str(note) != text or not is_checkpoint:
         raise LedgerCorrupted(
             f"{where}: found {text!r:.120}, expected a C2SP checkpoint (origin, size, root, an empty line, "
             "signatures); restore it"
