@@ -39,7 +39,6 @@ _WATCH = ("membership.heartbeat_us", "membership.suspect_us", "membership.depart
 FROM_THE_START = ("world.floor_teams", "outages.answer_s", *_WATCH)
 """Of the constants of the world, those that the fleet is founded with."""
 
-
 FACTS_PER_ROBOT = 1_000
 """The most facts of the world that recorded rates may make, for each robot, in addition to the number of events.
 
@@ -54,8 +53,8 @@ _ROOT = re.compile(r"[0-9a-f]{64}")
 class Recipe(msgspec.Struct, frozen=True):
     """What a run is made from. The changes of the start are already in `spec` and `constants`.
 
-    `live`: the record of a live run; then `spec` says under which name the model draws what nobody answers.
-    `counts_anew`: each change names the facts that those before it left, as in forks made by releases to 0.15.
+    `live`: the record of a live run; then `spec` says under which name the model draws what nobody answers. With
+    `counts_anew` each change names the facts that those before it left, as in forks of releases to 0.15.
     """
 
     spec: RunSpec

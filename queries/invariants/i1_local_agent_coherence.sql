@@ -36,11 +36,10 @@ known AS (
 named AS (
     SELECT
         run_id, seq, time_us, type, action_id,
-        -- Each principal once, and none for NULL.
+        -- Each principal once, and none for NULL. Whoever records an execution may leave the executor to its robot.
         unnest(list_distinct(list_concat(
             [
                 decided_by, requested_by, executed_by, supervised_by, claimant, sender, receiver,
-                -- Whoever records an execution may leave the executor to its robot.
                 if(type IN ('ExecutionStarted.v1', 'ExecutionFinished.v1'), robot, NULL)
             ],
             coalesce(path, [])

@@ -106,7 +106,10 @@ def test_the_caller_of_a_supervisor_is_the_executor_the_last_decider_or_the_coor
     assert found == (B, "supervisor/fleet", "asks to decide: review")
     recovery = {**review, "purpose": "recovery"}
     assert asked("request_timeline", "sender", request(), recovery)[-1] == (A,)
-    assert asked("request_timeline", "sender", request(), {**review, "robot": C})[-1] == ("coordinator",)
+    command = event("CommandIssued", 3 * S, **about(by="coordinator"), robot=C, seen_busy=False)
+    of_c = {**review, "robot": C}
+    assert asked("request_timeline", "sender", request(), command, of_c)[-1] == ("coordinator",)
+    assert asked("request_timeline", "sender", request(), of_c)[-1] == (C,)  # where no coordinator decides
 
 
 def test_an_order_of_two_requests_stands_in_both_timelines() -> None:
