@@ -52,21 +52,17 @@ SELECT
     actions.failures,
     CASE
         WHEN actions.result IS NOT NULL THEN actions.result
-        WHEN actions.refused_seq IS NULL OR actions.begun_seq > actions.refused_seq THEN actions.state
+        WHEN actions.refused_seq IS NULL THEN actions.state
         WHEN actions.refusal = 'nobody to ask' AND actions.offered_seq < actions.refused_seq THEN 'no answer'
         -- It may have begun all the same, and somebody may have been offered.
         WHEN NOT list_contains(runs.observes, 'execution') THEN NULL
         WHEN actions.refusal = 'nobody to ask' AND NOT list_contains(runs.observes, 'registry') THEN NULL
         ELSE actions.refusal
     END AS result,
-    CASE
-        WHEN actions.result IS NULL AND actions.begun_seq > actions.refused_seq THEN actions.withdrawn_us
-        ELSE coalesce(actions.ended_us, actions.withdrawn_us)
-    END / 1000000 AS ended_s,
+    coalesce(actions.ended_us, actions.withdrawn_us) / 1000000 AS ended_s,
     CASE
         WHEN actions.result IS NOT NULL THEN actions.result_seq
-        WHEN actions.refused_seq IS NULL OR actions.begun_seq > actions.refused_seq
-            THEN if(actions.state = 'withdrawn', actions.withdrawn_seq, NULL)
+        WHEN actions.refused_seq IS NULL THEN if(actions.state = 'withdrawn', actions.withdrawn_seq, NULL)
         ELSE actions.refused_seq
     END AS seq,
     actions.is_request

@@ -2,8 +2,8 @@
 -- Paper: eq:request, eq:auth, sec:model:invariants (I5)
 -- Grain: one row per action that a record names, or that a denial is about by its cause
 -- Key: run_id, action_id
--- Units: began_us, ended_us, withdrawn_us microseconds of run time; begun_seq, refused_seq, result_seq, withdrawn_seq
---   of the last command, acceptance, queueing or start, refusal, result, withdrawal; offered_seq of the first offer
+-- Units: began_us, ended_us, withdrawn_us microseconds of run time; begun_seq of the last command, acceptance, queueing
+--   or start; refused_seq, result_seq of the last refusal, result after it; withdrawn_seq; offered_seq of the first
 -- NULL: what no record of the action tells; failures when none is on record and the run does not observe recovery,
 --   state when it does not observe execution and request; withdrawn_us unless the state is withdrawn
 -- Example: fsar-ledger query facts/action_records LEDGER
@@ -15,8 +15,7 @@ WITH told AS (
     UNION ALL
     SELECT run_id, seq, action_id FROM denied_actions
     UNION ALL
-    SELECT DISTINCT decided.run_id, decided.seq, caused.action_id
-    FROM own_step_decided AS decided
+    SELECT DISTINCT decided.run_id, decided.seq, caused.action_id FROM own_step_decided AS decided
     INNER JOIN keyed_events AS caused ON decided.run_id = caused.run_id AND decided.seq = caused.caused_by
     WHERE decided.action_id IS NULL -- it is about the action of what it caused
 ),
@@ -25,19 +24,22 @@ records AS (
     SELECT
         told.run_id, told.action_id, told.seq, time_us, type, capability, candidates, target_role, decided_by,
         requested_by, executed_by, supervised_by, robot, purpose, approves, result, cause, reason,
-        -- What a robot failed to do while it was alone is still to be done.
-        events.type IN ('ExecutionFinished.v1', 'RequestClosed.v1')
-        OR (events.type = 'IsolatedResultAccepted.v1' AND events.result = 'success') AS is_end,
         events.type IN ('ExecutionStarted.v1', 'ExecutionFinished.v1') AS is_deed, -- a record may begin between them
-        events.type IN ('RequestDenied.v1', 'RequestUnanswered.v1') AS is_refusal
+        max(told.seq) FILTER (
+            events.type IN ('CommandIssued.v1', 'RequestAccepted.v1', 'ExecutionQueued.v1', 'ExecutionStarted.v1')
+        ) OVER (PARTITION BY told.run_id, told.action_id) AS begun_seq,
+        told.seq > coalesce(begun_seq, -1) AS is_last, -- what begins again goes on
+        -- What a robot failed to do while it was alone is still to be done.
+        is_last AND events.type IN ('ExecutionFinished.v1', 'RequestClosed.v1')
+        OR (is_last AND events.type = 'IsolatedResultAccepted.v1' AND events.result = 'success') AS is_end,
+        is_last AND events.type IN ('RequestDenied.v1', 'RequestUnanswered.v1') AS is_refusal
     FROM told
     INNER JOIN events ON told.run_id = events.run_id AND told.seq = events.seq AND told.action_id IS NOT NULL
 )
 
 SELECT
     records.run_id, records.action_id,
-    min(time_us) AS began_us,
-    arg_min(capability, seq) AS capability,
+    min(time_us) AS began_us, arg_min(capability, seq) AS capability,
     coalesce(
         arg_min(decided_by, seq) FILTER (type IN ('RequestIssued.v1', 'CommandIssued.v1', 'OwnStepDecided.v1')),
         arg_min(requested_by, seq), arg_min(robot, seq) FILTER (type = 'OutsiderRequestInjected.v1')
@@ -54,9 +56,7 @@ SELECT
         count(*) FILTER (type = 'ExecutionFailed.v1'), if(any_value(list_contains(runs.observes, 'recovery')), NULL, 0)
     ) AS failures,
     coalesce(max(time_us) FILTER (is_end), max(time_us) FILTER (is_refusal)) AS ended_us,
-    max(seq) FILTER (
-        type IN ('CommandIssued.v1', 'RequestAccepted.v1', 'ExecutionQueued.v1', 'ExecutionStarted.v1')
-    ) AS begun_seq,
+    any_value(begun_seq) AS begun_seq,
     max(seq) FILTER (is_refusal) AS refused_seq,
     max(seq) FILTER (is_end AND result IS NOT NULL) AS result_seq,
     arg_max(result || coalesce('(' || cause || ')', ''), seq) FILTER (is_end) AS result,
@@ -67,7 +67,7 @@ SELECT
     CASE
         WHEN NOT any_value(list_has_all(runs.observes, ['execution', 'request'])) THEN NULL
         WHEN bool_or(type = 'ExecutionStarted.v1') THEN 'not finished'
-        ELSE if(withdrawn_seq > coalesce(begun_seq, -1), 'withdrawn', 'not begun')
+        ELSE if(bool_or(is_last AND type = 'ExecutionWithdrawn.v1'), 'withdrawn', 'not begun')
     END AS state,
     if(state = 'withdrawn', max(time_us) FILTER (type = 'ExecutionWithdrawn.v1'), NULL) AS withdrawn_us,
     min(seq) FILTER (type = 'RegistryQueried.v1' AND len(candidates) > 0) AS offered_seq,

@@ -175,7 +175,7 @@ def test_a_request_without_an_end_is_told_by_how_far_it_came() -> None:
         assert asked("refusals", "reason", {**QUERY, "candidates": candidates}, nobody) == [(reason,)]
 
 
-def test_a_request_that_goes_on_after_a_refusal_has_neither_its_result_nor_its_end() -> None:
+def test_a_request_that_goes_on_after_a_refusal_or_a_result_has_neither_it_nor_its_end() -> None:
     denied = event("RequestDenied", 3 * S, **about(by=B), reason="trust")
     accepted = event("RequestAccepted", 4 * S, **about(by=C))
     again = {**STARTED, "time_us": 5 * S}
@@ -183,6 +183,9 @@ def test_a_request_that_goes_on_after_a_refusal_has_neither_its_result_nor_its_e
     assert asked("requests", columns, request(), denied) == [("denied: trust", 3.0, B)]
     assert asked("requests", columns, request(), denied, accepted) == [("not begun", None, B)]
     assert asked("requests", columns, request(), denied, accepted, again) == [("not finished", None, B)]
+    departed = {**CLOSED, "time_us": 3 * S, "result": "failure", "cause": "departed"}
+    assert asked("requests", columns, request(), departed, accepted, again) == [("not finished", None, None)]
+    assert asked("requests", columns, request(), departed, accepted, again, FINISHED) == [("success", 5.0, None)]
     late = {**denied, "time_us": 9 * S}  # another system's record may refuse what was done
     assert asked("requests", columns, request(), STARTED, FINISHED, late) == [("success", 5.0, B)]
     assert asked("requests", columns, request(), STARTED, FINISHED, CLOSED, late) == [("success", 6.0, B)]
