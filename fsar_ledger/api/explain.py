@@ -325,8 +325,9 @@ def _parties(parties: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
             continue
         when = ""
         if name == "denied_by":
-            times = "" if parties["denials"] == 1 else f"{parties['denials']} times, the last "
-            when = f", {times}at {parties['denied_s']:.3f} s (seq {parties['denied_seq']})"
+            # Several denials need not all name who denied.
+            several = ", " if parties["denials"] == 1 else f"; {parties['denials']} denials, the last "
+            when = f"{several}at {parties['denied_s']:.3f} s (seq {parties['denied_seq']})"
         yield name, f"{parties[name] or UNKNOWN}{when}"
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from fsar_ledger import Ledger, open_ledger
 from fsar_ledger.api.answers import Screen
-from fsar_ledger.api.explain import account_lines, shown
+from fsar_ledger.api.explain import _parties, account_lines, shown
 from fsar_ledger.metrics.database import plain_rows
 from tests.cli.conftest import Call, made_in
 from tests.queries.histories import Row, S, event, run
@@ -72,6 +72,18 @@ def asked(name: str, columns: str, *events: Row) -> list[tuple[Any, ...]]:
 def about(by: str, **fields: Any) -> dict[str, Any]:
     parties = {"requested_by": A, "executed_by": B, "supervised_by": SUPERVISOR, "decided_by": by, "path": [by]}
     return {"task_id": "t1", "action_id": "t1/1.1", **parties, **fields}
+
+
+def test_of_several_denials_it_is_not_said_that_those_who_are_named_made_each() -> None:
+    denied = event("RequestDenied", 3 * S, **about(B), reason="trust")
+    unknown = {**denied, "time_us": 4 * S, "decided_by": None}
+    for events, told in (
+        ((denied,), ", at 3.000 s (seq 1)"),
+        ((denied, unknown), "; 2 denials, the last at 4.000 s (seq 2)"),
+    ):
+        with from_rows(run(*events)) as database:
+            (parties,) = plain_rows(database.query("audit/requests"))
+        assert dict(_parties(parties))["denied_by"] == f"{B}{told}"
 
 
 def window(name: str, robot: str, opened_us: int, scope: str = "local", outcome: str = "deny") -> Row:
