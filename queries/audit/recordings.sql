@@ -3,7 +3,8 @@
 -- Grain: one row per run and opening of a source; one that was continued was opened again
 -- Key: run_id, seq
 -- Units: record_count records on file of the source in the run, each once though it was cut at first; underived_count
---   those from which no event follows
+--   those that no event follows: they tell nothing, or what they tell waited for another record, as a span for its
+--   parent
 -- NULL: input_sha256 of what was no file, mapping_sha256 without a mapping; until_us while the source is open, or where
 --   it was opened again without having been closed
 -- Example: fsar-ledger query audit/recordings LEDGER answers which recordings the runs were imported from
