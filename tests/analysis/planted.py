@@ -10,6 +10,8 @@ from fsar_ledger.events.command import CommandRejected
 from fsar_ledger.ledger.rows.codec import LedgerRun
 
 IDENTITY = ("subject", "task_id", "robot", "failed_action", "window", "obstruction")
+OF_NO_ROBOT = ("supervisor", "holder")
+"""What an event is about that is of no robot and no task."""
 
 
 class Row(NamedTuple):
@@ -56,11 +58,9 @@ def planted(run: LedgerRun, count: int, seed: int) -> Planted:
         elif kind == "moved":
             rows[place] = row._replace(time_us=row.time_us + draw.randrange(1, 10**7))
         else:
-            names = [
-                field.name
-                for field in msgspec.structs.fields(type(row.event))
-                if field.name not in IDENTITY and isinstance(getattr(row.event, field.name), str)
-            ]
+            fields = [field.name for field in msgspec.structs.fields(type(row.event))]
+            kept = IDENTITY if any(name in IDENTITY for name in fields) else OF_NO_ROBOT
+            names = [name for name in fields if name not in kept and isinstance(getattr(row.event, name), str)]
             if not names:
                 continue
             rows[place] = row._replace(
