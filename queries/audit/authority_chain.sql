@@ -43,8 +43,8 @@ tuples AS (
 ),
 
 concerned AS (
-    -- Rights that bear on an evaluation, and events of the action itself.
-    SELECT DISTINCT rights.run_id, rights.seq, evaluations.action_id
+    -- Rights that bear on an evaluation, and events of the action itself: each once, also where it is both.
+    SELECT rights.run_id, rights.seq, evaluations.action_id
     FROM authority_events AS rights
     INNER JOIN evaluations
         ON
@@ -54,13 +54,13 @@ concerned AS (
             AND coalesce(rights.capability = evaluations.capability, rights.capability IS NULL)
             AND coalesce(rights.context = evaluations.context, rights.context IS NULL)
     WHERE rights.type IN ('AuthorityGranted.v1', 'AuthorityRevoked.v1')
-    UNION ALL
+    UNION
     SELECT run_id, seq, action_id FROM keyed_events
     WHERE type <> 'RequestDenied.v1'
-    UNION ALL
+    UNION
     SELECT run_id, seq, action_id FROM denied_actions
-    UNION ALL
-    SELECT DISTINCT decided.run_id, decided.seq, caused.action_id
+    UNION
+    SELECT decided.run_id, decided.seq, caused.action_id
     FROM own_step_decided AS decided
     INNER JOIN keyed_events AS caused ON decided.run_id = caused.run_id AND decided.seq = caused.caused_by
     WHERE decided.action_id IS NULL
