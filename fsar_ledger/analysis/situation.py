@@ -290,8 +290,8 @@ def _trust(state: State, robot: str | None) -> Iterator[TrustNow]:
                 yield TrustNow(_role(role, domain), f"role {peer_role}", scope, capability, task)
     for (one, is_trusting), scope in state.trust.initial.items():
         if robot in (None, one):
-            truster_and_peer = (one, EVERY_ROBOT) if is_trusting else (EVERY_ROBOT, one)
-            yield TrustNow(truster_and_peer[0], truster_and_peer[1], scope, None, None)
+            trusting, trusted = (one, EVERY_ROBOT) if is_trusting else (EVERY_ROBOT, one)
+            yield TrustNow(trusting, trusted, scope, None, None)
 
 
 def _rules(state: State, robot: str | None) -> Iterator[RuleNow]:
@@ -309,9 +309,10 @@ def _role(role: str, domain: str) -> str:
 
 def _has_role(state: State, robot: str | None, roles: tuple[str, ...], domain: str) -> bool:
     """Return whether the robot has one of these roles in the domain; True if no robot is asked for."""
-    return robot is None or any(
-        one.role in roles and is_within(one.domain, domain) for one in state.fleet.robots.values() if one.name == robot
-    )
+    if robot is None:
+        return True
+    member = state.fleet.robots.get(Robot(robot))
+    return member is not None and member.role in roles and is_within(member.domain, domain)
 
 
 def _robot(past: "Past", name: Robot, seen: Coverage, is_known: bool) -> RobotNow:

@@ -73,8 +73,8 @@ def edited_facts(
     found, names = _placed(facts), facts_by_name(tuple(facts))
     for change in changes:
         if counts_anew:
-            found = _placed(_unplaced(found))
-            names = facts_by_name(_unplaced(found))
+            left = _unplaced(found)
+            found, names = _placed(left), facts_by_name(left)
         found = _changed(found, change, names, last_us)
     return _unplaced(found)
 

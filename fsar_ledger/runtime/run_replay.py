@@ -95,7 +95,9 @@ def replay_run(
     With `is_recorded` the world is that of the record. `digests` gets those of a state in another shape.
     """
     difference, started = _replayed(record, is_recorded, digests), record.events[0]
-    if difference is not None and isinstance(started, RunStarted) and len(started.changes or ()) > 1:
+    if difference is None or is_recorded:  # the changes are in the world of the record
+        return difference
+    if isinstance(started, RunStarted) and len(started.changes or ()) > 1:
         # Forks made by releases to 0.15 are no forgeries: their changes name what those before left.
         return None if _replayed(record, is_recorded, digests, counts_anew=True) is None else difference
     return difference

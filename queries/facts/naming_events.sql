@@ -6,12 +6,14 @@
 -- NULL: the event's type has no such field, or the record does not name it
 -- Example: fsar-ledger query facts/naming_events LEDGER
 -- The types are those left out, so that the columns of their events are not read.
+-- The executor is the robot: whoever records an execution may leave executed_by out.
 SELECT
     run_id, seq, time_us, type, action_id, robot, on_behalf_of, decided_by, requested_by, executed_by, supervised_by,
     claimant, sender, receiver, path,
+    if(type IN ('ExecutionStarted.v1', 'ExecutionFinished.v1'), robot, NULL) AS executor,
     decided_by IS NOT NULL OR requested_by IS NOT NULL OR executed_by IS NOT NULL OR supervised_by IS NOT NULL
     OR claimant IS NOT NULL OR sender IS NOT NULL OR receiver IS NOT NULL OR coalesce(len(path) > 0, FALSE)
-    OR (robot IS NOT NULL AND type IN ('ExecutionStarted.v1', 'ExecutionFinished.v1'))
+    OR executor IS NOT NULL
         AS names_somebody
 FROM event_principals
 WHERE

@@ -40,7 +40,7 @@ SELECT
         WHEN asked.seq IS NOT NULL THEN 'review'
         ELSE 'own step'
     END AS reason,
-    if(coordinated.run_id IS NULL, called.robot, if(called.robot IS NULL, NULL, 'coordinator')) AS decided_by,
+    if(coordinated.run_id IS NULL OR called.robot IS NULL, called.robot, 'coordinator') AS decided_by,
     coalesce(called.robot, bids.robot, asked.executed_by, steps.robot) AS robot,
     if(called.robot IS NULL, coalesce(bids.seq, called.seq), called.seq) AS decided_seq,
     if(called.robot IS NULL, coalesce(bids.time_us, called.time_us), called.time_us) AS decided_us

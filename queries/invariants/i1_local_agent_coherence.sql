@@ -36,12 +36,9 @@ known AS (
 named AS (
     SELECT
         run_id, seq, time_us, type, action_id,
-        -- Each principal once, and none for NULL. Whoever records an execution may leave the executor to its robot.
+        -- Each principal once, and none for NULL.
         unnest(list_distinct(list_concat(
-            [
-                decided_by, requested_by, executed_by, supervised_by, claimant, sender, receiver,
-                if(type IN ('ExecutionStarted.v1', 'ExecutionFinished.v1'), robot, NULL)
-            ],
+            [decided_by, requested_by, executed_by, executor, supervised_by, claimant, sender, receiver],
             coalesce(path, [])
         ))) AS principal
     FROM naming_events
