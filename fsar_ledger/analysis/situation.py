@@ -309,10 +309,9 @@ def _role(role: str, domain: str) -> str:
 
 def _has_role(state: State, robot: str | None, roles: tuple[str, ...], domain: str) -> bool:
     """Return whether the robot has one of these roles in the domain; True if no robot is asked for."""
-    if robot is None:
-        return True
-    member = state.fleet.robots.get(Robot(robot))
-    return member is not None and member.role in roles and is_within(member.domain, domain)
+    return robot is None or any(
+        one.role in roles and is_within(one.domain, domain) for one in state.fleet.robots.values() if one.name == robot
+    )
 
 
 def _robot(past: "Past", name: Robot, seen: Coverage, is_known: bool) -> RobotNow:
