@@ -7,7 +7,7 @@
 -- Units: time_us microseconds of run time
 -- NULL: a principal that the record does not name; the authority tuple and trust where it gives none; found, too, are
 --   recovery that only its failed action ties to the action, a denial that only its cause does, an own step that only
---   what it caused does
+--   what it caused does; an answer that orders two actions has the parties of the one it was called for
 -- Example: fsar-ledger query audit/authority_chain LEDGER --param run=RUN --param action=B1-1/2.1
 --   answers asked robot/B1, admitted robot/C1 (session; may ask, may execute, none, audited), accepted, acted,
 --   finished, closed service/coordination
@@ -55,15 +55,7 @@ concerned AS (
             AND coalesce(rights.context = evaluations.context, rights.context IS NULL)
     WHERE rights.type IN ('AuthorityGranted.v1', 'AuthorityRevoked.v1')
     UNION
-    SELECT run_id, seq, action_id FROM keyed_events
-    WHERE type <> 'RequestDenied.v1'
-    UNION
-    SELECT run_id, seq, action_id FROM denied_actions
-    UNION
-    SELECT decided.run_id, decided.seq, caused.action_id
-    FROM own_step_decided AS decided
-    INNER JOIN keyed_events AS caused ON decided.run_id = caused.run_id AND decided.seq = caused.caused_by
-    WHERE decided.action_id IS NULL
+    SELECT run_id, seq, action_id FROM action_events
 )
 
 SELECT

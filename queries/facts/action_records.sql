@@ -8,19 +8,7 @@
 --   state when it does not observe execution and request; withdrawn_us unless the state is withdrawn
 -- Example: fsar-ledger query facts/action_records LEDGER
 -- Stored: requests, interventions and denials read it
-WITH told AS (
-    SELECT run_id, seq, action_id FROM keyed_events
-    UNION ALL
-    SELECT run_id, seq, action_id FROM competing_calls
-    UNION ALL
-    SELECT run_id, seq, action_id FROM denied_actions
-    UNION ALL
-    SELECT DISTINCT decided.run_id, decided.seq, caused.action_id FROM own_step_decided AS decided
-    INNER JOIN keyed_events AS caused ON decided.run_id = caused.run_id AND decided.seq = caused.caused_by
-    WHERE decided.action_id IS NULL -- it is about the action of what it caused
-),
-
-records AS (
+WITH records AS (
     SELECT
         told.run_id, told.action_id, told.seq, time_us, type, capability, candidates, target_role, decided_by,
         requested_by, executed_by, supervised_by, robot, purpose, approves, result, cause, reason,
@@ -33,8 +21,8 @@ records AS (
         is_last AND events.type IN ('ExecutionFinished.v1', 'RequestClosed.v1')
         OR (is_last AND events.type = 'IsolatedResultAccepted.v1' AND events.result = 'success') AS is_end,
         is_last AND events.type IN ('RequestDenied.v1', 'RequestUnanswered.v1') AS is_refusal
-    FROM told
-    INNER JOIN events ON told.run_id = events.run_id AND told.seq = events.seq AND told.action_id IS NOT NULL
+    FROM action_events AS told
+    INNER JOIN events ON told.run_id = events.run_id AND told.seq = events.seq
 )
 
 SELECT

@@ -112,7 +112,7 @@ def test_the_caller_of_a_supervisor_is_the_executor_the_last_decider_or_the_coor
     assert asked("request_timeline", "sender", request(), of_c)[-1] == (C,)  # where no coordinator decides
 
 
-def test_an_order_of_two_requests_stands_in_both_timelines() -> None:
+def test_an_order_of_two_requests_stands_in_both_timelines_and_chains() -> None:
     call = act(
         "SupervisorCalled",
         2 * S,
@@ -135,6 +135,8 @@ def test_an_order_of_two_requests_stands_in_both_timelines() -> None:
         told = asked("request_timeline", "message note", request(), other, call, answer, action=action)
         found = told[-2:]
         assert found == [("asks to decide: ordering", "t1/1.1 competes with t2/1.1"), ("decides: t1/1.1 first", None)]
+        chain = asked("authority_chain", "deed principal", request(), other, call, answer, action=action)
+        assert chain[-1] == ("supervised", "supervisor/fleet")
     assert asked("requests", "supervised_by", other, call, answer, action="t2/1.1") == [("supervisor/fleet",)]
 
 
