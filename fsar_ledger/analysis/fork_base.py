@@ -10,9 +10,8 @@ from fsar_ledger.base.errors import UsageError
 from fsar_ledger.designs import OutsideCommand, Scenario, registered
 from fsar_ledger.events import Event
 from fsar_ledger.events.command import CommandGiven, CommandRejected
-from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.events.world import TaskArrived
-from fsar_ledger.ledger.rows.codec import LedgerRun
+from fsar_ledger.ledger.rows.runs import LedgerRun, start_of
 from fsar_ledger.runtime.change_texts import COMMAND, fact_of, fact_text
 from fsar_ledger.runtime.changeable import (
     CALL,
@@ -155,9 +154,7 @@ class Rerun(NamedTuple):
 
 def base_of_record(record: LedgerRun, root: str) -> Base:
     """Return the base that a record is. Raises: UsageError if this version cannot make the run, or it is a fork."""
-    run, started = printable.value(record.run_id), record.events[0]
-    if not isinstance(started, RunStarted):
-        raise UsageError(f"{run}: found a plan, expected a run, which the plan's own query `planned_runs` lists")
+    run, started = printable.value(record.run_id), start_of(record)
     if started.changes is not None:
         raise UsageError(
             f"run {run}: found a fork, expected the run that it forks from, "

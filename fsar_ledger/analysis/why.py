@@ -14,7 +14,7 @@ from fsar_ledger.base.errors import UsageError
 from fsar_ledger.events import Event
 from fsar_ledger.events.command import CommandGiven
 from fsar_ledger.events.fleet import RunStarted
-from fsar_ledger.ledger.rows.codec import LedgerRun
+from fsar_ledger.ledger.rows.runs import LedgerRun, start_of
 from fsar_ledger.projections.fold import State
 from fsar_ledger.runtime.changeable import Question, name_of
 from fsar_ledger.runtime.forks import command, edited_environment, parts_at, record_of, run_to_end
@@ -65,10 +65,7 @@ def decisions(record: LedgerRun, seqs: Collection[int]) -> dict[int, Decision]:
     Raises:
         UsageError: This version cannot make the run again, or makes another one than is recorded.
     """
-    run = printable.value(record.run_id)
-    started = record.events[0]
-    if not isinstance(started, RunStarted):
-        raise UsageError(f"{run}: found a plan, expected a run; nothing happens in a plan")
+    run, started = printable.value(record.run_id), start_of(record)
     try:
         recipe = recipe_of(record, started)
     except CannotReplay as found:

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Annotated
 import msgspec
 
 from fsar_ledger.base import printable
-from fsar_ledger.base.errors import UsageError
 from fsar_ledger.base.printable import SafeText, counted
 
 from .answers import Answer, Screen
@@ -137,7 +136,7 @@ def diff(
     Raises:
         UsageError: There is no such run, or it is a plan.
     """
-    from fsar_ledger.events.fleet import RunStarted
+    from fsar_ledger.ledger.rows.runs import start_of
 
     from .lookup import ledgers_of, present, recorded
 
@@ -148,10 +147,7 @@ def diff(
         for one, (view, _), run in ((ledger, found[0], first), (ledgers[-1], found[-1], second))
     ]
     for record in records:
-        if not isinstance(record.events[0], RunStarted):
-            raise UsageError(
-                f"{printable.value(record.run_id)}: found a plan, expected a run; nothing happens in a plan"
-            )
+        start_of(record)
     return difference_of(records[0], records[1], tuple(provenance for _, provenance in found))
 
 

@@ -172,7 +172,7 @@ def _write(out: Path, content: bytes) -> None:
 def _shown(ledger: "Ledger", asked: Run | None) -> "tuple[PageOptions, Provenance]":
     """Return a run with all that is drawn of it, and the provenance of that."""
     from fsar_ledger.analysis.situation import Coverage
-    from fsar_ledger.events import ALONE
+    from fsar_ledger.ledger.rows.runs import start_of
     from fsar_ledger.ledger.store.locations import record_of
     from fsar_ledger.view import PageOptions, drawn, words_of
 
@@ -183,11 +183,7 @@ def _shown(ledger: "Ledger", asked: Run | None) -> "tuple[PageOptions, Provenanc
     with about_run(held, asked, ledger.demanded, is_whole=True) as (database, name, number):
         told = timeline(database, asked_of(database, ledger.path, name, None, None, None, None))
     run = record_of(held, name)
-    if type(run.events[0]) in ALONE:
-        raise UsageError(
-            f"run {printable.value(name)}: found the plan of an experiment, expected a run; "
-            f"`fsar-ledger query runs {printable.word(ledger.path)}` lists them"
-        )
+    started = start_of(run)
     provenance = told.provenance
     head = provenance.head
     picture = PageOptions(
@@ -196,7 +192,7 @@ def _shown(ledger: "Ledger", asked: Run | None) -> "tuple[PageOptions, Provenanc
         head.events if head else 0,
         head.root if head else "",
         bool(provenance.rows_verified),
-        tuple(Coverage(run.events[0]).lacking.values()),
+        tuple(Coverage(started).lacking.values()),
     )
     return picture, provenance
 

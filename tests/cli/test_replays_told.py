@@ -220,8 +220,8 @@ def test_the_first_pair_that_disagrees_is_told(call: Call, ledger: Path) -> None
         ),
         (("bisect", "--architecture", "fsar", "--outcome", VIOLATED), "found an architecture without changes"),
         (("bisect", "--change", "drop window:none/*", "--outcome", VIOLATED), "the run has no fact"),
-        (("diff", "1", "plan."), "found a plan, expected a run"),
-        (("diff", "plan.", "plan."), "found a plan, expected a run"),
+        (("diff", "1", "plan."), "found the plan of an experiment, expected a run"),
+        (("diff", "plan.", "plan."), "found the plan of an experiment, expected a run"),
     ],
 )
 def test_a_call_that_makes_no_sense_is_an_error_and_writes_nothing(

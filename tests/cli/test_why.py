@@ -261,4 +261,4 @@ def test_a_verdict_that_was_not_observed_is_not_said_to_be_absent(call: Call, li
 
 def test_a_plan_has_no_reasons(call: Call, ledger: Path) -> None:
     (plan,) = asked(ledger, "SELECT run_id FROM events WHERE type LIKE 'ExperimentPlanned.%'")
-    one_message(call("why", ledger, f"{plan['run_id']}:0"), 2, "found a plan, expected a run")
+    one_message(call("why", ledger, f"{plan['run_id']}:0"), 2, "found the plan of an experiment, expected a run")

@@ -11,10 +11,11 @@ from typing import NamedTuple
 import msgspec
 
 from fsar_ledger.base import printable
-from fsar_ledger.base.errors import InvalidRun, LedgerCorrupted
+from fsar_ledger.base.errors import InvalidRun, LedgerCorrupted, UsageError
 from fsar_ledger.base.parameters import BadParameters, read_parameters
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import flat
+from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.ledger.rows.bounds import MAX_NAME_BYTES
 from fsar_ledger.ledger.rows.schema import LAYOUTS, MAX_INTEGER, Field, Kind
 
@@ -32,6 +33,15 @@ class LedgerRun(msgspec.Struct, frozen=True):
     events: Sequence[Event]
     first: int = 0
     goes_on: bool = False
+
+
+def start_of(record: LedgerRun) -> RunStarted:
+    """Return how the run started. Raises: UsageError: it is the plan of an experiment, in which nothing happens."""
+    started = record.events[0]
+    if not isinstance(started, RunStarted):
+        name = printable.value(record.run_id)
+        raise UsageError(f"{name}: found the plan of an experiment, expected a run; `query runs` lists them")
+    return started
 
 
 class Flaw(msgspec.Struct, frozen=True):
