@@ -92,11 +92,11 @@ _TYPE = re.compile(r"'([A-Z][A-Za-z]+\.v\d+)'")
 _NOT_READ = re.compile(r"--[^\n]*|\btype NOT IN \([^)]*\)")
 _WIDE = frozenset({"events", "event_principals"})
 """Relations that hold every event, whatever its type."""
-_TIES = frozenset({"event_principals", "keyed_events", "naming_events"})
+_TIES = frozenset({"action_events", "event_principals", "keyed_events", "naming_events"})
 """Relations that read all events only to tell which belong together; the query names what it is about beside them."""
 
 
-_OF_ANY_TYPE = frozenset({"evidence_of_principals", "keyed_events", "revocations"})
+_OF_ANY_TYPE = frozenset({"action_events", "evidence_of_principals", "keyed_events", "naming_events", "revocations"})
 """Queries that read events of every type, although they also name some."""
 _EXCUSES = frozenset({"unobservable", "actions_under_way"})
 """Relations of what is not judged: without the events that they read nothing more is said to be wrong."""
