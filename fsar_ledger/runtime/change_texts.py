@@ -140,9 +140,10 @@ class _Unfit(ValueError):
 
 def seconds_of(text: str) -> float:
     """Return the seconds of `46.6`, `46.6s` or `46600ms`. Raises: ValueError."""
-    number = text.removesuffix("s").removesuffix("m")
+    is_milli = text.endswith("ms")
+    number = text.removesuffix("ms" if is_milli else "s")
     try:
-        found = Decimal(number) / (1_000 if text.endswith("ms") else 1)
+        found = Decimal(number) / (1_000 if is_milli else 1)
     except ArithmeticError as error:
         raise _Unfit(f"found {printable.value(text)} where a time belongs") from error
     if "e" in number.lower():

@@ -164,6 +164,8 @@ def test_a_time_that_is_no_number_is_an_error(time: str) -> None:
         ("drop a b", "found 2 words after the verb"),
         ("move x 5s", "without \\+ or -"),
         ("move x +5x", "where a time belongs"),
+        ("move x +1m", "found 1m where a time belongs"),
+        ("rule fleet deny from 2m", "found 2m where a time belongs"),
         ("move x +1e3s", "found 1e3s where a time in plain digits belongs, as 1000s"),
         ("answer approach:* 1E-3s", "found 1E-3s where a time in plain digits belongs"),
         ("move x +-5s", "found -5s where a time of 0 to 9,007,199,254 s belongs"),
