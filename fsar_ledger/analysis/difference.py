@@ -151,7 +151,9 @@ def _getters(kind: type[Event]) -> tuple[Callable[[Event], Any], Callable[[Event
         if field.name in ("subject", "task_id", "robot", "failed_action", "window", "obstruction"):
             about.append(field.name)
     if len(about) == 1:  # of no robot and no task
-        about += [name for name in names if name in ("supervisor", "holder")]
+        about += [name for name in names if name in ("supervisor", "holder", "command", "issued_by")]
+    elif about[1:] == ["robot"]:
+        about += [name for name in names if name == "peer"]
     return _tuple_of(names), _tuple_of(about)
 
 

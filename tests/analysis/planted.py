@@ -9,8 +9,8 @@ from fsar_ledger.events import Event
 from fsar_ledger.events.command import CommandRejected
 from fsar_ledger.ledger.rows.codec import LedgerRun
 
-IDENTITY = ("subject", "task_id", "robot", "failed_action", "window", "obstruction")
-OF_NO_ROBOT = ("supervisor", "holder")
+IDENTITY = ("subject", "task_id", "robot", "failed_action", "window", "obstruction", "peer")
+OF_NO_ROBOT = ("supervisor", "holder", "command", "issued_by")
 """What an event is about that is of no robot and no task."""
 
 

@@ -10,13 +10,16 @@ from fsar_ledger.analysis.difference import align, chain
 from fsar_ledger.analysis.fork_base import base_of_record, rerun
 from fsar_ledger.api.answers import Screen
 from fsar_ledger.api.diff import diff_text, difference_of
+from fsar_ledger.events import Event
 from fsar_ledger.events.fleet import RobotJoined, RunStarted
-from fsar_ledger.events.world import SupervisorLeft, SupervisorReturned, TaskArrived
+from fsar_ledger.events.world import PeersMet, SupervisorLeft, SupervisorReturned, TaskArrived
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.runtime.change_texts import parsed
 from fsar_ledger.runtime.forks import until
 from tests.analysis.conftest import simulated
 from tests.analysis.planted import planted
+from tests.runtime.test_live import relay
+from tests.runtime.test_live_forks import again
 
 MIRROR = {"only first": "only second", "only second": "only first"}
 
@@ -124,13 +127,30 @@ def test_what_a_run_does_not_observe_is_not_said_to_be_of_the_other_alone() -> N
     )
 
 
-def test_the_absences_of_two_supervisors_are_two_and_none_has_changed() -> None:
+@pytest.mark.parametrize(
+    ("changes", "what"),
+    [
+        (["drop absence:A1/0", "add absence:D1 20s for 5s"], SupervisorLeft | SupervisorReturned),
+        (["drop encounter:A1/B1/0", "add encounter:A1/C1 20s"], PeersMet),
+    ],
+)
+def test_facts_of_two_supervisors_or_pairs_are_two_and_none_has_changed(changes: list[str], what: type[Event]) -> None:
     base = base_of_record(simulated("fsar"), "0" * 64)
-    fork = rerun(base).fork(parsed(["drop absence:A1/0", "add absence:D1 20s for 5s"])).record
+    fork = rerun(base).fork(parsed(changes)).record
     kinds = Counter(
         one.kind
         for one in align(base.record, fork).differences
         for seq, run in ((one.first_seq, base.record), (one.second_seq, fork))
-        if seq is not None and isinstance(run.events[seq], SupervisorLeft | SupervisorReturned)
+        if seq is not None and isinstance(run.events[seq], what)
     )
-    assert kinds == {"only first": 2, "only second": 2}
+    assert kinds == {kind: len(changes[1].split(" for ")) for kind in ("only first", "only second")}
+
+
+def test_a_command_is_not_another_command_or_that_of_another_robot_changed() -> None:
+    base = again(relay())
+    leaves = '{"command": "LeaveFleet", "by": "robot/C1", "robot": "robot/C1"}'
+    starts = '{"command": "ReportStart", "by": "robot/C1", "robot": "robot/C1", "action_id": "t/1.1"}'
+    for dropped, added in (("JudgeRequest/0", leaves), ("ReportStart/0", starts)):
+        fork = base.fork(parsed([f"drop command:{dropped}", f"add 2.5s {added}"])).record
+        found = align(base.base.record, fork).differences
+        assert not [one for one in found if {"command", "issued_by"} & {*one.fields}]
