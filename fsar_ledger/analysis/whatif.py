@@ -328,16 +328,15 @@ def commit_pairs(out: Path, pairs: Iterable[Pair]) -> Head:
 
 
 def changes_of(asked: str | Sequence[str]) -> Changes:
-    """Return the changes of these texts and files. Raises: UsageError."""
+    """Return the changes of these texts and files; each base says what held before. Raises: UsageError."""
     texts = [asked] if isinstance(asked, str) else asked
     if not isinstance(texts, Sequence) or not all(isinstance(one, str) for one in texts):
         raise UsageError(
             f"changes: found {asked!r:.80}, expected a text, or a list of texts; an empty one changes nothing"
         )
-    found: Changes = ()
-    for one in texts:
-        found += read_changes(Path(one)) if one.endswith(".toml") else parsed([one])
-    return found
+    parts = [read_changes(Path(one)) if one.endswith(".toml") else parsed([one]) for one in texts]
+    replace = msgspec.structs.replace
+    return tuple(replace(one, before=None) if hasattr(one, "before") else one for part in parts for one in part)
 
 
 def answers_of(model: str | None) -> tuple[str, ...]:

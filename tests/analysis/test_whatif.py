@@ -8,7 +8,7 @@ import pytest
 from scipy import stats
 
 from fsar_ledger.analysis.fork_base import Base, base_of_record, rerun
-from fsar_ledger.analysis.whatif import EFFECTS, VALUES, Effect, Pair, commit_pairs, effects, forks_of
+from fsar_ledger.analysis.whatif import EFFECTS, VALUES, Effect, Pair, changes_of, commit_pairs, effects, forks_of
 from fsar_ledger.analysis.whatif import RUNS as ROWS
 from fsar_ledger.api.ledger import open_ledger as open_forks
 from fsar_ledger.base.errors import UsageError
@@ -228,3 +228,11 @@ def test_a_density_is_on_record_where_nobody_goes_by_it_and_other_commands_are_r
     for text in ("rule fleet deny", "trust A1 B1 none", "budget B1 local 5s 1"):
         with pytest.raises(UsageError, match=f"{architecture} decides no such command, expected a run of fsar"):
             base.fork_with_effect(parsed([text]))
+
+
+def test_the_base_and_nobody_who_asks_says_what_held_before(tmp_path: Path) -> None:
+    file = tmp_path / "changes.toml"
+    file.write_text('[[changes]]\nchange = "architecture"\narchitecture = "cfc"\nbefore = "jade"\n')
+    asked = changes_of(["set world.review_share=0.7 instead of 0.5", "without shared-registry instead of nothing"])
+    assert [*map(str, asked)] == ["set world.review_share=0.7", "without shared-registry"]
+    assert [*map(str, changes_of(str(file)))] == ["architecture cfc"]
