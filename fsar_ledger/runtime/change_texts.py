@@ -278,7 +278,10 @@ def altered(command: CommandGiven, change: Answer) -> CommandGiven:
     except msgspec.DecodeError:
         value = text
     fields = {**msgspec.json.decode(command.parameters), name: value}
-    return command_given(command.command, command.issued_by, fields, command.key, command.source_time_us)
+    try:
+        return command_given(command.command, command.issued_by, fields, command.key, command.source_time_us)
+    except UsageError as found:
+        raise UsageError(f"change {change}: {found}") from found
 
 
 def _newest(text: str) -> str:

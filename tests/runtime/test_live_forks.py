@@ -98,6 +98,12 @@ def repaired() -> Play:
 FAILS = "answer command:ReportAttempt/0 succeeded=false"
 
 
+def test_what_a_command_cannot_say_is_an_error_of_the_change() -> None:
+    change = "answer command:ReportAttempt/0 succeeded=maybe"
+    with pytest.raises(UsageError, match=rf"^change {change}: command ReportAttempt: Expected `bool`, got `str`"):
+        again(repaired()).fork_with_effect(parsed([change]))
+
+
 def test_the_model_answers_what_nobody_did_under_the_seed_that_is_named() -> None:
     base = again(repaired())
     assert known(base.fork_with_effect(parsed([FAILS])).end).question == f"retry:{OPENING}/1/2"
