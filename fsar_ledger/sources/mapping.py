@@ -263,5 +263,7 @@ def _derived(rule: MappedEvent, data: Any) -> Derived | None:
 def _time_us(found: object, unit: str) -> int | None:
     if not isinstance(found, int | float) or isinstance(found, bool):
         return utc_us(found)
+    if not 0 <= found < LAST_US * 1000:  # no float holds an integer of any size
+        return None
     us = found // 1000 if unit == "ns" and isinstance(found, int) else found * US_OF[unit]
-    return round(us) if 0 <= us < LAST_US else None
+    return round(us) if us < LAST_US else None

@@ -216,6 +216,11 @@ def test_a_time_is_iso_8601_or_a_number_of_its_unit(unit: str, when: object, fou
     assert record(reader, {"when": when}).source_us == found
 
 
+def test_a_time_that_no_float_holds_is_none() -> None:
+    [one] = adapter(HEAD).read([Input("log", None, io.BytesIO(b'{"when": 1' + b"0" * 400 + b"}"))])
+    assert one.source_us is None
+
+
 def test_a_record_tells_what_it_is_about_and_what_it_is_called() -> None:
     found = record(adapter(HEAD), {"event": "came", "robot": "A1", "by": None})
     assert (found.kind, found.objects, found.values["by"]) == ("came", {"A1": "robot"}, "null")
