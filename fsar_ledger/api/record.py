@@ -206,6 +206,7 @@ class ImportResult(Answer, msgspec.Struct, frozen=True):
                 f"not understood: {value(one.kind)}, {counted(one.count, 'record')}, the first of them {one.first:,}"
                 for one in made.not_understood[: printable.NAMED]
             ),
+            *made.about_times(),
             *([f"said to be recorded, and never seen: {', '.join(self.unseen)}"] if self.unseen else []),
             *self._judged(),
         )

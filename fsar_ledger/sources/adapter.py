@@ -240,6 +240,23 @@ def _compressed(inputs: Iterable[Input]) -> UsageError | None:
     return None
 
 
+def digest_of(inputs: Sequence[Input]) -> str | None:
+    """Return the SHA-256 of the files one after the other; None where one is no file."""
+    if any(one.path is None for one in inputs):
+        return None
+    digest = sha256()
+    for one in inputs:
+        for block in _blocks(one):
+            digest.update(block)
+        one.file.seek(0)
+    return digest.hexdigest()
+
+
+def _blocks(one: Input) -> Iterator[bytes]:
+    while block := one.file.read(1 << 20):
+        yield block
+
+
 def no_record(inputs: Sequence[Input]) -> UsageError:
     """Return that the inputs are empty."""
     return UsageError(f"{value(inputs[0].name)}: found no record, expected at least one; import it when it has")

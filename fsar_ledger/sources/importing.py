@@ -5,7 +5,6 @@ says how far it came: an import that is called again reads the input from its be
 goes on after the last record on file.
 """
 
-import hashlib
 import io
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -17,7 +16,7 @@ import msgspec
 
 from fsar_ledger.base import utc
 from fsar_ledger.base.errors import UsageError
-from fsar_ledger.base.printable import value
+from fsar_ledger.base.printable import counted, value
 from fsar_ledger.base.progress import Progress
 from fsar_ledger.events import CONCERN_OF, Event
 from fsar_ledger.events.envelope import recorded_robot
@@ -28,7 +27,7 @@ from fsar_ledger.ledger.log.note import Signer
 from fsar_ledger.ledger.rows.schema import MAX_INTEGER
 from fsar_ledger.ledger.store.append import Writer
 
-from .adapter import UNREADABLE, Adapter, Derived, Input, Record, no_record
+from .adapter import UNREADABLE, Adapter, Derived, Input, Record, digest_of, no_record
 from .columns import Declared, declared, storable, storable_text, text_of
 from .recorder import FORMAT, origin_of, roles_of
 from .stored import BYTES, EarlierImport, NewEvent, commit, earlier_import, record_hashes
@@ -51,7 +50,8 @@ class Misunderstood(msgspec.Struct, frozen=True):
 class Imported(msgspec.Struct, frozen=True):
     """What became of the input: how many records it has, how many were there before, and what was made of the others.
 
-    `events` counts the derived events by type, `robots` are those that the records name.
+    `events` counts the derived events by type, `robots` are those that the records name. Of the records with events,
+    `undated` tell no time, and `late` tell one before that of an earlier record, by `late_us` microseconds at most.
     """
 
     run: str
@@ -62,6 +62,20 @@ class Imported(msgspec.Struct, frozen=True):
     not_understood: tuple[Misunderstood, ...]
     declared: Declared
     robots: tuple[str, ...]
+    undated: int
+    late: int
+    late_us: int
+
+    def about_times(self) -> Iterator[str]:
+        """Yield how many records with events stand at another time than their own, a line for each reason."""
+        if self.undated:
+            yield f"tell no time: {counted(self.undated, 'record')} with events, dated as the one before"
+        if self.late:
+            yield (
+                f"tell an earlier time than one before: {counted(self.late, 'record')} with events, by up to "
+                f"{self.late_us / 1e6:,.3f} s, dated as that one; sort the input first, unless it is in order of "
+                "arrival"
+            )
 
 
 def import_files(
@@ -98,7 +112,7 @@ def import_files(
             adapter=f"{adapter.name}/{adapter.version}",
             clock=adapter.clock,
             is_sampled=adapter.is_sampled,
-            input_sha256=_digest(inputs),
+            input_sha256=digest_of(inputs),
             mapping_sha256=mapping_sha256,
         )
         one.resume(opened, fleet or {})
@@ -127,6 +141,7 @@ class _Import:
         self.made = Counter[str]()
         self.missed: dict[str, tuple[int, int]] = {}
         self.robots: dict[str, None] = {}
+        self.undated = self.late = self.late_us = 0
         self.is_new = False
 
     def resume(self, opened: SourceOpened, fleet: Mapping[str, str]) -> None:
@@ -225,6 +240,9 @@ class _Import:
             tuple(Misunderstood(kind, count, first) for kind, (count, first) in missed),
             self.declared,
             tuple(self.robots),
+            self.undated,
+            self.late,
+            self.late_us,
         )
 
     def _begin(self) -> None:
@@ -259,9 +277,11 @@ class _Import:
 
     def _add(self, record: Record, derived: Iterable[Derived]) -> None:
         """Add a record, and what follows from it."""
-        when_us = self._when_us(record)
-        if when_us is not None and self.epoch_us is not None and when_us - self.epoch_us > self.last_us:
-            self.last_us = when_us - self.epoch_us
+        when_us, late_us = self._when_us(record), 0
+        if when_us is not None and self.epoch_us is not None:
+            late_us = self.last_us - (when_us - self.epoch_us)
+            self.last_us -= min(late_us, 0)
+        is_made = False
         at = self._put(self.last_us, None, self._observed(record) if self.is_new else None)
         for one in derived:
             kind = type(one.event).__name__
@@ -281,8 +301,13 @@ class _Import:
             if one.key is not None:
                 self.keys[one.key] = seq
             self.made[kind] += 1
+            is_made = True
             if (robot := getattr(event, "robot", None)) is not None:
                 self.robots[robot] = None
+        if is_made:
+            self.undated += when_us is None
+            self.late += late_us > 0
+            self.late_us = max(self.late_us, late_us)
 
     def _observed(self, record: Record) -> Observed:
         told_us = _told(record.source_us)
@@ -369,20 +394,3 @@ class _Stream(io.RawIOBase):
 def _told(time_us: int | None) -> int | None:
     """Return the time; None for one so far from 1970 that a run could not hold its distance from another."""
     return time_us if time_us is not None and abs(time_us) <= FARTHEST_US else None
-
-
-def _digest(inputs: Sequence[Input]) -> str | None:
-    """Return the SHA-256 of the files one after the other; None where one is no file."""
-    if any(one.path is None for one in inputs):
-        return None
-    digest = hashlib.sha256()
-    for one in inputs:
-        for block in _blocks(one):
-            digest.update(block)
-        one.file.seek(0)
-    return digest.hexdigest()
-
-
-def _blocks(one: Input) -> Iterator[bytes]:
-    while block := one.file.read(1 << 20):
-        yield block

@@ -181,6 +181,18 @@ def test_what_is_not_understood_is_counted_by_kind_and_kept(tmp_path: Path) -> N
     assert sum(isinstance(one, Observed) for one in Ledger(tmp_path / "out").record("log").events) == 4
 
 
+def test_what_is_dated_by_another_record_is_counted(tmp_path: Path) -> None:
+    times = [60, 70.5, 61, "soon", None, 70.5, -5]
+    lines = [{"when": when, "event": "came", "job": f"t{at}"} for at, when in enumerate(times)]
+    made = imported(tmp_path, [*lines, {"when": 1, "event": "battery"}], HEAD, ARRIVED)
+    assert (made.undated, made.late, made.late_us) == (3, 1, 9_500_000)
+    assert list(made.about_times()) == [
+        "tell no time: 3 records with events, dated as the one before",
+        "tell an earlier time than one before: 1 record with events, by up to 9.500 s, dated as that one; sort the "
+        "input first, unless it is in order of arrival",
+    ]
+
+
 def test_an_event_is_caused_by_the_last_one_of_its_key_else_by_its_record(tmp_path: Path) -> None:
     came = rule("TaskArrived", '{ "/event" = "came" }', 'key = "{/job}"', task_id="/job")
     done = rule("ExecutionFinished", '{ "/event" = "done" }', 'cause = "{/job}"', **FINISHED)
