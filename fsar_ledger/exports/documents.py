@@ -89,8 +89,8 @@ class _Ocel:
     def _attributes(self, kind: str, columns: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
         types = self.event_types.setdefault(kind, {})
         for name, value in columns.items():
-            if value is None or name in NAMING:
-                continue
+            if value is None or (name in NAMING and not isinstance(value, tuple)):
+                continue  # the relations have the names, but of a list neither that it is empty nor its order
             if isinstance(value, tuple):
                 value = msgspec.json.encode(value).decode()
             types[name] = "boolean" if isinstance(value, bool) else "integer" if isinstance(value, int) else "string"

@@ -149,6 +149,7 @@ def _columns(item: Item) -> dict[str, Any]:
     for name, value in item.attributes:
         if (field := known.get(name)) is not None and value is not None:
             row[name] = _value(field, value)
+    told = frozenset(row)
     for name, qualifiers in item.related:
         label = _OBJECT.fullmatch(name)
         if label is None:
@@ -156,11 +157,11 @@ def _columns(item: Item) -> dict[str, Any]:
         for qualifier in qualifiers.split(", "):
             column = COLUMNS.get(qualifier, "")
             field = known.get(column) or known.get(qualifier.replace(" ", "_"))
-            if field is not None:
+            if field is not None and field.name not in told:
                 one = escaped(label[3] or label[2])
                 row[field.name] = [*row.get(field.name, ()), one] if field.kind == "strings" else one
     path, decider = row.get("path"), row.get("decided_by")
-    if path is not None and decider in path:  # an object comes once, with all of its parts; the decider is last
+    if "path" not in told and path is not None and decider in path:  # an object comes once; the decider is last
         row["path"] = [*(one for one in path if one != decider), decider]
     return row
 

@@ -8,7 +8,10 @@ from typing import Any
 import pytest
 
 import fsar_ledger
-from fsar_ledger.exports import documents
+from fsar_ledger.api.record import import_records
+from fsar_ledger.events import Event
+from fsar_ledger.events.envelope import flat, with_columns
+from fsar_ledger.exports import documents, named_in
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from tests.exports.conftest import Asked
 from tests.exports.test_shared import NAMES
@@ -98,6 +101,24 @@ def test_events_have_the_time_of_day_of_a_run_that_has_one(at_noon: LedgerRun, t
     events = json.loads((tmp_path / "noon.json").read_text())["events"]
     assert len(events) == written.events
     assert events[0]["time"] == "2026-03-01T12:00:00.000000Z"
+
+
+def test_an_event_that_is_imported_again_has_every_list_as_it_was(runs: list[LedgerRun], tmp_path: Path) -> None:
+    run = next(run for run in runs if run.run_id.startswith("dhma.full.failure-recovery-chain"))
+    odd = LedgerRun(run.run_id, run.times_us, run.caused_by, [*map(_with_odd_lists, run.events)])
+    documents.write_ocel(tmp_path / "run.json", [odd], {})
+    again = import_records(str(tmp_path / "again"), [str(tmp_path / "run.json")], format="ocel")
+    assert again.made.not_understood == ()
+    own = ("Observed", "RunStarted", "SourceOpened", "SourceClosed")
+    found = [event for event in again.ledger.record("run").events if type(event).__name__ not in own]
+    assert found == [event for event in odd.events if named_in(flat(event))]
+
+
+def _with_odd_lists(event: Event) -> Event:
+    """Return the event with nobody among its candidates, and its path, where it has one, from its end."""
+    fields = flat(event)
+    odd = {"path": fields["path"][::-1]} if fields.get("path") else {}
+    return with_columns(event, **odd | ({"candidates": ()} if "candidates" in fields else {}))
 
 
 def test_no_run_is_an_empty_log(tmp_path: Path) -> None:
