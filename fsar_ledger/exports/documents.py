@@ -24,6 +24,7 @@ import msgspec
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import flat
 from fsar_ledger.events.fleet import RunContinued
+from fsar_ledger.events.source import Observed
 from fsar_ledger.ledger.rows.codec import LedgerRun
 
 from . import NAMING, TOLD, ExportedFile, elements, epoch_us, named_in, rfc3339
@@ -48,7 +49,7 @@ class _Ocel:
     """What was found in the runs so far: counts, types of events with the types of their attributes, of objects."""
 
     def __init__(self, numbers: Mapping[str, int]) -> None:
-        self.events = self.left_out = self.objects = 0
+        self.events = self.left_out = self.observations = self.objects = 0
         self.event_types: dict[str, dict[str, str]] = {}
         self.object_types: set[str] = set()
         self._numbers = numbers
@@ -62,6 +63,7 @@ class _Ocel:
             named = named_in(columns)
             if not named:
                 self.left_out += 1
+                self.observations += isinstance(event, Observed)
                 continue
             self.events += 1
             objects.update({one.label: one.kind for one in named})
@@ -129,9 +131,10 @@ def write_ocel(out: Path, runs: Iterable[LedgerRun], numbers: Mapping[str, int])
         shutil.copyfileobj(kept, file)
         event_types, object_types = map(msgspec.json.encode, log.types())
         file.write(b'],\n"eventTypes":' + event_types + b',\n"objectTypes":' + object_types + b"}\n")
-    return ExportedFile(
-        log.events, (f"{log.objects:,} objects", f"{log.left_out:,} events name no object and are not in it", TOLD)
-    )
+    left_out = f"{log.left_out:,} events name no object and are not in it"
+    if log.observations:
+        left_out += f"; {log.observations:,} of them are observations, which tell what they are about in open text"
+    return ExportedFile(log.events, (f"{log.objects:,} objects", left_out, TOLD))
 
 
 class _Key(NamedTuple):

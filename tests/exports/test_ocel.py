@@ -11,6 +11,8 @@ import fsar_ledger
 from fsar_ledger.api.record import import_records
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import flat, with_columns
+from fsar_ledger.events.fleet import RunStarted
+from fsar_ledger.events.source import Observed
 from fsar_ledger.exports import documents, named_in
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from tests.exports.conftest import Asked
@@ -101,6 +103,16 @@ def test_events_have_the_time_of_day_of_a_run_that_has_one(at_noon: LedgerRun, t
     events = json.loads((tmp_path / "noon.json").read_text())["events"]
     assert len(events) == written.events
     assert events[0]["time"] == "2026-03-01T12:00:00.000000Z"
+
+
+def test_observations_that_are_not_in_it_are_counted(tmp_path: Path) -> None:
+    events: list[Event] = [RunStarted(kind="foreign", observes=())]
+    events += [Observed(source="hall", kind="battery", objects=("robot/A1",), qualifiers=("robot",))] * 2
+    written = documents.write_ocel(tmp_path / "log.json", [LedgerRun("hall", [0, 0, 0], [None] * 3, events)], {})
+    assert written.notes[1] == (
+        "3 events name no object and are not in it; 2 of them are observations, which tell what they are about in open "
+        "text"
+    )
 
 
 def test_an_event_that_is_imported_again_has_every_list_as_it_was(runs: list[LedgerRun], tmp_path: Path) -> None:
