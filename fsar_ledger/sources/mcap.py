@@ -16,7 +16,7 @@ without a namespace names no robot, and nothing follows from it. A goal is the t
 """
 
 import zlib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from io import BytesIO
 from typing import Any, BinaryIO, Literal, NamedTuple
 
@@ -34,7 +34,7 @@ from fsar_ledger.events.envelope import Parties, RequestSubject, Robot, Subject,
 from fsar_ledger.events.execution import ExecutionFailed, ExecutionFinished, ExecutionStarted, ExecutionWithdrawn
 from fsar_ledger.events.request import RequestAccepted
 
-from .adapter import Derived, Input, Record, shown, unreadable
+from .adapter import Derived, Input, Record, no_record, shown, unreadable
 
 MAGIC = b"\x89MCAP0\r\n"
 MAX_RECORD = 1 << 28
@@ -67,9 +67,30 @@ class Mcap:
         self._statuses: dict[tuple[str, str], int] = {}
         self._channels: dict[int, Channel] = {}
         self._schemas: dict[int, Schema] = {}
+        self._has_statuses = True
+
+    def look(self, inputs: Sequence[Input]) -> None:
+        """Look for a status of a robot's action that can be read; without one, nothing is said of what robots do.
+
+        Of what cannot be read twice nobody knows. Raises: UsageError for files without a record, or as `read`.
+        """
+        if any(one.path is None for one in inputs):
+            return
+        is_empty, self._has_statuses = True, False
+        for record in Mcap().read(inputs):
+            is_empty = False
+            if _is_status(record):
+                self._has_statuses = True
+                break
+        if is_empty:
+            raise no_record(inputs)
+        for one in inputs:
+            one.file.seek(0)
 
     def declares(self) -> Iterable[str]:
         """Name what the status topics of all actions say; who asked, and what was refused, they do not."""
+        if not self._has_statuses:
+            return ()
         return (
             *("RequestAccepted", "RequestAccepted.decided_by", "RequestAccepted.executed_by"),
             *("ExecutionStarted", "ExecutionStarted.executed_by"),
@@ -159,9 +180,9 @@ class Mcap:
         """Return what has changed in the goals of an action; None for what was not decoded."""
         if record.data is None or record.data[2] is None:
             return None
-        kind, topic, data = record.data
+        _, topic, data = record.data
         robot, action = _robot_and_action(topic)
-        if not kind.endswith("GoalStatusArray") or robot is None:
+        if robot is None or not _is_status(record):
             return ()
         listed = data.get("status_list")
         goals = [one for one in listed if isinstance(one, dict)] if isinstance(listed, list) else []
@@ -236,6 +257,14 @@ def _kind(schema: str, data: Mapping[str, Any]) -> str:
 
 def _named(names: tuple[str, ...], number: object) -> str:
     return names[number] if isinstance(number, int) and 0 <= number < len(names) else f"{number}"
+
+
+def _is_status(record: Record) -> bool:
+    """Return whether the record is a status of an action of a robot, and was decoded."""
+    if record.data is None or record.data[2] is None:
+        return False
+    kind, topic, _ = record.data
+    return kind.endswith("GoalStatusArray") and _robot_and_action(topic)[0] is not None
 
 
 def _robot_and_action(topic: str) -> tuple[Robot | None, str]:

@@ -126,6 +126,25 @@ def test_another_file_is_refused(tmp_path: Path) -> None:
         imported(tmp_path, b"#ROSBAG V2.0\n")
 
 
+@pytest.mark.parametrize(
+    ("messages", "judged"),
+    [
+        ([bags.statuses("r1")], "A2, A4"),
+        ([bags.logged("up"), bags.statuses("r1")], "A2, A4"),
+        ([bags.statuses("r1")._replace(data=b"\x00\x01\x00\x00")], "nothing"),
+        ([bags.statuses("r1")._replace(topic="/dock/_action/status")], "nothing"),
+        ([bags.logged("up")], "nothing"),
+    ],
+)
+def test_without_a_status_that_can_be_read_nothing_of_what_robots_do_is_observable(
+    call: Call, tmp_path: Path, messages: list[bags.Said], judged: str
+) -> None:
+    file = filed(tmp_path, bags.written(messages), "night.mcap")
+    said = call("import", tmp_path / "out", file, "--as", "mcap").good().out
+    assert f"can be judged: {judged}\n" in said
+    assert ("said to be recorded, and never seen: " in said) == (judged != "nothing")
+
+
 def test_the_command_of_the_page_does_what_it_says(call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     page = (Path(__file__).parents[2] / "docs" / "sources" / "mcap.md").read_text("utf-8")
     command = next(line for line in page.splitlines() if line.startswith("fsar-ledger import"))
