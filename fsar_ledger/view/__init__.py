@@ -127,8 +127,9 @@ def _lanes(events: Sequence[Event], told: Sequence[EventLabel], spans: Sequence[
     about: dict[str, str] = {}
     for event in events:
         if isinstance(event, RobotJoined):
-            place = f", {event.place}" if event.place else ""
-            about[event.robot] = f"role {event.role}, team {event.team}{place}"
+            role = f"role {event.role}" if event.role else None
+            team = None if event.team is None else f"team {event.team}"
+            about[event.robot] = ", ".join(one for one in (role, team, event.place) if one)
             if event.supervisor is not None:
                 about.setdefault(event.supervisor, "")
     for one in told:

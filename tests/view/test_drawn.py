@@ -5,6 +5,8 @@ from typing import Any
 
 import pytest
 
+from fsar_ledger.events.envelope import recorded_robot
+from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.view import Words, drawn, trace, type_name
 from tests.view.conftest import ARCHITECTURES, plain_words
@@ -93,6 +95,17 @@ def test_robots_come_first_then_supervisors_then_services(runs: dict[str, Ledger
         kinds = [lane.name.partition("/")[0] for lane in drawn(run, "1", plain_words(run)).lanes]
         assert kinds[:8] == ["robot"] * 4 + ["supervisor"] * 4
         assert kinds == sorted(kinds, key=("robot", "supervisor", "coordinator", "service").index)
+
+
+def test_a_lane_says_of_its_robot_what_is_known(runs: dict[str, LedgerRun]) -> None:
+    joined = [
+        RobotJoined(robot=recorded_robot("robot/A"), role="agv", supervisor=None),
+        RobotJoined(robot=recorded_robot("robot/B"), role="", team=2, place="floor/1", supervisor=None),
+        RobotJoined(robot=recorded_robot("robot/C"), role="", supervisor=None),
+    ]
+    run = LedgerRun("night", [0] * 4, [None] * 4, [runs["fsar"].events[0], *joined])
+    lanes = drawn(run, "1", plain_words(run)).lanes
+    assert [lane.about for lane in lanes] == ["role agv", "team 2, floor/1", ""]
 
 
 def test_a_request_is_an_arrow_that_arrives_with_its_answer(runs: dict[str, LedgerRun]) -> None:
