@@ -311,15 +311,7 @@ def lines(inputs: Iterable[Input]) -> Iterator[bytes]:
 
 
 def objects(inputs: Iterable[Input]) -> Iterator[tuple[bytes, dict[str, Any]] | Record]:
-    """Yield each line with the JSON object that it holds, or a record of a line that holds none.
-
-    Raises: UsageError if the first lines all hold none.
-    """
-    files = list(inputs)
-    return known(_objects(files), files, lambda one: isinstance(one, tuple), "one JSON object a line")
-
-
-def _objects(inputs: Iterable[Input]) -> Iterator[tuple[bytes, dict[str, Any]] | Record]:
+    """Yield each line with the JSON object that it holds, or a record of a line that holds none."""
     for line in lines(inputs):
         if not line.strip():
             continue

@@ -32,7 +32,7 @@ from fsar_ledger.base.printable import did_you_mean, value
 from fsar_ledger.designs.registered import Field, at_line, decoded
 from fsar_ledger.events import CONCERN_OF
 
-from .adapter import Derived, Input, Record, objects, shown, utc_us
+from .adapter import Derived, Input, Record, known, objects, shown, utc_us
 from .columns import LAYOUT_OF, declared, laid_out
 
 _IN_TEXT = re.compile(r"\{(/[^{}]*)\}")
@@ -85,9 +85,10 @@ class Mapped:
         return self._mapping.observes
 
     def read(self, inputs: Iterable[Input]) -> Iterator[Record]:
-        """Yield every line."""
-        for one in objects(inputs):
-            yield one if isinstance(one, Record) else self._record(*one)
+        """Yield every line. Raises: UsageError if none of the first holds a JSON object."""
+        files = list(inputs)
+        found = (one if isinstance(one, Record) else self._record(*one) for one in objects(files))
+        return known(found, files, lambda one: one.data is not None, "one JSON object a line")
 
     def _record(self, raw: bytes, data: dict[str, Any]) -> Record:
         mapping = self._mapping

@@ -304,6 +304,25 @@ def test_a_line_that_is_no_object_is_kept_and_the_others_are_read(tmp_path: Path
     assert [(one.kind, one.count) for one in made.not_understood] == [("unreadable", 3)]
 
 
+@pytest.mark.parametrize(
+    "content",
+    [b'[{"event": "came", "job": "t"}]', b"event,job\ncame,t\n", '{"event": "came", "job": "t"}'.encode("utf-16")],
+    ids=["array", "csv", "utf-16"],
+)
+def test_a_file_without_one_object_a_line_is_refused_and_no_ledger_is_made(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    content: bytes,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "acme.toml").write_text(HEAD + ARRIVED)
+    (tmp_path / "log.jsonl").write_bytes(content)
+    assert run(["import", "out", "log.jsonl", "--with", "acme.toml"]) == 2
+    assert "expected one JSON object a line" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
 def test_the_example_of_the_page_says_what_the_page_says(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
