@@ -12,6 +12,7 @@ from fsar_ledger.base.errors import QueryFailed, UsageError, option
 from fsar_ledger.base.printable import SafeText, counted
 
 from .answers import Answer, Screen
+from .compare import LEFT_OUT
 from .diff import Diff, diff_text
 from .names import Names, names_of
 from .verbs import ArchitectureOption, FirstOption, OtherArgument, SecondOption, declare, verb
@@ -44,8 +45,9 @@ class BisectResult(Answer, msgspec.Struct, frozen=True, kw_only=True):
     """The pairs of two sides that met the same seed, scenario and number, by whether they have the outcome.
 
     `undefined` pairs more have a run in which there is no value to compare, or the fork of a live run that ends before
-    all has happened; they neither agree nor disagree. `diff` are the differences of the first pair that disagrees, in
-    the order of the ledger; None: none does. `refused`: in how many pairs a change is refused, and why.
+    all has happened; they neither agree nor disagree. `repeated` pairs more cannot be told from others, as in
+    `compare`. `diff` are the differences of the first pair that disagrees, in the order of the ledger; None: none does.
+    `refused`: in how many pairs a change is refused, and why.
     """
 
     outcome: str
@@ -57,6 +59,7 @@ class BisectResult(Answer, msgspec.Struct, frozen=True, kw_only=True):
     first_only: int
     second_only: int
     undefined: int
+    repeated: int = 0
     refused: tuple["RefusedChange", ...] = ()
     diff: Diff | None
     provenances: tuple["Provenance", ...]
@@ -76,6 +79,8 @@ class BisectResult(Answer, msgspec.Struct, frozen=True, kw_only=True):
         ]
         if self.undefined:
             head.append(f"in {counted(self.undefined, 'pair')} more, a run has no value to compare")
+        if self.repeated:
+            head.append(f"left out: {counted(self.repeated, 'pair')} that {LEFT_OUT['repeated']}")
         head += refusals(self.refused, self.pairs + self.undefined)
         if self.diff is None:
             yield printable.lines(*head, "no pair disagrees")
@@ -149,19 +154,31 @@ def _sides(
         both = chosen([sides(database) for database in held], names, [str(one.path) for one in ledgers])
         firsts, seconds = _runs(held[0], both[0]), _runs(held[-1], both[1])
         having = [_having(ledger, database, asked) for ledger, database in zip(ledgers, held, strict=True)]
-    pairs = [(run, seconds[world]) for world, run in firsts.items() if world in seconds]
+    met = [(runs, seconds[world]) for world, runs in firsts.items() if world in seconds]
+    pairs = [(*runs, *others) for runs, others in met if len(runs) == len(others) == 1]
+    repeated = sum(len(runs) * len(others) for runs, others in met) - len(pairs)
     if not pairs:
-        raise UsageError(
-            f"{both[0]} and {both[1]}: found no run of both with the same seed, scenario and number; simulate one as "
-            "the other"
-        )
+        raise _unpaired(both, repeated)
     has = [(having[0](first), having[-1](second)) for first, second in pairs]
     at = next((at for at, found in enumerate(has) if disagree(*found)), None)
     diff = None
     if at is not None:
         one, other = pairs[at]
         diff = difference_of(ledgers[0].record(one), ledgers[-1].record(other), provenances)
-    return _bisected(asked, (str(both[0]), str(both[1])), has, diff, provenances)
+    return _bisected(asked, (str(both[0]), str(both[1])), has, diff, provenances, repeated=repeated)
+
+
+def _unpaired(both: "tuple[Side, Side]", repeated: int) -> UsageError:
+    """Return an error that says why no run of one side is the counterpart of one of the other."""
+    if repeated:
+        return UsageError(
+            f"{both[0]} and {both[1]}: found {counted(repeated, 'pair')}, expected one that can be told from others: "
+            "everywhere one side has several runs of one seed, scenario and number; `fsar-ledger diff` takes any two"
+        )
+    return UsageError(
+        f"{both[0]} and {both[1]}: found no run of both with the same seed, scenario and number; simulate one as the "
+        "other"
+    )
 
 
 def _changes(
@@ -209,6 +226,7 @@ def _bisected(
     diff: Diff | None,
     provenances: "tuple[Provenance, ...]",
     refused: "Sequence[RefusedChange]" = (),
+    repeated: int = 0,
 ) -> BisectResult:
     return BisectResult(
         outcome=asked.text,
@@ -220,16 +238,19 @@ def _bisected(
         first_only=has.count((True, False)),
         second_only=has.count((False, True)),
         undefined=sum(None in found for found in has),
+        repeated=repeated,
         refused=tuple(refused),
         diff=diff,
         provenances=provenances,
     )
 
 
-def _runs(database: "Database", side: "Side") -> dict[World, str]:
+def _runs(database: "Database", side: "Side") -> dict[World, list[str]]:
     """Return the runs of a side that can be paired, by seed, scenario and number, in the order of the ledger."""
-    rows = database.rows(PAIRS, {"side": side.side})
-    return {(row["seed"], row["scenario"], row["run"]): row["run_id"] for row in rows}
+    found: dict[World, list[str]] = {}
+    for row in database.rows(PAIRS, {"side": side.side}):
+        found.setdefault((row["seed"], row["scenario"], row["run"]), []).append(row["run_id"])
+    return found
 
 
 def disagree(first: bool | None, second: bool | None) -> bool:

@@ -6,8 +6,29 @@ import json
 from pathlib import Path
 
 from fsar_ledger import record
+from fsar_ledger.designs.constants import Constants
+from fsar_ledger.events.envelope import Architecture
+from fsar_ledger.ledger.rows.codec import LedgerRun
+from fsar_ledger.ledger.store.append import Writer
+from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.metrics.definitions import metrics, published_metrics
+from fsar_ledger.runtime.experiment import ORIGIN
+from fsar_ledger.runtime.simulation import RunSpec, run_started
 from tests.cli.conftest import Call, one_message
+
+CALLED = ("--outcome", "human_intervention > 0")
+
+
+def begun(name: str, architecture: Architecture, run: int) -> LedgerRun:
+    """A run of which nothing but its beginning is on record."""
+    started = run_started(RunSpec(1, architecture, "full", "door-relay", 4, run), Constants())
+    return LedgerRun(name, (0,), (None,), (started,))
+
+
+def appended(path: Path, *runs: LedgerRun) -> Path:
+    with Writer(path, ORIGIN) as writer:
+        writer.append(stage(path, runs))
+    return path
 
 
 def test_compare_says_what_is_paired_before_the_numbers(call: Call, ledger: Path) -> None:
@@ -73,3 +94,17 @@ def test_compare_refuses_what_it_cannot_tell(call: Call, ledger: Path) -> None:
     )
     one_message(call("compare", ledger, ledger, "--first", "fsar"), 2, "found the same events in both")
     one_message(call("compare", ledger, "--by", "robot"), 2, "--by robot: expected --by scenario")
+
+
+def test_of_several_runs_of_one_world_bisect_takes_none(call: Call, tmp_path: Path) -> None:
+    twins = (begun("one", "fsar", 0), begun("other", "fsar", 0), begun("its pair", "cfc", 0))
+    sides = ("--first", "fsar", "--second", "cfc")
+    left_out = "cannot be told from others: one side has several runs of one seed, scenario and number"
+    path = appended(tmp_path / "both", *twins, begun("next", "fsar", 1), begun("its pair, too", "cfc", 1))
+    told = call("bisect", path, *sides, *CALLED).good()
+    assert "1 pair: 0 have it on both sides, 1 on neither" in told.out
+    assert f"left out: 2 pairs that {left_out}" in told.out
+    assert f"left out: 2 pairs that {left_out}" in call("compare", path, *sides).out
+    assert json.loads(call("bisect", path, *sides, *CALLED, "--json").out)["repeated"] == 2
+    alone = call("bisect", appended(tmp_path / "twins", *twins), *sides, *CALLED)
+    one_message(alone, 2, "found 2 pairs, expected one that can be told from others")
