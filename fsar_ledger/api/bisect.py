@@ -175,9 +175,13 @@ def _unpaired(both: "tuple[Side, Side]", repeated: int) -> UsageError:
             f"{both[0]} and {both[1]}: found {counted(repeated, 'pair')}, expected one that can be told from others: "
             "everywhere one side has several runs of one seed, scenario and number; `fsar-ledger diff` takes any two"
         )
+    instead = (
+        "simulate one as the other"
+        if both[0].named_count and both[1].named_count
+        else "runs of a real fleet have none; `fsar-ledger diff` takes any two"
+    )
     return UsageError(
-        f"{both[0]} and {both[1]}: found no run of both with the same seed, scenario and number; simulate one as the "
-        "other"
+        f"{both[0]} and {both[1]}: found no run of both with the same seed, scenario and number; {instead}"
     )
 
 

@@ -73,6 +73,8 @@ def test_recordings_are_in_no_pair_and_nobody_is_told_to_simulate_them(call: Cal
     assert told.out.splitlines()[0] == "first: recorder (1 run), foreign, recorder"
     assert told.out.splitlines()[-1] == "no constants are on record"
     one_message(call("compare", tmp_path / "hall"), 2, "found 1 side", "give a second ledger")
+    bisected = call("bisect", tmp_path / "hall", tmp_path / "yard", *CALLED)
+    one_message(bisected, 2, "number; runs of a real fleet have none; `fsar-ledger diff` takes any two")
 
 
 def test_recordings_without_an_architecture_are_named_by_their_sources(call: Call, tmp_path: Path) -> None:
