@@ -121,7 +121,7 @@ def bisect(
         UsageError: There is no such side or outcome, or nothing to pair, or no run does anything else with the changes.
         QueryFailed: The SELECT of the outcome fails.
     """
-    from .lookup import ledgers_of, present
+    from .lookup import ledgers_of
 
     if not outcome:
         example = option("outcome", '"policy_violations > 0"')
@@ -132,19 +132,14 @@ def bisect(
         return _changes(ledger, changes, names_of(architecture) or (), outcome)
     if architecture is not None:
         raise UsageError("bisect: found an architecture without changes; sides name theirs")
-    ledgers = ledgers_of(ledger, other)
-    return _sides(ledgers, tuple(present(one)[1] for one in ledgers), (first, second), outcome)
+    return _sides(ledgers_of(ledger, other), (first, second), outcome)
 
 
-def _sides(
-    ledgers: "Sequence[Ledger]",
-    provenances: "tuple[Provenance, ...]",
-    names: tuple[str | None, str | None],
-    outcome: str,
-) -> BisectResult:
+def _sides(ledgers: "Sequence[Ledger]", names: tuple[str | None, str | None], outcome: str) -> BisectResult:
     """Compare two sides of one ledger, or of two, by an outcome."""
     from fsar_ledger.analysis.causes import outcome_of
     from fsar_ledger.metrics.comparison_sides import chosen, sides
+    from fsar_ledger.metrics.provenance import of_outcomes
 
     from .diff import difference_of
 
@@ -154,6 +149,7 @@ def _sides(
         both = chosen([sides(database) for database in held], names, [str(one.path) for one in ledgers])
         firsts, seconds = _runs(held[0], both[0]), _runs(held[-1], both[1])
         having = [_having(ledger, database, asked) for ledger, database in zip(ledgers, held, strict=True)]
+        provenances = tuple(map(of_outcomes, held))
     met = [(runs, seconds[world]) for world, runs in firsts.items() if world in seconds]
     pairs = [(*runs, *others) for runs, others in met if len(runs) == len(others) == 1]
     repeated = sum(len(runs) * len(others) for runs, others in met) - len(pairs)
@@ -191,11 +187,15 @@ def _changes(
     """Compare the runs of a ledger with their forks by an outcome."""
     from fsar_ledger.analysis.causes import outcome_of
     from fsar_ledger.analysis.whatif import changes_of, fork_pairs, refused_in, refused_in_all, runs_of
+    from fsar_ledger.ledger.opening import open_for_answers
+    from fsar_ledger.metrics.database import connect_view
+    from fsar_ledger.metrics.provenance import of_outcomes
 
     from .diff import difference_of
-    from .lookup import present
 
-    view, provenance = present(ledger)
+    view = open_for_answers(ledger.path)
+    with connect_view(view, demanded=ledger.demanded) as database:
+        provenance = of_outcomes(database)
     asked = outcome_of(outcome)
     runs, parsed = runs_of(view, architectures, ("simulated", "live")), changes_of(changes)
     has: list[tuple[bool | None, bool | None]] = []

@@ -172,6 +172,7 @@ def whatif(
     from fsar_ledger.analysis import whatif as forks
     from fsar_ledger.ledger.store.paths import require_outside
     from fsar_ledger.metrics.comparison_sides import sides
+    from fsar_ledger.metrics.provenance import of_judgement
 
     from .lookup import present, recorded
 
@@ -198,6 +199,7 @@ def whatif(
     played = None if progress is None else lambda done: progress(done, len(runs))
     with ledger.database() as database:
         names = {one.side: one.name for one in sides(database)}
+        provenance = of_judgement(database)
     found, judged = forks.effects_over(view, runs, meant, names, played)
     if len(refused := [(one.base, one.refused) for one in found if one.refused is not None]) == len(found):
         raise forks.refused_in_all(refused)

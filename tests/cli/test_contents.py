@@ -31,6 +31,7 @@ from tests.runtime.test_plans import Stopped, stop_after
 
 from .conftest import Call, one_message
 
+VIOLATED = "policy_violations > 0"
 OTHER = Constants(world=WorldConstants(window_mean_s=12.0))
 OURS = f"world.window_mean_s={WorldConstants().window_mean_s}"
 
@@ -367,11 +368,18 @@ def test_a_plan_without_runs_is_not_said_to_have_been_replayed(call: Call, tmp_p
     assert said.out.endswith("\nreplayed: nothing; the ledger holds no run\n")
 
 
-@pytest.mark.parametrize("command", few(["metrics", "statistics", "audit"], ["metrics"]))
-def test_programs_are_told_that_planned_runs_are_missing(call: Call, tmp_path: Path, command: str) -> None:
-    planned_only(tmp_path / "ledger", small(runs=2))
-    run_experiment(tmp_path / "ledger", small(runs=1), 1)
-    said = call(command, tmp_path / "ledger", "--json")
+CHANGED = ("--change", "drop window:*")
+JUDGED = [
+    *(("metrics",), ("statistics",), ("audit",), ("whatif", "--all-runs", *CHANGED)),
+    *(("bisect", *sides, "--outcome", VIOLATED) for sides in (CHANGED, ("--first", "fsar", "--second", "cfc"))),
+]
+
+
+@pytest.mark.parametrize("asked", few(JUDGED, JUDGED[:1] + JUDGED[-1:]))
+def test_programs_are_told_that_planned_runs_are_missing(call: Call, tmp_path: Path, asked: tuple[str, ...]) -> None:
+    planned_only(tmp_path / "ledger", small("fsar", "cfc", runs=2))
+    run_experiment(tmp_path / "ledger", small("fsar", "cfc", runs=1), 1)
+    said = call(asked[0], tmp_path / "ledger", *asked[1:], "--json")
     answer = json.loads(said.out)
-    assert (answer["complete"], answer["missing_count"]) == (False, 1)
-    assert "not complete: 1 of the 2 runs of a plan are missing" in said.err
+    assert (answer["complete"], answer["missing_count"]) == (False, 2)
+    assert "not complete: 2 of the 4 runs of a plan are missing" in said.err
