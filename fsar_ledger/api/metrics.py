@@ -63,7 +63,11 @@ def metrics(ledger: "Ledger", by: ByOption = None, pool: PoolOption = None) -> "
     per_scenario, pooled = by_scenario(by), pools_seeds(pool)
     with ledger.database() as database:
         rows = of_structs(metric_rows(database, by_scenario=per_scenario, pools_seeds=pooled), MetricRow)
-        return MetricTable(rows if per_scenario else rows.drop_columns(["scenario"]), of_outcomes(database))
+        provenance = of_outcomes(database)
+        if not per_scenario:
+            return MetricTable(rows.drop_columns(["scenario"]), provenance)
+        [without] = database.rows("SELECT count(*) AS runs FROM runs WHERE scenario IS NULL")
+        return MetricTable(rows, provenance, left_out=without["runs"])
 
 
 class Statistics(Answer, msgspec.Struct, frozen=True):

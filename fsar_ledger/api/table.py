@@ -134,15 +134,28 @@ class Table(Rows):
 
 
 class MetricTable(Table):
-    """Rows about metrics. People are shown a setting only where it tells rows apart."""
+    """Rows about metrics. People are shown a setting only where it tells rows apart.
+
+    In no row are `left_out` runs, which have no scenario, where each row is of one.
+    """
+
+    def __init__(self, rows: pa.Table, provenance: Provenance = NOTHING, *, left_out: int = 0) -> None:
+        super().__init__(rows, provenance)
+        self.left_out = left_out
+
+    def beside_rows(self) -> list[str]:
+        """Return a line on the runs that are in no row."""
+        are = "is" if self.left_out == 1 else "are"
+        return [f"{printable.counted(self.left_out, 'run')} without a scenario {are} in no row"] * (self.left_out > 0)
 
     def columns_shown(self) -> list[str]:
         """Return the columns that people are shown."""
         return telling(self.rows())
 
     def text(self, screen: Screen) -> Iterator[SafeText]:
-        """Yield the rows, and what one of the metrics counts."""
+        """Yield the rows, which runs are in none, and what one of the metrics counts."""
         yield from super().text(screen)
+        yield printable.lines(*(("", *beside) if (beside := self.beside_rows()) else ()))
         yield from unit_of_interventions(screen)
 
 

@@ -82,7 +82,8 @@ class Form(msgspec.Struct, frozen=True, kw_only=True):
         if self.as_json:
             about, *_ = (*provenances(answer), None)
             if isinstance(answer, Rows):
-                return _json(answer_json(about, {answer.name: []}), answer)
+                beside = {"remarks": remarks} if (remarks := answer.beside_rows()) else {}
+                return _json(answer_json(about, {**beside, answer.name: []}), answer)
             return [answer_json(about, answer.document(screen))]
         if not (self.as_csv or self.as_ndjson):
             return answer.text(screen)

@@ -89,6 +89,17 @@ def test_metrics_shows_no_number_but_how_many_runs_are_not_observed(call: Call, 
     assert json.loads(call("statistics", members, "--json").out)["rows"] == []
 
 
+def test_runs_without_a_scenario_are_named_where_rows_are_by_scenario(call: Call, members: Path, ledger: Path) -> None:
+    asked, left_out = ("metrics", members, "--by", "scenario"), "1 run without a scenario is in no row"
+    assert call(*asked).out == f"(no rows)\n\n{left_out}\n"
+    assert left_out in call(*asked, "--csv").err
+    told = json.loads(call(*asked, "--json").out)
+    assert (told["remarks"], told["rows"]) == ([left_out], [])
+    assert "without a scenario" not in call("metrics", members).out
+    assert "without a scenario" not in call("metrics", ledger, "--by", "scenario").out
+    assert "remarks" not in json.loads(call("metrics", ledger, "--by", "scenario", "--json").out)
+
+
 def test_a_question_with_an_empty_answer_says_what_was_not_observed(call: Call, members: Path) -> None:
     said = call("query", "skipped_levels", members, "--json")
     assert json.loads(said.out).get("not_observed") == [{"concern": "recovery", "runs": 1, "of_runs": 1}]
