@@ -98,7 +98,10 @@ IMPUTED = """
     WITH paired AS (
         SELECT unnest([first_run_id, second_run_id]) AS run_id FROM run_pairs WHERE differs IS NULL
     )
-    SELECT measured.metric, definitions.published_value, definitions.scale, count(*) AS runs
+    SELECT measured.metric, definitions.published_value, definitions.scale, count(*) AS runs,
+        count(*) FILTER (WHERE measured.run_id IN (
+            SELECT run_id FROM run_metrics WHERE metric = 'recovery_containment' AND denominator > 0
+        )) AS failed
     FROM run_metrics AS measured
     INNER JOIN metric_definitions AS definitions ON measured.metric = definitions.metric
     WHERE measured.value IS NULL AND measured.published_convention_value IS NOT NULL
@@ -277,13 +280,20 @@ def imputed(database: Database, rows: Iterable[StatisticRow]) -> list[str]:
     """Say which of the rows count how many runs without a value, and as what. Raises: as `Database.rows`."""
     shown = {row.metric for row in rows}
     return [
-        f"{row['metric']}: {counted(row['runs'], 'run')} without a failure {'counts' if row['runs'] == 1 else 'count'} "
-        "as in the paper, "
-        f"as {number(row['published_value'])}{' s' if row['scale'] == 'seconds' else ''} (basis published); "
+        f"{row['metric']}: {_without_value(row['runs'], row['failed'])}, as {number(row['published_value'])}"
+        f"{' s' if row['scale'] == 'seconds' else ''} (basis published); "
         "`fsar-ledger query statistics/all_pairwise_tests` also has the tests without such pairs (basis defined)"
         for row in database.rows(IMPUTED)
         if row["metric"] in shown
     ]
+
+
+def _without_value(runs: int, failed: int) -> str:
+    """Say that so many runs without a value count; in `failed` of them something failed, which gives none."""
+    parts = [f"{counted(runs - failed, 'run')} without a failure"] if runs > failed else []
+    parts += [f"{counted(failed, 'run')} with failures that give no value"] if failed else []
+    alike = "as the paper counts those without a failure" if failed else "as in the paper"
+    return f"{every(parts)} {'counts' if runs == 1 else 'count'} {alike}"
 
 
 def too_few(rows: Iterable[StatisticRow]) -> list[str]:

@@ -254,6 +254,18 @@ def test_runs_counted_as_the_paper_does_are_said_and_pairs_of_nothing_else_are_n
     )
 
 
+def test_a_run_whose_failure_has_no_latency_is_not_called_one_without_a_failure() -> None:
+    open_failure = event("ExecutionFailed", 0, action_id="t1/1", failure=1)
+    resolved = event("FailureResolved", S, action_id="t1/1", failure=1, level="local")
+    pairs = [of("fsar", 0, open_failure), of("cfc", 0, open_failure, resolved), of("fsar", 1), of("cfc", 1)]
+    like_none = "count as the paper counts those without a failure, as 0 s (basis published)"
+    with from_rows([row for rows in pairs for row in rows]) as database:
+        containment, latency = imputed(database, statistic_rows(database))
+    assert containment.startswith("recovery_containment: 2 runs without a failure count as in the paper, as 1 (basis")
+    both = "2 runs without a failure and 1 run with failures that give no value"
+    assert latency.startswith(f"reassignment_latency_s: {both} {like_none}")
+
+
 def test_a_missing_wilcoxon_test_has_its_reason() -> None:
     _, _, rows = said(of("fsar", 0, CALL), of("cfc", 0), of("fsar", 1), of("cfc", 1))
     assert too_few(rows) == ["fsar-cfc: no Wilcoxon test of human_intervention: fewer than 6 pairs differ"]
