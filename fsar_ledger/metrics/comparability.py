@@ -22,6 +22,9 @@ DIFFERS = {
 FAULTS = ("facts", "repeated")
 """Reasons that no experiment leads to: somebody else made, or changed, such runs."""
 
+SOMEWHERE = "under some seeds or settings "
+"""What is said before that which other rows of the same comparison have."""
+
 WORLDS = """
     SELECT
         comparison,
@@ -296,33 +299,38 @@ def _without_value(runs: int, failed: int) -> str:
     return f"{every(parts)} {'counts' if runs == 1 else 'count'} {alike}"
 
 
-def too_few(rows: Iterable[StatisticRow]) -> list[str]:
-    """Say which metrics have no Wilcoxon test because too few pairs differ."""
-    found: dict[str, dict[str, None]] = {}
+def too_few(rows: Sequence[StatisticRow]) -> list[str]:
+    """Say which metrics have no Wilcoxon test, anywhere or in some rows, because too few pairs differ."""
+    tested = {(row.comparison, row.metric) for row in rows if row.wilcoxon_n >= MIN_WILCOXON}
+    found: dict[tuple[str, bool], dict[str, None]] = {}
     for row in rows:
         if 0 < row.wilcoxon_n < MIN_WILCOXON:
-            found.setdefault(row.comparison, {})[row.metric] = None
+            found.setdefault((row.comparison, (row.comparison, row.metric) in tested), {})[row.metric] = None
     return [
-        f"{comparison}: no Wilcoxon test of {', '.join(names)}: fewer than {MIN_WILCOXON} pairs differ"
-        for comparison, names in found.items()
+        f"{comparison}: {SOMEWHERE if is_tested else ''}no Wilcoxon test of {', '.join(names)}: fewer than "
+        f"{MIN_WILCOXON} pairs differ"
+        for (comparison, is_tested), names in found.items()
     ]
 
 
-def remarks_on(rows: Iterable[StatisticRow], metrics: Sequence[str]) -> list[str]:
+def remarks_on(rows: Sequence[StatisticRow], metrics: Sequence[str]) -> list[str]:
     """Say what the rows leave out.
 
     These are metrics that no pair defines for both runs, and comparisons of a single pair.
     """
-    held: dict[tuple[object, ...], dict[str, int]] = {}
+    defined = {(row.comparison, row.metric) for row in rows}
+    held: dict[tuple[str, object], dict[str, int]] = {}
     for row in rows:
         held.setdefault((row.comparison, setting_of(row)), {})[row.metric] = row.n
     lines: dict[str, None] = {}
     for (comparison, _), pairs in held.items():
-        if missing := [name for name in metrics if name not in pairs]:
-            lines[
-                f"{comparison}: no pair of runs in which both have a value of {', '.join(missing)}: undefined, or not "
-                "observed"
-            ] = None
+        for where, elsewhere in (("", False), (SOMEWHERE, True)):
+            missing = [one for one in metrics if one not in pairs and ((comparison, one) in defined) == elsewhere]
+            if missing:
+                lines[
+                    f"{comparison}: {where}no pair of runs in which both have a value of {', '.join(missing)}: "
+                    "undefined, or not observed"
+                ] = None
         if max(pairs.values()) == 1:
             lines[f"{comparison}: one pair of runs has a difference and no test; simulate more runs"] = None
     return list(lines)

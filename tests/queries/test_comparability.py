@@ -225,6 +225,22 @@ def test_what_rows_do_not_show_is_said() -> None:
     ]
 
 
+def test_what_rows_of_one_seed_lack_is_not_said_of_all_seeds() -> None:
+    started = event("ExecutionStarted", 0, action_id="t1/1", robot="robot/A1", on_behalf_of="robot/A1")
+    sides = (("fsar", (CALL,)), ("cfc", ()))
+    few = [of(name, 0, *called) for name, called in sides]
+    many = [of(name, at + 1, *called, started, seed=7) for at in range(6) for name, called in sides]
+    _, _, rows = said(*few, *many)
+    assert too_few(rows) == [
+        "fsar-cfc: under some seeds or settings no Wilcoxon test of human_intervention: fewer than 6 pairs differ"
+    ]
+    assert remarks_on(rows, ["true_attribution"]) == [
+        "fsar-cfc: under some seeds or settings no pair of runs in which both have a value of true_attribution: "
+        "undefined, or not observed",
+        "fsar-cfc: one pair of runs has a difference and no test; simulate more runs",
+    ]
+
+
 def test_runs_without_a_partner_are_said() -> None:
     runs = [of("fsar", 0), of("cfc", 0), of("fsar", 1), of("fsar", 2), of("fsar", 3, seed=7)]
     with from_rows([row for rows in runs for row in rows]) as database:
