@@ -11,7 +11,7 @@ import msgspec
 from fsar_ledger.events import CONCERN_OF, CONCERNS, Event
 from fsar_ledger.events.envelope import Robot
 from fsar_ledger.metrics.provenance import IN_PART
-from fsar_ledger.projections.execution import HELPING
+from fsar_ledger.projections.execution import HELPING, doing_and_waiting
 from fsar_ledger.projections.fleet import Member
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.recovery import Recovery
@@ -83,9 +83,10 @@ class Work(msgspec.Struct, frozen=True):
 class RobotNow(msgspec.Struct, frozen=True):
     """A robot: whether it is on and linked, what it does and what waits, and what constrains it.
 
-    `offers`: its advertised capabilities by availability. `departed`: how it has left the fleet, None: it has not, or
-    not observed. `grade` of its actuator, None: sound, or not observed; so are `work`, of which `is_idle` tells, and
-    `supervisor`, of which `has_supervisor` does. Any other None: not observed.
+    `work`: what it does, the newest first; empty: nothing, or not observed, of which `is_idle` tells. `offers`: its
+    advertised capabilities by availability. `departed`: how it has left the fleet, None: it has not, or not observed.
+    `grade` of its actuator, None: sound, or not observed; so is `supervisor`, of which `has_supervisor` tells. Any
+    other None: not observed.
     """
 
     robot: str
@@ -99,7 +100,7 @@ class RobotNow(msgspec.Struct, frozen=True):
     grade: str | None
     obstructions: tuple[str, ...] | None
     is_idle: bool | None
-    work: Work | None
+    work: tuple[Work, ...]
     queue: tuple[str, ...] | None
     windows: tuple[Window, ...] | None
     offers: dict[str, tuple[str, ...]] | None
@@ -320,7 +321,8 @@ def _robot(past: "Past", name: Robot, seen: Coverage, is_known: bool) -> RobotNo
     offers: dict[str, tuple[str, ...]] = {}
     for one in surface(state.registry, name):
         offers[one.availability] = (*offers.get(one.availability, ()), one.capability)
-    work = _work(state, name, seen)
+    doing, waiting = doing_and_waiting(state.execution, name)
+    work = tuple(found for action in doing if (found := _work(state, action, seen)) is not None)
     return RobotNow(
         name,
         member.role or None,
@@ -332,21 +334,19 @@ def _robot(past: "Past", name: Robot, seen: Coverage, is_known: bool) -> RobotNo
         seen.of("world", name not in world.unlinked),
         seen.of("world", world.degraded.get(name)),
         seen.of("world", world.obstructions.get(name, ())),
-        False if work is not None else seen.of("execution", seen.of("recovery", True if is_known else None)),
+        False if work else seen.of("execution", seen.of("recovery", True if is_known else None)),
         work,
-        seen.of("execution", tuple(one.removeprefix(HELPING) for one in state.execution.queues.get(name, ()))),
+        seen.of("execution", tuple(one.removeprefix(HELPING) for one in waiting)),
         seen.all("policy", _windows(past, name)),
         seen.of("registry", offers),
     )
 
 
-def _work(state: State, name: Robot, seen: Coverage) -> Work | None:
-    """Return what the robot has in hand; None also where its source does not record how executions end."""
-    if (current := state.execution.current.get(name)) is None:
-        return None
-    action = state.execution.actions.get(current)
+def _work(state: State, name: str, seen: Coverage) -> Work | None:
+    """Return what a robot has in hand; None where its source does not record how executions end."""
+    action = state.execution.actions.get(name)
     if action is None:
-        return Work(current.removeprefix(HELPING), None, "helping", None, None)
+        return Work(name.removeprefix(HELPING), None, "helping", None, None)
     if not seen.tells_ends:
         return None
     whose = action.on_behalf_of if action.on_behalf_of != action.robot else None

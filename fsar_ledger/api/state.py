@@ -172,10 +172,9 @@ def _robot(one: "RobotNow") -> Iterator[str]:
     signs += [f"actuator {one.grade}"] if one.grade else []
     role, team = printable.value(one.role or "?"), one.team or "?"
     yield f"{printable.value(one.robot)}  role {role}, team {team}; {', '.join(signs)}"
-    work = one.work
-    if work is None:
+    if not one.work:
         yield f"{BESIDE}{'idle' if one.is_idle else 'what it does is not observed'}"
-    else:
+    for work in one.work:
         what = f" {printable.value(work.capability)}" if work.capability else ""
         whose = f" for {printable.value(work.on_behalf_of)}" if work.on_behalf_of else ""
         until = "" if work.ends_s is None else f", until {work.ends_s:.3f} s"

@@ -97,8 +97,8 @@ class Action(msgspec.Struct, frozen=True, gc=False):
 class Execution(msgspec.Struct, frozen=True, gc=False):
     """The actions, and what occupies robots.
 
-    `current`: robot -> the action or assistance that occupies it; `queues`: robot -> waiting actions, and assistance
-    that another system set aside; `served`: robot -> the actions on its behalf.
+    `current`: robot -> the action or assistance that occupies it; `queues`: robot -> waiting actions, and what another
+    system began something else beside; `served`: robot -> the actions on its behalf.
     """
 
     current: Mapping[Robot, str] = {}
@@ -118,6 +118,22 @@ def left_us(action: Action, now_us: int) -> int | None:
 def in_hand(state: Execution, robot: Robot) -> Action | None:
     """Return the action that holds the robot, or None where nothing does or it helps with one."""
     return state.actions.get(state.current.get(robot, ""))
+
+
+def doing_and_waiting(state: Execution, robot: Robot) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return what the robot has in hand, the newest first, and what waits for it.
+
+    A robot of ours does one thing at a time. Another system's record may tell that the next thing began, and not that
+    the one before was interrupted: then it does both.
+    """
+    doing: list[str] = []
+    waiting: list[str] = []
+    for name in state.queues.get(robot, ()):
+        action = state.actions.get(name)
+        is_done = name.startswith(HELPING) or (action is not None and action.stage in ("approaching", "running"))
+        (doing if is_done else waiting).append(name)
+    current = state.current.get(robot)
+    return (*(() if current is None else (current,)), *doing), tuple(waiting)
 
 
 def evolve(state: Execution, event: HANDLES) -> Execution:

@@ -17,6 +17,7 @@ import fsar_ledger
 from fsar_ledger.events import CONCERNS
 from fsar_ledger.events.envelope import FLEET_SUPERVISOR, Robot, recorded_robot
 from fsar_ledger.events.supervision import SupervisorCalled
+from fsar_ledger.projections.execution import doing_and_waiting
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.policy import rules_in_force
 from fsar_ledger.projections.supervision import density
@@ -168,13 +169,13 @@ def _known(state: State, call: SupervisorCalled) -> Iterator[str]:
 
 def _robots(state: State) -> Iterator[RobotSeen]:
     for robot, member in state.fleet.robots.items():
-        current = state.execution.current.get(robot)
+        doing, waiting = doing_and_waiting(state.execution, robot)
+        current = doing[0] if doing else None
         action = None if current is None else state.execution.actions.get(current)
         does = current if action is None else f"{action.capability} ({action.action_id}, {action.stage})"
         away = _away(state, robot)
-        waiting = len(state.execution.queues.get(robot, ()))
         supervisor = member.supervisor or FLEET_SUPERVISOR
-        yield RobotSeen(robot, member.role, supervisor, away is not None, away or does, waiting)
+        yield RobotSeen(robot, member.role, supervisor, away is not None, away or does, len(waiting))
 
 
 def _away(state: State, robot: Robot) -> str | None:

@@ -14,7 +14,7 @@ from fsar_ledger.events.knowledge import WorkQueued
 from fsar_ledger.events.registry import AvailabilityChanged
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.projections.authority import Authority
-from fsar_ledger.projections.execution import HELPING, Execution
+from fsar_ledger.projections.execution import HELPING, Execution, doing_and_waiting
 from fsar_ledger.projections.fold import ROUTES, State
 from fsar_ledger.projections.knowledge import Knowledge
 from fsar_ledger.projections.policy import Policy, rules_in_force
@@ -152,17 +152,17 @@ def _tasks(state: Tasks) -> Iterator[Fact]:
 
 
 def _execution(state: Execution, *, is_work_told: bool = True, is_queue_told: bool = True) -> Iterator[Fact]:
-    for robot, name in state.current.items():
-        if name.startswith(HELPING):
-            about = name.removeprefix(HELPING)
-            yield Fact(robot, "work", "helping", about, f"helps with {about}")
-        elif is_work_told and name in state.actions:
-            action = state.actions[name]
-            yield Fact(robot, "work", _WORK.get(action.stage, action.stage), name, action.capability)
-    for robot, names in state.queues.items() if is_queue_told else ():
-        for name in names:
-            about = state.actions[name].capability if name in state.actions else ""
-            yield Fact(robot, "queue", "waiting", name.removeprefix(HELPING), about)
+    for robot in {**state.current, **state.queues}:
+        doing, waiting = doing_and_waiting(state, robot)
+        for name in doing:
+            if name.startswith(HELPING):
+                about = name.removeprefix(HELPING)
+                yield Fact(robot, "work", "helping", about, f"helps with {about}")
+            elif is_work_told and name in state.actions:
+                action = state.actions[name]
+                yield Fact(robot, "work", _WORK.get(action.stage, action.stage), name, action.capability)
+        for name in waiting if is_queue_told else ():
+            yield Fact(robot, "queue", "waiting", name, state.actions[name].capability)
 
 
 def _recoveries(state: Recoveries) -> Iterator[Fact]:

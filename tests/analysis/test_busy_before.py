@@ -67,7 +67,7 @@ def test_state_says_who_has_left_the_fleet(tmp_path: Path) -> None:
     assert "DEPARTED (silent)" in "\n".join(ledger.state("day", at=3).text(Screen()))
 
 
-def test_a_robot_that_does_another_action_meanwhile_helps_on_after_it(tmp_path: Path) -> None:
+def test_a_robot_that_does_another_action_meanwhile_helps_on_beside_and_after_it(tmp_path: Path) -> None:
     helps: dict[str, Any] = {**OF, "robot": "robot/b", "helper": "robot/a", "failure": 1}
     own: dict[str, Any] = {"task_id": "u", "action_id": "u/1", "robot": "robot/a"}
     queued: dict[str, Any] = {
@@ -96,19 +96,36 @@ def test_a_robot_that_does_another_action_meanwhile_helps_on_after_it(tmp_path: 
     ledger = open_ledger(tmp_path / "ledger")
     helping, serving = ("helping", "t/1"), ("running", "u/1")
     for at, expected, waits in (
-        (1, helping, ()),
-        (2, serving, ("t/1",)),
-        (3, serving, ("t/1", "u/2")),
-        (6, helping, ()),
-        (7, serving, ("t/1",)),
-        (8, serving, ()),
-        (9, None, ()),
+        (1, (helping,), ()),
+        (2, (serving, helping), ()),  # nobody says that the help was interrupted
+        (3, (serving, helping), ("u/2",)),
+        (6, (helping,), ()),
+        (7, (serving, helping), ()),
+        (8, (serving,), ()),
+        (9, (), ()),
     ):
         robots = ledger.state("day", at=at).standing.robots
         assert robots is not None
         (told,) = [one for one in robots if one.robot == "robot/a"]
-        assert (told.work and (told.work.stage, told.work.action_id), told.queue) == (expected, waits), at
-        assert told.is_idle is (expected is None)
+        assert (tuple((one.stage, one.action_id) for one in told.work), told.queue) == (expected, waits), at
+        assert told.is_idle is (expected == ())
+
+
+def test_a_robot_does_all_that_it_has_begun_until_something_ends_it(tmp_path: Path) -> None:
+    follow = {**OF, "action_id": "t/1/follow"}  # as a robot follows a path while it navigates
+    with record(tmp_path / "ledger", run="day", fleet=[A], observes=CONCERNS, epoch=BEGAN) as recorder:
+        for at_s, name, columns in (
+            (1, "ExecutionStarted", {**OF, "capability": "navigate"}),
+            (2, "ExecutionStarted", {**follow, "capability": "follow"}),
+            (3, "ExecutionFinished", follow),
+        ):
+            recorder.event(name, at=BEGAN + timedelta(seconds=at_s), **columns)
+    ledger = open_ledger(tmp_path / "ledger")
+    for at, expected in ((1, ["t/1"]), (2, ["t/1/follow", "t/1"]), (3, ["t/1"])):
+        (told,) = ledger.state("day", at=at).standing.robots or ()
+        assert ([one.action_id for one in told.work], told.queue) == (expected, ())
+    rows = ledger.query("audit/robot_activity", run="day", at=2).rows()
+    assert {row["action_id"] for row in rows} == {"t/1", "t/1/follow"}
 
 
 @pytest.mark.parametrize(("ends", "doing"), [((), []), (("ExecutionFinished", "ExecutionWithdrawn"), ["t/1"])])
@@ -120,7 +137,7 @@ def test_what_a_robot_does_is_told_where_its_source_records_how_that_ends(
         recorder.event("ExecutionStarted", at=BEGAN, capability="carry", **OF)
     ledger = open_ledger(tmp_path / "ledger")
     robots = ledger.state("day").standing.robots or ()
-    assert [one.work.action_id for one in robots if one.work is not None] == doing
+    assert [work.action_id for one in robots for work in one.work] == doing
     assert [row["action_id"] for row in ledger.query("audit/robot_activity", run="day") if row["action_id"]] == doing
 
 
