@@ -6,8 +6,7 @@
 -- NULL: never; hides_offences tells whether what would be an offence may be none
 -- Example: fsar-ledger query facts/censored LEDGER
 WITH foreign_runs AS (
-    SELECT run_id
-    FROM runs
+    SELECT run_id FROM runs
     WHERE kind = 'foreign'
 ),
 
@@ -19,6 +18,7 @@ meanings (what, not_observed, judges) AS (
         ['recovery_containment', 'reassignment_latency_s', 'time_to_know_s']
     ),
     ('task', 'which task was completed', ['coordination_success', 'success_without_violation']),
+    ('budget', 'TaskArrived.budget_us', ['coordination_success', 'success_without_violation']),
     ('failure', 'which failure was resolved', ['recovery_containment', 'reassignment_latency_s', 'time_to_know_s']),
     ('supervisor', 'who supervises the fleet', ['human_intervention']),
     (
@@ -40,13 +40,13 @@ left_open AS (
     FROM open_work
     SEMI JOIN foreign_runs ON open_work.run_id = foreign_runs.run_id
     UNION ALL
-    -- What arrives twice may be one task or two, and what was completed before it arrived another one.
-    SELECT arrived.run_id, 'task' AS what
+    -- What arrives twice may be one task or two, what was completed before, another; without a budget nothing is late.
+    SELECT arrived.run_id, if(count(*) > count(arrived.budget_us), 'budget', 'task') AS what
     FROM task_arrived AS arrived
     SEMI JOIN foreign_runs ON arrived.run_id = foreign_runs.run_id
     LEFT JOIN task_completed AS done ON arrived.run_id = done.run_id AND arrived.task_id = done.task_id
     GROUP BY arrived.run_id, arrived.task_id
-    HAVING count(DISTINCT arrived.seq) > 1 OR min(done.time_us) < min(arrived.time_us)
+    HAVING what = 'budget' OR count(DISTINCT arrived.seq) > 1 OR min(done.time_us) < min(arrived.time_us)
     UNION ALL
     -- What fails twice under one number may be one failure or two.
     SELECT run_id, 'failure' AS what

@@ -4,7 +4,8 @@
 -- Key: run_id, arrived_seq
 -- Units: due_us, ended_us microseconds of run time; arrived_seq, ended_seq and held_up_seqs positions in the run, the
 --   last of the refusals, unanswered requests, holds and failures of the task's actions
--- NULL: ended_us, ended_seq, is_completed of a task that never ended; due_us of a budget longer than any run
+-- NULL: ended_us, ended_seq, is_completed of a task that never ended; due_us of a budget longer than any run, or of a
+--   task whose budget is not on record; completed, such a task is not here, since nothing says that it was late
 -- Example: fsar-ledger query facts/late_tasks LEDGER
 WITH ends AS (
     SELECT run_id, task_id, seq, time_us, TRUE AS is_completed FROM task_completed
@@ -66,4 +67,7 @@ SELECT
 FROM arrivals AS arrived
 LEFT JOIN first_ends ON arrived.run_id = first_ends.run_id AND arrived.seq = first_ends.arrived_seq
 LEFT JOIN held_up ON arrived.run_id = held_up.run_id AND arrived.task_id = held_up.task_id
-WHERE NOT coalesce(first_ends.is_completed AND first_ends.ended_us - arrived.time_us <= arrived.budget_us, FALSE)
+WHERE
+    NOT coalesce(
+        first_ends.is_completed AND coalesce(first_ends.ended_us - arrived.time_us <= arrived.budget_us, TRUE), FALSE
+    )

@@ -147,6 +147,15 @@ def test_what_arrives_twice_or_was_completed_before_is_not_counted_at_random() -
     assert success(DONE, event("TaskCompleted", 4 * S, task_id="t"), **FOREIGN) == 1  # it is said twice
 
 
+def test_a_task_without_a_budget_on_record_is_neither_in_time_nor_late() -> None:
+    unknown, done = event("TaskArrived", S, task_id="u"), event("TaskCompleted", 4 * S, task_id="u")
+    assert success(DONE, unknown, done, **FOREIGN) == "TaskArrived.budget_us"
+    assert success(DONE, unknown, seen_at(9), **FOREIGN) == "TaskArrived.budget_us"
+    assert answer("facts/late_tasks", run(ARRIVED, DONE, unknown, done), columns=("task_id",)) == []
+    given_up = event("TaskAbandoned", 4 * S, task_id="u")
+    assert answer("facts/late_tasks", run(unknown, given_up), columns=("task_id", "due_us")) == [("u", None)]
+
+
 JOINED = event("RobotJoined", robot="robot/A1", role="carrier", supervisor="supervisor/own")
 
 
