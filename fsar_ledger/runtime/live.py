@@ -30,7 +30,7 @@ from fsar_ledger.projections.fold import State
 from .changeable import question_name
 from .handlers.commands import ActionCommand, Command, Respond, Scheduled
 from .handlers.isolation import founded_alone
-from .handlers.public import commands, given, read
+from .handlers.public import commands, given, read, texts_of
 from .handlers.request import ReportResult
 from .kernel import Kernel
 from .ports import ANSWERS_LATER, AS_USUAL, Ask, Fact, LiveEnvironment
@@ -164,12 +164,12 @@ def command_given(
         )
     try:
         found = given(read(kind, msgspec.json.encode(fields).decode()), by, key=key, source_time_us=sent_us)
-    except (msgspec.ValidationError, TypeError) as error:
+    except (msgspec.ValidationError, TypeError, UnicodeEncodeError) as error:
         raise UsageError(f"command {name}: {error!s:.300}") from error
     for field, number in fields.items():
         if isinstance(number, int) and abs(number) > MOST:
             raise UsageError(f"command {name}: field {field}: found {number}, expected at most 2^50 (35 years in us)")
-    for text in (by, key or "", *(one for one in fields.values() if isinstance(one, str))):
+    for text in (by, key or "", *texts_of(found.parameters)):
         if not text.isprintable():
             raise UsageError(f"command {name}: found {text!r:.80}, expected characters that can be printed")
     return found

@@ -98,6 +98,18 @@ def test_the_same_command_again_is_decided_once_even_after_a_restart(tmp_path: P
             "found speed, expected some of robot, action_id",
         ),
         ("ReportStart", {"robot": A, "action_id": "t\x1b"}, "expected characters that can be printed"),
+        (
+            "SubmitTask",
+            {**TASK, "checkpoints": ["1\u202e"]},
+            r"found '1\\u202e', expected characters that can be printed",
+        ),
+        (
+            "ConsultRegistry",
+            {"query": {"requester": A, "capability": "x\n"}},
+            r"found 'x\\n', expected characters that",
+        ),
+        ("ConsultRegistry", {"query": {"requester": A, "capability": "x", "verson": "1"}}, "unknown field `verson`"),
+        ("ReportStart", {"robot": A, "action_id": "t\ud800"}, "surrogates not allowed"),
         ("SubmitTask", {**TASK, "budget_us": float("nan")}, "budget_us"),
     ],
 )

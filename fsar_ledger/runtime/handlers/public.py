@@ -3,7 +3,7 @@
 A command that cannot be executed is recorded and has no effect. Paper: sec:architecture:overview.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
 from typing import Protocol, TypeVar, get_args
 
@@ -241,6 +241,16 @@ def given(command: PublicCommand, issued_by: str, **about: object) -> CommandGiv
         },
         CommandGiven,
     )
+
+
+def texts_of(parameters: str) -> Iterator[str]:
+    """Yield the texts in the fields of a command on record, also those within lists and within other fields."""
+    fields: list[object] = [msgspec.json.decode(parameters)]
+    for one in fields:
+        if isinstance(one, str):
+            yield one
+        elif isinstance(one, list | dict):
+            fields += one.values() if isinstance(one, dict) else one
 
 
 _ADDED = ("fence", "public_key")
