@@ -134,7 +134,7 @@ _GROUP = ".*"  # ends the name of a group of capabilities
 _RANKS: dict[Availability, int] = {"busy": 1, "degraded": 2}  # of those that are not ready
 
 
-class Query(msgspec.Struct, frozen=True):
+class Query(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Q = (r_A, e*, sigma, B, P): who asks for what, in which context, and what is stated about it.
 
     `capability` is a name or a group (`grasp.*`); `version` a range (see `is_in_range`). `provides` are the
