@@ -8,7 +8,8 @@
 -- Stored: what is censored reads it twice
 -- Partial: what it says of a run does not depend on others
 -- A simulated run ends when nothing is left to happen. The record of a live run ends where it was read, and metrics
--- count what is open as not done; that of another system ends when somebody stops it, and they count none of it.
+-- count what is open as not done; that of another system ends when somebody stops it, and they count none of it. A
+-- recorder that was opened again had stopped before, and says nothing of what happened meanwhile.
 WITH ends AS (
     SELECT events.run_id, max(events.time_us) AS end_us
     FROM event_principals AS events
@@ -16,13 +17,20 @@ WITH ends AS (
     GROUP BY events.run_id
 ),
 
+stops AS (
+    SELECT run_id, seq, time_us
+    FROM source_opened
+    WHERE input_sha256 IS NULL
+),
+
 tasks AS (
     SELECT arrived.run_id, count(*) AS open_count
     FROM task_arrived AS arrived
     INNER JOIN ends ON arrived.run_id = ends.run_id
+    ASOF LEFT JOIN stops ON arrived.run_id = stops.run_id AND arrived.seq < stops.seq
     ANTI JOIN task_completed AS done ON arrived.run_id = done.run_id AND arrived.task_id = done.task_id
     ANTI JOIN task_abandoned AS given_up ON arrived.run_id = given_up.run_id AND arrived.task_id = given_up.task_id
-    WHERE arrived.budget_us > ends.end_us - arrived.time_us
+    WHERE arrived.budget_us > coalesce(stops.time_us, ends.end_us) - arrived.time_us
     GROUP BY arrived.run_id
 ),
 

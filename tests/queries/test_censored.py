@@ -44,6 +44,15 @@ def test_a_task_that_was_done_or_given_up_is_not_open() -> None:
     assert success(event("TaskAbandoned", 3 * S, task_id="t"), **FOREIGN) == 0
 
 
+def test_what_was_open_when_a_recorder_stopped_is_not_known_when_it_goes_on() -> None:
+    opened = event("SourceOpened", source="s", format="f", adapter="a", clock="arrival")
+    again = {**opened, "time_us": 2 * S}
+    assert success(again, seen_at(60), **FOREIGN) == OPEN  # it may have been done meanwhile
+    assert success({**again, "time_us": 10 * S}, seen_at(60), **FOREIGN) == 0  # it was late by then
+    assert success(again, event("TaskCompleted", 9 * S, task_id="t"), **FOREIGN) == 1
+    assert success({**again, "input_sha256": "0" * 64}, seen_at(60), **FOREIGN) == 0  # an input has no such gap
+
+
 def contained(*events: dict[str, Any], **started: Any) -> Any:
     [[numerator, not_observed]] = answer(
         "metrics/recovery_containment", run(FAILED, *events, **started), columns=("numerator", "not_observed")
