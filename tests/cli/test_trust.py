@@ -153,6 +153,8 @@ def test_a_key_goes_on_after_what_it_did_not_sign_only_if_told_to(call: Call, fo
         "found a newest checkpoint with no signature",
         "verify the ledger, and say --adopt to sign on from here",
     )
+    recorded = call("record", tmp_path / "ledger", "--run", "r", *key)  # which has no --adopt
+    one_message(recorded, 2, "`record`, `import`, `federate` and `serve` go on in a new ledger")
     assert open_ledger(tmp_path / "ledger").head.commits == 2
     assert "signed by" in simulate(2, *key, "--adopt").out
     assert "signed by" in simulate(3, *key).out

@@ -118,7 +118,8 @@ def require_own(view: View, key: VerifierKey) -> None:
     if note is not None and (doubted := doubt(note, key)) is not None:
         raise UsageError(
             f"{view.path}: found a newest checkpoint with {doubted}, expected one of {key.key}; its next signature "
-            f"would vouch for all that is there: verify the ledger, and say {option('adopt')} to sign on from here"
+            f"would vouch for all that is there: verify the ledger, and say {option('adopt')} to sign on from here, "
+            "where the command has that; `record`, `import`, `federate` and `serve` go on in a new ledger"
         )
 
 
