@@ -1,6 +1,7 @@
 """A robot alone and its fleet: what it goes on from, and what it hands over, each read from a ledger, and compared."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,7 +18,15 @@ from fsar_ledger.events.fleet import IsolationBegan, IsolationEnded, RunStarted
 from fsar_ledger.events.task import StepCompleted
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows.runs import LedgerRun
-from fsar_ledger.ledger.store.locations import chain_of, record_of, seq_counted_on, whole_of, whole_runs
+from fsar_ledger.ledger.store.locations import (
+    chain_of,
+    event_at,
+    place_of,
+    record_of,
+    seq_counted_on,
+    whole_of,
+    whole_runs,
+)
 from fsar_ledger.ledger.store.read import View
 from fsar_ledger.ledger.store.shards import is_log
 from fsar_ledger.projections.fold import fold
@@ -53,15 +62,24 @@ class FleetComparison(msgspec.Struct, frozen=True):
 
 # See docs/decisions/robots-alone-have-runs-of-their-own.md.
 def isolation_of(path: Path, robot: str) -> Isolation:
-    """Return from what this robot goes on without the federation, by the newest live run of this ledger.
+    """Return from what this robot goes on without the federation, by the newest run of a live fleet in this ledger.
 
     Raises:
-        UsageError: The ledger has no live run, or the robot is no member in it.
+        UsageError: The ledger has no such run, or the robot is no member in it.
         NotALedger, LedgerCorrupted: As `open_ledger`.
     """
     view = _opened(path)
-    run = view.run_names.runs[-1] if view.run_names.runs else ""
+    run = next(filter(partial(_is_of_a_fleet, view), reversed(view.run_names.runs)), None)
+    if run is None:
+        raise UsageError(f"{path}: found no run of a live fleet, expected one that {value(robot)} goes on from")
     return _isolation(view, run, recorded_robot(robot), view.head.size, view.head.root)
+
+
+def _is_of_a_fleet(view: View, run: str) -> bool:
+    """Return whether this is the run of a live fleet, and not of a robot alone, nor recorded or simulated beside it."""
+    started = event_at(view, place_of(view, run, 0))
+    is_alone = started.get("fleet_size") == 1 and _began(record_of(view, run))[1] is not None
+    return started.get("source") == SOURCE and not is_alone
 
 
 def _isolation(view: View, run: str, robot: Robot, size: int, root: str) -> Isolation:

@@ -177,6 +177,19 @@ def test_a_robot_outside_the_fleet_has_nothing_to_go_on_from(site: Site) -> None
         site.opened("z", "Z9", isolated=A)
 
 
+def test_it_goes_on_from_the_fleets_run_whatever_else_was_recorded_beside_it_since(site: Site) -> None:
+    site.task(site.hall, DRIVE)
+    for folder in ("hall", "other"):
+        fsar_ledger.record(site.path / folder, run="badges").close()
+    with pytest.raises(UsageError, match="found no run of a live fleet"):
+        site.opened("a1", "A1", isolated=A, of=site.path / "other")
+    with site.opened("hall", "B1 alone", isolated=B, of=site.path / "hall"), site.alone() as own:
+        site.does(own, "t1/1.1")
+        [began] = [one for one in record(site.path / "a1", "A1").events if isinstance(one, IsolationBegan)]
+    assert began.fleet_run == "morning"
+    assert compared_with_fleet(site.path / "a1", site.path / "hall").ok
+
+
 def test_a_log_of_ledgers_is_no_ledger_of_a_fleet_or_a_robot(site: Site) -> None:
     site.opened("a1", "A1", isolated="A1", of=site.path / "hall", origin="site/a1").close()
     fsar_ledger.shards(site.path / "log", [site.path / "hall", site.path / "a1"])
