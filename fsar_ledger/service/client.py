@@ -74,6 +74,8 @@ class Client:
         self._url, self._token, self._patience_s, self._tls, self._pause = urlsplit(url), token, patience_s, tls, pause
         if self._url.scheme not in ("http", "https") or not self._url.hostname:
             raise UsageError(f"url {url!r:.200}: expected http://HOST:PORT or https://HOST:PORT")
+        if not (token.isascii() and token.isprintable()):
+            raise UsageError("token: found what no token has, expected one as `principal new` printed it, on one line")
         self._line: http.client.HTTPConnection | None = None
 
     def give(self, command: str, *, key: str | None = None, **fields: object) -> Answered:
@@ -82,10 +84,17 @@ class Client:
         `key`: names it, so that the same one can be given again even by another process; None: a new name.
 
         Raises:
+            UsageError: The key has characters that no header can hold, or a field has a value that JSON cannot.
             Refused: It is no command, not this principal's to give, or the service cannot take it in all that time.
         """
+        if key is not None and not (key.isprintable() and key.encode("latin-1", "replace").decode("latin-1") == key):
+            raise UsageError(f"key {key!r:.200}: expected characters of Latin-1 that can be printed, as a header has")
+        try:
+            body = msgspec.json.encode(fields)
+        except (TypeError, UnicodeEncodeError) as error:
+            raise UsageError(f"command {command!r:.80}: {error!s:.200}; expected fields that are JSON") from error
         headers = {"Idempotency-Key": key or secrets.token_hex(16), "Content-Type": "application/json"}
-        answer = self._patiently("POST", f"/commands/{quote(command)}", msgspec.json.encode(fields), headers)
+        answer = self._patiently("POST", f"/commands/{quote(command)}", body, headers)
         return msgspec.json.decode(answer, type=Answered)
 
     def known(self) -> int:

@@ -11,6 +11,7 @@ from fsar_ledger.base.errors import UsageError, WriteFailed
 from fsar_ledger.runtime.handlers.public import commands, own_fields
 from fsar_ledger.runtime.live import command_given
 from fsar_ledger.service import KINDS, Principals, add_principal
+from fsar_ledger.service.client import Client, Refused
 from fsar_ledger.service.pages import described, page
 
 
@@ -105,3 +106,19 @@ def test_the_description_has_every_command_with_its_fields_and_what_must_be_give
 
 def test_the_page_shows_a_name_that_is_no_markup() -> None:
     assert "<script>" not in page("<script>alert(1)</script>")
+
+
+def test_a_client_refuses_what_no_header_and_no_json_can_hold() -> None:
+    for token in ("fsar.1.x\n", "fsar.1.✓"):  # of a file that was read whole, for one
+        with pytest.raises(UsageError, match="token: found what no token has") as refused:
+            Client("http://localhost:1", token)
+        assert "fsar.1" not in str(refused.value)
+    with Client("http://localhost:1", "fsar.1.x", patience_s=0) as way:
+        for key in ("任务", "a\nb"):
+            with pytest.raises(UsageError, match="expected characters of Latin-1"):
+                way.give("ReportStart", key=key)
+        for name in ("t\ud800", object()):
+            with pytest.raises(UsageError, match="expected fields that are JSON"):
+                way.give("ReportStart", action_id=name)
+        with pytest.raises(Refused, match="does not answer"):
+            way.give("ReportStart", key="Tür")
