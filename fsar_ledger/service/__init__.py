@@ -51,7 +51,8 @@ def add_principal(path: Path, name: str) -> str:
     kind, slash, rest = name.partition("/")
     if kind not in KINDS or not slash or not rest or not rest.isprintable() or " " in rest or len(name) > MAX_NAME:
         raise UsageError(
-            f"NAME {value(name)}: expected a kind and a name, such as robot/A1; the kinds are {', '.join(KINDS)}"
+            f"NAME {value(name)}: expected a kind and a name without spaces, such as robot/A1, of at most {MAX_NAME} "
+            f"characters; the kinds are {', '.join(KINDS)}"
         )
     if path.exists():
         _read(path)

@@ -67,7 +67,7 @@ def test_the_secret_is_compared_in_constant_time_for_unknown_tokens_too(
     "name", ["A1", "robot/", "/A1", "person/anna", "robot/A 1", "robot/A\n1", "robot/" + "x" * 200]
 )
 def test_a_name_that_no_principal_has_is_refused(tmp_path: Path, name: str) -> None:
-    with pytest.raises(UsageError, match="expected a kind and a name, such as robot/A1"):
+    with pytest.raises(UsageError, match="expected a kind and a name without spaces, such as robot/A1, of at"):
         add_principal(tmp_path / "principals", name)
     assert not (tmp_path / "principals").exists()
 
