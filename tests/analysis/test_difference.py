@@ -1,11 +1,14 @@
 """Two runs are aligned by cause and content: exactly what was edited differs."""
 
 from collections import Counter
+from datetime import UTC, datetime
 from itertools import pairwise
+from pathlib import Path
 
 import pytest
 from msgspec.structs import replace
 
+import fsar_ledger
 from fsar_ledger.analysis.difference import align, chain
 from fsar_ledger.analysis.fork_base import base_of_record, rerun
 from fsar_ledger.api.answers import Screen
@@ -154,3 +157,18 @@ def test_a_command_is_not_another_command_or_that_of_another_robot_changed() -> 
         fork = base.fork(parsed([f"drop command:{dropped}", f"add 2.5s {added}"])).record
         found = align(base.base.record, fork).differences
         assert not [one for one in found if {"command", "issued_by"} & {*one.fields}]
+
+
+def test_a_task_is_due_after_its_budget_where_the_record_names_no_time(tmp_path: Path) -> None:
+    for run, end in (("done", "TaskCompleted"), ("given up", "TaskAbandoned")):
+        with fsar_ledger.record(
+            tmp_path / "l", run=run, observes=["task"], epoch=datetime(2026, 3, 1, tzinfo=UTC)
+        ) as one:
+            at = datetime(2026, 3, 1, 0, 0, 2, tzinfo=UTC)
+            one.event("TaskArrived", at=at, task_id="t", robot="robot/A", budget_us=10_000_000)
+            one.event("TaskArrived", at=at, task_id="u", robot="robot/A")
+            one.event(end, at=at, task_id="t")
+    found = fsar_ledger.open_ledger(tmp_path / "l").diff(1, 2).consequences
+    assert found is not None
+    [budgeted, other] = found.tasks
+    assert (budgeted.due_s, other.due_s) == (12.0, None)
