@@ -18,9 +18,10 @@ WITH ends AS (
 ),
 
 stops AS (
-    SELECT run_id, seq, time_us
-    FROM source_opened
-    WHERE input_sha256 IS NULL
+    SELECT opened.run_id, opened.seq, last.time_us
+    FROM source_opened AS opened
+    INNER JOIN event_principals AS last ON opened.run_id = last.run_id AND opened.seq = last.seq + 1
+    WHERE opened.input_sha256 IS NULL
 ),
 
 tasks AS (
