@@ -15,6 +15,7 @@ import msgspec
 
 from fsar_ledger.base.errors import UsageError, WriteFailed
 from fsar_ledger.base.printable import value
+from fsar_ledger.ledger.store.disk import append_whole
 
 KINDS = {
     "robot": "a robot speaks for itself, and sees the events that name it",
@@ -61,8 +62,7 @@ def add_principal(path: Path, name: str) -> str:
     try:
         file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
         try:
-            os.write(file, line)
-            os.fsync(file)
+            append_whole(file, line)
         finally:
             os.close(file)
     except OSError as error:

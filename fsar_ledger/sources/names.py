@@ -18,6 +18,7 @@ from fsar_ledger.base.printable import value
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import FLEET_SUPERVISOR, flat, with_columns
 from fsar_ledger.events.source import Observed
+from fsar_ledger.ledger.store.disk import append_whole
 
 PERSON = "person"
 """The qualifier of an object of an observation that is a person."""
@@ -81,8 +82,7 @@ class PrivateNames:
             key = secrets.token_bytes(32)
             one = NamedPerson(name, key.hex(), committed(name, key))
             try:
-                os.write(self._file, msgspec.json.encode(one) + b"\n")
-                os.fsync(self._file)
+                append_whole(self._file, msgspec.json.encode(one) + b"\n")
             except OSError as error:
                 raise WriteFailed(f"{value(str(self._path))}: the name was not written ({error.strerror})") from error
             self._known[name] = one.commitment

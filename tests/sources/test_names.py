@@ -15,6 +15,7 @@ from fsar_ledger.events.request import RequestAccepted
 from fsar_ledger.events.source import Observed
 from fsar_ledger.sources.names import NamedPerson, PrivateNames, committed
 from fsar_ledger.sources.recorder import FORMAT, WITH_COMMITMENTS, Recorder
+from tests.ledger.test_crash import files_of_at_most
 from tests.recycled import asked
 
 ANN = "supervisor/ann"
@@ -137,3 +138,14 @@ def test_a_robot_with_another_supervisor_does_not_go_on_in_the_run_but_with_an_e
     for _ in range(2):
         record(tmp_path / "hidden", run="r", fleet=fleet(ANN), private_names=tmp_path / "names").close()
         (tmp_path / "names").write_bytes(b"")
+
+
+def test_a_name_for_which_the_disk_has_no_room_leaves_no_part_of_a_line(tmp_path: Path) -> None:
+    names = PrivateNames(tmp_path / "names")
+    known = names.hidden("ann")
+    room = (tmp_path / "names").stat().st_size + 20
+    with files_of_at_most(room), pytest.raises(WriteFailed, match="the name was not written"):
+        names.hidden("bob")
+    later = names.hidden("bob")
+    again = PrivateNames(tmp_path / "names")
+    assert (again.hidden("ann"), again.hidden("bob")) == (known, later)

@@ -212,6 +212,20 @@ def _write_all(handle: int, data: bytes | memoryview) -> None:
         rest = rest[written:]
 
 
+def append_whole(handle: int, data: bytes) -> None:
+    """Append the data to a file that nobody else writes, on disk when this returns, whole or not at all.
+
+    Raises: OSError.
+    """
+    size = os.fstat(handle).st_size
+    try:
+        _write_all(handle, data)
+        os.fsync(handle)
+    except OSError:
+        os.ftruncate(handle, size)
+        raise
+
+
 # See docs/decisions/proofs-and-keys-are-never-replaced.md.
 def link_new(temporary: Path, path: Path) -> None:
     """Link the temporary file to its name, and remove the temporary name in any case.
