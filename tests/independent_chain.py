@@ -143,7 +143,7 @@ class Chain:
             raise ValueError(f"schema_sha256 {record['schema_sha256']}")
         if first != placed and first not in self.placed:
             raise ValueError(f"first {first}")
-        if (first == placed) != ("index_bytes" in record and "index_sha256" in record):
+        if {first == placed} != {"index_bytes" in record, "index_sha256" in record}:
             raise ValueError("a line of the index, or none")
         root = next((one["tree_root"] for one in self.commits if one["tree_size"] == end), None)
         if root is None or (end < placed and end not in self.placed):

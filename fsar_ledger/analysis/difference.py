@@ -390,12 +390,10 @@ def _ends(run: LedgerRun) -> dict[str, tuple[float | None, str, float | None]]:
     for time_us, event in zip(run.times_us, run.events, strict=True):
         match event:
             case TaskArrived():
-                budget_us, due_us = event.budget_us, event.due_us
-                due_us = time_us + budget_us if due_us is None and budget_us is not None else due_us
+                budgeted_us = None if event.budget_us is None else time_us + event.budget_us
+                due_us = budgeted_us if event.due_us is None else event.due_us
                 found[event.task_id] = (None if due_us is None else due_us / 1e6, "open", None)
             case TaskCompleted() | TaskAbandoned() if event.task_id in found:
                 word = "completed" if isinstance(event, TaskCompleted) else "abandoned"
                 found[event.task_id] = (found[event.task_id][0], word, time_us / 1e6)
-            case _:
-                pass
     return found

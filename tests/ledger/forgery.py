@@ -32,13 +32,13 @@ def _lines(path: Path) -> list[dict[str, Any]]:
 
 
 def forge(path: Path, kind: str, number: int, /, **changes: object) -> None:
-    """Change one record of this kind, and chain all later ones to it again."""
+    """Change one record of this kind, or remove what is None, and chain all later ones to it again."""
     lines = _lines(path)
     [own] = [one for one in lines if (one["kind"], one["number"]) == (kind, number)]
     previous, written = sha256_hex((path / "ledger.json").read_bytes()), b""
     for one in lines:
         one |= {"previous_sha256": previous} | (changes if one is own else {})
-        data = canonical.document(one)
+        data = canonical.document({name: value for name, value in one.items() if value is not None})
         written, previous = written + data + b"\n", sha256_hex(data)
     (path / CHAIN).write_bytes(written)
 

@@ -142,6 +142,19 @@ def test_every_field_of_a_record_is_derived_again(
     assert report.problems[0].where in ("chain.jsonl", "checkpoint", segment_name(24 * number, 24 * number + 24))
 
 
+@pytest.mark.parametrize("field", ["index_bytes", "index_sha256"])
+def test_a_placement_that_tells_half_of_its_line_of_the_index_is_damage_and_no_torn_end(path: Path, field: str) -> None:
+    forge(path, "placement", 1, **{field: None})  # what follows is one append, which a crash may tear
+    problem = first_problem(path)
+    assert (problem.where, problem.field) == ("chain.jsonl", field)
+
+
+def test_a_chain_that_is_a_link_is_named(path: Path, tmp_path: Path) -> None:
+    (path / "chain.jsonl").rename(tmp_path / "aside")
+    (path / "chain.jsonl").symlink_to(tmp_path / "aside")
+    assert first_problem(path).where == "chain.jsonl"
+
+
 # --- segments that a forger changed together with the file hash ---
 
 

@@ -173,7 +173,7 @@ class Chain:
             and [placement.first for placement in placements]
             == [self.placed_size, *[placement.end for placement in placements]][:-1]
             and [commit.rows for commit in commits] == [*map(sub, ends, [self.size, *ends])]
-            and all(placement.index_bytes for placement in placements)
+            and all(placement.index_bytes and placement.index_sha256 for placement in placements)
             and (not placements or records[-1] is placements[-1])  # else nobody could go back to this one
             and self._are_committed(records, placements, ends)
         ):
@@ -287,9 +287,10 @@ class Chain:
             return "rows", placement.rows, "events up to the end of a commit, and of the segments that it supersedes"
         if not self._trusts_frontiers and (placed_root := placement.tree().root()) != root:
             return "frontier", placed_root.hex(), f"one of root {root.hex()}, as committed"
-        if is_added != bool(placement.index_bytes):
-            expected = "those of the events' line of the index" if is_added else "none, as no events are added"
-            return "index_bytes", placement.index_bytes, expected
+        for name in ("index_bytes", "index_sha256"):
+            if is_added != bool(found := getattr(placement, name)):
+                expected = "that of the events' line of the index" if is_added else "none, as no events are added"
+                return name, found, expected
         return None
 
     def _starts(self, index: int) -> bool:

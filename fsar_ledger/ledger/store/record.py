@@ -219,9 +219,7 @@ def _hashes(record: Record) -> tuple[str, ...]:
         return record.previous_sha256, record.tree_root
     if len(record.frontier) != record.end.bit_count():
         raise ValueError(f"{len(record.frontier)} hashes of a tree of {record.end} events")
-    if record.index_sha256 and not record.index_bytes:
-        raise ValueError("the SHA-256 of a line of the index that has no bytes")
-    of_line = (record.index_sha256,) if record.index_bytes else ()
+    of_line = (record.index_sha256,) if record.index_sha256 else ()
     return record.previous_sha256, record.schema_sha256, record.segment_sha256, *record.frontier, *of_line
 
 

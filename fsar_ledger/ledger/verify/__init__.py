@@ -194,7 +194,8 @@ def _look(path: Path, workers: int, progress: Progress | None, asked: VerifyOpti
     except WorkerDied:
         raise
     except (Exception, RecursionError) as error:  # a check that fails unexpectedly is still a finding
-        problems = (*verification.problems[: MAX_PROBLEMS - 1], unexpected(str(path), None, error))
+        found = dict.fromkeys((*verification.names, *verification.problems))
+        problems = (*[*found][: MAX_PROBLEMS - 1], unexpected(str(path), None, error))
         return VerifyReport(False, problems, 0, 0, 0, None, is_quick=verification.asked.is_quick)
 
 

@@ -76,6 +76,7 @@ class Verification:
 
     def __init__(self, path: Path, asked: VerifyOptions) -> None:
         self.path, self.asked = path, asked
+        self.names: list[Problem] = []  # of files that are strange, or links
         self.problems: list[Problem] = []
         self.events = self.done = 0
         self.checkpoint: Problem | None = None  # only where the records themselves are whole
@@ -88,11 +89,11 @@ class Verification:
 
     def run(self, workers: int, progress: Progress | None, document: bytes | None = None) -> VerifyReport:
         """Look at the whole ledger, whatever ledger.json holds if this is the `document` that it should be."""
-        names = list(_check_names(self.path))
+        self.names = list(_check_names(self.path))
         if document is None:
             _, document, doubt = check_manifest(self.path)
             if document is None or doubt is not None:
-                self.problems += names + ([doubt] if doubt is not None else [])
+                self.problems = self.names + ([doubt] if doubt is not None else [])
                 return VerifyReport(False, tuple(self.problems[:MAX_PROBLEMS]), 0, 0, 0, None)
         view = open_chain(self.path, document, is_damage_told=False)
         chain = view.chain
@@ -115,7 +116,7 @@ class Verification:
         ]
         checkpoint = [self.checkpoint] if self.checkpoint is not None else []
         # A strange name, and a checkpoint ahead of the records, tell more than what follows from them.
-        self.problems = [*names, *checkpoint, *self.problems, *strays, *self.derived]
+        self.problems = [*self.names, *checkpoint, *self.problems, *strays, *self.derived]
         remarks = self._check_derived(view, is_behind=is_behind)
         return self._report(view, remarks)
 
