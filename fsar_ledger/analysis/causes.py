@@ -20,11 +20,12 @@ forks judged by one query.
 
 import re
 from bisect import bisect_left
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
 import msgspec
+import pyarrow as pa
 
 from fsar_ledger.base import printable
 from fsar_ledger.base.errors import QueryFailed, UsageError
@@ -63,7 +64,7 @@ class Outcome(NamedTuple):
         """Return for each run, as (times, causes, events), whether it has the outcome; None where that is undefined.
 
         Raises:
-            QueryFailed: The SELECT fails, or has no column `run_id`.
+            QueryFailed: The SELECT fails, or has no column `run_id` with names of runs.
         """
         records = [
             LedgerRun(f"{number}", run[0], run[1], run[2])  # type: ignore[arg-type]
@@ -76,12 +77,23 @@ class Outcome(NamedTuple):
                 database.lock(SECONDS, MEMORY_BYTES)
             found = database.table(self.sql)
             valued = {row["run_id"] for row in database.rows(self.defined)} if self.defined else None
-        if "run_id" not in found.column_names:
-            named = printable.some(map(printable.value, found.column_names))
-            raise QueryFailed(f"outcome: found the columns {named}, expected run_id of each run with the outcome")
-        held = set(found.column("run_id").to_pylist())
         names = [one.run_id for one in records]
+        held = runs_named(found, names)
         return [None if valued is not None and name not in valued else name in held for name in names]
+
+
+def runs_named(found: pa.Table, runs: Collection[str]) -> set[str]:
+    """Return the runs that the rows of an outcome name. Raises: QueryFailed for rows of anything else than runs."""
+    if "run_id" not in found.column_names:
+        named = printable.some(map(printable.value, found.column_names))
+        raise QueryFailed(f"outcome: found the columns {named}, expected run_id of each run with the outcome")
+    held = set(found.column("run_id").to_pylist())
+    if held and held.isdisjoint(runs):
+        named = printable.value(f"{held.pop()}")
+        raise QueryFailed(
+            f"outcome: found the run_id {named}, which no run has, expected those of runs: `SELECT run_id FROM runs`"
+        )
+    return held
 
 
 def outcome_of(text: str) -> Outcome:

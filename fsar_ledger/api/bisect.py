@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from fsar_ledger.base import printable
-from fsar_ledger.base.errors import QueryFailed, UsageError, option
+from fsar_ledger.base.errors import UsageError, option
 from fsar_ledger.base.printable import SafeText, counted
 
 from .answers import Answer, Screen
@@ -264,12 +264,9 @@ def disagree(first: bool | None, second: bool | None) -> bool:
 
 def _having(ledger: "Ledger", database: "Database", outcome: "Outcome") -> Callable[[object], bool | None]:
     """Return what tells of a run of the ledger whether it has the outcome, None if undefined. Raises: QueryFailed."""
+    from fsar_ledger.analysis.causes import runs_named
+
     valued = {row["run_id"] for row in database.rows(outcome.defined)} if outcome.defined else None
-    if outcome.is_own:
-        own = ledger.sql(outcome.sql)
-        if "run_id" not in own.columns:
-            raise QueryFailed(f"outcome: found the columns {', '.join(own.columns)}, expected run_id")
-        held = {row["run_id"] for row in own}
-    else:
-        held = {row["run_id"] for row in database.rows(outcome.sql)}
+    found = ledger.sql(outcome.sql).arrow() if outcome.is_own else database.table(outcome.sql)
+    held = runs_named(found, {row["run_id"] for row in database.rows("SELECT run_id FROM runs")})
     return lambda run: None if valued is not None and run not in valued else run in held

@@ -13,6 +13,7 @@ from tests.ledger.keep_release import LEDGERS
 
 ROOT = Path(__file__).resolve().parents[2]
 VIOLATED = "policy_violations > 0"
+OF_NO_RUN = "SELECT DISTINCT 42 AS run_id FROM events"
 
 
 def test_a_moment_shows_each_robot_and_what_is_open(call: Call, ledger: Path) -> None:
@@ -212,6 +213,11 @@ def test_the_first_pair_that_disagrees_is_told(call: Call, ledger: Path) -> None
         (("cause", "--run", "1", "--outcome", "policy_violations > 99"), "the run does not have it"),
         (("cause", "--run", "1", "--outcome", VIOLATED, "--futures", "-1"), "expected 0"),
         (("cause", "--run", "1", "--outcome", "SELECT 1 AS one"), "expected run_id"),
+        (("cause", "--run", "1", "--outcome", OF_NO_RUN), "found the run_id 42, which no run has"),
+        (
+            ("bisect", "--first", "fsar", "--second", "cfc", "--outcome", OF_NO_RUN),
+            "found the run_id 42, which no run has",
+        ),
         (("bisect", "--first", "fsar", "--second", "dhma"), "--outcome: found none"),
         (("bisect", "--first", "fsr", "--second", "dhma", "--outcome", VIOLATED), "found no such runs"),
         (
