@@ -10,7 +10,7 @@ import secrets
 import socket
 import time
 from collections import Counter
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import asynccontextmanager
 from functools import partial
 from pathlib import Path
@@ -19,6 +19,7 @@ from typing import Any
 import msgspec
 import uvicorn
 from starlette.applications import Starlette
+from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import HTMLResponse, PlainTextResponse, Response
 from starlette.routing import Route
@@ -106,7 +107,7 @@ class Service:
                 Route("/", self._page, methods=["GET"]),
             ],
             lifespan=self._living,
-            exception_handlers={HttpError: self._refused},
+            exception_handlers={HttpError: self._refused, HTTPException: self._not_there},
         )
 
     @asynccontextmanager
@@ -127,7 +128,13 @@ class Service:
         assert isinstance(error, HttpError)
         return self._answer({"error": error.text}, error.status, error.headers)
 
-    def _answer(self, said: object, status: int = 200, headers: dict[str, str] | None = None) -> Response:
+    async def _not_there(self, request: Request, error: Exception) -> Response:
+        assert isinstance(error, HTTPException)
+        asked = f"{request.method} {request.url.path!r:.80}"
+        text = f"{asked}: {error.detail}; expected a path and a method that /openapi.json describes"
+        return self._answer({"error": text}, error.status_code, error.headers)
+
+    def _answer(self, said: object, status: int = 200, headers: Mapping[str, str] | None = None) -> Response:
         self._answers[status] += 1
         return Response(msgspec.json.encode(said) + b"\n", status, headers, "application/json")
 
