@@ -66,7 +66,7 @@ CLAIMS = (
     Claim("audit/capability_surface", "may_ask", (), ("fleet", "trust")),
     Claim("audit/relay_links", "is_trusted", (), ("fleet", "trust")),
     Claim("audit/requests", "denials", (0,), ("request", "knowledge", "supervision")),
-    Claim("audit/requests", "failures", (), ("recovery",)),
+    Claim("audit/requests", "failures", (0,), ("recovery",)),
     Claim("audit/requests", "result", ("not begun", "not finished"), ("execution", "request")),
     Claim("audit/supervisor_of", "records_off_shift", (), ("supervision",)),
     Claim("facts/delegated_trust", "is_direct", (), ("fleet", "trust")),
