@@ -9,6 +9,7 @@ from typing import Any
 import msgspec
 import pytest
 
+import fsar_ledger
 from fsar_ledger.base.errors import UsageError
 from fsar_ledger.events.envelope import Robot
 from fsar_ledger.events.source import Observed
@@ -53,6 +54,18 @@ def test_the_same_input_is_refused_and_nothing_is_added(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"found the same input .* 16 records"):
         imported(ledger, night)
     assert rows(ledger) == before
+
+
+def test_nobody_goes_on_unsigned_where_a_key_signed(tmp_path: Path, call: Call) -> None:
+    key, ledger = tmp_path / "fleet.key", tmp_path / "ledger"
+    call("key", "new", key).good()
+    fsar_ledger.record(ledger, run="r", key=key).close()
+    before = rows(ledger)
+    night = ("import", ledger, filed(tmp_path, vda.long_night(2)), "--as", "vda5050")
+    for words in (night, ("record", ledger, "--run", "r"), ("record", ledger, "--run", "s", "--origin", "fleet")):
+        one_message(call(*words), 2, "found a newest commit signed by ", "give it with --key, or go on in a new ledger")
+    assert rows(ledger) == before
+    call(*night, "--key", key).good()
 
 
 @pytest.mark.parametrize("format", ["vda5050", "otlp", "ocel", "rmf"])
