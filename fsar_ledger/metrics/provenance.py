@@ -94,9 +94,7 @@ _WIDE = frozenset({"events", "event_principals"})
 """Relations that hold every event, whatever its type."""
 _TIES = frozenset({"action_events", "event_principals", "keyed_events", "naming_events"})
 """Relations that read all events only to tell which belong together; the query names what it is about beside them."""
-
-
-_OF_ANY_TYPE = frozenset({"action_events", "evidence_of_principals", "keyed_events", "naming_events", "revocations"})
+_OF_ANY_TYPE = _TIES | {"evidence_of_principals", "revocations"}
 """Queries that read events of every type, although they also name some."""
 _EXCUSES = frozenset({"unobservable", "actions_under_way"})
 """Relations of what is not judged: without the events that they read nothing more is said to be wrong."""

@@ -67,7 +67,4 @@ SELECT
 FROM arrivals AS arrived
 LEFT JOIN first_ends ON arrived.run_id = first_ends.run_id AND arrived.seq = first_ends.arrived_seq
 LEFT JOIN held_up ON arrived.run_id = held_up.run_id AND arrived.task_id = held_up.task_id
-WHERE
-    NOT coalesce(
-        first_ends.is_completed AND coalesce(first_ends.ended_us - arrived.time_us <= arrived.budget_us, TRUE), FALSE
-    )
+WHERE first_ends.is_completed IS NOT TRUE OR first_ends.ended_us - arrived.time_us > arrived.budget_us
