@@ -263,7 +263,7 @@ def compact(ledger: "Ledger") -> CompactResult:
     from fsar_ledger.metrics.database import keep_known
 
     view = open_ledger(ledger.path)
-    with Writer(ledger.path, view.manifest.origin) as writer:
+    with Writer(ledger.path, view.manifest.origin, adopts=True) as writer:  # appends nothing
         before = len(view.releases)
         writer.compact()
         after = open_ledger(ledger.path)

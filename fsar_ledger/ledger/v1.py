@@ -69,7 +69,7 @@ def upgrade(ledger: Path, into: Path, progress: Progress | None = None) -> Head:
         NotALedger, WriteFailed: As `Writer`.
     """
     origin, records, examined = _verified(ledger, progress)
-    with Writer(into, origin) as writer:
+    with Writer(into, origin, adopts=True) as writer:  # with the notes of the old one
         done = writer.head.commits
         at = records[done - 1] if 0 < done <= len(records) else None
         if done and (at is None or (at.tree_size, at.tree_root) != (writer.head.size, writer.head.root)):

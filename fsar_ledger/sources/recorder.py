@@ -17,8 +17,7 @@ from fsar_ledger.events import CONCERN_OF, Event
 from fsar_ledger.events.envelope import flat, recorded_robot
 from fsar_ledger.events.fleet import RobotJoined, RunStarted
 from fsar_ledger.events.source import Observed, SourceClosed, SourceOpened
-from fsar_ledger.ledger.log.note import Signer, signers_of
-from fsar_ledger.ledger.opening import open_ledger
+from fsar_ledger.ledger.log.note import Signer
 from fsar_ledger.ledger.rows.runs import LedgerRun, first_unfit, refusal
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.manifest import parse_manifest, read_manifest
@@ -347,20 +346,8 @@ def kept_origin(path: Path) -> str | None:
 
 
 def origin_of(path: Path, origin: str | None, signer: Signer | None, default: str = ORIGIN) -> str:
-    """Return this origin, or else that of the ledger at this path, or of a new one.
-
-    Raises:
-        UsageError: A key signed what is newest there, and none is given: the ledger would be unsigned from here on.
-        NotALedger, FormatVersionMismatch, LedgerCorrupted: As `open_ledger`.
-    """
-    kept = kept_origin(path)
-    note = open_ledger(path).note() if kept is not None and signer is None else None
-    if note is not None and (signers := signers_of(note)) is not None:
-        raise UsageError(
-            f"{value(str(path))}: found a newest commit signed by {value(signers)}, expected its key for what follows: "
-            f"give it with {option('key')}, or go on in a new ledger"
-        )
-    return origin or kept or (signer.verifier.name if signer is not None else default)
+    """Return this origin, or else that of the ledger at this path, or of a new one. Raises: NotALedger."""
+    return origin or kept_origin(path) or (signer.verifier.name if signer is not None else default)
 
 
 def _members(fleet: Fleet) -> Iterator[RobotJoined]:

@@ -159,6 +159,7 @@ def test_a_key_goes_on_after_what_it_did_not_sign_only_if_told_to(call: Call, fo
     assert "signed by" in simulate(2, *key, "--adopt").out
     assert "signed by" in simulate(3, *key).out
     one_message(simulate(4, "--adopt"), 2, "--adopt: found no --key")
+    one_message(simulate(4), 2, "found a newest commit signed by ", "give it with --key, or go on in a new ledger")
 
 
 def test_the_secret_is_in_no_output_and_in_no_file_of_the_ledger(call: Call, folder: Path) -> None:

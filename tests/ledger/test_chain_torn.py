@@ -40,7 +40,7 @@ def flip(path: Path, name: str, after: bytes, bit: int = 1) -> None:
 
 @pytest.mark.parametrize("member", [b'"number":', b'"previous_sha256":"', b'"release":"0.', b'"rows":'])
 def test_a_record_of_the_journal_that_can_be_read_and_contradicts_was_not_torn(path: Path, member: bytes) -> None:
-    with Writer(path, ORIGIN) as writer:
+    with Writer(path, ORIGIN, adopts=True) as writer:
         writer.seal()
         writer.add([piece(1, 6, 8)])
     (path / "checkpoint").write_text(str(open_for_answers(path).commits[-2].note(ORIGIN)))
@@ -50,7 +50,7 @@ def test_a_record_of_the_journal_that_can_be_read_and_contradicts_was_not_torn(p
     assert [problem.where for problem in verify(path).problems] == [JOURNAL]
     assert judged(Case("flipped", path, False)).difference == ""
     with pytest.raises(LedgerCorrupted, match=JOURNAL):
-        Writer(path, ORIGIN)
+        Writer(path, ORIGIN, adopts=True)
     assert contents(path) == before
 
 
@@ -61,7 +61,7 @@ def test_a_flipped_number_does_not_make_a_journal_pass_for_sealed(path: Path) ->
 
 
 def test_a_line_of_the_chain_that_can_be_read_and_contradicts_was_not_torn(path: Path) -> None:
-    with Writer(path, ORIGIN) as writer:
+    with Writer(path, ORIGIN, adopts=True) as writer:
         writer.seal()
     lines = (path / CHAIN).read_bytes().splitlines(keepends=True)
     (path / CHAIN).write_bytes(b"".join([*lines[:-2], lines[-1]]))
@@ -77,7 +77,7 @@ def test_a_sealed_journal_that_cannot_be_removed_leaves_nothing_in_the_next_one(
     path = root / "ledger"
 
     def work() -> None:
-        with Writer(path, ORIGIN) as writer:
+        with Writer(path, ORIGIN, adopts=True) as writer:
             writer.add([RUNS[1]])
             writer.seal()
             writer.add([piece(3, 0, 1)])
@@ -94,10 +94,10 @@ def test_a_sealed_journal_that_cannot_be_removed_leaves_nothing_in_the_next_one(
 
 @pytest.mark.parametrize("rubbish", [False, True])
 def test_sealing_may_be_interrupted_when_the_checkpoint_covers_the_journal_already(path: Path, rubbish: bool) -> None:
-    with Writer(path, ORIGIN) as writer:
+    with Writer(path, ORIGIN, adopts=True) as writer:
         writer.add([RUNS[0]])
     before = contents(path)
-    with Writer(path, ORIGIN) as writer:
+    with Writer(path, ORIGIN, adopts=True) as writer:
         writer.seal()
     sealed = contents(path)
     (path / JOURNAL).write_bytes(before[JOURNAL])
@@ -107,7 +107,7 @@ def test_sealing_may_be_interrupted_when_the_checkpoint_covers_the_journal_alrea
     report = verify(path)
     assert (report.problems, report.remarks) == ((), (SEALED,))
     assert judged(Case("sealed", path, True)).difference == ""
-    Writer(path, ORIGIN).close()
+    Writer(path, ORIGIN, adopts=True).close()
     assert contents(path) == sealed
     assert verify(path).remarks == ()
 
@@ -135,7 +135,7 @@ def test_the_room_of_a_journal_that_could_not_be_synced_is_given_up(tmp_path: Pa
 
 
 def test_a_reader_goes_on_reading_while_the_segments_are_compacted(path: Path) -> None:
-    with Writer(path, ORIGIN) as writer:
+    with Writer(path, ORIGIN, adopts=True) as writer:
         writer.seal()
         before, checked = open_for_answers(path), open_for_answers(path)
         assert isinstance(before, View)
@@ -151,7 +151,7 @@ def test_a_reader_goes_on_reading_while_the_segments_are_compacted(path: Path) -
 
 
 def test_a_segment_that_no_compaction_took_is_missed(path: Path) -> None:
-    with Writer(path, ORIGIN) as writer:
+    with Writer(path, ORIGIN, adopts=True) as writer:
         writer.seal()
     view = open_for_answers(path)
     for segment in (path / "segments").iterdir():
@@ -162,7 +162,7 @@ def test_a_segment_that_no_compaction_took_is_missed(path: Path) -> None:
 
 @pytest.mark.parametrize("is_last", [False, True])
 def test_a_forged_frontier_is_found_by_verify_and_by_whoever_would_go_on_from_it(path: Path, is_last: bool) -> None:
-    with Writer(path, ORIGIN) as writer:
+    with Writer(path, ORIGIN, adopts=True) as writer:
         writer.seal()
         writer.append(stage(path, RUNS[3:]))
     records, frames = records_of(path)
@@ -176,4 +176,4 @@ def test_a_forged_frontier_is_found_by_verify_and_by_whoever_would_go_on_from_it
         with pytest.raises(LedgerCorrupted, match="frontier"):
             open_for_answers(path)
         with pytest.raises(LedgerCorrupted, match="frontier"):
-            Writer(path, ORIGIN)
+            Writer(path, ORIGIN, adopts=True)

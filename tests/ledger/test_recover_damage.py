@@ -152,7 +152,7 @@ def test_a_segment_of_no_commit_is_no_stray(tmp_path: Path, intact: Path) -> Non
 
 
 def test_an_altered_event_in_the_journal_is_not_said_to_be_removed(tmp_path: Path) -> None:
-    with Writer(tmp_path / "ledger", ORIGIN) as writer:
+    with Writer(tmp_path / "ledger", ORIGIN, adopts=True) as writer:
         for run in BATCHES[0]:
             writer.add([run])
     journal = tmp_path / "ledger" / "journal.jsonl"

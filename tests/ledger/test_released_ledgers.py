@@ -237,7 +237,7 @@ def continued(path: Path, kept: Kept, copy: Path) -> None:
     """Continue a copy of the ledger, and compact it."""
     shutil.copytree(path, copy)
     [runs] = made_up_batches(1)
-    with Writer(copy, open_ledger(path).manifest.origin) as writer:
+    with Writer(copy, open_ledger(path).manifest.origin, adopts=True) as writer:
         writer.append(stage(copy, runs[:1]))
         root = writer.add(runs[1:]).root
     report = verify(copy, asked=VerifyOptions(anchor=read_anchor(path / "checkpoint")))

@@ -61,7 +61,7 @@ def chained(tmp_path: Path) -> Path:
 
 def test_commits_go_on_while_the_journal_before_is_sealed(tmp_path: Path, held_back: Event) -> None:
     path = tmp_path / "ledger"
-    with Writer(path, ORIGIN) as writer:
+    with Writer(path, ORIGIN, adopts=True) as writer:
         writer.add([PARTS[0]])
         writer.add([PARTS[1]])
         before = view_of(path)
@@ -80,14 +80,14 @@ def test_commits_go_on_while_the_journal_before_is_sealed(tmp_path: Path, held_b
         writer.add([PARTS[3]])
         assert verify(path).ok
     assert (rows_in(path), verify(path).remarks) == (ROWS[:8], ())
-    with Writer(path, ORIGIN) as writer:
+    with Writer(path, ORIGIN, adopts=True) as writer:
         writer.seal()
     assert [(one.first, one.end) for one in view_of(path).chain.placed] == [(0, 4), (4, 8)]
 
 
 def test_another_writer_fills_the_next_journal_before_the_first_is_sealed(tmp_path: Path, held_back: Event) -> None:
     path = tmp_path / "ledger"
-    with Writer(path, ORIGIN) as writer, Writer(path, ORIGIN) as other:
+    with Writer(path, ORIGIN, adopts=True) as writer, Writer(path, ORIGIN) as other:
         for part in PARTS[:3]:
             writer.add([part])
         held_back.set()
@@ -100,7 +100,7 @@ def test_another_writer_fills_the_next_journal_before_the_first_is_sealed(tmp_pa
 
 def test_a_writer_that_has_the_journal_open_sees_that_another_handed_it_over(tmp_path: Path, held_back: Event) -> None:
     path = tmp_path / "ledger"
-    with Writer(path, ORIGIN) as writer, Writer(path, ORIGIN) as other:
+    with Writer(path, ORIGIN, adopts=True) as writer, Writer(path, ORIGIN) as other:
         other.add([PARTS[0]])
         other.add([PARTS[1]])
         handed_over = (path / JOURNAL).stat().st_ino
@@ -118,7 +118,7 @@ def test_what_a_writer_left_is_read_verified_continued_and_sealed(chained: Path)
     assert rows_in(chained) == ROWS[:8]
     assert [bytes(view.event(index)) for index in range(8)] == ROWS[:8]
     assert judged(Case("as it is", chained, True)).difference == ""
-    with Writer(chained, ORIGIN) as writer:
+    with Writer(chained, ORIGIN, adopts=True) as writer:
         writer.add([PARTS[4]])
         writer.seal()
     assert (rows_in(chained), verify(chained).remarks) == (ROWS[:10], ())
@@ -145,7 +145,7 @@ def test_a_flipped_bit_or_a_cut_in_what_is_being_sealed_is_never_a_torn_end(
 @pytest.mark.parametrize("name", [SEALING, JOURNAL])
 def test_commits_of_the_chain_without_rows_are_damage(tmp_path: Path, chained: Path, name: str) -> None:
     if name == JOURNAL:  # whose frame the chain has
-        with Writer(chained, ORIGIN) as writer:
+        with Writer(chained, ORIGIN, adopts=True) as writer:
             writer.settle()
             shutil.copytree(chained, tmp_path / "settled")
         chained = tmp_path / "settled"
@@ -154,12 +154,12 @@ def test_commits_of_the_chain_without_rows_are_damage(tmp_path: Path, chained: P
     assert [problem.where for problem in verify(chained).problems] == [JOURNAL]
     assert judged(Case("gone", chained, False)).difference == ""
     with pytest.raises(LedgerCorrupted, match=JOURNAL):
-        Writer(chained, ORIGIN)
+        Writer(chained, ORIGIN, adopts=True)
 
 
 @pytest.mark.parametrize("step", few([43, 97], [97], []))
 def test_a_frame_that_the_chain_has_cannot_be_torn(tmp_path: Path, chained: Path, step: int) -> None:
-    with Writer(chained, ORIGIN) as writer:
+    with Writer(chained, ORIGIN, adopts=True) as writer:
         writer.settle()
         shutil.copytree(chained, tmp_path / "settled")
     data = (tmp_path / "settled" / JOURNAL).read_bytes().rstrip(b"\0")
@@ -171,7 +171,7 @@ def test_a_frame_that_the_chain_has_cannot_be_torn(tmp_path: Path, chained: Path
 
 def test_a_journal_that_is_renamed_between_two_looks_is_read_once(tmp_path: Path) -> None:
     path = tmp_path / "ledger"
-    with Writer(path, ORIGIN) as writer:
+    with Writer(path, ORIGIN, adopts=True) as writer:
         writer.add([PARTS[0]])
         real = growing.read_whole
 
@@ -193,7 +193,7 @@ def test_a_reader_beside_a_writer_that_never_rests_gets_an_answer(tmp_path: Path
     path = tmp_path / "ledger"
     run = made_up_run("never-rests", 40, 3)
     parts = iter([piece_of(run, at, at + 1) for at in range(40)])
-    with Writer(path, ORIGIN) as writer:
+    with Writer(path, ORIGIN, adopts=True) as writer:
         writer.add([next(parts)])
         real = growing.read_whole
         reads = 0
@@ -226,7 +226,7 @@ def test_a_writer_keeps_nothing_of_commits_that_segments_hold_and_appends_the_sa
     sizes = []
     tracemalloc.start()
     try:
-        with Writer(path, ORIGIN) as writer:
+        with Writer(path, ORIGIN, adopts=True) as writer:
             for at in range(2_400):
                 writer.add([piece_of(msgspec.structs.replace(whole, goes_on=True), at, at + 1)])
                 if at % 800 == 799:
@@ -238,5 +238,5 @@ def test_a_writer_keeps_nothing_of_commits_that_segments_hold_and_appends_the_sa
         tracemalloc.stop()
     assert sizes[2] - sizes[1] < 800 * 32, f"{(sizes[2] - sizes[1]) / 800:.0f} bytes for each commit"
     assert verify(path).ok
-    with Writer(path, ORIGIN) as writer:
+    with Writer(path, ORIGIN, adopts=True) as writer:
         assert (writer.head, writer.unfinished_runs()) == (view_of(path).head, {"r": 2_400})

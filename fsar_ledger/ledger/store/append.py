@@ -60,14 +60,15 @@ class Writer:
     Args:
         signer: The key that signs the notes of new commits, and whose name must be the origin. Without one they are
             unsigned.
-        adopts: The signer vouches for a ledger whose newest commit is unsigned or signed by another key.
+        adopts: The signer vouches for a ledger whose newest commit is unsigned or signed by another key; without one
+            a signed ledger goes on unsigned.
 
     Raises:
         NotALedger: The path is a file, a folder with other things in it, or a ledger of another origin; it is left as
             it was.
         LedgerCorrupted: Its records contradict each other, or a segment is missing.
-        UsageError: The key has another origin, or did not sign the newest commit and does not adopt it; or the path is
-            in another ledger.
+        UsageError: The key has another origin, or did not sign the newest commit and does not adopt it; or a key signed
+            that and none is given; or the path is in another ledger.
         WriteFailed: The disk refused.
     """
 
@@ -101,8 +102,8 @@ class Writer:
                 f"{self._path}: found a ledger of origin {view.manifest.origin!r}, expected {self._origin!r}; give "
                 f"another path, or that origin with {option('origin')}"
             )
-        if self._signer is not None and not self._adopts:
-            require_own(view, self._signer.verifier)
+        if not self._adopts:
+            require_own(view, self._signer.verifier if self._signer is not None else None)
         view = repair(view, is_alone=is_alone, settles=settles)
         view.chain.let_go()
         return view

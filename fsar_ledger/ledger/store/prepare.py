@@ -16,10 +16,11 @@ from typing import NamedTuple
 import pyarrow as pa
 
 from fsar_ledger.base.errors import LedgerCorrupted, NotALedger, UsageError, option
+from fsar_ledger.base.printable import value
 from fsar_ledger.ledger.log import pack
 from fsar_ledger.ledger.log.hashing import HASH_BYTES, sha256_hex
 from fsar_ledger.ledger.log.merkle import Frontier
-from fsar_ledger.ledger.log.note import VerifierKey, doubt, is_name
+from fsar_ledger.ledger.log.note import VerifierKey, doubt, is_name, signers_of
 from fsar_ledger.ledger.rows import canonical, segment
 from fsar_ledger.ledger.rows.blocks import Block, blocks_of
 from fsar_ledger.ledger.rows.bounds import MAX_NAME_BYTES
@@ -109,13 +110,23 @@ def create(ledger: Path, origin: str) -> None:
         disk.sync_folder(ledger)
 
 
-def require_own(view: View, key: VerifierKey) -> None:
+def require_own(view: View, key: VerifierKey | None) -> None:
     """Require that the key signed the newest commit, if there is one, because its next signature covers all before.
 
-    Raises: UsageError if it did not.
+    Without a key nobody may have signed it: the ledger would be unsigned from here on.
+
+    Raises: UsageError if that is not so.
     """
     note = view.note()
-    if note is not None and (doubted := doubt(note, key)) is not None:
+    if note is None:
+        return
+    if key is None:
+        if (signers := signers_of(note)) is not None:
+            raise UsageError(
+                f"{value(str(view.path))}: found a newest commit signed by {value(signers)}, expected its key for what "
+                f"follows: give it with {option('key')}, or go on in a new ledger"
+            )
+    elif (doubted := doubt(note, key)) is not None:
         raise UsageError(
             f"{view.path}: found a newest checkpoint with {doubted}, expected one of {key.key}; its next signature "
             f"would vouch for all that is there: verify the ledger, and say {option('adopt')} to sign on from here, "

@@ -322,7 +322,7 @@ def write_copy(trusted: TrustedPart, work: Path) -> None:
         disk.write_temporary(
             work / CHECKPOINT, str(view.commits[trusted.commits - 1].note(view.manifest.origin)).encode()
         )
-    with Writer(work, view.manifest.origin):
+    with Writer(work, view.manifest.origin, adopts=True):  # appends nothing
         pass  # derives the rest
 
 
