@@ -38,13 +38,15 @@ LAYOUT_OF: dict[str, StoredType] = {
 """How the events are stored that others can record, by name without version."""
 MEASURES = frozenset({"budget_us", "t_max_us", "n_max", "fence"})
 """Columns of lengths of time and of counts, which are never negative."""
-IDENTITIES = frozenset(
+PRINCIPALS = frozenset(
     {
-        *("task_id", "action_id", "request_id", "robot", "peer", "helper", "supervisor", "decided_by"),
+        *("robot", "peer", "helper", "supervisor", "decided_by"),
         *("requested_by", "executed_by", "supervised_by", "on_behalf_of"),
     }
 )
-"""Columns that name a task, an action, a request or who acts, which have names of at least a letter."""
+"""Columns that name who acts."""
+IDENTITIES = PRINCIPALS | {"task_id", "action_id", "request_id"}
+"""Columns whose names have at least a letter."""
 ALIGNED = (("names", "texts"), ("objects", "qualifiers"))
 """Columns of an observation that go together."""
 _FLAW = re.compile(r"(?P<what>.*?)(?: - at `\$(?P<at>.*)`)?", re.DOTALL)
@@ -99,6 +101,16 @@ def laid_out(layout: StoredType, columns: Mapping[str, Any]) -> Event:
             raise UsageError(f"field {name}: found {found} in {type(event).__name__}, expected 0 or more")
     require_outcome(event)
     return event
+
+
+def require_full_names(event: Event, robots: Collection[str]) -> None:
+    """Raises: UsageError for `B1` where one of these robots is `robot/B1`: it would be told as somebody else."""
+    for name, found in flat(event).items():
+        if name in PRINCIPALS and isinstance(found, str) and "/" not in found and f"robot/{found}" in robots:
+            raise UsageError(
+                f"field {name}: found {value(found)} in {type(event).__name__}, expected {value(f'robot/{found}')}, as "
+                "the fleet names it"
+            )
 
 
 def require_outcome(event: Event) -> None:

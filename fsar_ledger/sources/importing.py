@@ -28,7 +28,7 @@ from fsar_ledger.ledger.rows.schema import MAX_INTEGER
 from fsar_ledger.ledger.store.append import Writer
 
 from .adapter import UNREADABLE, Adapter, Derived, Input, Record, digest_of, no_record
-from .columns import Declared, declared, storable, storable_text, text_of
+from .columns import Declared, declared, require_full_names, storable, storable_text, text_of
 from .recorder import FORMAT, origin_of, roles_of
 from .stored import BYTES, EarlierImport, NewEvent, commit, earlier_import, record_hashes
 
@@ -178,7 +178,7 @@ class _Import:
                 f"a run with {len(before.robots):,} robots in its fleet, of other names or roles",
                 "the fleet with which it began (--fleet); give the import another name (--run)",
             )
-        self.declared = before.declared
+        self.declared, self.robots_of_fleet = before.declared, before.robots
         self.epoch_us, self.seq = before.epoch_us, before.first
 
     def read(self, inputs: Sequence[Input], progress: Progress | None) -> None:
@@ -295,6 +295,10 @@ class _Import:
             if isinstance(one.event, RobotJoined) and one.event.robot in self.joined_by_fleet:
                 self.joined_by_fleet.remove(one.event.robot)  # the fleet's file has said so
                 continue
+            try:
+                require_full_names(one.event, self.robots_of_fleet)
+            except UsageError as error:
+                raise UsageError(f"record {self.count}: {error}; mend the mapping, or the fleet") from error
             cause = at if one.cause is None else self.keys.get(one.cause, at)
             event = storable(one.event)
             seq = self._put(self.last_us, cause, event)

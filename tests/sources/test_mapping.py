@@ -304,6 +304,20 @@ def test_a_line_that_is_no_object_is_kept_and_the_others_are_read(tmp_path: Path
     assert [(one.kind, one.count) for one in made.not_understood] == [("unreadable", 3)]
 
 
+def test_a_robot_of_the_fleet_without_its_kind_is_refused_and_not_told_as_a_stranger(tmp_path: Path) -> None:
+    """`B1` beside a fleet of `robot/B1` would offend I1, though it is the same robot."""
+    bare = rule("ExecutionFinished", '{ "/event" = "done" }', **FINISHED | {"robot": "/robot"}, result="success")
+    data = b'{"event":"done","job":"t","robot":"%s"}\n'
+
+    def imported(robot: bytes, *rules: str) -> Imported:
+        lines = Input("log", None, io.BytesIO(data % robot))
+        return import_files(tmp_path / "out", [lines], adapter(HEAD, *rules), run="log", fleet={"B1": "lift"})
+
+    with pytest.raises(UsageError, match=r"^record 1: field robot: found B1 in \w+, expected robot/B1, as the fleet"):
+        imported(b"B1", bare)
+    assert imported(b"robot/B1", bare).robots == ("robot/B1",)
+
+
 @pytest.mark.parametrize(
     "content",
     [b'[{"event": "came", "job": "t"}]', b"event,job\ncame,t\n", '{"event": "came", "job": "t"}'.encode("utf-16")],
