@@ -12,7 +12,7 @@ from fsar_ledger.base.errors import UsageError, option
 from fsar_ledger.base.printable import SafeText, counted
 
 from .answers import Answer, Screen
-from .compare import LEFT_OUT
+from .compare import LEFT_OUT, no_partner
 from .diff import Diff, diff_text
 from .names import Names, names_of
 from .verbs import ArchitectureOption, FirstOption, OtherArgument, SecondOption, declare, verb
@@ -46,8 +46,9 @@ class BisectResult(Answer, msgspec.Struct, frozen=True, kw_only=True):
 
     `undefined` pairs more have a run in which there is no value to compare, or the fork of a live run that ends before
     all has happened; they neither agree nor disagree. `repeated` pairs more cannot be told from others, as in
-    `compare`. `diff` are the differences of the first pair that disagrees, in the order of the ledger; None: none does.
-    `refused`: in how many pairs a change is refused, and why.
+    `compare`; `first_alone` and `second_alone` count the runs that are in no pair at all. `diff` are the differences of
+    the first pair that disagrees, in the order of the ledger; None: none does. `refused`: in how many pairs a change is
+    refused, and why.
     """
 
     outcome: str
@@ -60,6 +61,8 @@ class BisectResult(Answer, msgspec.Struct, frozen=True, kw_only=True):
     second_only: int
     undefined: int
     repeated: int = 0
+    first_alone: int = 0
+    second_alone: int = 0
     refused: tuple["RefusedChange", ...] = ()
     diff: Diff | None
     provenances: tuple["Provenance", ...]
@@ -81,6 +84,8 @@ class BisectResult(Answer, msgspec.Struct, frozen=True, kw_only=True):
             head.append(f"in {counted(self.undefined, 'pair')} more, a run has no value to compare")
         if self.repeated:
             head.append(f"left out: {counted(self.repeated, 'pair')} that {LEFT_OUT['repeated']}")
+        alone = (self.first_alone, "first"), (self.second_alone, "second")
+        head += [no_partner(runs, side) for runs, side in alone if runs]
         head += refusals(self.refused, self.pairs + self.undefined)
         if self.diff is None:
             yield printable.lines(*head, "no pair disagrees")
@@ -150,6 +155,10 @@ def _sides(ledgers: "Sequence[Ledger]", names: tuple[str | None, str | None], ou
         firsts, seconds = _runs(held[0], both[0]), _runs(held[-1], both[1])
         having = [_having(ledger, database, asked) for ledger, database in zip(ledgers, held, strict=True)]
         provenances = tuple(map(of_outcomes, held))
+    alone = [
+        side.run_count - sum(len(runs) for world, runs in found.items() if world in others)
+        for side, found, others in zip(both, (firsts, seconds), (seconds, firsts), strict=True)
+    ]
     met = [(runs, seconds[world]) for world, runs in firsts.items() if world in seconds]
     pairs = [(*runs, *others) for runs, others in met if len(runs) == len(others) == 1]
     repeated = sum(len(runs) * len(others) for runs, others in met) - len(pairs)
@@ -161,7 +170,7 @@ def _sides(ledgers: "Sequence[Ledger]", names: tuple[str | None, str | None], ou
     if at is not None:
         one, other = pairs[at]
         diff = difference_of(ledgers[0].record(one), ledgers[-1].record(other), provenances)
-    return _bisected(asked, (str(both[0]), str(both[1])), has, diff, provenances, repeated=repeated)
+    return _bisected(asked, (str(both[0]), str(both[1])), has, diff, provenances, repeated, alone)
 
 
 def _unpaired(both: "tuple[Side, Side]", repeated: int) -> UsageError:
@@ -220,7 +229,7 @@ def _changes(
     if not differs:
         raise without_effect(view, runs, parsed)
     found = refused_in(why for _, why in refused)
-    return _bisected(asked, ("as recorded", "changed"), has, diff, (provenance,), found)
+    return _bisected(asked, ("as recorded", "changed"), has, diff, (provenance,), refused=found)
 
 
 def _bisected(
@@ -229,8 +238,9 @@ def _bisected(
     has: list[tuple[bool | None, bool | None]],
     diff: Diff | None,
     provenances: "tuple[Provenance, ...]",
-    refused: "Sequence[RefusedChange]" = (),
     repeated: int = 0,
+    alone: Sequence[int] = (0, 0),
+    refused: "Sequence[RefusedChange]" = (),
 ) -> BisectResult:
     return BisectResult(
         outcome=asked.text,
@@ -243,6 +253,8 @@ def _bisected(
         second_only=has.count((False, True)),
         undefined=sum(None in found for found in has),
         repeated=repeated,
+        first_alone=alone[0],
+        second_alone=alone[1],
         refused=tuple(refused),
         diff=diff,
         provenances=provenances,

@@ -213,7 +213,7 @@ def _missing(both: tuple[Side, Side], found: Paired) -> list[str]:
     for side, alone, which in zip(both, (found.first_alone, found.second_alone), ("first", "second"), strict=True):
         nameless = side.run_count - side.named_count
         if found.pairs and alone:
-            lines.append(f"{counted(alone, 'run')} of the {which} side {'has' if alone == 1 else 'have'} no partner")
+            lines.append(no_partner(alone, which))
         if found.pairs and nameless:
             lines.append(
                 f"{counted(nameless, 'run')} of the {which} side without seed, scenario, number or size "
@@ -224,6 +224,11 @@ def _missing(both: tuple[Side, Side], found: Paired) -> list[str]:
             f"no pair of runs in which both have a value of {', '.join(found.absent)}: undefined, or not observed"
         )
     return lines
+
+
+def no_partner(runs: int, which: str) -> str:
+    """Return a line on the runs of one side that the other has no counterpart of."""
+    return f"{counted(runs, 'run')} of the {which} side {'has' if runs == 1 else 'have'} no partner"
 
 
 def _how_to_read(found: Paired) -> list[str]:

@@ -98,6 +98,18 @@ def test_compare_refuses_what_it_cannot_tell(call: Call, ledger: Path) -> None:
     one_message(call("compare", ledger, "--by", "robot"), 2, "--by robot: expected --by scenario")
 
 
+def test_bisect_and_compare_tell_alike_of_runs_without_a_partner(call: Call, tmp_path: Path) -> None:
+    sides = ("--first", "fsar", "--second", "cfc")
+    runs = (begun("one", "fsar", 0), begun("its pair", "cfc", 0), begun("two", "fsar", 1), begun("three", "fsar", 2))
+    path = appended(tmp_path / "ledger", *runs, begun("elsewhere", "cfc", 7))
+    for words in (("compare", path, *sides), ("bisect", path, *sides, *CALLED)):
+        told = call(*words).good()
+        assert "2 runs of the first side have no partner\n" in told.out
+        assert "1 run of the second side has no partner\n" in told.out
+        answer = json.loads(call(*words, "--json").out)
+        assert (answer["first_alone"], answer["second_alone"]) == (2, 1)
+
+
 def test_of_several_runs_of_one_world_bisect_takes_none(call: Call, tmp_path: Path) -> None:
     twins = (begun("one", "fsar", 0), begun("other", "fsar", 0), begun("its pair", "cfc", 0))
     sides = ("--first", "fsar", "--second", "cfc")
