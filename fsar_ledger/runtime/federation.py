@@ -1,7 +1,7 @@
-"""A live federation on a ledger: it takes commands, decides them, and has both on disk before anybody acts on them.
+"""A live federation on a ledger: it decides commands, and writes both to disk before anybody acts on them.
 
-A run that is there goes on: its commands make it again, and where today's handlers decide otherwise than the record
-says, it is refused.
+An existing run is continued: it is rebuilt from its commands, and refused if today's handlers decide otherwise than the
+record says.
 """
 
 from collections import OrderedDict
@@ -38,10 +38,10 @@ from .run_replay import replay_run
 
 ORIGIN = "fsar-ledger/live"
 KEEP_AFTER, KEEP_AT_END = 1 << 16, 1 << 13
-"""So many events after the newest snapshot there is another; at the end, so many are made again in a moment."""
+"""Events after the newest snapshot until the next; at the end, fewer are not worth one: rebuilding them is quick."""
 DAY_US = 86_400_000_000
 KEYS = 1 << 16
-"""Of so many of the last commands with a key it is known what became of them; one that is older is a new command."""
+"""How many of the last commands with a key are remembered with their decisions; an older one counts as new."""
 
 
 _Answer = TypeVar("_Answer")
@@ -49,7 +49,7 @@ _EVENTS = GenericAlias(tuple, (Union[EVENT_TYPES], ...))  # noqa: UP007  the typ
 _KNOWN: msgspec.msgpack.Decoder[Any] = msgspec.msgpack.Decoder(
     GenericAlias(tuple, (str, str, int, _EVENTS, str | None))
 )
-"""A command with a key, and what became of it: name, parameters, seq, events, why it was rejected."""
+"""A command with a key and its decision: name, parameters, seq, events, why it was rejected."""
 
 
 class Federation:
@@ -58,18 +58,18 @@ class Federation:
     Args:
         path: The ledger; made if there is none.
         run: The name of the run; an existing one is continued, and the newest of those that continue each other.
-        constants: The fleet and what it may spend; those of a run that goes on are on record.
+        constants: The fleet and its budgets; an existing run has them on record.
         robots: How many robots the fleet has.
         clock: The time in nanoseconds since 1970.
         origin: The name under which a new ledger is published.
         signer: The key that signs.
         on_commit: Called after each commit with the seq of its first event and its rows, as they are hashed, a line
-            each. Seqs count on over runs that continue each other.
+            each. Runs that continue each other share one count of seqs.
         cuts_us: When the run is cut (`cut`): microseconds after midnight in UTC.
-        isolation: From what a robot alone goes on, if the run is its own and new (`isolation_of`).
+        isolation: Where a robot alone starts from, if the run is its own and new (`isolation_of`).
 
     Raises:
-        UsageError: Another run has this name, or would go on otherwise than it was recorded, or another process
+        UsageError: Another run has this name, or today's handlers do not reproduce its record, or another process
             governs it.
         NotALedger, LedgerCorrupted, WriteFailed: As `Writer`.
     """
@@ -90,12 +90,12 @@ class Federation:
     ) -> None:
         self._on_commit, self._cuts_us = on_commit, tuple(sorted(cuts_us))
         self._path, self._clock, self._lock = path, clock, RLock()
-        self._before = 0  # how many events the runs have that this one continues, but for its event 0
+        self._before = 0  # how many events the earlier runs have that this one continues, without its own event 0
         self._has_failed = False
-        self._overtaken = ""  # why, once another process has written the run
-        self._kept = 0  # how many events the newest snapshot knows
-        # Packed: a snapshot of so many objects would take 1.6 s, of their bytes it takes 0.1. A dict would look for its
-        # first key in the room of all that were taken out, for 40 microseconds.
+        self._overtaken = ""  # the error, once another process has written the run
+        self._kept = 0  # how many events the newest snapshot covers
+        # Packed: a snapshot of so many objects would take 1.6 s, one of their bytes takes 0.1. A plain dict would take
+        # 40 microseconds to find its first key behind all the removed ones.
         self._keys: OrderedDict[str, bytes] = OrderedDict()
         self._writer = Writer(path, origin or (signer.verifier.name if signer else ORIGIN), signer)
         self._hold: snapshot.Hold | None = None
@@ -114,7 +114,7 @@ class Federation:
             raise
 
     def _found(self, constants: Constants, robots: int, isolation: Isolation | None) -> None:
-        """Begin a new run: of a fleet from now on, or of a robot alone in the time of its fleet's run."""
+        """Begin a new run: of a fleet, at this moment, or of a robot alone, in the run time of its fleet."""
         now_us = self._clock() // 1_000
         if isolation is None:
             self._begin(live_started(constants, robots, utc.shown_us(now_us)), 0)
@@ -128,21 +128,21 @@ class Federation:
 
     @property
     def started(self) -> RunStarted:
-        """Event 0 of the run, which says what it was begun with."""
+        """Event 0 of the run, which records its settings."""
         return self._started
 
     @property
     def state(self) -> State:
-        """What is known now; it must not be changed."""
+        """The present state; it must not be modified."""
         return self._live.kernel.state
 
     @property
     def size(self) -> int:
-        """How many events the run has, with those of the runs that it continues."""
+        """How many events the run has, including those of the runs that it continues."""
         return self._live.kernel.first + len(self._live.kernel.events)
 
     def ask(self, question: Callable[[State, int], _Answer]) -> _Answer:
-        """Return the answer to a question about what is known, and the run time (microseconds), as of now."""
+        """Call the function with the present state and run time (microseconds), and return its answer."""
         with self._lock:
             return question(self.state, self._now_us())
 
@@ -154,29 +154,28 @@ class Federation:
         Args:
             command: Its name (`ReportStart`).
             by: Who gives it.
-            key: The name by which they tell whether it is the same one again; then its first decision is returned.
-                The last 65,536 are known.
-            sent_us: When they say that they gave it. Units: microseconds of run time.
-            fields: What it says.
+            key: Identifies a repeated command, whose first decision is returned then. The last 65,536 are remembered.
+            sent_us: When the sender says it was sent. Units: microseconds of run time.
+            fields: Its fields.
 
         Raises:
             UsageError: There is no such command, it cannot have these fields, or its key was given with another
-                command. Nothing is on record of it.
+                command. Nothing of it is recorded.
             WriteFailed: The disk refused; nobody must act on it.
         """
         return self.decide(command_given(command, by, fields, key, sent_us))
 
     def decide(self, command: CommandGiven) -> Decision:
-        """As `give`, of a command whose record is made (`live.command_given`)."""
+        """As `give`, for a command that is already an event (`live.command_given`)."""
         [decision] = self.decide_all((command,))
         if isinstance(decision, UsageError):
             raise decision
         return decision
 
     def decide_all(self, commands: Sequence[CommandGiven]) -> list[Decision | UsageError]:
-        """Decide each command in turn, all in one write; an error stands for one whose key named another command.
+        """Decide each command in turn, in one write; return an error for a key that belongs to another command.
 
-        Raises: WriteFailed: None of the new decisions is on disk for certain; nobody must act on one.
+        Raises: WriteFailed: The new decisions may not be on disk; nobody must act on any of them.
         """
         with self._lock:
             self._require_whole()
@@ -188,31 +187,31 @@ class Federation:
     def _decided(self, command: CommandGiven) -> Decision | UsageError:
         if command.key is None:
             return self._live.give(self._now_us(), command)
-        key, said = (f"{command.issued_by}", command.key), (command.command, command.parameters)
-        if (known := self._keys.get("\n".join(key))) is None:
+        key, content = (f"{command.issued_by}", command.key), (command.command, command.parameters)
+        if (packed := self._keys.get("\n".join(key))) is None:
             decision = self._live.give(self._now_us(), command)
-            self._remember(key, said, decision)
+            self._remember(key, content, decision)
             return decision
-        name, parameters, seq, events, reason = _KNOWN.decode(known)
-        if (name, parameters) == said:
+        name, parameters, seq, events, reason = _KNOWN.decode(packed)
+        if (name, parameters) == content:
             return Decision(seq, events, reason)
         return UsageError(
             f"key {value(command.key)}: found another {value(command.command)} than the {value(name)} at seq {seq}, "
             "expected a new key for a new command"
         )
 
-    def _remember(self, key: tuple[str, str], said: tuple[str, str], decision: Decision) -> None:
-        packed = msgspec.msgpack.encode((*said, decision.seq, decision.events, decision.rejected))
-        self._keys["\n".join(key)] = packed  # none of them has a line feed
+    def _remember(self, key: tuple[str, str], content: tuple[str, str], decision: Decision) -> None:
+        packed = msgspec.msgpack.encode((*content, decision.seq, decision.events, decision.rejected))
+        self._keys["\n".join(key)] = packed  # neither part has a line feed
         if len(self._keys) > KEYS:
             self._keys.popitem(last=False)
 
     def _remember_from(self, record: LedgerRun | None) -> None:
-        for key, known in ({} if record is None else _decisions_by_key(record, KEYS)).items():
-            self._remember(key, *known)
+        for key, decided in ({} if record is None else _decisions_by_key(record, KEYS)).items():
+            self._remember(key, *decided)
 
     def advance(self) -> tuple[Event, ...]:
-        """Decide what is due by now, such as a budget that has run out; return the events, which are on disk."""
+        """Decide what is due by now, such as an exhausted budget; return the events, which are on disk."""
         with self._lock:
             self._require_whole()
             self._cut_if_due()
@@ -220,9 +219,9 @@ class Federation:
             return self._commit()
 
     def cut(self) -> str:
-        """Let the run end here, and go on as another one; return its name.
+        """End the run here and continue it as a new one; return the name of that.
 
-        What is open goes on in it: `RunContinued` says where from. Seqs and times count on. Raises: WriteFailed.
+        Open work continues in it: `RunContinued` records where from. Seqs and times count on. Raises: WriteFailed.
         """
         with self._lock:
             self._require_whole()
@@ -233,23 +232,23 @@ class Federation:
         self._live.advance(now_us - 1)
         self._commit()
         earlier, seq = self.run, self.size - 1 - self._before
-        held = self._writer.existing_runs().runs  # opening the ledger would take longer with each commit that it has
+        runs = self._writer.existing_runs().runs  # opening the ledger would take longer with each commit
         self._live.cut(now_us - 1, earlier, seq, self._writer.head.root)
         self._before += seq
         number = int(earlier.removeprefix(f"{self._first}.")) if earlier != self._first else 1
-        self.run = next(name for later in count(number + 1) if (name := f"{self._first}.{later}") not in held)
+        self.run = next(name for later in count(number + 1) if (name := f"{self._first}.{later}") not in runs)
         self._commit()
         self._keep()
         snapshot.drop(self._path, earlier)
 
     def _cut_if_due(self) -> None:
-        """Cut the run at the last moment at which it is to be cut, if that lies between its beginning and now."""
+        """Cut the run at the latest scheduled moment, if that lies between its beginning and now."""
         if not self._cuts_us:
             return
         now_us = self._now_us() + self._epoch_us
         days = (now_us - now_us % DAY_US, now_us - now_us % DAY_US - DAY_US)
         passed = [day_us + at_us - self._epoch_us for day_us in days for at_us in self._cuts_us]
-        last_us = max((one for one in passed if one + self._epoch_us <= now_us), default=0)
+        last_us = max((cut_us for cut_us in passed if cut_us + self._epoch_us <= now_us), default=0)
         if last_us - 1 > self._began_us:
             self._cut(last_us)
 
@@ -275,13 +274,13 @@ class Federation:
         return self._clock() // 1_000 - self._epoch_us
 
     def _commit(self) -> tuple[Event, ...]:
-        """Put what has happened since the last commit on disk, tell of it, and return it."""
+        """Commit the events since the last commit, pass them to `on_commit`, and return them."""
         piece = self._live.take(self.run)
         if piece.events:
-            self._has_failed = True  # until it is on disk, the run knows what nobody may act on
+            self._has_failed = True  # until it is on disk, nobody may act on the state in memory
             begins = isinstance(piece.events[0], RunContinued)
-            own = counted_on(piece, -self._before) if self._before else piece
-            self._write(self._begun(own) if begins else own)
+            stored = counted_on(piece, -self._before) if self._before else piece
+            self._write(self._begun(stored) if begins else stored)
             self._has_failed = False
             if begins:
                 self._began_us = piece.times_us[0]
@@ -308,7 +307,7 @@ class Federation:
             raise SequenceConflict(self._overtaken) from error
 
     def _begun(self, piece: LedgerRun) -> LedgerRun:
-        """Return what begins a run that continues another: event 0, like that of the other, before this piece."""
+        """Return the beginning of a run that continues another: this piece after an event 0 like the other's."""
         times_us, causes = (piece.times_us[0], *piece.times_us), (None, *piece.caused_by)
         return LedgerRun(self.run, times_us, causes, (self._started, *piece.events), goes_on=True)
 
@@ -322,16 +321,16 @@ class Federation:
             )
 
     def _keep(self) -> None:
-        """Keep where the run stands, for the next federation of it."""
+        """Save a snapshot of the run, for the next federation of it."""
         known = (self._started, self._live.kernel.known(), self._keys, self._before, self._began_us)
         snapshot.save(self._path, self.run, self._writer.head, known)
         self._kept = self.size
 
     def _recall(self, view: View) -> bool:
-        """Go on from the snapshot, if it counts and what the ledger has after it is made again as it is."""
-        with suppress(Exception):  # then the run is made again from its beginning
-            if (found := snapshot.load(view, self.run)) is not None:
-                (started, known, keys, before, began_us), record = found
+        """Continue from the snapshot, if it is valid and reproduces the events recorded after it; return whether."""
+        with suppress(Exception):  # the run is rebuilt from its beginning instead
+            if (loaded := snapshot.load(view, self.run)) is not None:
+                (started, known, keys, before, began_us), record = loaded
                 record = None if record is None else counted_on(record, before)
                 live = LiveRun(started, recorded_constants(started, known[0]), record, known)
                 made = live.take(self.run)
@@ -353,10 +352,10 @@ class Federation:
         if not isinstance(started, RunStarted) or started.source != SOURCE or started.epoch is None:
             raise UsageError(f"run {value(self.run)}: found a run that is not live, expected a new name or one that is")
         live = None
-        with suppress(Exception):  # whatever keeps it from being made again, its replay tells in words
+        with suppress(Exception):  # whatever prevents it, the replay below says what differs
             constants = recorded_constants(started, len(record.events))
             live = LiveRun(live_started(constants, started.fleet_size or 0, started.epoch), constants, record)
-            made = live.take(self.run)  # it is on disk
+            made = live.take(self.run)  # already on disk
         if live is None or not _is_same(made, record):
             difference = replay_run(record)
             raise UsageError(f"run {value(self.run)} cannot go on, since it would go on otherwise: {difference}")
@@ -366,21 +365,21 @@ class Federation:
 
 
 def newest_of(view: View, run: str) -> tuple[str, str]:
-    """Return the newest of the runs that continue each other, of which one has this name, and the first of them."""
+    """Return the newest and the first of the runs that continue each other, one of which has this name."""
     if not view.has_run(run):
         return run, run
     return whole_of(view, run), chain_of(view, run)[0]
 
 
 def _decisions_by_key(record: LedgerRun, most: int) -> dict[tuple[str, str], tuple[tuple[str, str], Decision]]:
-    """Return the last so many commands that have a key, and what became of them, by who gave them and that key.
+    """Return the last `most` commands with a key, and their decisions, by sender and key.
 
     A command is its name and its fields, as JSON.
     """
     pairs = [
-        (seq, one)
-        for seq, one in enumerate(record.events, record.first)
-        if isinstance(one, CommandGiven) and one.key is not None
+        (seq, event)
+        for seq, event in enumerate(record.events, record.first)
+        if isinstance(event, CommandGiven) and event.key is not None
     ]
     keyed = dict(pairs[-most:])
     events: dict[int, list[Event]] = {seq: [] for seq in keyed}
@@ -388,11 +387,11 @@ def _decisions_by_key(record: LedgerRun, most: int) -> dict[tuple[str, str], tup
         if cause in events:
             events[cause].append(event)
     return {
-        (f"{one.issued_by}", f"{one.key}"): ((one.command, one.parameters), decision_of(seq, events[seq]))
-        for seq, one in keyed.items()
+        (f"{given.issued_by}", f"{given.key}"): ((given.command, given.parameters), decision_of(seq, events[seq]))
+        for seq, given in keyed.items()
     }
 
 
 def _is_same(made: LedgerRun, record: LedgerRun) -> bool:
     pairs = ((made.times_us, record.times_us), (made.caused_by, record.caused_by), (made.events, record.events))
-    return all(list(one) == list(other) for one, other in pairs)
+    return all(list(left) == list(right) for left, right in pairs)

@@ -1,18 +1,18 @@
-"""The kernel: pops the next command or fact in the total order (time, priority, serial) and records what it makes.
+"""The kernel: pops the next command or fact in the total order (time, priority, serial) and records its events.
 
 Facts of the world come before commands of the same instant. A command never runs at the instant at which it was
 scheduled, and two commands with the same cause never share an instant. So (caused_by, time_us) of the first event of a
 batch identifies the command that made it, and a run can be resumed from its events alone. The first event of a batch
 causes the others.
 
-Commands of a robot that is off, and messages over a link that is down, are kept until the fact that brings the robot or
+Commands of a robot that is off, and messages over a link that is down, are held back until a fact brings the robot or
 the link back. A robot then continues for the time it had left. A message departs when its sender can send, travels
 whatever happens to the sender or the receiver meanwhile, and waits at the receiver until it can be received. So the
 world constrains every architecture alike; which robot carries out a command is data of the handler table.
 
-What a reaction asks at a port is answered by the run's environment, which also has what happens by itself. The clock is
-the kernel's: a command without a wait is due at a fixed time. A command that waits for what has no answer is dropped:
-a robot or a human who is really there reports, and the report is a command from outside, on record as `CommandGiven`.
+The run's environment answers what a reaction asks at a port, and holds the scheduled facts. The clock is the kernel's:
+a command without a wait is due at a fixed time. A command that waits for an answer that never comes is dropped: a real
+robot or human reports instead, and the report is a command from outside, recorded as `CommandGiven`.
 """
 
 import sys
@@ -40,9 +40,9 @@ from .ports import Ask, Environment
 
 _Plan = dict[type[Event], tuple[tuple[tuple[str, Callable[[Any, Any], Any]], ...], tuple[React, ...]]]
 _TURNS = frozenset({RobotWentOff, RobotCameBack, LinkCameUp})
-"""Facts that stop commands, or bring back those that were kept."""
+"""Facts that stop commands, or release those that were held back."""
 MOMENT_US = 60_000_000
-"""A run that is still busy when it should have ended, with no longer moments between commands, does not end."""
+"""A run that is overdue, with less than this between its commands, does not end."""
 
 
 @lru_cache(maxsize=32)
@@ -54,7 +54,7 @@ def _plan(table: HandlerTable) -> _Plan:
 class Kernel:
     """One run in progress: the events recorded so far, their state, and the pending commands.
 
-    `first` is the seq of the first of `events`: 0, unless events were taken out.
+    `first` is the seq of the first of `events`: 0, unless earlier events were taken out.
     """
 
     def __init__(
@@ -84,9 +84,9 @@ class Kernel:
         self._pending = Agenda((isinstance(begun, RunStarted) and begun.fleet_size) or 1)
         self._held_back: list[Pending] = []
         self._serial = 0
-        self._turn_us = 0  # when the last command had its turn: what comes later must not be recorded as before it
+        self._turn_us = 0  # time of the last command, even one without events: nothing is recorded before it
         self._submitted_us: list[int] = []  # a heap: when commands from outside are due
-        self._taken: deque[tuple[int, array[int]]] = deque()  # first seq and times of what was taken out in a moment
+        self._taken: deque[tuple[int, array[int]]] = deque()  # first seq and times of events recently taken out
         self._cut = 0  # the seq at which the run was last cut
         if founded is None:
             self._batch(founding, 0, None)
@@ -94,7 +94,7 @@ class Kernel:
             self._begin(founding, founded)
 
     def _begin(self, founding: Sequence[Event], founded: State) -> None:
-        """Record the founding. It leaves nothing pending: handlers react only to what a fleet does."""
+        """Record the founding events. They leave nothing pending: handlers react only to what a fleet does."""
         self.times_us += [0] * len(founding)
         self.caused_by += [None, *[0] * (len(founding) - 1)]
         self.events += founding
@@ -110,7 +110,7 @@ class Kernel:
         self._answer = environment.answer
 
     def submit(self, time_us: int, command: Command) -> int:
-        """Give the run a command from outside, and return when it is due: then, or as soon as no other is.
+        """Schedule a command from outside; return its due time: the time given, or the next instant that is free.
 
         Raises:
             ValueError: The time is not after what has happened.
@@ -127,12 +127,12 @@ class Kernel:
         return time_us
 
     def happen(self, time_us: int, fact: Event) -> int:
-        """Let this happen then, or as soon as nothing else does, after all that is due until then; return its seq."""
+        """Record a fact at this time, or at the next free instant, after everything due before it; return its seq."""
         self._apply_fact(fact, self.clear(time_us))
         return self.first + len(self.events) - 1
 
     def clear(self, time_us: int) -> int:
-        """Let all happen that is due until then; return that time, or the first later one with nothing due or past."""
+        """Run everything due by this time; return it, or the next instant at which nothing is due or recorded."""
         self.run(time_us)
         while self.last_us >= time_us:
             self.run(time_us := self.last_us + 1)
@@ -140,57 +140,57 @@ class Kernel:
 
     def _is_taken(self, time_us: int) -> bool:
         """Return whether a fact or another command from outside is due at this time."""
-        place = bisect_left(self._facts, time_us, self._next_fact, key=itemgetter(0))
-        has_fact = place < len(self._facts) and self._facts[place][0] == time_us
+        index = bisect_left(self._facts, time_us, self._next_fact, key=itemgetter(0))
+        has_fact = index < len(self._facts) and self._facts[index][0] == time_us
         return has_fact or time_us in self._submitted_us
 
     @property
     def last_us(self) -> int:
-        """When the last event happened, or a command had its turn that made none."""
+        """The time of the last event, or of the last command if that made none."""
         return max(self._turn_us, self.times_us[-1] if self.times_us else self._taken[-1][1][-1])
 
     def take(self) -> LedgerRun:
-        """Take out the events recorded so far, which have happened but need not be known for what follows."""
+        """Remove and return the events recorded so far; the run does not need them to go on."""
         if self.times_us:
             self._taken.append((self.first, array("q", self.times_us)))
             while self._taken[0][1][-1] < self.times_us[-1] - MOMENT_US:
                 self._taken.popleft()
         if self._next_fact == len(self._facts):
-            self._facts, self._next_fact = (), 0  # a run that is made again has the commands of all its past
-        found = LedgerRun("", self.times_us, self.caused_by, self.events, self.first)
+            self._facts, self._next_fact = (), 0  # the facts of a run that is rebuilt are all its past commands
+        taken = LedgerRun("", self.times_us, self.caused_by, self.events, self.first)
         self.first += len(self.events)
         self.times_us, self.caused_by, self.events = [], [], []
-        return found
+        return taken
 
     def known(self) -> tuple[Any, ...]:
-        """Return all that the run knows once its events were taken out, for `recall`; it must not be changed."""
+        """Return the state of a run whose events were taken out, for `recall`; it must not be modified."""
         pending = self._pending, self._held_back, self._serial, self._turn_us, self._submitted_us
         return self.first, self.state, pending, self._taken, self._cut
 
     def recall(self, known: tuple[Any, ...]) -> None:
-        """Go on from what a run of the same architecture knew."""
+        """Continue from what `known` returned for a run of the same architecture."""
         self.times_us, self.caused_by, self.events = [], [], []
         self.first, self.state, pending, self._taken, self._cut = known
         self._pending, self._held_back, self._serial, self._turn_us, self._submitted_us = pending
 
     def stands(self, time_us: int) -> tuple[Any, ...]:
-        """Return from what the run goes on after this time: its state, and what is pending, without its numbers."""
-        later = sorted((one for one in self._pending if one[0] > time_us), key=lambda one: one[:2])
-        return self.state, [(one[0], one[3]) for one in later], [(one[0], one[3]) for one in self._held_back]
+        """Return what determines the run after this time: its state and pending commands, without their numbers."""
+        later = sorted((item for item in self._pending if item[0] > time_us), key=lambda item: item[:2])
+        return self.state, [(item[0], item[3]) for item in later], [(item[0], item[3]) for item in self._held_back]
 
     def _time_of(self, seq: int) -> int:
-        """Return when the event happened; 0 for one that was taken out and is more than a moment ago."""
+        """Return the time of the event; 0 for one that was taken out and is older than `MOMENT_US`."""
         if seq >= self.first:
             return self.times_us[seq - self.first]
         return next((times_us[seq - first] for first, times_us in reversed(self._taken) if seq >= first), 0)
 
     @property
     def has_ended(self) -> bool:
-        """Return whether nothing is left to happen."""
+        """Return whether no command is pending and no fact is left."""
         return not self._pending and self._next_fact == len(self._facts)
 
     def run(self, until_us: int = NEVER_US, most: int = sys.maxsize) -> None:
-        """Run until nothing is left to happen, all that is due by then has happened, or so many events are held."""
+        """Run until nothing is left, everything due by `until_us` has happened, or `most` events are held."""
         facts, count, decides, state = self._facts, len(self._facts), self._decides, self.state
         position, events_held, pending, turn = self._next_fact, self.events, self._pending.soon, self._pending.advance
         while len(events_held) < most:
@@ -210,16 +210,16 @@ class Kernel:
                     self._require_end(time_us, cause, scheduled)
                     self._pending.replace(())
                     continue
-                one, world, self._turn_us = heappop(pending), state.world, time_us
-                if (world.off or world.unlinked) and self._hold_back(one):
+                item, world, self._turn_us = heappop(pending), state.world, time_us
+                if (world.off or world.unlinked) and self._hold_back(item):
                     continue
                 command, ask = scheduled.command, scheduled.ask
                 command.now_us = time_us
                 if ask is not None:
-                    given = self._answer(ask)
-                    if given is None and (given := self._unanswered(scheduled, ask, time_us)) is None:
+                    answer = self._answer(ask)
+                    if answer is None and (answer := self._unanswered(scheduled, ask, time_us)) is None:
                         continue
-                    command.answer = given
+                    command.answer = answer
                 events = decides[type(command)](state, command)
                 if events:
                     self._batch(events, time_us, cause)
@@ -235,7 +235,7 @@ class Kernel:
             )
 
     def restore(self, times_us: Sequence[int], caused_by: Sequence[int | None], events: Sequence[Event]) -> None:
-        """Restore the run to just before the last batch of these events; `run` makes that batch again and continues.
+        """Restore the run to just before the last batch of these events; `run` repeats that batch and continues.
 
         The events must begin with the founding batch with which this kernel was made.
         """
@@ -254,11 +254,11 @@ class Kernel:
             self._discard_before(times_us[end], caused_by[end])
 
     def _discard_until(self, time_us: int, cause: int | None) -> None:
-        """Pop the command that made the recorded batch, and those before it that made no event."""
+        """Pop the command that made the recorded batch, and earlier ones that made no event."""
         if cause == 0:
             self._next_fact += 1
-            while (one := self._pending.pop_before(time_us)) is not None:
-                self._hold_back(one)
+            while (item := self._pending.pop_before(time_us)) is not None:
+                self._hold_back(item)
             return
         self._discard_before(time_us, cause)
         heappop(self._pending.soon)
@@ -276,7 +276,7 @@ class Kernel:
             cause = self._cut
         for event in events:
             self._record(event, time_us, cause)
-            if type(event) in _TURNS:  # as a robot has reported
+            if type(event) in _TURNS:  # reported by a robot
                 self._turn(event, time_us)
             cause = first
 
@@ -289,14 +289,14 @@ class Kernel:
         for slot, evolve in routes:
             setattr(state, slot, evolve(getattr(state, slot), event))
         if type(event) in ENDS and forget(state, event):
-            self._pending.replace(one for one in self._pending if not is_idle(state, one[3].command))
+            self._pending.replace(item for item in self._pending if not is_idle(state, item[3].command))
         if reacts:
             self._react(reacts, event, time_us, self.first + len(self.events) - 1)
 
     def _react(self, reacts: Sequence[React], event: Event, time_us: int, seq: int) -> None:
-        """Schedule what these reactions to the event want done; no two of it at the same instant."""
+        """Schedule the commands of these reactions to the event, no two of them at the same instant."""
         state, answer, world, pending = self.state, self._answer, self.state.world, self._pending
-        is_whole = not world.off and not world.unlinked  # nothing can be kept
+        is_whole = not world.off and not world.unlinked  # nothing can be held back
         taken: set[int] = set()  # an event may schedule thousands
         for react in reacts:
             for scheduled in react(state, event, time_us):
@@ -317,26 +317,26 @@ class Kernel:
                     due_us += 1
                 taken.add(due_us)
                 self._serial += 1
-                one = (due_us, self._serial, seq, scheduled)
-                if not is_whole and self._hold_back(one, due_us - time_us):  # a message departs
+                item = (due_us, self._serial, seq, scheduled)
+                if not is_whole and self._hold_back(item, due_us - time_us):  # a message departs
                     continue
                 if due_us < pending.until_us:
-                    heappush(pending.soon, one)
+                    heappush(pending.soon, item)
                 else:
-                    pending.put(one)
+                    pending.put(item)
 
     def _unanswered(self, _scheduled: Scheduled, _ask: Ask, _time_us: int) -> int | None:
-        """Return the answer to what the environment does not answer, now; None: it comes by a command, if at all."""
+        """Return an answer where the environment has none now; None: it comes as a command, if at all."""
         return None
 
     # See docs/decisions/outages-live-in-the-kernel.md.
-    def _hold_back(self, one: Pending, after_us: int = 0) -> bool:
-        """Keep a command that cannot run now, because a robot is off or a link down; return whether it was kept.
+    def _hold_back(self, item: Pending, after_us: int = 0) -> bool:
+        """Hold back a command that cannot run because a robot is off or a link is down; return whether it was.
 
         Once they are back, it is due after the time it had left. For a message that departs (it has time to go) only
-        the sender matters; for one that has arrived, only its receiver and who passed it on.
+        the sender matters; for one that has arrived, only its receiver and its relay.
         """
-        world, scheduled = self.state.world, one[3]
+        world, scheduled = self.state.world, item[3]
         if not world.off and not world.unlinked:
             return False
         actor = self._actor(scheduled)
@@ -347,7 +347,7 @@ class Kernel:
             others = senders[1:] if _is_message(scheduled) else senders
             ends = [*others, actor] if senders and actor is not None else others
         if actor in world.off or not all(is_linked(world, end) for end in ends):
-            self._held_back.append((after_us, *one[1:]))
+            self._held_back.append((after_us, *item[1:]))
             return True
         return False
 
@@ -364,26 +364,28 @@ class Kernel:
             self._cut = self.first + len(self.events) - 1
 
     def _turn(self, fact: Event, time_us: int) -> None:
-        """Keep the commands that the fact stops, and schedule again those that it brings back."""
+        """Hold back the commands that the fact stops, or release those that it brings back."""
         if isinstance(fact, RobotWentOff):
-            stopped = [one for one in self._pending if self._actor(one[3]) == fact.robot and not _is_message(one[3])]
+            stopped = [
+                item for item in self._pending if self._actor(item[3]) == fact.robot and not _is_message(item[3])
+            ]
             self._held_back += [
                 (due_us - time_us, serial, cause, scheduled)
-                for due_us, serial, cause, scheduled in sorted(stopped, key=lambda one: one[:2])
+                for due_us, serial, cause, scheduled in sorted(stopped, key=lambda item: item[:2])
             ]
-            self._pending.replace([one for one in self._pending if one not in stopped])
+            self._pending.replace([item for item in self._pending if item not in stopped])
         else:
             self._release(time_us)
 
     def _release(self, now_us: int) -> None:
-        """Schedule everything kept again, or keep it further.
+        """Schedule all commands held back that can run again; the others stay.
 
-        No two items become due at the same instant, nor at that of another command with the same cause.
+        No two become due at the same instant, nor at that of another command with the same cause.
         """
-        kept, self._held_back = self._held_back, []
+        held_back, self._held_back = self._held_back, []
         taken = {(due_us, cause) for due_us, _, cause, _ in self._pending}
         instants: set[int] = set()
-        for after_us, serial, cause, scheduled in kept:
+        for after_us, serial, cause, scheduled in held_back:
             if self._hold_back((0, serial, cause, scheduled), after_us):
                 continue
             due_us = now_us + max(1, after_us)
@@ -394,5 +396,5 @@ class Kernel:
 
 
 def _is_message(scheduled: Scheduled) -> bool:
-    """Return whether this is only a message, which travels while its receiver is off, and waits there."""
+    """Return whether this is a message alone, which travels while its receiver is off, and waits for it."""
     return scheduled.after_us <= 1 and bool(scheduled.waits) and all(ask.sender is not None for ask in scheduled.waits)

@@ -1,8 +1,8 @@
-"""A live run: a fleet that is really there, under the handlers of FSAR.
+"""A live run: a real fleet under the handlers of FSAR.
 
-Robots and people give commands (`handlers/public.py`, `architectures/fsar/reports.py`), each on record as
-`CommandGiven`. Nothing else comes from outside but the time, so the commands alone make the run again. With a change
-they make another one, as far as they still answer what is asked (`LiveKernel`).
+Robots and people give commands (`handlers/public.py`, `architectures/fsar/reports.py`), each recorded as
+`CommandGiven`. The only other input is the time, so a run is rebuilt from its commands alone. With a change they give
+another run, as long as they still answer what it asks (`LiveKernel`).
 """
 
 import sys
@@ -38,18 +38,18 @@ from .simulation import MODEL_VERSION, constants_text, fleet_founding, handler_t
 from .snapshot import shape_of, state_sha256
 
 ARCHITECTURE = "fsar"
-"""Whose handlers govern a live run: those of the others speak for their robots."""
+"""The architecture of live runs: the handlers of the others decide for their robots."""
 SOURCE = "fsar-ledger"
-GIVEN = (CommandGiven, RunContinued, IsolationBegan)  # what comes from outside in a live run
+GIVEN = (CommandGiven, RunContinued, IsolationBegan)  # events of a live run that come from outside
 AT_ONCE_US = 1_000
-"""What follows from a command within this time has followed when it is answered, a step that begins, for one."""
+"""What a command causes within this time, such as the beginning of a step, is decided before its answer is given."""
 
 
 class Decision(msgspec.Struct, frozen=True):
-    """What became of a command: the number of its record within the run, its events, and why it was rejected.
+    """The decision of a command: the seq of its record in the run, its events, and why it was rejected.
 
-    `events` are those that it led to itself; `followed` what happened at once after them, as a request that a step
-    makes. Of a command that was given before only `events` are told again.
+    `events` are those that it caused itself; `followed` are those at once after them, such as a request that a step
+    makes. A repeated command returns only `events`.
     """
 
     seq: int
@@ -59,7 +59,7 @@ class Decision(msgspec.Struct, frozen=True):
 
 
 def live_started(constants: Constants, robots: int, epoch: str | None = None) -> RunStarted:
-    """Return event 0 of a live run of a fleet of so many robots."""
+    """Return event 0 of a live run of a fleet of this many robots."""
     return RunStarted(
         kind="live",
         observes=CONCERNS,
@@ -85,10 +85,10 @@ class LiveRun:
         known: tuple[Any, ...] | None = None,
         alone: tuple[Event, ...] = (),
     ) -> None:
-        """Begin the run, or make it again from the commands on its record, until the last of its events.
+        """Begin the run, or rebuild it from the commands on record, up to the last recorded event.
 
-        `known`: what the run knew before the record (`Kernel.known`); None: the record is all of it. `alone`: what
-        founds the run of a robot alone, if that is not on the record.
+        `known`: the run before the record (`Kernel.known`); None: the record is complete. `alone`: the founding events
+        of the run of a robot alone, if the record lacks them.
         """
         alone = alone or founded_alone(() if record is None else record.events)
         events, founded = fleet_founding(started.fleet_size or 0, constants, alone)
@@ -100,7 +100,7 @@ class LiveRun:
             self.kernel.run(record.times_us[-1])
 
     def give(self, time_us: int, command: CommandGiven) -> Decision:
-        """Record the command and decide it, with what follows at once; no time is before the last event's."""
+        """Record the command and decide it, with what follows at once, no earlier than the last event."""
         kernel = self.kernel
         seq = kernel.happen(time_us, command)
         kernel.run(kernel.times_us[-1] + AT_ONCE_US)
@@ -111,13 +111,13 @@ class LiveRun:
         return msgspec.structs.replace(decision, followed=followed)
 
     def advance(self, time_us: int) -> None:
-        """Decide all that is due by then, such as a budget that has run out."""
+        """Decide everything due by then, such as an exhausted budget."""
         self.kernel.run(time_us)
 
     def cut(self, time_us: int, run: str, seq: int, root: str) -> None:
-        """Cut the run then: all that is due until then has been decided, and what follows is another run's.
+        """Cut the run: decide everything due by then; what follows belongs to another run.
 
-        Until the cut it has this name and this number of its last event, in a ledger of this root.
+        `run` is its name until the cut, `seq` its last event, and `root` that of the ledger.
         """
         time_us = self.kernel.clear(time_us)
         continued = RunContinued(
@@ -130,24 +130,24 @@ class LiveRun:
         self.kernel.happen(time_us, continued)
 
     def take(self, run_id: str) -> LedgerRun:
-        """Take out the events since the last call, to be recorded under this name; the run goes on."""
+        """Remove and return the events since the last call, to be recorded under this name; the run goes on."""
         return msgspec.structs.replace(self.kernel.take(), run_id=run_id, goes_on=True)
 
 
 @cache
 def state_shape() -> str:
-    """Return the shape (`shape_of`) in which a live run keeps its state and what is pending."""
+    """Return the shape (`shape_of`) of a live run's state and pending commands."""
     return shape_of((State, Scheduled, *handler_table_of(ARCHITECTURE).decides))
 
 
 def commands_of(record: LedgerRun) -> tuple[Fact, ...]:
-    """Return the commands on record, and where the run was cut or its robot left alone, each with its time."""
+    """Return the commands on record, and the cuts and isolations, each with its time."""
     pairs = zip(record.times_us, record.events, strict=True)
     return tuple((time_us, event) for time_us, event in pairs if isinstance(event, GIVEN))
 
 
 def decision_of(seq: int, events: list[Event]) -> Decision:
-    """Return what became of the command that is this event of the run; `events` are those that it caused."""
+    """Return the decision of the command with this seq; `events` are those that it caused."""
     rejected = next((event.reason for event in events if isinstance(event, CommandRejected)), None)
     return Decision(seq, tuple(events), rejected)
 
@@ -155,7 +155,7 @@ def decision_of(seq: int, events: list[Event]) -> Decision:
 def command_given(
     name: str, by: str, fields: Mapping[str, Any], key: str | None = None, sent_us: int | None = None
 ) -> CommandGiven:
-    """Return the record of a command. Raises: UsageError, which names the field, for what is none."""
+    """Return the event of a command. Raises: UsageError, which names the field, for an invalid one."""
     kind = commands().get(name)
     if kind is None:
         raise UsageError(
@@ -163,31 +163,31 @@ def command_given(
             f"{', '.join(sorted(commands()))}"
         )
     try:
-        found = given(read(kind, msgspec.json.encode(fields).decode()), by, key=key, source_time_us=sent_us)
+        event = given(read(kind, msgspec.json.encode(fields).decode()), by, key=key, source_time_us=sent_us)
     except (msgspec.ValidationError, TypeError, UnicodeEncodeError) as error:
         raise UsageError(f"command {name}: {error!s:.300}") from error
     for field, number in fields.items():
         if isinstance(number, int) and abs(number) > MOST:
             raise UsageError(f"command {name}: field {field}: found {number}, expected at most 2^50 (35 years in us)")
-    for text in (by, key or "", *texts_of(found.parameters)):
+    for text in (by, key or "", *texts_of(event.parameters)):
         if not text.isprintable():
             raise UsageError(f"command {name}: found {text!r:.80}, expected characters that can be printed")
-    return found
+    return event
 
 
 MOST = 1 << 50
-"""The largest number of a command: times that are added to such a one can still be recorded."""
+"""The largest number in a command: the sum of such a time and others can still be recorded."""
 REST = "/rest"
-"""What the name of the question ends with of when an execution ends: `execution:t1/2.1/rest`."""
+"""The suffix of the name of the question when an execution ends: `execution:t1/2.1/rest`."""
 QuestionKey = tuple[str, str]
-"""A question by name, and of whom it is asked."""
+"""The name of a question, and who is asked."""
 
 
 class LiveRecord(msgspec.Struct, frozen=True):
-    """What a live run was made from: event 0, the commands, and of those not rejected, whether anything came of them.
+    """The inputs of a live run: event 0, the commands, and whether each that was not rejected had an effect.
 
-    `until_us`: until when it is known what came from outside; NEVER_US where nothing more came about after the record.
-    `asked`: when each question was asked; None until the run is made again.
+    `until_us`: until when the inputs are known; NEVER_US where nothing happened after the record. `asked`: when each
+    question was asked; None until the run is rebuilt.
     """
 
     started: RunStarted
@@ -199,7 +199,7 @@ class LiveRecord(msgspec.Struct, frozen=True):
 
 
 def live_record(record: LedgerRun, started: RunStarted) -> LiveRecord:
-    """Return what the live run on record was made from."""
+    """Return the inputs of the live run on record."""
     causes = {cause for cause in record.caused_by if cause is not None}
     pairs = zip(record.events, record.caused_by, strict=True)
     refused = {cause for event, cause in pairs if isinstance(event, CommandRejected)}
@@ -213,7 +213,7 @@ def live_record(record: LedgerRun, started: RunStarted) -> LiveRecord:
 
 
 class End(NamedTuple):
-    """Where a run with a change ends before all has happened: when, and what nobody on record says.
+    """Where a run with a change ends early: when, and which answer the record does not have.
 
     `question` is its name, as `answer` takes it; None: the record ends there.
     """
@@ -224,7 +224,7 @@ class End(NamedTuple):
 
 
 class _Ended(Exception):
-    """Raised where the run ends."""
+    """Raised where the run ends early."""
 
 
 _UNSAID = {
@@ -240,11 +240,11 @@ _UNSAID = {
 }
 """What is unknown where a question of this kind is not answered."""
 _PORTS = {"JudgeRequest": "decision", "JudgeAssistance": "decision", "RespondToCall": "human"}
-"""At which port a command answers about an action; all others do for the body of a robot."""
+"""The port at which a command answers about an action; for all others it is the robot's body."""
 
 
 class _EndExecution(Command):
-    """End an execution of unknown length when the model, or whoever changes the run, says so."""
+    """Ends an execution of unknown length at the time that the model or a change gives."""
 
     robot: Robot
     action_id: str
@@ -253,11 +253,11 @@ class _EndExecution(Command):
 
 # See docs/decisions/live-forks-end-unanswered.md.
 class LiveKernel(Kernel):
-    """A live run that is made again, perhaps with a change, from the commands on its record.
+    """A live run rebuilt from the commands on its record, perhaps with a change.
 
     A command that was carried out on record and cannot be here is left out: nobody would have given it. The run ends
-    (`end`) where something is asked that nobody was asked on record at that time. `answer_anew` answers instead; None:
-    it does not, either. Of an action about which it has answered at a port, nobody on record answers there any more.
+    (`end`) at a question that was not asked on record at that time, unless `answer_anew` answers it. Once that has
+    answered about an action at a port, recorded answers about the action there no longer count.
     """
 
     def __init__(
@@ -272,13 +272,13 @@ class LiveKernel(Kernel):
         self.left_out: list[CommandGiven] = []
         self._live, self._answer_anew = record, answer_anew
         self._known = record.asked
-        self._lost: set[tuple[str, str]] = set()  # actions, and at which port
+        self._lost: set[tuple[str, str]] = set()  # actions, each with the port
         super().__init__(handler_table_of(ARCHITECTURE), LiveEnvironment(facts), *founding)
         self._answer = lambda ask: 0 if ask.port == "network" else None
         self._decides = {**self._decides, _EndExecution: self._end_execution}
 
     def run(self, until_us: int = NEVER_US, most: int = sys.maxsize) -> None:
-        """As `Kernel.run`, but no further than to the end."""
+        """As `Kernel.run`, but no further than `end`."""
         if self.end is None:
             with suppress(_Ended):
                 super().run(until_us, most)
@@ -291,7 +291,7 @@ class LiveKernel(Kernel):
         return ANSWERS_LATER if answer is None and ask.what == "help" else answer
 
     def _put(self, ask: Ask, whom: str, about: str, time_us: int) -> int | None:
-        """Return the answer that no command on record gives; None: one does, perhaps by silence, or the run ends."""
+        """Return a new answer if the record gives none; None: it does, perhaps by silence, or the run ends."""
         name = question_name(ask)
         times = self.asked[name, whom]
         times.append(time_us)
@@ -309,7 +309,7 @@ class LiveKernel(Kernel):
         return answer
 
     def _whom(self, scheduled: Scheduled, ask: Ask) -> str | None:
-        """Return of whom it is asked; None: it does not matter, since nothing comes of any answer."""
+        """Return who is asked; None: no answer would have an effect."""
         command = scheduled.command
         if ask is scheduled.ask:
             command.answer = ANSWERS_LATER if ask.what == "help" else AS_USUAL
@@ -338,7 +338,7 @@ class LiveKernel(Kernel):
         self._require_more()
 
     def _ask_for_the_rest(self, robot: Robot, action_id: str, time_us: int) -> None:
-        """Ask when the execution ends, as its robot will report: no handler asks that, since none can wait for it."""
+        """Ask when the execution ends. Handlers do not: a real robot reports it."""
         capability = self.state.execution.actions[action_id].capability
         length_us = self._put(Ask("body", capability, action_id + REST), robot, action_id, time_us)
         if length_us is not None:
@@ -346,7 +346,7 @@ class LiveKernel(Kernel):
             self.submit(time_us + max(1, length_us), _EndExecution(robot, action_id, number))
 
     def _end_execution(self, state: State, command: _EndExecution) -> tuple[Event, ...]:
-        """Report the result for a robot that still executes, and has not been interrupted since."""
+        """Report the result for a robot that still executes and has not been interrupted since."""
         action = state.execution.actions.get(command.action_id)
         asked = len(self.asked[f"execution:{command.action_id}{REST}", command.robot])
         if action is None or action.stage != "running" or action.robot != command.robot or command.number != asked:
@@ -361,12 +361,12 @@ class LiveKernel(Kernel):
         self._require_more()
 
     def _require_more(self) -> None:
-        """Check that the run goes on. Raises: _Ended."""
+        """Check that the run has not ended. Raises: _Ended."""
         if self.end is not None:
             raise _Ended
 
     def _is_given(self, fact: Event, time_us: int) -> bool:
-        """Return whether a command comes here, too; what was carried out on record and would be refused does not."""
+        """Return whether the fact applies; a command that was carried out on record and would fail here does not."""
         has_effect = self._live.carried_out.get((time_us, fact)) if isinstance(fact, CommandGiven) else None
         if not isinstance(fact, CommandGiven) or has_effect is None or not self._is_refused(fact, time_us, has_effect):
             return True
@@ -374,11 +374,11 @@ class LiveKernel(Kernel):
         return False
 
     def _is_refused(self, fact: CommandGiven, time_us: int, has_effect: bool) -> bool:
-        """Return whether the command would be rejected as things stand, or have no effect where it had one."""
+        """Return whether the command would be rejected now, or have no effect where it had one."""
         try:
             command = read(commands()[fact.command], fact.parameters)
         except (KeyError, msgspec.ValidationError):
-            return False  # what no handler can read leads to nothing
+            return False  # it has no effect if no handler can read it
         about = _about(fact)
         if (about, _PORTS.get(fact.command, "body")) in self._lost:
             return True
@@ -388,10 +388,10 @@ class LiveKernel(Kernel):
 
 
 def _about(command: CommandGiven) -> str:
-    """Return the action that a command on record is about; empty: it is about none."""
+    """Return the action that a recorded command is about; empty: none."""
     try:
         fields = msgspec.json.decode(command.parameters, type=dict[str, Any])
     except msgspec.MsgspecError:
         return ""
-    found = fields.get("action_id")
-    return found if isinstance(found, str) else ""
+    action_id = fields.get("action_id")
+    return action_id if isinstance(action_id, str) else ""
