@@ -2,6 +2,7 @@
 
 import re
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -17,6 +18,16 @@ def test_a_fix_stands_once_where_it_can_be_taken_out(name: str) -> None:
     for change in FIXES[name].change:
         text = (ROOT / change.file).read_text("utf-8")
         assert reverted(text, change) != text
+
+
+def test_code_without_a_fix_has_no_undefined_name(tmp_path: Path) -> None:
+    for name, fix in FIXES.items():
+        for number, change in enumerate(fix.change):
+            if change.file.endswith(".py"):
+                text = reverted((ROOT / change.file).read_text("utf-8"), change)
+                (tmp_path / f"{name}-{number}.py").write_text(text)
+    checked = ran([sys.executable, "-m", "ruff", "check", "--isolated", "--select", "F821", str(tmp_path)])
+    assert checked.returncode == 0, checked.stdout
 
 
 @pytest.mark.parametrize("name", FIXES)

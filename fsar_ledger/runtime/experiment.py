@@ -49,13 +49,13 @@ ORIGIN = "fsar-ledger/simulated"
 WORKFLOWS_ORIGIN = "fsar-ledger/workflows"  # a ledger of its own: no key signs two trees under one origin
 # See docs/decisions/batches-follow-from-the-plan.md.
 EVENTS_PER_ROBOT, EVENTS_PER_DHMA_ROBOT = 150, 257
-"""Events of a run expected for each robot; they decide nothing but how batches are cut."""
+"""Expected events of a run for each robot; used only to divide runs into batches."""
 MOST_FIRST = 999_999
 """The highest number that the first run of an experiment may have."""
 MOST_ROBOTS = 1 << 16
-"""The most robots of a run; nobody has made a run of more than 4,096."""
+"""The most robots of a run; the largest run tried so far had 4,096."""
 MAX_OWN = 60_000
-"""The most characters of parameters that contain a fleet or a scenario; readers take them constant by constant.
+"""The most characters of parameters that contain a fleet or a scenario; readers parse them constant by constant.
 
 Without either, they have about 2,000.
 """
@@ -64,7 +64,7 @@ Without either, they have about 2,000.
 class Experiment(msgspec.Struct, frozen=True):
     """The runs to simulate: `runs` of each scenario (or workflow), architecture and configuration, from `first_run` on.
 
-    Names are sorted into canonical order. They must be registered, or that of the scenario in the constants.
+    Names are sorted into canonical order. Each must be registered, or be the scenario in the constants.
 
     Raises:
         InvalidExperiment: a name is unknown, a number impossible, a scenario impossible for the fleet, or a workflow
@@ -106,7 +106,7 @@ class Experiment(msgspec.Struct, frozen=True):
         self._put_in_order()
 
     def _known_scenarios(self) -> tuple[str, ...]:
-        """Return the designer's own scenario alone if there is one, else all registered ones."""
+        """Return the user's own scenario alone if there is one, else all registered ones."""
         own = self.constants.scenario
         return (*registered.scenarios(), *registered.workflows()) if own is None else (own.name,)
 
@@ -137,14 +137,14 @@ class Experiment(msgspec.Struct, frozen=True):
 
     def _undecided(self, scenario: Scenario) -> Iterator[Problem]:
         """Yield the commands of the scenario that an architecture does not decide."""
-        for number, one in enumerate(scenario.commands):
+        for number, given in enumerate(scenario.commands):
             for architecture in self.architectures:
-                kind, decides = commands().get(one.command), handler_table_of(architecture).decides
+                kind, decides = commands().get(given.command), handler_table_of(architecture).decides
                 if kind is not None and kind not in decides:
                     able = [name for name, known in commands().items() if known in decides]
                     yield Problem(
                         ("commands", number, "command"),
-                        f"{one.command}, which architecture {architecture} does not decide",
+                        f"{given.command}, which architecture {architecture} does not decide",
                         f"one of {', '.join(sorted(able))}, or --architecture fsar, which decides every command",
                     )
 
@@ -155,7 +155,7 @@ class Experiment(msgspec.Struct, frozen=True):
                 frozenset().union(*map(removed_mechanisms, self.configurations))
                 - set(MECHANISMS_OF.get(architecture, ()))
             ):
-                [whose] = [one for one, names in MECHANISMS_OF.items() if name in names]
+                [whose] = [other for other, names in MECHANISMS_OF.items() if name in names]
                 raise InvalidExperiment(
                     f"without {name}: found architecture {architecture}, "
                     f"expected {whose} alone, whose mechanism it is; run one experiment for each architecture"
@@ -224,7 +224,7 @@ class Experiment(msgspec.Struct, frozen=True):
             raise InvalidExperiment(f"{about}: found membership, expected none: the world of a workflow is its script")
 
     def _put_in_order(self) -> None:
-        """Sort the names, so that the same experiment asked for in another order is the same plan."""
+        """Sort the names, so that the order of the arguments does not matter."""
         in_order = msgspec.structs.force_setattr
         in_order(self, "architectures", tuple(sorted(self.architectures, key=ARCHITECTURES.index)))
         in_order(self, "scenarios", tuple(sorted(self.scenarios, key=self._known_scenarios().index)))
@@ -244,17 +244,17 @@ class Experiment(msgspec.Struct, frozen=True):
         return len(self.scenarios) * self.runs * len(self.architectures) * len(self.configurations)
 
     def batches(self) -> list[Batch]:
-        """Return all runs in batches: as many in a row as a commit is expected to hold, or one."""
-        found: list[list[RunSpec]] = []
+        """Return all runs in batches of consecutive runs, each expected to fit into a commit, or of a single run."""
+        batches: list[list[RunSpec]] = []
         room = 0
         for spec in self.specs():
             events = self.fleet_size * (EVENTS_PER_DHMA_ROBOT if spec.architecture == "dhma" else EVENTS_PER_ROBOT)
             if events > room:
-                found.append([])
+                batches.append([])
                 room = COMMIT_EVENTS
             room -= events
-            found[-1].append(spec)
-        return [tuple(batch) for batch in found]
+            batches[-1].append(spec)
+        return [tuple(batch) for batch in batches]
 
     # See docs/decisions/experiment-plans-are-events.md.
     def plan(self) -> ExperimentPlanned:
@@ -272,26 +272,26 @@ class Experiment(msgspec.Struct, frozen=True):
         )
 
 
-def _require_known(what: str, found: tuple[str, ...], expected: tuple[str, ...]) -> None:
-    unknown = [name for name in found if name not in expected]
-    if unknown or not found or len(set(found)) != len(found):
+def _require_known(what: str, names: tuple[str, ...], expected: tuple[str, ...]) -> None:
+    unknown = [name for name in names if name not in expected]
+    if unknown or not names or len(set(names)) != len(names):
         hint = printable.did_you_mean(unknown[0], expected) if unknown else ""
         raise InvalidExperiment(
-            f"{what}: found {', '.join(found) or 'none'}, expected some of {', '.join(expected)}, each once{hint}"
+            f"{what}: found {', '.join(names) or 'none'}, expected some of {', '.join(expected)}, each once{hint}"
         )
 
 
-def _require_configurations(found: tuple[Configuration, ...]) -> None:
-    if not found or len(set(found)) != len(found) or not all(map(is_known, found)):
+def _require_configurations(names: tuple[Configuration, ...]) -> None:
+    if not names or len(set(names)) != len(names) or not all(map(is_known, names)):
         expected = (
             f"{FULL}, or without- and some of {', '.join(EVERY_MECHANISM)}, of one architecture, in this order, "
             "with + between; each once"
         )
-        raise InvalidExperiment(f"configuration: found {', '.join(found) or 'none'}, expected {expected}")
+        raise InvalidExperiment(f"configuration: found {', '.join(names) or 'none'}, expected {expected}")
 
 
 def require_designs(own: Scenario | None, fleet: Fleet | None) -> None:
-    """Check a designer's fleet and scenario, and that their names are not registered. Raises: InvalidExperiment."""
+    """Check a user's own fleet and scenario, and that their names are free. Raises: InvalidExperiment."""
     if fleet is not None:
         for problem in problems_of_fleet(fleet):
             raise InvalidExperiment(f"fleet {printable.value(fleet.name)}: {problem}")
@@ -339,17 +339,17 @@ def run_experiment(
 ) -> SimulationResult:
     """Commit the experiment's plan and the runs that the ledger lacks.
 
-    If all runs are there, nothing is done. Otherwise the plan is committed first, unless it is on record; a larger plan
-    than before enlarges the ledger, run by run as if it had been asked for at once. The missing runs follow in
-    canonical order, in `batches`. Each commit follows from those before it, so neither `workers` (a number of
-    processes, or those of a pool) nor an interruption changes a byte. `progress` is called with (batches done, batches
-    in all). New commits are signed by `signer`, whose key stays in this process; with `adopts` even where another key
-    or none signed the existing ones. A new ledger gets `origin`, else the name of the signer, else `ORIGIN`.
+    If the ledger has all runs, nothing is done. Otherwise the plan is committed first, unless it is on record; a larger
+    plan adds runs as if all had been simulated at once. The missing runs follow in canonical order, in `batches`. Each
+    commit is determined by those before it, so neither `workers` (a number of processes, or a pool) nor an interruption
+    changes a byte. `progress` is called with (batches done, batches in all). New commits are signed by `signer`, whose
+    key stays in this process; with `adopts` even on top of commits of another key or unsigned ones. A new ledger gets
+    `origin`, else the name of the signer, else `ORIGIN`.
 
     Raises:
         InvalidExperiment: the fleet is too large to be held in memory.
-        InvalidRun: another process made some of these runs meanwhile, in other batches; the same call again makes what
-            is missing then.
+        InvalidRun: another process added some of these runs meanwhile, in other batches; the same call again adds the
+            missing ones.
         NotALedger, FormatVersionMismatch, LedgerCorrupted, UsageError, WriteFailed: see `Writer`.
     """
     constants, plan = experiment.constants, plan_record(experiment.plan())
@@ -359,27 +359,29 @@ def run_experiment(
             f"fleet size: found {experiment.fleet_size}, expected at most {MOST_ROBOTS}: a fleet is held in memory"
         )
     with Writer(out, name, signer, adopts=adopts) as writer:
-        found = writer.existing_runs()
-        going_on = writer.unfinished_runs()
-        held = found.runs - going_on.keys()
+        existing = writer.existing_runs()
+        unfinished = writer.unfinished_runs()
+        whole = existing.runs - unfinished.keys()
         batches = experiment.batches()
-        missing = missing_runs(batches, lambda spec: run_id(run_started(spec, constants)) in held) if held else batches
-        if missing and plan.run_id not in found.plans:
+        missing = (
+            missing_runs(batches, lambda spec: run_id(run_started(spec, constants)) in whole) if whole else batches
+        )
+        if missing and plan.run_id not in existing.plans:
             writer.append(stage(out, [plan]))
         made = sum(map(len, missing))
         done = len(batches) - len(missing)
         if progress is not None:
             progress(done, len(batches))
-        staging = Staging(out.absolute(), constants, going_on)
+        staging = Staging(out.absolute(), constants, unfinished)
         for batch in staging.of_all(missing, workers):
             for staged in batch:
                 writer.append(staged)
             done += 1
             if progress is not None:
                 progress(done, len(batches))
-        return SimulationResult(writer.head, experiment.size, made, len(held) + made)
+        return SimulationResult(writer.head, experiment.size, made, len(whole) + made)
 
 
 def missing_runs(batches: Iterable[Batch], is_there: Callable[[RunSpec], bool]) -> list[Batch]:
-    """Return what is missing of each batch, so that an interruption moves no boundary."""
+    """Return the missing runs of each batch, so that an interruption does not move the boundaries."""
     return [missing for batch in batches if (missing := tuple(filterfalse(is_there, batch)))]

@@ -39,7 +39,7 @@ from .run_replay import Difference
 
 
 class Isolation(NamedTuple):
-    """What a robot alone goes on from: the fleet's run, and from it what makes the robot what it is."""
+    """The starting point of a robot alone: the fleet's run, and the robot's founding events from it."""
 
     began: IsolationBegan
     founding: tuple[Event, ...]
@@ -48,7 +48,7 @@ class Isolation(NamedTuple):
 
 
 class FleetComparison(msgspec.Struct, frozen=True):
-    """What `compared_with_fleet` finds. `runs` of robots alone were compared, and `handed_over` of them so far."""
+    """The result of `compared_with_fleet`: `runs` of robots alone were compared, `handed_over` of them handed over."""
 
     runs: int
     handed_over: int
@@ -62,7 +62,7 @@ class FleetComparison(msgspec.Struct, frozen=True):
 
 # See docs/decisions/robots-alone-have-runs-of-their-own.md.
 def isolation_of(path: Path, robot: str) -> Isolation:
-    """Return from what this robot goes on without the federation, by the newest run of a live fleet in this ledger.
+    """Return the starting point of this robot alone, from the newest run of a live fleet in this ledger.
 
     Raises:
         UsageError: The ledger has no such run, or the robot is no member in it.
@@ -76,14 +76,14 @@ def isolation_of(path: Path, robot: str) -> Isolation:
 
 
 def _is_of_a_fleet(view: View, run: str) -> bool:
-    """Return whether this is the run of a live fleet, and not of a robot alone, nor recorded or simulated beside it."""
+    """Return whether this is the run of a live fleet, rather than of a robot alone, recorded or simulated."""
     started = event_at(view, place_of(view, run, 0))
     is_alone = started.get("fleet_size") == 1 and _began(record_of(view, run))[1] is not None
     return started.get("source") == SOURCE and not is_alone
 
 
 def _isolation(view: View, run: str, robot: Robot, size: int, root: str) -> Isolation:
-    """As `isolation_of`, by this run among the first `size` events of the ledger."""
+    """As `isolation_of`, for this run within the first `size` events of the ledger."""
     record = record_of(view, run, size)
     started = record.events[0]
     if not isinstance(started, RunStarted) or started.source != SOURCE or started.epoch is None:
@@ -149,27 +149,27 @@ def _handed_over(view: View, run: str, size: int, root: str) -> dict[str, Any]:
 
 
 def _began(record: LedgerRun) -> tuple[int, IsolationBegan | None]:
-    """Return where the run of a robot alone begins after its founding, and that event; None: it is none."""
-    found = ((seq, event) for seq, event in enumerate(record.events) if isinstance(event, IsolationBegan))
-    return next(found, (0, None))
+    """Return the seq and the event at which a robot alone begins after its founding; None for another run."""
+    began = ((seq, event) for seq, event in enumerate(record.events) if isinstance(event, IsolationBegan))
+    return next(began, (0, None))
 
 
 def _results(events: Sequence[Event]) -> tuple[str, ...]:
-    """Return how each step ended, as `HandOver` has it: the last word on it, in the order in which they came."""
-    found: dict[str, str] = {}
+    """Return the last result of each step, in order, in the form of `HandOver`."""
+    results: dict[str, str] = {}
     for event in events:
         if isinstance(event, StepCompleted) or (isinstance(event, ExecutionFinished) and event.result != "success"):
             step = event.subject.action_id.rpartition(".")[0]
-            found.pop(step, None)
-            found[step] = "success" if isinstance(event, StepCompleted) else "failure"
-    return tuple(f"{step} {result}" for step, result in found.items())
+            results.pop(step, None)
+            results[step] = "success" if isinstance(event, StepCompleted) else "failure"
+    return tuple(f"{step} {result}" for step, result in results.items())
 
 
 def compared_with_fleet(path: Path, fleet: Path) -> FleetComparison:
     """Compare the runs of robots alone in the ledger `path` with the ledger of their fleet.
 
-    What founds each must be what the fleet's ledger said when it had the root that is named, and what was handed over
-    what the robot's ledger said when it had that root. Both ledgers are assumed to verify.
+    The founding of each must agree with the fleet's ledger at the recorded root, and what was handed over with the
+    robot's ledger at its recorded root. Both ledgers are assumed to verify.
 
     Raises:
         UsageError: No run of the ledger is that of a robot alone.
@@ -185,12 +185,12 @@ def compared_with_fleet(path: Path, fleet: Path) -> FleetComparison:
         differences += _founding_differences(record, theirs)
         ended = _handings_over(record, chain_of(own, record.run_id), theirs)
         count += bool(ended)
-        differences += [one for run, seq, command in ended for one in _handing_differences(run, seq, command, own)]
+        differences += [each for run, seq, command in ended for each in _handing_differences(run, seq, command, own)]
     return FleetComparison(len(records), count, tuple(differences))
 
 
 def _founding_differences(record: LedgerRun, fleet: View) -> Iterator[Difference]:
-    """Yield where what founds the run of a robot alone is not what the fleet's ledger says."""
+    """Yield the differences between the founding of a robot alone and the fleet's ledger."""
     seq, began = _began(record)
     started = record.events[0]
     assert began is not None
@@ -213,32 +213,32 @@ def _founding_differences(record: LedgerRun, fleet: View) -> Iterator[Difference
 
 
 def _difference(run: str, seq: int, name: str, found: Any, expected: Any) -> Difference:
-    """Return the difference; of two foundings, that of the first event in which they differ."""
+    """Return the difference; between two foundings, that of the first event that differs."""
     if name != "founding":
         return Difference(run, seq, name, None, _shown(expected), _shown(found))
-    same = next((at for at, pair in enumerate(zip(found, expected, strict=False)) if pair[0] != pair[1]), None)
-    at = min(len(found), len(expected)) if same is None else same
+    differing = next((at for at, pair in enumerate(zip(found, expected, strict=False)) if pair[0] != pair[1]), None)
+    index = min(len(found), len(expected)) if differing is None else differing
     missing = "the end of the founding"
-    wanted, there = (_shown(events[at]) if at < len(events) else missing for events in (expected, found))
-    return Difference(run, seq + at, None, None, wanted, there)
+    wanted, actual = (_shown(events[index]) if index < len(events) else missing for events in (expected, found))
+    return Difference(run, seq + index, None, None, wanted, actual)
 
 
-def _shown(one: Any) -> str:
-    return value(repr(one))
+def _shown(part: Any) -> str:
+    return value(repr(part))
 
 
 def _sizes(view: View) -> Mapping[str, int]:
-    """Return by its root the size of the ledger after each commit."""
+    """Return the size of the ledger after each commit, by root."""
     return {commit.tree_root: commit.tree_size for commit in view.commits}
 
 
 def _handings_over(record: LedgerRun, names: Sequence[str], fleet: View) -> list[tuple[str, int, HandOver]]:
-    """Return each command, with its run and seq, by which the fleet was told what the robot did in these runs."""
+    """Return each command, with its run and seq, that handed over to the fleet what the robot did in these runs."""
     _, began = _began(record)
     if began is None or not fleet.has_run(began.fleet_run):
         return []
     theirs = record_of(fleet, whole_of(fleet, began.fleet_run))
-    found = []
+    commands = []
     for seq, event in enumerate(theirs.events):
         if isinstance(event, IsolationEnded) and event.robot == began.robot and event.isolated_run in names:
             cause = theirs.caused_by[seq]
@@ -246,12 +246,12 @@ def _handings_over(record: LedgerRun, names: Sequence[str], fleet: View) -> list
             if isinstance(given, CommandGiven):
                 command = read(HandOver, given.parameters)
                 assert isinstance(command, HandOver)
-                found.append((theirs.run_id, cause or 0, command))
-    return found
+                commands.append((theirs.run_id, cause or 0, command))
+    return commands
 
 
 def _handing_differences(run: str, seq: int, command: HandOver, own: View) -> Iterator[Difference]:
-    """Yield where what was handed over is not what the robot's own ledger says."""
+    """Yield the differences between what was handed over and the robot's own ledger."""
     size = _sizes(own).get(command.isolated_root)
     if size is None:
         expected = f"a root that {own.path} had after a commit"

@@ -1,7 +1,7 @@
-"""Reads and checks a designer's own scenario, fleet and constants from outside the package.
+"""Reads and checks a user's own scenario, fleet and constants.
 
-They become part of a run's constants, so event 0 of every run holds them and the run replays anywhere without the
-files.
+They become part of a run's constants, so event 0 of every run holds them and the run can be replayed anywhere without
+the files.
 """
 
 import re
@@ -40,10 +40,10 @@ _SHARES = ("_share", "_probability", "_reliability")
 def with_own(
     constants: Constants, scenarios: Sequence[str], fleet: str | None = None, settings: Sequence[str] = ()
 ) -> tuple[Constants, tuple[str, ...]]:
-    """Return the constants with the designer's own parts, and the names of the scenarios.
+    """Return the constants with the user's own parts, and the names of the scenarios.
 
-    A scenario or fleet that ends in `.toml` is a file, else the name of a registered one. `settings` are `NAME=VALUE`;
-    they go before those of the scenario.
+    A scenario or fleet that ends in `.toml` is a file, else the name of a registered one. `settings` are `NAME=VALUE`
+    and take precedence over those of the scenario.
 
     Raises:
         UsageError: a file cannot be read, or its content is impossible (with line and field); a name is unknown; a
@@ -53,13 +53,13 @@ def with_own(
     own: Scenario | None = None
     constants = with_settings(constants, settings)
     for name in scenarios:
-        played_with = registered.scenario(name).settings if name in registered.scenarios() else ()
-        if played_with and len(scenarios) > 1:
+        of_scenario = registered.scenario(name).settings if name in registered.scenarios() else ()
+        if of_scenario and len(scenarios) > 1:
             raise UsageError(
                 f"--scenario {name}: found {len(scenarios)} scenarios, expected this one alone, which has constants of "
                 "its own; run the others separately"
             )
-        constants = with_settings(constants, _others(played_with, settings))
+        constants = with_settings(constants, _others(of_scenario, settings))
     for name in scenarios:
         if not is_file(name):
             continue
@@ -69,15 +69,15 @@ def with_own(
             )
         path = Path(name)
         design, text = read_design(path, Scenario)
-        against = own_fleet or registered.fleet()
-        _require(path, text, problems_of_scenario(design, against))
-        _require(path, text, problems_of_commands(design, against))
+        for_fleet = own_fleet or registered.fleet()
+        _require(path, text, problems_of_scenario(design, for_fleet))
+        _require(path, text, problems_of_commands(design, for_fleet))
         if design.name in registered.scenarios():
             _require(path, text, [_taken(design.name, registered.scenarios())])
         own = design
         constants = _with_settings_of(constants, design, path, text, settings)
-    found = msgspec.structs.replace(constants, scenario=own, fleet=own_fleet)
-    return found, tuple(scenarios) if own is None else (own.name,)
+    constants = msgspec.structs.replace(constants, scenario=own, fleet=own_fleet)
+    return constants, tuple(scenarios) if own is None else (own.name,)
 
 
 def _with_settings_of(
@@ -104,9 +104,9 @@ def _with_settings_of(
 
 
 def _others(of_scenario: Sequence[str], settings: Sequence[str]) -> list[str]:
-    """Return the settings of a scenario whose constants are not set otherwise."""
-    set_already = {one.partition("=")[0] for one in settings}
-    return [one for one in of_scenario if one.partition("=")[0] not in set_already]
+    """Return the settings of a scenario for constants that `settings` does not set."""
+    set_already = {setting.partition("=")[0] for setting in settings}
+    return [setting for setting in of_scenario if setting.partition("=")[0] not in set_already]
 
 
 def is_file(name: str) -> bool:
@@ -114,23 +114,23 @@ def is_file(name: str) -> bool:
     return name.endswith(".toml")
 
 
-def _fleet(asked: str | None) -> Fleet | None:
+def _fleet(name: str | None) -> Fleet | None:
     """Return the fleet to store in event 0; None is the paper's."""
-    if asked is None or asked == registered.PAPER_FLEET:
+    if name is None or name == registered.PAPER_FLEET:
         return None
-    if is_file(asked):
-        fleet, text = read_design(Path(asked), Fleet)
-        _require(Path(asked), text, problems_of_fleet(fleet))
+    if is_file(name):
+        fleet, text = read_design(Path(name), Fleet)
+        _require(Path(name), text, problems_of_fleet(fleet))
         if fleet.name in registered.fleets():
-            _require(Path(asked), text, [_taken(fleet.name, registered.fleets())])
+            _require(Path(name), text, [_taken(fleet.name, registered.fleets())])
         return fleet
-    if asked not in registered.fleets():
+    if name not in registered.fleets():
         names = ", ".join(registered.fleets())
-        hint = printable.did_you_mean(asked, registered.fleets())
+        hint = printable.did_you_mean(name, registered.fleets())
         raise InvalidExperiment(
-            f"unknown fleet {printable.value(asked)}{hint or ';'} expected a .toml file, or one of {names}"
+            f"unknown fleet {printable.value(name)}{hint or ';'} expected a .toml file, or one of {names}"
         )
-    return registered.fleet(asked)
+    return registered.fleet(name)
 
 
 def _require(path: Path, text: str, problems: Iterator[Problem] | list[Problem]) -> None:
@@ -141,9 +141,9 @@ def _require(path: Path, text: str, problems: Iterator[Problem] | list[Problem])
 
 
 def problems_of_commands(scenario: Scenario, fleet: Fleet) -> Iterator[Problem]:
-    """Yield the problems of the commands that a scenario gives, in the order of its fields.
+    """Yield the problems of a scenario's commands, in the order of its fields.
 
-    Whether one can be carried out is decided when it comes, on record.
+    Whether a command can be carried out is decided, and recorded, when it is given.
     """
     for number, one in enumerate(scenario.commands):
         about: Field = ("commands", number)
@@ -163,7 +163,7 @@ def problems_of_commands(scenario: Scenario, fleet: Fleet) -> Iterator[Problem]:
 
 
 def _problems_of_fields(about: Field, one: OutsideCommand, fleet: Fleet) -> Iterator[Problem]:
-    """Yield which fields the command cannot have."""
+    """Yield the problems of a command's fields."""
     kind = commands()[one.command]
     try:
         fields = msgspec.json.decode(one.parameters, type=dict[str, Any])
@@ -197,15 +197,15 @@ def _taken(name: str, names: Sequence[str]) -> Problem:
 def with_settings(constants: Constants, settings: Sequence[str], said: Mapping[str, str] | None = None) -> Constants:
     """Return the constants with each `NAME=VALUE` set, by the dotted names of `info --json`.
 
-    `said` is what an error quotes in place of the option `--set` and a setting. Raises: UsageError.
+    `said` is what an error quotes in place of `--set` and a setting. Raises: UsageError.
     """
-    found = _with_each(constants, settings, said or {})
-    _require_ranges(found, settings, said or {})
-    return found
+    constants = _with_each(constants, settings, said or {})
+    _require_ranges(constants, settings, said or {})
+    return constants
 
 
 def with_sets(constants: Constants, changes: Sequence[Set]) -> Constants:
-    """Return the constants with these changes of the start, after a check of all. Raises: UsageError."""
+    """Return the constants with the changes from the start, after a check of all changes. Raises: UsageError."""
     now = constants
     for from_s in sorted({one.from_s for one in changes}, key=lambda one: -1.0 if one is None else one):
         said = {f"{one.constant}={number_text(one.value)}": f"change {one}" for one in changes if one.from_s == from_s}
@@ -241,8 +241,8 @@ def _with_each(constants: Constants, settings: Sequence[str], said: Mapping[str,
 
 
 def _require_ranges(constants: Constants, settings: Sequence[str], said: Mapping[str, str]) -> None:
-    """Check that what these settings begin or end is no range whose end comes first. Raises: UsageError."""
-    given = {one.partition("=")[0]: one for one in settings}
+    """Check that no range that these settings change ends before it begins. Raises: UsageError."""
+    given = {setting.partition("=")[0]: setting for setting in settings}
     for name, ends, low_s, high_s in _ranges("", msgspec.to_builtins(constants)):
         own = [given[f"{name}{end}"] for end in ends if f"{name}{end}" in given]
         if low_s > high_s and own:
@@ -253,7 +253,7 @@ def _require_ranges(constants: Constants, settings: Sequence[str], said: Mapping
 
 
 def _is_real(tree: dict[str, Any], name: str) -> bool:
-    """Return whether the constant of this name may be no whole number."""
+    """Return whether the constant of this name need not be a whole number."""
     _put(tree, name, 0.5)
     try:
         msgspec.convert(tree, Constants)
@@ -275,49 +275,49 @@ def with_values(constants: Constants, values: Mapping[str, float | int | None]) 
 def _number(where: str, name: str, value: str) -> float | int:
     """Return the value of a setting. Raises: UsageError if the constant cannot have it."""
     try:
-        found = msgspec.json.decode(value)
+        number = msgspec.json.decode(value)
     except msgspec.DecodeError:
-        found = None
-    if isinstance(found, bool) or not isinstance(found, int | float) or not isfinite(found) or abs(found) >= 2**53:
+        number = None
+    if isinstance(number, bool) or not isinstance(number, int | float) or not isfinite(number) or abs(number) >= 2**53:
         raise UsageError(f"{where}: found {printable.value(value)}, expected a number")
-    if found < 0 and name not in SIGNED:
+    if number < 0 and name not in SIGNED:
         raise UsageError(f"{where}: found {value}, expected 0 or more")
     least, most = LEAST.get(name, -inf), MOST_PER_S if name.endswith("_rate_per_s") else MOST.get(name, inf)
-    if not (least <= found <= most or (not found and name in NEVER_AT_0)):
-        bound = f"{least:,} or more" if found < least else f"at most {most:,}"
+    if not (least <= number <= most or (not number and name in NEVER_AT_0)):
+        bound = f"{least:,} or more" if number < least else f"at most {most:,}"
         raise UsageError(f"{where}: found {value}, expected {bound}: the run would hardly ever end")
-    if found < 1 and name == "structure.human_calls":
+    if number < 1 and name == "structure.human_calls":
         raise UsageError(f"{where}: found {value}, expected 1 or more: what nobody else resolved must reach a human")
-    if found > 1 and name.endswith(_SHARES):
+    if number > 1 and name.endswith(_SHARES):
         raise UsageError(f"{where}: found {value}, expected a share, 0 to 1")
-    return found
+    return number
 
 
 def _put(tree: dict[str, Any], name: str, value: float | int | None) -> None:
     """Set the value at the dotted name; an absent group is created."""
-    parts = [one or other for one, other in _PART.findall(name)]
-    where: Any = tree
-    for at, part in enumerate(parts[:-1]):
-        if isinstance(where, dict):
-            if where.get(part) is None:
-                assert at == 0
-                where[part] = msgspec.to_builtins(getattr(with_all_groups(Constants()), part))
-            where = where[part]
+    parts = [plain or bracketed for plain, bracketed in _PART.findall(name)]
+    branch: Any = tree
+    for depth, part in enumerate(parts[:-1]):
+        if isinstance(branch, dict):
+            if branch.get(part) is None:
+                assert depth == 0
+                branch[part] = msgspec.to_builtins(getattr(with_all_groups(Constants()), part))
+            branch = branch[part]
         else:
-            where = next(law for key, law in where if key == part)
-    where[parts[-1]] = value
+            branch = next(law for key, law in branch if key == part)
+    branch[parts[-1]] = value
 
 
 def _ranges(name: str, value: Any) -> Iterator[tuple[str, tuple[str, str], float, float]]:
-    """Yield the name of each range, how those of its two constants end, and their values."""
+    """Yield the name of each range, the endings of its two constants' names, and their values."""
     if isinstance(value, dict):
         if "absence_from_s" in value:
             yield f"{name}.absence", ("_from_s", "_to_s"), value["absence_from_s"], value["absence_to_s"]
         if value.keys() == {"low_s", "high_s"}:
             yield name, (".low_s", ".high_s"), value["low_s"], value["high_s"]
-        for key, one in value.items():
-            yield from _ranges(f"{name}.{key}" if name else key, one)
+        for key, part in value.items():
+            yield from _ranges(f"{name}.{key}" if name else key, part)
     elif isinstance(value, list | tuple):
-        for one in value:
-            if isinstance(one, list | tuple) and len(one) == 2 and isinstance(one[0], str):
-                yield from _ranges(f'{name}["{one[0]}"]', one[1])
+        for part in value:
+            if isinstance(part, list | tuple) and len(part) == 2 and isinstance(part[0], str):
+                yield from _ranges(f'{name}["{part[0]}"]', part[1])

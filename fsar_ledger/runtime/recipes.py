@@ -1,7 +1,7 @@
-"""Recipes: what a run is made from, its parameters and the changes of a fork, and how event 0 records them.
+"""Recipes: the inputs of a run, which are its parameters and the changes of a fork, and how event 0 records them.
 
-The recipe of a fork holds enough to make its base again, so replay needs no other ledger to check how far the fork
-repeats it.
+The recipe of a fork is enough to rebuild its base, so replay needs no other ledger to check how far the fork repeats
+it.
 """
 
 import re
@@ -31,30 +31,30 @@ from .simulation import MODEL_VERSION, RunSpec, run_id, run_started
 from .world.schedule import arrivals_expected
 
 NOTHING = "nothing"
-"""What an architecture in full lacks."""
+"""The removed mechanisms of a full architecture."""
 ABSENT = "absent"
-"""What a constant of a group is that the base does not have."""
+"""The value of a constant whose group the base does not have."""
 LATER = ("world", "outages", "membership")
 _WATCH = ("membership.heartbeat_us", "membership.suspect_us", "membership.depart_us")
 FROM_THE_START = ("world.floor_teams", "outages.answer_s", *_WATCH)
-"""Of the constants of the world, those that the fleet is founded with."""
+"""Constants of the world that the founding of the fleet depends on."""
 
 FACTS_PER_ROBOT = 1_000
 """The most facts of the world that recorded rates may make, for each robot, in addition to the number of events.
 
-The model's rates make 37 to 373. Recorded rates may come from an adversary: a world of a billion facts cannot be that
-of a record of a few events, and is not made to find that out.
+The model's rates make 37 to 373. Recorded rates may come from an adversary: a record of a few events cannot come from
+a world of a billion facts, which is not simulated to find that out.
 """
 _MAKERS = {"1": "fsar-ledger 0.2.0", "2": "fsar-ledger 0.9.0"}
-"""By an earlier model version, the last release that makes its runs."""
+"""The last release that simulates an earlier model version, by version."""
 _ROOT = re.compile(r"[0-9a-f]{64}")
 
 
 class Recipe(msgspec.Struct, frozen=True):
-    """What a run is made from. The changes of the start are already in `spec` and `constants`.
+    """The inputs of a run. Changes from the start are already in `spec` and `constants`.
 
-    `live`: the record of a live run; then `spec` says under which name the model draws what nobody answers. With
-    `counts_anew` each change names the facts that those before it left, as in forks of releases to 0.15.
+    `live`: the record of a live run; `spec` names the draws that replace missing answers then. With `counts_anew` each
+    change counts the facts left by the changes before it, as in forks of releases up to 0.15.
     """
 
     spec: RunSpec
@@ -65,7 +65,7 @@ class Recipe(msgspec.Struct, frozen=True):
 
 
 class CannotReplay(Exception):
-    """A run that this version cannot make: the field of event 0 that says so, what was expected, and what was found."""
+    """Raised for a run that this version cannot rebuild: the field of event 0, the expected and the found value."""
 
     def __init__(self, field: str | None, expected: str, actual: str) -> None:
         super().__init__(f"{field + ': ' if field else ''}found {actual}, expected {expected}")
@@ -73,10 +73,10 @@ class CannotReplay(Exception):
 
 
 def with_changes(base: Recipe, changes: Changes) -> Recipe:
-    """Return the recipe of the base with these changes, each with what held before.
+    """Return the recipe of the base with these changes, each with the value before it.
 
     Raises:
-        UsageError: There is no such constant, architecture or mechanism, or a change of the start is none.
+        UsageError: There is no such constant, architecture or mechanism, or a change from the start has no effect.
     """
     _require_once(changes)
     spec, whole = base.spec, list[AnyChange]()
@@ -91,14 +91,14 @@ def with_changes(base: Recipe, changes: Changes) -> Recipe:
                 spec = msgspec.structs.replace(spec, architecture=change.architecture)
             case Without():
                 lacking = (
-                    "+".join(one for one in EVERY_MECHANISM if one in removed_mechanisms(base.spec.configuration))
+                    "+".join(name for name in EVERY_MECHANISM if name in removed_mechanisms(base.spec.configuration))
                     or NOTHING
                 )
                 whole.append(msgspec.structs.replace(change, before=_differs(change, lacking)))
                 spec = msgspec.structs.replace(spec, configuration=_configuration(change.mechanisms))
             case _:
                 whole.append(change)
-    constants = with_sets(base.constants, [one for one in changes if isinstance(one, Set)])
+    constants = with_sets(base.constants, [change for change in changes if isinstance(change, Set)])
     return Recipe(spec, constants, tuple(whole), base.live)
 
 
@@ -113,7 +113,7 @@ def _require_live(change: AnyChange) -> None:
 
 
 def base_of(recipe: Recipe) -> Recipe:
-    """Return the recipe of the run that a fork repeats."""
+    """Return the recipe of the run that a fork is based on."""
     spec = recipe.spec
     values: dict[str, float | int | None] = {}
     absent: dict[str, None] = {}
@@ -156,16 +156,16 @@ def _with_before(constants: Constants, change: Set) -> Set:
             "start"
         )
     text = msgspec.json.encode(msgspec.to_builtins(constants)).decode()
-    found = {one["name"]: one["value"] for one in constants_of(text) or ()}
-    before = found.get(name, "null" if getattr(constants, group) is not None else ABSENT)
+    values = {constant["name"]: constant["value"] for constant in constants_of(text) or ()}
+    before = values.get(name, "null" if getattr(constants, group) is not None else ABSENT)
     if change.from_s is None and before not in (ABSENT, "null") and msgspec.json.decode(before) == change.value:
         raise UsageError(f"change {change}: {name} is {before} already, expected another value")
     return msgspec.structs.replace(change, before=before)
 
 
 def _differs(change: Architecture | Without, before: str) -> str:
-    asked = change.architecture if isinstance(change, Architecture) else change.mechanisms
-    if asked == before:
+    after = change.architecture if isinstance(change, Architecture) else change.mechanisms
+    if after == before:
         raise UsageError(f"change {change}: the run has that already, expected another one")
     return before
 
@@ -179,7 +179,7 @@ def _require_once(changes: Sequence[AnyChange]) -> None:
                 name = change.constant
             case Architecture() | Without():
                 name = type(change).__name__.lower()
-            case Answer():  # of a command, one field is
+            case Answer():  # of a command, only one field
                 field = change.answer.partition("=")[0] if change.question.startswith(COMMAND) else ""
                 name = f"{change.question} {field}".rstrip()
             case _:
@@ -190,7 +190,7 @@ def _require_once(changes: Sequence[AnyChange]) -> None:
 
 
 def started_of(recipe: Recipe, origin: RunStarted | None = None) -> RunStarted:
-    """Return event 0 of the recipe's run, which forks from where `origin` says; None: it is no fork."""
+    """Return event 0 of the recipe's run, a fork with the origin in `origin`, or no fork (None)."""
     plain = run_started(recipe.spec, recipe.constants)
     if recipe.live is not None:
         plain = live_started(recipe.constants, recipe.spec.fleet_size, recipe.live.started.epoch)
@@ -206,13 +206,13 @@ def started_of(recipe: Recipe, origin: RunStarted | None = None) -> RunStarted:
 
 
 def recorded_recipe(started: RunStarted, event_count: int) -> Recipe:
-    """Return what the run with this event 0 was made from. Raises: CannotReplay."""
+    """Return the inputs of the run with this event 0. Raises: CannotReplay."""
     if started.kind != "simulated":
         raise CannotReplay("kind", "a simulated run", f"a {started.kind} run, whose commands are not stored")
     _require_our_model(started)
     try:
         spec = msgspec.convert({name: getattr(started, name) for name in RunSpec.__struct_fields__}, RunSpec)
-        if spec.fleet_size > event_count:  # each robot has joined: checked before any of them is made
+        if spec.fleet_size > event_count:  # each robot has an event: checked before the fleet is built
             found = f"fleet size: found {spec.fleet_size}, expected at most {event_count}, the events of the run"
             raise CannotReplay(None, "a run that can be simulated", found)
         recipe = Recipe(spec, _constants(started.parameters or ""), parsed(started.changes or ()))
@@ -239,7 +239,7 @@ def _require_our_model(started: RunStarted) -> None:
 
 
 def recipe_of(record: LedgerRun, started: RunStarted) -> Recipe:
-    """Return what the run on record, simulated or live, was made from. Raises: CannotReplay."""
+    """Return the inputs of the run on record, simulated or live. Raises: CannotReplay."""
     if started.kind != "live" or started.source != SOURCE:
         return recorded_recipe(started, len(record.events))
     constants, live = recorded_constants(started, len(record.events)), live_record(record, started)
@@ -277,12 +277,12 @@ def require_possible(recipe: Recipe) -> None:
 
 
 def _require_own_words(started: RunStarted, recipe: Recipe) -> None:
-    """Check that event 0 says what this version says of such a run. Raises: CannotReplay."""
+    """Check that event 0 is what this version writes for such a run. Raises: CannotReplay."""
     own = started_of(recipe, started)
     if started.observes != own.observes:
         raise CannotReplay("observes", repr(own.observes), repr(started.observes))
     if started.parameters != own.parameters:
-        recorded, ours = ([one["name"] for one in constants_of(each.parameters) or ()] for each in (started, own))
+        recorded, ours = ([named["name"] for named in constants_of(each.parameters) or ()] for each in (started, own))
         lacks = some(name for name in ours if name not in recorded)
         actual = f"{started.parameters!r:.300}{lacks and f' without {lacks}'}"
         raise CannotReplay("parameters", "all constants of the model, in the form in which it writes them", actual)
@@ -312,14 +312,14 @@ def _require_same(field: str, expected: object, actual: object) -> None:
 
 
 def constants_by_time(recipe: Recipe) -> dict[int, Constants]:
-    """Return the constants by the times from which on they hold for the world, in order, in microseconds."""
+    """Return the constants of the world by the time from which they hold, in order, in microseconds."""
     constants = recipe.constants
-    found: dict[int, Constants] = {}
-    later = [one for one in recipe.changes if isinstance(one, Set) and one.from_s is not None]
-    for one in sorted(later, key=lambda one: one.from_s or 0.0):
-        constants = with_values(constants, {one.constant: one.value})
-        found[microseconds_of(one.from_s or 0.0)] = constants
-    return found
+    by_time: dict[int, Constants] = {}
+    later = [change for change in recipe.changes if isinstance(change, Set) and change.from_s is not None]
+    for change in sorted(later, key=lambda change: change.from_s or 0.0):
+        constants = with_values(constants, {change.constant: change.value})
+        by_time[microseconds_of(change.from_s or 0.0)] = constants
+    return by_time
 
 
 @lru_cache(maxsize=8)
@@ -336,7 +336,7 @@ World = tuple[int | None, str | None, int | None, int | None]  # seed, scenario,
 
 
 class WorldConstantsUsed(msgspec.Struct, frozen=True):
-    """The worlds that runs of one kind met under the same constants; `parameters` as `RunStarted` holds them."""
+    """The worlds that runs of one kind met under the same constants; `parameters` as in `RunStarted`."""
 
     parameters: str
     architecture: str
@@ -347,34 +347,34 @@ class WorldConstantsUsed(msgspec.Struct, frozen=True):
 def constants_used(starts: Iterable[RunStarted]) -> tuple[WorldConstantsUsed, ...]:
     """Return the worlds that these runs met, in the order in which they were first met."""
     groups: dict[tuple[str, str, str], list[World]] = {}
-    for one in starts:
+    for run in starts:
         kind = (
-            one.parameters or "",
-            one.architecture or "",
-            one.configuration or "",
+            run.parameters or "",
+            run.architecture or "",
+            run.configuration or "",
         )  # none is missing in a replayed run
-        groups.setdefault(kind, []).append((one.seed, one.scenario, one.fleet_size, one.run))
+        groups.setdefault(kind, []).append((run.seed, run.scenario, run.fleet_size, run.run))
     return tuple(WorldConstantsUsed(*kind, tuple(worlds)) for kind, worlds in groups.items())
 
 
 def remarks_on(found: Iterable[WorldConstantsUsed]) -> tuple[str, ...]:
     """Return a line for each set of constants that is not this version's.
 
-    A last line says if two architectures or configurations met a world under no set of constants in common.
+    A last line reports if two architectures or configurations never met a world under the same constants.
     """
     runs: dict[str, Counter[str]] = {}
     met: dict[World, dict[str, set[int]]] = {}
     numbers: dict[str, int] = {}
-    for one in found:
-        who = one.architecture if one.configuration == "full" else f"{one.architecture} {one.configuration}"
-        runs.setdefault(one.parameters, Counter())[who] += len(one.worlds)
-        number = numbers.setdefault(one.parameters, len(numbers))
-        for world in one.worlds:
-            met.setdefault(world, {}).setdefault(who, set()).add(number)
+    for used in found:
+        side = used.architecture if used.configuration == "full" else f"{used.architecture} {used.configuration}"
+        runs.setdefault(used.parameters, Counter())[side] += len(used.worlds)
+        number = numbers.setdefault(used.parameters, len(numbers))
+        for world in used.worlds:
+            met.setdefault(world, {}).setdefault(side, set()).add(number)
     total = sum(count.total() for count in runs.values())
     lines = [
         f"{_kind(differences)}: {counts.total():,} of {total:,} runs "
-        f"({some(f'{count:,} of {who}' for who, count in counts.items())}) "
+        f"({some(f'{count:,} of {side}' for side, count in counts.items())}) "
         f"{KINDS[_kind(differences)]}: {some(differences)}"
         for parameters, counts in runs.items()
         if (differences := unlike_ours(parameters))
@@ -384,7 +384,7 @@ def remarks_on(found: Iterable[WorldConstantsUsed]) -> tuple[str, ...]:
     unlike = [
         world
         for world, sides in met.items()
-        if any(one.isdisjoint(other) for one, other in combinations(sides.values(), 2))
+        if any(first.isdisjoint(second) for first, second in combinations(sides.values(), 2))
     ]
     if unlike:
         seed, scenario, fleet_size, run = unlike[0]
@@ -397,4 +397,4 @@ def remarks_on(found: Iterable[WorldConstantsUsed]) -> tuple[str, ...]:
 
 
 def _kind(differences: Iterable[str]) -> str:
-    return "another load" if all(one.startswith("load.") for one in differences) else "other constants"
+    return "another load" if all(name.startswith("load.") for name in differences) else "other constants"

@@ -1,12 +1,12 @@
-"""The recorded environment: what happened by itself, and what was answered at the ports, taken from a run's events.
+"""The recorded environment: the facts of the world and the answers at the ports, inferred from a run's events.
 
-No event says how long a message took or what came of an attempt. But two commands with the same cause never share an
+No event records how long a message took or how an attempt ended. But two commands with the same cause never share an
 instant, and the first event of a batch names its cause: so the batch belongs to one of the commands that this event
-scheduled, namely one that decides exactly these events under the state before them. Its time is the answer to what the
-command waited for, and what it had to be told, to decide so, is the answer to what it asked.
+scheduled, namely one that decides exactly these events in the state before them. Its time is the answer to the
+command's waits, and the answer to its question is the one with which it decides these events.
 
-No draw, seed or constant of the world is read. Whoever plays the run in this environment checks every decision, given
-what the record says was met.
+No draw, seed or constant of the world is read. Replaying the run in this environment checks every decision, given the
+facts and answers of the record.
 """
 
 from collections import defaultdict, deque
@@ -29,18 +29,18 @@ from .ports import AS_USUAL, DISAPPROVES, PREFERS_OTHER, Ask, Fact
 from .world import FOREVER_US
 
 FACTS = frozenset({*get_args(WorldEvent), CommandGiven})
-"""The types of events that come from outside the run: what the world does by itself, and commands."""
+"""The types of events that come from outside the run: facts of the world, and commands."""
 _SPAN_US = 1 << 42
-"""Longer than any run: what is due after some spans is due at a time to be found."""
+"""Longer than any run: a command that is due after some spans is due at an unknown time."""
 _MOST_WAITS = 20
-"""More than what is asked in reaction to one event."""
+"""More than the number of questions in reaction to one event."""
 _POSSIBLE_ANSWERS = {
     "verdict": (AS_USUAL, DISAPPROVES, PREFERS_OTHER),
     "admission": (AS_USUAL,),
     "help": (AS_USUAL,),
     "reliability": (1, 0),
 }
-"""What can be answered, in words, to what a command asks when it is due, the usual first; all else are lengths."""
+"""Possible answers to a question of a command when it is due, by `what`, the usual first; all others are lengths."""
 
 
 Batch = tuple[Event, ...]
@@ -48,13 +48,13 @@ Compare = Callable[[Batch, Batch], bool]
 
 
 class RecordedEnvironment:
-    """The environment of a record: its facts happen, and each question gets the answers that were found, in order.
+    """The environment of a record: its facts, and for each question the inferred answers, in order.
 
-    Where a command waited for several, the first has the length of all. A question of which nothing came, as far as
-    the record shows, is never answered.
+    If a command waits for several answers, the first has the length of all. A question without an effect on record is
+    never answered.
 
-    What was kept during an outage is done after it, each at an instant of its own, in an order that the record does not
-    tell. `later_us` has, by serial, when a command was due that waited, or that came later because others were first.
+    Commands held back during an outage run after it, each at its own instant, in an order that the record does not
+    show. `later_us` has, by serial, the time of each command that waited, or that ran later because of others.
     """
 
     def __init__(
@@ -63,7 +63,7 @@ class RecordedEnvironment:
         self.facts = facts
         self.later_us = later_us
         self.latest_us: int | None = last_us + FOREVER_US // 2
-        self._answers = {ask: deque(found) for ask, found in answers.items()}
+        self._answers = {ask: deque(queue) for ask, queue in answers.items()}
 
     def answer(self, ask: Ask) -> int:
         """Return the recorded answer. Units: microseconds for lengths."""
@@ -76,8 +76,8 @@ class RecordedEnvironment:
 def recorded_environment(record: LedgerRun, table: HandlerTable) -> RecordedEnvironment:
     """Return the environment in which a run was recorded.
 
-    From a batch that no command makes, at most its time is learned, and nothing from what follows where the handlers
-    cannot go on: the run played in this environment differs from the record there.
+    A batch that no command produces gives at most its time, and the search ends where the handlers cannot continue: the
+    replay in this environment differs from the record there.
     """
     facts = tuple(
         (record.times_us[seq], event)
@@ -85,25 +85,25 @@ def recorded_environment(record: LedgerRun, table: HandlerTable) -> RecordedEnvi
         if type(event) in FACTS and record.caused_by[seq] == 0
     )
     end = next((seq for seq, time_us in enumerate(record.times_us) if time_us > 0), len(record.events))
-    found = _AnswerSearch(table, record.events[:end])
+    search = _AnswerSearch(table, record.events[:end])
     with suppress(LookupError, TypeError, ValueError, AttributeError, AssertionError):
-        found.follow(record, end)
-    return RecordedEnvironment(facts, found.answers, found.later_us, record.times_us[-1])
+        search.follow(record, end)
+    return RecordedEnvironment(facts, search.answers, search.later_us, record.times_us[-1])
 
 
 class RecordedKernel(Kernel):
-    """A run that, in a recorded environment, does what was kept during an outage when it was done."""
+    """A run in a recorded environment, with commands held back in an outage run at their recorded times."""
 
     later_us: dict[int, int]
 
     def _release(self, now_us: int) -> None:
         super()._release(now_us)
-        if any(one[1] in self.later_us for one in self._pending):
-            self._pending.replace([(self.later_us.get(one[1], one[0]), *one[1:]) for one in self._pending])
+        if any(item[1] in self.later_us for item in self._pending):
+            self._pending.replace([(self.later_us.get(item[1], item[0]), *item[1:]) for item in self._pending])
 
 
 class _UnknownEnvironment:
-    """An environment in which nothing is answered yet: each wait takes a number of spans of its own."""
+    """An environment without known answers: each wait takes its own number of spans."""
 
     facts: tuple[Fact, ...] = ()
     latest_us: int | None = None
@@ -114,20 +114,20 @@ class _UnknownEnvironment:
 
     def answer(self, ask: Ask) -> int:
         self._count += 1
-        number = (self._count << _MOST_WAITS) + (1 << len(self.given))  # so that no two sums are the same
+        number = (self._count << _MOST_WAITS) + (1 << len(self.given))  # so that all sums differ
         self.given.append(_SPAN_US * number if ask.key else 0)
         return self.given[-1]
 
 
 class _AnswerSearch(Kernel):
-    """A run that is led by its record, and notes which command made each batch, and what it had been answered."""
+    """A run that follows its record, and finds the command behind each batch, and the answers to that command."""
 
     def __init__(self, table: HandlerTable, founding: Sequence[Event]) -> None:
         self._unknown = _UnknownEnvironment()
         self._waits: dict[int, _Wait] = {}  # by serial
         self._released: set[int] = set()  # serials
-        self._under_way = 0  # messages that may have come first
-        self._passed: list[Pending] = []  # that were due after an outage, and made nothing then
+        self._under_way = 0  # messages that may have arrived first
+        self._passed: list[Pending] = []  # commands due after an outage, so far without an event
         self.answers: dict[Ask, list[int]] = defaultdict(list)
         self.later_us: dict[int, int] = {}
         super().__init__(table, self._unknown, founding)
@@ -141,8 +141,8 @@ class _AnswerSearch(Kernel):
             while end < count and is_same_batch(record.times_us, record.caused_by, end):
                 end += 1
             batch = tuple(record.events[seq:end])
-            while (one := self._pending.pop_before(time_us)) is not None:
-                self._pass(one)
+            while (item := self._pending.pop_before(time_us)) is not None:
+                self._pass(item)
             if cause == 0 and type(batch[0]) in FACTS:
                 self._apply_fact(batch[0], time_us)
             else:
@@ -150,41 +150,41 @@ class _AnswerSearch(Kernel):
                 self._batch(batch, time_us, cause)
             seq = end
 
-    def _pass(self, one: Pending) -> None:
-        """Let a command have its turn, which made nothing, unless what it was due after is later than it seems."""
-        if self._hold_back(one):
+    def _pass(self, item: Pending) -> None:
+        """Skip a command that made no event when it was due; one that was held back before may still run later."""
+        if self._hold_back(item):
             return
-        if one[3].ask is not None:
-            self.answers[one[3].ask].append(0)
-        if one[1] in self._released:
-            self._passed.append(one)
+        if item[3].ask is not None:
+            self.answers[item[3].ask].append(0)
+        if item[1] in self._released:
+            self._passed.append(item)
 
     def _find(self, batch: Batch, time_us: int, cause: int | None) -> None:
-        """Take the pending command that makes the batch, or one of its kind, and note what it had been answered."""
-        able = [
-            one
-            for one in sorted(self._pending, key=lambda one: one[1])
-            if one[2] == cause and (one[0] == time_us or one[1] in self._waits)
+        """Take the pending command that produces the batch, or one of its kind, and note the answers to it."""
+        candidates = [
+            item
+            for item in sorted(self._pending, key=lambda item: item[1])
+            if item[2] == cause and (item[0] == time_us or item[1] in self._waits)
         ]
         for is_made in (_is_same, _is_same_kind):
-            for one in able:
-                told = self._told(batch, time_us, one[3], is_made)
-                if told is not None:
-                    self._take(one, time_us, told)
+            for item in candidates:
+                answer = self._told(batch, time_us, item[3], is_made)
+                if answer is not None:
+                    self._take(item, time_us, answer)
                     return
-        for one in self._passed:
-            if one[2] != cause or time_us - one[0] > self._under_way:
+        for item in self._passed:
+            if item[2] != cause or time_us - item[0] > self._under_way:
                 continue
-            told = self._told(batch, time_us, one[3], _is_same)
-            if told is not None:
-                self.later_us[one[1]] = time_us
-                if one[3].ask is not None:
-                    self.answers[one[3].ask][-1] = told
-                self._passed.remove(one)
+            answer = self._told(batch, time_us, item[3], _is_same)
+            if answer is not None:
+                self.later_us[item[1]] = time_us
+                if item[3].ask is not None:
+                    self.answers[item[3].ask][-1] = answer
+                self._passed.remove(item)
                 return
 
     def _told(self, batch: Batch, time_us: int, scheduled: Scheduled, is_made: Compare) -> int | None:
-        """Return what makes the command decide this batch, 0 where it asks nothing; None if nothing does."""
+        """Return the answer with which the command decides this batch, 0 if it asks nothing; None if there is none."""
         command, ask = scheduled.command, scheduled.ask
         command.now_us = time_us
         for answer in (0,) if ask is None else _POSSIBLE_ANSWERS.get(ask.what) or (*_lengths(batch, time_us), 0):
@@ -194,41 +194,43 @@ class _AnswerSearch(Kernel):
         return None
 
     def _release(self, now_us: int) -> None:
-        kept = {one[1] for one in self._held_back}
+        held_back = {item[1] for item in self._held_back}
         super()._release(now_us)
         self._passed.clear()
-        self._released = kept - {one[1] for one in self._held_back}
-        self._under_way = sum(one[1] in self._waits for one in self._pending)
+        self._released = held_back - {item[1] for item in self._held_back}
+        self._under_way = sum(item[1] in self._waits for item in self._pending)
 
-    def _take(self, one: Pending, time_us: int, told: int) -> None:
-        due_us, serial, _, scheduled = one
+    def _take(self, item: Pending, time_us: int, answer: int) -> None:
+        due_us, serial, _, scheduled = item
         if scheduled.ask is not None:
-            self.answers[scheduled.ask].append(told)
+            self.answers[scheduled.ask].append(answer)
         if serial in self._waits:
             ask, place, spans_us = self._waits[serial]
             self.answers[ask][place] = time_us - (due_us - spans_us)
             self.later_us[serial] = time_us
-        self._pending.replace([other for other in self._pending if other is not one])
+        self._pending.replace([other for other in self._pending if other is not item])
 
     def _record(self, event: Event, time_us: int, cause: int | None) -> None:
-        before, asked = self._serial, 0
+        before, count = self._serial, 0
         self._unknown.given.clear()
         super()._record(event, time_us, cause)
         if self._serial == before:
             return
-        new = sorted((one for one in (*self._pending, *self._held_back) if one[1] > before), key=lambda one: one[1])
+        new = sorted(
+            (item for item in (*self._pending, *self._held_back) if item[1] > before), key=lambda item: item[1]
+        )
         for _, serial, _, scheduled in new:
-            given = self._unknown.given[asked : asked + len(scheduled.waits)]
-            asked += len(given)
-            for ask, span_us in zip(scheduled.waits, given, strict=True):
+            spans_us = self._unknown.given[count : count + len(scheduled.waits)]
+            count += len(spans_us)
+            for ask, span_us in zip(scheduled.waits, spans_us, strict=True):
                 is_first = span_us > 0 and serial not in self._waits
                 if is_first:
-                    self._waits[serial] = _Wait(ask, len(self.answers[ask]), sum(given))
+                    self._waits[serial] = _Wait(ask, len(self.answers[ask]), sum(spans_us))
                 self.answers[ask].append(FOREVER_US if is_first else 0)
 
 
 class _Wait(NamedTuple):
-    """What a command waits for: the question that has the length of all, its place among the answers, and the spans."""
+    """The waits of a command: the question whose answer has their whole length, its place among answers, the spans."""
 
     ask: Ask
     place: int
@@ -244,6 +246,6 @@ def _is_same_kind(made: Batch, batch: Batch) -> bool:
 
 
 def _lengths(batch: Batch, time_us: int) -> list[int]:
-    """Return the lengths from now on that a batch names, each once."""
+    """Return the lengths of time from now to the times in a batch, each once."""
     values = [value for event in batch for name, value in flat(event).items() if name.endswith("_us")]
     return list(dict.fromkeys(value - time_us for value in values if isinstance(value, int) and value > time_us))

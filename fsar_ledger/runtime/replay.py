@@ -1,31 +1,31 @@
-"""Replay: the world and the handlers must make a run again from its parameters, exactly as recorded, event by event.
+"""Replay: simulating a run again from its parameters must give exactly the recorded events.
 
-- What was simulated (seed, architecture, scenario, constants): taken from `RunStarted` as recorded. Constants other
-  than this version's are a remark (`recipes.py`).
-- What the world did by itself (`events/world.py`), and when: made again (`world/schedule.py`) and compared, so that
-  nothing is left out, added or changed.
-- Who founds the fleet, with which capabilities and trust: made again for the recorded fleet size, and compared.
+- Parameters (seed, architecture, scenario, constants): taken from `RunStarted` as recorded. Constants other than this
+  version's are a remark (`recipes.py`).
+- Facts of the world (`events/world.py`) and their times: scheduled again (`world/schedule.py`) and compared, so that
+  none is missing, added or changed.
+- The founding of the fleet, with its capabilities and trust: repeated for the recorded fleet size, and compared.
 - Every decision (what, by whom, when, caused by which event): made again by the handlers, and compared.
-- What was planned (`ExperimentPlanned`, which is no run): taken as recorded; its name is a digest of it.
-- How long messages, ways, attempts, answers and executions take, and whether a degraded actuator holds: drawn again
-  under the recorded seed.
+- Plans (`ExperimentPlanned`, which is no run): taken as recorded; the name of a plan is a digest of it.
+- The durations of messages, approaches, attempts, answers and executions, and whether a degraded actuator holds: drawn
+  again under the recorded seed.
 
-So a simulated run has only one possible record, and nothing in it is taken on trust but its first event, whose digest
-is in the run's name. The schedule is made to its horizon and a run ends when nothing is left to happen, so the whole
-schedule is in the record. The facts of the paper's workflows follow from their scenario, and are also made again.
+So a simulated run has only one possible record, and only its first event is trusted, whose digest is in the run's name.
+The schedule extends to its horizon and a run ends when nothing is left to happen, so the whole schedule is in the
+record. The facts of the paper's workflows follow from their scenario, and are also scheduled again.
 
-The first event of a fork says what is otherwise than in its base (`recipes.py`). The fork is made again with that, the
-base without, and how far the one repeats the other is compared with what the first event says.
+The first event of a fork records its changes to its base (`recipes.py`). Both the fork and the base are simulated
+again, and the number of events that they share is compared with the first event.
 
-A live run whose commands are on record (`CommandGiven`) is made again from these alone; when they came and what they
-say is taken on trust. Other live runs declare nothing from which they could be made: they are refused. Foreign runs are
-recordings of what others decided, which no handler of ours could make: they are counted, and no doubt.
+A live run whose commands are on record (`CommandGiven`) is rebuilt from these alone; their times and contents are
+trusted. Other live runs record nothing to rebuild them from, and are refused. Foreign runs record what other systems
+decided, which our handlers cannot repeat: they are counted, and cast no doubt.
 
-A replay can also be asked to take what the world did and answered from the record (`recorded.py`). It checks every
-decision, and that none is missing, whatever world the run was in; that this world was the one of the seed, it does not.
+On request, a replay takes the facts and answers of the world from the record (`recorded.py`). It then checks every
+decision, and that none is missing, in whatever world the run took place; it does not check that world against the seed.
 
 The record also holds the length of an execution, as `ends_us`. It is drawn again all the same: taking it from the
-record would be to believe the decision in question.
+record would mean trusting the decision that is being checked.
 """
 
 from collections.abc import Collection, Iterator, Sequence
@@ -61,11 +61,11 @@ from .run_replay import Difference, ForeignDigest, error_text, replay_run
 class ReplayReport(msgspec.Struct, frozen=True):
     """The result of `replay`.
 
-    Units: `commits`, `runs` and `events` (of runs) count what replay made exactly as recorded; `recordings` the foreign
-    runs, which it does not make.
+    Units: `commits`, `runs` and `events` (of runs) count what was replayed exactly as recorded; `recordings` counts
+    foreign runs, which are not replayed.
 
-    `remarks` do not cast doubt on a run: they name constants that are not this version's, and digests of a state in a
-    shape that is not.
+    `remarks` do not cast doubt on a run: they name constants that are not this version's, and digests of states that
+    were stored in another shape.
     """
 
     ok: bool
@@ -114,7 +114,7 @@ def replay(
         workers: Number of processes; the report does not depend on it.
         progress: Called with (segments done, segments in all).
         commits: How many of the first commits to replay; None is all.
-        is_recorded: Take what the world did and answered from the record.
+        is_recorded: Take the facts and answers of the world from the record.
 
     Raises:
         NotALedger, FormatVersionMismatch, LedgerCorrupted: as `open_ledger`, and where a segment is missing.
@@ -122,13 +122,13 @@ def replay(
     view = open_ledger(path)
     groups = view.groups()[:commits]
     files = [tuple(_within(path, view.segment(number)) for number in group) for group in groups]
-    found: list[Difference] = []
+    differences: list[Difference] = []
     worlds: list[WorldConstantsUsed] = []
     digests: list[ForeignDigest] = []
     whole = runs = events = recordings = 0
     continued = frozenset(earlier_runs(view).values())
     for done, result in enumerate(_replayed(str(path), files, max(1, workers), is_recorded, continued), start=1):
-        found += result.differences
+        differences += result.differences
         worlds += result.worlds
         digests += result.digests
         whole, runs, events = whole + result.ok, runs + result.runs, events + result.events
@@ -136,29 +136,29 @@ def replay(
         if progress is not None:
             progress(done, len(files))
     remarks = (*remarks_on(worlds), *_remarks_on_digests(digests))
-    return ReplayReport(not found, tuple(found[:MAX_PROBLEMS]), whole, runs, events, remarks, recordings)
+    return ReplayReport(not differences, tuple(differences[:MAX_PROBLEMS]), whole, runs, events, remarks, recordings)
 
 
-def _remarks_on_digests(found: Sequence[ForeignDigest]) -> Iterator[str]:
-    """Yield what is to be said of the digests of a state in another shape, if there are any."""
-    unlike = [one for one in found if not one.is_same]
-    if found:
-        first = (unlike or found)[0]
-        told = f"{len(unlike):,} not compared" if unlike else "the same here"
+def _remarks_on_digests(digests: Sequence[ForeignDigest]) -> Iterator[str]:
+    """Yield a remark on digests of states in another shape, if there are any."""
+    unlike = [digest for digest in digests if not digest.is_same]
+    if digests:
+        first = (unlike or digests)[0]
+        outcome = f"{len(unlike):,} not compared" if unlike else "the same here"
         yield (
-            f"state at cuts: {counted(len(found), 'digest')} of a state that was kept in another shape "
-            f"({value(first.shape)}, here {value(state_shape())}): {told}, first of run {value(first.run)}, seq "
+            f"state at cuts: {counted(len(digests), 'digest')} of a state that was kept in another shape "
+            f"({value(first.shape)}, here {value(state_shape())}): {outcome}, first of run {value(first.run)}, seq "
             f"{first.seq}; all from which it follows was made again"
         )
 
 
 def _within(path: Path, file: Path) -> str:
-    """Return the name of a file within the ledger; of one outside, its path."""
+    """Return the path of a file relative to the ledger if it lies within, else its path."""
     return str(file.relative_to(path) if file.is_relative_to(path) else file)
 
 
 def _place(file: str) -> str:
-    """Name where rows are in the ledger: those of the journal were put into a file elsewhere to be read."""
+    """Return the file of the ledger that holds the rows; rows of the journal are read from a file elsewhere."""
     return JOURNAL if Path(file).is_absolute() else file
 
 
@@ -166,12 +166,12 @@ def _replayed(
     path: str, files: list[tuple[str, ...]], workers: int, is_recorded: bool, continued: frozenset[str]
 ) -> Iterator[CommitReport]:
     """Yield the report of each group of segments, in order."""
-    asked = repeat(path), range(len(files)), files, repeat(is_recorded), repeat(continued)
+    arguments = repeat(path), range(len(files)), files, repeat(is_recorded), repeat(continued)
     with pool_of(workers, len(files)) as pool:
-        yield from (pool.map if pool else map)(replay_commit, *asked)
+        yield from (pool.map if pool else map)(replay_commit, *arguments)
 
 
-@without_collection()  # a run makes no cyclic garbage
+@without_collection()  # a run creates no cycles
 def replay_commit(
     path: str,
     number: int,
@@ -179,14 +179,13 @@ def replay_commit(
     is_recorded: bool = False,
     continued: Collection[str] = (),
 ) -> CommitReport:
-    """Return the report on the runs of one commit, in these files of the ledger; other arguments as of `replay`.
+    """Return the report on the runs in these files of the ledger, which share runs; `number` is that of the group.
 
-    Files are those that share runs, and `number` counts such groups. Runs of `continued` are left to those that
-    continue them.
+    Runs in `continued` are replayed with the runs that continue them. Other arguments as for `replay`.
 
     Never raises.
     """
-    found: list[Difference] = []
+    differences: list[Difference] = []
     starts: list[RunStarted] = []
     digests: list[ForeignDigest] = []
     runs = events = recordings = 0
@@ -207,16 +206,16 @@ def replay_commit(
                 runs, events = runs + parts, events + size
                 starts += [started] if isinstance(started, RunStarted) else []
             else:
-                found.append(msgspec.structs.replace(difference, commit=number, segment=_place(files[0])))
+                differences.append(msgspec.structs.replace(difference, commit=number, segment=_place(files[0])))
     except Exception as error:  # a check that fails in an unforeseen way is still a finding
-        found.append(
+        differences.append(
             Difference(None, None, None, None, "runs that can be replayed", error_text(error), number, _place(files[0]))
         )
-    return CommitReport(tuple(found), constants_used(starts), runs, events, tuple(digests), recordings)
+    return CommitReport(tuple(differences), constants_used(starts), runs, events, tuple(digests), recordings)
 
 
 def _cut_within(record: LedgerRun, runs: int = 1) -> Difference | None:
-    """Return the difference if the record of so many runs has more cuts than are between them."""
+    """Return the difference if the record of this many runs has more cuts than lie between them."""
     cuts = [seq for seq, event in enumerate(record.events) if isinstance(event, RunContinued)]
     if len(cuts) < runs or type(record.events[0]) in ALONE:
         return None
@@ -224,7 +223,7 @@ def _cut_within(record: LedgerRun, runs: int = 1) -> Difference | None:
 
 
 def _replay_chain(view: View, run: str, digests: list[ForeignDigest]) -> tuple[Difference | None, int, int]:
-    """Replay a run from the beginning of those that it continues; return how many they are, and their events, too."""
+    """Replay a run with all that it continues; return the difference, and the numbers of runs and events."""
     record, sizes = record_of(view, run), {commit.tree_root: commit.tree_size for commit in view.commits}
     cuts = [(seq, event) for seq, event in enumerate(record.events) if isinstance(event, RunContinued)]
     runs = chain_of(view, run)
@@ -239,13 +238,13 @@ def _replay_chain(view: View, run: str, digests: list[ForeignDigest]) -> tuple[D
 
 
 def _runs_in(path: Path, files: tuple[str, ...]) -> Iterator[LedgerRun]:
-    """Yield the runs in these files of the ledger, which share them with no others.
+    """Yield the runs in these files of the ledger, which no other file shares.
 
-    Where runs took turns, one file has a run in pieces.
+    Where runs were interleaved, a file has a run in pieces.
     """
     pieces: dict[str, list[LedgerRun]] = {}
     for file in files:
         for piece in decode(segment.read_table(path / file), is_whole=False):
             pieces.setdefault(piece.run_id, []).append(piece)
     for run in [*pieces]:
-        yield joined(pieces.pop(run))  # no longer held then
+        yield joined(pieces.pop(run))  # frees its memory

@@ -1,6 +1,6 @@
-"""The replay of one run: the world and the handlers make it again, and it stops at the first event that differs.
+"""The replay of one run: it is simulated again, up to the first event that differs from the record.
 
-What is made and what is taken as recorded: `replay.py`.
+What is repeated and what is taken as recorded: `replay.py`.
 """
 
 from collections.abc import Callable, Sequence
@@ -38,15 +38,14 @@ from .world.schedule import schedule
 _END = "the end of the run"
 
 MAX_SILENT = 100_000
-"""The most consecutive decisions that make no event; no run of the model needs a hundred."""
+"""The most consecutive decisions without an event; no run of the model has a hundred."""
 
 
 class Difference(msgspec.Struct, frozen=True):
-    """The first place where a record differs from what was decided, or the reason why that could not be checked.
+    """The first place where a record differs from its replay, or the reason why it could not be checked.
 
-    `expected` and `actual` say which. `handler` is the function that makes what is expected, or that had its turn there
-    and made nothing; None where there is none. `commit` and `segment` say where the run is stored, None where that is
-    not known.
+    `handler` is the function that produces the expected event, or that ran there without an event; None if there is
+    none. `commit` and `segment` are where the run is stored, None if unknown.
     """
 
     run: str | None
@@ -70,16 +69,16 @@ class Difference(msgspec.Struct, frozen=True):
 def _replay_plan(record: LedgerRun) -> Difference | None:
     """Return the first field in which the record of a plan is wrong, or None.
 
-    What was planned is taken as recorded; the plan's name is a digest of it.
+    A plan is taken as recorded; its name is a digest of it.
     """
-    found = plan_mismatch(record)
+    wrong = plan_mismatch(record)
     return (
-        None if found is None else Difference(record.run_id, 0, found[0], "simulation.plan_record", found[2], found[1])
+        None if wrong is None else Difference(record.run_id, 0, wrong[0], "simulation.plan_record", wrong[2], wrong[1])
     )
 
 
 class ForeignDigest(msgspec.Struct, frozen=True):
-    """The digest of a state that was kept in another shape than here, and whether it is the same here."""
+    """The recorded digest of a state in another shape than this version's, and whether it is the same here."""
 
     run: str
     seq: int
@@ -90,15 +89,15 @@ class ForeignDigest(msgspec.Struct, frozen=True):
 def replay_run(
     record: LedgerRun, is_recorded: bool = False, digests: list[ForeignDigest] | None = None
 ) -> Difference | None:
-    """Return the first difference between the record and what world and handlers make, or None. Never raises.
+    """Return the first difference between the record and its replay, or None. Never raises.
 
-    With `is_recorded` the world is that of the record. `digests` gets those of a state in another shape.
+    With `is_recorded` the world is taken from the record. Digests of states in another shape are added to `digests`.
     """
     difference, started = _replayed(record, is_recorded, digests), record.events[0]
     if difference is None or is_recorded:  # the changes are in the world of the record
         return difference
     if isinstance(started, RunStarted) and len(started.changes or ()) > 1:
-        # Forks made by releases to 0.15 are no forgeries: their changes name what those before left.
+        # Forks of releases up to 0.15 are valid: each of their changes counts the facts left by those before it.
         return None if _replayed(record, is_recorded, digests, counts_anew=True) is None else difference
     return difference
 
@@ -106,19 +105,19 @@ def replay_run(
 def _replayed(
     record: LedgerRun, is_recorded: bool, digests: list[ForeignDigest] | None, *, counts_anew: bool = False
 ) -> Difference | None:
-    one: _Replay | None = None
+    replay: _Replay | None = None
     try:
         if type(record.events[0]) in ALONE:
             return _replay_plan(record)
-        one = _start_replay(record, is_recorded, counts_anew)
-        one.run_to_end()
-        one.require_end()
+        replay = _start_replay(record, is_recorded, counts_anew)
+        replay.run_to_end()
+        replay.require_end()
         if digests is not None:
-            digests += one.digests
-    except _Mismatch as stopped:
-        return stopped.difference
+            digests += replay.digests
+    except _Mismatch as mismatch:
+        return mismatch.difference
     except Exception as error:
-        seq, handler = (0, None) if one is None else (len(one.events), one.handler())
+        seq, handler = (0, None) if replay is None else (len(replay.events), replay.handler())
         return Difference(record.run_id, seq, None, handler, "something that can be decided", error_text(error))
     return None
 
@@ -148,13 +147,13 @@ class _Replay(RecordedKernel):
         events: Sequence[Event],
         founded: State,
     ) -> None:
-        """Make the run up to its founding. Raises: _Mismatch if the record has another one."""
+        """Begin the run with its founding. Raises: _Mismatch if the record has another founding."""
         self._stored, self._count = record, len(record.events)
         self._deciding: Callable[..., object] = founding
         self._environment, self._facts = environment, environment.facts
         self.later_us = environment.later_us if isinstance(environment, RecordedEnvironment) else {}
         self.digests: list[ForeignDigest] = []
-        self._silent: list[tuple[int, Decide]] = []  # decisions since the last event, which made none
+        self._silent: list[tuple[int, Decide]] = []  # decisions since the last event, all without one
         for seq, event in enumerate(events):
             self._require(seq, event, 0, None if seq == 0 else 0)
         super().__init__(handler_table_of(*architecture), environment, events, founded)
@@ -165,11 +164,11 @@ class _Replay(RecordedKernel):
         self.run()
 
     def handler(self) -> str:
-        """Return the function that makes the next event, by module and name."""
+        """Return the function that produces the next event, by module and name."""
         return function_name(self._deciding)
 
     def require_end(self) -> None:
-        """Check that nothing is recorded that was not decided. Raises: _Mismatch."""
+        """Check that the record has no further events. Raises: _Mismatch."""
         seq = len(self.events)
         if seq < self._count:
             raise self._missed_decision(seq) or _Mismatch(
@@ -177,7 +176,7 @@ class _Replay(RecordedKernel):
             )
 
     def _noted(self, decide: Decide) -> Decide:
-        """Return the decision wrapped so that it is noted when it is taken."""
+        """Return the handler, wrapped so that its decisions are noted."""
 
         def noted(state: State, command: Command) -> tuple[Event, ...]:
             self._deciding = decide
@@ -199,7 +198,7 @@ class _Replay(RecordedKernel):
         seq = len(self.events)
         self._require(seq, event, time_us, cause)
         self._silent.clear()
-        super()._record(self._stored.events[seq], time_us, cause)  # the equal one that is there: half of the memory
+        super()._record(self._stored.events[seq], time_us, cause)  # the equal stored event: half of the memory
 
     def _require(self, seq: int, event: Event, time_us: int, cause: int | None) -> None:
         """Check that the record has this event at that seq. Raises: _Mismatch."""
@@ -228,13 +227,13 @@ class _Replay(RecordedKernel):
         return name, self.handler(), f"{expected!r:.300}", f"{actual!r:.300}"
 
     def _actual(self, seq: int) -> str:
-        """Return what is recorded there; for a fact of the world, also say if the world does not have it."""
+        """Describe the recorded event; for a fact of the world, note if the world does not have it."""
         event, time_us = self._stored.events[seq], self._stored.times_us[seq]
         invented = type(event) in FACTS and (time_us, event) not in self._facts
         return _at(event, time_us) + (", which the world of this run does not have" if invented else "")
 
     def _missed_decision(self, seq: int) -> _Mismatch | None:
-        """Return the difference if the recorded event is where a handler had its turn and made nothing, else None."""
+        """Return the mismatch if a handler ran at the time of the recorded event without an event, else None."""
         decide = dict(self._silent).get(self._stored.times_us[seq])
         if decide is None:
             return None
@@ -272,12 +271,12 @@ class _SimulatedReplay(_Replay):
 
 
 class _LiveReplay(_Replay):
-    """The replay of a live run from the commands on its record, until the last of its events."""
+    """The replay of a live run from its recorded commands, up to its last event."""
 
     def __init__(self, record: LedgerRun, started: RunStarted, constants: Constants) -> None:
         events, founded = fleet_founding(started.fleet_size or 0, constants, founded_alone(record.events))
-        made = live_started(constants, started.fleet_size or 0, started.epoch)
-        super().__init__(record, (ARCHITECTURE, FULL), LiveEnvironment(commands_of(record)), (made, *events), founded)
+        first = live_started(constants, started.fleet_size or 0, started.epoch)
+        super().__init__(record, (ARCHITECTURE, FULL), LiveEnvironment(commands_of(record)), (first, *events), founded)
 
         self._before = 0  # how many events the runs before the last cut have
 
@@ -289,20 +288,22 @@ class _LiveReplay(_Replay):
             seq = len(self.events)
             last, digest, shape = seq - 1 - self._before, state_sha256(self.stands(time_us)), fact.state_shape
             is_same, is_foreign = digest == fact.state_sha256, shape != state_shape()
-            if is_foreign:  # what it covers was made again event by event
+            if is_foreign:  # the state was rebuilt event by event
                 self.digests.append(ForeignDigest(self._stored.run_id, seq, shape, is_same))
-            for name, found, made, is_right in (
+            for name, recorded, expected, is_right in (
                 ("continues_seq", fact.continues_seq, last, fact.continues_seq == last),
                 ("state_sha256", fact.state_sha256, digest, is_same or is_foreign),
             ):
                 if not is_right:
-                    raise _Mismatch(self._stored.run_id, seq, name, "live.LiveRun.cut", f"{made!r}", f"{found!r}")
+                    raise _Mismatch(
+                        self._stored.run_id, seq, name, "live.LiveRun.cut", f"{expected!r}", f"{recorded!r}"
+                    )
             self._before += last
         super()._apply_fact(fact, time_us)
 
 
 def function_name(function: Callable[..., object]) -> str:
-    """Return the function by module and name, without what all handlers share."""
+    """Return the function by module and name, without the prefix that all handlers share."""
     return f"{function.__module__}.{function.__qualname__}".removeprefix("fsar_ledger.runtime.")
 
 
@@ -313,7 +314,7 @@ def _at(event: Event, time_us: int) -> str:
 
 
 def _start_replay(record: LedgerRun, is_recorded: bool, counts_anew: bool) -> _Replay:
-    """Return the run at its founding. Raises: _Mismatch if it cannot be replayed, or its founding or name differs."""
+    """Return the run at its founding. Raises: _Mismatch if it cannot be replayed, or founding or name differ."""
     started = record.events[0]
     if not isinstance(started, RunStarted):
         raise _Mismatch(record.run_id, 0, "type", None, "RunStarted.v2", _at(started, record.times_us[0]))
@@ -324,9 +325,9 @@ def _start_replay(record: LedgerRun, is_recorded: bool, counts_anew: bool) -> _R
         if started.kind == "live" and started.source == SOURCE:
             return _LiveReplay(record, started, recorded_constants(started, len(record.events)))
         recipe = msgspec.structs.replace(recorded_recipe(started, len(record.events)), counts_anew=counts_anew)
-    except CannotReplay as found:
-        actual = f"{found.actual}, so the run cannot be replayed"
-        raise _Mismatch(record.run_id, 0, found.field, None, found.expected, actual) from found
+    except CannotReplay as error:
+        actual = f"{error.actual}, so the run cannot be replayed"
+        raise _Mismatch(record.run_id, 0, error.field, None, error.expected, actual) from error
     if run_id(started) != record.run_id:
         raise _Mismatch(record.run_id, 0, "run_id", None, repr(run_id(started)), repr(record.run_id))
     return _SimulatedReplay(record, started, recipe, is_recorded)

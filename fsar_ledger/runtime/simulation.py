@@ -67,7 +67,7 @@ def run_started(spec: RunSpec, constants: Constants) -> RunStarted:
 
 
 def run_id(started: RunStarted) -> str:
-    """Return a readable name with a digest of all parameters, so that other parameters give another run."""
+    """Return a readable name with a digest of all parameters, so that other parameters give another name."""
     digest = sha256(msgspec.json.encode(started, order="sorted")).hexdigest()[:12]
     if started.kind == "live":
         return f"{started.forked_from_run or 'live'}-{digest}"
@@ -76,7 +76,7 @@ def run_id(started: RunStarted) -> str:
 
 
 def kernel(spec: RunSpec, constants: Constants, table: HandlerTable | None = None) -> Kernel:
-    """Return the run at its founding, before the world has done anything.
+    """Return the run at its founding, before any fact of the world.
 
     `table` replaces the architecture's own handler table.
     """
@@ -97,7 +97,7 @@ def draws_of(spec: RunSpec, constants: Constants) -> Draws:
 
 @lru_cache(maxsize=8)
 def _world(world: WorldConstants, fleet: Fleet | None) -> WorldConstants:
-    own = tuple((one.name, Range(*one.lasts_s)) for one in fleet.capabilities if one.lasts_s) if fleet else ()
+    own = tuple((each.name, Range(*each.lasts_s)) for each in fleet.capabilities if each.lasts_s) if fleet else ()
     return msgspec.structs.replace(world, durations=world.durations + own)
 
 
@@ -112,7 +112,7 @@ def fleet_founding(
 ) -> tuple[tuple[Event, ...], State]:
     """Return the events after event 0 with which a fleet of this size is founded, and the state after them.
 
-    `alone`: those that found the run of a robot alone instead (`handlers.isolation`).
+    `alone`: the founding events of a robot alone, instead (`handlers.isolation`).
     """
     if alone:
         return alone, fold(alone)
@@ -131,30 +131,30 @@ def _founded(fleet_size: int, floor_teams: int, fleet: Fleet | None) -> State:
 
 def simulate_run(spec: RunSpec, constants: Constants, table: HandlerTable | None = None) -> LedgerRun:
     """Simulate the whole run."""
-    one = kernel(spec, constants, table)
-    one.run()
-    return LedgerRun(run_id(run_started(spec, constants)), one.times_us, one.caused_by, one.events)
+    run = kernel(spec, constants, table)
+    run.run()
+    return LedgerRun(run_id(run_started(spec, constants)), run.times_us, run.caused_by, run.events)
 
 
 def simulate_slices(spec: RunSpec, constants: Constants, most: int) -> Iterator[LedgerRun]:
-    """Simulate the run, and yield its events in parts of about so many, which go on until the last one.
+    """Simulate the run, and yield its events in parts of about `most` events.
 
-    No more of the run is held than one part.
+    Only one part of the run is held in memory.
     """
-    one = kernel(spec, constants)
+    run = kernel(spec, constants)
     name = run_id(run_started(spec, constants))
     while True:
-        one.run(most=most)
-        part = one.take()
-        yield msgspec.structs.replace(part, run_id=name, goes_on=not one.has_ended)
-        if one.has_ended:
+        run.run(most=most)
+        part = run.take()
+        yield msgspec.structs.replace(part, run_id=name, goes_on=not run.has_ended)
+        if run.has_ended:
             return
 
 
 def handler_table_of(architecture: str, configuration: Configuration = FULL) -> HandlerTable:
     """Return the architecture's handlers and reactions, without the mechanisms that the configuration lacks.
 
-    The handlers themselves check the mechanisms of the paper's ablation, so those leave the table unchanged.
+    The handlers themselves check for the mechanisms of the paper's ablation, so those do not change the table.
     """
     module = import_module(f".architectures.{architecture}", __package__)
     table: HandlerTable = getattr(module, architecture.upper())
@@ -170,13 +170,13 @@ def _knocked_out(architecture: str, configuration: Configuration) -> HandlerTabl
 
 
 def plan_id(planned: ExperimentPlanned) -> str:
-    """Return a readable name with a digest of everything planned, as runs have; no two plans share a name."""
+    """Return a readable name with a digest of the whole plan, as for runs; no two plans share a name."""
     digest = sha256(msgspec.json.encode(planned, order="sorted")).hexdigest()[:12]
     return f"plan.n{planned.fleet_size}.s{planned.seed}.x{planned.run_count:04d}-{digest}"
 
 
 def plan_record(planned: ExperimentPlanned) -> LedgerRun:
-    """Return the record to commit for a plan: a run with its name and one event, at time 0."""
+    """Return the record of a plan: a run with its name and one event, at time 0."""
     return LedgerRun(plan_id(planned), (0,), (None,), (planned,))
 
 
@@ -199,9 +199,9 @@ Batch: TypeAlias = tuple[RunSpec, ...]
 
 
 class Staging(msgspec.Struct, frozen=True):
-    """Makes the runs of batches and stages them for the ledger `out`.
+    """Simulates batches of runs and stages them for the ledger `out`.
 
-    `held` says of each run that the ledger holds in part how many events. A batch is staged as segments of at most
+    `held` is the number of events that the ledger has of each unfinished run. A batch is staged as segments of at most
     `COMMIT_EVENTS` events.
     """
 
@@ -210,9 +210,9 @@ class Staging(msgspec.Struct, frozen=True):
     held: Mapping[str, int]
 
     def of_all(self, batches: Sequence[Batch], workers: int | WorkerPool) -> Iterator[Iterable[Staged]]:
-        """Yield what is staged of each batch, in order, made by this process, so many worker processes, or this pool.
+        """Yield the staged segments of each batch, in order, from this process, new worker processes, or a pool.
 
-        In this process a batch is made while what is yielded is consumed.
+        In this process a batch is simulated while its segments are consumed.
         """
         with pool_of(workers, len(batches)) as pool:
             yield from map(self._stream, batches) if pool is None else self._of_pool(batches, pool)
@@ -231,23 +231,23 @@ class Staging(msgspec.Struct, frozen=True):
         return list(self._stream(batch))
 
     def _stream(self, batch: Batch) -> Iterator[Staged]:
-        """As `of`, one segment after the other, without garbage collection: a run makes no cyclic garbage."""
+        """Yield the batch's segments one at a time, with the collector off: a run creates no cycles."""
         with without_collection():
             for part in self._parts(batch):
                 yield from self._fitted(part)
 
     def _parts(self, batch: Batch) -> Iterator[list[LedgerRun]]:
-        """Yield the runs of the batch in parts of `COMMIT_EVENTS` events, the last one of what remains."""
+        """Yield the runs of the batch in parts of `COMMIT_EVENTS` events; the last part has the rest."""
         part: list[LedgerRun] = []
         room = COMMIT_EVENTS
         for spec in batch:
             for run in simulate_slices(spec, self.constants, COMMIT_EVENTS):
-                at, end = max(0, self.held.get(run.run_id, 0) - run.first), len(run.events)
-                while at < end:
-                    stop = min(end, at + room)
-                    part.append(piece(run, at, stop))
-                    room -= stop - at
-                    at = stop
+                start, end = max(0, self.held.get(run.run_id, 0) - run.first), len(run.events)
+                while start < end:
+                    stop = min(end, start + room)
+                    part.append(piece(run, start, stop))
+                    room -= stop - start
+                    start = stop
                     if not room:
                         yield joined_parts(part)
                         part, room = [], COMMIT_EVENTS
@@ -255,7 +255,7 @@ class Staging(msgspec.Struct, frozen=True):
             yield joined_parts(part)
 
     def _fitted(self, part: list[LedgerRun]) -> Iterator[Staged]:
-        """Stage the part; in halves, if a segment cannot hold it."""
+        """Stage the part, in halves if it does not fit into a segment."""
         try:
             yield stage(self.out, part)
         except CommitTooLarge:
@@ -268,11 +268,11 @@ class Staging(msgspec.Struct, frozen=True):
 
 def joined_parts(part: Sequence[LedgerRun]) -> list[LedgerRun]:
     """Return the runs of a part, each in one piece."""
-    return [joined(list(pieces)) for _, pieces in groupby(part, key=lambda one: one.run_id)]
+    return [joined(list(pieces)) for _, pieces in groupby(part, key=lambda run: run.run_id)]
 
 
 def _halves(part: Sequence[LedgerRun], events: int) -> tuple[list[LedgerRun], list[LedgerRun]]:
-    """Divide these runs after so many events."""
+    """Divide these runs after this many events."""
     first: list[LedgerRun] = []
     second: list[LedgerRun] = []
     for run in part:

@@ -1,8 +1,8 @@
-"""What lies beside the ledger of a live run: where the run stood, and the lock of the process that governs it.
+"""Files beside the ledger of a live run: a snapshot of the run, and the lock of the process that governs it.
 
-A run goes on from a snapshot of it, without being made again from its beginning. A snapshot is derived and disposable.
-It counts for one prefix of one ledger and one version of the code, and what the ledger has after it is made again and
-compared. One that is damaged, old or another's is passed over.
+A run continues from its snapshot instead of being rebuilt from its beginning. A snapshot is derived and disposable. It
+is valid for one prefix of one ledger and one version of the code; later events of the ledger are rebuilt and compared.
+A damaged, old or foreign snapshot is ignored.
 """
 
 import fcntl
@@ -50,7 +50,7 @@ _LIBRARY = {
 
 
 class Snapshot(msgspec.Struct, frozen=True):
-    """What a snapshot counts for: the run, the ledger's size and root there, the code; and the SHA-256 of the rest."""
+    """What a snapshot is valid for: run, size and root of the ledger, and code; and the SHA-256 of its data."""
 
     run: str
     size: int
@@ -60,7 +60,7 @@ class Snapshot(msgspec.Struct, frozen=True):
 
 
 def save(ledger: Path, run: str, head: Head, known: object) -> None:
-    """Keep what is known of the run when the ledger is so long. A disk that refuses is no error."""
+    """Save the state of the run at this head of the ledger. A disk error is ignored."""
     data = pickle.dumps(known, protocol=5)
     line = msgspec.json.encode(Snapshot(run, head.size, head.root, _code(), hashlib.sha256(data).hexdigest()))
     path = place(ledger, run)
@@ -73,40 +73,40 @@ def save(ledger: Path, run: str, head: Head, known: object) -> None:
 
 
 def drop(ledger: Path, run: str) -> None:
-    """Remove the snapshot of a run that goes on in another one. A disk that refuses is no error."""
+    """Remove the snapshot of a run that continues as another one. A disk error is ignored."""
     with suppress(OSError):
         place(ledger, run).unlink()
 
 
 def place(ledger: Path, run: str) -> Path:
-    """Return where the snapshot of the run is."""
+    """Return the path of the run's snapshot."""
     return ledger.with_name(f"{ledger.name}.snapshots") / hashlib.sha256(run.encode()).hexdigest()[:16]
 
 
 def load(view: View, run: str) -> tuple[Any, LedgerRun | None] | None:
-    """Return what was known of the run, and its events after that, if any; None if no snapshot counts."""
+    """Return the saved state of the run, and its events since then, if any; None without a valid snapshot."""
     try:
         line, _, data = place(view.path, run).read_bytes().partition(b"\n")
-        found = msgspec.json.decode(line, type=Snapshot)
+        snapshot = msgspec.json.decode(line, type=Snapshot)
     except (OSError, msgspec.DecodeError, UnicodeDecodeError):
         return None
-    if (found.run, found.code, found.sha256) != (run, _code(), hashlib.sha256(data).hexdigest()):
+    if (snapshot.run, snapshot.code, snapshot.sha256) != (run, _code(), hashlib.sha256(data).hexdigest()):
         return None
-    commit = view.commits.ending_at(found.size)
-    if commit is None or commit.tree_root != found.root:
+    commit = view.commits.ending_at(snapshot.size)
+    if commit is None or commit.tree_root != snapshot.root:
         return None
     pieces: list[LedgerRun] = []
-    for table in view.tables_from(found.size, SCHEMA.names):
-        mine = table.filter(pc.equal(table.column("run_id"), run))
-        pieces += decode(mine, is_whole=False) if mine.num_rows else ()
+    for table in view.tables_from(snapshot.size, SCHEMA.names):
+        rows = table.filter(pc.equal(table.column("run_id"), run))
+        pieces += decode(rows, is_whole=False) if rows.num_rows else ()
     return _Known(io.BytesIO(data)).load(), joined(pieces) if pieces else None
 
 
 class Hold:
-    """Holds a run for this process, until it is released: a lock, which the system releases with the process.
+    """The lock by which this process governs a run, until released; the system releases it with the process.
 
-    It is one of a process (`lockf`), so that a federation that was dropped without being closed holds up no later one
-    of the same process. Where a disk has no locks, or no place for the file, a second process is found when it commits.
+    It belongs to the process (`lockf`), so that a federation that was never closed does not block a later one of the
+    same process. Without locks on the disk, or room for the file, a second process is detected when it commits.
 
     Raises: UsageError if another process holds it.
     """
@@ -128,7 +128,7 @@ class Hold:
                 "first, or give this run another name"
             ) from error
         except OSError:
-            return  # no locks here
+            return  # the file system has no locks
 
     def release(self) -> None:
         """Let another process govern the run."""
@@ -138,51 +138,51 @@ class Hold:
 
 
 class _Known(pickle.Unpickler):
-    """Reads values alone: a file that somebody else wrote must not run anything."""
+    """Unpickles plain values only: a file written by somebody else must not run code."""
 
     def find_class(self, module: str, name: str) -> Any:
-        found = (
+        value_type = (
             super().find_class(module, name) if (module, name) in _LIBRARY or f"{module}.".startswith(_KNOWN) else None
         )
-        if isinstance(found, type) or (module, name) in _LIBRARY:
-            return found
+        if isinstance(value_type, type) or (module, name) in _LIBRARY:
+            return value_type
         raise pickle.UnpicklingError(f"found {module}.{name}, expected a value")
 
 
 def state_sha256(stands: object) -> str:
-    """Return the digest, in hex, of where a run stands (`Kernel.stands`): SHA-256 of it as JSON.
+    """Return the digest of a run's state (`Kernel.stands`): SHA-256 of its JSON, in hex.
 
-    A structure is its name and the fields that are not as by default, so that one more field with a default changes
-    nothing. Members of a set are sorted; all else has an order of its own.
+    A structure is written as its name and its fields without defaults, so that a new field with a default changes
+    nothing. Members of a set are sorted; everything else keeps its order.
 
-    Raises: TypeError for what is no value.
+    Raises: TypeError for anything but values.
     """
     return hashlib.sha256(msgspec.json.encode(_plain(stands))).hexdigest()
 
 
-def _plain(found: Any) -> Any:
-    match found:
+def _plain(part: Any) -> Any:
+    match part:
         case None | bool() | int() | float() | str():
-            return found
+            return part
         case tuple() | list() | deque():
-            return [_plain(one) for one in found]
+            return [_plain(item) for item in part]
         case frozenset():
-            return sorted(map(_plain, found), key=msgspec.json.encode)
+            return sorted(map(_plain, part), key=msgspec.json.encode)
         case Mapping():
-            return [[_plain(key), _plain(one)] for key, one in found.items()]
+            return [[_plain(key), _plain(item)] for key, item in part.items()]
         case msgspec.Struct():
-            return [type(found).__name__, *_unusual(found)]
+            return [type(part).__name__, *_unusual(part)]
         case State():
-            return _unusual(found)
+            return _unusual(part)
         case _:
-            raise TypeError(f"found {type(found).__name__}, expected a value")
+            raise TypeError(f"found {type(part).__name__}, expected a value")
 
 
-def _unusual(found: Any) -> list[Any]:
-    """Return the fields that have other values than by default."""
-    kind: Any = type(found)
-    pairs = ((name, getattr(found, name), usual) for name, _, usual in _fields(kind))
-    return [[name, _plain(own)] for name, own, usual in pairs if type(own) is not type(usual) or own != usual]
+def _unusual(part: Any) -> list[Any]:
+    """Return the fields whose values are not their defaults."""
+    kind: Any = type(part)
+    pairs = ((name, getattr(part, name), default) for name, _, default in _fields(kind))
+    return [[name, _plain(own)] for name, own, default in pairs if type(own) is not type(default) or own != default]
 
 
 @cache
@@ -192,41 +192,45 @@ def _fields(kind: Any) -> tuple[tuple[str, Any, Any], ...]:
         initial = State()
         return tuple((slot, SLOTS[slot], getattr(initial, slot)) for slot in sorted(SLOTS))
     return tuple(
-        (one.name, one.type, one.default if one.default_factory is msgspec.NODEFAULT else one.default_factory())
-        for one in msgspec.structs.fields(kind)
+        (
+            field.name,
+            field.type,
+            field.default if field.default_factory is msgspec.NODEFAULT else field.default_factory(),
+        )
+        for field in msgspec.structs.fields(kind)
     )
 
 
 def shape_of(kinds: Iterable[Any]) -> str:
-    """Return the shape of these types and of those of their fields: 16 hex digits, of all names, types and defaults.
+    """Return a digest (16 hex digits) of these types: names, types and defaults of all fields, recursively.
 
-    Where it is another one, `state_sha256` of the same state may be, too.
+    If it differs, so may `state_sha256` of the same state.
     """
     known: dict[Any, Any] = {}
     for kind in kinds:
         _type_text(kind, known)
-    lines = sorted({msgspec.json.encode(one) for one in known.values()})
+    lines = sorted({msgspec.json.encode(text) for text in known.values()})
     return hashlib.sha256(b"\n".join(lines)).hexdigest()[:16]
 
 
 def _type_text(kind: Any, known: dict[Any, Any]) -> str:
-    """Return the type as text, the same in every version of Python, and add its fields to what is known of types."""
+    """Return the type as text, the same in every version of Python, and add its fields to `known`."""
     origin, of = get_origin(kind) or kind, get_args(kind)
     if isinstance(kind, NewType):
         return _type_text(kind.__supertype__, known)
     if origin is Annotated:
         return _type_text(of[0], known)
     if origin is Literal:
-        return "|".join(sorted({type(one).__name__ for one in of}))
-    texts = [_type_text(one, known) for one in of]
+        return "|".join(sorted({type(option).__name__ for option in of}))
+    texts = [_type_text(argument, known) for argument in of]
     if origin in (Union, UnionType):
         return "|".join(sorted({*texts}))
     name = "..." if origin is Ellipsis else origin.__name__
     if origin not in known and (origin is State or isinstance(origin, type(msgspec.Struct))):
         known[origin] = None  # it may be a field of itself
         fields = [
-            [field, _type_text(of, known), None if usual is msgspec.NODEFAULT else [_plain(usual)]]
-            for field, of, usual in _fields(origin)
+            [field, _type_text(of, known), None if default is msgspec.NODEFAULT else [_plain(default)]]
+            for field, of, default in _fields(origin)
         ]
         known[origin] = [name, *fields]
     return f"{name}[{', '.join(texts)}]" if texts else name
@@ -234,7 +238,7 @@ def _type_text(kind: Any, known: dict[Any, Any]) -> str:
 
 @cache
 def _code() -> str:
-    """Return the digest of the code that makes a run."""
+    """Return a digest of the code that decides a run."""
     package, digest = Path(__file__).parents[1], hashlib.sha256()
     for room in _ROOMS:
         for path in sorted((package / room).rglob("*.py")):
