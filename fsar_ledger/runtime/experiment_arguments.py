@@ -74,7 +74,7 @@ def experiment_of(
     whose = tuple(
         name
         for name in MECHANISMS_OF
-        if any(removed_mechanisms(one) & set(MECHANISMS_OF[name]) for one in configurations)
+        if any(removed_mechanisms(configuration) & set(MECHANISMS_OF[name]) for configuration in configurations)
     )
     known("scenario", [name for name in scenarios or () if not is_file(name)], registered.scenarios())
     constants, chosen = with_own(Constants(), tuple(dict.fromkeys(scenarios or ())), fleet, settings or ())
@@ -167,7 +167,7 @@ def plans(database: Database, ledger: PlanRow) -> list[dict[str, Any]]:
     reproduced = reproducing({row["plan"]: row["run_count"] for row in rows}, ledger) if constants else {}
 
     def call(row: Mapping[str, Any]) -> str | None:
-        home = next((PlanRow(one.path, one) for one in shards if one.has_run(row["plan"])), ledger)
+        home = next((PlanRow(shard.path, shard) for shard in shards if shard.has_run(row["plan"])), ledger)
         return reproduced.get(row["plan"]) or continues_with(row, constants[row["plan"]], home)
 
     return [{**row, "continues_with": call(row) if row["missing_count"] else None} for row in rows]

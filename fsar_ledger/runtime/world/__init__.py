@@ -179,7 +179,7 @@ def founding(fleet_size: int, floor_teams: int = FLOOR_TEAMS, fleet: Fleet | Non
         )
         for one in everyone
     ]
-    capabilities = {one.name: one for one in design.capabilities}
+    capabilities = {capability.name: capability for capability in design.capabilities}
     possessed = [(one.name, capabilities[name]) for one in everyone for name in one.design.capabilities]
     joined += [
         CapabilityInstalled(

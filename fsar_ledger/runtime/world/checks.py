@@ -34,7 +34,7 @@ class Problem(NamedTuple):
 def problems_of_fleet(fleet: Fleet) -> Iterator[Problem]:
     """Yield the problems of the fleet by itself, in the order of its fields."""
     yield from _named(("name",), fleet.name, _NAME, "a name of lowercase letters, digits and -, such as ward-night")
-    robots, capabilities = [one.name for one in fleet.robots], [one.name for one in fleet.capabilities]
+    robots, capabilities = [one.name for one in fleet.robots], [capability.name for capability in fleet.capabilities]
     if not robots:
         yield Problem(("robots",), "none", "at least one robot")
     for at, robot in enumerate(fleet.robots):
@@ -156,7 +156,7 @@ def _problems_of_shifts(fleet: Fleet) -> Iterator[Problem]:
                 printable.number(spell.to_s),
                 f"more than from_s, at most {end_s:g}, or none: to the end",
             )
-        supervised = [one.name for one in fleet.robots if one.has_supervisor]
+        supervised = [robot.name for robot in fleet.robots if robot.has_supervisor]
         yield from _each((*about, "robots"), spell.robots, supervised, "the robots that have a supervisor of their own")
         if not spell.robots and not supervised:
             yield Problem(about, "a spell that concerns no supervisor", "robots that have a supervisor of their own")

@@ -133,7 +133,8 @@ def _disturbed(constants: Constants, key: bytes, scenario: Scenario, fleet_size:
     for team in range(1, working + 1):
         facts += _tasks(world, key, scenario, team, constants.load or Load())
     facts += [
-        (max(1, round(one.at_s * 1e6)), given_in_file(one.command, one.by, one.parameters)) for one in scenario.commands
+        (max(1, round(command.at_s * 1e6)), given_in_file(command.command, command.by, command.parameters))
+        for command in scenario.commands
     ]
     facts.sort(key=lambda fact: fact[0])
     return _apart(facts)
