@@ -1,8 +1,8 @@
 """Architectures are structure only: deterministic tables of pure handlers, without access to randomness.
 
 A `HandlerTable` says which handler decides a command, and which reactions follow an event. Each architecture is a
-folder here, with its table under its name in capitals, and one line in `events.configuration.ARCHITECTURES`. What can
-be taken out of it is listed under its name in `events.configuration.MECHANISMS_OF`, if anything can.
+folder here, with its table under its name in capitals, and one line in `events.configuration.ARCHITECTURES`. The
+mechanisms that can be removed from it, if any, are listed under its name in `events.configuration.MECHANISMS_OF`.
 """
 
 from types import ModuleType
@@ -37,13 +37,13 @@ from fsar_ledger.runtime.handlers.public import PublicCommand
 
 # See docs/decisions/architectures-have-folders.md.
 COMMON = (task, execution, supervision, public)
-"""What every architecture has: tasks, bodies, supervisors, a door for commands, what becomes of a task given up."""
+"""Modules that every architecture shares: tasks (also abandoned ones), execution, supervision, public commands."""
 
 EXPECTED: tuple[type[Command], ...] = (TakeTurn, StartAction, DecideRoutine)
-"""What the shared modules give, and each architecture decides in its own way."""
+"""Commands that the shared modules issue and each architecture decides in its own way."""
 
 PUBLIC = (fleet, registry, request, authority, trust, policy, recovery)
-"""Commands from outside that need the registry, trust, policy and rights of FSAR."""
+"""Modules whose commands from outside need the registry, trust, policy and rights of FSAR."""
 
 
 class HandlerTable(msgspec.Struct, frozen=True, eq=False):
@@ -63,14 +63,14 @@ class HandlerTable(msgspec.Struct, frozen=True, eq=False):
         own: dict[type[Command], Decide] | None = None,
         instead: dict[React, React] | None = None,
     ) -> "HandlerTable":
-        """Collect the `HANDLERS` of the modules; the module that makes the table gives its own ones as they are.
+        """Collect the `HANDLERS` of the modules; the module that defines the table passes its own `Handlers` directly.
 
         `own` are commands of shared modules that the architecture decides in its own way; `instead` maps shared
         reactions to the architecture's own.
 
         Raises:
-            ValueError: two modules decide the same command, nobody carries one out, or what is to be replaced is
-                not there.
+            ValueError: two modules decide the same command, a command has no actor, or a handler to be replaced does
+                not exist.
         """
         decides: dict[type[Command], Decide] = {}
         reacts: dict[type[Event], tuple[React, ...]] = {}
@@ -79,8 +79,8 @@ class HandlerTable(msgspec.Struct, frozen=True, eq=False):
         for module in modules:
             handlers: Handlers = module if isinstance(module, Handlers) else module.HANDLERS
             for command in handlers.decides.keys() & decides.keys():
-                again = handlers.decides[command]
-                raise ValueError(f"{again.__module__}.{again.__name__}: {command.__name__} is decided twice")
+                duplicate = handlers.decides[command]
+                raise ValueError(f"{duplicate.__module__}.{duplicate.__name__}: {command.__name__} is decided twice")
             decides |= handlers.decides
             actors |= handlers.actors
             for event, react in handlers.reacts.items():

@@ -1,7 +1,7 @@
 """ALLIANCE: each robot alone decides what it does, by motivations that grow from impatience and end in acquiescence.
 
-Nobody asks, allows, assigns or supervises: there is no request, no registry, no central store and no human level. A
-robot takes up what it senses as wanted and does not hear a teammate at, and says what it is at; a teammate that hears
+There is no request, permission, assignment or supervision, no registry, no central store and no human level. A robot
+takes up what it senses as needed and hears no teammate working on, and broadcasts its activity; a teammate that hears
 nothing more, or has been patient for long enough, takes over.
 
 Sources: the abstract of L. E. Parker, "ALLIANCE: an architecture for fault tolerant multirobot cooperation", IEEE T-RA
@@ -11,17 +11,17 @@ mrta_archs/alliance/src/alliance: motivational_behaviour.cpp, activity_suppressi
 452f077. What they leave open are the dials of `designs.dials.Alliance`. That the slow rate reaches the threshold after
 the patience with a teammate, and L-ALLIANCE's mean and deviation, are from memory of Parker's report.
 
-Records name the robot that executes. They name no requester, since none asks, and no supervisor, since none is found in
-either source. A rule of the fleet is violated, since nothing looks at one; a robot's own policy reaches it as sensory
-feedback (dial `senses_policy`), and a review is put before nobody, so it is as a denial.
+Records name the executing robot. They name no requester, since no robot makes requests, and no supervisor, since
+neither source has one. Fleet rules are violated, since nothing checks them; a robot's own policy reaches it as sensory
+feedback (dial `senses_policy`), and a review counts as a denial, since there is no reviewer.
 
-Here is what a robot does while it is active, and when it fails. A robot tries again until it gives up; then a teammate
-takes over, or it goes on trying by itself. Recovery has these two levels only: the architecture has no fleet level and
+This module holds what a robot does while active, and when it fails. A robot retries until it gives up; then a teammate
+takes over, or it keeps trying by itself. Recovery has these two levels only: the architecture has no fleet level and
 calls no human (abstract: humans add and remove robots). A failure resolved by takeover is over when the teammate
-becomes active, as one that is reassigned is under FSAR. How a robot tries again is open; it does so as under every
+becomes active, like one that is reassigned under FSAR. How a robot retries is left open; it does so as under every
 architecture that retries by itself.
 
-Left out: rates of single tasks, and of single robots where the dial `stagger_us` is 0 (teammates that sense a need
+Left out: rates per task, and per robot where the dial `stagger_us` is 0 (teammates that sense a need
 within a message's time of each other then all start), the spin of 2 Hz (motivation is linear between two events, so its
 instant is computed), loss of messages, and the sensing of a teammate's effects other than by its messages.
 """
@@ -80,7 +80,7 @@ HANDLERS = Handlers()
 
 
 class StartWork(StartAction, kw_only=True):
-    """Start the action on arrival; nothing if the robot has left the action since, even if it has come back to it."""
+    """Start the action on arrival, unless the robot has left the action since, even if it has come back to it."""
 
     robot: Robot
     since_us: int
@@ -96,7 +96,7 @@ def start_work(state: State, command: StartWork) -> tuple[Event, ...]:
 
 
 def _resume(state: State, command: ResumeAction) -> tuple[Event, ...]:
-    """Go on with the rest, unless it has just failed; a robot that has given up once and tries anew goes on as well."""
+    """Resume the action, unless it has just failed; a robot that retries after giving up once resumes as well."""
     action = known_action(state, command.action_id)
     if action is None or (action.stage == "failed" and command.action_id in state.recovery):
         return ()
@@ -115,7 +115,7 @@ def decide_routine(state: State, command: DecideRoutine) -> tuple[Event, ...]:
 
 
 def _transfer(state: State, command: TransferSegment) -> tuple[Event, ...]:
-    """Give the next segment to its robot; the record names who executes it, and nobody who asked."""
+    """Give the next segment to its robot; the record names its executor and no requester."""
 
     def by_it(before: Robot, then: Robot) -> Principals:
         return by_robot(then).decided(before)
@@ -124,15 +124,15 @@ def _transfer(state: State, command: TransferSegment) -> tuple[Event, ...]:
 
 
 def _on_approach(state: State, event: ApproachStarted, now_us: int) -> tuple[Scheduled, ...]:
-    """Start the work on arrival. The first way to an action is the same under every architecture."""
+    """Start the work on arrival. The first approach to an action takes the same time under every architecture."""
     action: Action = state.execution.actions[event.subject.action_id]
     active = state.motivation.active.get(event.robot)
     if active is None:
         return start_after_approach(state, event, now_us)
-    again = state.motivation.spells[action_of(action.action_id)] - 1
-    way = lasts("approach", f"{action.action_id}/{again}" if again else action.action_id)
+    earlier = state.motivation.spells[action_of(action.action_id)] - 1
+    travel = lasts("approach", f"{action.action_id}/{earlier}" if earlier else action.action_id)
     work = StartWork(action.action_id, robot=event.robot, since_us=active.since_us)
-    return (Scheduled(work, 0, (way,), lasts(action.capability, action.action_id)),)
+    return (Scheduled(work, 0, (travel,), lasts(action.capability, action.action_id)),)
 
 
 HANDLERS.decide(TakeTurn, body)(approach)
@@ -157,14 +157,14 @@ class EndTry(EndAttempt):
 
 
 def _is_current(failure: Failure, command: TryAgain | EndTry) -> bool:
-    """Tell whether the failure is this one, and its robot is still at it."""
+    """Return whether the open failure is the command's, and its action is still failed."""
     action, recovery = failure
     return action.stage == "failed" and recovery.failure == command.failure
 
 
 @HANDLERS.decide_on(open_failure, TryAgain, body)
 def try_again(state: State, command: TryAgain, failure: Failure) -> tuple[Event, ...]:
-    """Begin the next attempt: acquiescence alone ends them."""
+    """Begin the next attempt: only acquiescence ends the attempts."""
     action, recovery = failure
     active = state.motivation.active.get(action.robot)
     if active is None or not _is_current(failure, command):
@@ -175,7 +175,7 @@ def try_again(state: State, command: TryAgain, failure: Failure) -> tuple[Event,
 
 @HANDLERS.decide_on(open_failure, EndTry, body)
 def end_try(state: State, command: EndTry, failure: Failure) -> tuple[Event, ...]:
-    """End the attempt, which resolved the failure or did not."""
+    """End the attempt: resolve the failure, or record that the attempt failed."""
     action, recovery = failure
     if recovery.number != command.number or not _is_current(failure, command):
         return ()

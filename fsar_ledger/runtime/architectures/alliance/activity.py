@@ -1,9 +1,9 @@
-"""ALLIANCE: a robot becomes active on an action, says so, and leaves it by acquiescence or when it is done.
+"""ALLIANCE: a robot becomes active on an action, broadcasts it, and leaves it by acquiescence or when it is done.
 
-It claims execution while it is active, and two robots that are active on the same action hold two claims to it: nobody
-decides between them. Each executes it under a name of its own (`projections.motivation`), and the first to finish
-completes the step; the motion of the other was in vain, and ends when it hears of that. What this leaves out: the work
-of both does not add up, and neither is in the other's way.
+It claims execution while active. Two robots active on the same action hold two claims to it, and nothing decides
+between them. Each executes it under its own name (`projections.motivation`), and the first to finish completes the
+step; the other's motion is wasted, and ends when it hears of that. What this leaves out: the work of both does not add
+up, and neither is in the other's way.
 """
 
 import msgspec
@@ -39,7 +39,7 @@ HANDLERS = Handlers()
 
 
 class Broadcast(NeedCommand):
-    """Say again that the robot is active."""
+    """Broadcast again that the robot is active."""
 
     since_us: int
 
@@ -51,21 +51,21 @@ class Acquiesce(NeedCommand):
 
 
 class EndActivity(NeedCommand):
-    """End the claim of a robot that executes no more; `execution_id` is what it has finished, empty if nothing."""
+    """End the claim of a robot that stopped executing; `execution_id` is the execution it finished, empty if none."""
 
     execution_id: str = ""
     capability: str = ""
 
 
 class HearDone(NeedCommand):
-    """Deliver word that the peer has done the action."""
+    """Deliver the message that the peer has done the action."""
 
     peer: Robot
     capability: str
 
 
 def by_robot(robot: Robot) -> Parties:
-    """Return whom a record names: the robot that acts. Nobody has asked it, and no supervisor is known."""
+    """Return the parties on record: the robot that acts, without a requester or a known supervisor."""
     return Parties(requested_by=None, executed_by=robot, supervised_by=None)
 
 
@@ -81,16 +81,16 @@ def in_hand_of(state: State, robot: Robot, action_id: str) -> Action | None:
 def take_up(state: State, command: TakeUp) -> tuple[Event, ...]:
     """Become active at the threshold, unless suppressed by another activity or not applicable.
 
-    If a teammate has given the action up after a failure, or the robot itself, this takes over what was left.
+    If a teammate, or the robot itself, gave the action up after a failure, this takes over what was left.
     """
     robot, action_id, dials = command.robot, command.action_id, state.fleet.alliance
-    request, known = wanted(state, action_id, command.now_us), motivation_of(state.motivation, action_id, robot)
-    if request is None or known is None or known.as_of_us is None:
+    request, motivation = wanted(state, action_id, command.now_us), motivation_of(state.motivation, action_id, robot)
+    if request is None or motivation is None or motivation.as_of_us is None:
         return ()
     if not is_idle(state.execution, robot) or not is_applicable(state, robot, request):
         return ()
     threshold_us = impatience_us(state, robot)
-    if level_us(known, command.now_us, threshold_us, dials.silence_us) < threshold_us:
+    if level_us(motivation, command.now_us, threshold_us, dials.silence_us) < threshold_us:
         return ()  # a teammate was heard meanwhile
     name = execution_name(state.execution, action_id, robot)
     principals = by_robot(robot).decided(robot)
@@ -109,10 +109,10 @@ def take_up(state: State, command: TakeUp) -> tuple[Event, ...]:
 
 
 def _queued(state: State, request: Request, robot: Robot, name: str) -> ExecutionQueued:
-    """Return the fact that the robot turns to the step; it has no way to go where it still is.
+    """Return the event that queues the step at the robot, without an approach if the robot is still there.
 
-    That a robot which has left the step and been nowhere else need not come back is our choice: otherwise a step that
-    takes longer than the give-up delay would never end.
+    That a robot that left the step and went nowhere else needs no approach is our choice: otherwise a step that takes
+    longer than the give-up delay would never end.
     """
     is_there = state.motivation.at.get(robot) == request.action_id
     return msgspec.structs.replace(
@@ -123,20 +123,20 @@ def _queued(state: State, request: Request, robot: Robot, name: str) -> Executio
 
 
 def _taken_over(state: State, action_id: str, robot: Robot) -> tuple[FailureResolved, ...]:
-    """Return the resolution of each failure with which another robot, or this one itself, has given the action up."""
+    """Return the resolution of each failure after which another robot, or this one itself, gave the action up."""
     return tuple(
-        FailureResolved(Subject(task_of(action_id), name), known.robot, known.failure, known.level)
-        for name, known in state.recovery.items()
+        FailureResolved(Subject(task_of(action_id), name), recovery.robot, recovery.failure, recovery.level)
+        for name, recovery in state.recovery.items()
         if action_of(name) == action_id
-        and (known.level == "peer" or known.robot == robot)
-        and (one := state.execution.actions.get(name)) is not None
-        and one.stage == "withdrawn"
+        and (recovery.level == "peer" or recovery.robot == robot)
+        and (execution := state.execution.actions.get(name)) is not None
+        and execution.stage == "withdrawn"
     )
 
 
 @HANDLERS.decide(Broadcast, named)
 def broadcast(state: State, command: Broadcast) -> tuple[Event, ...]:
-    """Say so while the robot is active."""
+    """Broadcast the activity while it lasts."""
     active, action_id = state.motivation.active.get(command.robot), command.action_id
     if active is None or (active.action_id, active.since_us) != (action_id, command.since_us):
         return ()
@@ -145,7 +145,7 @@ def broadcast(state: State, command: Broadcast) -> tuple[Event, ...]:
 
 @HANDLERS.decide(Acquiesce, named)
 def acquiesce(state: State, command: Acquiesce) -> tuple[Event, ...]:
-    """Leave the action: yield to a teammate that broadcasts, give up, or stop because sensors do not allow it any more.
+    """Leave the action: yield to a teammate that broadcasts, give up, or stop because its sensors no longer allow it.
 
     Active for more than the yielding delay while another broadcasts, or for more than the giving-up delay
     (acquiescence.cpp). Once it executes, a window of its own policy does not stop a robot: it replans, as under every
@@ -155,15 +155,15 @@ def acquiesce(state: State, command: Acquiesce) -> tuple[Event, ...]:
     active, action = state.motivation.active.get(robot), in_hand_of(state, robot, action_id)
     if active is None or action is None or active.since_us != command.since_us:
         return ()
-    elapsed_us, known = command.now_us - active.since_us, motivation_of(state.motivation, action_id, robot)
-    heard = () if known is None else known.heard.values()
-    is_heard = any(one.last_us >= command.now_us - dials.silence_us for one in heard)
+    elapsed_us, motivation = command.now_us - active.since_us, motivation_of(state.motivation, action_id, robot)
+    heard = () if motivation is None else motivation.heard.values()
+    is_heard = any(entry.last_us >= command.now_us - dials.silence_us for entry in heard)
     request = state.request.open.get(action_id)
     has_begun = action.stage not in ("queued", "approaching")
     if elapsed_us > dials.yield_us and is_heard:
-        # Whom it hears may have left as well; then its failure is not over until somebody takes the action up.
-        others = (one for name, one in state.motivation.active.items() if name != robot)
-        return left(state, action, is_taken=any(one.action_id == action_id for one in others))
+        # That teammate may have left as well; then the failure is not over until another robot takes the action up.
+        others = (activity for other, activity in state.motivation.active.items() if other != robot)
+        return left(state, action, is_taken=any(activity.action_id == action_id for activity in others))
     if elapsed_us > dials.give_up_us:
         return left(state, action, is_taken=False)
     if not has_begun and request is not None and not is_applicable(state, robot, request):
@@ -172,7 +172,7 @@ def acquiesce(state: State, command: Acquiesce) -> tuple[Event, ...]:
 
 
 def left(state: State, action: Action, *, is_taken: bool) -> tuple[Event, ...]:
-    """Return that the robot leaves the action; `is_taken`: a teammate is at it, so its failure is over."""
+    """Return the events of leaving the action; `is_taken`: a teammate is active on it, so its failure is over."""
     robot, recovery, records = action.robot, state.recovery.get(action.action_id), list[Event]()
     if recovery is not None and recovery.level == "local" and action.is_delegated:
         records.append(escalated(action, recovery, by_robot(robot).decided(robot), "peer", "acquiescence"))
@@ -186,35 +186,35 @@ def left(state: State, action: Action, *, is_taken: bool) -> tuple[Event, ...]:
 
 @HANDLERS.decide(EndActivity, named)
 def end_activity(state: State, command: EndActivity) -> tuple[Event, ...]:
-    """End the robot's claim. What it has finished is wanted no more, and a failure that it got over by itself ends."""
+    """End the robot's claim. A finished action is no longer needed, and a failure it recovered from by itself ends."""
     robot, action_id = command.robot, command.action_id
-    ended = released(claim for claim in state.authority.claims.get(action_id, ()) if claim.claimant == robot)
+    releases = released(claim for claim in state.authority.claims.get(action_id, ()) if claim.claimant == robot)
     if not command.execution_id:
-        return ended
+        return releases
     subject, recovery = Subject(task_of(action_id), command.execution_id), state.recovery.get(command.execution_id)
-    over = () if recovery is None else (FailureResolved(subject, robot, recovery.failure, "local"),)
-    return (*ended, *over, *_need_ended(state, command, robot))
+    resolved = () if recovery is None else (FailureResolved(subject, robot, recovery.failure, "local"),)
+    return (*releases, *resolved, *_need_ended(state, command, robot))
 
 
 @HANDLERS.decide(HearDone, named)
 def hear_done(state: State, command: HearDone) -> tuple[Event, ...]:
-    """Stop what the robot does about the action, and forget the need."""
+    """Stop the robot's work on the action, and forget the need."""
     action = in_hand_of(state, command.robot, command.action_id)
     stopped = () if action is None else left(state, action, is_taken=True)
     return (*stopped, *_need_ended(state, command, command.peer))
 
 
-def _need_ended(state: State, command: EndActivity | HearDone, by: Robot) -> tuple[NeedEnded, ...]:
-    """Return that the robot knows of the end, if it knew of the need or of somebody's activity."""
-    known = motivation_of(state.motivation, command.action_id, command.robot)
-    if known is None:
+def _need_ended(state: State, command: EndActivity | HearDone, peer: Robot) -> tuple[NeedEnded, ...]:
+    """Return the end of the need for the robot, if it knew of the need or of a teammate's activity."""
+    motivation = motivation_of(state.motivation, command.action_id, command.robot)
+    if motivation is None:
         return ()
-    heard = known.heard.get(by)
+    heard = motivation.heard.get(peer)
     return (
         NeedEnded(
             subject=Subject(task_of(command.action_id), command.action_id),
             robot=command.robot,
-            peer=by,
+            peer=peer,
             capability=command.capability,
             took_us=None if heard is None else command.now_us - heard.first_us,
         ),
@@ -223,28 +223,28 @@ def _need_ended(state: State, command: EndActivity | HearDone, by: Robot) -> tup
 
 @HANDLERS.react(ActivityBroadcast)
 def _on_broadcast(state: State, event: ActivityBroadcast, _now_us: int) -> tuple[Scheduled, ...]:
-    """Send it to every robot with such a behaviour set, and schedule the next one.
+    """Send it to every robot with such a behaviour set, and schedule the next broadcast.
 
-    The first is sent at activation (our choice: the timer of the sources runs on its own). No period, no further ones.
+    The first is sent at activation (our choice: the timer of the sources runs on its own). Without a period, no others.
     """
     action_id, robot, dials = event.subject.action_id, event.robot, state.fleet.alliance
     request, active = state.request.open.get(action_id), state.motivation.active[robot]
     hop = f"active/{state.motivation.spells[action_id]}.{active.broadcasts}"
-    told = tuple(
+    deliveries = tuple(
         Scheduled(HearActivity(peer, action_id, robot), 0, (message(robot, action_id, f"{hop}/{robot}/{peer}"),))
         for peer in (() if request is None else teammates(state, request, robot))
     )
-    again = (Scheduled(Broadcast(robot, action_id, event.since_us), dials.broadcast_us),) if dials.broadcast_us else ()
+    repeat = (Scheduled(Broadcast(robot, action_id, event.since_us), dials.broadcast_us),) if dials.broadcast_us else ()
     if active.broadcasts > 1:
-        return (*told, *again)
+        return (*deliveries, *repeat)
     delays_us = (dials.yield_us, dials.give_up_us)
-    left_by = (Scheduled(Acquiesce(robot, action_id, event.since_us), after_us + 1) for after_us in delays_us)
-    return (*told, *again, *left_by)
+    checks = (Scheduled(Acquiesce(robot, action_id, event.since_us), delay_us + 1) for delay_us in delays_us)
+    return (*deliveries, *repeat, *checks)
 
 
 @HANDLERS.react(ActivityHeard)
 def _on_heard(state: State, event: ActivityHeard, now_us: int) -> tuple[Scheduled, ...]:
-    """Let an active robot that may yield by now consider it."""
+    """Let an active robot past its yielding delay consider yielding."""
     active = state.motivation.active.get(event.robot)
     if active is None or active.action_id != event.subject.action_id:
         return ()
@@ -263,7 +263,7 @@ def _on_window(state: State, event: PolicyWindowOpened, _now_us: int) -> tuple[S
 
 @HANDLERS.react(ExecutionFinished)
 def _on_finish(state: State, event: ExecutionFinished, _now_us: int) -> tuple[Scheduled, ...]:
-    """Tell the robot whose step it is, and every teammate that may be at it as well, one message each."""
+    """Tell the robot whose step it is, and every teammate that may be working on it, one message each."""
     robot, action_id = event.robot, action_of(event.subject.action_id)
     request = state.request.open.get(action_id)
     capability = "" if request is None else request.capability
@@ -271,11 +271,11 @@ def _on_finish(state: State, event: ExecutionFinished, _now_us: int) -> tuple[Sc
     if request is None:
         return (end,)
     result = (message(robot, action_id, 4),) if request.is_delegated else ()
-    told = tuple(
+    deliveries = tuple(
         Scheduled(HearDone(peer, action_id, robot, capability), 0, (message(robot, action_id, f"done/{robot}/{peer}"),))
         for peer in teammates(state, request, robot)
     )
-    return (end, Scheduled(CompleteStep(action_id), 0, result), *told)
+    return (end, Scheduled(CompleteStep(action_id), 0, result), *deliveries)
 
 
 @HANDLERS.react(ExecutionWithdrawn)

@@ -50,7 +50,7 @@ class NeedCommand(RobotCommand):
 
 
 class SenseNeed(NeedCommand):
-    """Deliver word of the need to the robot."""
+    """Deliver the message about the need to the robot."""
 
 
 class HearActivity(NeedCommand):
@@ -76,7 +76,7 @@ def teammates(state: State, request: Request, but: Robot | None = None) -> tuple
 
 
 def wanted(state: State, action_id: str, now_us: int) -> Request | None:
-    """Return the request while what it asks for is to be done: its robot would see if it were not.
+    """Return the action's request while it still needs doing, which its robot can see.
 
     An outsider's need, which belongs to no open task, is pursued as long as periodic exchanges go on.
     """
@@ -88,17 +88,17 @@ def wanted(state: State, action_id: str, now_us: int) -> Request | None:
 
 
 def is_applicable(state: State, robot: Robot, request: Request) -> bool:
-    """Tell whether the robot's sensory feedback lets it act: its own policy, which is not sensed without the dial."""
+    """Return whether the robot's sensory feedback lets it act: its own policy, sensed only with the dial."""
     if not state.fleet.alliance.senses_policy:
         return True
     return own_policy(state.policy, state.world, robot, request.capability, request.task_id) == "allow"
 
 
 def patience_us(state: State, robot: Robot, peer: Robot, capability: str) -> int:
-    """Return for how long the robot lets this peer slow its motivation. Units: microseconds.
+    """Return how long the robot lets this peer slow its motivation. Units: microseconds.
 
-    L-ALLIANCE (dial `learns`): the mean of the times that it has seen the peer take, and their standard deviation; the
-    dial until it has seen one.
+    L-ALLIANCE (dial `learns`): the mean plus the standard deviation of the times it has seen the peer take; the dial's
+    patience until it has seen one.
     """
     dials, times_us = state.fleet.alliance, state.motivation.times_us.get((robot, peer, capability), ())
     if not dials.learns or not times_us:
@@ -120,15 +120,15 @@ def slowed_until_us(heard: Heard, silence_us: int) -> int:
     return min(heard.last_us + silence_us, heard.first_us + heard.patience_us)
 
 
-def _phases(known: Motivation, from_us: int, impatience_us: int, silence_us: int) -> Iterator[tuple[int, int]]:
+def _phases(motivation: Motivation, from_us: int, impatience_us: int, silence_us: int) -> Iterator[tuple[int, int]]:
     """Yield the ends of the phases of slow growth, and how long growth to the threshold takes at each one's rate.
 
     The slowest rate counts (impatience.cpp, getLevel); no rate is faster than the fast one (setSlowRate).
     """
-    slow = sorted((slowed_until_us(heard, silence_us), heard.patience_us) for heard in known.heard.values())
-    for place, (until_us, _) in enumerate(slow):
+    slow = sorted((slowed_until_us(heard, silence_us), heard.patience_us) for heard in motivation.heard.values())
+    for index, (until_us, _) in enumerate(slow):
         if until_us > from_us:
-            yield until_us, max(impatience_us, *(patience for _, patience in slow[place:]))
+            yield until_us, max(impatience_us, *(patience for _, patience in slow[index:]))
 
 
 def impatience_us(state: State, robot: Robot) -> int:
@@ -162,7 +162,7 @@ def ripe_us(known: Motivation, impatience_us: int, silence_us: int) -> int:
 
 @HANDLERS.decide_on(open_request, NoticeNeed, requester)
 def notice_need(_state: State, command: NoticeNeed, request: Request) -> tuple[Event, ...]:
-    """Grow motivation for a step of the robot's own; notice what another is to do, without a name on record."""
+    """Begin motivation for a step of the robot's own; record another robot's step as a gap that names no robot."""
     if request.is_delegated:
         return (GapDetected(request.subject, NOBODY, request.capability),)
     return (MotivationBegan(request.subject, request.requester, command.now_us),)
@@ -170,7 +170,7 @@ def notice_need(_state: State, command: NoticeNeed, request: Request) -> tuple[E
 
 @HANDLERS.decide(SenseNeed, named)
 def sense_need(state: State, command: SenseNeed) -> tuple[Event, ...]:
-    """Let the motivation grow from now on."""
+    """Start the motivation's growth."""
     request = wanted(state, command.action_id, command.now_us)
     return () if request is None else (MotivationBegan(request.subject, command.robot, command.now_us),)
 
@@ -179,8 +179,8 @@ def sense_need(state: State, command: SenseNeed) -> tuple[Event, ...]:
 def grow_again(state: State, command: GrowAgain) -> tuple[Event, ...]:
     """Let the motivation grow from zero, if the robot knows of the need, is free, and its sensors allow."""
     request, robot = wanted(state, command.action_id, command.now_us), command.robot
-    known = motivation_of(state.motivation, command.action_id, robot)
-    if request is None or known is None or known.as_of_us is None:
+    motivation = motivation_of(state.motivation, command.action_id, robot)
+    if request is None or motivation is None or motivation.as_of_us is None:
         return ()
     if not is_idle(state.execution, robot) or not is_applicable(state, robot, request):
         return ()
@@ -189,37 +189,39 @@ def grow_again(state: State, command: GrowAgain) -> tuple[Event, ...]:
 
 @HANDLERS.decide(HearActivity, named)
 def hear_activity(state: State, command: HearActivity) -> tuple[Event, ...]:
-    """Record what was heard: the first word of a teammate sets the motivation to zero (impatience_reset.cpp)."""
+    """Record what was heard: the first broadcast of a teammate sets the motivation to zero (impatience_reset.cpp)."""
     request, robot, dials = wanted(state, command.action_id, command.now_us), command.robot, state.fleet.alliance
     if request is None:
         return ()
-    known = motivation_of(state.motivation, command.action_id, robot) or Motivation()
+    motivation = motivation_of(state.motivation, command.action_id, robot) or Motivation()
     active = state.motivation.active.get(robot)
     is_suppressed = active is not None and active.action_id != command.action_id
-    is_zero = is_suppressed or command.peer not in known.heard or not is_applicable(state, robot, request)
+    is_zero = is_suppressed or command.peer not in motivation.heard or not is_applicable(state, robot, request)
     return (
         ActivityHeard(
             subject=request.subject,
             robot=robot,
             peer=command.peer,
             as_of_us=command.now_us,
-            level_us=0 if is_zero else level_us(known, command.now_us, impatience_us(state, robot), dials.silence_us),
+            level_us=0
+            if is_zero
+            else level_us(motivation, command.now_us, impatience_us(state, robot), dials.silence_us),
             patience_us=patience_us(state, robot, command.peer, request.capability),
         ),
     )
 
 
 def take_up_when_ripe(state: State, action_id: str, robot: Robot, now_us: int) -> tuple[Scheduled, ...]:
-    """Schedule the instant at which the motivation will reach the threshold; what is heard until then moves it."""
-    known = motivation_of(state.motivation, action_id, robot)
-    if known is None or known.as_of_us is None or not is_idle(state.execution, robot):
+    """Schedule the instant at which the motivation will reach the threshold; whatever is heard before then moves it."""
+    motivation = motivation_of(state.motivation, action_id, robot)
+    if motivation is None or motivation.as_of_us is None or not is_idle(state.execution, robot):
         return ()
-    due_us = ripe_us(known, impatience_us(state, robot), state.fleet.alliance.silence_us)
+    due_us = ripe_us(motivation, impatience_us(state, robot), state.fleet.alliance.silence_us)
     return (Scheduled(TakeUp(robot, action_id), max(1, due_us - now_us)),)
 
 
 def _known_to(state: State, robot: Robot) -> tuple[str, ...]:
-    """Return the actions that the robot knows of, in the order in which anybody first did."""
+    """Return the actions that the robot knows of, in the order in which any robot first knew of them."""
     return tuple(action_id for action_id, robots in state.motivation.of.items() if robot in robots)
 
 
@@ -251,15 +253,15 @@ def _on_motivation(state: State, event: MotivationBegan | ActivityHeard, now_us:
 
 @HANDLERS.react(ExecutionFinished, ExecutionWithdrawn)
 def _on_free(state: State, event: ExecutionFinished | ExecutionWithdrawn, _now_us: int) -> tuple[Scheduled, ...]:
-    """End the suppression of all other motivations; that for an action that the robot has left comes after them.
+    """End the suppression of all other motivations, and last that of an action that the robot has left.
 
     That order among equals is our choice: acquiescence makes room for something else.
     """
     ended = action_of(event.subject.action_id)
-    known = _known_to(state, event.robot)
-    again = (ended,) if ended in known and isinstance(event, ExecutionWithdrawn) else ()
-    others = (action_id for action_id in known if action_id != ended)
-    return tuple(Scheduled(GrowAgain(event.robot, action_id)) for action_id in (*others, *again))
+    action_ids = _known_to(state, event.robot)
+    left = (ended,) if ended in action_ids and isinstance(event, ExecutionWithdrawn) else ()
+    others = (action_id for action_id in action_ids if action_id != ended)
+    return tuple(Scheduled(GrowAgain(event.robot, action_id)) for action_id in (*others, *left))
 
 
 @HANDLERS.react(PolicyWindowClosed)

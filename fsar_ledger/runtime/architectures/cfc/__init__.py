@@ -1,6 +1,6 @@
 """Centralized fleet controller: one coordinator decides everything on synced copies; robots only execute.
 
-Here is how a step goes through the coordinator, which matches, gates and commands. Paper: sec:evaluation:baselines.
+This module takes a step through the coordinator, which matches, gates and commands. Paper: sec:evaluation:baselines.
 """
 
 from fsar_ledger.events import Event
@@ -71,7 +71,7 @@ HANDLERS = Handlers()
 
 
 class CommandReviewed(ActionCommand):
-    """Take H_F's decision on what policy wanted reviewed."""
+    """Act on H_F's decision about a step under review."""
 
 
 class ReceiveCommand(ActionCommand):
@@ -87,7 +87,7 @@ class GoOnWithout(ActionCommand):
 
 
 class QueueOrdered(ActionCommand):
-    """Take the order in which H_F has put two commands."""
+    """Apply the order that H_F chose for two commands."""
 
 
 class DenyOutsider(ActionCommand):
@@ -107,37 +107,37 @@ def process(state: State, command: ProcessWork) -> tuple[Event, ...]:
 
 
 def _match(state: State, command: ProcessWork) -> tuple[Event, ...]:
-    """Pick a robot by the coordinator's copy, then gate the step on policy and the fleet's rule as it knows them."""
+    """Pick a robot from the coordinator's copy, then gate the step on the policy and the fleet rule known there."""
     request = state.request.open.get(command.action_id)
     if request is None or request.task_id not in state.task:
         return ()
-    asked = candidates_of(state.fleet, state.registry, request)
-    candidates = tuple(robot for robot in asked if robot not in request.silent) or asked
+    considered = candidates_of(state.fleet, state.registry, request)
+    candidates = tuple(robot for robot in considered if robot not in request.silent) or considered
     idle = [robot for robot in candidates if robot not in state.knowledge.copy.busy]
     robot = idle[0] if idle else candidates[0]
     unnamed = RequestSubject(request.task_id, None, None)
     records: list[Event] = []
     if request.is_delegated and command.item == "step":
         records.append(RequestIssued(subject=unnamed, principals=by_coordinator(robot), capability=request.capability))
-        records += [CandidateMatched(request.task_id, by_coordinator(None), request.capability) for _ in asked]
+        records += [CandidateMatched(request.task_id, by_coordinator(None), request.capability) for _ in considered]
     outcome = _known_policy(state, request, robot)
     if outcome == "deny":
         return (*records, RequestDenied(unnamed, by_coordinator(robot), "policy"))
     if outcome == "review" and command.action_id not in state.supervision.approved:
-        called = SupervisorCalled(subject=request.subject, supervisor=FLEET_SUPERVISOR, purpose="review", robot=robot)
-        return (*records, called)
+        call = SupervisorCalled(subject=request.subject, supervisor=FLEET_SUPERVISOR, purpose="review", robot=robot)
+        return (*records, call)
     return (*records, *_commanded(request, robot, not idle))
 
 
 def _known_policy(state: State, request: Request, robot: Robot) -> PolicyOutcome:
-    """Return what the coordinator knows: the executor's policy as copied, the fleet's rule, and declared rules."""
+    """Return what the coordinator knows of policy: the executor's as copied, the fleet's rule, and declared rules."""
     window = stricter(copied_policy(state.knowledge.copy, robot), in_force(state.world.fleet, robot))
     return stricter(window, declared(state.policy, robot, request.capability, request.task_id))
 
 
 @HANDLERS.decide_on(open_request, CommandReviewed, nobody)
 def command_reviewed(state: State, command: CommandReviewed, request: Request) -> tuple[Event, ...]:
-    """Command the approved step, or deny one that was not approved, or that the policy known by now denies."""
+    """Command the approved step; deny one that was not approved, or that the policy known by now denies."""
     robot = request.target or request.requester
     is_approved = command.action_id in state.supervision.approved
     if not is_approved or _known_policy(state, request, robot) == "deny":
@@ -165,20 +165,20 @@ def _commanded(request: Request, robot: Robot, seen_busy: bool) -> tuple[Event, 
 
 
 def _commanding(executor: Robot | None) -> Principals:
-    """Return the principals of a delegation: the coordinator asks in its own name."""
+    """Return the principals of a delegation, which the coordinator requests in its own name."""
     parties = Parties(requested_by=COORDINATOR, executed_by=executor, supervised_by=FLEET_SUPERVISOR)
     return parties.decided(COORDINATOR)
 
 
 @HANDLERS.decide(ReceiveCommand, named)
 def receive_command(state: State, command: ReceiveCommand) -> tuple[Event, ...]:
-    """Queue the command at the robot; ask H_F for the order where it would be a second delegation.
+    """Queue the command at the robot, or call H_F for the order if it would be a second delegation.
 
-    H_F is asked only when the coordinator's copy did not show the robot as taken.
+    H_F is called only when the coordinator's copy did not show the robot as busy.
     """
     request, robot = state.request.open.get(command.action_id), command.robot
     if request is None or request.is_received or robot != (request.target or request.requester):
-        return ()  # taken back, or a second one
+        return ()  # taken back, or a duplicate
     # See docs/decisions/only-delegated-commands-are-disputed.md.
     is_second = request.is_delegated and not request.seen_busy
     running = pending_of_other_task(state.execution, robot, request.task_id) if is_second else None
@@ -207,10 +207,10 @@ def go_on_without(state: State, command: GoOnWithout, request: Request) -> tuple
 @HANDLERS.decide_on(open_request, QueueOrdered, target)
 def queue_ordered(state: State, _command: QueueOrdered, request: Request) -> tuple[Event, ...]:
     """Queue the second command and release its claim on the running action."""
-    ended = released(made_for(state.authority, AGAIN + request.action_id))
+    releases = released(made_for(state.authority, AGAIN + request.action_id))
     if request.task_id not in state.task:  # given up meanwhile
-        return (*ended, *release(state.authority, request.action_id))
-    return (*ended, _queued(request, request.target or request.requester))
+        return (*releases, *release(state.authority, request.action_id))
+    return (*releases, _queued(request, request.target or request.requester))
 
 
 def _queued(request: Request, robot: Robot) -> ExecutionQueued:
@@ -272,10 +272,10 @@ def _on_response(_state: State, event: SupervisorResponded, _now_us: int) -> tup
 
 @HANDLERS.react(CommandIssued)
 def _on_command(state: State, event: CommandIssued, _now_us: int) -> tuple[Scheduled, ...]:
-    received = Scheduled(
+    delivery = Scheduled(
         ReceiveCommand(event.subject.action_id, event.robot), 0, (message(COORDINATOR, event.subject.action_id, 1),)
     )
-    return (received, Scheduled(GoOnWithout(event.subject.action_id, event.robot), state.fleet.answer_us))
+    return (delivery, Scheduled(GoOnWithout(event.subject.action_id, event.robot), state.fleet.answer_us))
 
 
 @HANDLERS.react(OwnStepDecided)

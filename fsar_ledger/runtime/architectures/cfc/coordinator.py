@@ -1,6 +1,6 @@
 """CFC: one coordinator serves all work in order of arrival and reads periodically synced copies.
 
-It calls supervisors, and records their answers without naming who asked. Paper: sec:evaluation:baselines.
+It calls supervisors, and records their answers without naming the requester. Paper: sec:evaluation:baselines.
 """
 
 from fsar_ledger.events import Event
@@ -43,13 +43,13 @@ from fsar_ledger.runtime.handlers.supervision import RespondToCall
 from fsar_ledger.runtime.handlers.task import TransferSegment, on_completed, transferred
 from fsar_ledger.runtime.ports import Ask
 
-NO_TIME = "no time left"  # why a step is denied whose task would be given up before the coordinator comes to it
+NO_TIME = "no time left"  # reason for denying a step whose task would be given up before the coordinator reaches it
 
 HANDLERS = Handlers()
 
 
 class Sync(Command):
-    """Copy the states of the robots, which are due."""
+    """Refresh the copies of the robots' states."""
 
 
 class ReachCoordinator(ActionCommand):
@@ -59,7 +59,7 @@ class ReachCoordinator(ActionCommand):
 
 
 class ProcessWork(ActionCommand):
-    """Process the item of work that is next at the coordinator."""
+    """Process the coordinator's next item of work."""
 
     item: str
 
@@ -103,7 +103,7 @@ def copied_rule(copy: CopySynced, robot: Robot) -> PolicyOutcome:
 
 # See docs/decisions/declared-rules-reach-every-architecture.md.
 def declared(policy: Policy, robot: Robot, capability: str | None, context: str | None) -> PolicyOutcome:
-    """Return what the rules on record say, the robot's own and the fleet's: no copy of them is out of date.
+    """Return the outcome of the rules on record, the robot's own and the fleet's: no copy of these is out of date.
 
     Only a founding sets rules under this architecture.
     """
@@ -112,7 +112,7 @@ def declared(policy: Policy, robot: Robot, capability: str | None, context: str 
 
 
 def candidates_of(fleet: Fleet, registry: Registry, request: Request) -> tuple[Robot, ...]:
-    """Return whom the coordinator considers for a step: its own robot, or every other capable one."""
+    """Return the robots that the coordinator considers for a step: its own robot, or every other capable one."""
     if request.is_delegated:
         return capable(fleet, registry, request.capability, request.requester)
     return (request.requester,)
@@ -149,9 +149,9 @@ def reach_coordinator(
 ) -> tuple[GapDetected | WorkQueued | RequestDenied | TaskAbandoned, ...]:
     """Queue the item for the coordinator; record a gap without naming the robot that has it.
 
-    The coordinator knows its own queue, so it gives up at once a step that it would only reach after the task is given
-    up. A queue that grows faster than it is served therefore stays as long as tasks last. The denial of such a step
-    names the coordinator as decider.
+    The coordinator knows its own queue, so it gives up a step immediately if it would reach it only after the task is
+    given up. A queue that grows faster than it is served is therefore bounded by how long tasks last. The denial of
+    such a step names the coordinator as decider.
     """
     action = state.execution.actions.get(command.action_id)
     request = state.request.open.get(command.action_id)
@@ -202,7 +202,7 @@ def _nobody(_request: Request) -> None:
 
 
 def respond(state: State, command: Respond) -> tuple[Event, ...]:
-    """Record the answer that the called supervisor gave the coordinator, which does not know the requester."""
+    """Record the supervisor's answer to the coordinator, which does not know the requester."""
     return supervision.respond(state, command, _nobody)
 
 
@@ -221,8 +221,8 @@ class AssignSegment(TransferSegment):
 
 @HANDLERS.decide(AssignSegment, nobody)
 def assign_segment(state: State, command: AssignSegment) -> tuple[Event, ...]:
-    """Assign the next segment to its robot, without a record of who had it."""
-    return transferred(state, command, lambda _before, then: by_coordinator(then))
+    """Assign the next segment to its robot, without recording the previous one."""
+    return transferred(state, command, lambda _previous, executor: by_coordinator(executor))
 
 
 def _on_completed(state: State, event: StepCompleted, now_us: int) -> tuple[Scheduled, ...]:

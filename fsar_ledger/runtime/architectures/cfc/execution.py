@@ -87,7 +87,7 @@ HANDLERS = Handlers()
 
 
 class SafeStop(RobotCommand):
-    """Make a robot whose context has changed safe, while the coordinator holds actions of it or for it."""
+    """Make a robot safe after a context change, while the coordinator claims actions of it or for it."""
 
     window: str | None
 
@@ -109,25 +109,25 @@ def safe_stop(state: State, command: SafeStop) -> tuple[Event, ...]:
             wanted.append(("audit", FLEET_SUPERVISOR, "policy window"))
             if on_shift(state, command.robot) is not None:
                 wanted.append(("audit", local_supervisor(command.robot), command.window))
-        known = {(claim.dimension, claim.claimant, claim.reason) for claim in state.authority.claims[action_id]}
+        existing = {(claim.dimension, claim.claimant, claim.reason) for claim in state.authority.claims[action_id]}
         claimed += [
             AuthorityClaimed(subject=Subject(task_id, action_id), dimension=dimension, claimant=claimant, reason=reason)
             for dimension, claimant, reason in wanted
-            if (dimension, claimant, reason) not in known
+            if (dimension, claimant, reason) not in existing
         ]
     return tuple(claimed)
 
 
 def _held(authority: Authority, requests: Requests, robot: Robot) -> list[str]:
     """Return the robot's actions whose execution the coordinator claims."""
-    held = []
+    action_ids = []
     for action_id, claims in authority.claims.items():
         request = requests.open.get(action_id)
         if request is None or robot not in (request.requester, request.target or request.requester):
             continue
         if any(claim.dimension == "execution" and claim.claimant == COORDINATOR for claim in claims):
-            held.append(action_id)
-    return held
+            action_ids.append(action_id)
+    return action_ids
 
 
 @HANDLERS.decide(EndWatch, nobody)
@@ -142,8 +142,8 @@ def decide_routine(state: State, command: DecideRoutine) -> tuple[Event, ...]:
     robot = command.robot
     principals = Parties(requested_by=robot, executed_by=robot, supervised_by=FLEET_SUPERVISOR).decided(robot)
     copy = state.knowledge.copy
-    known = (copied_policy(copy, robot), copied_rule(copy, robot), declared(state.policy, robot, None, None))
-    if command.operation == "motion" and "deny" in known:
+    outcomes = (copied_policy(copy, robot), copied_rule(copy, robot), declared(state.policy, robot, None, None))
+    if command.operation == "motion" and "deny" in outcomes:
         return (RoutineWithheld(principals, robot, command.operation),)
     return (RoutinePerformed(principals, robot, command.operation),)
 
@@ -198,7 +198,7 @@ class GoOnWithoutHelp(HelpCommand):
 
 
 def process(state: State, command: ProcessWork) -> tuple[Event, ...]:
-    """Take one turn of recovery or replanning at the coordinator."""
+    """Process one item of recovery or replanning at the coordinator."""
     action = state.execution.actions.get(command.action_id)
     if action is None:
         return ()
@@ -207,7 +207,7 @@ def process(state: State, command: ProcessWork) -> tuple[Event, ...]:
     recovery = state.recovery.get(command.action_id)
     if recovery is None:
         return ()
-    if command.item == NO_ANSWER and recovery.awaited is None:  # it has answered at last
+    if command.item == NO_ANSWER and recovery.awaited is None:  # the helper has answered meanwhile
         return ()
     copy, robot = state.knowledge.copy, action.robot
     is_first = command.item == "failure" and state.fleet.structure.local_attempts > 0
@@ -260,7 +260,7 @@ def _order_help(state: State, action: Action, recovery: Recovery) -> tuple[Event
 
 @HANDLERS.decide_on(open_failure, EndAttempt, body)
 def end_attempt(state: State, command: EndAttempt, failure: Failure) -> tuple[Event, ...]:
-    """End the ordered retry, which resolved the failure or did not."""
+    """End the ordered retry: resolve the failure, or record that the attempt failed."""
     action, recovery = failure
     if attempt_succeeds(state.world, recovery, command):
         return (FailureResolved(action.subject, action.robot, recovery.failure, "local"),)
@@ -279,7 +279,7 @@ def reach_helper(state: State, command: ReachHelper, failure: Failure) -> tuple[
 
 @HANDLERS.decide(GoOnWithoutHelp, nobody)
 def go_on_without_help(state: State, command: GoOnWithoutHelp) -> tuple[Event, ...]:
-    """Give the coordinator the failure again when the helper has not answered in time. Reading: R44."""
+    """Return the failure to the coordinator when the helper has not answered in time. Reading: R44."""
     failure = open_failure(state, command.action_id)
     if failure is None or (failure[1].failure, failure[1].awaited) != (command.failure, command.helper):
         return ()
@@ -288,7 +288,7 @@ def go_on_without_help(state: State, command: GoOnWithoutHelp) -> tuple[Event, .
 
 @HANDLERS.decide(EndAssistance, helping)
 def end_assistance(state: State, command: EndAssistance) -> tuple[Event, ...]:
-    """Free the helper, which resolved the failure or could not."""
+    """Free the helper, whether or not it resolved the failure."""
     return assistance.end_assistance(state, command, "fleet")
 
 
@@ -323,10 +323,10 @@ def _on_attempt_failed(_state: State, event: RecoveryAttemptFailed, _now_us: int
 @HANDLERS.react(AssistanceRequested)
 def _on_order(state: State, event: AssistanceRequested, _now_us: int) -> tuple[Scheduled, ...]:
     order = message(COORDINATOR, f"{event.failed_action}/{event.failure}", f"order/{event.helper}")
-    late = GoOnWithoutHelp(event.failed_action, event.helper, event.failure)
+    timeout = GoOnWithoutHelp(event.failed_action, event.helper, event.failure)
     return (
         Scheduled(ReachHelper(event.failed_action, event.helper), 0, (order,)),
-        Scheduled(late, state.fleet.answer_us),
+        Scheduled(timeout, state.fleet.answer_us),
     )
 
 

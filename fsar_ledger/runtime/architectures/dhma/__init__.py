@@ -1,6 +1,6 @@
 """Decomposition-heavy multi-agent fleet: every robot is four fleet-visible agents that negotiate.
 
-Here is recovery: its agent must agree with planning and execution, and may dispute ownership.
+This module holds recovery: its agent must agree with planning and execution, and may dispute ownership.
 Paper: sec:evaluation:baselines.
 """
 
@@ -42,7 +42,7 @@ class Dispute(ActionCommand):
 
 
 class StartRecovery(ActionCommand):
-    """Start recovery once the recovery agent has been told and has asked the others."""
+    """Start recovery once the recovery agent has heard of the failure and consulted the others."""
 
 
 class Escalate(ActionCommand):
@@ -65,7 +65,7 @@ def dispute(state: State, _command: Dispute, failure: Failure) -> tuple[Event, .
 
 @HANDLERS.decide_on(open_failure, StartRecovery, body)
 def start_recovery(state: State, _command: StartRecovery, failure: Failure) -> tuple[Event, ...]:
-    """Start the first attempt to recover, or call H_F where the budget has none."""
+    """Start the first attempt to recover, or call H_F if the budget allows none."""
     action, recovery = failure
     if state.fleet.structure.local_attempts == 0:
         return (*_escalated(state, action, recovery), *release(state.authority, action.action_id, DISPUTE))

@@ -1,7 +1,7 @@
 """DHMA: every robot is four fleet-visible agents that talk and pass work to each other.
 
-A talk is the row of agents through which the work goes. Each hop in it takes the latency of an internal message; what
-is decided at its end has these agents as its path. Only the hand-off of delegated work at its executor leaves records.
+A talk is the sequence of agents that work passes through. Each hop takes the latency of an internal message; a decision
+at its end has these agents as its path. Only the hand-off of delegated work at its executor is recorded.
 Paper: sec:evaluation:baselines, sec:evaluation:qualitative (Case 4). Reading: R21.
 """
 
@@ -43,18 +43,18 @@ from fsar_ledger.runtime.ports import Ask
 
 Talk = tuple[AgentKind, ...]
 
-CALL: Talk = ("planning", "communication")  # the planner wants another robot asked
+CALL: Talk = ("planning", "communication")  # the planner wants a request to another robot
 EVALUATION: Talk = (
     "communication",
     "planning",
     "execution",
-)  # a call comes in, is judged, and the means for it are confirmed
-RELAY: Talk = ("communication", "planning")  # word from another robot reaches the planner
+)  # a call arrives, is evaluated, and the means for it are confirmed
+RELAY: Talk = ("communication", "planning")  # a message from another robot reaches the planner
 TO_PLANNING: Talk = ("communication", "planning")  # an award goes from agent to agent ...
 TO_EXECUTION: Talk = ("planning", "execution")
 FROM_PLANNING: Talk = ("planning", "communication")  # ... and each acknowledges it
 FROM_EXECUTION: Talk = ("execution", "planning")
-SETTLEMENT: Talk = ("communication", "planning", "execution", "communication")  # what a double booking comes to
+SETTLEMENT: Talk = ("communication", "planning", "execution", "communication")  # how a double booking is settled
 VOIDING: Talk = ("execution", "communication", "planning", "communication")  # a contract that no longer holds
 OWN_STEP: Talk = ("planning", "execution")
 OWN_RESULT: Talk = ("execution", "planning")
@@ -64,7 +64,7 @@ RECOVERY: Talk = (
     "recovery",
     "planning",
     "recovery",
-)  # a failure, or how an attempt ended: recovery hears of it and asks the planner
+)  # recovery hears of a failure or of how an attempt ended, and consults the planner
 REPLANNING: Talk = ("execution", "planning", "execution", "planning")  # the change, the new plan, its confirmation
 RENEGOTIATION: Talk = (
     "communication",
@@ -78,7 +78,7 @@ HANDLERS = Handlers()
 
 
 class HandOver(RobotCommand):
-    """Record what the executor's agents say when they pass delegated work on, or acknowledge it."""
+    """Record that the executor's agents pass on delegated work, or acknowledge it."""
 
     agents: Talk
 
@@ -100,9 +100,9 @@ def talk(fleet: Fleet, agents: Talk, key: str, name: int | str) -> tuple[Ask, ..
 def handed_over(
     fleet: Fleet, robot: Robot, agents: Talk, key: str, name: str, command: ActionCommand
 ) -> tuple[Scheduled, ...]:
-    """Schedule what follows once these agents have passed on delegated work, and the record that they did."""
-    said = talk(fleet, agents, key, name)
-    return Scheduled(command, 0, said), Scheduled(HandOver(robot, agents), 0, said)
+    """Schedule the command for when these agents have passed on delegated work, and the record of the hand-off."""
+    waits = talk(fleet, agents, key, name)
+    return Scheduled(command, 0, waits), Scheduled(HandOver(robot, agents), 0, waits)
 
 
 @lru_cache(1 << 15)  # a talk of every robot of a large fleet: most of its events are hops
@@ -130,7 +130,7 @@ def planner(robot: Robot) -> Agent:
 
 # See docs/decisions/declared-rules-reach-every-architecture.md.
 def snapshot(state: State, robot: Robot, capability: str | None, context: str | None) -> PolicyOutcome:
-    """Return the robot's own policy as its planner knows it: its windows when last seen, and its rules.
+    """Return the robot's own policy as its planner knows it: its windows at the last snapshot, and its rules.
 
     No agent composes the fleet's rule or the requester's policy. Paper: sec:evaluation:baselines.
     """
@@ -156,7 +156,7 @@ def detect_gap(state: State, _command: DetectGap, request: Request) -> tuple[Eve
 def engage_planner(state: State, command: EngagePlanner) -> tuple[Event, ...]:
     """Make every agent that is party to an open action of the robot claim override until the action ends."""
     robot = command.robot
-    made: list[Event] = [PlannerEngaged(robot, command.now_us + state.fleet.structure.engagement_us)]
+    events: list[Event] = [PlannerEngaged(robot, command.now_us + state.fleet.structure.engagement_us)]
     for action in state.execution.actions.values():
         if is_injected(action) or action.stage == "withdrawn" or robot not in (action.robot, action.on_behalf_of):
             continue
@@ -165,15 +165,15 @@ def engage_planner(state: State, command: EngagePlanner) -> tuple[Event, ...]:
             if robot == action.robot
             else (planner(robot), planner(action.robot))
         )
-        made += claims(state.authority, action, "override", claimants, "context change")
+        events += claims(state.authority, action, "override", claimants, "context change")
     for request in state.request.open.values():
         if (
             request.target is not None
             and robot in (request.requester, request.target)
             and not _has_started(state.execution, request)
         ):
-            made.append(ContractQuestioned(request.subject, robot))
-    return tuple(made)
+            events.append(ContractQuestioned(request.subject, robot))
+    return tuple(events)
 
 
 def _has_started(execution: Execution, request: Request) -> bool:
@@ -191,11 +191,11 @@ def claims(
     authority: Authority, action: Action, dimension: Any, claimants: tuple[Agent, ...], reason: str
 ) -> list[AuthorityClaimed]:
     """Return the claims by these agents that they do not hold already."""
-    known = {(claim.dimension, claim.claimant, claim.reason) for claim in authority.claims.get(action.action_id, ())}
+    existing = {(claim.dimension, claim.claimant, claim.reason) for claim in authority.claims.get(action.action_id, ())}
     return [
         AuthorityClaimed(subject=action.subject, dimension=dimension, claimant=claimant, reason=reason)
         for claimant in claimants
-        if (dimension, claimant, reason) not in known
+        if (dimension, claimant, reason) not in existing
     ]
 
 

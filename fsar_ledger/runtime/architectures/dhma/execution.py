@@ -81,17 +81,17 @@ class AcknowledgeExecution(ActionCommand):
 
 
 class SettleBooking(ActionCommand):
-    """Settle the double booking that the two agents have agreed about."""
+    """Settle the double booking that the two agents have agreed on."""
 
 
 class RunOutsider(ActionCommand):
     """Run an out-of-trust request that a nested query has carried past visibility."""
 
 
-def _under_contract(execution: Execution, requests: Requests, action_id: str, contract: int) -> Action | None:
+def _under_contract(execution: Execution, requests: Requests, action_id: str, round_number: int) -> Action | None:
     """Return the action while this round's contract holds it."""
     action, request = execution.actions.get(action_id), requests.open.get(action_id)
-    if action is None or request is None or request.round != contract or action.stage == "withdrawn":
+    if action is None or request is None or request.round != round_number or action.stage == "withdrawn":
         return None
     return action
 
@@ -166,30 +166,30 @@ def _on_acceptance(state: State, event: AuthorityClaimed, _now_us: int) -> tuple
     contract = (event.subject.action_id, request.round)
     match event.reason:
         case "double booking" if event.claimant == agent(robot, "execution"):
-            said = talk(state.fleet, SETTLEMENT, key, "settle")
-            told = (message(robot, key, "settle"), message(request.requester, key, "settled"))
-            return (Scheduled(SettleBooking(event.subject.action_id), 0, (*said, *told)),)
+            waits = talk(state.fleet, SETTLEMENT, key, "settle")
+            messages = (message(robot, key, "settle"), message(request.requester, key, "settled"))
+            return (Scheduled(SettleBooking(event.subject.action_id), 0, (*waits, *messages)),)
         case "acceptance":
-            passed = PassExecution(*contract, *TO_PLANNING)
-            return handed_over(state.fleet, robot, TO_PLANNING, key, "planning", passed)
+            handoff = PassExecution(*contract, *TO_PLANNING)
+            return handed_over(state.fleet, robot, TO_PLANNING, key, "planning", handoff)
         case "planning":
-            acknowledged = AcknowledgeExecution(*contract, "communication")
-            passed = PassExecution(*contract, *TO_EXECUTION)
+            acknowledgement = AcknowledgeExecution(*contract, "communication")
+            handoff = PassExecution(*contract, *TO_EXECUTION)
             return (
-                *handed_over(state.fleet, robot, FROM_PLANNING, key, "acknowledged", acknowledged),
-                *handed_over(state.fleet, robot, TO_EXECUTION, key, "execution", passed),
+                *handed_over(state.fleet, robot, FROM_PLANNING, key, "acknowledged", acknowledgement),
+                *handed_over(state.fleet, robot, TO_EXECUTION, key, "execution", handoff),
             )
         case "execution":
-            acknowledged = AcknowledgeExecution(*contract, "planning")
-            return handed_over(state.fleet, robot, FROM_EXECUTION, key, "confirmed", acknowledged)
+            acknowledgement = AcknowledgeExecution(*contract, "planning")
+            return handed_over(state.fleet, robot, FROM_EXECUTION, key, "confirmed", acknowledgement)
         case _:
             return ()
 
 
 @HANDLERS.react(OutsiderRequestInjected)
 def _on_outsider(state: State, event: OutsiderRequestInjected, _now_us: int) -> tuple[Scheduled, ...]:
-    asked = (*talk(state.fleet, CALL, event.task_id, "query"), message(event.robot, event.task_id, 0))
-    return (Scheduled(RunOutsider(event.task_id), 0, asked),)
+    waits = (*talk(state.fleet, CALL, event.task_id, "query"), message(event.robot, event.task_id, 0))
+    return (Scheduled(RunOutsider(event.task_id), 0, waits),)
 
 
 class PlanOwnStep(ActionCommand):
@@ -204,7 +204,7 @@ class QueueOwnStep(ActionCommand):
 def plan_own_step(state: State, command: PlanOwnStep, request: Request) -> tuple[Event, ...]:
     """Decide to do the step, unless the planner's snapshot forbids it for now.
 
-    A review that a rule asks for goes to H_i where it is on shift, else to H_F; an approval lifts no denial.
+    A review demanded by a rule goes to H_i if on shift, else to H_F; an approval lifts no denial.
     """
     robot = request.requester
     outcome = snapshot(state, robot, request.capability, request.task_id)
@@ -247,12 +247,12 @@ def start(state: State, command: StartAction) -> tuple[Event, ...]:
 def decide_routine(state: State, command: DecideRoutine) -> tuple[Event, ...]:
     """Perform the routine operation: sensing by one agent, a motion by the planner.
 
-    A motion engages the planner; the planner and the execution agent each record a half of it.
+    A motion engages the planner; the planner and the execution agent each record half of it.
     """
     robot = command.robot
     if command.operation == "sensing":
-        own = recorded_by(state, robot, requested_by=robot, executed_by=robot)
-        return (RoutinePerformed(own.decided(robot), robot, "sensing"),)
+        sensing_parties = recorded_by(state, robot, requested_by=robot, executed_by=robot)
+        return (RoutinePerformed(sensing_parties.decided(robot), robot, "sensing"),)
     parties = recorded_by(state, robot, requested_by=robot, executed_by=None)
     kind = RoutinePerformed if snapshot(state, robot, None, None) == "allow" else RoutineWithheld
     return (
@@ -279,15 +279,15 @@ def _on_response(state: State, event: SupervisorResponded, _now_us: int) -> tupl
     request = state.request.open.get(event.subject.action_id)
     if event.purpose != "review" or request is None or request.is_delegated:
         return ()
-    after_us = 1 if event.approves else state.fleet.structure.back_off_us
-    return (Scheduled(PlanOwnStep(event.subject.action_id), after_us, (at_once(event.principals.decided_by),)),)
+    delay_us = 1 if event.approves else state.fleet.structure.back_off_us
+    return (Scheduled(PlanOwnStep(event.subject.action_id), delay_us, (at_once(event.principals.decided_by),)),)
 
 
 @HANDLERS.react(OwnStepDecided)
 def _on_own_step(state: State, event: OwnStepDecided, _now_us: int) -> tuple[Scheduled, ...]:
     assert event.subject.action_id is not None
-    said = talk(state.fleet, OWN_STEP, event.subject.action_id, "own")
-    return (Scheduled(QueueOwnStep(event.subject.action_id), 0, said),)
+    waits = talk(state.fleet, OWN_STEP, event.subject.action_id, "own")
+    return (Scheduled(QueueOwnStep(event.subject.action_id), 0, waits),)
 
 
 @HANDLERS.react(ExecutionPaused)
@@ -297,12 +297,12 @@ def _on_pause(state: State, event: ExecutionPaused, _now_us: int) -> tuple[Sched
     action = state.execution.actions[event.subject.action_id]
     key = f"{event.subject.action_id}/replan{action.segments}"
     resume = ResumeAction(event.subject.action_id)
-    own = talk(state.fleet, REPLANNING, key, "own")
+    replanning = talk(state.fleet, REPLANNING, key, "own")
     if not action.is_delegated:
-        return (Scheduled(resume, structure.replan_us, own),)
-    heard = (*own, message(event.robot, key, 0), message(action.on_behalf_of, key, 1))
-    agreed = (*heard, *talk(state.fleet, RENEGOTIATION, key, "other"))
-    return (Scheduled(resume, structure.replan_us + structure.renegotiation_us, agreed),)
+        return (Scheduled(resume, structure.replan_us, replanning),)
+    delivered = (*replanning, message(event.robot, key, 0), message(action.on_behalf_of, key, 1))
+    renegotiation = (*delivered, *talk(state.fleet, RENEGOTIATION, key, "other"))
+    return (Scheduled(resume, structure.replan_us + structure.renegotiation_us, renegotiation),)
 
 
 HANDLERS.decide(TakeTurn, body)(approach)

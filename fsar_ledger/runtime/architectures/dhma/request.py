@@ -59,7 +59,7 @@ HANDLERS = Handlers()
 
 
 class CallForProposals(ActionCommand):
-    """Deliver the planner's wish to the communication agent."""
+    """Deliver the planner's call to the communication agent."""
 
 
 class EvaluateBid(ActionCommand):
@@ -82,7 +82,7 @@ class Award(ActionCommand):
 class CloseBidding(ActionCommand):
     """End the time in which the calls of this round should have been delivered.
 
-    `is_last`: all who were called in time have judged the call as well.
+    `is_last`: every robot that was reached in time has judged the call as well.
     """
 
     round: int
@@ -113,14 +113,14 @@ def call_for_proposals(state: State, _command: CallForProposals, request: Reques
     """Call every capable robot."""
     robot = request.requester
     candidates = capable(state.fleet, state.registry, request.capability, robot)
-    asking = _parties(state, request, robot, None)  # whoever is awarded executes
+    parties = _parties(state, request, robot, None)  # the award decides the executor
     return (
         RegistryQueried(
-            subject=request.subject, principals=asking, capability=request.capability, candidates=candidates
+            subject=request.subject, principals=parties, capability=request.capability, candidates=candidates
         ),
         RequestIssued(
             subject=request.request_subject,
-            principals=asking.decided(*path(robot, CALL)),
+            principals=parties.decided(*path(robot, CALL)),
             capability=request.capability,
         ),
     )
@@ -131,11 +131,11 @@ def evaluate_bid(state: State, command: EvaluateBid, request: Request) -> tuple[
     """Bid by the snapshot of the candidate's planner, without naming the agent that would execute."""
     robot, outcome = command.robot, snapshot(state, command.robot, request.capability, request.task_id)
     parties = _parties(state, request, robot, None)  # a candidate is not yet the executor
-    judging = parties.decided(*path(robot, EVALUATION))
-    submitted = BidSubmitted(request.task_id, parties, robot, outcome)
+    principals = parties.decided(*path(robot, EVALUATION))
+    bid = BidSubmitted(request.task_id, parties, robot, outcome)
     if outcome == "deny":
-        return (RequestDenied(request.request_subject, judging, "bid"), submitted)
-    return (RequestAdmitted(subject=request.request_subject, principals=judging, outcome=outcome), submitted)
+        return (RequestDenied(request.request_subject, principals, "bid"), bid)
+    return (RequestAdmitted(subject=request.request_subject, principals=principals, outcome=outcome), bid)
 
 
 @HANDLERS.decide_on(open_request, ReceiveBid, requester)
@@ -148,7 +148,7 @@ def receive_bid(_state: State, command: ReceiveBid, request: Request) -> tuple[E
 
 @HANDLERS.decide(Award, requester)
 def award(state: State, command: Award) -> tuple[Event, ...]:
-    """Award the contract, or put the best bid before H_F."""
+    """Award the contract, or submit the best bid to H_F for review."""
     request = state.request.open.get(command.action_id)
     best = best_bid(request) if request is not None else None
     if (
@@ -168,8 +168,8 @@ def award(state: State, command: Award) -> tuple[Event, ...]:
 def close_bidding(state: State, command: CloseBidding, request: Request) -> tuple[Event, ...]:
     """Count robots that the call did not reach in time as refusals, and award to the best of the others.
 
-    The request is unanswered if none is left. A bid that is on its way is waited for, and so is a robot that the call
-    has reached but whose agents still judge it. Reading: R44.
+    The request is unanswered if no robot is left. A bid under way is waited for, and so is a robot that the call has
+    reached but whose agents are still judging it. Reading: R44.
     """
     if (
         request.is_unanswered
@@ -186,7 +186,7 @@ def close_bidding(state: State, command: CloseBidding, request: Request) -> tupl
 
 
 def _may_answer(world: World, request: Request) -> bool:
-    """Return whether a robot that was called, and whose bid is not there, can still be reached."""
+    """Return whether a called robot without a bid can still be reached."""
     missing = len(request.candidates) - len(request.bids)
     return missing > len(world.off) + len(world.unlinked) or any(
         is_linked(world, robot) for robot in request.candidates if robot not in request.bids
@@ -214,24 +214,24 @@ def accept_award(state: State, _command: AcceptAward, request: Request) -> tuple
         return ()
     robot = request.target
     parties = _parties(state, request, robot, robot)
-    principals = parties.decided(*path(robot, ("communication",)))  # the other agents have still to hear of it
-    made: list[Event] = [RequestAccepted(request.request_subject, principals)]
+    principals = parties.decided(*path(robot, ("communication",)))  # the other agents have not heard of it yet
+    events: list[Event] = [RequestAccepted(request.request_subject, principals)]
     if not is_idle(state.execution, robot):
-        made.append(RequestDeferred(request.request_subject, principals))
-    made.append(_claim(request, "execution", agent(robot, "communication"), "acceptance"))
+        events.append(RequestDeferred(request.request_subject, principals))
+    events.append(_claim(request, "execution", agent(robot, "communication"), "acceptance"))
     if pending_of_other_task(state.execution, robot, request.task_id) is not None:
-        made.append(_claim(request, "override", agent(robot, "communication"), "double booking"))
-        made.append(_claim(request, "override", agent(robot, "execution"), "double booking"))
-    return (*made, queued(request, parties, robot))
+        events.append(_claim(request, "override", agent(robot, "communication"), "double booking"))
+        events.append(_claim(request, "override", agent(robot, "execution"), "double booking"))
+    return (*events, queued(request, parties, robot))
 
 
 def _claim(request: Request, dimension: Any, claimant: Principal, reason: str) -> AuthorityClaimed:
     return AuthorityClaimed(subject=request.subject, dimension=dimension, claimant=claimant, reason=reason)
 
 
-def _parties(state: State, request: Request, near: Robot, executor: Robot | None) -> Parties:
-    """Return whom a record of the request names, under the supervisor of the robot that keeps it."""
-    return recorded_by(state, near, requested_by=request.requester, executed_by=executor)
+def _parties(state: State, request: Request, keeper: Robot, executor: Robot | None) -> Parties:
+    """Return the parties of a record of the request, under the supervisor of the robot that keeps it."""
+    return recorded_by(state, keeper, requested_by=request.requester, executed_by=executor)
 
 
 @HANDLERS.decide_on(open_request, CloseRequest, requester)
@@ -244,21 +244,21 @@ def close_request(state: State, _command: CloseRequest, request: Request) -> tup
     return (RequestClosed(request.request_subject, principals),)
 
 
-LONGEST = 3  # a call that is delivered within the answer time, and two hops, are over after so many of them
+LONGEST = 3  # a call delivered within the answer time, plus two hops, takes at most so many answer times
 
 
 def call(fleet: Fleet, request: Request, robot: Robot, before: tuple[Ask, ...] = ()) -> Scheduled:
     """Deliver the call to the candidate, whose agents work out a bid. The waits `before` come first."""
     key = f"{request.action_id}/{request.round}/{robot}"
-    called = (*before, message(request.requester, key, "call"))
-    return Scheduled(EvaluateBid(request.action_id, robot), 0, (*called, *talk(fleet, EVALUATION, key, "evaluate")))
+    delivery = (*before, message(request.requester, key, "call"))
+    return Scheduled(EvaluateBid(request.action_id, robot), 0, (*delivery, *talk(fleet, EVALUATION, key, "evaluate")))
 
 
 @HANDLERS.react(GapDetected)
 def _on_gap(state: State, event: GapDetected, _now_us: int) -> tuple[Scheduled, ...]:
     assert event.subject.action_id is not None
-    said = talk(state.fleet, CALL, event.subject.action_id, 0)
-    return (Scheduled(CallForProposals(event.subject.action_id), 0, said),)
+    waits = talk(state.fleet, CALL, event.subject.action_id, 0)
+    return (Scheduled(CallForProposals(event.subject.action_id), 0, waits),)
 
 
 @HANDLERS.react(RegistryQueried)
@@ -289,15 +289,15 @@ def _on_bid(state: State, event: BidSubmitted, _now_us: int) -> tuple[Scheduled,
     if request is None:
         return ()
     key = f"{request.action_id}/{request.round}/{event.robot}"
-    received = ReceiveBid(request.action_id, event.robot, event.outcome)
-    relayed = (message(event.robot, key, "bid"), *talk(state.fleet, RELAY, key, "relay"))
-    return (Scheduled(received, 0, relayed),)
+    delivery = ReceiveBid(request.action_id, event.robot, event.outcome)
+    waits = (message(event.robot, key, "bid"), *talk(state.fleet, RELAY, key, "relay"))
+    return (Scheduled(delivery, 0, waits),)
 
 
 @HANDLERS.react(BidReceived)
 def _on_bid_received(state: State, event: BidReceived, _now_us: int) -> tuple[Scheduled, ...]:
     request = state.request.open[event.subject.action_id]
-    if len(request.bids) < len(request.candidates):  # it may have been the last one that was waited for
+    if len(request.bids) < len(request.candidates):  # it may be the last bid awaited
         return _closing(state.fleet, request, (at_once(request.requester),))
     if best_bid(request) is None:
         return (begin_again(state.fleet, event.subject.task_id, event.subject.action_id),)
@@ -309,16 +309,16 @@ def _on_response(state: State, event: SupervisorResponded, _now_us: int) -> tupl
     request = state.request.open.get(event.subject.action_id)
     if event.purpose != "review" or request is None or not request.is_delegated:
         return ()
-    after_us = 1 if event.approves else state.fleet.structure.back_off_us
-    return (Scheduled(Award(event.subject.action_id), after_us, (at_once(event.principals.decided_by),)),)
+    delay_us = 1 if event.approves else state.fleet.structure.back_off_us
+    return (Scheduled(Award(event.subject.action_id), delay_us, (at_once(event.principals.decided_by),)),)
 
 
 @HANDLERS.react(AwardMade)
 def _on_award(state: State, event: AwardMade, _now_us: int) -> tuple[Scheduled, ...]:
-    awarded = state.task.get(event.task_id)
-    if awarded is None:  # given up meanwhile
+    awarded_task = state.task.get(event.task_id)
+    if awarded_task is None:  # given up meanwhile
         return ()
-    request = state.request.open[awarded.action_id]
+    request = state.request.open[awarded_task.action_id]
     award_message = message(request.requester, request.action_id, f"award/{request.round}")
     return (
         Scheduled(AcceptAward(request.action_id), 0, (award_message,)),
@@ -336,10 +336,10 @@ def _on_void(state: State, event: ContractVoided, _now_us: int) -> tuple[Schedul
     """Let both sides' agents agree that the contract is void, and negotiate again under the same action."""
     request = state.request.open[event.subject.action_id]
     key = f"{request.action_id}/{request.round}/void"
-    heard = (*talk(state.fleet, VOIDING, key, "void"), message(event.robot, key, "void"))
-    agreed = (*heard, *talk(state.fleet, RELAY, key, "again"))
-    calls = tuple(call(state.fleet, request, robot, agreed) for robot in request.candidates)
-    return (*calls, *_closing(state.fleet, request, agreed))
+    delivered = (*talk(state.fleet, VOIDING, key, "void"), message(event.robot, key, "void"))
+    agreement = (*delivered, *talk(state.fleet, RELAY, key, "again"))
+    calls = tuple(call(state.fleet, request, robot, agreement) for robot in request.candidates)
+    return (*calls, *_closing(state.fleet, request, agreement))
 
 
 @HANDLERS.react(ExecutionFinished)
@@ -349,11 +349,11 @@ def _on_finish(state: State, event: ExecutionFinished, _now_us: int) -> tuple[Sc
     if request is None or request.step == 0:
         return (close,)
     agents = RESULT if request.is_delegated else OWN_RESULT
-    said = talk(state.fleet, agents, event.subject.action_id, "result")
+    waits = talk(state.fleet, agents, event.subject.action_id, "result")
     if not request.is_delegated:
-        return (close, Scheduled(CompleteStep(event.subject.action_id), 0, said))
-    told = (*said, message(event.robot, event.subject.action_id, 4))
-    return (close, Scheduled(CloseRequest(event.subject.action_id), 0, told))
+        return (close, Scheduled(CompleteStep(event.subject.action_id), 0, waits))
+    delivery = (*waits, message(event.robot, event.subject.action_id, 4))
+    return (close, Scheduled(CloseRequest(event.subject.action_id), 0, delivery))
 
 
 @HANDLERS.react(RequestClosed)
@@ -362,7 +362,7 @@ def _on_close(_state: State, event: RequestClosed, _now_us: int) -> tuple[Schedu
 
 
 def transfer_segment(state: State, command: TransferSegment) -> tuple[Event, ...]:
-    """Give the next segment to its robot, by word of the planner."""
+    """Give the next segment to its robot, as decided by the planner."""
 
     def by_planner(before: Robot, then: Robot) -> Principals:
         return recorded_by(state, before, requested_by=before, executed_by=then).decided(*path(before, CALL))
@@ -371,10 +371,10 @@ def transfer_segment(state: State, command: TransferSegment) -> tuple[Event, ...
 
 
 def _on_transfer(state: State, event: SegmentTransferred, _now_us: int) -> tuple[Scheduled, ...]:
-    """Let the segment go from planner to planner."""
-    sent, key = segment_message(state, event), f"{event.task_id}/{event.step}"
-    heard = (*talk(state.fleet, CALL, key, "handed"), sent, *talk(state.fleet, RELAY, key, "taken"))
-    return (Scheduled(BeginStep(event.task_id), 0, heard),)
+    """Pass the segment from planner to planner."""
+    transfer, key = segment_message(state, event), f"{event.task_id}/{event.step}"
+    waits = (*talk(state.fleet, CALL, key, "handed"), transfer, *talk(state.fleet, RELAY, key, "taken"))
+    return (Scheduled(BeginStep(event.task_id), 0, waits),)
 
 
 OWN: dict[type[Command], Decide] = {TransferSegment: transfer_segment}

@@ -69,8 +69,8 @@ def revoke(state: State, command: Revoke) -> tuple[Event, ...]:
 
 def _claimed(state: State, robot: Robot) -> list[str]:
     """Return the claimed actions on behalf of the robot, in the order of their first claims."""
-    found = [action for action in state.execution.served.get(robot, ()) if action in state.authority.claims]
-    return found if len(found) < 2 else [action for action in state.authority.claims if action in found]
+    claimed = [action for action in state.execution.served.get(robot, ()) if action in state.authority.claims]
+    return claimed if len(claimed) < 2 else [action for action in state.authority.claims if action in claimed]
 
 
 @HANDLERS.decide_on(open_request, AnswerOutsider, nobody)
@@ -127,25 +127,25 @@ def answer_outsider(state: State, _command: AnswerOutsider, request: Request) ->
 
 # See docs/decisions/refusals-name-the-robot-asked.md.
 def _refused(state: State, task_id: str, robot: Robot, peer: Robot, capability: str) -> RegistryQueried:
-    """Return the registry's answer to an outsider, with the filter that leaves out the robot it asked for.
+    """Return the registry's answer to an outsider, with the filter that excludes the requested robot.
 
-    The filter is visibility where the robot is shown to nobody.
+    The filter is visibility if the robot is advertised to no one.
     """
     record = advertisement(state.registry, peer, capability)
-    by = None if record is None else rejecting_filter(state, Query(robot, capability, task_id), record)
+    excluded_by = None if record is None else rejecting_filter(state, Query(robot, capability, task_id), record)
     return RegistryQueried(
         subject=Subject(task_id, task_id),
         principals=recorded_by(state, robot, requested_by=robot, executed_by=peer),
         capability=capability,
         candidates=(),
         rejected=(peer,),
-        rejected_by=(by or "visibility",),
+        rejected_by=(excluded_by or "visibility",),
     )
 
 
 @HANDLERS.decide(RememberPeer, named)
 def remember_peer(state: State, command: RememberPeer) -> tuple[Event, ...]:
-    """Let both robots know each other for a while."""
+    """Record that both robots remember each other for a while."""
     until_us = command.now_us + state.fleet.structure.encounter_memory_us
     return (
         PeerRemembered(command.robot, command.peer, until_us),
@@ -174,7 +174,7 @@ def _on_outsider(_state: State, event: OutsiderRequestInjected, _now_us: int) ->
 def _on_meeting(state: State, event: PeersMet, _now_us: int) -> tuple[Scheduled, ...]:
     """Let two robots that meet remember each other, if both are linked."""
     if "shared-registry" not in state.fleet.without or not all(
-        is_linked(state.world, one) for one in (event.robot, event.peer)
+        is_linked(state.world, robot) for robot in (event.robot, event.peer)
     ):
         return ()
     return (Scheduled(RememberPeer(event.robot, event.peer)),)

@@ -1,14 +1,14 @@
 """FSAR: how the registry learns what is available, from robots and from unanswered requests.
 
-A robot reports a worn actuator; who got no answer reports silence. Paper: sec:architecture:registry.
+A robot reports a worn actuator; a sender without an answer reports silence. Paper: sec:architecture:registry.
 
-Members leave by their own word, or are found to have left: where robots are watched, one that sends no heartbeat is
-suspected, and then cleared by the next one or declared departed. A robot stops by itself what it does for the fleet
-when it has had no contact for so long, as the fleet then gives it to others. Paper: sec:discussion:heterogeneity.
+Members announce that they leave, or are found to have left: with heartbeats, a robot that sends none is suspected, and
+then cleared by the next one or declared departed. A robot without contact for that long stops its work for the fleet by
+itself, as the fleet then gives it to others. Paper: sec:discussion:heterogeneity.
 
-Reading R44: the paper marks a robot offline that leaves "through failure detection". Nobody sees that a robot is off.
-Without heartbeats, the registry has it offline from the moment at which somebody waited for its answer in vain until
-the robot's own word that it is back has come in.
+Reading R44: the paper marks a robot offline that leaves "through failure detection". No component sees that a robot is
+off. Without heartbeats, the registry lists it as offline from the first wait for its answer that ended without one,
+until the robot's own report that it is back has arrived.
 """
 
 from collections.abc import Iterable
@@ -40,13 +40,13 @@ HANDLERS = Handlers()
 
 
 class ReportActuator(RobotCommand):
-    """Deliver the robot's word about its actuator to the registry: degraded, or (False) in order again."""
+    """Deliver the robot's report on its actuator to the registry: degraded, or (False) in order again."""
 
     is_degraded: bool
 
 
 class ReportBack(RobotCommand):
-    """Deliver the robot's word that it can be asked again to the registry."""
+    """Deliver the robot's report that it answers again to the registry."""
 
 
 class Beat(RobotCommand):
@@ -66,24 +66,27 @@ class DeclareDeparted(RobotCommand):
 
 
 class TakeLeave(RobotCommand):
-    """Deliver the robot's word that it leaves to the registry."""
+    """Deliver the robot's notice that it leaves to the registry."""
 
 
 class Rejoin(RobotCommand):
-    """Deliver the word of a robot that has been away to the registry."""
+    """Deliver the report of a robot that has been away to the registry."""
 
 
 class CloseDeparted(ActionCommand):
-    """Close the request for what nobody could take over from a robot that has left."""
+    """Close the request for an action that no robot could take over from a departed one."""
 
 
 def found_silent(fleet: Fleet, registry: Registry, robots: Iterable[Robot]) -> tuple[AvailabilityChanged, ...]:
     """Mark the robots that did not answer as offline in the registry, if there is one."""
     if "shared-registry" in fleet.without:
         return ()
-    news = [robot for robot in dict.fromkeys(robots) if robot not in registry.silent and any(surface(registry, robot))]
+    newly_silent = [
+        robot for robot in dict.fromkeys(robots) if robot not in registry.silent and any(surface(registry, robot))
+    ]
     return tuple(
-        AvailabilityChanged(robot=robot, capability=None, availability="offline", reason=NO_ANSWER) for robot in news
+        AvailabilityChanged(robot=robot, capability=None, availability="offline", reason=NO_ANSWER)
+        for robot in newly_silent
     )
 
 
@@ -91,7 +94,7 @@ def found_silent(fleet: Fleet, registry: Registry, robots: Iterable[Robot]) -> t
 def report_back(state: State, command: ReportBack) -> tuple[AvailabilityChanged, ...]:
     """Restore the availability from before the robot was found silent.
 
-    What has become of its actuator since is kept.
+    Changes of its actuator since then are kept.
     """
     if command.robot in state.fleet.departed:
         return ()
@@ -104,17 +107,19 @@ def _present(
     worn: dict[Availability, Availability] = (
         {"ready": "degraded", "busy": "degraded"} if robot in world.degraded else {}
     )
-    since: dict[Availability, Availability] = {"degraded": "ready"} if is_serviced else worn
-    now = {capability: since.get(before, before) for capability, before in registry.silent.get(robot, {}).items()}
-    if len(set(now.values())) == 1 and len(now) == len(tuple(surface(registry, robot))):
+    changed: dict[Availability, Availability] = {"degraded": "ready"} if is_serviced else worn
+    restored = {
+        capability: changed.get(previous, previous) for capability, previous in registry.silent.get(robot, {}).items()
+    }
+    if len(set(restored.values())) == 1 and len(restored) == len(tuple(surface(registry, robot))):
         return (
             AvailabilityChanged(
-                robot=robot, capability=None, availability=next(iter(now.values())), reason="answers again"
+                robot=robot, capability=None, availability=next(iter(restored.values())), reason="answers again"
             ),
         )
     return tuple(
         AvailabilityChanged(robot=robot, capability=capability, availability=availability, reason="answers again")
-        for capability, availability in now.items()
+        for capability, availability in restored.items()
     )
 
 
@@ -122,22 +127,24 @@ def _present(
 def report_actuator(state: State, command: ReportActuator) -> tuple[Event, ...]:
     """Set what the robot advertises to degraded, or back to ready, except what it restricted or took offline.
 
-    A report that later facts have overtaken changes nothing. A report of a silent robot also says that it is back.
+    A report overtaken by later facts changes nothing. A report from a silent robot also shows that it is back.
     """
     is_overtaken = command.is_degraded != (command.robot in state.world.degraded)
     if is_overtaken or command.robot in state.fleet.departed:
         return ()
     if command.robot in state.registry.silent:
         return _present(state.registry, state.world, command.robot, is_serviced=not command.is_degraded)
-    before: tuple[Availability, ...] = ("ready", "busy") if command.is_degraded else ("degraded",)
-    after: Availability = "degraded" if command.is_degraded else "ready"
-    shown = tuple(surface(state.registry, command.robot))
-    changing = [record.capability for record in shown if record.availability in before]
-    if changing and len(changing) == len(shown):
-        return (AvailabilityChanged(robot=command.robot, capability=None, availability=after, reason="actuator"),)
+    replaced: tuple[Availability, ...] = ("ready", "busy") if command.is_degraded else ("degraded",)
+    availability: Availability = "degraded" if command.is_degraded else "ready"
+    records = tuple(surface(state.registry, command.robot))
+    affected = [record.capability for record in records if record.availability in replaced]
+    if affected and len(affected) == len(records):
+        return (
+            AvailabilityChanged(robot=command.robot, capability=None, availability=availability, reason="actuator"),
+        )
     return tuple(
-        AvailabilityChanged(robot=command.robot, capability=capability, availability=after, reason="actuator")
-        for capability in changing
+        AvailabilityChanged(robot=command.robot, capability=capability, availability=availability, reason="actuator")
+        for capability in affected
     )
 
 
@@ -167,16 +174,16 @@ def _on_service(state: State, event: ActuatorServiced, now_us: int) -> tuple[Sch
 
 @HANDLERS.react(RobotCameBack, LinkCameUp, RobotReturned)
 def _on_back(state: State, event: RobotCameBack | LinkCameUp | RobotReturned, now_us: int) -> tuple[Scheduled, ...]:
-    told = (message(event.robot, f"{event.robot}/{now_us}", "back"),)
+    waits = (message(event.robot, f"{event.robot}/{now_us}", "back"),)
     if event.robot in state.fleet.departed and isinstance(event, RobotCameBack) and not state.fleet.is_live:
-        return (Scheduled(Rejoin(event.robot), 0, told),)
+        return (Scheduled(Rejoin(event.robot), 0, waits),)
     if event.robot not in state.registry.silent:
         return ()
-    return (Scheduled(ReportBack(event.robot), 0, told),)
+    return (Scheduled(ReportBack(event.robot), 0, waits),)
 
 
 def heard(state: State, robot: Robot) -> tuple[HeartbeatReceived | RobotCleared, ...]:
-    """Return the facts of a heartbeat of a member."""
+    """Return the events of a member's heartbeat."""
     beat = HeartbeatReceived(robot, state.knowledge.heard.get(robot, 0) + 1)
     return (beat, RobotCleared(robot)) if robot in state.knowledge.suspected else (beat,)
 
@@ -185,14 +192,14 @@ def heard(state: State, robot: Robot) -> tuple[HeartbeatReceived | RobotCleared,
 def receive_beat(state: State, command: Beat) -> tuple[Event, ...]:
     """Record the heartbeat; a robot that was declared departed and is still there becomes a member again."""
     robot = command.robot
-    left = state.fleet.departed.get(robot)
-    if left == "announced":
+    reason = state.fleet.departed.get(robot)
+    if reason == "announced":
         return ()
-    return (*(() if left is None else (returned(state, robot, REGISTRY),)), *heard(state, robot))
+    return (*(() if reason is None else (returned(state, robot, REGISTRY),)), *heard(state, robot))
 
 
 def _is_missed(state: State, command: Suspect | DeclareDeparted) -> bool:
-    """Tell whether no heartbeat has come since; a robot that is really there and said that it goes off sends none."""
+    """Return whether no heartbeat has come since, and one was due: a live robot that reported going off sends none."""
     robot = command.robot
     is_excused = robot in state.fleet.departed or (state.fleet.is_live and robot in state.world.off)
     return state.knowledge.heard.get(robot, 0) == command.number and not is_excused
@@ -200,13 +207,13 @@ def _is_missed(state: State, command: Suspect | DeclareDeparted) -> bool:
 
 @HANDLERS.decide(Suspect, nobody)
 def suspect(state: State, command: Suspect) -> tuple[RobotSuspected, ...]:
-    """Record that the robot may have left; it keeps all that it has."""
+    """Record that the robot may have left; nothing is taken from it."""
     return (RobotSuspected(command.robot),) if _is_missed(state, command) else ()
 
 
 @HANDLERS.decide(DeclareDeparted, nobody)
 def declare_departed(state: State, command: DeclareDeparted) -> tuple[Event, ...]:
-    """Take the robot for departed, which it may not be: so its claims end under a fencing number."""
+    """Treat the robot as departed; as it may not be, its claims end under a fencing number."""
     if not (_is_missed(state, command) and command.robot in state.knowledge.suspected):
         return ()
     return departure(state, command.robot, "silent", REGISTRY, command.now_us)
@@ -214,7 +221,7 @@ def declare_departed(state: State, command: DeclareDeparted) -> tuple[Event, ...
 
 @HANDLERS.decide(TakeLeave, nobody)
 def take_leave(state: State, command: TakeLeave) -> tuple[Event, ...]:
-    """Record that the robot leaves, by its own word."""
+    """Record that the robot announced that it leaves."""
     if command.robot in state.fleet.departed:
         return ()
     return departure(state, command.robot, "announced", command.robot, command.now_us)
@@ -230,7 +237,7 @@ def rejoin(state: State, command: Rejoin) -> tuple[Event, ...]:
 
 @HANDLERS.decide(CloseDeparted, nobody)
 def close_departed(state: State, command: CloseDeparted) -> tuple[Event, ...]:
-    """End the request as failure(departed); the step is begun again, where somebody can be asked."""
+    """End the request as failure(departed); the step is begun again, if a robot can be asked."""
     request = open_request(state, command.action_id)
     return () if request is None or request.is_over else (closed_as_departed(state, request),)
 
@@ -247,21 +254,21 @@ def _first_beat(state: State, event: SnapshotPhaseSet, _now_us: int) -> tuple[Sc
     period_us = state.fleet.membership.heartbeat_us
     if period_us == 0 or "shared-registry" in state.fleet.without:
         return ()
-    after_us = max(2, event.phase_ppm * period_us // 1_000_000)
-    return (Scheduled(Beat(event.robot), after_us, (message(event.robot, f"{event.robot}/heartbeat", 1),)),)
+    delay_us = max(2, event.phase_ppm * period_us // 1_000_000)
+    return (Scheduled(Beat(event.robot), delay_us, (message(event.robot, f"{event.robot}/heartbeat", 1),)),)
 
 
 @HANDLERS.react(HeartbeatReceived)
 def _on_beat(state: State, event: HeartbeatReceived, now_us: int) -> tuple[Scheduled, ...]:
     """Await the next heartbeat; a simulated robot sends it as long as periodic exchanges go on."""
     structure, membership, robot = state.fleet.structure, state.fleet.membership, event.robot
-    missed = Scheduled(Suspect(robot, event.number), membership.suspect_us)
+    suspicion = Scheduled(Suspect(robot, event.number), membership.suspect_us)
     if state.fleet.is_live:
-        return (missed,)
+        return (suspicion,)
     if now_us > structure.watch_us and not state.task:
         return ()
-    told = (message(robot, f"{robot}/heartbeat", event.number + 1),)
-    return (missed, Scheduled(Beat(robot), membership.heartbeat_us, told))
+    waits = (message(robot, f"{robot}/heartbeat", event.number + 1),)
+    return (suspicion, Scheduled(Beat(robot), membership.heartbeat_us, waits))
 
 
 @HANDLERS.react(RobotSuspected)
@@ -272,7 +279,7 @@ def _on_suspicion(state: State, event: RobotSuspected, _now_us: int) -> tuple[Sc
 
 @HANDLERS.react(FailureResolved)
 def _on_resolved(state: State, event: FailureResolved, _now_us: int) -> tuple[Scheduled, ...]:
-    """Close the request for what a human has settled that had been taken from its robot."""
+    """Close the request for a withdrawn action whose failure a human has resolved."""
     action = state.execution.actions.get(event.subject.action_id)
     if event.level != "human" or action is None or action.stage != "withdrawn":
         return ()

@@ -1,4 +1,4 @@
-"""FSAR: a robot that lacks a capability asks the registry, or the peers it met, who could help, and then one of these.
+"""FSAR: a robot that lacks a capability queries the registry, or peers it met, and then asks one of the candidates.
 
 Paper: sec:model:request, phases 1 to 3.
 """
@@ -55,9 +55,9 @@ def discover(state: State, request: Request) -> tuple[Answer, Robot | None]:
         return answer, None
     for name in sorted(_untrusting(state, query, answer), key=lambda name: not is_idle(state.execution, name)):
         for peer in _relays(state, request, name):
-            others = [place for place, robot in enumerate(answer.rejected) if robot != name]
-            rejected = tuple(answer.rejected[place] for place in others)
-            rejected_by = tuple(answer.rejected_by[place] for place in others)
+            kept = [index for index, robot in enumerate(answer.rejected) if robot != name]
+            rejected = tuple(answer.rejected[index] for index in kept)
+            rejected_by = tuple(answer.rejected_by[index] for index in kept)
             return Answer((name,), (request.capability,), rejected, rejected_by, answer.domain, answer.as_of_us), peer
     return answer, None
 
@@ -67,12 +67,16 @@ def _untrusting(state: State, query: Query, answer: Answer) -> list[Robot]:
 
     A peer that both sides trust may ask them.
     """
-    found = []
-    for name, by in zip(answer.rejected, answer.rejected_by, strict=True):
+    robots = []
+    for name, excluded_by in zip(answer.rejected, answer.rejected_by, strict=True):
         record = advertisement(state.registry, name, query.capability)
-        if by == "trust" and record is not None and rejecting_filter(state, query, record, but="trust") is None:
-            found.append(name)
-    return found
+        if (
+            excluded_by == "trust"
+            and record is not None
+            and rejecting_filter(state, query, record, but="trust") is None
+        ):
+            robots.append(name)
+    return robots
 
 
 def _visible(fleet: Fleet, registry: Registry, request: Request) -> list[Robot]:
@@ -110,26 +114,26 @@ def _relays(state: State, request: Request, name: Robot) -> list[Robot]:
 @HANDLERS.decide_on(open_request, DetectGap, requester)
 def detect_gap(state: State, command: DetectGap, request: Request) -> tuple[Event, ...]:
     """Record that the requester needs another robot; without a registry, search the peers it met."""
-    found: tuple[Event, ...] = ()
+    answer: tuple[Event, ...] = ()
     if "shared-registry" in state.fleet.without:
         peers, relay = _among_met(state, request, command.now_us)
         if not peers:
             if request.attempt > 1:
                 return (PeerSought(request.subject, request.requester),)
             return (unanswered(state, request),)
-        found = (_met(state, request, peers, relay),)
+        answer = (_met(state, request, peers, relay),)
     return (
         GapDetected(
             request.subject,
             recorded_by(state, request.requester, requested_by=request.requester, executed_by=None),
             request.capability,
         ),
-        *found,
+        *answer,
     )
 
 
 def _among_met(state: State, request: Request, now_us: int) -> Found:
-    """Return candidates among robots met lately, judging each link of a chain by itself."""
+    """Return candidates among robots met recently, judging each link of a chain by itself."""
     met = state.knowledge.met
 
     def knows(robot: Robot, peer: Robot) -> bool:
@@ -154,7 +158,7 @@ def _among_met(state: State, request: Request, now_us: int) -> Found:
 
 
 def unanswered(state: State, request: Request, executor: Robot | None = None) -> RequestUnanswered:
-    """Return the fact that the requester knows nobody to ask, or that this executor did not answer."""
+    """Return the event that the requester knows no robot to ask, or that this executor did not answer."""
     robot = request.requester
     return RequestUnanswered(
         request.subject,
@@ -163,10 +167,10 @@ def unanswered(state: State, request: Request, executor: Robot | None = None) ->
     )
 
 
-def _met(state: State, request: Request, found: tuple[Robot, ...], relay: Robot | None) -> RegistryQueried:
-    """Return the record of an answer from memory, which gives no reasons for those left out."""
+def _met(state: State, request: Request, robots: tuple[Robot, ...], relay: Robot | None) -> RegistryQueried:
+    """Return the record of an answer from memory, which gives no reasons for excluded robots."""
     query = Query(request.requester, request.capability, request.task_id)
-    answer = Answer(found, (request.capability,) * len(found), (), ())
+    answer = Answer(robots, (request.capability,) * len(robots), (), ())
     return queried(state, query, answer, request.task_id, request.action_id, relay)
 
 
@@ -181,7 +185,7 @@ def query_registry(state: State, _command: QueryRegistry, request: Request) -> t
 @HANDLERS.decide_on(open_request, IssueRequest, requester)
 def issue_request(state: State, _command: IssueRequest, request: Request) -> tuple[Event, ...]:
     """Send the request with the requester's own policy; back off without a candidate."""
-    if request.is_over:  # a robot of it has left the fleet meanwhile
+    if request.is_over:  # one of its robots has left the fleet meanwhile
         return ()
     if not request.candidates:
         return (unanswered(state, request),)
@@ -210,7 +214,7 @@ def _on_gap(state: State, event: GapDetected, _now_us: int) -> tuple[Scheduled, 
         or event.subject.task_id not in state.task
         or event.subject.action_id not in state.request.open
     ):
-        return ()  # a request that is no step names whom it asks
+        return ()  # a request that is not a step names its executor
     assert event.subject.action_id is not None
     return (
         Scheduled(
@@ -225,7 +229,7 @@ def _on_gap(state: State, event: GapDetected, _now_us: int) -> tuple[Scheduled, 
 def _on_answer(state: State, event: RegistryQueried, _now_us: int) -> tuple[Scheduled, ...]:
     if (
         event.subject.task_id not in state.task or event.subject.action_id in state.recovery
-    ):  # an outsider's request is nobody's step; recovery asks for itself
+    ):  # an outsider's request is no step; recovery queries by itself
         return ()
     assert event.subject.action_id is not None
     if "shared-registry" in state.fleet.without:

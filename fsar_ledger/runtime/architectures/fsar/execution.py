@@ -1,4 +1,4 @@
-"""FSAR: the robot that executes decides when; own steps and routine need nobody else. Paper: sec:architecture:local."""
+"""FSAR: the executing robot decides when; its own steps and routine need no other. Paper: sec:architecture:local."""
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityClaimed
@@ -76,7 +76,7 @@ class RefuseHeld(ActionCommand):
 
 
 class LearnFleetRule(RobotCommand):
-    """Deliver word of the fleet's rule to the robot."""
+    """Deliver the fleet's rule to the robot."""
 
     outcome: PolicyOutcome
     as_of_us: int
@@ -99,7 +99,7 @@ def ready(execution: Execution, command: StartAction) -> Action | None:
         action is None
         or action.stage not in stages
         or not holds_robot(execution, action)
-        or (action.stage == "preempted" and action.has_approach)  # it has to come back first
+        or (action.stage == "preempted" and action.has_approach)  # the robot has to return first
     ):
         return None
     return action
@@ -134,7 +134,7 @@ def take_turn(state: State, _command: TakeTurn, action: Action) -> tuple[Event, 
 
 
 def _named(state: State, action: Action) -> Parties:
-    """Return whom the robot's own record of the action names."""
+    """Return the parties of the robot's own record of the action."""
     return recorded_by(state, action.robot, requested_by=action.requested_by, executed_by=action.robot)
 
 
@@ -142,7 +142,7 @@ def _named(state: State, action: Action) -> Parties:
 def start(state: State, command: StartAction) -> tuple[Event, ...]:
     """Start the action, unless the robot's own policy or the fleet's rule, as last heard, holds it.
 
-    A declared rule of review asks a supervisor. An approval lifts only the reviews known then. Where the fleet mandates
+    A declared rule of review calls a supervisor. An approval lifts only the reviews known then. If the fleet mandates
     what is held here, the conflict is escalated.
 
     Paper: sec:model:invariants (I3), sec:architecture:fleet (never a silent override). Reading: R34.
@@ -156,13 +156,13 @@ def start(state: State, command: StartAction) -> tuple[Event, ...]:
 def start_under(
     state: State, action: Action, command: StartAction, local: PolicyOutcome, rule: PolicyOutcome
 ) -> tuple[Event, ...]:
-    """Start the action, or hold it where the robot's own policy or the fleet's rule says so."""
+    """Start the action, or hold it if the robot's own policy or the fleet's rule requires it."""
     if stricter(local, rule) == "review":
         reviewer = _reviewer(state, action, local, rule)
         if reviewer is not None:
             return _put_before(state, action, reviewer, "local-policy" if local == "review" else "fleet-rule")
     if rule == "deny" and local == "review" and _reviewer(state, action, local, "allow") is not None:
-        return (_held(state, action, rule, "fleet-rule", None),)  # it asks once the fleet's denial is over
+        return (_held(state, action, rule, "fleet-rule", None),)  # reviewed once the fleet's denial is over
     if local != "allow":
         # See docs/decisions/denials-are-decided-once.md.
         decided_by = None if action.is_delegated or action.was_denied else action.robot
@@ -196,9 +196,9 @@ def refuse_held(state: State, _command: RefuseHeld, action: Action) -> tuple[Eve
 
 
 def _reviewer(state: State, action: Action, local: PolicyOutcome, rule: PolicyOutcome) -> Supervisor | None:
-    """Return whom a declared rule of review puts the action before, or None if only a window asks for one.
+    """Return the supervisor who reviews the action under a declared rule, or None if only a window asks for review.
 
-    H_i for the robot's own step and own rule where there is one on shift, else H_F. A window closes by itself; a rule
+    H_i for the robot's own step and own rule if one is on shift, else H_F. A window closes by itself; a rule
     does not. Paper: sec:model:supervision, app:foundations.
     """
     about = (action.robot, action.capability, action.task_id)
@@ -210,11 +210,11 @@ def _reviewer(state: State, action: Action, local: PolicyOutcome, rule: PolicyOu
 
 
 def _put_before(state: State, action: Action, reviewer: Supervisor, reason: str) -> tuple[Event, ...]:
-    """Hold the action, and put it before the supervisor once."""
+    """Hold the action, and call the supervisor once."""
     if is_asked(state.supervision, action.action_id, "review"):
         return ()
-    called = SupervisorCalled(subject=action.subject, supervisor=reviewer, purpose="review", robot=action.robot)
-    return (_held(state, action, "review", reason, None), called)
+    call = SupervisorCalled(subject=action.subject, supervisor=reviewer, purpose="review", robot=action.robot)
+    return (_held(state, action, "review", reason, None), call)
 
 
 def _held(
@@ -246,7 +246,7 @@ def decide_routine(state: State, command: DecideRoutine) -> tuple[Event, ...]:
 
 @HANDLERS.decide(LearnFleetRule, named)
 def learn_fleet_rule(state: State, command: LearnFleetRule) -> tuple[Event, ...]:
-    """Record the rule at the robot, unless newer word has overtaken this one."""
+    """Record the rule at the robot, unless a newer message has overtaken this one."""
     if command.as_of_us < state.knowledge.fleet_rule_as_of_us.get(command.robot, 0):
         return ()
     return (FleetRuleLearned(command.robot, command.outcome, command.as_of_us),)
@@ -267,19 +267,19 @@ def _on_hold(state: State, event: ExecutionHeld, _now_us: int) -> tuple[Schedule
 
 @HANDLERS.react(SupervisorResponded)
 def _on_review(state: State, event: SupervisorResponded, _now_us: int) -> tuple[Scheduled, ...]:
-    """Start an action that was put before a supervisor at its start.
+    """Start an action that a supervisor has reviewed at its start.
 
-    If it was not approved, the robot refuses what another asked of it, and asks about its own step again after the
+    If it was not approved, the robot refuses a delegated action, and submits its own step again after the
     back-off.
     """
     action = state.execution.actions.get(event.subject.action_id)
     if event.purpose != "review" or action is None or action.stage not in ("held", "polling"):
         return ()
-    told = (at_once(event.principals.decided_by),)
+    waits = (at_once(event.principals.decided_by),)
     if action.is_delegated and not event.approves:
-        return (Scheduled(RefuseHeld(action.action_id), 1, told),)
-    after_us = 1 if event.approves else state.fleet.structure.back_off_us
-    return (start_action(action.action_id, action.capability, after_us, told, was_held=True),)
+        return (Scheduled(RefuseHeld(action.action_id), 1, waits),)
+    delay_us = 1 if event.approves else state.fleet.structure.back_off_us
+    return (start_action(action.action_id, action.capability, delay_us, waits, was_held=True),)
 
 
 @HANDLERS.react(PolicyWindowClosed)
@@ -301,7 +301,7 @@ def _on_rule(state: State, event: PolicyRuleSet | RolePolicyRuleSet, _now_us: in
 
 
 def _let_go(state: State, robot: Robot) -> tuple[Scheduled, ...]:
-    """Start what the robot's own policy held, if nothing holds it any more or a supervisor can let it go."""
+    """Start the action that the robot's own policy held, if nothing holds it now or a supervisor can release it."""
     action = in_hand(state.execution, robot)
     if action is None or action.stage != "held":
         return ()
@@ -316,8 +316,8 @@ def _on_fleet_rule(state: State, event: PolicyWindowOpened | PolicyWindowClosed,
     if event.scope != "fleet":
         return ()
     edge = "opened" if isinstance(event, PolicyWindowOpened) else "closed"
-    word = LearnFleetRule(event.robot, in_force(state.world.fleet, event.robot), now_us)
-    return (Scheduled(word, 0, (message(POLICY, event.window, edge),)),)
+    learn = LearnFleetRule(event.robot, in_force(state.world.fleet, event.robot), now_us)
+    return (Scheduled(learn, 0, (message(POLICY, event.window, edge),)),)
 
 
 HANDLERS.react(ExecutionPaused)(resume_when_replanned)

@@ -77,7 +77,7 @@ class RollBack(ActionCommand):
 
 
 class AskPeers(ActionCommand):
-    """Deliver the question for help to the peers, after `asked` of them.
+    """Deliver the request for help to the peers, after `asked` of them were asked.
 
     `is_last`: the time to answer about this `failure` is over. Units: `since_us` run time at which recovery turned to
     them.
@@ -90,7 +90,7 @@ class AskPeers(ActionCommand):
 
 
 class ConsiderReassignment(ActionCommand):
-    """Deliver the failure to the recovery orchestrator, and to those it asks.
+    """Deliver the failure to the recovery orchestrator, and to the robots it asks.
 
     `is_last`: the time to answer about this `failure` is over. Units: `since_us` run time at which recovery turned to
     it.
@@ -122,20 +122,20 @@ def start_recovery(state: State, command: StartRecovery, failure: Failure) -> tu
         return ()
     by_robot = parties(state, action).decided(action.robot)
     if "layered-recovery" in state.fleet.without:
-        called = SupervisorCalled(subject=action.subject, supervisor=FLEET_SUPERVISOR, purpose="recovery")
-        return (escalated(action, recovery, by_robot, "human", "no layered recovery"), called)
+        call = SupervisorCalled(subject=action.subject, supervisor=FLEET_SUPERVISOR, purpose="recovery")
+        return (escalated(action, recovery, by_robot, "human", "no layered recovery"), call)
     if action.stage == "withdrawn":
         return (escalated(action, recovery, parties(state, action).decided(RECOVERY), "peer", DEPARTED),)
-    allowed = budget(state.budget, state.fleet, action.robot, "local")
-    deadline_us = recovery.detected_us + allowed.t_max_us
-    if allowed.n_max == 0 or command.now_us >= deadline_us:
+    limits = budget(state.budget, state.fleet, action.robot, "local")
+    deadline_us = recovery.detected_us + limits.t_max_us
+    if limits.n_max == 0 or command.now_us >= deadline_us:
         return (escalated(action, recovery, by_robot, "peer", EXHAUSTED),)
     return (attempted(action, recovery, by_robot, deadline_us),)
 
 
 @HANDLERS.decide_on(open_failure, EndAttempt, body)
 def end_attempt(state: State, command: EndAttempt, failure: Failure) -> tuple[Event, ...]:
-    """Resolve the failure, or go on; what a partial attempt has achieved is undone before the next one."""
+    """Resolve the failure, or continue; the results of a partial attempt are undone before the next one."""
     action, recovery = failure
     if recovery.level != "local" or recovery.number != command.number:
         return ()
@@ -149,26 +149,26 @@ def end_attempt(state: State, command: EndAttempt, failure: Failure) -> tuple[Ev
 
 @HANDLERS.decide_on(open_failure, RollBack, body)
 def roll_back(state: State, command: RollBack, failure: Failure) -> tuple[Event, ...]:
-    """Record that the robot is where the failure began, and go on. Paper: fig:recovery."""
+    """Record that the robot is back where the failure began, and continue. Paper: fig:recovery."""
     action, recovery = failure
     failed, number = command.failure, command.number
     if (recovery.level, recovery.failure, recovery.number) != ("local", failed, number):
         return ()
-    back = AttemptRolledBack(
+    rollback = AttemptRolledBack(
         subject=action.subject, robot=action.robot, failure=failed, number=number, undone=command.undone
     )
-    return (back, _next_attempt(state, action, recovery, command.now_us))
+    return (rollback, _next_attempt(state, action, recovery, command.now_us))
 
 
 def _may_retry(state: State, action: Action, recovery: Recovery, now_us: int) -> bool:
-    allowed = budget(state.budget, state.fleet, action.robot, "local")
-    return recovery.number < allowed.n_max and now_us < recovery.deadline_us
+    limits = budget(state.budget, state.fleet, action.robot, "local")
+    return recovery.number < limits.n_max and now_us < recovery.deadline_us
 
 
 def _next_attempt(
     state: State, action: Action, recovery: Recovery, now_us: int
 ) -> RecoveryAttempted | RecoveryEscalated:
-    """Return the next attempt of the robot's own, or the turn to the peers once the budget is spent."""
+    """Return the robot's next own attempt, or the escalation to the peers once the budget is spent."""
     by_robot = parties(state, action).decided(action.robot)
     if _may_retry(state, action, recovery, now_us):
         return attempted(action, recovery, by_robot, recovery.deadline_us)
@@ -178,15 +178,15 @@ def _next_attempt(
 def _is_exhausted(
     budgets: Budgets, fleet: Fleet, action: Action, level: RecoveryLevel, spent_us: int, spent: int
 ) -> bool:
-    allowed = budget(budgets, fleet, action.robot, level)
-    return spent_us > allowed.t_max_us or spent >= allowed.n_max
+    limits = budget(budgets, fleet, action.robot, level)
+    return spent_us > limits.t_max_us or spent >= limits.n_max
 
 
 @HANDLERS.decide_on(open_failure, AskPeers, nobody)
 def ask_peers(state: State, command: AskPeers, failure: Failure) -> tuple[Event, ...]:
-    """Let a trusted idle peer help, or turn to the fleet. Paper: sec:model:recovery, level 2.
+    """Let a trusted idle peer help, or escalate to the fleet. Paper: sec:model:recovery, level 2.
 
-    A peer that is really there is asked, and is admitted by its own word.
+    A live peer is asked, and is admitted by its own answer.
     """
     action, recovery = failure
     if not (
@@ -227,7 +227,7 @@ def ask_peers(state: State, command: AskPeers, failure: Failure) -> tuple[Event,
 
 @HANDLERS.decide(EndAssistance, helping)
 def end_assistance(state: State, command: EndAssistance) -> tuple[Event, ...]:
-    """Free the peer, which resolved the failure or could not."""
+    """Free the peer, whether or not it resolved the failure."""
     return assistance.end_assistance(state, command, "peer")
 
 
@@ -270,13 +270,13 @@ def consider_reassignment(state: State, command: ConsiderReassignment, failure: 
 
 def _handed_over(state: State, action: Action, recovery: Recovery, helper: Robot, resume_at: str) -> tuple[Event, ...]:
     """Transfer the task's state to the helper, queue the step there, and free the robot that failed."""
-    done = state.task[action.task_id].steps[: action.step - 1]
+    completed = state.task[action.task_id].steps[: action.step - 1]
     return (
         FailureResolved(action.subject, action.robot, recovery.failure, "fleet"),
         *release(state.authority, action.action_id),
         *(() if action.stage == "withdrawn" else (ExecutionWithdrawn(action.subject, action.robot),)),
         TaskStateTransferred(
-            subject=action.subject, robot=action.robot, helper=helper, checkpoint=resume_at, completed=done
+            subject=action.subject, robot=action.robot, helper=helper, checkpoint=resume_at, completed=completed
         ),
         ExecutionQueued(
             subject=action.subject,
@@ -297,23 +297,23 @@ def _to_human(state: State, action: Action, recovery: Recovery, reason: str) -> 
     """Call H_i if only the robot is concerned, else H_F. Paper: sec:model:recovery, level 4."""
     # See docs/decisions/level-4-goes-by-scope.md.
     supervisor = supervisor_for(state, action.robot, is_cross_robot(state.task, action))
-    called = SupervisorCalled(subject=action.subject, supervisor=supervisor, purpose="recovery")
-    principals = Principals(  # the service does not decide here, it passes on
+    call = SupervisorCalled(subject=action.subject, supervisor=supervisor, purpose="recovery")
+    principals = Principals(  # the service does not decide here, it passes the failure on
         decided_by=RECOVERY,
         requested_by=action.requested_by,
         executed_by=action.executed_by,
         supervised_by=supervisor_of(state, action),
         path=(),
     )
-    return (escalated(action, recovery, principals, "human", reason), called)
+    return (escalated(action, recovery, principals, "human", reason), call)
 
 
 @HANDLERS.decide_on(open_failure, CallNext, nobody)
 def call_next(state: State, command: CallNext, failure: Failure) -> tuple[Event, ...]:
     """Call H_F after a supervisor who has not resolved the failure in time, while the level's budget lasts."""
     action, recovery = failure
-    most = budget(state.budget, state.fleet, action.robot, "human").n_max
-    if (recovery.failure, recovery.calls) != (command.failure, command.calls) or recovery.calls >= most:
+    limit = budget(state.budget, state.fleet, action.robot, "human").n_max
+    if (recovery.failure, recovery.calls) != (command.failure, command.calls) or recovery.calls >= limit:
         return ()
     supervisor = supervisor_for(state, action.robot, is_cross_robot=True)
     return (SupervisorCalled(subject=action.subject, supervisor=supervisor, purpose="recovery"),)
@@ -334,34 +334,38 @@ def _on_attempt_failed(state: State, event: RecoveryAttemptFailed, now_us: int) 
     """Schedule the end of the rollback, where a partial attempt is followed by another."""
     match open_failure(state, event.subject.action_id):
         case action, recovery if event.achieved and _may_retry(state, action, recovery, now_us):
-            back = RollBack(action.action_id, event.failure, event.number, event.achieved)
-            return (Scheduled(back, 0, (lasts("retry", f"{action.action_id}/{event.failure}/{event.number}/back"),)),)
+            rollback = RollBack(action.action_id, event.failure, event.number, event.achieved)
+            return (
+                Scheduled(rollback, 0, (lasts("retry", f"{action.action_id}/{event.failure}/{event.number}/back"),)),
+            )
         case _:
             return ()
 
 
 @HANDLERS.react(RecoveryEscalated)
 def _on_escalation(state: State, event: RecoveryEscalated, now_us: int) -> tuple[Scheduled, ...]:
-    key, by = f"{event.failed_action}/{event.failure}", speaker(state.fleet, event.robot)
+    key, sender = f"{event.failed_action}/{event.failure}", speaker(state.fleet, event.robot)
     if event.to_level == "peer":
-        return _asking(state.fleet, state.recovery, event.failed_action, now_us, (message(by, key, "peer"),))
+        return _asking(state.fleet, state.recovery, event.failed_action, now_us, (message(sender, key, "peer"),))
     if event.to_level == "fleet":  # the peers' refusals come back before the orchestrator is asked
-        told = (message(by, key, "answer"), message(by, key, "fleet"))
+        waits = (message(sender, key, "answer"), message(sender, key, "fleet"))
         last = Scheduled(
-            ConsiderReassignment(event.failed_action, now_us, event.failure, is_last=True), state.fleet.answer_us, told
+            ConsiderReassignment(event.failed_action, now_us, event.failure, is_last=True), state.fleet.answer_us, waits
         )
-        return (Scheduled(ConsiderReassignment(event.failed_action, now_us), 0, told), last)
+        return (Scheduled(ConsiderReassignment(event.failed_action, now_us), 0, waits), last)
     return ()
 
 
 def _asking(
-    fleet: Fleet, recoveries: Recoveries, action_id: str, since_us: int, told: tuple[Ask, ...]
+    fleet: Fleet, recoveries: Recoveries, action_id: str, since_us: int, waits: tuple[Ask, ...]
 ) -> tuple[Scheduled, ...]:
-    """Schedule the question to the peers, and the end of the time for their answers."""
+    """Schedule the request to the peers, and the end of their answer time."""
     recovery, asked = recoveries[action_id], len(recoveries[action_id].tried)
     help_ = Ask("decision", "help", f"{action_id}/{recovery.failure}/{asked}")
-    last = Scheduled(AskPeers(action_id, since_us, asked, recovery.failure, is_last=True), fleet.answer_us, told, help_)
-    return (Scheduled(AskPeers(action_id, since_us, asked), 0, told, help_), last)
+    last = Scheduled(
+        AskPeers(action_id, since_us, asked, recovery.failure, is_last=True), fleet.answer_us, waits, help_
+    )
+    return (Scheduled(AskPeers(action_id, since_us, asked), 0, waits, help_), last)
 
 
 HANDLERS.react(AssistanceAdmitted)(assistance.end_once_answered)
@@ -371,18 +375,18 @@ HANDLERS.react(AssistanceAdmitted)(assistance.end_once_answered)
 def _on_no_help(state: State, event: AssistanceFailed | AssistanceDeclined, _now_us: int) -> tuple[Scheduled, ...]:
     """Tell the robot, which turns to the next peer while the level's budget lasts."""
     recovery, key = state.recovery[event.subject.action_id], f"{event.subject.action_id}/{event.failure}"
-    told = (
+    waits = (
         message(speaker(state.fleet, event.helper), key, f"no help/{event.helper}"),
         message(speaker(state.fleet, event.robot), key, f"peer/{len(recovery.tried)}"),
     )
-    return _asking(state.fleet, state.recovery, event.subject.action_id, recovery.since_us, told)
+    return _asking(state.fleet, state.recovery, event.subject.action_id, recovery.since_us, waits)
 
 
 @HANDLERS.react(SupervisorCalled)
 def _on_call(state: State, event: SupervisorCalled, _now_us: int) -> tuple[Scheduled, ...]:
     match open_failure(state, event.subject.action_id):
         case action, recovery if event.purpose == "recovery":
-            after_us = budget(state.budget, state.fleet, action.robot, "human").t_max_us
-            return (Scheduled(CallNext(event.subject.action_id, recovery.failure, recovery.calls), after_us),)
+            delay_us = budget(state.budget, state.fleet, action.robot, "human").t_max_us
+            return (Scheduled(CallNext(event.subject.action_id, recovery.failure, recovery.calls), delay_us),)
         case _:
             return ()

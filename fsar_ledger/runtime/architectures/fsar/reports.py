@@ -1,7 +1,7 @@
-"""What robots report of themselves: the answers of a fleet that is really there to what is asked at the ports.
+"""What robots report of themselves: the answers of a live fleet to the questions asked at the ports.
 
-Each is a command from outside by the robot itself. A robot that judges, starts or ends says so, and nobody else says it
-for the robot: until then whatever waits for it waits, within the budgets of recovery and of answers.
+Each is a command from outside by the robot itself. Only the robot reports that it judges, starts or ends; until then
+whatever waits for the report waits, within the budgets of recovery and of answers.
 """
 
 from typing import get_args
@@ -90,7 +90,7 @@ class ReportAttempt(RobotReport):
 
 
 class ReportAssistance(RobotReport):
-    """Report how the help with another robot's failure ended; where it did not help, by what cause."""
+    """Report how the help with another robot's failure ended; if it did not help, the cause."""
 
     robot: Robot
     action_id: str
@@ -120,13 +120,13 @@ class ReportActuator(PublicCommand):
 
 
 class ReportContext(PublicCommand):
-    """Report that the context has changed in which the robot works."""
+    """Report that the robot's working context has changed."""
 
     robot: Robot
 
 
 class ReportWindow(PublicCommand):
-    """Report that a time begins in which the robot's own policy, or the fleet's, is this; None: that it ends."""
+    """Report that a window of the robot's own policy, or the fleet's, opens with this outcome; None: that it closes."""
 
     robot: Robot
     scope: PolicyScope
@@ -136,7 +136,7 @@ class ReportWindow(PublicCommand):
 
 @HANDLERS.decide(JudgeRequest)
 def judge_request(state: State, command: JudgeRequest) -> tuple[Event, ...]:
-    """Evaluate the request as it is here and now, or deny it by the robot's own word. Paper: eq:admissible, phase 4."""
+    """Evaluate the request as it is now, or deny it by the robot's own judgement. Paper: eq:admissible, phase 4."""
     request = state.request.open.get(command.action_id)
     executor = request.candidates[0] if request is not None and request.candidates else None
     refused = outdated(state.fleet, command.robot, command.fence)
@@ -156,7 +156,7 @@ def judge_request(state: State, command: JudgeRequest) -> tuple[Event, ...]:
 
 @HANDLERS.decide(JudgeAssistance)
 def judge_assistance(state: State, command: JudgeAssistance) -> tuple[Event, ...]:
-    """Admit or decline by the robot's own word. Paper: sec:model:recovery, level 2."""
+    """Admit or decline by the robot's own answer. Paper: sec:model:recovery, level 2."""
     refused = outdated(state.fleet, command.robot, command.fence)
     failure = open_failure(state, command.action_id)
     if refused is None and failure is not None and failure[0].stage == "withdrawn":
@@ -185,7 +185,7 @@ def _not_its_own(state: State, command: ReportStart | ReportAttempt) -> str | No
 
 @HANDLERS.decide(ReportStart)
 def report_start(state: State, command: ReportStart) -> tuple[Event, ...]:
-    """Start the action, or hold it where policy, as the robot knows it now, says so. Paper: sec:model:invariants."""
+    """Start the action, or hold it if policy, as the robot knows it now, requires it. Paper: sec:model:invariants."""
     refused = _not_its_own(state, command)
     if refused is None and command.lasts_us is not None and command.lasts_us < 1:
         refused = f"a length of {command.lasts_us} microseconds, expected at least 1"
@@ -219,7 +219,7 @@ def report_attempt(state: State, command: ReportAttempt) -> tuple[Event, ...]:
 
 @HANDLERS.decide(ReportAssistance)
 def report_assistance(state: State, command: ReportAssistance) -> tuple[Event, ...]:
-    """Free the helper, which resolved the failure or could not. Paper: sec:model:recovery, level 2."""
+    """Free the helper, whether or not it resolved the failure. Paper: sec:model:recovery, level 2."""
     failure = helped(state, command.action_id, command.robot)
     refused = outdated(state.fleet, command.robot, command.fence)
     if refused is None and failure is None:
@@ -235,16 +235,16 @@ def report_assistance(state: State, command: ReportAssistance) -> tuple[Event, .
 
 @HANDLERS.decide(ReportPresence)
 def report_presence(state: State, command: ReportPresence) -> tuple[Event, ...]:
-    """Record that the robot is off, or back; where robots are watched, every word that it is on is a heartbeat."""
+    """Record that the robot is off, or back; with heartbeats, every report that it is on counts as one."""
     robot, is_off = command.robot, command.robot in state.world.off
     refused = outdated(state.fleet, robot, command.fence)
     beat = heard(state, robot) if command.is_on and state.fleet.membership.heartbeat_us > 0 else ()
     if refused is None and is_off is not command.is_on and not beat:
         refused = f"{robot} is {'on' if command.is_on else 'off'} already"
-    turned: tuple[Event, ...] = ()
+    change: tuple[Event, ...] = ()
     if is_off is command.is_on:
-        turned = (RobotCameBack(robot) if command.is_on else RobotWentOff(robot),)
-    return carried_out(command, robot, refused, robot, *turned, *beat)
+        change = (RobotCameBack(robot) if command.is_on else RobotWentOff(robot),)
+    return carried_out(command, robot, refused, robot, *change, *beat)
 
 
 @HANDLERS.decide(ReportShift)
@@ -253,8 +253,8 @@ def report_shift(state: State, command: ReportShift) -> tuple[Event, ...]:
     refused = unknown_supervisor(state.fleet, command.supervisor)
     if refused is None and (command.supervisor in state.world.off_shift) is not command.is_on:
         refused = f"{command.supervisor} is {'on' if command.is_on else 'off'} shift already"
-    made = SupervisorReturned(command.supervisor) if command.is_on else SupervisorLeft(command.supervisor)
-    return carried_out(command, command.supervisor, refused, command.supervisor, made)
+    change = SupervisorReturned(command.supervisor) if command.is_on else SupervisorLeft(command.supervisor)
+    return carried_out(command, command.supervisor, refused, command.supervisor, change)
 
 
 @HANDLERS.decide(ReportActuator)
@@ -265,8 +265,10 @@ def report_actuator(state: State, command: ReportActuator) -> tuple[Event, ...]:
         refused = f"the actuator of {command.robot} is sound already"
     if refused is None and command.grade is not None:
         refused = unknown_word("grade", command.grade, GRADES)
-    made = ActuatorServiced(command.robot) if command.grade is None else ActuatorDegraded(command.robot, command.grade)
-    return carried_out(command, command.robot, refused, command.robot, made)
+    change = (
+        ActuatorServiced(command.robot) if command.grade is None else ActuatorDegraded(command.robot, command.grade)
+    )
+    return carried_out(command, command.robot, refused, command.robot, change)
 
 
 @HANDLERS.decide(ReportContext)
@@ -283,20 +285,20 @@ def report_window(state: State, command: ReportWindow) -> tuple[Event, ...]:
     if refused is None and not command.window:
         refused = "the window has no name, expected one"
     refused = refused or unknown_word("scope", command.scope, get_args(PolicyScope))
-    made: Event = PolicyWindowClosed(command.robot, command.scope, command.window)
+    change: Event = PolicyWindowClosed(command.robot, command.scope, command.window)
     if command.outcome is not None:
         refused = refused or unknown_word("outcome", command.outcome, ("review", "deny"))
-        made = PolicyWindowOpened(
+        change = PolicyWindowOpened(
             robot=command.robot, scope=command.scope, window=command.window, outcome=command.outcome
         )
-    return carried_out(command, command.robot, refused, command.robot, made)
+    return carried_out(command, command.robot, refused, command.robot, change)
 
 
 @HANDLERS.react(AssistanceRequested)
 def _on_question(state: State, event: AssistanceRequested, _now_us: int) -> tuple[Scheduled, ...]:
-    """Schedule the end of the time in which a peer that is really there can answer."""
+    """Schedule the end of the answer time of a live peer."""
     if not state.fleet.is_live:
         return ()
     asked, since_us = len(state.recovery[event.failed_action].tried), event.since_us or 0
-    late = AskPeers(event.failed_action, since_us, asked, event.failure, is_last=True)
-    return (Scheduled(late, state.fleet.answer_us, ask=Ask("decision", "help", f"{event.failed_action}/late")),)
+    timeout = AskPeers(event.failed_action, since_us, asked, event.failure, is_last=True)
+    return (Scheduled(timeout, state.fleet.answer_us, ask=Ask("decision", "help", f"{event.failed_action}/late")),)

@@ -1,11 +1,11 @@
-"""FSAR: a delegated step is a governed request between two robots, from its way to the executor on.
+"""FSAR: a delegated step is a governed request between two robots, from its delivery to the executor on.
 
 Paper: sec:model:request (phases 4 and 5), eq:admissible.
 
 H_F orders two requests for one robot when one of them is time-critical (sec:prototype:workflows, Workflow 3). The
 policy resolver's outcome is then `review`: the request that was evaluated first calls H_F and the other joins the call.
 Both are evaluated again in the order that H_F has given: the second waits until the first is admitted or refused. A
-request that has not reached the executor by then holds nobody up. Without a time-critical task, requests wait in order
+request that has not reached the executor by then delays no other. Without a time-critical task, requests wait in order
 of arrival.
 """
 
@@ -78,14 +78,14 @@ def judgement(action_id: str, after_us: int, waits: tuple[Ask, ...] = ()) -> Sch
 class GoOnWithout(ActionCommand):
     """End the time in which the request should have been delivered.
 
-    To the robot it was sent to, or (`is_relayed`) to the one that the relay has passed it on to.
+    `is_relayed`: to the robot that the relay passed it on to, else to the one it was sent to.
     """
 
     is_relayed: bool = False
 
 
 class AdmitReviewed(ActionCommand):
-    """Take a supervisor's decision on what policy or supervision density wanted reviewed."""
+    """Act on a supervisor's decision about a request under review by policy or supervision density."""
 
     approves: bool = True
 
@@ -95,9 +95,9 @@ def relay_request(state: State, _command: RelayRequest, request: Request) -> tup
     """Pass the request on with the relay's policy added, or let the relay deny it. Paper: eq:nontransitive."""
     if request.relay is None:
         return ()
-    if request.silent:  # too late, as of an executor
+    if request.silent:  # too late, as with a silent executor
         return report_back(state, ReportBack(request.silent[0]))
-    if request.is_over:  # a robot of it has left the fleet meanwhile
+    if request.is_over:  # one of its robots has left the fleet meanwhile
         return ()
     relay, about = request.relay, (request.capability, request.task_id)
     parties = recorded_by(state, relay, requested_by=request.requester, executed_by=request.candidates[0])
@@ -114,7 +114,7 @@ def relay_request(state: State, _command: RelayRequest, request: Request) -> tup
 def evaluate_request(state: State, command: EvaluateRequest) -> tuple[Event, ...]:
     """Admit, counter or deny the request at the executor, or ask H_F for review. Paper: eq:admissible, phase 4."""
     request = state.request.open.get(command.action_id)
-    if request is not None and request.silent:  # too late; it was found silent, and its word says otherwise
+    if request is not None and request.silent:  # too late: the robot was found silent, and answers after all
         return report_back(state, ReportBack(request.silent[0]))
     if (
         request is None
@@ -134,13 +134,13 @@ def admit_reviewed(state: State, command: AdmitReviewed, request: Request) -> tu
     if not command.approves:
         by_executor = _parties(state, request, executor).decided(executor)
         return (RequestDenied(request.request_subject, by_executor, "review"),)
-    found = evaluate(state, request, executor, is_reviewed=True)
-    return _judged(state, request, found, command.now_us, is_reviewed=True)
+    evaluation = evaluate(state, request, executor, is_reviewed=True)
+    return _judged(state, request, evaluation, command.now_us, is_reviewed=True)
 
 
 @HANDLERS.decide_on(open_request, GoOnWithout, requester)
 def go_on_without(state: State, command: GoOnWithout, request: Request) -> tuple[Event, ...]:
-    """Record that the request was not delivered in time, and tell the registry who was silent.
+    """Record that the request was not delivered in time, and report the silent robot to the registry.
 
     The requester tries again later. Reading: R44.
     """
@@ -163,33 +163,33 @@ def go_on_without(state: State, command: GoOnWithout, request: Request) -> tuple
 
 
 def _is_open(execution: Execution, tasks: Tasks, request: Request) -> bool:
-    """Tell whether the request waits for the executor."""
+    """Return whether the request waits for the executor."""
     if not request.is_adhoc and request.task_id not in tasks:  # its task was given up
         return False
-    has_word = request.is_over or request.is_accepted or request.is_unanswered or request.offered is not None
-    return not has_word and request.action_id not in execution.actions
+    is_settled = request.is_over or request.is_accepted or request.is_unanswered or request.offered is not None
+    return not is_settled and request.action_id not in execution.actions
 
 
 def _judged(
-    state: State, request: Request, found: Evaluation, now_us: int, is_reviewed: bool = False
+    state: State, request: Request, evaluation: Evaluation, now_us: int, is_reviewed: bool = False
 ) -> tuple[Event, ...]:
     executor = request.candidates[0]
     subject = request.request_subject
     principals = _parties(state, request, executor).decided(executor)
-    if found.verdict == "reject":
+    if evaluation.verdict == "reject":
         clash = (
             conflict(state, request.task_id, request.action_id, request.requester, executor, request.capability)
-            if found.conjunct == "policy"
+            if evaluation.conjunct == "policy"
             else ()
         )
-        return (*clash, RequestDenied(subject, principals, found.conjunct or ""))
-    if found.verdict == "negotiate":
+        return (*clash, RequestDenied(subject, principals, evaluation.conjunct or ""))
+    if evaluation.verdict == "negotiate":
         if request.offers >= state.fleet.structure.negotiation_rounds:
             return (RequestDenied(subject, principals, "negotiation"),)
-        return (RequestCountered(subject, principals, round=request.offers + 1, override=found.override),)
-    if found.verdict == "review" or (not is_reviewed and is_due_for_review(state.supervision, executor)):
+        return (RequestCountered(subject, principals, round=request.offers + 1, override=evaluation.override),)
+    if evaluation.verdict == "review" or (not is_reviewed and is_due_for_review(state.supervision, executor)):
         return (SupervisorCalled(subject=request.subject, supervisor=FLEET_SUPERVISOR, purpose="review"),)
-    return _put_in_order(state, request, executor, principals) or _admitted(state, request, found, now_us)
+    return _put_in_order(state, request, executor, principals) or _admitted(state, request, evaluation, now_us)
 
 
 def _put_in_order(state: State, request: Request, executor: Robot, principals: Principals) -> tuple[Event, ...]:
@@ -223,7 +223,7 @@ def _put_in_order(state: State, request: Request, executor: Robot, principals: P
 
 
 def _goes_first(contention: Contention, order: Order, rival: Request) -> bool:
-    """Tell whether the rival that H_F lets go first is itself still waiting for the executor."""
+    """Return whether the rival that H_F lets go first is itself still waiting for the executor."""
     return order.preferred == rival.action_id and rival.action_id in contention.arrived and rival.offered is None
 
 
@@ -231,7 +231,7 @@ def _rivals(state: State, request: Request, executor: Robot) -> list[Request]:
     """Return the unadmitted requests of other tasks for the same robot, where either is time-critical."""
     if not state.contention.critical:
         return []
-    found = []
+    rivals = []
     for other in state.request.open.values():
         is_settled = (
             other.is_accepted or other.is_over or other.is_unanswered or other.action_id in state.execution.actions
@@ -246,16 +246,16 @@ def _rivals(state: State, request: Request, executor: Robot) -> list[Request]:
             and is_same_robot
             and is_urgent
         ):
-            found.append(other)
-    return found
+            rivals.append(other)
+    return rivals
 
 
 def _parties(state: State, request: Request, executor: Robot) -> Parties:
-    """Return whom the executor's records of the request name."""
+    """Return the parties of the executor's records of the request."""
     return recorded_by(state, executor, requested_by=request.requester, executed_by=executor)
 
 
-def _admitted(state: State, request: Request, found: Evaluation, now_us: int) -> tuple[Event, ...]:
+def _admitted(state: State, request: Request, evaluation: Evaluation, now_us: int) -> tuple[Event, ...]:
     """Admit the request with its authority, and let it wait for the robot or take it. Paper: eq:auth, eq:override."""
     executor = request.candidates[0]
     parties = _parties(state, request, executor)
@@ -264,16 +264,16 @@ def _admitted(state: State, request: Request, found: Evaluation, now_us: int) ->
         subject=request.request_subject,
         principals=principals,
         outcome="allow",
-        trust=found.trust,
-        may_request=found.may_request,
-        may_execute=found.may_execute,
-        override=found.override,
-        is_audited=found.is_audited,
+        trust=evaluation.trust,
+        may_request=evaluation.may_request,
+        may_execute=evaluation.may_execute,
+        override=evaluation.override,
+        is_audited=evaluation.is_audited,
     )
-    waiting = queued(request, parties, executor, found.override)
-    if found.verdict == "defer":
+    waiting = queued(request, parties, executor, evaluation.override)
+    if evaluation.verdict == "defer":
         return (admitted, RequestDeferred(request.request_subject, principals), waiting)
-    interrupted = preemptible(state.execution, executor, found.override)
+    interrupted = preemptible(state.execution, executor, evaluation.override)
     if interrupted is None:
         return (admitted, waiting)
     remaining_us = {"running": left_us(interrupted, now_us), "paused": interrupted.remaining_us}.get(interrupted.stage)
@@ -288,7 +288,7 @@ def close_request(state: State, _command: CloseRequest, request: Request) -> tup
 
 
 def _is_step(tasks: Tasks, request: Request | None) -> bool:
-    """Tell whether the request is a step of an open task, not an outsider's or a robot's own."""
+    """Return whether the request is a step of an open task, not an outsider's or a robot's own."""
     return request is not None and not request.is_adhoc and request.task_id in tasks
 
 
@@ -299,22 +299,24 @@ def _on_request(state: State, event: RequestIssued, _now_us: int) -> tuple[Sched
     if request is None or not (request.is_adhoc or _is_step(state.task, request)):
         return ()
     waits = (message(request.requester, event.subject.action_id, 2),)
-    asked = (
+    delivery = (
         Scheduled(RelayRequest(event.subject.action_id), 0, waits)
         if event.relay
         else judgement(event.subject.action_id, 0, waits)
     )
     return (
-        asked,
+        delivery,
         Scheduled(GoOnWithout(event.subject.action_id), state.fleet.answer_us, (at_once(request.requester),)),
     )
 
 
 @HANDLERS.react(RequestRelayed)
 def _on_relay(state: State, event: RequestRelayed, _now_us: int) -> tuple[Scheduled, ...]:
-    asked = judgement(event.subject.action_id, 0, (message(event.principals.decided_by, event.subject.action_id, 3),))
-    late = GoOnWithout(event.subject.action_id, is_relayed=True)
-    return (asked, Scheduled(late, state.fleet.answer_us, (at_once(event.principals.requested_by),)))
+    delivery = judgement(
+        event.subject.action_id, 0, (message(event.principals.decided_by, event.subject.action_id, 3),)
+    )
+    timeout = GoOnWithout(event.subject.action_id, is_relayed=True)
+    return (delivery, Scheduled(timeout, state.fleet.answer_us, (at_once(event.principals.requested_by),)))
 
 
 @HANDLERS.react(RequestDenied)
@@ -330,18 +332,19 @@ def _let_pass(
     if not state.contention.orders:
         return ()
     return tuple(
-        judgement(name, place) for place, name in enumerate(held_up(state.contention, event.subject.action_id), start=1)
+        judgement(name, delay_us)
+        for delay_us, name in enumerate(held_up(state.contention, event.subject.action_id), start=1)
     )
 
 
 @HANDLERS.react(OfferAnswered)
 def _on_offer(state: State, event: OfferAnswered, _now_us: int) -> tuple[Scheduled, ...]:
-    """Evaluate the changed request again, or retry a step whose requester let go."""
+    """Evaluate the changed request again, or retry a step whose requester withdrew it."""
     assert event.subject.action_id is not None
     if event.override is None:
         return _again(state, event.subject.action_id)
-    told = (message(event.principals.requested_by, event.subject.action_id, f"offer{event.round}"),)
-    return (judgement(event.subject.action_id, 0, told),)
+    waits = (message(event.principals.requested_by, event.subject.action_id, f"offer{event.round}"),)
+    return (judgement(event.subject.action_id, 0, waits),)
 
 
 def _again(state: State, action_id: str | None) -> tuple[Scheduled, ...]:
@@ -360,7 +363,7 @@ def _on_unanswered(state: State, event: RequestUnanswered | PeerSought, _now_us:
 def _on_response(state: State, event: SupervisorResponded, _now_us: int) -> tuple[Scheduled, ...]:
     if event.purpose == "ordering":
         waiting = in_order(state.contention, event.subject.action_id, event.preferred)
-        return tuple(judgement(name, place) for place, name in enumerate(waiting, start=1))
+        return tuple(judgement(name, delay_us) for delay_us, name in enumerate(waiting, start=1))
     if event.purpose != "review":
         return ()
     return (
@@ -385,8 +388,8 @@ def _on_finish(state: State, event: ExecutionFinished, _now_us: int) -> tuple[Sc
 @HANDLERS.react(RequestClosed)
 def _on_close(state: State, event: RequestClosed, now_us: int) -> tuple[Scheduled, ...]:
     """Complete the step, or retry later a step that did not succeed."""
-    passed = _let_pass(state, event, now_us) if event.cause is not None else ()
+    judgements = _let_pass(state, event, now_us) if event.cause is not None else ()
     if not _is_step(state.task, state.request.open.get(event.subject.action_id)):
-        return passed
+        return judgements
     done = Scheduled(CompleteStep(event.subject.action_id), 1, (at_once(event.principals.decided_by),))
-    return (done,) if event.result == "success" else (*_again(state, event.subject.action_id), *passed)
+    return (done,) if event.result == "success" else (*_again(state, event.subject.action_id), *judgements)

@@ -1,31 +1,31 @@
 """JADE: agents that find each other in yellow pages and award work by the FIPA contract net.
 
 Sources: JADE 4.6.5 (`src/jade/...`, as named in each module) and the FIPA standards SC00029H (contract net) and
-SC00030H (iterated contract net). What they leave open is a dial (`designs.dials.Jade`) or a choice of ours, said where
-it is made. JADE says nothing of robots: one agent for each robot is the plainest reading, four are DHMA's choice.
+SC00030H (iterated contract net). What they leave open is a dial (`designs.dials.Jade`) or a choice of ours, stated
+where it is made. JADE does not mention robots: one agent per robot is the plainest reading, four are DHMA's choice.
 Paper: tab:baseline_context.
 
-Here is what a robot does alone: its own steps, what it has promised, what fails, and whoever is not trusted.
+This module holds what a robot does alone: its own steps, its contracts, its failures, and calls without trust.
 
-Its own policy is asked once: when it decides about a step of its own, or proposes to do another's (`contract_net`).
-What starts later starts, whatever has become of policy since; nobody knows the fleet's rule, and no agent asks for its
-owner's consent, so a review means no. A rule that the fleet declares is therefore broken here, and so is a window that
-opens between the proposal and the start: such a number is structural. JADE says nothing of motions: ours is that the
-robot looks at its own policy before each.
+Its own policy is checked once: when it decides about a step of its own, or proposes to do another's (`contract_net`).
+A later start ignores any change of policy since; no agent knows the fleet's rule or asks for its owner's consent, so a
+review means no. A rule that the fleet declares is therefore broken here, and so is a window that opens between the
+proposal and the start: such a number is structural. JADE does not mention motions: our choice is that the robot checks
+its own policy before each.
 
-A change of context pauses a robot until it has planned again, and leaves the contract standing: the protocol knows no
+A change of context pauses a robot until it has replanned, and leaves the contract in force: the protocol has no
 renegotiation after the acceptance (FIPA SC00029H).
 
 A failure ends the contract and goes to the initiator, which calls for proposals again. The contractor sends FAILURE
-(`jade/proto/ContractNetResponder.java`) and has done with the action; `handleFailure` of the initiator is an empty
+(`jade/proto/ContractNetResponder.java`) and is done with the action; `handleFailure` of the initiator is an empty
 hook, and the protocol has no recovery, no supervisor and no level of recovery. So nothing here resolves a failure: it
-stays unresolved on record, also where another contractor then does the step from the beginning. (Containment is
+stays unresolved on record, even if another contractor then does the step from the beginning. (Containment is
 therefore 0 by construction, and reassignment latency has no value.) The next round is FIPA's iterated contract net
-(SC00030H; `newIteration`): a cfp to the rest of the agents that are listed, else to the same ones again. After the dial
-`rounds` the step is tried anew, after the back-off (ours). So is a step of the robot's own, for which there is nobody
-to call (ours).
+(SC00030H; `newIteration`): a cfp to the other agents that are listed, else to the same ones again. After the dial
+`rounds` the step is retried, after the back-off (ours). So is a step of the robot's own, which has no other agent to
+call (ours).
 
-Who is not trusted is served as anybody else. The yellow pages show every entry to everybody, and base JADE has no
+An untrusted robot is served like any other. The yellow pages show every entry to every agent, and base JADE has no
 permissions, so an outsider's call reaches the agent; it is served if that agent's own policy allows. With JADE-S (dial
 `permissions`) it is refused. The outsider names the agent itself, so it calls that one, without a search.
 """
@@ -75,7 +75,7 @@ from .directory import recorded
 
 HANDLERS = Handlers()
 
-OWN_STEP = "own step"  # why a step of the robot's own is denied: by its own policy
+OWN_STEP = "own step"  # reason for denying a step of the robot's own: its own policy
 
 
 class DecideOwnStep(ActionCommand):
@@ -105,7 +105,7 @@ def decide_routine(state: State, command: DecideRoutine) -> tuple[Event, ...]:
 
 
 def transfer_segment(state: State, command: TransferSegment) -> tuple[Event, ...]:
-    """Give the next segment to its robot, by word of the robot that acted until then."""
+    """Give the next segment to its robot, on the authority of the robot that acted until then."""
 
     def by_it(before: Robot, then: Robot) -> Principals:
         return recorded(state, before, requested_by=before, executed_by=then).decided(before)
@@ -120,7 +120,7 @@ def _on_step(_state: State, event: StepBegan, _now_us: int) -> tuple[Scheduled, 
 
 @HANDLERS.react(RequestDenied)
 def _on_denial(state: State, event: RequestDenied, _now_us: int) -> tuple[Scheduled, ...]:
-    """Try a step of the robot's own again after the back-off; what an agent refuses, it says in its reply."""
+    """Retry a step of the robot's own after the back-off; an agent states a refusal in its reply."""
     if event.reason != OWN_STEP or event.subject.task_id is None or event.subject.action_id is None:
         return ()
     return (begin_again(state.fleet, event.subject.task_id, event.subject.action_id),)
@@ -148,7 +148,7 @@ class ReceiveFailure(ActionCommand):
 
 @HANDLERS.decide_on(known_action, GiveUp, body)
 def give_up(state: State, command: GiveUp, action: Action) -> tuple[Event, ...]:
-    """End the robot's claim and free it: what it had done of the action is lost."""
+    """End the robot's claim and free it: its progress on the action is lost."""
     if action.stage != "failed" or action.failures != command.failure:
         return ()
     withdrawn = ExecutionWithdrawn(action.subject, action.robot, command.failure)
@@ -169,13 +169,13 @@ def _on_failure(state: State, event: ExecutionFailed, _now_us: int) -> tuple[Sch
     given_up, request = Scheduled(GiveUp(action_id, event.failure)), state.request.open.get(action_id)
     if request is None or not request.is_delegated:
         return (given_up,)
-    told = message(event.robot, f"{action_id}/{event.failure}", "report")
-    return (given_up, Scheduled(ReceiveFailure(action_id, event.robot, request.round), 0, (told,)))
+    report = message(event.robot, f"{action_id}/{event.failure}", "report")
+    return (given_up, Scheduled(ReceiveFailure(action_id, event.robot, request.round), 0, (report,)))
 
 
 @HANDLERS.react(ContractVoided)
 def _on_void(state: State, event: ContractVoided, _now_us: int) -> tuple[Scheduled, ...]:
-    """Call the rest, unless the task is over or this was the last round."""
+    """Call the other agents, unless the task is over or this was the last round."""
     request = state.request.open.get(event.subject.action_id)
     if request is None or request.task_id not in state.task:
         return ()
@@ -186,7 +186,7 @@ def _on_void(state: State, event: ContractVoided, _now_us: int) -> tuple[Schedul
 
 @HANDLERS.react(ExecutionWithdrawn)
 def _on_withdrawal(state: State, event: ExecutionWithdrawn, _now_us: int) -> tuple[Scheduled, ...]:
-    """Try a step of the robot's own, which it gave up, again after the back-off."""
+    """Retry a step of the robot's own, which it gave up, after the back-off."""
     request = state.request.open.get(event.subject.action_id)
     if event.failure is None or request is None or request.is_delegated:
         return ()

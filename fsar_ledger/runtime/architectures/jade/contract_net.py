@@ -4,15 +4,15 @@ A call for proposals (cfp) goes to every agent that the yellow pages list; each 
 accepted and the others are rejected; the contractor informs of the result at the end
 (`jade/proto/ContractNetInitiator.java`, `ContractNetResponder.java`; FIPA SC00029H).
 
-- Who proposes looks at its own policy as it is then, and at nothing else: the cfp carries no policy of the initiator,
-  and nobody knows the fleet's rule. A review means refuse: the protocol knows nobody who could be asked.
-- The initiator waits for all replies or until the reply-by. Without one it waits for ever (deadline -1). What comes
-  later is out of sequence and ignored (`checkSessions`).
+- A bidder checks its own policy as it is then, and nothing else: the cfp carries no policy of the initiator, and no
+  agent knows the fleet's rule. A review means refuse: the protocol has no reviewer.
+- The initiator waits for all replies or until the reply-by. Without one it waits forever (deadline -1). Later replies
+  are out of sequence and ignored (`checkSessions`).
 - An acceptance made by `createReply` has no reply-by of its own (`jade/lang/acl/ACLMessage.java`), so the initiator
-  waits for the result for ever.
+  waits for the result forever.
 - The standard leaves the evaluation of proposals open. Ours: a proposal says how many actions come first in the
-  bidder's own queue (there are no positions, and nobody foresees how long work takes), and the initiator accepts the
-  one with the fewest; among equals, the first that came in.
+  bidder's own queue (there are no positions, and no agent foresees how long work takes), and the initiator accepts the
+  one with the fewest; among equals, the first received.
 - With JADE-S (dial `permissions`), only a sender with permission reaches an agent (`AgentPermission`, `send-to`).
 """
 
@@ -101,7 +101,7 @@ class ReceiveAcceptance(ActionCommand):
 
 
 class Bounce(ActionCommand):
-    """Find that the node of the robot that is called, or accepted, is no longer on the platform."""
+    """Find that the node of the called or accepted robot is no longer on the platform."""
 
     robot: Robot
     round: int
@@ -115,7 +115,7 @@ class ReceiveUndelivered(ActionCommand):
 
 
 def is_waiting(request: Request) -> bool:
-    """Tell whether the initiator still waits for replies.
+    """Return whether the initiator still waits for replies.
 
     An outsider's request has its candidate as the target from the start.
     """
@@ -124,7 +124,7 @@ def is_waiting(request: Request) -> bool:
 
 
 def has_all_replies(request: Request) -> bool:
-    """Tell whether every call has come to an end: a proposal, a refusal, or a FAILURE of the platform."""
+    """Return whether every call has ended: in a proposal, a refusal, or a FAILURE of the platform."""
     return all(robot in request.bids or robot in request.undelivered for robot in called(request))
 
 
@@ -140,7 +140,7 @@ def actions_ahead(execution: Execution, robot: Robot) -> int:
 
 
 def queued_for(state: State, request: Request, parties: Parties, robot: Robot) -> ExecutionQueued:
-    """Return the fact that the robot has the action in its queue. An outsider's is no step, and has no approach."""
+    """Return the event that queues the action at the robot. An outsider's is no step, and has no approach."""
     is_step = request.step > 0
     return msgspec.structs.replace(
         queued(request, parties, robot, is_supervised=bool(state.fleet.jade.owner_is_named)),
@@ -151,7 +151,7 @@ def queued_for(state: State, request: Request, parties: Parties, robot: Robot) -
 
 @HANDLERS.decide_on(open_request, CallForProposals, requester)
 def call_for_proposals(state: State, _command: CallForProposals, request: Request) -> tuple[Event, ...]:
-    """Call the candidates; without any, the step is tried again after the back-off (ours)."""
+    """Call the candidates; without any, the step is retried after the back-off (ours)."""
     robot = request.requester
     principals = recorded(state, robot, requested_by=robot, executed_by=None).decided(robot)
     if not request.candidates:
@@ -169,7 +169,7 @@ def refusal(state: State, request: Request, robot: Robot) -> str | None:
 
 @HANDLERS.decide_on(open_request, EvaluateCall, named)
 def evaluate_call(state: State, command: EvaluateCall, request: Request) -> tuple[Event, ...]:
-    """Propose or refuse by the robot's own policy as it is now; the message names its sender as who would execute."""
+    """Propose or refuse by the robot's own policy as it is now; the message names its sender as the executor."""
     if command.round != request.round:
         return ()  # the conversation is over
     robot, reason = command.robot, refusal(state, request, command.robot)
@@ -228,7 +228,7 @@ def receive_acceptance(state: State, command: ReceiveAcceptance, request: Reques
 
 @HANDLERS.decide_on(open_request, Bounce, nobody)
 def bounce(state: State, command: Bounce, request: Request) -> tuple[Event, ...]:
-    """Find the call or the acceptance undeliverable, unless the robot can be reached again."""
+    """Record the call or the acceptance as undeliverable, unless the robot can be reached again."""
     if command.round != request.round or is_linked(state.world, command.robot):
         return ()
     return (MessageUndelivered(request.subject, command.robot),) if awaits_delivery(request, command.robot) else ()
@@ -236,7 +236,7 @@ def bounce(state: State, command: Bounce, request: Request) -> tuple[Event, ...]
 
 @HANDLERS.decide_on(open_request, ReceiveUndelivered, requester)
 def receive_undelivered(state: State, command: ReceiveUndelivered, request: Request) -> tuple[Event, ...]:
-    """End the contract that did not reach the contractor, or wait no longer for the reply of a robot out of reach."""
+    """End the contract that did not reach the contractor, or stop waiting for the reply of a robot out of reach."""
     if command.round != request.round or request.is_accepted:
         return ()
     if not is_waiting(request):
@@ -255,7 +255,7 @@ def close_request(state: State, _command: CloseRequest, request: Request) -> tup
 
 @HANDLERS.react(RegistryQueried)
 def _on_answer(_state: State, event: RegistryQueried, _now_us: int) -> tuple[Scheduled, ...]:
-    """Call once the DF's answer is there; a subscriber has it already."""
+    """Call once the DF's answer has arrived; a subscriber has it already."""
     assert event.subject.action_id is not None
     call = CallForProposals(event.subject.action_id)
     if event.as_of_us is not None:
@@ -290,7 +290,7 @@ def _on_reply(state: State, event: BidSubmitted, _now_us: int) -> tuple[Schedule
 
 @HANDLERS.react(BidReceived)
 def _on_reply_received(state: State, event: BidReceived, _now_us: int) -> tuple[Scheduled, ...]:
-    """Evaluate when all replies are in; if all have refused, the step is tried again after the back-off (ours)."""
+    """Evaluate when all replies are in; if all have refused, the step is retried after the back-off (ours)."""
     request = state.request.open[event.subject.action_id]
     if not has_all_replies(request):
         return ()
@@ -301,20 +301,20 @@ def _on_reply_received(state: State, event: BidReceived, _now_us: int) -> tuple[
 
 @HANDLERS.react(AwardMade)
 def _on_award(state: State, event: AwardMade, _now_us: int) -> tuple[Scheduled, ...]:
-    """Send the acceptance. Those that are rejected had reserved nothing, so nothing follows from that."""
+    """Send the acceptance. The rejected robots had reserved nothing, so nothing follows from the rejection."""
     request = state.request.open[state.request.of_task[event.task_id]]
     accept = message(request.requester, request.action_id, f"award/{request.round}")
-    sent = Scheduled(ReceiveAcceptance(request.action_id, request.round), 0, (accept,))
+    delivery = Scheduled(ReceiveAcceptance(request.action_id, request.round), 0, (accept,))
     if event.robot not in state.registry.silent:
-        return (sent,)
-    return (sent, Scheduled(Bounce(request.action_id, event.robot, request.round)))
+        return (delivery,)
+    return (delivery, Scheduled(Bounce(request.action_id, event.robot, request.round)))
 
 
 @HANDLERS.react(MessageUndelivered)
 def _on_undelivered(state: State, event: MessageUndelivered, _now_us: int) -> tuple[Scheduled, ...]:
     request = state.request.open[event.subject.action_id]
-    told = message(None, f"{request.action_id}/{request.round}/{event.robot}", "undelivered")
-    return (Scheduled(ReceiveUndelivered(request.action_id, event.robot, request.round), 0, (told,)),)
+    notice = message(None, f"{request.action_id}/{request.round}/{event.robot}", "undelivered")
+    return (Scheduled(ReceiveUndelivered(request.action_id, event.robot, request.round), 0, (notice,)),)
 
 
 @HANDLERS.react(RequestUnanswered)
@@ -324,7 +324,7 @@ def _on_unanswered(state: State, event: RequestUnanswered, _now_us: int) -> tupl
 
 @HANDLERS.react(ExecutionFinished)
 def _on_finish(state: State, event: ExecutionFinished, _now_us: int) -> tuple[Scheduled, ...]:
-    """Inform the initiator; a step of the robot's own is done with that."""
+    """Inform the initiator; a step of the robot's own is then complete."""
     action_id = event.subject.action_id
     request, close = state.request.open.get(action_id), Scheduled(CloseExecution(action_id))
     if request is None:

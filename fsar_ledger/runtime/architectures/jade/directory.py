@@ -1,9 +1,9 @@
 """JADE: the yellow pages (DF), in which agents find each other, and the platform's watch over its nodes.
 
 An agent searches the DF for every step (a request and its answer, `jade/domain/DFService.java`), or subscribes to it
-(dial `subscribes`). The DF shows every entry to everybody: it has no rule of visibility. It deregisters agents of
-which the AMS says that they are dead (`jade/domain/df.java`), and entries whose lease has ended. Nodes are pinged every
-second, and a node that is silent for `dead_after_us` is removed with its agents
+(dial `subscribes`). The DF shows every entry to every agent: it has no rule of visibility. It deregisters agents that
+the AMS reports dead (`jade/domain/df.java`), and entries whose lease has ended. Nodes are pinged every second, and a
+node that is silent for `dead_after_us` is removed with its agents
 (`jade/core/nodeMonitoring/UDPNodeMonitoringService.java`); the pings themselves are not recorded.
 
 Ours: an agent renews its lease as long as its messages get through (`jade/domain/DFRegistrationRenewer.java`), so its
@@ -43,17 +43,17 @@ class DetectGap(ActionCommand):
 
 
 class SearchDirectory(ActionCommand):
-    """Deliver the search, or a first subscription, to the DF; a subscriber looks at what it was told."""
+    """Deliver the search, or a first subscription, to the DF; a subscriber reads its own copy."""
 
 
 class Deregister(RobotCommand):
-    """Take the robot out of the DF, unless it was reached since; `returns` counts how often it was."""
+    """Remove the robot from the DF, unless it was reached since; `returns` counts how often it was."""
 
     returns: int
 
 
 class RemoveNode(RobotCommand):
-    """Take the robot's node off the platform, unless it was reached since."""
+    """Remove the robot's node from the platform, unless it was reached since."""
 
     returns: int
 
@@ -67,10 +67,10 @@ class HearOfChange(RobotCommand):
 
 
 def recorded(state: State, by: Robot, *, requested_by: Principal | None, executed_by: Robot | None) -> Parties:
-    """Return whom a record of this robot names: sender and receiver of the message, and the owner of its agent.
+    """Return the parties of this robot's record: sender and receiver of the message, and the owner of its agent.
 
-    `AMSAgentDescription.ownership` names the owner (dial `owner_is_named`). As under every architecture, nobody is
-    named for a robot whose supervisor is off shift.
+    `AMSAgentDescription.ownership` names the owner (dial `owner_is_named`). As under every architecture, none is named
+    for a robot whose supervisor is off shift.
     """
     owner = on_shift(state, by) if state.fleet.jade.owner_is_named else None
     return Parties(requested_by=requested_by, executed_by=executed_by, supervised_by=owner)
@@ -82,13 +82,13 @@ def listed(state: State, robot: Robot, capability: str) -> tuple[tuple[Robot, ..
     The nearest team comes first, as in every architecture.
     """
     copy = state.registry.caches.get(robot) if state.fleet.jade.subscribes else None
-    known = state.registry if copy is None else msgspec.structs.replace(state.registry, offers=copy.offers)
-    found = []
-    for name in capable(state.fleet, known, capability, robot):
-        entry = advertisement(known, name, capability)
+    registry = state.registry if copy is None else msgspec.structs.replace(state.registry, offers=copy.offers)
+    robots = []
+    for name in capable(state.fleet, registry, capability, robot):
+        entry = advertisement(registry, name, capability)
         if entry is not None and entry.availability != "offline":
-            found.append(name)
-    return tuple(found), None if copy is None else copy.as_of_us
+            robots.append(name)
+    return tuple(robots), None if copy is None else copy.as_of_us
 
 
 @HANDLERS.decide_on(open_request, DetectGap, requester)
@@ -101,7 +101,7 @@ def detect_gap(state: State, _command: DetectGap, request: Request) -> tuple[Eve
 
 @HANDLERS.decide_on(open_request, SearchDirectory, nobody)
 def search_directory(state: State, command: SearchDirectory, request: Request) -> tuple[Event, ...]:
-    """Return the agents that are listed; with a first subscription, the robot is told of changes from then on."""
+    """Return the listed agents; after a first subscription, the robot is notified of changes."""
     robot = request.requester
     candidates, as_of_us = listed(state, robot, request.capability)
     queried = RegistryQueried(
@@ -117,13 +117,13 @@ def search_directory(state: State, command: SearchDirectory, request: Request) -
 
 
 def _is_silent(world: World, command: Deregister | RemoveNode) -> bool:
-    """Tell whether the robot has been out of reach ever since the command was scheduled."""
+    """Return whether the robot has been out of reach ever since the command was scheduled."""
     return not is_linked(world, command.robot) and world.returns.get(command.robot, 0) == command.returns
 
 
 @HANDLERS.decide(Deregister, nobody)
 def deregister(state: State, command: Deregister) -> tuple[Event, ...]:
-    """Take the entries of a robot that is still out of reach from the DF."""
+    """Remove the entries of a robot that is still out of reach from the DF."""
     robot = command.robot
     if (
         not _is_silent(state.world, command)
@@ -136,7 +136,7 @@ def deregister(state: State, command: Deregister) -> tuple[Event, ...]:
 
 @HANDLERS.decide(RemoveNode, nobody)
 def remove_node(state: State, command: RemoveNode) -> tuple[Event, ...]:
-    """Find the messages that wait for the robot undeliverable, and take its entries from the DF."""
+    """Record the messages that wait for the robot as undeliverable, and remove its entries from the DF."""
     if not _is_silent(state.world, command):
         return ()
     robot = command.robot
@@ -149,7 +149,7 @@ def remove_node(state: State, command: RemoveNode) -> tuple[Event, ...]:
 
 
 def awaits_delivery(request: Request, robot: Robot) -> bool:
-    """Tell whether a call or an acceptance of this round has not reached the robot yet."""
+    """Return whether a call or an acceptance of this round has not reached the robot yet."""
     if robot in request.undelivered or request.is_unanswered or request.is_accepted:
         return False
     if request.target is not None and request.step > 0:
@@ -158,25 +158,25 @@ def awaits_delivery(request: Request, robot: Robot) -> bool:
 
 
 def called(request: Request) -> tuple[Robot, ...]:
-    """Return whom a call goes to: those listed who have not failed in it, else all of them again."""
+    """Return the robots a call goes to: the listed ones that have not failed in it, else all of them again."""
     return tuple(robot for robot in request.candidates if robot not in request.failed) or request.candidates
 
 
 @HANDLERS.decide(Register, nobody)
 def register(state: State, command: Register) -> tuple[Event, ...]:
-    """Enter what the robot offers again."""
-    before = state.registry.silent.get(command.robot, {})
+    """List the robot's offers again."""
+    availabilities = state.registry.silent.get(command.robot, {})
     return tuple(
         AvailabilityChanged(
             robot=command.robot, capability=capability, availability=availability, reason="registered again"
         )
-        for capability, availability in before.items()
+        for capability, availability in availabilities.items()
     )
 
 
 @HANDLERS.decide(HearOfChange, named)
 def hear_of_change(_state: State, command: HearOfChange) -> tuple[Event, ...]:
-    """Refresh what the subscriber knows of the DF."""
+    """Refresh the subscriber's copy of the DF."""
     return (RegistryCached(command.robot, command.now_us),)
 
 

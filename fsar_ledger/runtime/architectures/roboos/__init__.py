@@ -7,7 +7,7 @@ There is no policy, trust or supervisor check anywhere in the source, so a decla
 violations are structural; the dial `gate` adds a check of the robot's own policy. A record names the robot and the
 task, never a requester or a supervisor (slaver/run.py, _send_result).
 
-Here is recovery: a robot recovers by the checklist of the error, and its agent tries again while it has steps left.
+This module holds recovery: a robot recovers by the error's checklist, and its agent retries while it has steps left.
 Source: slaver/robot/error_handler.py, error_definitions.py, core.py; slaver/agents/slaver_agent.py.
 
 - The handler calls the methods of the error's list in order, logs each, and stops at the first that does not raise. In
@@ -21,7 +21,7 @@ Source: slaver/robot/error_handler.py, error_definitions.py, core.py; slaver/age
 - Another robot is one that the store shows idle. The list says that it completes the task instead, core.py that it
   assists. Ours assists: the master waits for the result of the robot that it has sent the subtask to. A robot under its
   lock declines; nothing is written to the store while one helps.
-- Manual assistance is a broadcast to whoever is near; in our world H_F answers it, and no record names who did.
+- Manual assistance is a broadcast to anyone nearby; in our world H_F answers it, and no record names the human.
 - The brain "only saves the error": nothing follows from it.
 - The handler runs within the call of a tool. When its list has not helped, the agent calls the tool again, up to
   `max_steps` calls ("While the objective is not reached, the agent will perform a cycle of action and observation").
@@ -121,7 +121,7 @@ class StartChecklist(ActionCommand):
 
 
 class AskAnother(ActionCommand):
-    """Turn from a robot that did not help to the next method; `asked` robots were asked until then."""
+    """Move on from a robot that did not help to the next method, after `asked` robots were asked."""
 
     failure: int
     asked: int
@@ -141,18 +141,18 @@ def checklist(fleet: Fleet, cause: FailureCause | None) -> tuple[Method, ...]:
     """Return the methods against this failure, in order."""
     dials = fleet.roboos
     worn = E303 if dials.worn_error == 303 else E302
-    found = E101 if cause == "obstruction" else worn
+    methods = E101 if cause == "obstruction" else worn
     if dials.manual_help == 0:
-        return tuple(method for method in found if method != "manual help")
-    if dials.manual_help == 2 and "manual help" not in found:
-        own = tuple(method for method in found if method != "brain")
-        return (*own, "manual help", *found[len(own) :])
-    return found
+        return tuple(method for method in methods if method != "manual help")
+    if dials.manual_help == 2 and "manual help" not in methods:
+        head = tuple(method for method in methods if method != "brain")
+        return (*head, "manual help", *methods[len(head) :])
+    return methods
 
 
 @HANDLERS.decide_on(open_failure, StartChecklist, body)
 def start_checklist(state: State, command: StartChecklist, failure: Failure) -> tuple[Event, ...]:
-    """Begin with an attempt of the robot's own: every list does."""
+    """Begin with the robot's own attempt, as every list does."""
     action, recovery = failure
     return (_attempted(state, action, recovery, command.now_us),)
 
@@ -165,10 +165,10 @@ def end_attempt(state: State, command: EndAttempt, failure: Failure) -> tuple[Ev
         return ()
     if attempt_succeeds(state.world, recovery, command):
         return (FailureResolved(action.subject, action.robot, recovery.failure, "local"),)
-    made = attempt_failed(state.registry, state.world, action, recovery)
+    failed = attempt_failed(state.registry, state.world, action, recovery)
     if (1 + recovery.number) % _attempts_of_call(state.fleet, recovery):
-        return (made, _attempted(state, action, recovery, command.now_us))
-    return (made, *_next_method(state, action, recovery, command.now_us))
+        return (failed, _attempted(state, action, recovery, command.now_us))
+    return (failed, *_next_method(state, action, recovery, command.now_us))
 
 
 @HANDLERS.decide_on(open_failure, AskAnother, body)
@@ -214,9 +214,9 @@ def _next_method(state: State, action: Action, recovery: Recovery, now_us: int) 
     if "another robot" in methods:
         helper = _idle_robot(state, action, recovery, now_us)
         if helper is not None:
-            moved = (escalated(action, recovery, by_robot, "peer"),) if recovery.level != "peer" else ()
+            escalation = (escalated(action, recovery, by_robot, "peer"),) if recovery.level != "peer" else ()
             return (
-                *moved,
+                *escalation,
                 AssistanceRequested(
                     subject=action.subject,
                     principals=by_robot,
@@ -228,8 +228,8 @@ def _next_method(state: State, action: Action, recovery: Recovery, now_us: int) 
                 ),
             )
     if "manual help" in methods:
-        called = SupervisorCalled(subject=action.subject, supervisor=FLEET_SUPERVISOR, purpose="recovery")
-        return (escalated(action, recovery, by_robot, "human"), called)
+        call = SupervisorCalled(subject=action.subject, supervisor=FLEET_SUPERVISOR, purpose="recovery")
+        return (escalated(action, recovery, by_robot, "human"), call)
     saved = (escalated(action, recovery, by_robot, "fleet", "saved"),) if "brain" in methods else ()
     calls = (1 + recovery.number) // _attempts_of_call(state.fleet, recovery)
     if calls < state.fleet.roboos.max_steps:
@@ -242,8 +242,8 @@ def _idle_robot(state: State, action: Action, recovery: Recovery, now_us: int) -
     if not is_linked(state.world, action.robot):
         return None
     able = helpers(state.fleet, state.registry, action, recovery.cause)
-    asked = (robot for robot in able if robot not in recovery.tried)
-    return next((robot for robot in asked if is_shown_idle(state, robot, now_us)), None)
+    untried = (robot for robot in able if robot not in recovery.tried)
+    return next((robot for robot in untried if is_shown_idle(state, robot, now_us)), None)
 
 
 def _failed_result(state: State, action: Action) -> ExecutionFinished:
@@ -259,12 +259,12 @@ def reach_helper(state: State, command: ReachHelper, failure: Failure) -> tuple[
 
 @HANDLERS.decide(EndAssistance, helping)
 def end_assistance(state: State, command: EndAssistance) -> tuple[Event, ...]:
-    """Free the helper, which resolved the failure or could not."""
+    """Free the helper, whether or not it resolved the failure."""
     return assistance.end_assistance(state, command, "peer")
 
 
 def respond(state: State, command: Respond) -> tuple[Event, ...]:
-    """Let whoever heard the broadcast help."""
+    """Let the human who heard the broadcast help."""
     return _unnamed(supervision.respond(state, command))
 
 
@@ -297,11 +297,11 @@ def _on_attempt(state: State, event: RecoveryAttempted, _now_us: int) -> tuple[S
 def _on_request(state: State, event: AssistanceRequested, _now_us: int) -> tuple[Scheduled, ...]:
     asked = len(state.recovery[event.failed_action].tried)
     hop = "peer" if asked == 1 else f"peer/{asked - 1}"
-    told = message(event.robot, f"{event.failed_action}/{event.failure}", hop)
-    late = GoOnWithoutHelp(event.failed_action, event.helper, event.failure)
+    call = message(event.robot, f"{event.failed_action}/{event.failure}", hop)
+    timeout = GoOnWithoutHelp(event.failed_action, event.helper, event.failure)
     return (
-        Scheduled(ReachHelper(event.failed_action, event.helper), 0, (told,)),
-        Scheduled(late, state.fleet.answer_us),
+        Scheduled(ReachHelper(event.failed_action, event.helper), 0, (call,)),
+        Scheduled(timeout, state.fleet.answer_us),
     )
 
 
@@ -315,9 +315,9 @@ def _on_no_help(state: State, event: AssistanceDeclined | AssistanceFailed, _now
         return ()
     key = f"{event.subject.action_id}/{event.failure}"
     word = "no help" if isinstance(event, AssistanceFailed) else "decline"
-    told = message(event.helper, key, f"{word}/{event.helper}")
+    reply = message(event.helper, key, f"{word}/{event.helper}")
     another = AskAnother(event.subject.action_id, event.failure, len(recovery.tried))
-    return (Scheduled(another, 0, (told,)),)
+    return (Scheduled(another, 0, (reply,)),)
 
 
 OWN: dict[type[Command], Decide] = {Respond: respond, RespondToCall: respond_to_call}

@@ -10,13 +10,13 @@ Source: master/agents/agent.py, publish_global_task and _handle_result.
   before is back. The source does not wait for the last group; here the task is done when its last result is.
 - One message takes a subtask to the robot and one brings its result. The master waits for it longer than any run lasts
   (communication.py: 6000 s).
-- Any result sets the robot idle, a failed one, too, and also while the robot serves another subtask.
+- Any result sets the robot idle, even a failed one, and even while the robot serves another subtask.
 - No result is used for the next step ("TODO: Task result should be refered to the next step determination"), so the
   source sends the next group after a failure as well. Our choice: the task is given up then. Our steps need the earlier
-  ones, bodies of our world would carry them out all the same, and nobody in the source repeats a failed subtask.
+  ones, robots of our world would execute them all the same, and nothing in the source repeats a failed subtask.
 - A language model may fail to plan; ours does not. The one task without a plan is one with a step for which the store
   has no capable robot: it is planned `planning_retries` times more on the same reading of the store, and then ignored.
-- Only the master has a channel to a robot, so what an outsider wants of one comes to nothing.
+- Only the master has a channel to a robot, so an outsider's request to one has no effect.
 
 The shared store has one entry for each robot. The master writes `busy` when it sends a subtask and `idle` when a result
 comes; there is no periodic copy. A robot registers as idle when it connects, and its heartbeat renews the expiry of the
@@ -99,18 +99,18 @@ class Connect(RobotCommand):
 
 def entry(state: State, robot: Robot) -> StoreEntryWritten:
     """Return the robot's entry as last written; every robot connects at the beginning of the run."""
-    known = state.knowledge.store.get(robot)
-    return _registered(state, robot, 0) if known is None else known
+    last = state.knowledge.store.get(robot)
+    return _registered(state, robot, 0) if last is None else last
 
 
 def is_stored(state: State, robot: Robot, now_us: int) -> bool:
-    """Tell whether the store has an entry of the robot that has not expired."""
+    """Return whether the store has an entry of the robot that has not expired."""
     until_us = entry(state, robot).until_us
     return until_us is None or until_us > now_us
 
 
 def is_shown_idle(state: State, robot: Robot, now_us: int) -> bool:
-    """Tell whether the store shows the robot as idle."""
+    """Return whether the store shows the robot as idle."""
     return is_stored(state, robot, now_us) and entry(state, robot).availability == "ready"
 
 
@@ -134,8 +134,8 @@ def beat(state: State, command: Heartbeat) -> tuple[StoreEntryWritten, ...]:
     if not (is_last and is_stored(state, robot, command.now_us)):
         return ()
     is_at_rest = command.now_us > state.fleet.structure.watch_us and not state.task
-    shown, until_us = entry(state, robot).availability, None if is_at_rest else command.now_us + expiry_us
-    return (StoreEntryWritten(robot=robot, availability=shown, until_us=until_us, written_by=robot),)
+    availability, until_us = entry(state, robot).availability, None if is_at_rest else command.now_us + expiry_us
+    return (StoreEntryWritten(robot=robot, availability=availability, until_us=until_us, written_by=robot),)
 
 
 @HANDLERS.decide(Connect, named)
@@ -147,8 +147,8 @@ def connect(state: State, command: Connect) -> tuple[StoreEntryWritten, ...]:
 @HANDLERS.react(SnapshotPhaseSet)
 def _first_beat(state: State, event: SnapshotPhaseSet, _now_us: int) -> tuple[Scheduled, ...]:
     dials = state.fleet.roboos
-    after_us = max(1, event.phase_ppm * dials.refresh_us // 1_000_000)
-    return (Scheduled(Heartbeat(event.robot, dials.expiry_us), after_us, (at_once(event.robot),)),)
+    delay_us = max(1, event.phase_ppm * dials.refresh_us // 1_000_000)
+    return (Scheduled(Heartbeat(event.robot, dials.expiry_us), delay_us, (at_once(event.robot),)),)
 
 
 @HANDLERS.react(StoreEntryWritten)
@@ -161,7 +161,7 @@ def _next_beat(state: State, event: StoreEntryWritten, _now_us: int) -> tuple[Sc
 
 @HANDLERS.react(TaskArrived)
 def _on_work(state: State, _event: TaskArrived, _now_us: int) -> tuple[Scheduled, ...]:
-    """Record the heartbeats again that were not recorded while there was no task."""
+    """Record heartbeats again, which were not recorded while there was no task."""
     at_rest = [robot for robot, until_us in state.knowledge.beats.items() if until_us == 0]
     return tuple(Scheduled(Heartbeat(robot, 0), 1, (at_once(robot),)) for robot in at_rest)
 
@@ -184,7 +184,7 @@ class IgnoreTask(Command):
 
 
 class BeginSubtask(BeginStep):
-    """Turn to the next step of the task, as the master."""
+    """Begin the next step of the task, as the master."""
 
 
 class SendSubtask(ActionCommand):
@@ -206,23 +206,23 @@ class TakeResult(ActionCommand):
 
 
 class RefuseOutsider(ActionCommand):
-    """Let a request come to nothing that does not come from the master."""
+    """Refuse a request that does not come from the master."""
 
 
 def on_record(robot: Robot) -> Parties:
-    """Return whom RoboOS records: the robot alone (slaver/run.py, _send_result)."""
+    """Return the parties that RoboOS records: the robot alone (slaver/run.py, _send_result)."""
     return Parties(requested_by=None, executed_by=robot, supervised_by=None)
 
 
 @HANDLERS.decide(PlanTask, nobody)
 def plan_task(state: State, command: PlanTask) -> tuple[TaskPlanned, ...]:
-    """Name a robot for every step by the store as it is now, before the planning."""
+    """Name a robot for every step from the store as it is now, before the planning."""
     task, dials = state.task.get(command.task_id), state.fleet.roboos
     if task is None:
         return ()
-    named = [_named_for(state, task, step, command.now_us) for step in task.steps]
-    robots = tuple(robot for robot in named if robot is not None)
-    if len(robots) == len(named):
+    chosen = [_named_for(state, task, step, command.now_us) for step in task.steps]
+    robots = tuple(robot for robot in chosen if robot is not None)
+    if len(robots) == len(chosen):
         ready_us = command.now_us + dials.planning_us
         return (TaskPlanned(task_id=task.task_id, robots=robots, ready_us=ready_us),)
     ready_us = command.now_us + (1 + dials.planning_retries) * dials.planning_us
@@ -251,7 +251,7 @@ def ignore_task(state: State, command: IgnoreTask) -> tuple[TaskAbandoned, ...]:
 
 @HANDLERS.decide(BeginSubtask, nobody)
 def begin_subtask(state: State, command: BeginSubtask) -> tuple[Event, ...]:
-    """Begin the next step: the master does, whether or not the robot whose task it is can hear it."""
+    """Begin the next step at the master, whether or not the robot whose task it is can hear it."""
     return begin_step(state, command)
 
 
@@ -280,30 +280,30 @@ def send_subtask(state: State, command: SendSubtask, request: Request) -> tuple[
 
 @HANDLERS.decide(TakeResult, nobody)
 def take_result(state: State, command: TakeResult) -> tuple[Event, ...]:
-    """Write `idle`, whatever the result; go on after a success, and give up the task after anything else."""
-    taken = (
+    """Write `idle`, whatever the result; continue after a success, and give up the task after anything else."""
+    events = (
         *written(state, command.robot, "ready", command.now_us),
         *release(state.authority, command.action_id),
     )
     request = open_request(state, command.action_id)
     if request is None or request.task_id not in state.task:
-        return taken
+        return events
     if request.is_over or request.result is not None:
-        return (*taken, TaskAbandoned(request.task_id))
-    return (*taken, StepCompleted(request.subject))
+        return (*events, TaskAbandoned(request.task_id))
+    return (*events, StepCompleted(request.subject))
 
 
 @HANDLERS.decide_on(open_request, RefuseOutsider, nobody)
 def refuse_outsider(_state: State, _command: RefuseOutsider, request: Request) -> tuple[RequestDenied, ...]:
-    """Record that the request has reached nobody: no principal of RoboOS decides it."""
+    """Record that the request has no recipient: no principal of RoboOS decides it."""
     unknown = Principals(decided_by=None, requested_by=None, executed_by=None, supervised_by=None, path=())
     return (RequestDenied(RequestSubject(request.task_id, None, None), unknown, NO_CHANNEL),)
 
 
 @HANDLERS.react(TaskPlanned)
 def _on_plan(_state: State, event: TaskPlanned, now_us: int) -> tuple[Scheduled, ...]:
-    follows = BeginSubtask(event.task_id) if event.robots else IgnoreTask(event.task_id)
-    return (Scheduled(follows, max(1, event.ready_us - now_us)),)
+    next_command = BeginSubtask(event.task_id) if event.robots else IgnoreTask(event.task_id)
+    return (Scheduled(next_command, max(1, event.ready_us - now_us)),)
 
 
 @HANDLERS.react(StepBegan)
@@ -340,7 +340,7 @@ def take_subtask(state: State, command: TakeSubtask) -> tuple[Event, ...]:
 
 
 def may(state: State, robot: Robot, capability: str | None, context: str | None) -> bool:
-    """Tell whether the robot does it: always, unless it has a gate and its own policy denies."""
+    """Return whether the robot may do it: always, unless it has a gate and its own policy denies."""
     if not state.fleet.roboos.gate:
         return True
     return own_policy(state.policy, state.world, robot, capability, context) != "deny"
