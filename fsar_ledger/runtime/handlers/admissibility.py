@@ -41,7 +41,7 @@ class Evaluation(msgspec.Struct, frozen=True, gc=False):
     """The executor's verdict, the conjunct that failed if one did, and the authority tuple of `eq:auth`.
 
     `override` is the level that is in effect if the request is admitted, in a negotiation the highest that is offered;
-    `trust` the scope that the request rests on (None: nobody evaluates trust).
+    `trust` the scope that the request rests on (None: trust is not evaluated).
     """
 
     verdict: Verdict
@@ -56,9 +56,9 @@ class Evaluation(msgspec.Struct, frozen=True, gc=False):
 def evaluate(state: State, request: Request, executor: Robot, is_reviewed: bool = False) -> Evaluation:
     """Judge the five conjuncts in the paper's order, then authority. Paper: eq:admissible.
 
-    The approval of a request that was reviewed lifts reviews and no denial: a rule that denies by then stands, and an
-    open window of the executor's own that denies holds the start. A request through a relay rests on the executor's
-    trust in the relay: each link is judged by itself. A revocation of the requester's own right counts all the same.
+    The approval of a reviewed request lifts reviews but no denial: a rule that denies by then stands, and an open
+    window of the executor's own that denies holds the start. A request through a relay rests on the executor's trust
+    in the relay: each link is judged by itself. A revocation of the requester's own right still counts.
     """
     about = (request.capability, request.task_id)
     if is_reviewed:
@@ -70,20 +70,20 @@ def evaluate(state: State, request: Request, executor: Robot, is_reviewed: bool 
     conjunct = failing(state, request, executor, trust, outcome)
     if conjunct is not None:
         return Evaluation("reject", conjunct, trust, conjunct not in ("trust", "authority"), False, "none")
-    asked: OverrideLevel = "none"
+    level: OverrideLevel = "none"
     if request.override != "none":
-        asked = override_asked(state.authority, request, executor)
+        level = override_asked(state.authority, request, executor)
         allowed = override_allowed(state.authority, state.registry, request, executor)
-        if rank(asked) > rank(allowed):
+        if rank(level) > rank(allowed):
             return Evaluation("negotiate", None, trust, True, False, allowed)
     if outcome == "review":
-        return Evaluation("review", None, trust, True, False, asked)
-    is_free = is_idle(state.execution, executor) or preemptible(state.execution, executor, asked) is not None
-    return Evaluation("accept" if is_free else "defer", None, trust, True, True, asked)
+        return Evaluation("review", None, trust, True, False, level)
+    is_free = is_idle(state.execution, executor) or preemptible(state.execution, executor, level) is not None
+    return Evaluation("accept" if is_free else "defer", None, trust, True, True, level)
 
 
 def asker(request: Request) -> Robot:
-    """Return the robot that stands before the executor: the relay, or the requester itself. Paper: eq:nontransitive."""
+    """Return the robot that addresses the executor: the relay, or the requester itself. Paper: eq:nontransitive."""
     return request.relay or request.requester
 
 
@@ -92,7 +92,7 @@ def failing(
 ) -> Conjunct | None:
     """Return the first conjunct that fails, or None.
 
-    `trust` is the executor's in who asks, `outcome` the composed policy. Paper: eq:admissible.
+    `trust` is the executor's in the asker, `outcome` the composed policy. Paper: eq:admissible.
     """
     if not possesses(state.registry, executor, request.capability):
         return "possession"
@@ -115,7 +115,7 @@ def failing(
 
 
 def is_revoked(authority: Authority, request: Request, executor: Robot) -> bool:
-    """Tell whether the requester, or the relay that asks for it, may no longer ask this of the executor.
+    """Return whether the requester, or the relay that asks for it, may no longer ask this of the executor.
 
     Paper: sec:model:authority.
     """
@@ -164,26 +164,26 @@ def preemptible(execution: Execution, robot: Robot, override: OverrideLevel) -> 
 
 
 def holding(state: State, action: Action) -> tuple[PolicyOutcome, PolicyOutcome]:
-    """Return what the executor's own policy and the fleet's rule, as last heard, say to a start now.
+    """Return the outcomes of the executor's own policy and the fleet's rule, as last heard, for a start now.
 
     An approval lifts the reviews known when it was given. Paper: eq:policy, sec:architecture:fleet (never a silent
     override).
     """
     about = (action.robot, action.capability, action.task_id)
-    own, fleet = own_policy(state.policy, state.world, *about), fleet_policy(state.knowledge, state.policy, *about)
+    local, fleet = own_policy(state.policy, state.world, *about), fleet_policy(state.knowledge, state.policy, *about)
     later = later_than(state.authority, action.action_id)
     if later is None:
-        return own, fleet
-    own_later, fleet_later = _came_later(state, action, later)
-    return own if own == "deny" else own_later, fleet if fleet == "deny" else fleet_later
+        return local, fleet
+    local_later, fleet_later = _came_later(state, action, later)
+    return local if local == "deny" else local_later, fleet if fleet == "deny" else fleet_later
 
 
 def _came_later(state: State, action: Action, later: Later) -> tuple[PolicyOutcome, PolicyOutcome]:
-    """Compose only what the executor's own policy and the fleet's rule have said since the approval."""
+    """Compose only the executor's own policy and the fleet's rule from after the approval."""
     about = (action.robot, action.capability, action.task_id)
-    own = ruled(state.policy, "local", *about, among=later.rules) or "allow"
+    local = ruled(state.policy, "local", *about, among=later.rules) or "allow"
     for window, outcome in state.world.local.get(action.robot, ()):
         if window in later.windows:
-            own = stricter(own, outcome)
+            local = stricter(local, outcome)
     heard = state.knowledge.fleet_rule.get(action.robot, "allow") if action.robot in later.heard else "allow"
-    return own, stricter(heard, ruled(state.policy, "fleet", *about, among=later.rules) or "allow")
+    return local, stricter(heard, ruled(state.policy, "fleet", *about, among=later.rules) or "allow")

@@ -1,4 +1,4 @@
-"""Help as work: something can be in the helper's way, and its actuator can fail as well. Paper: sec:model:recovery."""
+"""Help as work: the helper can be obstructed, and its actuator can fail as well. Paper: sec:model:recovery."""
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import FailureCause, Principal, Principals, RecoveryLevel, Robot, Supervisor
@@ -37,7 +37,7 @@ HANDLERS = Handlers()
 
 
 def end_assistance(state: State, command: EndAssistance, level: RecoveryLevel) -> tuple[Event, ...]:
-    """Resolve the failure by means of this level, or record that the helper could not; free the helper."""
+    """Resolve the failure at this level, or record that the helper could not; free the helper."""
     match helped(state, command.action_id, command.helper):
         case action, recovery if recovery.failure == command.failure:
             cause = _hindrance(state.world, recovery, command)
@@ -53,7 +53,7 @@ def end_assistance(state: State, command: EndAssistance, level: RecoveryLevel) -
 
 @HANDLERS.decide(StopAssistance, helping)
 def stop_assistance(state: State, command: StopAssistance) -> tuple[Event, ...]:
-    """End the help because something is in the helper's own way."""
+    """End the help because the helper itself is obstructed."""
     match helped(state, command.action_id, command.helper):
         case action, recovery if state.world.obstructions.get(command.helper):
             return (help_failed(action, recovery, command.helper, "obstruction"),)
@@ -69,7 +69,7 @@ def ordered(
     requested_by: Principal | None = None,
     supervised_by: Supervisor | None = None,
 ) -> tuple[Event, ...]:
-    """Let the robot that is asked help, or decline under other work; nothing if another was asked meanwhile.
+    """Let the requested robot help, or decline under other work; nothing if another was asked meanwhile.
 
     Nothing is evaluated, so no decision is recorded.
     """
@@ -99,7 +99,7 @@ def ordered(
 def end_of(event: AssistanceAdmitted, after_us: int, waits: tuple[Ask, ...] = ()) -> Scheduled:
     """Schedule the end of the admitted help.
 
-    A helper whose actuator is degraded meets the same answer under every architecture.
+    A helper whose actuator is degraded gets the same answer under every architecture.
     """
     ask = holds(f"assist/{event.subject.action_id}/{event.failure}/{event.helper}")
     return Scheduled(EndAssistance(event.subject.action_id, event.helper, event.failure), after_us, waits, ask)
@@ -130,7 +130,7 @@ def _hindrance(world: World, recovery: Recovery, command: EndAssistance) -> Fail
 
 
 def help_failed(action: Action, recovery: Recovery, who: Robot, cause: FailureCause) -> AssistanceFailed:
-    """Return the fact that the helper could not help, by this cause."""
+    """Return the event that the helper could not help, for this cause."""
     return AssistanceFailed(
         subject=action.subject,
         robot=action.robot,
@@ -149,9 +149,9 @@ def _on_assistance(state: State, event: AssistanceAdmitted, _now_us: int) -> tup
 
 @HANDLERS.react(ObstructionAppeared)
 def _on_obstruction(state: State, event: ObstructionAppeared, _now_us: int) -> tuple[Scheduled, ...]:
-    holding = state.execution.current.get(event.robot, "")
+    current = state.execution.current.get(event.robot, "")
     return (
-        (Scheduled(StopAssistance(holding.removeprefix(HELPING), event.robot)),) if holding.startswith(HELPING) else ()
+        (Scheduled(StopAssistance(current.removeprefix(HELPING), event.robot)),) if current.startswith(HELPING) else ()
     )
 
 

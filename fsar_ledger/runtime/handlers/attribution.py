@@ -1,4 +1,4 @@
-"""Which supervisor a record can name, and small readings of the state that several handlers need."""
+"""Which supervisor a record can name, and small lookups in the state that several handlers need."""
 
 from collections.abc import Iterable
 from itertools import filterfalse
@@ -24,7 +24,7 @@ def on_shift(state: State, robot: Robot) -> Supervisor | None:
 
 
 def recorded_by(state: State, robot: Robot, *, requested_by: Principal | None, executed_by: Robot | None) -> Parties:
-    """Return whom the robot's record names: these two, and its own supervisor while on shift."""
+    """Return the parties of the robot's record: these two, and its own supervisor while on shift."""
     return Parties(requested_by=requested_by, executed_by=executed_by, supervised_by=on_shift(state, robot))
 
 
@@ -39,7 +39,7 @@ def supervisor_of(state: State, action: Action) -> Supervisor | None:
 
 
 def parties(state: State, action: Action) -> Parties:
-    """Return whom a record of the execution names."""
+    """Return the parties of a record of the execution."""
     return Parties(
         requested_by=action.requested_by,
         executed_by=action.executed_by,
@@ -48,12 +48,12 @@ def parties(state: State, action: Action) -> Parties:
 
 
 def is_injected(action: Action) -> bool:
-    """Tell whether the action executes an injected out-of-trust request, which is no step of a task."""
+    """Return whether the action executes an injected out-of-trust request, which is no step of a task."""
     return action.step == 0
 
 
 def is_idle(execution: Execution, robot: Robot) -> bool:
-    """Tell whether nothing holds the robot."""
+    """Return whether nothing holds the robot."""
     return robot not in execution.current
 
 
@@ -118,7 +118,7 @@ def kin(fleet: Fleet, registry: Registry, robot: Robot, capability: str) -> tupl
 
 
 def is_reachable(registry: Registry, robot: Robot) -> bool:
-    """Tell whether some capability that the robot advertises is not offline or restricted.
+    """Return whether some capability that the robot advertises is not offline or restricted.
 
     Paper: eq:adv (availability).
     """
@@ -127,7 +127,7 @@ def is_reachable(registry: Registry, robot: Robot) -> bool:
 
 
 def is_cross_robot(tasks: Tasks, action: Action) -> bool:
-    """Tell whether a failure of the action concerns more than its robot.
+    """Return whether a failure of the action concerns more than its robot.
 
     The action was delegated, or the task is another robot's. Paper: sec:model:supervision.
     """
@@ -137,8 +137,8 @@ def is_cross_robot(tasks: Tasks, action: Action) -> bool:
 
 def pending_of_other_task(execution: Execution, robot: Robot, task_id: str) -> str | None:
     """Return the first unfinished delegated action of another task at the robot, if any."""
-    held = execution.current.get(robot)
-    for name in ((held,) if held else ()) + execution.queues.get(robot, ()):
+    current = execution.current.get(robot)
+    for name in ((current,) if current else ()) + execution.queues.get(robot, ()):
         action = execution.actions.get(name)
         if action is not None and action.is_delegated and action.task_id != task_id:
             return name

@@ -1,7 +1,7 @@
-"""Authority: who may ask for what by a supervisor's word, and claims that end. Paper: eq:auth, sec:model:authority.
+"""Authority: rights that supervisors grant and revoke, and the end of claims. Paper: eq:auth, sec:model:authority.
 
 Rights are looked up when a request is evaluated, so a revocation takes effect at the next request boundary: what was
-admitted before, queued or executing, goes on.
+admitted before, queued or executing, continues.
 """
 
 from collections.abc import Iterable
@@ -65,7 +65,7 @@ class RevokeAuthority(PublicCommand):
 
 
 class ReleaseAuthority(PublicCommand):
-    """Release what the claimant holds of this dimension over the action."""
+    """Release the claimant's claims of this dimension on the action."""
 
     claimant: Principal
     action_id: str
@@ -107,7 +107,7 @@ def released(claims: Iterable[AuthorityClaimed]) -> tuple[AuthorityReleased, ...
 
 @HANDLERS.decide(GrantAuthority)
 def grant_authority(state: State, command: GrantAuthority) -> tuple[Event, ...]:
-    """Let the requester ask up to this level, by word of the executor's own supervisor or of H_F.
+    """Let the requester ask up to this level, on the authority of the executor's own supervisor or of H_F.
 
     Paper: eq:auth, eq:override.
     """
@@ -134,7 +134,7 @@ def grant_authority(state: State, command: GrantAuthority) -> tuple[Event, ...]:
 
 @HANDLERS.decide(RevokeAuthority)
 def revoke_authority(state: State, command: RevokeAuthority) -> tuple[Event, ...]:
-    """Stop the requester from asking this, by word of either robot's own supervisor or of H_F.
+    """Stop the requester from asking this, on the authority of either robot's own supervisor or of H_F.
 
     It takes effect at the next evaluation. Paper: sec:model:authority.
     """
@@ -153,17 +153,17 @@ def revoke_authority(state: State, command: RevokeAuthority) -> tuple[Event, ...
 def release_authority(state: State, command: ReleaseAuthority) -> tuple[Event, ...]:
     """Release the dimension; the authority to execute ends with the execution only."""
     claims = state.authority.claims.get(command.action_id, ())
-    held = tuple(
+    matching = tuple(
         claim for claim in claims if (claim.claimant, claim.dimension) == (command.claimant, command.dimension)
     )
-    if not held:
-        found = f"{command.claimant} holds no {command.dimension} authority over it, expected an open claim"
-        return rejected(command, command.action_id, found, command.claimant)
+    if not matching:
+        reason = f"{command.claimant} holds no {command.dimension} authority over it, expected an open claim"
+        return rejected(command, command.action_id, reason, command.claimant)
     action = state.execution.actions.get(command.action_id)
     if command.dimension == "execution" and action is not None and action.robot == command.claimant:
-        found = f"{command.claimant} has yet to finish it, expected the result first"
-        return rejected(command, command.action_id, found, command.claimant)
-    return released(held)
+        reason = f"{command.claimant} has yet to finish it, expected the result first"
+        return rejected(command, command.action_id, reason, command.claimant)
+    return released(matching)
 
 
 @HANDLERS.decide(ExpireContext, nobody)
@@ -184,7 +184,7 @@ def expire_context(state: State, command: ExpireContext) -> tuple[AuthorityRevok
 
 @HANDLERS.decide(RevokeDistrusted, named)
 def revoke_distrusted(state: State, command: RevokeDistrusted) -> tuple[AuthorityRevoked, ...]:
-    """Revoke what the peer is no longer trusted with; what was admitted goes on.
+    """Revoke the rights that the peer is no longer trusted with; what was admitted continues.
 
     Paper: sec:model:authority (trust downgrade).
     """
@@ -213,7 +213,7 @@ def _unknown(fleet: Fleet, registry: Registry, command: GrantAuthority | RevokeA
 def _decided(
     kind: type[AuthorityGranted | AuthorityRevoked], command: GrantAuthority | RevokeAuthority, refused: str | None
 ) -> tuple[Event, ...]:
-    """Return what the supervisor decided about the requester's right, or its rejection if something is refused."""
+    """Return the decision about the requester's right, or the command's rejection if it is refused."""
     names = {"requested_by": command.requester, "executed_by": command.executor, "decided_by": command.supervisor}
     return carried_out(command, command.requester, refused, command.supervisor, made_from(kind, command, **names))
 
@@ -228,17 +228,17 @@ def _subject(right: Right) -> tuple[str, str | None, str | None, str | None]:
 
 
 def _covers(right: Right, command: GrantAuthority | RevokeAuthority) -> bool:
-    """Tell whether the right is about all that the command is about."""
+    """Return whether the right covers everything that the command is about."""
     pairs = (
         (right.executed_by, command.executor),
         (right.capability, command.capability),
         (right.context, command.context),
     )
-    return right.requested_by == command.requester and all(one in (None, other) for one, other in pairs)
+    return right.requested_by == command.requester and all(covering in (None, covered) for covering, covered in pairs)
 
 
 def _overlaps(right: Right, command: GrantAuthority) -> bool:
-    """Tell whether the right and the command can concern the same request."""
+    """Return whether the right and the command can concern the same request."""
     pairs = (
         (right.executed_by, command.executor),
         (right.capability, command.capability),
@@ -248,7 +248,7 @@ def _overlaps(right: Right, command: GrantAuthority) -> bool:
 
 
 def _standing(authority: Authority, command: RevokeAuthority) -> Right | None:
-    """Return the last right about all that the command is about, if no later one is about a part of it."""
+    """Return the last right that covers the command, if no later one is about a part of it."""
     for right in reversed(authority.rights):
         if _covers(right, command):
             return right
@@ -258,7 +258,7 @@ def _standing(authority: Authority, command: RevokeAuthority) -> Right | None:
 
 
 def _is_revoked_by_fleet(authority: Authority, command: GrantAuthority) -> bool:
-    """Tell whether the grant would lift something that H_F has revoked and not granted again."""
+    """Return whether the grant would lift something that H_F has revoked and not granted again."""
     for right in reversed(authority.rights):
         if right.decided_by == FLEET_SUPERVISOR and _overlaps(right, command):
             return isinstance(right, AuthorityRevoked)
@@ -266,7 +266,7 @@ def _is_revoked_by_fleet(authority: Authority, command: GrantAuthority) -> bool:
 
 
 def _in_context(authority: Authority, context: str) -> tuple[AuthorityGranted, ...]:
-    """Return the grants for this context, each once, that nothing has revoked since."""
+    """Return the grants for this context, each once, that were not revoked since."""
     last = {_subject(right): right for right in authority.rights if right.context == context}
     return tuple(right for right in last.values() if isinstance(right, AuthorityGranted))
 
@@ -276,7 +276,7 @@ def _distrusted(state: State, robot: Robot, peer: Robot) -> list[Action]:
 
     The peer is the requester or the relay.
     """
-    found = []
+    distrusted = []
     for action in state.execution.actions.values():
         request = state.request.open.get(action.action_id)
         if (
@@ -287,8 +287,8 @@ def _distrusted(state: State, robot: Robot, peer: Robot) -> list[Action]:
         ):
             continue
         if not trusts(state, robot, peer, action.capability, action.task_id):
-            found.append(action)
-    return found
+            distrusted.append(action)
+    return distrusted
 
 
 @HANDLERS.react(TaskCompleted, TaskAbandoned)
@@ -308,13 +308,13 @@ def _on_trust(state: State, event: TrustSet, _now_us: int) -> tuple[Scheduled, .
 @HANDLERS.react(RoleTrustSet)
 def _on_role_trust(state: State, event: RoleTrustSet, _now_us: int) -> tuple[Scheduled, ...]:
     """Revoke as `_on_trust` does, for each pair of these roles that has an action in hand."""
-    asking = [
+    delegated = [
         (action, state.request.open.get(action.action_id))
         for action in state.execution.actions.values()
         if action.is_delegated
     ]
     pairs = {
-        (action.robot, request.relay or request.requester): None for action, request in asking if request is not None
+        (action.robot, request.relay or request.requester): None for action, request in delegated if request is not None
     }
     return tuple(
         Scheduled(RevokeDistrusted(robot, peer))

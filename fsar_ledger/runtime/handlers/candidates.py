@@ -41,37 +41,37 @@ def version_of(text: str) -> Version | None:
 
 
 def is_range(text: str) -> bool:
-    """Tell whether the text is a range: empty (any), `1.2.0` (exactly), `^1.2` (compatible) or `>=1.2`."""
+    """Return whether the text is a range: empty (any), `1.2.0` (exactly), `^1.2` (compatible) or `>=1.2`."""
     return text == "" or version_of(text.removeprefix(_sign(text))) is not None
 
 
 def is_in_range(version: str, wanted: str) -> bool:
-    """Tell whether the version lies in the range; a text that is no version lies only in the empty one.
+    """Return whether the version lies in the range; a text that is no version lies only in the empty one.
 
-    Compatible is what keeps the first number that is not 0, as in semantic versioning: `^1.2` is from 1.2.0 to before
+    Compatible versions keep the first number that is not 0, as in semantic versioning: `^1.2` is from 1.2.0 to before
     2.0.0, `^0.2` from 0.2.0 to before 0.3.0. Paper: sec:architecture:registry (semantic matching).
     """
     if wanted == "":
         return True
     sign = _sign(wanted)
-    found, lowest = version_of(version), version_of(wanted.removeprefix(sign))
-    if found is None or lowest is None:
+    parsed, lowest = version_of(version), version_of(wanted.removeprefix(sign))
+    if parsed is None or lowest is None:
         return False
     if sign == "^":
-        return lowest <= found < _breaking(lowest, wanted.count(".") + 1)
-    return found >= lowest if sign == ">=" else found == lowest
+        return lowest <= parsed < _breaking(lowest, wanted.count(".") + 1)
+    return parsed >= lowest if sign == ">=" else parsed == lowest
 
 
 def _sign(wanted: str) -> str:
     return "^" if wanted.startswith("^") else ">=" if wanted.startswith(">=") else ""
 
 
-def _breaking(version: Version, given: int) -> Version:
-    """Return the next version that may be incompatible; `given` is how many numbers the range states."""
+def _breaking(version: Version, count: int) -> Version:
+    """Return the next version that may be incompatible; `count` is how many numbers the range states."""
     major, minor, patch = version
-    if major > 0 or given == 1:
+    if major > 0 or count == 1:
         return major + 1, 0, 0
-    if minor > 0 or given == 2:
+    if minor > 0 or count == 2:
         return 0, minor + 1, 0
     return 0, 0, patch + 1
 
@@ -79,7 +79,7 @@ def _breaking(version: Version, given: int) -> Version:
 def is_suitable(
     contract: Contract, needs: Iterable[str], provides: Iterable[str] | None, resources: Iterable[str] | None
 ) -> bool:
-    """Tell whether the contract gives what is needed and asks for no more than is provided.
+    """Return whether the contract gives what is needed and asks for no more than is provided.
 
     None states nothing. Paper: sec:architecture:registry.
     """
@@ -93,7 +93,7 @@ def is_suitable(
 def contradiction(contract: Contract) -> str | None:
     """Return what is wrong with the contract in itself, or None.
 
-    What must hold before and what holds after may differ, even be opposites: that is what execution is for. But
+    Preconditions and postconditions may differ, even be opposites: that is what execution is for. But
     neither may ask for a name and its `not` together, name anything twice, or name nothing. Paper: eq:adv.
     """
     for part, names in (
@@ -129,7 +129,7 @@ def weaker(offered: Contract, installed: Contract) -> str | None:
 
 
 Filter = Literal["visibility", "version", "contract", "trust", "policy", "authority", "availability", "embodiment"]
-FILTERS: tuple[Filter, ...] = get_args(Filter)  # in the order in which they are asked
+FILTERS: tuple[Filter, ...] = get_args(Filter)  # in the order of evaluation
 _GROUP = ".*"  # ends the name of a group of capabilities
 _RANKS: dict[Availability, int] = {"busy": 1, "degraded": 2}  # of those that are not ready
 
@@ -138,9 +138,9 @@ class Query(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Q = (r_A, e*, sigma, B, P): who asks for what, in which context, and what is stated about it.
 
     `capability` is a name or a group (`grasp.*`); `version` a range (see `is_in_range`). `provides` are the
-    preconditions that the requester establishes and `resources` what is there to be taken, None where it does not say;
-    `needs` the postconditions that it wants, `embodiment` what the body must be. `override` is the level that the
-    request will ask for; `limit` ends the search at so many admissible ready candidates.
+    preconditions that the requester establishes and `resources` the available ones, None where it does not say; `needs`
+    the postconditions that it wants, `embodiment` the required body. `override` is the level that the request will ask
+    for; `limit` ends the search after that many admissible ready candidates.
 
     Paper: sec:architecture:registry.
     """
@@ -160,7 +160,7 @@ class Query(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class Answer(msgspec.Struct, frozen=True):
     """Cand(Q): the robots that may be asked, best first, each with its capability that matched (`capabilities`).
 
-    Each robot of `rejected` offers what was asked for and was left out by the filter at the same place of
+    Each robot of `rejected` offers what was asked for and was left out by the filter at the same index of
     `rejected_by`. `domain` is the registry that answered, `as_of_us` (run time) the age of the copy that it read, None
     for the present.
     """
@@ -176,9 +176,9 @@ class Answer(msgspec.Struct, frozen=True):
 def candidates(state: State, query: Query, cache_holder: Robot | None = None) -> Answer:
     """Return Cand(Q), from the nearest registry around the requester that has a candidate, else from the fleet's.
 
-    Every other robot that matches by name in the registries that were asked is either candidate or rejected; under a
-    `limit` only those that the search came to. A robot that matches more than once counts by its best record.
-    With a `cache_holder` the answer is that of its copy: old offers, while trust and rules are those of now.
+    Every other robot that matches by name in the registries searched is either candidate or rejected; under a `limit`
+    only those that the search reached. A robot that matches more than once counts by its best record.
+    With a `cache_holder` the answer is that of its copy: old offers, but current trust and rules.
 
     Raises:
         KeyError: the requester is no member of the fleet, or the holder has no copy.
@@ -205,10 +205,10 @@ def candidates(state: State, query: Query, cache_holder: Robot | None = None) ->
 
 
 class _Search:
-    """What a query has found in the registries that were asked so far.
+    """The results of a query in the registries searched so far.
 
     `found`: robot -> a record of the kind that admits it; `left_out`: robot -> the filter that rejects it. Without
-    `execution`, as in a copy, nobody is known to be executing.
+    `execution`, as in a copy, no robot is known to be executing.
     """
 
     def __init__(self, state: State, query: Query, execution: Execution | None) -> None:
@@ -255,8 +255,8 @@ class _Search:
                 continue
             by = rejecting_filter(self._state, query, record)
             if by is not None:
-                before = self.left_out.get(robot)
-                if robot not in self.found and (before is None or FILTERS.index(by) > FILTERS.index(before)):
+                prior = self.left_out.get(robot)
+                if robot not in self.found and (prior is None or FILTERS.index(by) > FILTERS.index(prior)):
                     self.left_out[robot] = by
                 continue
             self._kinds.append(record)
@@ -269,7 +269,7 @@ class _Search:
     def ranked(self) -> tuple[Robot, ...]:
         """Return the robots found: the ready first, then the busy and the degraded; of each, the nearest first.
 
-        Those whose offer is deprecated come last among their like.
+        Robots with a deprecated offer come last in each group.
         """
         robots = nearest_first(self._state.fleet, self.found, self._query.requester)
         if any(kind.availability in _RANKS or kind.is_deprecated for kind in self._kinds):
@@ -280,7 +280,7 @@ class _Search:
         return (*filterfalse(busy.__contains__, robots), *filter(busy.__contains__, robots))
 
     def capabilities(self, robots: tuple[Robot, ...]) -> tuple[str, ...]:
-        """Return by which capability each of these robots was found."""
+        """Return the capability by which each of these robots was found."""
         names = {kind.capability for kind in self._kinds}
         if len(names) == 1:
             return (*names,) * len(robots)
@@ -298,7 +298,7 @@ def alike(
 ) -> Iterator[tuple[Advertisement, tuple[Robot, ...]]]:
     """Yield robots, other than the requester, that every filter treats alike, and the record of one of them.
 
-    Those that a rule, or trust in the requester, names are by themselves.
+    Robots that a rule, or trust in the requester, names come alone.
     """
     entries, named = state.trust.entries, state.policy.named
     for record, robots in offered.alike:
@@ -337,9 +337,9 @@ def rejecting_filter(state: State, query: Query, record: Advertisement, but: Fil
 
 
 def hides(state: State, record: Advertisement, requester: Robot, asker: Robot, context: str | None) -> bool:
-    """Tell whether the record is not Visible_Gamma to the requester.
+    """Return whether the record is not Visible_Gamma to the requester.
 
-    The asker stands before the robot for the requester: itself, or a relay. Without trust evaluation no record is
+    The asker addresses the robot for the requester: itself, or a relay. Without trust evaluation no record is
     hidden. Paper: eq:advertise.
     """
     if "trust-evaluation" in state.fleet.without:
@@ -347,8 +347,8 @@ def hides(state: State, record: Advertisement, requester: Robot, asker: Robot, c
     if record.visible_to and state.fleet.robots[requester].role not in record.visible_to:
         return True
     if record.visibility == "domain":
-        asking = state.registry.members[requester][1]
-        return record.domain != "" and asking != record.domain and not asking.startswith(record.domain + "/")
+        domain = state.registry.members[requester][1]
+        return record.domain != "" and domain != record.domain and not domain.startswith(record.domain + "/")
     return (
         record.visibility == "trust-gated"
         and scope_of(state.trust, record.robot, asker, record.capability, context) == "none"
@@ -356,7 +356,7 @@ def hides(state: State, record: Advertisement, requester: Robot, asker: Robot, c
 
 
 def _distrusts(state: State, query: Query, record: Advertisement) -> bool:
-    """Tell whether TrustOK fails by the record that is read (see `trust.trusts` for the present one).
+    """Return whether TrustOK fails by the record that is read (see `trust.trusts` for the present one).
 
     Paper: eq:delegable.
     """
@@ -368,10 +368,10 @@ def _distrusts(state: State, query: Query, record: Advertisement) -> bool:
 
 
 def _forbids(state: State, query: Query, record: Advertisement) -> bool:
-    """Tell whether the advertisement is for other contexts, or a declared rule of the robot denies.
+    """Return whether the advertisement is for other contexts, or a declared rule of the robot denies.
 
-    What closes for a while is the robot's to judge. So is a denial against the fleet's mandate: the robot is shown, so
-    that the conflict comes up and is escalated.
+    A temporary closure is the robot's to judge. So is a denial against the fleet's mandate: the robot is shown, so
+    that the conflict surfaces and is escalated.
     """
     if record.policy_required and query.context not in record.policy_required:
         return True

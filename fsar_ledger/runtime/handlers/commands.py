@@ -1,4 +1,4 @@
-"""Commands: who carries them out, and how a reaction schedules one.
+"""Commands: their actors, and how a reaction schedules one.
 
 A reaction cannot know how long a message takes: it asks at the ports (`ports.py`), and the kernel has the environment
 answer. A question is named by what it is about and by what it serves (action, failure, hop), so that every architecture
@@ -53,7 +53,7 @@ class HelpCommand(ActionCommand):
 class Scheduled(msgspec.Struct, frozen=True, gc=False):
     """A `command` that is due `after_us` plus the lengths of its waits from now; never at the same instant.
 
-    What it asks is asked when it is due.
+    Its question is asked when it is due.
     """
 
     command: Command
@@ -65,7 +65,7 @@ class Scheduled(msgspec.Struct, frozen=True, gc=False):
 Decide = Callable[[State, Any], tuple[Event, ...]]
 React = Callable[[State, Any, int], tuple[Scheduled, ...]]
 Actor = Callable[[State, Any], Robot | None]
-"""The robot that carries out a command, as things stand when it is due.
+"""The robot that carries out a command, determined when it is due.
 
 None is an actor that is never off: the world, a service, the coordinator, a human.
 """
@@ -106,13 +106,13 @@ class Handlers:
     def decide_on(
         self, find: Callable[[State, str], _Found | None], command: type[_OfAction], actor: Actor
     ) -> Callable[[Callable[[State, _OfAction, _Found], _Events]], Callable[[State, _OfAction], _Events]]:
-        """As `decide`, for what is decided about the request, action or failure that `find` finds: else nothing."""
+        """As `decide`, with the request, action or failure that `find` returns; without one, nothing is decided."""
 
         def register(function: Callable[[State, _OfAction, _Found], _Events]) -> Callable[[State, _OfAction], _Events]:
             @wraps(function)
             def decide(state: State, command: _OfAction) -> Any:
-                found = find(state, command.action_id)
-                return () if found is None else function(state, command, found)
+                item = find(state, command.action_id)
+                return () if item is None else function(state, command, item)
 
             return self.decide(command, actor)(decide)
 
@@ -165,7 +165,7 @@ def holds(key: str) -> Ask:
 
 
 class BeginStep(Command):
-    """Turn to the task's next step, or to the same one after the attempt `after` failed.
+    """Begin the task's next step, or the same one after attempt `after` failed.
 
     An empty `after`: no attempt of this step was made. `step` counts the steps done by then; None: any number.
     """
@@ -187,7 +187,7 @@ class ExpireTask(Command):
 
 
 def is_idle(state: State, command: Command) -> bool:
-    """Tell whether nothing will come of the command, however long it waits."""
+    """Return whether the command will have no effect, however long it waits."""
     return isinstance(command, ExpireTask) and command.task_id not in state.task
 
 
@@ -202,7 +202,7 @@ class TakeTurn(ActionCommand):
 class StartAction(ActionCommand):
     """Start the action at a robot that is where it must be; asks for the duration.
 
-    `was_held`: it was held or has to ask again; nothing if the robot has been sent to it anew since.
+    `was_held`: it was held or has to ask again; nothing if the robot has been sent to it again since.
     """
 
     was_held: bool = False
@@ -227,7 +227,7 @@ class PauseAction(ActionCommand):
 
 
 class ResumeAction(ActionCommand):
-    """Go on with the new plan, or after the failure."""
+    """Resume with the new plan, or after the failure."""
 
 
 class CloseExecution(ActionCommand):
@@ -250,7 +250,7 @@ class Respond(Command):
 class EndAttempt(ActionCommand):
     """End an attempt to recover; asks whether a degraded actuator holds (1) or not (0).
 
-    `succeeded` is the robot's own word; None: it is as the world has it.
+    `succeeded` is the robot's own report; None: the world decides.
     """
 
     number: int
@@ -304,24 +304,24 @@ def open_failure(state: State, action_id: str) -> Failure | None:
 
 
 def body(state: State, command: ActionCommand) -> Robot | None:
-    """Return the robot that has the action; nobody waits for one that has left the fleet."""
+    """Return the robot that has the action; None if it has left the fleet, as nothing waits for it then."""
     action = state.execution.actions.get(command.action_id)
     return None if action is None else present(state.fleet, action.robot)
 
 
 def requester(state: State, command: ActionCommand) -> Robot | None:
-    """Return the robot whose step it is; nobody waits for one that has left the fleet."""
+    """Return the robot whose step it is; None if it has left the fleet, as nothing waits for it then."""
     request = state.request.open.get(command.action_id)
     return None if request is None else present(state.fleet, request.requester)
 
 
 def present(fleet: Fleet, robot: Robot) -> Robot | None:
-    """Return the robot, None where it has left the fleet: a service then does its part."""
+    """Return the robot, or None if it has left the fleet: a service then does its part."""
     return None if robot in fleet.departed else robot
 
 
 def speaker(fleet: Fleet, robot: Robot) -> str:
-    """Return who speaks for the robot in its recovery: itself, or the recovery service once it has left the fleet."""
+    """Return the sender for the robot in its recovery: itself, or the recovery service once it has left the fleet."""
     return RECOVERY if robot in fleet.departed else robot
 
 

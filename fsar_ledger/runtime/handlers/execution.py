@@ -58,19 +58,19 @@ def start_action(
 def start_after_approach(state: State, event: ApproachStarted, _now_us: int) -> tuple[Scheduled, ...]:
     """Start the action when the robot has arrived.
 
-    A second approach for the same action is another way.
+    A second approach for the same action takes a way of its own.
     """
     action = state.execution.actions[event.subject.action_id]
     request = state.request.open.get(event.subject.action_id)
-    again = action.failures + action.preemptions + (request.round if request is not None else 0)
-    way = lasts("approach", f"{event.subject.action_id}/{again}" if again else event.subject.action_id)
-    return (start_action(event.subject.action_id, action.capability, 0, (way,)),)
+    repeats = action.failures + action.preemptions + (request.round if request is not None else 0)
+    travel = lasts("approach", f"{event.subject.action_id}/{repeats}" if repeats else event.subject.action_id)
+    return (start_action(event.subject.action_id, action.capability, 0, (travel,)),)
 
 
 def queued(
     request: Request, parties: Parties, robot: Robot, override: OverrideLevel = "none", *, is_supervised: bool = True
 ) -> ExecutionQueued:
-    """Return the fact that the step waits for its turn at the robot; a delegated step has an approach first."""
+    """Return the event that queues the step at the robot; a delegated step has an approach first."""
     return ExecutionQueued(
         subject=request.subject,
         principals=parties,
@@ -93,7 +93,7 @@ def waiting(execution: Execution, action_id: str) -> Action | None:
 
 
 def started(state: State, action: Action, command: StartAction) -> ExecutionStarted:
-    """Return the fact that the action runs from now to its planned end."""
+    """Return the event that the action runs from now to its planned end."""
     lasts_us = state.fleet.structure.injected_execution_us if is_injected(action) else command.answer
     return ExecutionStarted(
         subject=action.subject,
@@ -106,7 +106,7 @@ def started(state: State, action: Action, command: StartAction) -> ExecutionStar
 
 
 def start(state: State, command: StartAction) -> tuple[Event, ...]:
-    """Start the execution of what waits, whatever any policy says by now."""
+    """Start the waiting action, whatever any policy says by now."""
     action = waiting(state.execution, command.action_id)
     return () if action is None else (started(state, action, command),)
 
@@ -150,7 +150,7 @@ def pause_action(_state: State, command: PauseAction, action: Action) -> tuple[E
 def halt_action(state: State, command: HaltAction, action: Action) -> tuple[Event, ...]:
     """Halt the execution of a robot that is off.
 
-    A robot that was off for a moment and is back goes on.
+    A robot that was off for a moment and is back continues.
     """
     if action.stage != "running" or action.robot not in state.world.off:
         return ()
@@ -159,12 +159,12 @@ def halt_action(state: State, command: HaltAction, action: Action) -> tuple[Even
 
 @HANDLERS.decide_on(known_action, ResumeAction, body)
 def resume_action(state: State, command: ResumeAction, action: Action) -> tuple[Event, ...]:
-    """Resume the rest of the execution once no failure of it is open; without a rest it has finished."""
+    """Resume the rest of the execution once no failure of it is open; with no rest left it has finished."""
     return () if command.action_id in state.recovery else resumed(state, command, action)
 
 
 def resumed(state: State, command: ResumeAction, action: Action) -> tuple[Event, ...]:
-    """Return the facts of `resume_action`, whatever failure is open."""
+    """Return the events of `resume_action`, whatever failure is open."""
     if action.stage not in ("paused", "halted", "failed", "preempted"):
         return ()
     if action.stage == "preempted" and not (action.has_begun and holds_robot(state.execution, action)):
@@ -180,7 +180,7 @@ def _finished(state: State, action: Action) -> ExecutionFinished:
 
 
 def holds_robot(execution: Execution, action: Action) -> bool:
-    """Tell whether the robot serves this action and no other."""
+    """Return whether the robot serves this action and no other."""
     return execution.current.get(action.robot) == action.action_id
 
 
@@ -240,7 +240,7 @@ def pause_running(state: State, event: ContextChanged, _now_us: int) -> tuple[Sc
 
 
 def resume_when_replanned(state: State, event: ExecutionPaused, _now_us: int) -> tuple[Scheduled, ...]:
-    """Let a robot that plans alone go on when it has planned again."""
+    """Resume a robot that plans alone once it has replanned."""
     return (Scheduled(ResumeAction(event.subject.action_id), state.fleet.structure.replan_us),)
 
 

@@ -1,8 +1,8 @@
-"""Who belongs to the fleet, what robots possess, and in which state a robot is.
+"""Fleet membership, what robots possess, and the state a robot is in.
 
 Paper: eq:fleet, eq:runtime, eq:possess.
 
-The commands here are public; `issued_by` is who gave it, None when that is not stated.
+The commands here are public; `issued_by` is the issuer, None if not stated.
 """
 
 from fsar_ledger.events import Event
@@ -45,8 +45,8 @@ HANDLERS = Handlers()
 class JoinFleet(PublicCommand):
     """Register a robot in the domain's registry, under its own supervisor if it has one.
 
-    One that has departed returns by the same command, as the same robot: its name is its own. Who knows the robot
-    recognises it by `public_key`, which is compared and nothing more. Paper: sec:discussion:heterogeneity.
+    One that has departed returns by the same command, as the same robot: its name is its own. Others recognise the
+    robot by `public_key`, which is only compared. Paper: sec:discussion:heterogeneity.
     """
 
     robot: Robot
@@ -60,7 +60,7 @@ class JoinFleet(PublicCommand):
 
 
 class LeaveFleet(PublicCommand):
-    """Take the robot out of the fleet, by its own word (`issued_by` None) or that of who is in charge of it."""
+    """Remove the robot from the fleet, at its own request (`issued_by` None) or that of the supervisor in charge."""
 
     robot: Robot
     issued_by: Supervisor | None = None
@@ -121,31 +121,31 @@ def join_fleet(state: State, command: JoinFleet) -> tuple[Event, ...]:
 
 def _return(state: State, command: JoinFleet) -> tuple[Event, ...]:
     """Make the robot a member again, with its trust, if it is the one that departed."""
-    known, robot, by = state.fleet.robots[command.robot], command.robot, command.issued_by
-    wrong = None if by is None else not_in_charge(state.fleet, by, robot)
+    prior, robot, issuer = state.fleet.robots[command.robot], command.robot, command.issued_by
+    wrong = None if issuer is None else not_in_charge(state.fleet, issuer, robot)
     for name in ("role", "team", "supervisor", "domain", "place", "public_key"):
-        if wrong is None and getattr(command, name) != getattr(known, name):
+        if wrong is None and getattr(command, name) != getattr(prior, name):
             wrong = (
-                f"{name} {getattr(command, name)}, expected {getattr(known, name)}: {robot} has departed, and its name "
+                f"{name} {getattr(command, name)}, expected {getattr(prior, name)}: {robot} has departed, and its name "
                 "stays its own"
             )
-    return carried_out(command, robot, wrong, by, returned(state, robot, by or robot))
+    return carried_out(command, robot, wrong, issuer, returned(state, robot, issuer or robot))
 
 
 def returned(state: State, robot: Robot, decided_by: Principal | None) -> RobotReturned:
-    """Return the fact that the robot is a member again."""
+    """Return the event that the robot is a member again."""
     return RobotReturned(robot=robot, fence=state.fleet.fences.get(robot, 0), decided_by=decided_by)
 
 
 @HANDLERS.decide(LeaveFleet)
 def leave_fleet(state: State, command: LeaveFleet) -> tuple[Event, ...]:
-    """Take the robot out of the fleet, with all that ends with it."""
-    robot, by = command.robot, command.issued_by
+    """Remove the robot from the fleet, and end all that ends with it."""
+    robot, issuer = command.robot, command.issued_by
     wrong = absent_robot(state.fleet, robot)
-    if wrong is None and by is not None:
-        wrong = not_in_charge(state.fleet, by, robot)
-    left = () if wrong is not None else departure(state, robot, "announced", by or robot, command.now_us)
-    return carried_out(command, robot, wrong, by, *left)
+    if wrong is None and issuer is not None:
+        wrong = not_in_charge(state.fleet, issuer, robot)
+    events = () if wrong is not None else departure(state, robot, "announced", issuer or robot, command.now_us)
+    return carried_out(command, robot, wrong, issuer, *events)
 
 
 # See docs/decisions/departures-are-fenced.md.
@@ -153,19 +153,19 @@ def departure(state: State, robot: Robot, reason: Departure, decided_by: Princip
     """Return the departure and what ends with it: nothing stays open that only this robot could end.
 
     The registry lists it as offline; its claims are released; requests in flight to and from it end as
-    failure(departed); what it has begun has failed, and goes through recovery without it; a task that waits for it to
-    act is given up. What others have begun for it ends as it would have. Paper: sec:discussion:heterogeneity.
+    failure(departed); its begun actions fail, and go through recovery without it; a task that waits for it to act is
+    given up. What others have begun for it ends as usual. Paper: sec:discussion:heterogeneity.
     """
     actions = [action for action in state.execution.actions.values() if action.stage != "withdrawn"]
     by_turn = sorted(actions, key=lambda action: holds_robot(state.execution, action))  # the next has no turn meanwhile
     waiting = [action for action in by_turn if has_not_begun(action) and robot in (action.robot, action.on_behalf_of)]
     begun = [action for action in by_turn if action.robot == robot and not has_not_begun(action)]
     ended = {action.action_id for action in (*waiting, *begun)}
-    claims = [claim for held in state.authority.claims.values() for claim in held]
+    claims = [claim for action_claims in state.authority.claims.values() for claim in action_claims]
     return (
         RobotDeparted(robot=robot, reason=reason, fence=state.fleet.fences.get(robot, 0) + 1, decided_by=decided_by),
         *_offline(state, robot),
-        *released(one for one in claims if one.claimant == robot or one.subject.action_id in ended),
+        *released(claim for claim in claims if claim.claimant == robot or claim.subject.action_id in ended),
         *_help_ends(state, robot),
         *(event for action in begun for event in _cut_off(state, action, now_us)),
         *(ExecutionWithdrawn(action.subject, action.robot) for action in waiting),
@@ -184,35 +184,35 @@ def departure(state: State, robot: Robot, reason: Departure, decided_by: Princip
 
 def _offline(state: State, robot: Robot) -> tuple[AvailabilityChanged, ...]:
     """List what the robot advertises as offline, if there is a registry."""
-    shown = tuple(surface(state.registry, robot))
-    if "shared-registry" in state.fleet.without or all(record.availability == "offline" for record in shown):
+    records = tuple(surface(state.registry, robot))
+    if "shared-registry" in state.fleet.without or all(record.availability == "offline" for record in records):
         return ()
     if robot not in state.registry.silent:
         return (AvailabilityChanged(robot=robot, capability=None, availability="offline", reason=DEPARTED),)
     return tuple(
         AvailabilityChanged(robot=robot, capability=record.capability, availability="offline", reason=DEPARTED)
-        for record in shown
+        for record in records
         if record.availability != "offline"
     )
 
 
 def _help_ends(state: State, robot: Robot) -> tuple[Event, ...]:
     """End the help that the robot gives, and the help that it is given."""
-    held = state.execution.current.get(robot, "")
-    helping = [(held.removeprefix(HELPING), robot)] if held.startswith(HELPING) else []
+    current = state.execution.current.get(robot, "")
+    helping = [(current.removeprefix(HELPING), robot)] if current.startswith(HELPING) else []
     helping += [
         (action_id, recovery.tried[-1])
         for action_id, recovery in state.recovery.items()
         if recovery.robot == robot and recovery.tried and recovery.tried[-1] != robot
     ]
-    found = ((who, helped(state, action_id, who)) for action_id, who in helping)
-    return tuple(help_failed(*failure, who, DEPARTED) for who, failure in found if failure is not None)
+    failures = ((helper, helped(state, action_id, helper)) for action_id, helper in helping)
+    return tuple(help_failed(*failure, helper, DEPARTED) for helper, failure in failures if failure is not None)
 
 
 def _cut_off(state: State, action: Action, now_us: int) -> tuple[Event, ...]:
-    """Take from the robot what it has begun, which has failed: its recovery goes on without it.
+    """Withdraw the begun action from the robot, as failed: its recovery continues without the robot.
 
-    What had failed before goes on from the level that it is at; the robot's own level is over.
+    An earlier failure continues from its current level; the robot's own level is over.
     """
     withdrawn, recovery = ExecutionWithdrawn(action.subject, action.robot), state.recovery.get(action.action_id)
     if recovery is not None:
@@ -231,7 +231,7 @@ def _cut_off(state: State, action: Action, now_us: int) -> tuple[Event, ...]:
 
 
 def _is_in_flight(state: State, request: Request, robot: Robot) -> bool:
-    """Tell whether the request waits for an answer, a turn or a result that the robot gives or is given."""
+    """Return whether the request waits for an answer, a turn or a result that the robot gives or receives."""
     if request.is_over or request.is_unanswered or request.result is not None or not request.candidates:
         return False
     involved = (request.requester, request.candidates[0], None if request.is_relayed else request.relay)
@@ -243,39 +243,43 @@ def _is_in_flight(state: State, request: Request, robot: Robot) -> bool:
 
 def closed_as_departed(state: State, request: Request) -> RequestClosed:
     """Return the end of the request: failure(departed). Paper: sec:discussion:heterogeneity."""
-    asked = request.target or request.candidates[0] if request.candidates else request.requester
-    named = recorded_by(state, request.requester, requested_by=request.requester, executed_by=asked)
-    return RequestClosed(request.request_subject, named.decided(COORDINATION), "failure", DEPARTED)
+    executor = request.target or request.candidates[0] if request.candidates else request.requester
+    recorded = recorded_by(state, request.requester, requested_by=request.requester, executed_by=executor)
+    return RequestClosed(request.request_subject, recorded.decided(COORDINATION), "failure", DEPARTED)
 
 
 def _waits_for(task: Task, robot: Robot) -> bool:
-    """Tell whether the robot acts in the step that the task is at."""
+    """Return whether the robot acts in the task's current step."""
     return task.step < len(task.steps) and acting(task, task.step) == robot
 
 
 def _may_supervise(command: JoinFleet) -> bool:
-    """Return whether the robot can be under this supervisor: its own, or a person who takes it, with others perhaps."""
-    named = command.supervisor
-    if named in (None, local_supervisor(command.robot)):
+    """Return whether the robot can be under this supervisor: its own, or a person, perhaps beside other robots."""
+    supervisor = command.supervisor
+    if supervisor in (None, local_supervisor(command.robot)):
         return True
-    is_person = f"{named}".startswith("supervisor/") and named != FLEET_SUPERVISOR and f"{named}" != "supervisor/"
-    return is_person and command.issued_by in (named, FLEET_SUPERVISOR)
+    is_person = (
+        f"{supervisor}".startswith("supervisor/")
+        and supervisor != FLEET_SUPERVISOR
+        and f"{supervisor}" != "supervisor/"
+    )
+    return is_person and command.issued_by in (supervisor, FLEET_SUPERVISOR)
 
 
 def _stranger(fleet: Fleet, command: JoinFleet) -> str | None:
-    """Return why who issues this is nobody whom the fleet knows, or None; the robot's supervisor becomes known."""
+    """Return why the issuer is unknown to the fleet, or None; the robot's supervisor becomes known."""
     return None if command.issued_by in (None, command.supervisor) else unknown_supervisor(fleet, command.issued_by)
 
 
 def _is_robots_name(name: str) -> bool:
-    """Tell whether the name is `robot/` and one word."""
+    """Return whether the name is `robot/` and one word."""
     word = name.removeprefix("robot/")
     return word != name and "/" not in word and word.split() == [word]
 
 
 @HANDLERS.decide(InstallCapability)
 def install_capability(state: State, command: InstallCapability) -> tuple[Event, ...]:
-    """Install the capability, advertised to nobody. Paper: sec:model:capability."""
+    """Install the capability, not yet advertised. Paper: sec:model:capability."""
     robot, capability = command.robot, command.capability
     wrong = absent_robot(state.fleet, robot)
     if wrong is None and possesses(state.registry, robot, capability):

@@ -1,4 +1,4 @@
-"""A robot without the federation: what it goes on with alone, and what of it counts once the federation is back.
+"""A robot without the federation: what it continues alone, and which results count once the federation is back.
 
 Paper: sec:architecture:overview, sec:architecture:invariants (A1).
 """
@@ -55,7 +55,7 @@ from .supervision import supervisor_for
 from .task import has_not_begun, is_own_step
 
 ALONE = "isolated"
-"""Why recovery passes the levels of those who cannot be reached."""
+"""The reason why recovery passes the levels that cannot be reached."""
 RESTATED = (
     RobotJoined,
     CapabilityInstalled,
@@ -80,7 +80,7 @@ RESTATED = (
     SupervisionDensitySet,
     RecoveryBudgetSet,
 )
-"""The types of what makes a robot what it is. Those that name a robot or a supervisor are its own, or hold for all."""
+"""The types of the events that define a robot. Those that name a robot or a supervisor are its own, or hold for all."""
 
 HANDLERS = Handlers()
 
@@ -103,13 +103,13 @@ class HandOver(RobotReport):
 
 
 def restated(events: Sequence[Event], state: State, robot: Robot) -> tuple[Event, ...]:
-    """Return what of these events founds the run of the robot alone; `state` is what they lead to.
+    """Return the events that found the run of the robot alone; `state` is what all of them lead to.
 
-    That is what makes the robot what it is, and its tasks that wait for a step of its own, with the steps done.
+    These define the robot, and its tasks that wait for a step of its own, with the steps done.
     """
-    own = state.fleet.robots[robot].supervisor
+    own_supervisor = state.fleet.robots[robot].supervisor
     tasks = {task.task_id for task in state.task.values() if is_own_step(task, task.step, robot)}
-    return tuple(event for event in events if _is_restated(event, robot, own, tasks))
+    return tuple(event for event in events if _is_restated(event, robot, own_supervisor, tasks))
 
 
 def _is_restated(event: Event, robot: Robot, supervisor: str | None, tasks: set[str]) -> bool:
@@ -126,14 +126,14 @@ def _is_restated(event: Event, robot: Robot, supervisor: str | None, tasks: set[
 
 
 def founded_alone(events: Sequence[Event]) -> tuple[Event, ...]:
-    """Return the founding after event 0 of a run of a robot alone; empty: it is none."""
+    """Return the founding after event 0 of a run of a robot alone; empty for any other run."""
     end = next((seq for seq, event in enumerate(events) if isinstance(event, IsolationBegan)), 1)
     return tuple(events[1:end])
 
 
 @HANDLERS.react(IsolationBegan)
 def _on_isolation(state: State, _event: IsolationBegan, now_us: int) -> tuple[Scheduled, ...]:
-    """Schedule the step at which each of the robot's tasks is, and when it is given up."""
+    """Schedule the current step of each of the robot's tasks, and when the task is given up."""
     tasks = state.task.values()
     begun = [Scheduled(BeginStep(task.task_id)) for task in tasks]
     ends = [max(1, given_up_us(task, state.fleet) - now_us) + 1 for task in tasks]
@@ -141,19 +141,19 @@ def _on_isolation(state: State, _event: IsolationBegan, now_us: int) -> tuple[Sc
 
 
 def outward_alone(state: State, action: Action, recovery: Recovery) -> tuple[Event, ...]:
-    """Let the robot alone pass the levels of those who cannot be reached, from peers on, and call its supervisor."""
-    moved = escalated(action, recovery, parties(state, action).decided(action.robot), "fleet", ALONE)
+    """Escalate past the levels that the robot alone cannot reach, from peers on, and call its supervisor."""
+    escalation = escalated(action, recovery, parties(state, action).decided(action.robot), "fleet", ALONE)
     supervisor = supervisor_for(state, action.robot, is_cross_robot=False)
     return (
-        moved,
-        replace(moved, level="fleet", to_level="human"),
+        escalation,
+        replace(escalation, level="fleet", to_level="human"),
         SupervisorCalled(subject=action.subject, supervisor=supervisor, purpose="recovery"),
     )
 
 
 @HANDLERS.decide(HandOver)
 def hand_over(state: State, command: HandOver) -> tuple[Event, ...]:
-    """Accept each result for which the fleet still waits, or say what has overtaken it. Nobody else hands it over."""
+    """Accept each result the fleet still waits for, or record what has overtaken it. Only the robot hands it over."""
     refused = outdated(state.fleet, command.robot, command.fence)
     if refused is None and state.fleet.isolated is not None:
         refused = f"{command.robot} is alone, expected the fleet's run"
@@ -161,7 +161,7 @@ def hand_over(state: State, command: HandOver) -> tuple[Event, ...]:
         refused = "the run has no name, expected that of the robot's own"
     if refused is None and state.fleet.handed_over.get(command.robot) == command.isolated_run:
         refused = f"{command.isolated_run} was handed over before, expected a run that was not"
-    unread = next((one for one in command.results if _read(one) is None), None)
+    unread = next((result for result in command.results if _read(result) is None), None)
     if refused is None and unread is not None:
         refused = f"result {unread!r}, expected a step and success or failure, as t1/2 success"
     ended = IsolationEnded(
@@ -175,15 +175,15 @@ def hand_over(state: State, command: HandOver) -> tuple[Event, ...]:
 
 
 def _read(result: str) -> tuple[str, int, IsolatedResult] | None:
-    """Return the task, the step counted from 1 and the result, or None for what is none."""
-    step, _, said = result.partition(" ")
+    """Return the task, the step counted from 1 and the result, or None if it cannot be read."""
+    step, _, word = result.partition(" ")
     task_id, _, number = step.partition("/")
-    found = next((one for one in get_args(IsolatedResult) if one == said), None)
-    return (task_id, int(number), found) if found and task_id and number.isdecimal() else None
+    outcome = next((kind for kind in get_args(IsolatedResult) if kind == word), None)
+    return (task_id, int(number), outcome) if outcome and task_id and number.isdecimal() else None
 
 
 def _judged(state: State, command: HandOver) -> Iterator[Event]:
-    """Yield what becomes of each result, in their order; those of one task rest on each other."""
+    """Yield the outcome of each result, in their order; results of one task depend on each other."""
     done: dict[str, int] = {}
     for task_id, number, result in filter(None, map(_read, command.results)):
         task, step = state.task.get(task_id), done.get(task_id, 0)
@@ -226,7 +226,7 @@ def _over(state: State, task_id: str) -> str:
 
 
 def _completed(state: State, subject: Subject[str, str], action: Action | None) -> Iterator[Event]:
-    """Yield the end of the step, and of what the fleet knew the robot to have in hand of it."""
+    """Yield the end of the step, and of the robot's action on it that the fleet knew of."""
     if action is not None:
         yield from release(state.authority, action.action_id)
         if has_not_begun(action):

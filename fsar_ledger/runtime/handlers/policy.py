@@ -72,22 +72,24 @@ def compose(
     Without policy composition, the executor's own alone counts: the ablation removes composition between robots, so a
     robot's own steps and routine keep the fleet's rule. Paper: eq:policy.
     """
-    own = own_policy(state.policy, state.world, executor, capability, context)
+    local = own_policy(state.policy, state.world, executor, capability, context)
     # See docs/decisions/own-steps-keep-the-fleet-rule.md.
     if "policy-composition" in state.fleet.without:
-        return own
-    return stricter(carried, stricter(own, fleet_policy(state.knowledge, state.policy, executor, capability, context)))
+        return local
+    return stricter(
+        carried, stricter(local, fleet_policy(state.knowledge, state.policy, executor, capability, context))
+    )
 
 
 def is_ruled_out(state: State, carried: PolicyOutcome, executor: Robot, capability: str, context: str | None) -> bool:
-    """Tell whether a rule, of the executor or the fleet, or the requester's policy denies.
+    """Return whether a rule, of the executor or the fleet, or the requester's policy denies.
 
     An open window of the executor's own is no rule.
     """
-    own = ruled(state.policy, "local", executor, capability, context)
+    local = ruled(state.policy, "local", executor, capability, context)
     if "policy-composition" in state.fleet.without:
-        return own == "deny"
-    return "deny" in (own, carried, fleet_policy(state.knowledge, state.policy, executor, capability, context))
+        return local == "deny"
+    return "deny" in (local, carried, fleet_policy(state.knowledge, state.policy, executor, capability, context))
 
 
 def conflict(
@@ -100,9 +102,9 @@ def conflict(
     is_uncomposed = "policy-composition" in state.fleet.without and requester != executor
     if is_uncomposed or ruled(state.policy, "fleet", executor, capability, task_id) is None:
         return ()
-    own = own_policy(state.policy, state.world, executor, capability, task_id)
+    local = own_policy(state.policy, state.world, executor, capability, task_id)
     fleet = fleet_policy(state.knowledge, state.policy, executor, capability, task_id)
-    if (own, fleet) != ("deny", "allow"):
+    if (local, fleet) != ("deny", "allow"):
         return ()
     supervisor = supervisor_for(state, executor, is_cross_robot=requester != executor)
     return (
@@ -110,7 +112,7 @@ def conflict(
             Subject(task_id, action_id),
             Parties(requested_by=requester, executed_by=executor, supervised_by=supervisor).decided(POLICY),
             capability,
-            own,
+            local,
             fleet,
         ),
     )
@@ -120,8 +122,8 @@ def conflict(
 def set_policy_rule(state: State, command: SetPolicyRule) -> tuple[Event, ...]:
     """Set the rule: a robot's own by its own supervisor alone, the fleet's by H_F alone. Paper: app:foundations."""
     refused = unknown_robot(state.fleet, command.robot) or unknown_about(state, command) or _unfit(state.fleet, command)
-    made = made_from(PolicyRuleSet, command, decided_by=command.issued_by)
-    return carried_out(command, command.robot or "fleet", refused, command.issued_by, made)
+    event = made_from(PolicyRuleSet, command, decided_by=command.issued_by)
+    return carried_out(command, command.robot or "fleet", refused, command.issued_by, event)
 
 
 @HANDLERS.decide(SetRolePolicyRule)
@@ -132,8 +134,8 @@ def set_role_policy_rule(state: State, command: SetRolePolicyRule) -> tuple[Even
     """
     refused = not_for_roles(state, command.issued_by, command.domain, command.role) or unknown_about(state, command)
     refused = refused or unknown_word("outcome", command.outcome, get_args(PolicyOutcome))
-    made = made_from(RolePolicyRuleSet, command, scope="fleet", decided_by=command.issued_by)
-    return carried_out(command, command.role, refused, command.issued_by, made)
+    event = made_from(RolePolicyRuleSet, command, scope="fleet", decided_by=command.issued_by)
+    return carried_out(command, command.role, refused, command.issued_by, event)
 
 
 def _unfit(fleet: Fleet, command: SetPolicyRule) -> str | None:
@@ -145,10 +147,10 @@ def _unfit(fleet: Fleet, command: SetPolicyRule) -> str | None:
     if command.robot is None:
         return "a local rule of no robot, expected a robot; what holds for every robot is the fleet's"
     refused = not_in_charge(fleet, command.issued_by, command.robot)
-    own = fleet.robots[command.robot].supervisor
-    if refused is None and own is not None and own != command.issued_by:
+    supervisor = fleet.robots[command.robot].supervisor
+    if refused is None and supervisor is not None and supervisor != command.issued_by:
         return (
             f"{command.issued_by} does not set {command.robot}'s own policy, "
-            f"expected {own}; a fleet rule composes with it"
+            f"expected {supervisor}; a fleet rule composes with it"
         )
     return refused

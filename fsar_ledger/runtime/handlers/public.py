@@ -27,12 +27,12 @@ HANDLERS = Handlers()
 class PublicCommand(Command, kw_only=True, gc=False):
     """A request from outside, by a robot, an operator or a supervisor.
 
-    A command that cannot be carried out is rejected as an event, and changes nothing.
+    A command that cannot be carried out is recorded as rejected, and changes nothing.
     """
 
 
 class RejectWord(Command):
-    """Reject what a principal said in the name of another. Paper: sec:model:invariants."""
+    """Reject a command that a principal gave in another's name. Paper: sec:model:invariants."""
 
     name: str
     reason: str
@@ -40,50 +40,52 @@ class RejectWord(Command):
 
 
 class Work(PublicCommand, gc=False):
-    """Work for a robot, which others than the robot may bring."""
+    """Work for a robot, which others may submit too."""
 
     robot: Robot
 
 
 class RobotReport(PublicCommand, kw_only=True, gc=False):
-    """What a robot says of itself; one that has returned to the fleet says it under its `fence`."""
+    """A robot's report of itself; one that has returned to the fleet reports under its `fence`."""
 
     fence: int | None = None
 
 
 def made_from(kind: type[_Made], *sources: object, **others: object) -> _Made:
-    """Return the event that has these fields, and all others, by their names, from the last source that has them."""
-    shared = {name: getattr(one, name) for one in sources for name in kind.__struct_fields__ if hasattr(one, name)}
+    """Return the event with these fields; each other field comes, by its name, from the last source that has it."""
+    shared = {
+        name: getattr(source, name) for source in sources for name in kind.__struct_fields__ if hasattr(source, name)
+    }
     return kind(**{**shared, **others})
 
 
 def carried_out(
     command: Command, subject: str, refused: str | None, issued_by: Principal | None, *events: Event
 ) -> tuple[Event, ...]:
-    """Return the events of the command, or where something is refused its rejection alone."""
+    """Return the events of the command, or if it is refused its rejection alone."""
     return events if refused is None else rejected(command, subject, refused, issued_by)
 
 
 # See docs/decisions/rejected-commands-are-events.md.
 def rejected(command: Command, subject: str, reason: str, issued_by: Principal | None = None) -> tuple[CommandRejected]:
-    """Return the one event of a command that named something unknown, over or impossible."""
+    """Return the rejection of a command that names something unknown, over or impossible."""
     return (CommandRejected(command=type(command).__name__, subject=subject, reason=reason, issued_by=issued_by),)
 
 
-# In whose name a command is: of the first of these fields that it has.
+# A command is in the name of the first of these fields that it has.
 _SPEAKERS = ("issued_by", "robot", "supervisor", "requester", "executor", "claimant", "holder", "cache_holder")
 SERVICE = "service/"
-"""How the names of principals begin that bring work to robots, and say nothing for them."""
+"""The prefix of principals that submit work to robots but do not report for them."""
 
 
 def speaker(command: PublicCommand) -> Principal | None:
-    """Return in whose name the command is; None: in nobody's, such as a look into the registry."""
+    """Return the principal in whose name the command is; None if there is none, as for a look into the registry."""
     names = (getattr(command, name, None) for name in _SPEAKERS)
     return next((supervisor_named(name) for name in names if name is not None), None)
 
 
 def not_its_word(fleet: Fleet, given_by: str, command: PublicCommand) -> str | None:
-    """Return why this principal may not give the command, or None: nobody speaks for another.
+    """Return why this principal may not give the command, or None: none speaks for another.
 
     Work may also come from a service, or from a supervisor of the robot. Paper: sec:model:invariants.
     """
@@ -103,7 +105,7 @@ def not_its_word(fleet: Fleet, given_by: str, command: PublicCommand) -> str | N
 
 
 def unknown_robot(fleet: Fleet, *robots: str | None) -> str | None:
-    """Return why to reject a command that names a robot outside the fleet, or None (None names nobody)."""
+    """Return why to reject a command that names a robot outside the fleet, or None (None names no robot)."""
     for robot in robots:
         if robot is not None and robot not in fleet.robots:
             return f"unknown robot {robot}, expected a member of the fleet"
@@ -111,16 +113,18 @@ def unknown_robot(fleet: Fleet, *robots: str | None) -> str | None:
 
 
 def absent_robot(fleet: Fleet, *robots: str | None) -> str | None:
-    """Return why to reject a command for which these robots must be there, or None (None names nobody)."""
+    """Return why to reject a command that needs these robots in the fleet, or None (None names no robot)."""
     refused = unknown_robot(fleet, *robots)
-    gone = next((f"{robot} has departed ({how})" for robot, how in fleet.departed.items() if robot in robots), None)
+    gone = next(
+        (f"{robot} has departed ({reason})" for robot, reason in fleet.departed.items() if robot in robots), None
+    )
     return refused if refused is not None or gone is None else f"{gone}, expected that it returns by JoinFleet first"
 
 
 def outdated(fleet: Fleet, robot: Robot, fence: int | None) -> str | None:
-    """Return why to reject what the robot says under this fencing number, or None.
+    """Return why to reject a report of the robot under this fencing number, or None.
 
-    What it said before it was declared departed is no answer to what it was asked since it returned.
+    A report from before it was declared departed does not answer what it was asked since it returned.
     """
     now = fleet.fences.get(robot)
     if (refused := absent_robot(fleet, robot)) is not None or fence == now:
@@ -145,8 +149,8 @@ def not_in_charge(
 ) -> str | None:
     """Return why this supervisor may not give a command about this robot, or None.
 
-    A robot of None: the command is about nobody in particular. H_F may speak for every robot; H_i for its own alone,
-    and not where the matter is the fleet's. Paper: sec:model:supervision.
+    A robot of None: the command is about no robot in particular. H_F may speak for every robot; H_i for its own alone,
+    and not in matters of the fleet. Paper: sec:model:supervision.
     """
     if (unknown := unknown_supervisor(fleet, supervisor)) is not None:
         return unknown
@@ -203,7 +207,7 @@ def not_for_roles(state: State, supervisor: Supervisor, domain: str, *roles: str
 
 @HANDLERS.react(CommandGiven)
 def _on_command(state: State, event: CommandGiven, _now_us: int) -> tuple[Scheduled, ...]:
-    """Decide the command in the next microsecond; nothing where the record holds none that can be read."""
+    """Decide the command in the next microsecond; nothing if the record holds no readable command."""
     kind = commands().get(event.command)
     if kind is None:
         return ()
@@ -218,7 +222,7 @@ def _on_command(state: State, event: CommandGiven, _now_us: int) -> tuple[Schedu
 
 @HANDLERS.decide(RejectWord, nobody)
 def reject_word(_state: State, command: RejectWord) -> tuple[Event, ...]:
-    """Record that the word of another was not taken."""
+    """Record that a command in another's name was rejected."""
     return (
         CommandRejected(
             command=command.name, subject=command.given_by, reason=command.reason, issued_by=command.given_by
@@ -229,7 +233,7 @@ def reject_word(_state: State, command: RejectWord) -> tuple[Event, ...]:
 def given(command: PublicCommand, issued_by: str, **about: object) -> CommandGiven:
     """Return the record of a command that was given; `about` are its other columns."""
     fields = {name: getattr(command, name) for name in own_fields(type(command))}
-    fields = {name: one for name, one in fields.items() if one is not None or name not in _ADDED}
+    fields = {name: value for name, value in fields.items() if value is not None or name not in _ADDED}
     parameters = msgspec.json.encode(fields).decode()
     return msgspec.convert(
         {
@@ -246,35 +250,35 @@ def given(command: PublicCommand, issued_by: str, **about: object) -> CommandGiv
 def texts_of(parameters: str) -> Iterator[str]:
     """Yield the texts in the fields of a command on record, also those within lists and within other fields."""
     fields: list[object] = [msgspec.json.decode(parameters)]
-    for one in fields:
-        if isinstance(one, str):
-            yield one
-        elif isinstance(one, list | dict):
-            fields += one.values() if isinstance(one, dict) else one
+    for value in fields:
+        if isinstance(value, str):
+            yield value
+        elif isinstance(value, list | dict):
+            fields += value.values() if isinstance(value, dict) else value
 
 
 _ADDED = ("fence", "public_key")
-"""Fields that are left out where they say nothing, as in records from before they were there."""
+"""Fields that are omitted when None, as in records older than these fields."""
 
 
 def own_fields(kind: type[PublicCommand]) -> list[str]:
-    """Return what a command of this kind says, without what the run stamps."""
+    """Return the fields of a command of this kind, without those that the run stamps."""
     return [name for name in kind.__struct_fields__ if name not in Command.__struct_fields__]
 
 
 def read(kind: type[PublicCommand], parameters: str) -> PublicCommand:
     """Return the command with these fields, as JSON. Raises: msgspec.ValidationError for what it cannot have."""
-    found = msgspec.json.decode(parameters, type=dict[str, object])
-    known = own_fields(kind)
-    if unknown := sorted(found.keys() - set(known)):
-        raise msgspec.ValidationError(f"found {unknown[0]!s:.80}, expected some of {', '.join(known)}")
-    return msgspec.convert(found, kind)
+    fields = msgspec.json.decode(parameters, type=dict[str, object])
+    allowed = own_fields(kind)
+    if unknown := sorted(fields.keys() - set(allowed)):
+        raise msgspec.ValidationError(f"found {unknown[0]!s:.80}, expected some of {', '.join(allowed)}")
+    return msgspec.convert(fields, kind)
 
 
 def with_nulls(kind: type[PublicCommand], fields: Mapping[str, object]) -> dict[str, object]:
-    """Return the fields of a command in a file, which has no null: what is left out and may be null is."""
-    may_be = (one.name for one in msgspec.structs.fields(kind) if one.required and type(None) in get_args(one.type))
-    return dict.fromkeys(may_be) | dict(fields)
+    """Return the fields of a command in a file, which has no null: omitted fields that may be null are null."""
+    nulls = (item.name for item in msgspec.structs.fields(kind) if item.required and type(None) in get_args(item.type))
+    return dict.fromkeys(nulls) | dict(fields)
 
 
 def given_in_file(command: str, by: str, parameters: str) -> CommandGiven:
@@ -289,4 +293,4 @@ def commands() -> dict[str, type[PublicCommand]]:
     """Return the commands that can be given, by name: all that FSAR decides."""
     from fsar_ledger.runtime.architectures.fsar import FSAR
 
-    return {one.__name__: one for one in FSAR.decides if issubclass(one, PublicCommand)}
+    return {command.__name__: command for command in FSAR.decides if issubclass(command, PublicCommand)}

@@ -44,7 +44,7 @@ class SetRecoveryBudget(PublicCommand):
 
 
 class ReportFailure(RobotReport):
-    """Report that what the executor executes has failed."""
+    """Report that the executor's action has failed."""
 
     robot: Robot
     action_id: str
@@ -56,9 +56,9 @@ def budget(budgets: Budgets, fleet: Fleet, robot: Robot, level: RecoveryLevel) -
 
     Paper: eq:recovery, app:foundations.
     """
-    own = budgets.get((robot, level))
-    if own is not None:
-        return own
+    robot_budget = budgets.get((robot, level))
+    if robot_budget is not None:
+        return robot_budget
     structure = fleet.structure
     match level:
         case "local":
@@ -73,7 +73,7 @@ def budget(budgets: Budgets, fleet: Fleet, robot: Robot, level: RecoveryLevel) -
 
 @HANDLERS.decide(SetRecoveryBudget)
 def set_recovery_budget(state: State, command: SetRecoveryBudget) -> tuple[Event, ...]:
-    """Set the level's budget, by word of the robot's own supervisor or of H_F. Paper: app:foundations."""
+    """Set the level's budget, on the authority of the robot's own supervisor or of H_F. Paper: app:foundations."""
     refused = (
         unknown_robot(state.fleet, command.robot)
         or not_in_charge(state.fleet, command.issued_by, command.robot)
@@ -88,7 +88,7 @@ def set_recovery_budget(state: State, command: SetRecoveryBudget) -> tuple[Event
 def _impossible(command: SetRecoveryBudget) -> str | None:
     if command.level not in LEVELS:
         return f"level {command.level}, expected one of {', '.join(LEVELS)}"
-    least = 1 if command.level == "human" else 0  # a failure that nobody else resolved must reach somebody
+    least = 1 if command.level == "human" else 0  # a failure that nothing else resolved must reach a human
     if command.t_max_us < least or command.n_max < least:
         return (
             f"budget ({command.t_max_us} microseconds, {command.n_max}), "
@@ -98,7 +98,7 @@ def _impossible(command: SetRecoveryBudget) -> str | None:
 
 
 def failed(action: Action, cause: FailureCause, now_us: int) -> ExecutionFailed:
-    """Return the fact that the running action fails now, and how much of its execution was left."""
+    """Return the event that the running action fails now, with how much of its execution was left."""
     return ExecutionFailed(
         subject=action.subject,
         robot=action.robot,
@@ -128,7 +128,7 @@ def report_failure(state: State, command: ReportFailure) -> tuple[Event, ...]:
 
 
 def actuator_holds(world: World, robot: Robot, answer: int) -> bool:
-    """Tell whether the robot's actuator holds this time.
+    """Return whether the robot's actuator holds this time.
 
     A sound one always holds, an unreliable one as its body answers, a slipping or lost one never.
     """
@@ -137,7 +137,7 @@ def actuator_holds(world: World, robot: Robot, answer: int) -> bool:
 
 
 def attempt_succeeds(world: World, recovery: Recovery, command: EndAttempt) -> bool:
-    """Tell whether the way is clear, or the degraded actuator held this time."""
+    """Return whether the way is clear, or the degraded actuator held this time."""
     if command.succeeded is not None:
         return command.succeeded
     if recovery.cause == "obstruction":
@@ -146,7 +146,7 @@ def attempt_succeeds(world: World, recovery: Recovery, command: EndAttempt) -> b
 
 
 def attempted(action: Action, recovery: Recovery, principals: Principals, deadline_us: int) -> RecoveryAttempted:
-    """Return the fact that the robot's next own attempt begins. Units: `deadline_us` run time."""
+    """Return the event that the robot's next own attempt begins. Units: `deadline_us` run time."""
     return RecoveryAttempted(
         subject=action.subject,
         principals=principals,
@@ -162,7 +162,7 @@ def attempted(action: Action, recovery: Recovery, principals: Principals, deadli
 def escalated(
     action: Action, recovery: Recovery, principals: Principals, to_level: RecoveryLevel, reason: str | None = None
 ) -> RecoveryEscalated:
-    """Return the fact that recovery has moved on from the level that it is at."""
+    """Return the event that recovery has moved on from its current level."""
     return RecoveryEscalated(
         subject=action.subject,
         principals=principals,
@@ -176,7 +176,7 @@ def escalated(
 
 
 def attempt_failed(registry: Registry, world: World, action: Action, recovery: Recovery) -> RecoveryAttemptFailed:
-    """Return the fact that the attempt has failed, with its result and the postconditions that hold after it."""
+    """Return the event that the attempt has failed, with its result and the postconditions that hold after it."""
     result, achieved = _attempt_result(registry, world, action, recovery)
     return RecoveryAttemptFailed(
         subject=action.subject,

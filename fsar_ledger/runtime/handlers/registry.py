@@ -1,9 +1,9 @@
-"""The registry from outside of a request: what a robot shows of itself there, and what is asked of it or of its copies.
+"""The registry outside of requests: what a robot advertises there, and queries to it or to its copies.
 
-It is authoritative about discoverability, never about execution: the robot that is asked judges the request itself. A
-robot governs what it shows: it advertises, withdraws, reports, deprecates, rolls out. Every command here but
-`FinishRollOut` is public; `issued_by` is who gave it (a robot, a supervisor), None when that is not stated. Who is
-found is in `candidates`. Paper: sec:architecture:registry, sec:model:advertisement.
+It is authoritative about discoverability, never about execution: the requested robot judges the request itself. A robot
+governs what it shows: it advertises, withdraws, reports, deprecates, rolls out. Every command here but `FinishRollOut`
+is public; `issued_by` is the issuer (a robot, a supervisor), None if not stated. The search is in `candidates`.
+Paper: sec:architecture:registry, sec:model:advertisement.
 """
 
 from collections.abc import Iterable
@@ -92,15 +92,15 @@ class CacheRegistry(PublicCommand):
 
 @HANDLERS.decide(ConsultRegistry)
 def consult_registry(state: State, command: ConsultRegistry) -> tuple[Event, ...]:
-    """Answer from the registry; finding nobody is an answer too."""
+    """Answer from the registry; finding no robot is an answer too."""
     query = command.query
     wrong = absent_robot(state.fleet, query.requester, command.cache_holder) or _malformed(query)
     if wrong is None and command.cache_holder is not None and command.cache_holder not in state.registry.caches:
         wrong = f"{command.cache_holder} has no copy of the registry, expected one that was taken"
     if wrong is not None:
         return rejected(command, query.capability, wrong, query.requester)
-    found = candidates(state, query, command.cache_holder)
-    return (made_from(RegistryConsulted, query, found, requested_by=query.requester),)
+    answer = candidates(state, query, command.cache_holder)
+    return (made_from(RegistryConsulted, query, answer, requested_by=query.requester),)
 
 
 def _malformed(query: Query) -> str | None:
@@ -177,7 +177,7 @@ class DeprecateCapability(PublicCommand):
 
 
 class UpgradeCapability(PublicCommand):
-    """Roll a newer version out; parts of its contract that are None stay as they are."""
+    """Roll out a newer version; parts of its contract that are None stay as they are."""
 
     robot: Robot
     capability: str
@@ -189,7 +189,7 @@ class UpgradeCapability(PublicCommand):
 
 
 class FinishRollOut(RobotCommand):
-    """Show the installed version, as available as the old one was said to be."""
+    """Advertise the installed version, with the availability reported for the old one."""
 
     capability: str
     availability: Availability = "ready"
@@ -217,13 +217,13 @@ def withdraw_capability(state: State, command: WithdrawCapability) -> tuple[Even
     wrong = absent_robot(state.fleet, command.robot) or _not_advertised(
         state.registry, command.robot, command.capability
     )
-    made = CapabilityWithdrawn(command.robot, command.capability, command.reason)
-    return carried_out(command, command.capability, wrong, command.issued_by, made)
+    event = CapabilityWithdrawn(command.robot, command.capability, command.reason)
+    return carried_out(command, command.capability, wrong, command.issued_by, event)
 
 
 @HANDLERS.decide(ReportAvailability)
 def report_availability(state: State, command: ReportAvailability) -> tuple[Event, ...]:
-    """Tell the registry how available the robot says it is. Paper: sec:architecture:registry."""
+    """Record the availability that the robot reports. Paper: sec:architecture:registry."""
     robot, capability = command.robot, command.capability
     wrong = absent_robot(state.fleet, robot) or _unknown("availability", command.availability, get_args(Availability))
     if wrong is None and capability is not None:
@@ -232,10 +232,10 @@ def report_availability(state: State, command: ReportAvailability) -> tuple[Even
         wrong = f"{robot} advertises nothing, expected something whose availability can change"
     if wrong is None and command.reason == NO_ANSWER:
         wrong = f'"{NO_ANSWER}" is what others say of a silent robot, expected a reason of its own'
-    made = AvailabilityChanged(
+    event = AvailabilityChanged(
         robot=robot, capability=capability, availability=command.availability, reason=command.reason
     )
-    return carried_out(command, capability or robot, wrong, command.issued_by, made)
+    return carried_out(command, capability or robot, wrong, command.issued_by, event)
 
 
 @HANDLERS.decide(DeprecateCapability)
@@ -255,10 +255,10 @@ def deprecate_capability(state: State, command: DeprecateCapability) -> tuple[Ev
             wrong = f"version {command.version} is deprecated already"
         elif command.successor is not None:
             wrong = _not_newer(command.successor, command.version)
-    made = CapabilityDeprecated(
+    event = CapabilityDeprecated(
         robot=robot, capability=capability, version=command.version, successor=command.successor
     )
-    return carried_out(command, capability, wrong, command.issued_by, made)
+    return carried_out(command, capability, wrong, command.issued_by, event)
 
 
 @HANDLERS.decide(UpgradeCapability)
@@ -297,7 +297,7 @@ def upgrade_capability(state: State, command: UpgradeCapability) -> tuple[Event,
 def finish_roll_out(state: State, command: FinishRollOut) -> tuple[Event, ...]:
     """Advertise the new version on the terms of the old one, unless that was withdrawn or replaced.
 
-    The availability that the robot has reported meanwhile is kept. One that has left does not finish it.
+    The availability that the robot has reported meanwhile is kept. A robot that has left does not finish it.
     """
     record = _rolling_out(state.registry, command.robot, command.capability)
     if record is None or command.robot in state.fleet.departed:
@@ -315,30 +315,30 @@ def _rolling_out(registry: Registry, robot: Robot, capability: str) -> Advertise
 
 
 def _contract(command: AdvertiseCapability | UpgradeCapability, module: Module) -> Contract:
-    known = module.contract
+    installed = module.contract
     return Contract(
-        known.preconditions if command.preconditions is None else command.preconditions,
-        known.postconditions if command.postconditions is None else command.postconditions,
-        known.resources if command.resources is None else command.resources,
+        installed.preconditions if command.preconditions is None else command.preconditions,
+        installed.postconditions if command.postconditions is None else command.postconditions,
+        installed.resources if command.resources is None else command.resources,
     )
 
 
 def _unheard_of(command: AdvertiseCapability) -> str | None:
-    """Return why the model does not know a value of the advertisement, or None; constructors do not check."""
-    for name, value, known in (
+    """Return why a value of the advertisement is unknown to the model, or None; constructors do not check."""
+    for name, value, allowed in (
         ("trust scope", command.trust_required, get_args(TrustScope)),
         ("override level", command.override_allowed, get_args(OverrideLevel)),
         ("availability", command.availability, get_args(Availability)),
         ("visibility", command.visibility, get_args(Visibility)),
     ):
-        if (wrong := _unknown(name, value, known)) is not None:
+        if (wrong := _unknown(name, value, allowed)) is not None:
             return wrong
     names = (*command.policy_required, *command.embodiment, *command.visible_to)
     return None if all(names) else "an empty name, expected contexts, embodiments and roles with names"
 
 
-def _unknown(name: str, value: str, known: Iterable[str]) -> str | None:
-    return None if value in known else f"{name} {value!r} is unknown, expected one of {', '.join(known)}"
+def _unknown(name: str, value: str, allowed: Iterable[str]) -> str | None:
+    return None if value in allowed else f"{name} {value!r} is unknown, expected one of {', '.join(allowed)}"
 
 
 def _not_advertised(registry: Registry, robot: Robot, capability: str) -> str | None:
@@ -347,11 +347,11 @@ def _not_advertised(registry: Registry, robot: Robot, capability: str) -> str | 
     )
 
 
-def _not_newer(version: str, known: str) -> str | None:
-    found, before = version_of(version), version_of(known)
-    if found is None:
+def _not_newer(version: str, current: str) -> str | None:
+    new, old = version_of(version), version_of(current)
+    if new is None:
         return f"{version!r} is no version, expected one such as 1.2.0"
-    return f"version {version} is not newer than {known}" if before is not None and found <= before else None
+    return f"version {version} is not newer than {current}" if old is not None and new <= old else None
 
 
 @HANDLERS.react(CapabilityInstalled)

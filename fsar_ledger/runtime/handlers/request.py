@@ -1,6 +1,6 @@
 """Requests that a robot or its operator issues, answers to counter-offers, and reports of results.
 
-What is asked here goes the way of every request: the executor evaluates it under its own runtime. Paper:
+These requests go the way of every other: the executor evaluates them under its own runtime. Paper:
 sec:model:request.
 """
 
@@ -54,7 +54,7 @@ class RequestCapability(PublicCommand):
 
 
 class AnswerOffer(PublicCommand):
-    """Answer a counter-offer: take it, ask for this other override level, or (neither) let go."""
+    """Answer a counter-offer: accept it, ask for this other override level, or (neither) withdraw."""
 
     requester: Robot
     action_id: str
@@ -94,7 +94,7 @@ def request_capability(state: State, command: RequestCapability) -> tuple[Event,
 def _impossible(state: State, command: RequestCapability) -> str | None:
     """Return what is unknown, over or impossible about the request, or None.
 
-    Whether it is admissible is for the executor to say.
+    Whether it is admissible is for the executor to decide.
     """
     unknown = absent_robot(state.fleet, command.requester, command.executor)
     if unknown is not None:
@@ -112,8 +112,8 @@ def _impossible(state: State, command: RequestCapability) -> str | None:
     if ":" in command.action_id:
         return f"action name {command.action_id!r}, expected a name without a colon"
     task = command.action_id.rpartition("/")[0]
-    requests, taken = state.request, command.action_id
-    if taken in requests.open or taken in requests.past or task in state.task or task in state.context:
+    requests, action_id = state.request, command.action_id
+    if action_id in requests.open or action_id in requests.past or task in state.task or task in state.context:
         return f"the name {command.action_id} is taken, expected a new one"
     return _broken_chain(state.execution, state.request, command)
 
@@ -135,7 +135,7 @@ def _broken_chain(execution: Execution, requests: Requests, command: RequestCapa
 
 @HANDLERS.decide(AnswerOffer)
 def answer_offer(state: State, command: AnswerOffer) -> tuple[Event, ...]:
-    """Take the offer, ask for other terms, or let go. Paper: sec:model:request (negotiate)."""
+    """Accept the offer, ask for other terms, or withdraw. Paper: sec:model:request (negotiate)."""
     request = state.request.open.get(command.action_id)
     reason: str | None = None
     if request is None:
@@ -175,14 +175,14 @@ def report_result(state: State, command: ReportResult) -> tuple[Event, ...]:
             command, command.action_id, _not_executed(state.request.open.get(command.action_id)), command.executor
         )
     reason = _not_reportable(state.registry, action, command)
-    made = ExecutionFinished(
+    event = ExecutionFinished(
         action.subject,
         parties(state, action),
         robot=action.robot,
         result=command.result,
         achieved=command.achieved,
     )
-    return carried_out(command, command.action_id, reason, command.executor, made)
+    return carried_out(command, command.action_id, reason, command.executor, event)
 
 
 def _not_executed(request: Request | None) -> str:

@@ -39,7 +39,7 @@ class RespondToCall(PublicCommand):
 
 
 class SetSupervisionDensity(PublicCommand):
-    """Ask to see one in so many admissions of the robot (None: of every robot); 0 is none."""
+    """Set the review of one in `review_every` admissions of the robot (None: of every robot); 0 is none."""
 
     issued_by: Supervisor
     robot: Robot | None
@@ -48,20 +48,20 @@ class SetSupervisionDensity(PublicCommand):
 
 
 def supervisor_for(state: State, robot: Robot, is_cross_robot: bool) -> Supervisor:
-    """Return whom to call about the robot: its own H_i on shift about that robot alone, else H_F.
+    """Return the supervisor to call about the robot: its own H_i if on shift for that robot alone, else H_F.
 
     Paper: sec:model:supervision.
     """
-    own = state.fleet.robots[robot].supervisor
-    if state.fleet.isolated == robot and own is not None:
-        return own  # nobody else can be reached
-    if is_cross_robot or own is None or own in state.world.off_shift:
+    supervisor = state.fleet.robots[robot].supervisor
+    if state.fleet.isolated == robot and supervisor is not None:
+        return supervisor  # no other can be reached
+    if is_cross_robot or supervisor is None or supervisor in state.world.off_shift:
         return FLEET_SUPERVISOR
-    return own
+    return supervisor
 
 
 def is_due_for_review(supervision: Supervision, executor: Robot) -> bool:
-    """Tell whether supervision density puts the executor's next admission before a supervisor.
+    """Return whether supervision density submits the executor's next admission to a supervisor.
 
     Paper: sec:model:supervision.
     """
@@ -82,7 +82,7 @@ NameRequester = Callable[[Request], Principal | None]
 def respond(state: State, command: Respond, name_requester: NameRequester = requester_of) -> tuple[Event, ...]:
     """Approve the review or not, order the commands or resolve the failure, as the human answers.
 
-    Nothing if what the call was about is settled.
+    Nothing if the subject of the call is settled.
     """
     call = state.supervision.calls.get(command.call)
     if call is None or is_settled(state, call):
@@ -105,9 +105,9 @@ def respond_to_call(
     calls = [call for call in state.supervision.calls.values() if call.subject.action_id == command.action_id]
     call = next((call for call in calls if call.supervisor == command.supervisor), None)
     if call is None:
-        found = f"the call went to {calls[0].supervisor}" if calls else "no open call"
+        finding = f"the call went to {calls[0].supervisor}" if calls else "no open call"
         return rejected(
-            command, command.action_id, f"{found}, expected one to {command.supervisor}", command.supervisor
+            command, command.action_id, f"{finding}, expected one to {command.supervisor}", command.supervisor
         )
     refused = _unfit(call, command)
     if is_settled(state, call):
@@ -118,12 +118,12 @@ def respond_to_call(
 
 
 def is_settled(state: State, call: SupervisorCalled) -> bool:
-    """Tell whether the request and the action that the call was about are over."""
+    """Return whether the request and the action that the call was about are over."""
     return call.subject.action_id not in state.request.open and call.subject.action_id not in state.execution.actions
 
 
 def _unfit(call: SupervisorCalled, command: RespondToCall) -> str | None:
-    """Return why the answer does not fit what was asked, or None."""
+    """Return why the answer does not fit the call, or None."""
     if not command.approves and call.purpose != "review":
         return f"found a disapproval of {call.purpose}, expected one of a review"
     contenders = (call.subject.action_id, call.competing) if call.purpose == "ordering" else ()
@@ -137,7 +137,7 @@ def _responded(
 ) -> tuple[Event, ...]:
     """Record the answer.
 
-    A failure that was put before the supervisor is over, and a degraded robot is serviced.
+    A failure that was submitted to the supervisor is over, and a degraded robot is serviced.
     """
     action = state.execution.actions.get(call.subject.action_id)
     request = state.request.open.get(call.subject.action_id)
@@ -146,21 +146,21 @@ def _responded(
         requested_by, executed_by = action.requested_by, action.executed_by
     elif request is not None:
         requested_by, executed_by = name_requester(request), request.target
-    by = call.supervisor
-    responded = SupervisorResponded(
+    supervisor = call.supervisor
+    response = SupervisorResponded(
         call.subject,
-        Parties(requested_by=requested_by, executed_by=executed_by, supervised_by=by).decided(by),
+        Parties(requested_by=requested_by, executed_by=executed_by, supervised_by=supervisor).decided(supervisor),
         call.purpose,
         approves,
         preferred,
     )
     recovery = state.recovery.get(call.subject.action_id)
     if call.purpose != "recovery" or recovery is None:
-        return (responded,)
+        return (response,)
     resolved = FailureResolved(call.subject, recovery.robot, recovery.failure, "human")
     if recovery.robot in state.world.degraded:
-        return (responded, ActuatorServiced(recovery.robot), resolved)
-    return (responded, resolved)
+        return (response, ActuatorServiced(recovery.robot), resolved)
+    return (response, resolved)
 
 
 @HANDLERS.decide(SetSupervisionDensity)
@@ -172,8 +172,8 @@ def set_supervision_density(state: State, command: SetSupervisionDensity) -> tup
     )
     if refused is None and command.review_every < 0:
         refused = f"density {command.review_every}, expected 0 (none) or one in so many"
-    made = made_from(SupervisionDensitySet, command, decided_by=command.issued_by)
-    return carried_out(command, subject, refused, command.issued_by, made)
+    event = made_from(SupervisionDensitySet, command, decided_by=command.issued_by)
+    return carried_out(command, subject, refused, command.issued_by, event)
 
 
 @HANDLERS.react(SupervisorCalled)

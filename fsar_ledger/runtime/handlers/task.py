@@ -1,9 +1,9 @@
 """How tasks go through their steps under every architecture. Paper: sec:evaluation:scenarios.
 
-When a task is given up, something is withdrawn (reading R3): what waits for its robot, approaches or is held is
-withdrawn, its claims end, and nobody answers what was asked for it. What executes by then, or is being recovered, ends
-as it would have: a robot does not stop in a doorway. The robot that asked for it tells each robot that has something of
-the task; until the message is there, that robot does not know. What a robot has by its own word it withdraws at once.
+When a task is given up (reading R3), its actions that wait for their robot, approach or are held are withdrawn, their
+claims end, and questions asked for it get no answer. An action that executes by then, or is being recovered, ends as it
+would have: a robot does not stop in a doorway. The requesting robot notifies each robot that has an action of the task;
+until the message is there, that robot does not know. A robot withdraws its own actions at once.
 """
 
 from collections.abc import Callable
@@ -69,7 +69,7 @@ def submit_task(state: State, command: SubmitTask) -> tuple[Event, ...]:
 
 
 def _impossible(state: State, command: SubmitTask) -> str | None:
-    """Return why nobody could do the task, or None."""
+    """Return why no robot could do the task, or None."""
     if not command.task_id or "/" in command.task_id or ":" in command.task_id:
         return f"task name {command.task_id!r}, expected a name without a slash or a colon"
     if command.task_id in state.task or command.task_id in state.context or _is_named(state.request, command.task_id):
@@ -78,10 +78,10 @@ def _impossible(state: State, command: SubmitTask) -> str | None:
         return (
             f"{len(command.steps)} steps in {command.budget_us} microseconds, expected at least one step and some time"
         )
-    places = [str(number) for number in range(1, len(command.steps) + 1)]
-    unknown = [place for place in command.checkpoints or () if place not in places]
+    step_numbers = [str(number) for number in range(1, len(command.steps) + 1)]
+    unknown = [checkpoint for checkpoint in command.checkpoints or () if checkpoint not in step_numbers]
     if unknown:
-        return f"checkpoint {unknown[0]!r}, expected the numbers of steps, 1 to {len(places)}"
+        return f"checkpoint {unknown[0]!r}, expected the numbers of steps, 1 to {len(step_numbers)}"
     team = state.fleet.robots[command.robot].team
     for step in command.steps:
         match step.split(" "):
@@ -103,7 +103,7 @@ def _impossible(state: State, command: SubmitTask) -> str | None:
 
 
 def _is_named(requests: Requests, task_id: str) -> bool:
-    """Tell whether a request has that context, or the name that a step of such a task would have."""
+    """Return whether a request has that context, or the name that a step of such a task would have."""
     steps = f"{task_id}/"
     return steps in requests.past or any(
         request.task_id == task_id or name.startswith(steps) for name, request in requests.open.items()
@@ -111,21 +111,21 @@ def _is_named(requests: Requests, task_id: str) -> bool:
 
 
 def is_own_step(task: Task, step: int, robot: Robot) -> bool:
-    """Tell whether the robot acts in the step, counted from 0, and does it itself."""
+    """Return whether the robot acts in the step, counted from 0, and does it itself."""
     return 0 <= step < len(task.steps) and acting(task, step) == robot and task.steps[step].count(" ") == 1
 
 
 def is_within_reach(fleet: Fleet, task: Task) -> bool:
-    """Tell whether the task's next step can begin: a robot that is alone does only what needs nobody else."""
+    """Return whether the task's next step can begin: an isolated robot does only its own steps."""
     return fleet.isolated is None or is_own_step(task, task.step, fleet.isolated)
 
 
 @HANDLERS.decide(BeginStep, next_in_task)
 def begin_step(state: State, command: BeginStep) -> tuple[Event, ...]:
-    """Begin the task's next step, complete the task, or give it up after so many budgets.
+    """Begin the task's next step, complete the task, or give it up once its time is over.
 
-    It is given up at once where the robot that acts in the step has left the fleet. Nothing if the task has moved on by
-    another way.
+    It is given up at once if the robot that acts in the step has left the fleet. Nothing if the task has moved on
+    otherwise.
     """
     task = state.task.get(command.task_id)
     if task is None or task.action_id != command.after or command.step not in (None, task.step):
@@ -157,14 +157,14 @@ class TransferSegment(Command):
 
 
 def acted_last(state: State, command: TransferSegment) -> Robot | None:
-    """Return the robot that acted in the last step of the open task that is done."""
+    """Return the robot that acted in the open task's last completed step."""
     task = state.task.get(command.task_id)
     return None if task is None else present(state.fleet, acting(task, task.step - 1))
 
 
 @HANDLERS.decide(TransferSegment, acted_last)
 def transfer_segment(state: State, command: TransferSegment) -> tuple[Event, ...]:
-    """Give the next segment to its robot, by word of the robot that acted until then, or for it if it has left."""
+    """Give the next segment to its robot, as decided by the one that acted until then, or for it if it has left."""
 
     def by_it(before: Robot, then: Robot) -> Principals:
         by = COORDINATION if before in state.fleet.departed else before
@@ -180,13 +180,13 @@ def transferred(
     task = state.task.get(command.task_id)
     if task is None:
         return ()
-    before, then = acting(task, task.step - 1), acting(task, task.step)
-    return (SegmentTransferred(task.task_id, named_by(before, then), then, task.step + 1),)
+    sender, receiver = acting(task, task.step - 1), acting(task, task.step)
+    return (SegmentTransferred(task.task_id, named_by(sender, receiver), receiver, task.step + 1),)
 
 
 @HANDLERS.decide(ExpireTask, nobody)
 def expire_task(state: State, command: ExpireTask) -> tuple[Event, ...]:
-    """Give up the task, if it is still open, and no later one that has its name."""
+    """Give up the task if it is still open, but not a later one of the same name."""
     task = state.task.get(command.task_id)
     return () if task is None or command.now_us <= given_up_us(task, state.fleet) else (TaskAbandoned(task.task_id),)
 
@@ -199,7 +199,7 @@ def complete_step(state: State, command: CompleteStep) -> tuple[Event, ...]:
 
 
 def is_critical(tasks: Tasks, task_id: str) -> bool:
-    """Tell whether the task is open and time-critical."""
+    """Return whether the task is open and time-critical."""
     task = tasks.get(task_id)
     return task is not None and task.is_time_critical
 
@@ -220,7 +220,7 @@ def first_in_order(requests: Requests, tasks: Tasks, call: SupervisorCalled) -> 
 
 @HANDLERS.react(StepCompleted)
 def on_completed(state: State, event: StepCompleted, _now_us: int) -> tuple[Scheduled, ...]:
-    """Schedule the next step; where another robot acts in it, its segment is transferred first."""
+    """Schedule the next step; if another robot acts in it, its segment is transferred first."""
     task = state.task[event.subject.task_id]
     if task.step == len(task.steps) or acting(task, task.step) == acting(task, task.step - 1):
         return (Scheduled(BeginStep(task.task_id, step=task.step), 1),)
@@ -229,14 +229,14 @@ def on_completed(state: State, event: StepCompleted, _now_us: int) -> tuple[Sche
 
 @HANDLERS.react(SegmentTransferred)
 def on_transfer(state: State, event: SegmentTransferred, _now_us: int) -> tuple[Scheduled, ...]:
-    """Let the robot begin once the message is there."""
+    """Let the robot begin once the message has arrived."""
     return (Scheduled(BeginStep(event.task_id), 0, (segment_message(state, event),)),)
 
 
 def segment_message(state: State, event: SegmentTransferred) -> Ask:
-    """Ask for the latency of the message that transfers the segment, from whoever decided it."""
-    decided_by, before = event.principals.decided_by, acting(state.task[event.task_id], event.step - 2)
-    sender = decided_by if decided_by in (COORDINATOR, COORDINATION) else before
+    """Ask for the latency of the message that transfers the segment, from the principal that decided it."""
+    decided_by, previous = event.principals.decided_by, acting(state.task[event.task_id], event.step - 2)
+    sender = decided_by if decided_by in (COORDINATOR, COORDINATION) else previous
     return message(sender, f"{event.task_id}/{event.step}", "segment")
 
 
@@ -244,7 +244,7 @@ def segment_message(state: State, event: SegmentTransferred) -> Ask:
 def on_arrival(state: State, event: TaskArrived, now_us: int) -> tuple[Scheduled, ...]:
     """Schedule the first step, and the time at which the task is given up.
 
-    That is after so many budgets, and at the latest at the end of the run.
+    That is after a number of budgets, and at the latest at the end of the run.
     """
     left_us = max(1, given_up_us(event, state.fleet) - now_us)
     return (Scheduled(BeginStep(event.task_id)), Scheduled(ExpireTask(event.task_id), left_us + 1))
@@ -261,7 +261,7 @@ class WithdrawTask(Command):
 
 
 class EndClaims(Command):
-    """End what no robot has yet of a task that was given up."""
+    """End the claims of a given-up task on actions that no robot has yet."""
 
     task_id: str
 
@@ -273,9 +273,9 @@ def withdraw_task(state: State, command: WithdrawTask) -> tuple[Event, ...]:
         action for action in _waiting(state.execution, state.request, command.task_id) if action.robot == command.robot
     ]
     withdrawn = sorted(waiting, key=lambda action: holds_robot(state.execution, action))
-    ended = _claims(state.authority, command.task_id, {action.action_id for action in withdrawn})
+    claims = _claims(state.authority, command.task_id, {action.action_id for action in withdrawn})
     return (
-        *released(ended),
+        *released(claims),
         *(ExecutionWithdrawn(action.subject, action.robot) for action in withdrawn),
     )
 
@@ -283,16 +283,16 @@ def withdraw_task(state: State, command: WithdrawTask) -> tuple[Event, ...]:
 @HANDLERS.decide(EndClaims, nobody)
 def end_claims(state: State, command: EndClaims) -> tuple[Event, ...]:
     """Release the claims on actions that no robot has."""
-    never = {
+    orphaned = {
         name
         for name in state.authority.claims
         if name not in state.execution.actions and name not in state.request.open
     }
-    return released(_claims(state.authority, command.task_id, never))
+    return released(_claims(state.authority, command.task_id, orphaned))
 
 
 def _waiting(execution: Execution, requests: Requests, task_id: str) -> list[Action]:
-    """Return the actions of the task that robots have and have not begun."""
+    """Return the actions of the task that robots have but have not begun."""
     return [
         action
         for action in execution.actions.values()
@@ -311,27 +311,27 @@ def _claims(authority: Authority, task_id: str, actions: set[str]) -> list[Autho
 
 
 def has_not_begun(action: Action) -> bool:
-    """Tell whether the action waits for its robot, approaches or is held."""
+    """Return whether the action waits for its robot, approaches or is held."""
     return action.stage in WAITING or (action.stage == "preempted" and not action.has_begun)
 
 
 def _is_step(requests: Requests, action: Action) -> bool:
-    """Tell whether this is a step, not a request that a robot issued by itself in the task's context."""
+    """Return whether this is a step, not a request that a robot issued by itself in the task's context."""
     request = requests.open.get(action.action_id)
     return request is None or not request.is_adhoc
 
 
 @HANDLERS.react(TaskAbandoned)
 def _on_abandoned(state: State, event: TaskAbandoned, _now_us: int) -> tuple[Scheduled, ...]:
-    asked = {
+    senders = {
         action.robot: action.requested_by or action.on_behalf_of
         for action in _waiting(state.execution, state.request, event.task_id)
     }
-    told = (_told(event.task_id, robot, by) for robot, by in asked.items())
-    return (Scheduled(EndClaims(event.task_id)), *told)
+    notices = (_told(event.task_id, robot, sender) for robot, sender in senders.items())
+    return (Scheduled(EndClaims(event.task_id)), *notices)
 
 
-def _told(task_id: str, robot: Robot, by: str) -> Scheduled:
-    if by == robot:
+def _told(task_id: str, robot: Robot, sender: str) -> Scheduled:
+    if sender == robot:
         return Scheduled(WithdrawTask(task_id, robot))
-    return Scheduled(WithdrawTask(task_id, robot), 0, (message(by, task_id, f"given up/{robot}"),))
+    return Scheduled(WithdrawTask(task_id, robot), 0, (message(sender, task_id, f"given up/{robot}"),))

@@ -62,7 +62,7 @@ class SetRoleTrust(PublicCommand):
 class SetTrustThresholds(PublicCommand):
     """Let trust follow the record.
 
-    So many successes in a row promote it, so many failures downgrade it; 0 is never.
+    `promote_after` successes in a row promote it, `downgrade_after` failures downgrade it; 0 is never.
     """
 
     issued_by: Supervisor
@@ -88,7 +88,7 @@ class ExpireTrust(Command):
 
 
 def trusts(state: State, executor: Robot, requester: Robot, capability: str, context: str | None = None) -> bool:
-    """Tell TrustOK: whether trust in the requester covers what the capability's advertisement requires.
+    """Return TrustOK: whether trust in the requester covers what the capability's advertisement requires.
 
     Paper: eq:delegable.
     """
@@ -101,15 +101,15 @@ def trusts(state: State, executor: Robot, requester: Robot, capability: str, con
 
 @HANDLERS.decide(SetTrust)
 def set_trust(state: State, command: SetTrust) -> tuple[Event, ...]:
-    """Set the robot's trust in the peer, by word of its own supervisor or of H_F. Paper: eq:trust."""
+    """Set the robot's trust in the peer, on the authority of its own supervisor or of H_F. Paper: eq:trust."""
     refused = unknown_robot(state.fleet, command.robot, command.peer) or not_in_charge(
         state.fleet, command.issued_by, command.robot
     )
     refused = refused or unknown_about(state, command) or unknown_word("scope", command.scope, SCOPES)
     if refused is None and command.robot == command.peer:
         refused = f"{command.robot} needs no trust in itself, expected another robot"
-    made = made_from(TrustSet, command, decided_by=command.issued_by)
-    return carried_out(command, command.robot, refused, command.issued_by, made)
+    event = made_from(TrustSet, command, decided_by=command.issued_by)
+    return carried_out(command, command.robot, refused, command.issued_by, event)
 
 
 @HANDLERS.decide(SetRoleTrust)
@@ -117,18 +117,18 @@ def set_role_trust(state: State, command: SetRoleTrust) -> tuple[Event, ...]:
     """Set the trust between the roles, for pairs without an entry of their own. Paper: eq:trust."""
     refused = not_for_roles(state, command.issued_by, command.domain, command.role, command.peer_role)
     refused = refused or unknown_about(state, command) or unknown_word("scope", command.scope, SCOPES)
-    made = made_from(RoleTrustSet, command, decided_by=command.issued_by)
-    return carried_out(command, command.role, refused, command.issued_by, made)
+    event = made_from(RoleTrustSet, command, decided_by=command.issued_by)
+    return carried_out(command, command.role, refused, command.issued_by, event)
 
 
 @HANDLERS.decide(SetTrustThresholds)
 def set_trust_thresholds(state: State, command: SetTrustThresholds) -> tuple[Event, ...]:
-    """Let trust follow the record, by word of H_F. Paper: sec:model:trust."""
+    """Let trust follow the record, on the authority of H_F. Paper: sec:model:trust."""
     refused = not_in_charge(state.fleet, command.issued_by, None, is_fleet_matter=True)
     if refused is None and min(command.promote_after, command.downgrade_after) < 0:
         refused = f"thresholds {command.promote_after} and {command.downgrade_after}, expected 0 (never) or more"
-    made = TrustThresholdsSet(command.promote_after, command.downgrade_after, command.issued_by)
-    return carried_out(command, "trust", refused, command.issued_by, made)
+    event = TrustThresholdsSet(command.promote_after, command.downgrade_after, command.issued_by)
+    return carried_out(command, "trust", refused, command.issued_by, event)
 
 
 @HANDLERS.decide(AssessTrust, named)
@@ -137,8 +137,8 @@ def assess_trust(state: State, command: AssessTrust) -> tuple[Event, ...]:
 
     Paper: sec:model:trust.
     """
-    moved = _moved(state.trust, (command.robot, command.peer, command.capability, command.context))
-    return () if moved is None else (made_from(TrustSet, command, scope=moved, decided_by=TRUST, reason="record"),)
+    scope = _moved(state.trust, (command.robot, command.peer, command.capability, command.context))
+    return () if scope is None else (made_from(TrustSet, command, scope=scope, decided_by=TRUST, reason="record"),)
 
 
 def _moved(trust: Trust, key: Key) -> TrustScope | None:
