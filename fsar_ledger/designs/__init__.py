@@ -18,11 +18,11 @@ from fsar_ledger.events.world import Grade
 
 
 class Design(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    """A part of a design: missing fields have their default, and an unknown field is an error."""
+    """A part of a design. A missing field has its default; an unknown field is an error."""
 
 
 class Robot(Design, frozen=True):
-    """One robot of each team: `east-door` of team 2 is `robot/east-door2`. Without a role, its name is its role.
+    """One robot of each team: `east-door` of team 2 is `robot/east-door2`. Its role defaults to its name.
 
     `domain` is the path of the registry in which it advertises (`ward/night`); empty is the fleet's own.
     """
@@ -43,8 +43,8 @@ class Robot(Design, frozen=True):
 class Capability(Design, frozen=True):
     """Something that robots of the fleet can do.
 
-    `postconditions` hold after it, in the order in which they come about; the roles in `visible_to` can discover it
-    (empty: all), in the domains that `visibility` says, or where there is trust; a request may carry priority up to
+    `postconditions` hold after it, in the order in which they are achieved; the roles in `visible_to` can discover it
+    (empty: all), in the domains that `visibility` names, or where there is trust; a request may carry priority up to
     `override_allowed`. Units: `lasts_s` seconds, shortest and longest; None: as in `world.durations`.
     """
 
@@ -66,7 +66,7 @@ class Substitute(Design, frozen=True):
 class Trust(Design, frozen=True):
     """Every robot of `role` trusts every robot of `peer_role`, and the other way round if it is mutual.
 
-    Both are in the `domain`; empty is the whole fleet. What holds in a smaller domain comes first.
+    Both are in the `domain`; empty is the whole fleet. A smaller domain takes precedence.
     """
 
     role: str
@@ -77,7 +77,7 @@ class Trust(Design, frozen=True):
 
 
 class TrustByRecord(Design, frozen=True):
-    """How trust follows the record: so many successes in a row promote it, so many failures downgrade it.
+    """How trust follows the record: consecutive successes that promote it, consecutive failures that downgrade it.
 
     0 is never.
     """
@@ -100,7 +100,7 @@ class Policy(Design, frozen=True):
 
 
 class Density(Design, frozen=True):
-    """Every n-th admission by each robot of a role, or (None) of every role, is put before a supervisor; 0: none."""
+    """Every n-th admission by each robot of a role, or (None) of every role, is submitted to a supervisor; 0: none."""
 
     review_every: int
     role: str | None = None
@@ -130,7 +130,7 @@ class OffShift(Design, frozen=True):
 
 
 class Fleet(Design, frozen=True):
-    """The robots of a team, what they can do, whom they trust, and when they are unsupervised.
+    """The robots of a team, their capabilities and trust, and when they are unsupervised.
 
     A fleet consists of one or more such teams. `bodies` are the roles whose robots can clear an obstruction.
     """
@@ -186,10 +186,10 @@ class Injection(Design, frozen=True):
 
 
 class OutsideCommand(Design, frozen=True):
-    """A command that comes to the run from outside then, and is decided as it is then.
+    """A command that comes to the run from outside at this time, and is decided on the state then.
 
-    `by` gives it; `parameters` are its fields, as JSON. A file has them as fields beside `command`. Units: `at_s` run
-    time in seconds.
+    `by` is the issuer; `parameters` are its fields, as JSON. A file has them as fields beside `command`. Units: `at_s`
+    run time in seconds.
     """
 
     at_s: float
@@ -201,8 +201,8 @@ class OutsideCommand(Design, frozen=True):
 class Scenario(Design, frozen=True):
     """The tasks of each team, in a world with disturbances. The actuator of one `degradable` robot may degrade.
 
-    `commands` come to the run whoever works in it: they are not of each team. `settings` are constants that the
-    scenario is played with, as `--set` takes them.
+    `commands` come to the run whichever teams work in it, not once per team. `settings` are constants that the scenario
+    runs with, as `--set` takes them.
     """
 
     name: str

@@ -26,7 +26,7 @@ Chosen = Annotated[_T, msgspec.Meta(extra={"from": "chosen"})]
 
 END_US = 1_800_000_000  # run time after which no fact of the world happens and no task is open
 SIGNED = ("world.absence_from_s", "world.absence_to_s")
-"""The constants that may be negative: an absence may begin before the run does."""
+"""The constants that may be negative: an absence may begin before the run."""
 LEAST = {
     "world.encounter_mean_s": 0.001,
     "structure.poll_us": 1_000,
@@ -35,13 +35,13 @@ LEAST = {
     "alliance.broadcast_us": 1_000,
     "roboos.refresh_us": 1_000,
 }
-"""The least time between two of what happens again and again, a millisecond: with less a run hardly ever ends."""
+"""The shortest time between two repetitions of an event, a millisecond: with less a run hardly ever ends."""
 NEVER_AT_0 = ("alliance.broadcast_us",)
-"""The constants of `LEAST` that may be 0 all the same: it does not happen then."""
+"""The constants of `LEAST` that may be 0 nevertheless: the event does not happen then."""
 MOST_PER_S = 100
 """The highest rate, some hundreds of times the highest default: with more a run hardly ever ends."""
 MOST = {"world.horizon_s": 100_000, "world.routine_until_s": 100_000, "structure.watch_us": END_US}
-"""How late the world may still act, and the periodic exchanges: facts after `END_US` are made in vain."""
+"""The latest time at which the world acts and periodic exchanges go on: facts after `END_US` have no effect."""
 
 
 class Range(msgspec.Struct, frozen=True):
@@ -153,25 +153,25 @@ class Outages(msgspec.Struct, frozen=True):
     link_rate_per_s: Chosen[float] = 0.0  # links that go down, exponential time until then
     link_mean_s: Chosen[float] = 10.0  # how long they are down, exponential
     loss_rate_per_s: Chosen[float] = 0.0  # actuators that are lost until they are serviced, Poisson
-    from_s: Chosen[float] = 0.0  # none of these before then
+    from_s: Chosen[float] = 0.0  # none of these happens before then
     # A message that is not delivered within this time counts as unanswered: ten times the longest latency. It also
     # applies without the group.
     answer_s: Chosen[float] = 5.0
 
 
 class Membership(msgspec.Struct, frozen=True):
-    """Robots that leave the fleet and come back, and how the fleet finds out. Without this group no robot does.
+    """Robots that leave the fleet and come back, and how the fleet finds out. Without this group no robot leaves.
 
-    In the world a robot is called away, or goes, at a rate per second in which it is there; some say that they leave.
+    In the world a robot is called away, or goes, at a rate per second of presence; some report that they leave.
     The paper has no such run: no published number rests on it.
     """
 
     away_rate_per_s: Chosen[float] = 0.0  # robots that leave, exponential time until then
     away_mean_s: Chosen[float] = 120.0  # how long they are away, exponential
-    announced_share: Chosen[float] = 0.5  # of them are called away and can say so, the others just go
+    announced_share: Chosen[float] = 0.5  # of them are called away and can report it, the others just go
     notice_s: Chosen[float] = 2.0  # from the call until the robot is off: four times the longest latency
-    # How FSAR finds out. A robot is watched from its first heartbeat on.
-    heartbeat_us: Chosen[int] = 0  # a robot tells the registry this often that it is there; 0: never, nobody is watched
+    # How FSAR finds out. A robot is monitored from its first heartbeat on.
+    heartbeat_us: Chosen[int] = 0  # a robot tells the registry this often that it is there; 0: never, none is monitored
     suspect_us: Chosen[int] = 15_000_000  # it is suspected this long after its last heartbeat
     depart_us: Chosen[int] = 30_000_000  # and has departed this long after it was suspected
 
@@ -211,7 +211,7 @@ DESIGNS = ("scenario", "fleet")
 
 
 def with_all_groups(constants: Constants) -> Constants:
-    """Return the constants with every group that may be absent, at its defaults where it is."""
+    """Return the constants with every optional group, at its defaults where it is absent."""
     absent = {name: kind() for name, kind in _groups().items() if getattr(constants, name) is None}
     return msgspec.structs.replace(constants, **absent)
 
@@ -224,18 +224,18 @@ def write_constants(constants: Constants) -> str:
     Raises:
         BadParameters: A value cannot be written as JSON, such as infinity, or is too long.
     """
-    found = decode_parameters(_written(constants), type(constants))
-    text = _written(found)
+    valid = decode_parameters(_written(constants), type(constants))
+    text = _written(valid)
     return (
-        _written(msgspec.convert(_unsigned_zeros(msgspec.to_builtins(found)), type(found))) if "-0.0" in text else text
+        _written(msgspec.convert(_unsigned_zeros(msgspec.to_builtins(valid)), type(valid))) if "-0.0" in text else text
     )
 
 
 def _unsigned_zeros(value: Any) -> Any:
     if isinstance(value, dict):
-        return {name: _unsigned_zeros(one) for name, one in value.items()}
+        return {name: _unsigned_zeros(item) for name, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_unsigned_zeros(one) for one in value]
+        return [_unsigned_zeros(item) for item in value]
     return 0.0 if isinstance(value, float) and not value else value
 
 
@@ -245,15 +245,15 @@ def _written(constants: Constants) -> str:
 
 
 def negatives(constants: Constants) -> list[str]:
-    """Return the name and value of each constant that is negative or not a number, which none may be but `SIGNED`."""
+    """Return the name and value of each constant that is negative or not a number, which only `SIGNED` may be."""
     return _negatives("", msgspec.to_builtins(constants))
 
 
 def _negatives(name: str, value: Any) -> list[str]:
     if isinstance(value, dict):
-        return [found for part, one in value.items() for found in _negatives(f"{name}.{part}" if name else part, one)]
+        return [found for part, item in value.items() for found in _negatives(f"{name}.{part}" if name else part, item)]
     if isinstance(value, list | tuple):
-        return [found for one in value for found in _negatives(name, one)]
+        return [found for item in value for found in _negatives(name, item)]
     is_negative = isinstance(value, int | float) and not value >= 0 and name not in SIGNED
     return [f"{name} {value}"] if is_negative else []
 
@@ -272,26 +272,26 @@ WORDS = {
     "chosen": "ours, and none of the 24 cells depends on it",
     "dial": "left open, or given, by the sources of a published system; nothing is fitted",
 }
-"""What each word means."""
+"""The meaning of each word."""
 
 
 def origins() -> dict[str, str]:
     """Return the word for each constant by dotted name, in the order of the file.
 
-    "" if its type says nothing, or more than one thing.
+    "" if its type gives no word, or more than one.
     """
-    found: dict[str, str] = {}
+    words: dict[str, str] = {}
     for group, kind in _groups().items():
         for name, hint in _hints(kind).items():
-            found |= _split(f"{group}.{name}", _word(hint))
-    return found
+            words |= _split(f"{group}.{name}", _word(hint))
+    return words
 
 
 def _groups() -> dict[str, type[msgspec.Struct]]:
     """Return the type of each group of constants."""
     hints = {name: hint for name, hint in _hints(Constants).items() if name not in DESIGNS}
     return {
-        name: next(one for one in (hint, *get_args(hint)) if isinstance(one, type) and issubclass(one, msgspec.Struct))
+        name: next(arg for arg in (hint, *get_args(hint)) if isinstance(arg, type) and issubclass(arg, msgspec.Struct))
         for name, hint in hints.items()
     }
 
@@ -308,7 +308,7 @@ def _word(hint: Any) -> str:
 
 
 def _split(name: str, word: str) -> dict[str, str]:
-    """Return the words of durations: one constant for each capability, some of them the paper's."""
+    """Return the words of durations: one constant per capability, some of them the paper's."""
     if name != "world.durations":
         return {name: word}
     return {f"{name}.{capability}": "paper" if capability in PRINTED_DURATIONS else word for capability, _ in DURATIONS}

@@ -1,8 +1,7 @@
-"""Designs as TOML files: read with types, errors with line and field; and those that come with the package, by name.
+"""Designs as TOML files: read with types, errors with line and field; and those of the package, by name.
 
-The package has fleets, scenarios and workflows, one file each. Adding a file, named after what is in it, registers
-another one; nothing else changes. Each is read once, when first used. An error about a name that is unknown suggests
-the nearest.
+The package has fleets, scenarios and workflows, one file each. Adding a file, named after its design, registers another
+one; nothing else changes. Each is read once, when first used. An error about an unknown name suggests the nearest.
 """
 
 import json
@@ -25,7 +24,7 @@ Field = tuple[str | int, ...]
 """The path of a value: keys, and indices of elements from 0."""
 
 MAX_BYTES = 40_000
-"""The largest file, whose content goes into event 0 of each of its runs; those of the package have at most 2,000."""
+"""The largest file, whose content goes into event 0 of each of its runs; the package's own have at most 2,000."""
 
 _TABLE = re.compile(r"\s*(\[\[?)\s*([^\[\]]+?)\s*\]")
 _KEY = re.compile(r"""\s*([\w-]+|"[^"]*"|'[^']*')((?:\s*\.\s*[\w-]+)*)\s*=""")
@@ -56,47 +55,47 @@ def read_design(path: Path, kind: type[_T]) -> tuple[_T, str]:
 def decoded(text: str, kind: type[_T], where: str) -> _T:
     """Return the design in this text. Raises: UsageError, with line and field."""
     try:
-        found = tomllib.loads(text)
+        content = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         message = str(error)
-        at = re.search(r" \(at line (\d+), column \d+\)$", message)
-        line = int(at[1]) if at else text.count("\n") + 1
-        words = message[: at.start()] if at else message.removesuffix(" (at end of document)")
+        position = re.search(r" \(at line (\d+), column \d+\)$", message)
+        line = int(position[1]) if position else text.count("\n") + 1
+        words = message[: position.start()] if position else message.removesuffix(" (at end of document)")
         raise UsageError(f"{where}:{line}: {printable.value(words)}; expected TOML") from error
     except RecursionError as error:
         raise UsageError(f"{where}: found brackets nested too deeply, expected TOML of a {_what(kind)}") from error
     except ValueError as error:  # the only other thing that Python refuses to read
-        at = _MANY_DIGITS.search(text)
-        line = text.count("\n", 0, at.start() if at else 0) + 1
+        position = _MANY_DIGITS.search(text)
+        line = text.count("\n", 0, position.start() if position else 0) + 1
         raise UsageError(f"{where}:{line}: found {_UNREADABLE}, expected TOML of a {_what(kind)}") from error
     if kind is Scenario:
-        found = _with_parameters(found, text, where)
+        content = _with_parameters(content, text, where)
     try:
-        return msgspec.convert(found, kind)
+        return msgspec.convert(content, kind)
     except msgspec.ValidationError as error:
-        field, value, expected = fault(str(error), kind, found)
+        field, value, expected = fault(str(error), kind, content)
         about = at_line(where, text, field) if field else where
         raise UsageError(f"{about}: found {value}, expected {expected}") from error
 
 
-def _with_parameters(found: dict[str, Any], text: str, where: str) -> dict[str, Any]:
-    """Return the scenario in which each command has its fields as JSON, as an event has them."""
-    commands = found.get("commands")
+def _with_parameters(content: dict[str, Any], text: str, where: str) -> dict[str, Any]:
+    """Return the scenario with the fields of each command as JSON, as in an event."""
+    commands = content.get("commands")
     if not isinstance(commands, list):
-        return found
-    own = OutsideCommand.__struct_fields__[:-1]
+        return content
+    common = OutsideCommand.__struct_fields__[:-1]
     folded: list[Any] = []
-    for number, one in enumerate(commands):
-        if isinstance(one, dict):
-            fields = {name: value for name, value in one.items() if name not in own}
+    for number, command in enumerate(commands):
+        if isinstance(command, dict):
+            fields = {name: value for name, value in command.items() if name not in common}
             try:
                 parameters = json.dumps(fields, ensure_ascii=False, default=str)
             except ValueError as error:  # the only thing that Python refuses to write
                 about = at_line(where, text, ("commands", number))
                 raise UsageError(f"{about}: found {_UNREADABLE}, expected fields of a command") from error
-            one = {name: value for name, value in one.items() if name in own} | {"parameters": parameters}
-        folded.append(one)
-    return {**found, "commands": folded}
+            command = {name: value for name, value in command.items() if name in common} | {"parameters": parameters}
+        folded.append(command)
+    return {**content, "commands": folded}
 
 
 def at_line(where: str, text: str, field: Field) -> str:
@@ -123,38 +122,38 @@ def line_of(text: str, field: Field) -> int:
             if header[1] == "[[":
                 counts[keys] = counts.get(keys, -1) + 1
             table = _numbered(keys, counts)
-            found = table
+            path = table
         elif key := _KEY.match(written):
-            found = (*table, *(part.strip().strip("\"'") for part in (key[1] + key[2]).split(".")))
+            path = (*table, *(part.strip().strip("\"'") for part in (key[1] + key[2]).split(".")))
         else:
             continue
-        if found == field[: len(found)] and len(found) > best:
-            best, line = len(found), number
+        if path == field[: len(path)] and len(path) > best:
+            best, line = len(path), number
     rest = field[best:]
     return line + _lines_before(text.splitlines()[line - 1 :], rest[0]) if rest and isinstance(rest[0], int) else line
 
 
 def _numbered(keys: tuple[str, ...], counts: dict[tuple[str, ...], int]) -> Field:
     """Return the path of a table, with the index of the newest element after each key of an array of tables."""
-    found: list[str | int] = []
+    path: list[str | int] = []
     for end in range(1, len(keys) + 1):
-        found.append(keys[end - 1])
+        path.append(keys[end - 1])
         if keys[:end] in counts:
-            found.append(counts[keys[:end]])
-    return tuple(found)
+            path.append(counts[keys[:end]])
+    return tuple(path)
 
 
 def _lines_before(lines: list[str], element: int) -> int:
-    """Return how many lines after the line of its key this element of an array begins."""
+    """Return how many lines after its key's line this element of an array begins."""
     depth = passed = 0
     quote = ""
     for number, line in enumerate(lines):
-        at = line.index("=") + 1 if number == 0 and "=" in line else 0
-        while at < len(line):
-            character = line[at]
+        index = line.index("=") + 1 if number == 0 and "=" in line else 0
+        while index < len(line):
+            character = line[index]
             if quote:
                 if character == "\\" and quote == '"':
-                    at += 1
+                    index += 1
                 elif character == quote:
                     quote = ""
             elif character == "#":
@@ -172,12 +171,12 @@ def _lines_before(lines: list[str], element: int) -> int:
                     depth += 1
                 elif character in "\"'":
                     quote = character
-            at += 1
+            index += 1
     return 0
 
 
 def fault(message: str, kind: type[Any], found: Any) -> tuple[Field, str, str]:
-    """Return what a message of msgspec is about: the field, what was found there, and what was expected."""
+    """Return the subject of a msgspec message: the field, what was found there, and what was expected."""
     parsed = _AT.match(message)
     assert parsed is not None
     what = parsed["what"]
@@ -187,8 +186,8 @@ def fault(message: str, kind: type[Any], found: Any) -> tuple[Field, str, str]:
     if named := _NAMED.search(what):
         field = (*field, named[1])
         if "unknown" in what:
-            known = _fields(kind, field)
-            return field, "an unknown field", f"one of {', '.join(known)}{printable.did_you_mean(named[1], known)}"
+            names = _fields(kind, field)
+            return field, "an unknown field", f"one of {', '.join(names)}{printable.did_you_mean(named[1], names)}"
         return field, "nothing", "a value: this field has no default"
     value: Any = found
     for part in field:
@@ -200,12 +199,12 @@ def fault(message: str, kind: type[Any], found: Any) -> tuple[Field, str, str]:
         expected = f"one of {', '.join(_choices(kind, field))}"
         expected += printable.did_you_mean(str(value), _choices(kind, field))
     try:
-        shown = printable.value(str(value))
-    except ValueError:  # TOML writes numbers of other bases, too, which Python reads and does not write
-        shown = _UNREADABLE
+        text = printable.value(str(value))
+    except ValueError:  # TOML writes numbers of other bases, too, which Python reads but does not write
+        text = _UNREADABLE
     if isinstance(value, str) and not what.startswith("Invalid enum value"):
-        shown = f'"{shown}"'  # a text where another type is expected
-    return field, shown, _type(expected)
+        text = f'"{text}"'  # a text where another type is expected
+    return field, text, _type(expected)
 
 
 _TYPES = {
@@ -219,8 +218,8 @@ _TYPES = {
 
 
 def _type(expected: str) -> str:
-    kinds = [one.strip() for one in expected.split("|") if one.strip() != "null"]
-    return " or ".join(_TYPES.get(one, one.replace("array", "a list")) for one in kinds)
+    kinds = [name.strip() for name in expected.split("|") if name.strip() != "null"]
+    return " or ".join(_TYPES.get(name, name.replace("array", "a list")) for name in kinds)
 
 
 def _inside(kind: Any, field: Field) -> Any:
@@ -230,14 +229,14 @@ def _inside(kind: Any, field: Field) -> Any:
         kind = (
             kind.__args__[0]
             if isinstance(part, int)
-            else next((one.type for one in msgspec.structs.fields(kind) if one.encode_name == part), Any)
+            else next((member.type for member in msgspec.structs.fields(kind) if member.encode_name == part), Any)
         )
     return _without_none(kind)
 
 
 def _without_none(kind: Any) -> Any:
-    several = [one for one in getattr(kind, "__args__", ()) if one is not type(None)]
-    return several[0] if type(None) in getattr(kind, "__args__", ()) else kind
+    options = [option for option in getattr(kind, "__args__", ()) if option is not type(None)]
+    return options[0] if type(None) in getattr(kind, "__args__", ()) else kind
 
 
 def _choices(kind: Any, field: Field) -> tuple[str, ...]:
@@ -263,7 +262,7 @@ PAPER_SCENARIOS = (
     "mixed-trust-inspection",
     "fleet-contention",
 )
-"""The paper's five, in its order; other registered ones come after them. Paper: sec:evaluation:scenarios."""
+"""The paper's five, in its order; other registered ones follow. Paper: sec:evaluation:scenarios."""
 PAPER_WORKFLOWS = ("workflow-door-relay", "workflow-layered-recovery", "workflow-human-supervision")
 
 
@@ -310,18 +309,18 @@ def at(design: Fleet | Scenario | Workflow, field: Field) -> str:
 
 
 def _names(folder: str, first: tuple[str, ...]) -> tuple[str, ...]:
-    there = {file.stem for file in _folder(folder).glob("*.toml")}
-    return (*first, *sorted(there.difference(first)))
+    names = {file.stem for file in _folder(folder).glob("*.toml")}
+    return (*first, *sorted(names.difference(first)))
 
 
 def _read(folder: str, name: str, kind: type[_Design]) -> _Design:
     file = _folder(folder) / f"{name}.toml"
     text = file.read_text("utf-8")
-    found = decoded(text, kind, str(file))
-    if found.name != name:
+    design = decoded(text, kind, str(file))
+    if design.name != name:
         where = at_line(str(file), text, ("name",))
-        raise UsageError(f"{where}: found {printable.value(found.name)}, expected the name of the file, {name}")
-    return found
+        raise UsageError(f"{where}: found {printable.value(design.name)}, expected the name of the file, {name}")
+    return design
 
 
 def _folder(name: str) -> Path:
@@ -329,7 +328,7 @@ def _folder(name: str) -> Path:
 
 
 def known(what: str, asked: Sequence[str] | None, names: tuple[_Name, ...]) -> tuple[_Name, ...]:
-    """Return the names asked for, each once, in the order of `names`.
+    """Return the requested names, each once, in the order of `names`.
 
     Raises:
         InvalidExperiment: A name is unknown; the message suggests the nearest.

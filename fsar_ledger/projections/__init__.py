@@ -1,9 +1,9 @@
 """Projections: state rebuilt from events. One file per concept, each with `INITIAL`, `evolve` and `HANDLES`.
 
-State is mappings that never change: with one more entry, or without one, there is a new mapping. A small one is a dict,
-which is copied. The versions of a large one share one dict, which is that of the newest, so an event costs as much in a
-fleet of thousands as in one of four. Entries are in the order in which a dict has them, so what iterates over a mapping
-does the same in every process.
+State consists of mappings that never change: adding or removing an entry gives a new mapping. A small one is a dict,
+which is copied. The versions of a large one share the dict of the newest, so an event costs as much in a fleet of
+thousands as in one of four. Entries keep the order of a dict, so iterating over a mapping does the same in every
+process.
 """
 
 from collections.abc import ItemsView, Iterator, KeysView, Mapping, ValuesView
@@ -13,17 +13,17 @@ K = TypeVar("K")
 V = TypeVar("V")
 
 # See docs/decisions/large-mappings-share-one-dict.md.
-_SHARED_FROM = 192  # entries: from here on, copying a dict takes longer than a change of a `SharedMap`
+_SHARED_FROM = 192  # entries from which copying a dict takes longer than changing a `SharedMap`
 _SHARE = 16
-"""A line has at most a 16th as many changes as entries. With more, what was changed fills memory that no cache has;
-with fewer, copying the dict for another line takes longer.
+"""A chain has at most a 16th as many changes as entries. With more, the changes outgrow the caches; with fewer, copying
+the dict for another chain takes longer.
 """
 
 
 class VersionChain(Generic[K, V]):
     """Versions of one mapping, each a change of the one before: number n is `first` after n of the `changes`.
 
-    A change is a key and its value; without a value, the key was taken out. `newest` is the last version.
+    A change is a key and its value; without a value, the key was removed. `newest` is the last version.
     """
 
     __slots__ = ("changes", "first", "most", "newest")
@@ -32,14 +32,14 @@ class VersionChain(Generic[K, V]):
         self.first = first
         self.changes: list[tuple[K] | tuple[K, V]] = []
         self.newest = {**first}
-        # How many changes, until there is another line: an old version holds no more.
+        # The most changes before another chain begins, and so the most that an old version holds.
         self.most = max(_SHARED_FROM, len(first) // _SHARE)
 
 
 class SharedMap(Mapping[K, V], Generic[K, V]):
-    """One version of a mapping with many. The newest is as quick as a dict; another is put together when it is read.
+    """One of the versions of a mapping. The newest is as quick as a dict; an older one is rebuilt when it is read.
 
-    A line with too many changes is given up: its newest dict, which no version of it is any more, begins another.
+    A chain with too many changes is abandoned: its newest dict, which none of its versions uses now, begins another.
 
     Not for threads that share versions of one mapping.
     """
@@ -52,14 +52,14 @@ class SharedMap(Mapping[K, V], Generic[K, V]):
 
     @classmethod
     def of(cls, entries: dict[K, V]) -> "SharedMap[K, V]":
-        """Return a mapping of these entries; the dict must not change any more."""
+        """Return a mapping of these entries; the dict must not be changed afterwards."""
         return cls(VersionChain(entries))
 
     def __len__(self) -> int:
         return len(self._entries())
 
     def __iter__(self) -> Iterator[K]:
-        return iter([*self._entries()])  # while it goes on, there may be another version
+        return iter([*self._entries()])  # another version may be made meanwhile
 
     def __getitem__(self, key: K) -> V:
         return self._entries()[key]
@@ -69,9 +69,9 @@ class SharedMap(Mapping[K, V], Generic[K, V]):
 
     def get(self, key: K, default: V | None = None) -> V | None:  # type: ignore[override]  # `Mapping` has overloads
         """Return the value of the key, or the default."""
-        line = self._line
-        if self._number == len(line.changes):
-            return line.newest.get(key, default)
+        chain = self._line
+        if self._number == len(chain.changes):
+            return chain.newest.get(key, default)
         return self._entries().get(key, default)
 
     # `Mapping` looks each key up, which takes ten times as long as a copy.
@@ -84,42 +84,42 @@ class SharedMap(Mapping[K, V], Generic[K, V]):
         return self._entries().copy().values()
 
     def among(self, keys: KeysView[K]) -> set[K]:
-        """Return those of these keys that it has."""
+        """Return which of these keys it has."""
         return keys & self._entries().keys()
 
     def put(self, key: K, value: V) -> "SharedMap[K, V]":
         """Return the mapping with this value of the key."""
-        entries, line = self._entries(), self._line
+        entries, chain = self._entries(), self._line
         entries[key] = value
-        changes = line.changes
+        changes = chain.changes
         changes.append((key, value))
-        return SharedMap(line, len(changes)) if len(changes) <= line.most else SharedMap.of(entries)
+        return SharedMap(chain, len(changes)) if len(changes) <= chain.most else SharedMap.of(entries)
 
     def without(self, key: K) -> "SharedMap[K, V]":
         """Return the mapping without this key, which it has."""
-        entries, line = self._entries(), self._line
+        entries, chain = self._entries(), self._line
         del entries[key]
-        changes = line.changes
+        changes = chain.changes
         changes.append((key,))
-        return SharedMap(line, len(changes)) if len(changes) <= line.most else SharedMap.of(entries)
+        return SharedMap(chain, len(changes)) if len(changes) <= chain.most else SharedMap.of(entries)
 
     def _entries(self) -> dict[K, V]:
-        """Return the entries of this version. It is the newest of its line then; if need be, of one of its own."""
-        line = self._line
-        if self._number != len(line.changes):
-            entries = {**line.first}
-            for key, *value in line.changes[: self._number]:
+        """Return the entries of this version, which becomes the newest of its chain; if necessary, of a new chain."""
+        chain = self._line
+        if self._number != len(chain.changes):
+            entries = {**chain.first}
+            for key, *value in chain.changes[: self._number]:
                 if value:
                     entries[key] = value[0]
                 else:
                     del entries[key]
-            line = self._line = VersionChain(entries)
+            chain = self._line = VersionChain(entries)
             self._number = 0
-        return line.newest
+        return chain.newest
 
 
 def among(entries: Mapping[K, V], keys: KeysView[K]) -> set[K]:
-    """Return those of these keys of a dict that the mapping has; the smaller of both is looked through."""
+    """Return which of these keys of a dict the mapping has; the smaller of the two is searched."""
     return entries.among(keys) if isinstance(entries, SharedMap) else keys & entries.keys()
 
 

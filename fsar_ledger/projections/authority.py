@@ -40,7 +40,7 @@ _Key = TypeVar("_Key")
 
 
 class Since(Container[_Key]):
-    """Those keys whose last change has at least this number."""
+    """The keys whose last change has at least this number."""
 
     def __init__(self, changes: Mapping[_Key, int], number: int) -> None:
         self._changes = changes
@@ -142,25 +142,27 @@ def evolve(state: Authority, event: HANDLES) -> Authority:
 
 
 def since(known: Changes, number: int | None) -> Changes:
-    """Return the changes from this number on, which the oldest approval has; None: there is no approval."""
+    """Return the changes from this number on, that of the oldest approval; None: there is no approval."""
     if number is None:
         return Changes()
-    windows = {name: one for name, one in known.windows.items() if one >= number}
-    rules = {rule: one for rule, one in known.rules.items() if one >= number}
-    heard = {robot: one for robot, one in known.heard.items() if one >= number}
+    windows = {name: last for name, last in known.windows.items() if last >= number}
+    rules = {rule: last for rule, last in known.rules.items() if last >= number}
+    heard = {robot: last for robot, last in known.heard.items() if last >= number}
     return Changes(known.count, windows, rules, heard)
 
 
-def _with(known: Changes, event: PolicyWindowOpened | PolicyRuleSet | RolePolicyRuleSet | FleetRuleLearned) -> Changes:
+def _with(
+    changes: Changes, event: PolicyWindowOpened | PolicyRuleSet | RolePolicyRuleSet | FleetRuleLearned
+) -> Changes:
     """Return the changes with this one."""
-    number, count = known.count, known.count + 1
+    number, count = changes.count, changes.count + 1
     match event:
         case PolicyWindowOpened():
-            return Changes(count, put(known.windows, event.window, number), known.rules, known.heard)
+            return Changes(count, put(changes.windows, event.window, number), changes.rules, changes.heard)
         case PolicyRuleSet() | RolePolicyRuleSet():
-            return Changes(count, known.windows, put(known.rules, key_of(event), number), known.heard)
+            return Changes(count, changes.windows, put(changes.rules, key_of(event), number), changes.heard)
         case FleetRuleLearned():
-            return Changes(count, known.windows, known.rules, put(known.heard, event.robot, number))
+            return Changes(count, changes.windows, changes.rules, put(changes.heard, event.robot, number))
         case _:
             assert_never(event)
 

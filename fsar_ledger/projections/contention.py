@@ -17,7 +17,7 @@ HANDLES = SupervisorCalled | SupervisorResponded | RequestDeferred | TaskArrived
 
 
 class Order(msgspec.Struct, frozen=True, gc=False):
-    """Two competing actions that the first of them put before H_F; `preferred` is H_F's answer."""
+    """Two competing actions that the first of them submitted to H_F; `preferred` is H_F's answer."""
 
     action_id: str
     other: str
@@ -41,17 +41,17 @@ INITIAL = Contention()
 
 
 def order_of(contention: Contention, one: str, other: str) -> Order | None:
-    """Return the order of two competing actions, whichever of them put it before H_F; None if neither has."""
+    """Return the order of two competing actions, whichever of them submitted it to H_F; None if neither has."""
     orders = contention.orders
     return orders.get((one, other)) or orders.get((other, one))
 
 
 def in_order(contention: Contention, action_id: str, preferred: str | None) -> tuple[str, ...]:
     """Return the requests that waited for H_F's answer about this action, in the order that H_F gave."""
-    called = [pair for pair in contention.orders if pair[0] == action_id]
-    if not called:
+    pairs = [pair for pair in contention.orders if pair[0] == action_id]
+    if not pairs:
         return ()
-    waiting = [name for name in called[-1] if name in contention.arrived]
+    waiting = [name for name in pairs[-1] if name in contention.arrived]
     return tuple(sorted(waiting, key=lambda name: name != preferred))
 
 

@@ -1,4 +1,4 @@
-"""The contexts (tasks) that are over, in which nothing may be asked, granted or trusted any more.
+"""The contexts (tasks) that are over, in which nothing may be requested, granted or trusted any more.
 
 Paper: sec:model:authority (context expiration).
 """
@@ -12,9 +12,9 @@ from . import put
 HANDLES = TaskCompleted | TaskAbandoned
 
 Over = Mapping[str, bool]
-"""Whether the task was completed, by its name, in the order of their ends; a live run knows the last 65,536.
+"""Whether the task was completed, by its name, in the order of their ends; a live run keeps the last 65,536.
 
-A set would be copied with every task of a run that lasts.
+A set would be copied with every task of a long run.
 """
 
 INITIAL: Over = {}

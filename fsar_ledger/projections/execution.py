@@ -37,7 +37,7 @@ AtRobot = (
     | ExecutionResumed
     | ExecutionFailed
 )
-"""What happens to an action at its robot."""
+"""The events of an action at its robot."""
 
 HANDLES = (
     ExecutionQueued
@@ -59,7 +59,7 @@ INTERRUPTING = rank("hard-preempt")  # from this level up, a request interrupts 
 class Action(msgspec.Struct, frozen=True, gc=False):
     """One action at its robot. Units: `ends_us` run time of the planned end, `remaining_us` execution left.
 
-    Both are None where nobody knows them, as of a robot that reports when it has finished, and 0 while there is none.
+    Both are None if unknown, as for a robot that reports when it has finished, and 0 while there is none.
 
     `has_begun` says whether a preempted action had begun to execute. `supervised_by` is the supervisor recorded when
     the action was queued, if any. `capability` is empty where no event on record names it.
@@ -90,15 +90,15 @@ class Action(msgspec.Struct, frozen=True, gc=False):
 
     @property
     def subject(self) -> Subject[TaskId, ActionId]:
-        """Return what an event of this action is about."""
+        """Return the subject of the action's events."""
         return Subject(self.task_id, self.action_id)
 
 
 class Execution(msgspec.Struct, frozen=True, gc=False):
     """The actions, and what occupies robots.
 
-    `current`: robot -> the action or assistance that occupies it; `queues`: robot -> waiting actions, and what another
-    system began something else beside; `served`: robot -> the actions on its behalf.
+    `current`: robot -> the action or assistance that occupies it; `queues`: robot -> waiting actions, and those beside
+    which another system began something else; `served`: robot -> the actions on its behalf.
     """
 
     current: Mapping[Robot, str] = {}
@@ -111,7 +111,7 @@ INITIAL = Execution()
 
 
 def left_us(action: Action, now_us: int) -> int | None:
-    """Return how much of a running execution is left, None where nobody knows. Units: microseconds."""
+    """Return how much of a running execution is left, None if unknown. Units: microseconds."""
     return None if action.ends_us is None else max(0, action.ends_us - now_us)
 
 
@@ -123,15 +123,15 @@ def in_hand(state: Execution, robot: Robot) -> Action | None:
 def doing_and_waiting(state: Execution, robot: Robot) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return what the robot has in hand, the newest first, and what waits for it.
 
-    A robot of ours does one thing at a time. Another system's record may tell that the next thing began, and not that
-    the one before was interrupted: then it does both.
+    Our robots do one thing at a time. Another system's record may show that the next action began, but not that the
+    one before was interrupted: then the robot does both.
     """
     doing: list[str] = []
     waiting: list[str] = []
     for name in state.queues.get(robot, ()):
         action = state.actions.get(name)
-        is_done = name.startswith(HELPING) or (action is not None and action.stage in ("approaching", "running"))
-        (doing if is_done else waiting).append(name)
+        is_active = name.startswith(HELPING) or (action is not None and action.stage in ("approaching", "running"))
+        (doing if is_active else waiting).append(name)
     current = state.current.get(robot)
     return (*(() if current is None else (current,)), *doing), tuple(waiting)
 
@@ -162,9 +162,9 @@ def evolve(state: Execution, event: HANDLES) -> Execution:
         case ExecutionWithdrawn():
             return _withdrawn(state, event)
         case AssistanceAdmitted():
-            held = HELPING + event.subject.action_id
-            free = _set_aside(_helps_no_more(state, event.helper, held), event.helper)
-            current = put(free.current, event.helper, held)
+            assistance = HELPING + event.subject.action_id
+            free = _set_aside(_helps_no_more(state, event.helper, assistance), event.helper)
+            current = put(free.current, event.helper, assistance)
             return Execution(current, free.queues, free.actions, free.served)
         case AssistanceEnded() | AssistanceFailed():
             return _helps_no_more(state, event.helper, HELPING + event.subject.action_id)
@@ -173,9 +173,9 @@ def evolve(state: Execution, event: HANDLES) -> Execution:
 
 
 def _queued(state: Execution, event: ExecutionQueued) -> Execution:
-    known = state.actions.get(event.subject.action_id)
-    if known is not None and (known.stage != "withdrawn" or known.on_behalf_of != event.on_behalf_of):
-        state = ended(state, known.action_id)  # another system's record: nothing told that it was taken from there
+    previous = state.actions.get(event.subject.action_id)
+    if previous is not None and (previous.stage != "withdrawn" or previous.on_behalf_of != event.on_behalf_of):
+        state = ended(state, previous.action_id)  # another system's record, which does not show its withdrawal
     action = Action(
         event.subject.task_id,
         event.subject.action_id,
@@ -189,21 +189,21 @@ def _queued(state: Execution, event: ExecutionQueued) -> Execution:
         event.is_delegated,
         event.has_approach,
         event.is_supervised,
-        failures=known.failures if known else 0,
-        segments=known.segments if known else 0,
+        failures=previous.failures if previous else 0,
+        segments=previous.segments if previous else 0,
         override=event.override,
         supervised_by=event.principals.supervised_by,
     )
     actions, served = put(state.actions, event.subject.action_id, action), state.served
-    own = served.get(event.on_behalf_of, ())
-    if event.subject.action_id not in own:
-        served = put(served, event.on_behalf_of, (*own, event.subject.action_id))
+    names = served.get(event.on_behalf_of, ())
+    if event.subject.action_id not in names:
+        served = put(served, event.on_behalf_of, (*names, event.subject.action_id))
     if event.robot in state.current:
         queue = state.queues.get(event.robot, ())
-        place = len(queue) if event.override == "none" else _place(state, queue, event.override)
+        index = len(queue) if event.override == "none" else _place(state, queue, event.override)
         return Execution(
             state.current,
-            put(state.queues, event.robot, (*queue[:place], event.subject.action_id, *queue[place:])),
+            put(state.queues, event.robot, (*queue[:index], event.subject.action_id, *queue[index:])),
             actions,
             served,
         )
@@ -211,24 +211,24 @@ def _queued(state: Execution, event: ExecutionQueued) -> Execution:
 
 
 def ended(state: Execution, action_id: str) -> Execution:
-    """Forget the action, which occupies its robot no more."""
-    known = state.actions.get(action_id)
-    if known is None:
+    """Forget the action, which no longer occupies its robot."""
+    action = state.actions.get(action_id)
+    if action is None:
         return state
-    robot = known.on_behalf_of
+    robot = action.on_behalf_of
     left = tuple(name for name in state.served[robot] if name != action_id)
     served = put(state.served, robot, left) if left else without(state.served, robot)
     actions = without(state.actions, action_id)
-    return _left(Execution(state.current, state.queues, actions, served), known.robot, action_id)
+    return _left(Execution(state.current, state.queues, actions, served), action.robot, action_id)
 
 
 def _withdrawn(state: Execution, event: ExecutionWithdrawn) -> Execution:
     """Take the action from the robot, unless it is at another one by now."""
     action_id = event.subject.action_id
-    known = state.actions.get(action_id)
-    if known is None or known.robot != event.robot:
+    action = state.actions.get(action_id)
+    if action is None or action.robot != event.robot:
         return state
-    changed = msgspec.structs.replace(known, stage="withdrawn", ends_us=0, remaining_us=0)
+    changed = msgspec.structs.replace(action, stage="withdrawn", ends_us=0, remaining_us=0)
     actions = put(state.actions, action_id, changed)
     return _left(Execution(state.current, state.queues, actions, state.served), event.robot, action_id)
 
@@ -241,43 +241,43 @@ def _left(state: Execution, robot: Robot, action_id: str) -> Execution:
     return Execution(state.current, put(state.queues, robot, queue), state.actions, state.served)
 
 
-def _helps_no_more(state: Execution, robot: Robot, held: str) -> Execution:
-    is_helping = held in (state.current.get(robot), *state.queues.get(robot, ()))
-    return _left(state, robot, held) if is_helping else state
+def _helps_no_more(state: Execution, robot: Robot, assistance: str) -> Execution:
+    is_helping = assistance in (state.current.get(robot), *state.queues.get(robot, ()))
+    return _left(state, robot, assistance) if is_helping else state
 
 
 def _set_aside(state: Execution, robot: Robot) -> Execution:
-    """Let the action or the help that the robot has in hand, if any, wait for what comes next."""
+    """Move the action or the help that the robot has in hand, if any, to the head of its queue."""
     if robot not in state.current:
         return state
-    held, queue = state.current[robot], state.queues.get(robot, ())
-    is_kept = held in state.actions or held.startswith(HELPING)
-    queues = put(state.queues, robot, (held, *queue)) if is_kept else state.queues
+    current, queue = state.current[robot], state.queues.get(robot, ())
+    is_kept = current in state.actions or current.startswith(HELPING)
+    queues = put(state.queues, robot, (current, *queue)) if is_kept else state.queues
     return Execution(without(state.current, robot), queues, state.actions, state.served)
 
 
 def _at_robot(state: Execution, event: AtRobot) -> tuple[Execution, Action]:
     """Return the action, which is at the robot of the event.
 
-    Another system's record may not tell that it came there: then it does now.
+    Another system's record may not show that it came there: then it does now.
     """
-    known = state.actions.get(event.subject.action_id)
-    if known is None or known.robot != event.robot or known.stage == "withdrawn":
+    action = state.actions.get(event.subject.action_id)
+    if action is None or action.robot != event.robot or action.stage == "withdrawn":
         # See docs/decisions/state-accepts-any-history.md.
-        state = _queued(_set_aside(state, event.robot), _coming(event, known))
-        known = state.actions[event.subject.action_id]
-    return state, known
+        state = _queued(_set_aside(state, event.robot), _coming(event, action))
+        action = state.actions[event.subject.action_id]
+    return state, action
 
 
-def _coming(event: AtRobot, known: Action | None) -> ExecutionQueued:
+def _coming(event: AtRobot, action: Action | None) -> ExecutionQueued:
     """Return the event that was not recorded, with what is on record of the action."""
-    parties: Parties | Action | None = known
-    # Whose step it is, where nobody says so, is not known; it stands with the robot that does it.
-    whose, capability = event.robot, known.capability if known else ""
-    if known is not None and known.on_behalf_of != known.robot:
-        whose = known.on_behalf_of
+    parties: Parties | Action | None = action
+    # If the record does not say whose step it is, it counts as the step of the robot that does it.
+    owner, capability = event.robot, action.capability if action else ""
+    if action is not None and action.on_behalf_of != action.robot:
+        owner = action.on_behalf_of
     if isinstance(event, ExecutionStarted):
-        parties, whose, capability = event.principals, event.on_behalf_of or whose, event.capability
+        parties, owner, capability = event.principals, event.on_behalf_of or owner, event.capability
     return ExecutionQueued(
         subject=event.subject,
         principals=Parties(
@@ -286,11 +286,11 @@ def _coming(event: AtRobot, known: Action | None) -> ExecutionQueued:
             supervised_by=parties.supervised_by if parties else None,
         ),
         robot=event.robot,
-        on_behalf_of=whose,
+        on_behalf_of=owner,
         capability=capability,
-        step=known.step if known else 0,
-        attempt=known.attempt if known else 0,
-        is_delegated=whose != event.robot,
+        step=action.step if action else 0,
+        attempt=action.attempt if action else 0,
+        is_delegated=owner != event.robot,
         has_approach=isinstance(event, ApproachStarted),
         is_supervised=parties is not None and parties.supervised_by is not None,
     )
@@ -301,29 +301,29 @@ def _place(state: Execution, queue: tuple[str, ...], override: OverrideLevel) ->
 
     Only an interrupting level goes ahead of an action that was itself interrupted. Paper: eq:override.
     """
-    for place, name in enumerate(queue):
+    for index, name in enumerate(queue):
         waiting = state.actions.get(name)
         if waiting is None:  # a help that another system set aside
             continue
         if rank(waiting.override) < rank(override) and (waiting.stage != "preempted" or rank(override) >= INTERRUPTING):
-            return place
+            return index
     return len(queue)
 
 
 def _preempted(state: Execution, event: ExecutionPreempted) -> Execution:
     """Put the action at the head of the queue and free the robot for the one that preempted it."""
-    state, known = _at_robot(state, event)
+    state, action = _at_robot(state, event)
     action_id = event.subject.action_id
     changed = msgspec.structs.replace(
-        known,
+        action,
         stage="preempted",
         ends_us=0,
         remaining_us=event.remaining_us,
-        preemptions=known.preemptions + 1,
-        has_begun=event.remaining_us is not None or known.stage in ("running", "paused"),
+        preemptions=action.preemptions + 1,
+        has_begun=event.remaining_us is not None or action.stage in ("running", "paused"),
     )
-    held = state.current.get(event.robot) == action_id
-    current = without(state.current, event.robot) if held else state.current
+    is_current = state.current.get(event.robot) == action_id
+    current = without(state.current, event.robot) if is_current else state.current
     others = tuple(name for name in state.queues.get(event.robot, ()) if name != action_id)
     queues = put(state.queues, event.robot, (action_id, *others))
     return Execution(current, queues, put(state.actions, action_id, changed), state.served)

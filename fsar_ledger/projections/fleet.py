@@ -31,7 +31,7 @@ _Key = TypeVar("_Key")
 
 
 class Member(msgspec.Struct, frozen=True, gc=False):
-    """One robot of the fleet. `team` is 0 where the record knows none."""
+    """One robot of the fleet. `team` is 0 if the record has none."""
 
     name: Robot
     role: str
@@ -48,8 +48,8 @@ class Fleet(msgspec.Struct, frozen=True, dict=True):
     Groups of constants are those of the run's `Constants` of the same names, or their defaults if it has none.
     `departed`: robot that has left and not returned -> how; `fences`: robot -> its departures so far. `bodies` are the
     roles whose robots can clear an obstruction; `substitutes` maps a capability to the one that can replace it.
-    `is_live`: the robots are really there. `isolated`: the robot that is alone, without the federation; `handed_over`:
-    robot -> its run alone that it has handed over last.
+    `is_live`: the robots are real. `isolated`: the robot that is alone, without the federation; `handed_over`: robot ->
+    the last run on its own that it has handed over.
 
     Units: `answer_us` microseconds that a robot waits for an answer.
     """
@@ -74,33 +74,33 @@ class Fleet(msgspec.Struct, frozen=True, dict=True):
     @cached_property
     def teams(self) -> dict[int, frozenset[Robot]]:
         """The robots of each team."""
-        return _grouped((one.team, one.name) for one in self.robots.values())
+        return _grouped((robot.team, robot.name) for robot in self.robots.values())
 
     @cached_property
     def able_bodies(self) -> tuple[Robot, ...]:
         """The robots whose body can clear an obstruction, sorted by name."""
-        return tuple(sorted(one.name for one in self.robots.values() if one.role in self.bodies))
+        return tuple(sorted(robot.name for robot in self.robots.values() if robot.role in self.bodies))
 
     @cached_property
     def places(self) -> dict[str | None, frozenset[Robot]]:
         """The robots that work at each place."""
-        return _grouped((one.place, one.name) for one in self.robots.values())
+        return _grouped((robot.place, robot.name) for robot in self.robots.values())
 
 
 def _grouped(names: Iterable[tuple[_Key, Robot]]) -> dict[_Key, frozenset[Robot]]:
-    found: dict[_Key, set[Robot]] = {}
+    groups: dict[_Key, set[Robot]] = {}
     for key, name in names:
-        found.setdefault(key, set()).add(name)
-    return {key: frozenset(robots) for key, robots in found.items()}
+        groups.setdefault(key, set()).add(name)
+    return {key: frozenset(robots) for key, robots in groups.items()}
 
 
 def evolve(state: Fleet, event: HANDLES) -> Fleet:
     """Return the fleet after the event."""
     match event:
         case RunStarted():
-            made = _made(event.parameters)
+            fleet = _made(event.parameters)
             return msgspec.structs.replace(
-                made,
+                fleet,
                 without=removed_mechanisms(event.configuration or ""),
                 size=event.fleet_size or 0,
                 is_live=event.kind == "live",
@@ -147,7 +147,7 @@ def _made(parameters: str | None) -> Fleet:
         **groups,
         answer_us=round(constants.outages.answer_s * 1e6),
         bodies=design.bodies,
-        substitutes={one.of: one.by for one in design.substitutes},
+        substitutes={substitute.of: substitute.by for substitute in design.substitutes},
     )
 
 

@@ -89,7 +89,7 @@ class State:
     __hash__ = None  # type: ignore[assignment]
 
     def copy(self) -> "State":
-        """Return a state of its own with the same values."""
+        """Return another state with the same values."""
         other = State.__new__(State)
         for slot in self.__slots__:
             setattr(other, slot, getattr(self, slot))
@@ -130,18 +130,18 @@ def fold(events: Iterable[Event]) -> State:
 ENDS: frozenset[type[Event]] = frozenset(
     {TaskCompleted, TaskAbandoned, RequestClosed, RequestDenied, RequestUnanswered, OfferAnswered}
 )
-"""After events of these types something may be over that a live run can forget."""
+"""Events of these types may end something that a live run can forget."""
 LATE, NAMES = 1 << 10, 1 << 16
-"""What a live run knows of the past: all about so many tasks at least, and so many names, the last of each."""
+"""What a live run keeps of the past: all about the last `LATE` tasks at least, and the last `NAMES` names."""
 _Key = TypeVar("_Key")
 _Value = TypeVar("_Value")
 
 
 # See docs/decisions/live-runs-forget.md.
 def forget(state: State, event: Event) -> bool:
-    """Forget what has been over for long, if that is due in this run; return whether it was.
+    """Forget what ended long ago, if that is due in this run; return whether it was.
 
-    It is due in a live run after each 1,024 tasks, and when too many requests are known.
+    It is due in a live run after each 1,024 tasks, and when there are too many requests.
     """
     if not state.fleet.is_live:
         return False
@@ -159,17 +159,17 @@ def forget(state: State, event: Event) -> bool:
 
 
 def _forget_requests(state: State, late: set[str]) -> None:
-    """Forget the requests of tasks that are over, and those of no step that are over but for the last."""
+    """Forget the requests of tasks that are over, and all but the last ad hoc requests that are over."""
     requests, open_ = state.request, state.request.open
-    there = {name: one for name, one in open_.items() if not _is_at_a_robot(state, name)}
-    adhoc = [one for one in there.values() if one.is_adhoc and (one.is_over or one.is_unanswered)][: -LATE // 2]
-    steps = [one for one in there.values() if not one.is_adhoc and _is_past(state, one.task_id, late)]
+    idle = {name: item for name, item in open_.items() if not _is_at_a_robot(state, name)}
+    adhoc = [item for item in idle.values() if item.is_adhoc and (item.is_over or item.is_unanswered)][: -LATE // 2]
+    steps = [item for item in idle.values() if not item.is_adhoc and _is_past(state, item.task_id, late)]
     past = requests.past
-    for one in (*steps, *adhoc):
-        requests = request.removed(requests, one.action_id)
-    for one in adhoc:
-        task_id, _, step = one.action_id.partition("/")
-        for name in (one.action_id, f"{one.task_id}/", *([f"{task_id}/"] if step else [])):
+    for item in (*steps, *adhoc):
+        requests = request.removed(requests, item.action_id)
+    for item in adhoc:
+        task_id, _, step = item.action_id.partition("/")
+        for name in (item.action_id, f"{item.task_id}/", *([f"{task_id}/"] if step else [])):
             past = put(without(past, name), name, True)
     past = _but(past, [*past][:-NAMES])
     state.request = replace(requests, past=past, most=max(request.MOST, 2 * len(requests.open)))
@@ -186,7 +186,7 @@ def _is_past(state: State, task_id: str, late: set[str]) -> bool:
 
 
 def _forget_actions(state: State, late: set[str]) -> None:
-    """Forget the actions of such tasks that were taken from their robots, and recoveries of what nobody executes."""
+    """Forget the actions of such tasks that no robot has, and recoveries of actions that no robot executes."""
     for name, action in tuple(state.execution.actions.items()):
         is_asked_for = name in state.request.open or _is_at_a_robot(state, name)
         if not is_asked_for and _is_past(state, action.task_id, late):
@@ -195,7 +195,7 @@ def _forget_actions(state: State, late: set[str]) -> None:
 
 
 def _forget_questions(state: State) -> None:
-    """Forget what supervisors were asked and have said, and who asked, about requests and actions that are gone."""
+    """Forget the calls, approvals, orders and requesters of requests and actions that are gone."""
     requests, actions, asked, order = state.request.open, state.execution.actions, state.supervision, state.contention
     claims = state.authority
     calls = [
@@ -210,7 +210,7 @@ def _forget_questions(state: State) -> None:
     state.authority = authority.Authority(claims.claims, claims.rights, approvals, changes)
     state.contention = replace(
         order,
-        orders=_but(order.orders, [pair for pair in order.orders if not any(one in requests for one in pair)]),
+        orders=_but(order.orders, [pair for pair in order.orders if not any(name in requests for name in pair)]),
         arrived=frozenset(name for name in order.arrived if name in requests),
     )
     state.trust = replace(
@@ -219,8 +219,8 @@ def _forget_questions(state: State) -> None:
 
 
 def _forget_contexts(state: State, gone: set[str]) -> None:
-    """Forget what was granted, ruled and trusted in these contexts alone."""
-    known, claims, rules = state.trust, state.authority, state.policy
+    """Forget the rights, rules and trust of these contexts alone."""
+    current, claims, rules = state.trust, state.authority, state.policy
     rights = tuple(right for right in claims.rights if right.context not in gone)
     state.authority = authority.Authority(claims.claims, rights, claims.approvals, claims.changes)
     state.policy = policy.Policy(
@@ -228,20 +228,20 @@ def _forget_contexts(state: State, gone: set[str]) -> None:
         _but(rules.of_roles, [rule for rule in rules.of_roles if rule[-1] in gone]),
         rules.members,
     )
-    if known.contexts & gone:
+    if current.contexts & gone:
         state.trust = replace(
-            known,
-            contexts=known.contexts - gone,
-            entries=_outside(known.entries, gone),
-            of_roles={**_outside(known.of_roles, gone)},
-            records=_but(known.records, [key for key in known.records if key[-1] in gone]),
+            current,
+            contexts=current.contexts - gone,
+            entries=_outside(current.entries, gone),
+            of_roles={**_outside(current.of_roles, gone)},
+            records=_but(current.records, [key for key in current.records if key[-1] in gone]),
         )
 
 
 def _outside(entries: Mapping[_Key, trust.Entries], gone: set[str]) -> Mapping[_Key, trust.Entries]:
     """Return the entries of trust that are not for one of these contexts alone."""
     for key, about in tuple(entries.items()):
-        left = {one: scope for one, scope in about.items() if one[1] not in gone}
+        left = {pair: scope for pair, scope in about.items() if pair[1] not in gone}
         if len(left) < len(about):
             entries = put(entries, key, left) if left else without(entries, key)
     return entries

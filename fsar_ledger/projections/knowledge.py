@@ -37,10 +37,10 @@ HANDLES = (
 
 
 class Knowledge(msgspec.Struct, frozen=True, gc=False):
-    """What each decider was told.
+    """What each decider has been told.
 
     `copy` is the coordinator's last synced copy. `store`: robot -> its entry in a shared store; `beats`: robot -> until
-    when its own last writing there holds (run time), 0 if it does not expire. `heard`: robot -> the number of its last
+    when its own last write there holds (run time), 0 if it does not expire. `heard`: robot -> the number of its last
     heartbeat at the registry; `suspected`: robots of which none came for too long. Units: `ready_us` run time at which
     the coordinator's queue of work is done.
     """

@@ -1,7 +1,7 @@
-"""Motivations: what each robot senses as wanted, whom it hears at work on it, and what it is active on itself.
+"""Motivations: what each robot senses as needed, which teammates it hears working on it, and its own activity.
 
 An action has one name, and several robots can be active on it at once. The first one executes it under that name, any
-other one under a name of its own (`execution_name`). So both bodies move, both starts are on record, and their claims
+other one under a name of its own (`execution_name`). So both robots move, both starts are on record, and their claims
 are claims to the same action.
 """
 
@@ -43,7 +43,7 @@ class Heard(msgspec.Struct, frozen=True, gc=False):
 class Motivation(msgspec.Struct, frozen=True, gc=False):
     """A robot's motivation to do one action: its level at a time from which it grows by itself.
 
-    `as_of_us` is None while the robot has only heard of somebody's activity, and does not sense the need.
+    `as_of_us` is None while the robot has only heard of a teammate's activity, and does not sense the need.
     Units: `level_us` microseconds of growth at the fast rate; `as_of_us` run time.
     """
 
@@ -53,7 +53,7 @@ class Motivation(msgspec.Struct, frozen=True, gc=False):
 
 
 class Activity(msgspec.Struct, frozen=True, gc=False):
-    """What a robot is active on, since when (run time), and how often it has said so."""
+    """What a robot is active on, since when (run time), and how often it has broadcast that."""
 
     action_id: str
     since_us: int
@@ -63,8 +63,8 @@ class Activity(msgspec.Struct, frozen=True, gc=False):
 class Motivations(msgspec.Struct, frozen=True, gc=False):
     """Motivations and activities.
 
-    `of`: action -> robot -> its motivation; `active`: robot -> its activity; `at`: robot -> the action that it was last
-    at the place of; `spells`: action -> how often some robot became active on it; `times_us`: robot, teammate,
+    `of`: action -> robot -> its motivation; `active`: robot -> its activity; `at`: robot -> the action whose place it
+    was last at; `spells`: action -> how often some robot became active on it; `times_us`: robot, teammate,
     capability -> how long the teammate took, each time that the robot heard begin and end.
     """
 
@@ -93,10 +93,10 @@ def execution_name(state: Execution, action_id: str, robot: Robot) -> str:
 
     That of the action, unless another robot has it under that name; a robot keeps a name of its own.
     """
-    own = action_id + BY + robot[6:]
-    known = state.actions.get(action_id)
-    if own in state.actions or (known is not None and known.robot != robot and known.stage != "withdrawn"):
-        return own
+    own_name = action_id + BY + robot[6:]
+    action = state.actions.get(action_id)
+    if own_name in state.actions or (action is not None and action.robot != robot and action.stage != "withdrawn"):
+        return own_name
     return action_id
 
 
@@ -110,8 +110,8 @@ def evolve(state: Motivations, event: HANDLES) -> Motivations:
     replace = msgspec.structs.replace
     match event:
         case MotivationBegan():
-            known = motivation_of(state, event.subject.action_id, event.robot) or Motivation()
-            return _with(state, event, replace(known, level_us=0, as_of_us=event.since_us))
+            motivation = motivation_of(state, event.subject.action_id, event.robot) or Motivation()
+            return _with(state, event, replace(motivation, level_us=0, as_of_us=event.since_us))
         case ActivityHeard():
             return _heard(state, event)
         case ActivityBroadcast():
@@ -139,19 +139,19 @@ def _with(state: Motivations, event: MotivationBegan | ActivityHeard, motivation
 
 
 def _heard(state: Motivations, event: ActivityHeard) -> Motivations:
-    known = motivation_of(state, event.subject.action_id, event.robot) or Motivation()
-    before = known.heard.get(event.peer)
-    first_us = event.as_of_us if before is None else before.first_us
-    heard = put(known.heard, event.peer, Heard(first_us, event.as_of_us, event.patience_us))
-    as_of_us = None if known.as_of_us is None else event.as_of_us
+    motivation = motivation_of(state, event.subject.action_id, event.robot) or Motivation()
+    earlier = motivation.heard.get(event.peer)
+    first_us = event.as_of_us if earlier is None else earlier.first_us
+    heard = put(motivation.heard, event.peer, Heard(first_us, event.as_of_us, event.patience_us))
+    as_of_us = None if motivation.as_of_us is None else event.as_of_us
     return _with(state, event, Motivation(event.level_us, as_of_us, heard))
 
 
 def _broadcast(state: Motivations, event: ActivityBroadcast) -> Motivations:
-    replace, action_id, known = msgspec.structs.replace, event.subject.action_id, state.active.get(event.robot)
-    if known is not None and (known.action_id, known.since_us) == (action_id, event.since_us):
-        again = replace(known, broadcasts=known.broadcasts + 1)
-        return replace(state, active=put(state.active, event.robot, again))
+    replace, action_id, activity = msgspec.structs.replace, event.subject.action_id, state.active.get(event.robot)
+    if activity is not None and (activity.action_id, activity.since_us) == (action_id, event.since_us):
+        repeated = replace(activity, broadcasts=activity.broadcasts + 1)
+        return replace(state, active=put(state.active, event.robot, repeated))
     spells = put(state.spells, action_id, state.spells.get(action_id, 0) + 1)
     active = put(state.active, event.robot, Activity(action_id, event.since_us))
     return replace(state, active=active, spells=spells)

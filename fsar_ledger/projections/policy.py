@@ -59,9 +59,9 @@ def ruled(
     """
     outcome: PolicyOutcome | None = None
     for about in ((capability, context), (capability, None), (None, context), (None, None)):
-        for rule, found in _about(state, scope, robot, *about):
+        for rule, rule_outcome in _about(state, scope, robot, *about):
             if among is None or rule in among:
-                outcome = found if outcome is None else stricter(outcome, found)
+                outcome = rule_outcome if outcome is None else stricter(outcome, rule_outcome)
     return outcome
 
 
@@ -80,12 +80,12 @@ def _about(
     if of_all in state.rules:
         yield of_all, state.rules[of_all]
     # See docs/decisions/trust-and-rules-are-by-role.md.
-    own: Rule = (scope, robot, capability, context)
-    if own in state.rules:
-        yield own, state.rules[own]
+    of_robot: Rule = (scope, robot, capability, context)
+    if of_robot in state.rules:
+        yield of_robot, state.rules[of_robot]
     elif state.of_roles and robot in state.members:
         role, domain = state.members[robot]
-        of_role: Iterator[RoleRule] = ((scope, role, one, capability, context) for one in around(domain))
+        of_role: Iterator[RoleRule] = ((scope, role, name, capability, context) for name in around(domain))
         nearest = next((rule for rule in of_role if rule in state.of_roles), None)
         if nearest is not None:
             yield nearest, state.of_roles[nearest]

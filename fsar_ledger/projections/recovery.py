@@ -35,8 +35,8 @@ HANDLES = (
 class Recovery(msgspec.Struct, frozen=True, gc=False):
     """The open failure of one action: its attempts, the helpers asked, the one awaited, and the supervisors called.
 
-    `cause` is None where the failure itself is not on record, only its recovery; then `detected_us` says nothing. It
-    is 0 where the record does not know it.
+    `cause` is None where the failure itself is not on record, only its recovery; then `detected_us` has no meaning. It
+    is 0 where it is not on record.
     Units: `detected_us` run time, `deadline_us` run time at which the local level's budget ends, `since_us` run time at
     which recovery turned to the robot last asked for help.
     """
@@ -65,7 +65,7 @@ def evolve(state: Recoveries, event: HANDLES) -> Recoveries:
         case ExecutionFailed():
             failed = Recovery(event.robot, event.failure, event.cause, event.detected_us or 0)
             return put(state, event.subject.action_id, failed)
-        case ExecutionWithdrawn():  # the robot gave the action up; else recovery goes on with another robot
+        case ExecutionWithdrawn():  # the robot gave the action up; else recovery continues with another robot
             return state if event.failure is None else without(state, event.subject.action_id)
         case RecoveryAttempted():
             changed = msgspec.structs.replace(_failed(state, event), number=event.number, deadline_us=event.deadline_us)
@@ -74,11 +74,11 @@ def evolve(state: Recoveries, event: HANDLES) -> Recoveries:
             failed = msgspec.structs.replace(_failed(state, event), level=event.to_level, awaited=None)
             return put(state, event.failed_action, failed)
         case AssistanceRequested():
-            known = _failed(state, event)
-            asked = msgspec.structs.replace(
-                known, tried=(*known.tried, event.helper), since_us=event.since_us or 0, awaited=event.helper
+            recovery = _failed(state, event)
+            requested = msgspec.structs.replace(
+                recovery, tried=(*recovery.tried, event.helper), since_us=event.since_us or 0, awaited=event.helper
             )
-            return put(state, event.failed_action, asked)
+            return put(state, event.failed_action, requested)
         case AssistanceAdmitted() | AssistanceDeclined():
             action_id = event.subject.action_id or ""
             if action_id not in state:
@@ -96,6 +96,6 @@ def evolve(state: Recoveries, event: HANDLES) -> Recoveries:
 
 
 def _failed(state: Recoveries, event: RecoveryAttempted | RecoveryEscalated | AssistanceRequested) -> Recovery:
-    """Return the open failure; one that another system's record does not tell is only known to be recovered."""
-    known = state.get(event.failed_action)
-    return Recovery(event.robot, event.failure, None, 0, event.level) if known is None else known
+    """Return the open failure; one missing from another system's record is known only from its recovery."""
+    recovery = state.get(event.failed_action)
+    return Recovery(event.robot, event.failure, None, 0, event.level) if recovery is None else recovery

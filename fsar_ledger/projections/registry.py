@@ -34,7 +34,7 @@ HANDLES = (
 
 
 class Contract(msgspec.Struct, frozen=True, gc=False):
-    """What must hold before, what holds after, and what is taken meanwhile. Paper: sec:model:robot."""
+    """What must hold before, what holds after, and the resources taken meanwhile. Paper: sec:model:robot."""
 
     preconditions: tuple[str, ...] = ()
     postconditions: tuple[str, ...] = ()
@@ -81,12 +81,12 @@ class CapabilityOffers(msgspec.Struct, frozen=True, dict=True):
     def alike(self) -> tuple[tuple[Advertisement, tuple[Robot, ...]], ...]:
         """One record of each kind, and the robots, sorted by name, whose records differ from it in the robot alone.
 
-        A fleet has few kinds, so who looks for a candidate judges these.
+        A fleet has few kinds, so a search for candidates judges these.
         """
-        found: dict[tuple[object, ...], list[Robot]] = {}
+        kinds: dict[tuple[object, ...], list[Robot]] = {}
         for robot in sorted(self.of):
-            found.setdefault(msgspec.structs.astuple(self.of[robot])[1:], []).append(robot)
-        return tuple((self.of[robots[0]], tuple(robots)) for robots in found.values())
+            kinds.setdefault(msgspec.structs.astuple(self.of[robot])[1:], []).append(robot)
+        return tuple((self.of[robots[0]], tuple(robots)) for robots in kinds.values())
 
 
 # See docs/decisions/registry-is-a-tree.md.
@@ -144,12 +144,12 @@ def possesses(state: Registry, robot: Robot, capability: str) -> bool:
 
 def advertisement(state: Registry, robot: Robot, capability: str) -> Advertisement | None:
     """Return the robot's record of the capability, or None if it does not advertise it. Paper: eq:advertise."""
-    found = state.offers
+    level = state.offers
     for name in path_of(domain_of(state, robot)):
-        if name not in found.below:
+        if name not in level.below:
             return None
-        found = found.below[name]
-    return found.records.get(capability, NOTHING).of.get(robot)
+        level = level.below[name]
+    return level.records.get(capability, NOTHING).of.get(robot)
 
 
 def surface(state: Registry, robot: Robot) -> Iterator[Advertisement]:
@@ -209,8 +209,8 @@ def evolve(state: Registry, event: HANDLES) -> Registry:
             module = Module(
                 event.capability, event.version, Contract(event.preconditions, event.postconditions, event.resources)
             )
-            own = {**state.modules.get(event.robot, {}), event.capability: module}
-            return replace(state, modules=put(state.modules, event.robot, own))
+            modules = {**state.modules.get(event.robot, {}), event.capability: module}
+            return replace(state, modules=put(state.modules, event.robot, modules))
         case CapabilityRemoved():
             left = {
                 name: module for name, module in state.modules.get(event.robot, {}).items() if name != event.capability
@@ -231,11 +231,11 @@ def evolve(state: Registry, event: HANDLES) -> Registry:
                 state = _put(state, event.robot, record.capability, replace(record, availability=event.availability))
             return state if silent is state.silent else replace(state, silent=silent)
         case CapabilityDeprecated():
-            known = advertisement(state, event.robot, event.capability)
-            if known is None or known.version != event.version:
+            advertised = advertisement(state, event.robot, event.capability)
+            if advertised is None or advertised.version != event.version:
                 return state
             return _put(
-                state, event.robot, event.capability, replace(known, is_deprecated=True, successor=event.successor)
+                state, event.robot, event.capability, replace(advertised, is_deprecated=True, successor=event.successor)
             )
         case RegistryCached():
             return replace(state, caches=put(state.caches, event.holder, Cache(event.as_of_us, state.offers)))
@@ -270,39 +270,37 @@ def _silent(
     state: Registry, event: AvailabilityChanged, changed: list[Advertisement]
 ) -> Mapping[Robot, dict[str, Availability]]:
     """Return `Registry.silent` after the event: robots that did not answer, less what they have reported since."""
-    known = state.silent.get(event.robot)
+    listed = state.silent.get(event.robot)
     if event.reason in AWAY and event.availability == "offline":
-        before = {**(known or {}), **{record.capability: record.availability for record in changed}}
-        return put(state.silent, event.robot, before)
-    if known is None:
+        availabilities = {**(listed or {}), **{record.capability: record.availability for record in changed}}
+        return put(state.silent, event.robot, availabilities)
+    if listed is None:
         return state.silent
-    left = {capability: before for capability, before in known.items() if event.capability not in (None, capability)}
+    left = {capability: value for capability, value in listed.items() if event.capability not in (None, capability)}
     others = without(state.silent, event.robot)
     return put(others, event.robot, left) if left else others
 
 
 def _changed(
-    found: Offers, path: tuple[str, ...], robot: Robot, capability: str, record: Advertisement | None
+    level: Offers, path: tuple[str, ...], robot: Robot, capability: str, record: Advertisement | None
 ) -> Offers:
     """Return the registry with the robot's record replaced in the domain at this path, or removed if None."""
     if path:
         name = path[0]
-        before = found.below.get(name, Offers())
-        after = _changed(before, path[1:], robot, capability, record)
+        old = level.below.get(name, Offers())
+        new = _changed(old, path[1:], robot, capability, record)
         ways = (
-            found.ways
-            if _leads(before, capability) == _leads(after, capability)
-            else _turned(found.ways, name, capability)
+            level.ways if _leads(old, capability) == _leads(new, capability) else _turned(level.ways, name, capability)
         )
-        return Offers(found.records, put(found.below, name, after), ways)
-    known = found.records.get(capability, NOTHING).of
-    robots = without(known, robot) if record is None else put(known, robot, record)
-    records = put(found.records, capability, CapabilityOffers(robots)) if robots else without(found.records, capability)
-    return Offers(records, found.below, found.ways)
+        return Offers(level.records, put(level.below, name, new), ways)
+    current = level.records.get(capability, NOTHING).of
+    robots = without(current, robot) if record is None else put(current, robot, record)
+    records = put(level.records, capability, CapabilityOffers(robots)) if robots else without(level.records, capability)
+    return Offers(records, level.below, level.ways)
 
 
-def _leads(found: Offers, capability: str) -> bool:
-    return capability in found.records or capability in found.ways
+def _leads(level: Offers, capability: str) -> bool:
+    return capability in level.records or capability in level.ways
 
 
 def _turned(ways: Mapping[str, tuple[str, ...]], name: str, capability: str) -> Mapping[str, tuple[str, ...]]:

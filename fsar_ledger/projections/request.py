@@ -72,7 +72,7 @@ HANDLES = (
 
 
 MOST = 1 << 11
-"""Once so many requests are known, a live run forgets those that are over."""
+"""Once it has this many requests, a live run forgets those that are over."""
 
 
 class Request(msgspec.Struct, frozen=True, gc=False):
@@ -83,7 +83,7 @@ class Request(msgspec.Struct, frozen=True, gc=False):
     `offered` is the override level of the counter-offer that awaits an answer, `offers` the number of counter-offers.
     `result` is known once the execution is over. `is_over`: it was refused, closed or given up, and nothing more is
     decided about it.
-    `is_relayed`: the relay has passed it on. `is_heard`: the robot asked has deferred it or put it before a supervisor.
+    `is_relayed`: the relay has passed it on. `is_heard`: the robot asked has deferred it or called a supervisor.
     `is_received`: a robot has it, in its queue or before H_F, who orders two. `is_unanswered`: the time for an answer
     has run out; `silent`: the robots that did not answer in time.
     `bids`: the bids received, in that order; `underway`: those sent by robots of which none was received yet; `ahead`:
@@ -128,20 +128,20 @@ class Request(msgspec.Struct, frozen=True, gc=False):
 
     @property
     def subject(self) -> Subject[TaskId, ActionId]:
-        """Return what an event of this action is about."""
+        """Return the subject of the action's events."""
         return Subject(self.task_id, self.action_id)
 
     @property
     def request_subject(self) -> RequestSubject[TaskId, ActionId, RequestId]:
-        """Return what an event of this request is about; the request has the name of its action."""
+        """Return the subject of the request's events; the request has the name of its action."""
         return RequestSubject(self.task_id, self.action_id, self.action_id)
 
 
 class Requests(msgspec.Struct, frozen=True, gc=False):
     """The requests: `open`: action -> its request; `of_task`: task -> the action of its step's request.
 
-    `past`: what those of no step were called that are over and forgotten, and, ended by a slash, what no task may be
-    called because of them. When there are `most` in `open`, what is over is forgotten.
+    `past`: the names of forgotten requests of no step and, ended by a slash, the names that no task may have because of
+    them. When there are `most` in `open`, those that are over are forgotten.
     """
 
     open: Mapping[str, Request] = {}
@@ -167,8 +167,8 @@ def evolve(state: Requests, event: HANDLES) -> Requests:
         case OutsiderRequestInjected():
             return _injected(state, event)
         case RegistryQueried():
-            asking = state.open.get(event.subject.action_id or "")
-            if asking is None or asking.capability != event.capability:  # a query for the action's recovery
+            request = state.open.get(event.subject.action_id or "")
+            if request is None or request.capability != event.capability:  # a query for the action's recovery
                 return state
             return _changed(state, event.subject.action_id, candidates=event.candidates, relay=event.relay)
         case RequestIssued():
@@ -226,8 +226,8 @@ def _begun(state: Requests, event: StepBegan) -> Requests:
 
 def _abandoned(state: Requests, event: TaskAbandoned) -> Requests:
     """Keep the requests that a robot has, which continue or are withdrawn there; the rest get no answer."""
-    known = state.open.get(state.of_task.get(event.task_id, ""))
-    return state if known is None or known.is_received else removed(state, known.action_id)
+    request = state.open.get(state.of_task.get(event.task_id, ""))
+    return state if request is None or request.is_received else removed(state, request.action_id)
 
 
 def _injected(state: Requests, event: OutsiderRequestInjected) -> Requests:
@@ -248,25 +248,25 @@ def _injected(state: Requests, event: OutsiderRequestInjected) -> Requests:
 
 def _bid_received(state: Requests, event: BidReceived) -> Requests:
     """Record the bid as read, replacing an earlier one: a robot that answers late was asked again."""
-    known = state.open.get(event.subject.action_id)
-    if known is None:
+    request = state.open.get(event.subject.action_id)
+    if request is None:
         return state
-    bids = put(without(known.bids, event.robot), event.robot, event.outcome)
-    ahead = known.ahead if event.ahead is None else put(known.ahead, event.robot, event.ahead)
-    return _changed(state, known.action_id, bids=bids, underway=without(known.underway, event.robot), ahead=ahead)
+    bids = put(without(request.bids, event.robot), event.robot, event.outcome)
+    ahead = request.ahead if event.ahead is None else put(request.ahead, event.robot, event.ahead)
+    return _changed(state, request.action_id, bids=bids, underway=without(request.underway, event.robot), ahead=ahead)
 
 
 def _undelivered(state: Requests, event: MessageUndelivered) -> Requests:
-    known = state.open.get(event.subject.action_id)
-    if known is None:
+    request = state.open.get(event.subject.action_id)
+    if request is None:
         return state
-    return _changed(state, known.action_id, undelivered=(*known.undelivered, event.robot))
+    return _changed(state, request.action_id, undelivered=(*request.undelivered, event.robot))
 
 
 def _voided(state: Requests, event: ContractVoided) -> Requests:
     """Start another round without bids, target or contract."""
-    known = state.open.get(event.subject.action_id)
-    if known is None:
+    request = state.open.get(event.subject.action_id)
+    if request is None:
         return state
     return _changed(
         state,
@@ -275,12 +275,12 @@ def _voided(state: Requests, event: ContractVoided) -> Requests:
         underway={},
         ahead={},
         undelivered=(),
-        failed=(*known.failed, event.robot),
+        failed=(*request.failed, event.robot),
         target=None,
         is_accepted=False,
         is_questioned=False,
         is_received=False,
-        round=known.round + 1,
+        round=request.round + 1,
     )
 
 
@@ -296,36 +296,36 @@ def _issued(state: Requests, event: RequestIssued) -> Requests:
     begun = Request(
         task_id, action_id, recorded_robot(robot), event.capability, 1, 1, True, (executor,), event.relay, carried
     )
-    asked = {
+    terms = {
         "override": event.override,
         "parent": event.parent,
         "directives": event.directives,
         "version": event.version,
     }
-    adhoc = msgspec.structs.replace(begun, is_adhoc=True, **asked)
+    adhoc = msgspec.structs.replace(begun, is_adhoc=True, **terms)
     return Requests(put(state.open, action_id, adhoc), state.of_task, state.past, state.most)
 
 
 def _ended(state: Requests, event: ExecutionFinished | RequestClosed | RequestDenied) -> Requests:
     """End the request or set its result; the success of a step is only known when the step ends."""
-    known = state.open.get(event.subject.action_id or "")
-    if known is None:
+    request = state.open.get(event.subject.action_id or "")
+    if request is None:
         return state
     if isinstance(event, ExecutionFinished):
-        if not (known.is_adhoc or event.result != "success"):
+        if not (request.is_adhoc or event.result != "success"):
             return state
-        return _changed(state, known.action_id, result=event.result)
-    return _changed(state, known.action_id, is_over=True)
+        return _changed(state, request.action_id, result=event.result)
+    return _changed(state, request.action_id, is_over=True)
 
 
 def _called(state: Requests, event: SupervisorCalled) -> Requests:
-    """Put the request before a supervisor; the caller has received both of two requests to be ordered."""
-    known = state.open.get(event.subject.action_id)
-    if known is None:
+    """Submit the request to a supervisor; the caller has received both of two requests to be ordered."""
+    request = state.open.get(event.subject.action_id)
+    if request is None:
         return state
-    is_received = known.is_received or event.purpose == "ordering"
+    is_received = request.is_received or event.purpose == "ordering"
     return _changed(
-        state, event.subject.action_id, is_heard=True, is_received=is_received, target=event.robot or known.target
+        state, event.subject.action_id, is_heard=True, is_received=is_received, target=event.robot or request.target
     )
 
 
@@ -340,32 +340,32 @@ def _bid(state: Requests, event: BidSubmitted) -> Requests:
 def _unanswered(state: Requests, event: RequestUnanswered) -> Requests:
     """End the request to the robot that did not answer.
 
-    If the event names none, nobody answered or there was nobody to ask.
+    If the event names none, no robot answered or there was none to ask.
     """
-    known = state.open.get(event.subject.action_id or "")
-    if known is None:
+    request = state.open.get(event.subject.action_id or "")
+    if request is None:
         return state
     executor = event.principals.executed_by
-    silent = known.silent if executor is None else (*known.silent, executor)
+    silent = request.silent if executor is None else (*request.silent, executor)
     return _changed(state, event.subject.action_id, silent=silent, target=None, is_accepted=False, is_unanswered=True)
 
 
 def _answered(state: Requests, event: OfferAnswered) -> Requests:
     """Record the requester's answer: the executor evaluates again, or the request is over."""
-    known = state.open.get(event.subject.action_id or "")
-    if known is None:
+    request = state.open.get(event.subject.action_id or "")
+    if request is None:
         return state
-    asked = known.offered if event.is_accepted else event.override
-    if asked is None:
+    override = request.offered if event.is_accepted else event.override
+    if override is None:
         return _changed(state, event.subject.action_id, offered=None, is_over=True)
-    return _changed(state, event.subject.action_id, offered=None, override=asked)
+    return _changed(state, event.subject.action_id, offered=None, override=override)
 
 
 def _changed(state: Requests, action_id: str | None, **changes: object) -> Requests:
-    known = state.open.get(action_id or "")
-    if known is None:
+    request = state.open.get(action_id or "")
+    if request is None:
         return state
-    changed = put(state.open, known.action_id, msgspec.structs.replace(known, **changes))
+    changed = put(state.open, request.action_id, msgspec.structs.replace(request, **changes))
     return Requests(changed, state.of_task, state.past, state.most)
 
 
@@ -377,9 +377,9 @@ def _of_step(state: Requests, request: Request) -> Requests:
 
 def removed(state: Requests, action_id: str | None) -> Requests:
     """Remove the action's request, if it has one."""
-    known = state.open.get(action_id or "")
-    if known is None:
+    request = state.open.get(action_id or "")
+    if request is None:
         return state
-    is_of_step = state.of_task.get(known.task_id) == known.action_id
-    of_task = without(state.of_task, known.task_id) if is_of_step else state.of_task
-    return Requests(without(state.open, known.action_id), of_task, state.past, state.most)
+    is_of_step = state.of_task.get(request.task_id) == request.action_id
+    of_task = without(state.of_task, request.task_id) if is_of_step else state.of_task
+    return Requests(without(state.open, request.action_id), of_task, state.past, state.most)

@@ -35,7 +35,7 @@ INITIAL = Supervision()
 
 
 def density(state: Supervision, robot: Robot) -> int:
-    """Return n, where every n-th admission by the robot is put before a supervisor; 0 is none.
+    """Return n, where every n-th admission by the robot is submitted to a supervisor; 0 is none.
 
     A density of the robot's own takes precedence over the one for every robot.
     """
@@ -56,8 +56,8 @@ def evolve(state: Supervision, event: HANDLES) -> Supervision:
             count = state.admissions.get(event.principals.executed_by, 0) + 1
             return replace(state, admissions=put(state.admissions, event.principals.executed_by, count))
         case SupervisorCalled():
-            called = state.called + 1
-            return replace(state, calls=put(state.calls, called, event), called=called)
+            number = state.called + 1
+            return replace(state, calls=put(state.calls, number, event), called=number)
         case SupervisorResponded():
             approved = (
                 state.approved | {event.subject.action_id}

@@ -26,7 +26,7 @@ class Task(msgspec.Struct, frozen=True, gc=False):
 
     `step` counts the steps done, `attempt` the attempts at the present one, from 1; `checkpoints` as in `TaskArrived`.
     `action_id` is the last attempt, empty before the first. `has_arrived`: its arrival is on record; if not, nothing is
-    known of its team, steps and times. `robot` is empty, and a number 0, where the record does not know it. `plan`
+    known of its team, steps and times. `robot` is empty, and a number 0, where not on record. `plan`
     names one robot for each step, where a master has planned them all.
     """
 
@@ -54,18 +54,18 @@ def evolve(state: Tasks, event: HANDLES) -> Tasks:
     """Return the open tasks after the event."""
     match event:
         case StepBegan():
-            known = state.get(event.subject.task_id)
-            if known is None:  # another system's record may lack the arrival
-                known = Task(event.subject.task_id, event.robot, 0, (), 0, 0, event.step - 1, has_arrived=False)
+            opened = state.get(event.subject.task_id)
+            if opened is None:  # another system's record may lack the arrival
+                opened = Task(event.subject.task_id, event.robot, 0, (), 0, 0, event.step - 1, has_arrived=False)
             return put(
-                state, event.subject.task_id, replace(known, attempt=event.attempt, action_id=event.subject.action_id)
+                state, event.subject.task_id, replace(opened, attempt=event.attempt, action_id=event.subject.action_id)
             )
         case StepCompleted():
-            known = state.get(event.subject.task_id)
+            opened = state.get(event.subject.task_id)
             return (
                 state
-                if known is None
-                else put(state, event.subject.task_id, replace(known, step=known.step + 1, attempt=0, action_id=""))
+                if opened is None
+                else put(state, event.subject.task_id, replace(opened, step=opened.step + 1, attempt=0, action_id=""))
             )
         case TaskArrived():
             task = Task(
@@ -80,8 +80,8 @@ def evolve(state: Tasks, event: HANDLES) -> Tasks:
             )
             return put(state, event.task_id, task)
         case TaskPlanned():
-            known = state.get(event.task_id)
-            return state if known is None else put(state, event.task_id, replace(known, plan=event.robots))
+            opened = state.get(event.task_id)
+            return state if opened is None else put(state, event.task_id, replace(opened, plan=event.robots))
         case TaskCompleted() | TaskAbandoned():
             return without(state, event.task_id)
         case _:
@@ -89,11 +89,11 @@ def evolve(state: Tasks, event: HANDLES) -> Tasks:
 
 
 class RequestEnds(msgspec.Struct, frozen=True):
-    """Which requests of another system's run are over although nobody closes them: with their task, or their result.
+    """The requests of another system's run that are over without being closed: with their task, or their result.
 
     Requests are numbered as they are issued. `numbers` has the last one for each action; `ended`, by task, how many
     there were when the task was abandoned, or was completed where the source does not record that requests are closed.
-    Runs of our own close theirs.
+    Our own runs close theirs.
     """
 
     is_foreign: bool = False
@@ -103,7 +103,7 @@ class RequestEnds(msgspec.Struct, frozen=True):
     ended: Mapping[str, int] = {}
 
     def after(self, event: Event) -> "RequestEnds":
-        """Return what is over after this event. The first event of a run says what its source records."""
+        """Return the ends after this event. The first event of a run declares what its source records."""
         if isinstance(event, RunStarted):
             tells = "request" in (event.observes or ()) or "RequestClosed" in (event.records or ())
             return RequestEnds(event.kind == "foreign", tells)
@@ -117,7 +117,7 @@ class RequestEnds(msgspec.Struct, frozen=True):
         return self
 
     def is_over(self, request: Request, in_hand: Container[str]) -> bool:
-        """Return whether the request is over; what nobody closes is open while its action is among those `in_hand`."""
+        """Return whether the request is over; an unclosed one is open while its action is among those `in_hand`."""
         if request.is_over or request.action_id in in_hand:
             return request.is_over
         has_result = self.is_foreign and not self.tells_closings and request.result is not None
@@ -129,7 +129,7 @@ class RequestEnds(msgspec.Struct, frozen=True):
 def given_up_us(task: TaskArrived | Task, fleet: Fleet) -> int:
     """Return the run time at which the task is given up, even while it waits.
 
-    That is after so many budgets, or when the run ends if that is earlier. A live run may take any time.
+    That is after a number of budgets, or when the run ends if that is earlier. A live run may take any time.
     """
     budgets = fleet.structure.expiry_budgets
     latest_us = NEVER_US if fleet.is_live else END_US

@@ -36,7 +36,7 @@ class Record(msgspec.Struct, frozen=True, gc=False):
 
 
 class Trust(msgspec.Struct, frozen=True, gc=False):
-    """Who trusts whom, and the results that each has had with the other.
+    """The trust between robots, and the results that each has had with the other.
 
     `entries`: (robot, peer) -> capability and context -> scope, for single pairs; `of_roles`: (role, role of the peer,
     domain) -> the same, for all robots of the roles; `initial`: robot that joined the running fleet, and whether it
@@ -78,14 +78,14 @@ def _holding(
     """
     # See docs/decisions/trust-and-rules-are-by-role.md.
     entries = state.entries.get((robot, peer))
-    if entries is not None and (found := _most_specific(entries, capability, context)) is not None:
-        return found
+    if entries is not None and (match := _most_specific(entries, capability, context)) is not None:
+        return match
     if (state.of_roles or state.initial) and robot in state.members and peer in state.members:
         (role, domain), (peer_role, peer_domain) = state.members[robot], state.members[peer]
-        for of_both in (one for one in around(domain) if is_within(peer_domain, one)):
-            entries = state.of_roles.get((role, peer_role, of_both))
-            if entries is not None and (found := _most_specific(entries, capability, context)) is not None:
-                return found
+        for shared in (name for name in around(domain) if is_within(peer_domain, name)):
+            entries = state.of_roles.get((role, peer_role, shared))
+            if entries is not None and (match := _most_specific(entries, capability, context)) is not None:
+                return match
         for key in tuple(state.initial)[::-1]:
             if key in ((robot, True), (peer, False)):
                 return (None, None), state.initial[key]
@@ -142,7 +142,7 @@ def evolve(state: Trust, event: HANDLES) -> Trust:
             return _set(replace(state, of_roles=of_roles), event)
         case InitialTrustSet():
             key = (event.robot, event.is_trusting)
-            others = {known: scope for known, scope in state.initial.items() if known != key}
+            others = {pair: scope for pair, scope in state.initial.items() if pair != key}
             return replace(state, initial={**others, key: event.scope})
         case TrustThresholdsSet():
             if not event.promote_after and not event.downgrade_after:
@@ -205,18 +205,18 @@ def _noted(state: Trust, event: Result) -> Trust:
         case OutsiderRequestInjected():
             return _asking(state, event.task_id, (event.peer, event.robot, event.capability, event.task_id))
         case RequestDenied():
-            asked = state.asked.get(event.subject.action_id or "")
+            key = state.asked.get(event.subject.action_id or "")
             return _changed(
                 _closed(state, event.subject.action_id),
-                (asked, False) if asked is not None and event.reason in VIOLATIONS else None,
+                (key, False) if key is not None and event.reason in VIOLATIONS else None,
             )
-        case RequestClosed() if event.cause == DEPARTED:  # who leaves has not done it badly
+        case RequestClosed() if event.cause == DEPARTED:  # leaving is not a bad result
             return _changed(_closed(state, event.subject.action_id))
         case RequestClosed():
-            asked = state.asked.get(event.subject.action_id)
-            if asked is None:
+            key = state.asked.get(event.subject.action_id)
+            if key is None:
                 return _changed(state)
-            executor, requester, capability, context = event.principals.executed_by or asked[0], *asked[1:]
+            executor, requester, capability, context = event.principals.executed_by or key[0], *key[1:]
             of_executor = (
                 (requester, executor, capability, context),
                 {"success": True, "partial": None, "failure": False}[event.result],
@@ -224,10 +224,10 @@ def _noted(state: Trust, event: Result) -> Trust:
             of_requester = ((executor, requester, capability, context), True) if event.result == "success" else None
             return _changed(_closed(state, event.subject.action_id), of_executor, of_requester)
         case ExecutionFailed():
-            asked = None if event.cause == DEPARTED else state.asked.get(event.subject.action_id)
+            key = None if event.cause == DEPARTED else state.asked.get(event.subject.action_id)
             return _changed(
                 state,
-                None if asked is None or asked[1] == event.robot else ((asked[1], event.robot, *asked[2:]), False),
+                None if key is None or key[1] == event.robot else ((key[1], event.robot, *key[2:]), False),
             )
         case AuthorityRevoked():
             if event.reason != "human override" or event.executed_by is None or event.capability is None:
@@ -237,8 +237,8 @@ def _noted(state: Trust, event: Result) -> Trust:
             assert_never(event)
 
 
-def _asking(state: Trust, action_id: str, asked: RequestKey) -> Trust:
-    return replace(state, asked=put(state.asked, action_id, asked), judged=())
+def _asking(state: Trust, action_id: str, key: RequestKey) -> Trust:
+    return replace(state, asked=put(state.asked, action_id, key), judged=())
 
 
 def _closed(state: Trust, action_id: str | None) -> Trust:
@@ -252,9 +252,9 @@ def _changed(state: Trust, *results: tuple[RequestKey, bool | None] | None) -> T
     for about, is_success in filter(None, results):
         key = _row(state, *about)
         judged.append(key)
-        known = records.get(key, Record())
-        more = Record(known.successes + 1, 0) if is_success else Record(0, known.failures + (is_success is False))
-        records = put(records, key, more)
+        record = records.get(key, Record())
+        updated = Record(record.successes + 1, 0) if is_success else Record(0, record.failures + (is_success is False))
+        records = put(records, key, updated)
     return replace(state, records=records, judged=tuple(judged))
 
 

@@ -77,8 +77,8 @@ def stricter(one: PolicyOutcome, other: PolicyOutcome) -> PolicyOutcome:
 def in_force(windows: Windows, robot: Robot) -> PolicyOutcome:
     """Return the strictest outcome of the robot's open windows."""
     outcome: PolicyOutcome = "allow"
-    for _, found in windows.get(robot, ()):
-        outcome = stricter(outcome, found)
+    for _, window_outcome in windows.get(robot, ()):
+        outcome = stricter(outcome, window_outcome)
     return outcome
 
 
@@ -102,11 +102,11 @@ def evolve(state: World, event: HANDLES) -> World:
             left = tuple(entry for entry in windows.get(event.robot, ()) if entry[0] != event.window)
             return msgspec.structs.replace(state, **{event.scope: put(windows, event.robot, left)})
         case ObstructionAppeared():
-            inside = (*state.obstructions.get(event.robot, ()), event.obstruction)
-            return msgspec.structs.replace(state, obstructions=put(state.obstructions, event.robot, inside))
+            names = (*state.obstructions.get(event.robot, ()), event.obstruction)
+            return msgspec.structs.replace(state, obstructions=put(state.obstructions, event.robot, names))
         case ObstructionCleared():
-            inside = tuple(name for name in state.obstructions.get(event.robot, ()) if name != event.obstruction)
-            return msgspec.structs.replace(state, obstructions=put(state.obstructions, event.robot, inside))
+            names = tuple(name for name in state.obstructions.get(event.robot, ()) if name != event.obstruction)
+            return msgspec.structs.replace(state, obstructions=put(state.obstructions, event.robot, names))
         case AssistanceEnded():  # the helper has cleared the way
             return _cleared(state, event.robot)
         case FailureResolved():

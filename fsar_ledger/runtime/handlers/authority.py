@@ -65,7 +65,7 @@ class RevokeAuthority(PublicCommand):
 
 
 class ReleaseAuthority(PublicCommand):
-    """Release the claimant's claims of this dimension on the action."""
+    """Release what the claimant holds of this dimension over the action."""
 
     claimant: Principal
     action_id: str

@@ -138,9 +138,9 @@ class Query(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Q = (r_A, e*, sigma, B, P): who asks for what, in which context, and what is stated about it.
 
     `capability` is a name or a group (`grasp.*`); `version` a range (see `is_in_range`). `provides` are the
-    preconditions that the requester establishes and `resources` the available ones, None where it does not say; `needs`
-    the postconditions that it wants, `embodiment` the required body. `override` is the level that the request will ask
-    for; `limit` ends the search after that many admissible ready candidates.
+    preconditions that the requester establishes and `resources` what is there to be taken, None where it does not say;
+    `needs` the postconditions that it wants, `embodiment` what the body must be. `override` is the level that the
+    request will ask for; `limit` ends the search at so many admissible ready candidates.
 
     Paper: sec:architecture:registry.
     """

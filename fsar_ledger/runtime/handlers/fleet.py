@@ -45,8 +45,8 @@ HANDLERS = Handlers()
 class JoinFleet(PublicCommand):
     """Register a robot in the domain's registry, under its own supervisor if it has one.
 
-    One that has departed returns by the same command, as the same robot: its name is its own. Others recognise the
-    robot by `public_key`, which is only compared. Paper: sec:discussion:heterogeneity.
+    One that has departed returns by the same command, as the same robot: its name is its own. Who knows the robot
+    recognises it by `public_key`, which is compared and nothing more. Paper: sec:discussion:heterogeneity.
     """
 
     robot: Robot
@@ -60,7 +60,7 @@ class JoinFleet(PublicCommand):
 
 
 class LeaveFleet(PublicCommand):
-    """Remove the robot from the fleet, at its own request (`issued_by` None) or that of the supervisor in charge."""
+    """Take the robot out of the fleet, by its own word (`issued_by` None) or that of who is in charge of it."""
 
     robot: Robot
     issued_by: Supervisor | None = None

@@ -177,7 +177,7 @@ class DeprecateCapability(PublicCommand):
 
 
 class UpgradeCapability(PublicCommand):
-    """Roll out a newer version; parts of its contract that are None stay as they are."""
+    """Roll a newer version out; parts of its contract that are None stay as they are."""
 
     robot: Robot
     capability: str

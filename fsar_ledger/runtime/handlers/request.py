@@ -54,7 +54,7 @@ class RequestCapability(PublicCommand):
 
 
 class AnswerOffer(PublicCommand):
-    """Answer a counter-offer: accept it, ask for this other override level, or (neither) withdraw."""
+    """Answer a counter-offer: take it, ask for this other override level, or (neither) let go."""
 
     requester: Robot
     action_id: str

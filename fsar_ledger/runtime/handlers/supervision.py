@@ -39,7 +39,7 @@ class RespondToCall(PublicCommand):
 
 
 class SetSupervisionDensity(PublicCommand):
-    """Set the review of one in `review_every` admissions of the robot (None: of every robot); 0 is none."""
+    """Ask to see one in so many admissions of the robot (None: of every robot); 0 is none."""
 
     issued_by: Supervisor
     robot: Robot | None

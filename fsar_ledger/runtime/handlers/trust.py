@@ -62,7 +62,7 @@ class SetRoleTrust(PublicCommand):
 class SetTrustThresholds(PublicCommand):
     """Let trust follow the record.
 
-    `promote_after` successes in a row promote it, `downgrade_after` failures downgrade it; 0 is never.
+    So many successes in a row promote it, so many failures downgrade it; 0 is never.
     """
 
     issued_by: Supervisor

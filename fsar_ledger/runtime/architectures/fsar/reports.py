@@ -90,7 +90,7 @@ class ReportAttempt(RobotReport):
 
 
 class ReportAssistance(RobotReport):
-    """Report how the help with another robot's failure ended; if it did not help, the cause."""
+    """Report how the help with another robot's failure ended; where it did not help, by what cause."""
 
     robot: Robot
     action_id: str
@@ -120,13 +120,13 @@ class ReportActuator(PublicCommand):
 
 
 class ReportContext(PublicCommand):
-    """Report that the robot's working context has changed."""
+    """Report that the context has changed in which the robot works."""
 
     robot: Robot
 
 
 class ReportWindow(PublicCommand):
-    """Report that a window of the robot's own policy, or the fleet's, opens with this outcome; None: that it closes."""
+    """Report that a time begins in which the robot's own policy, or the fleet's, is this; None: that it ends."""
 
     robot: Robot
     scope: PolicyScope
