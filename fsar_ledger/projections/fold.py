@@ -55,7 +55,8 @@ _PROJECTIONS = (
 
 
 SLOTS: Mapping[str, Any] = {
-    one.__name__.rpartition(".")[2]: one.__annotations__.get("INITIAL", type(one.INITIAL)) for one in _PROJECTIONS
+    module.__name__.rpartition(".")[2]: module.__annotations__.get("INITIAL", type(module.INITIAL))
+    for module in _PROJECTIONS
 }
 """The slots of a state, and the type of each."""
 
@@ -149,21 +150,21 @@ def forget(state: State, event: Event) -> bool:
     if not is_due and len(state.request.open) < state.request.most:
         return False
     names = [*state.context]
-    late = {*names[-LATE:]}
-    _forget_requests(state, late)
-    _forget_actions(state, late)
+    recent = {*names[-LATE:]}
+    _forget_requests(state, recent)
+    _forget_actions(state, recent)
     _forget_questions(state)
-    _forget_contexts(state, set(names) - late)
+    _forget_contexts(state, set(names) - recent)
     state.context = _but(state.context, names[:-NAMES])
     return True
 
 
-def _forget_requests(state: State, late: set[str]) -> None:
+def _forget_requests(state: State, recent: set[str]) -> None:
     """Forget the requests of tasks that are over, and all but the last ad hoc requests that are over."""
     requests, open_ = state.request, state.request.open
     idle = {name: item for name, item in open_.items() if not _is_at_a_robot(state, name)}
     adhoc = [item for item in idle.values() if item.is_adhoc and (item.is_over or item.is_unanswered)][: -LATE // 2]
-    steps = [item for item in idle.values() if not item.is_adhoc and _is_past(state, item.task_id, late)]
+    steps = [item for item in idle.values() if not item.is_adhoc and _is_past(state, item.task_id, recent)]
     past = requests.past
     for item in (*steps, *adhoc):
         requests = request.removed(requests, item.action_id)
@@ -181,15 +182,15 @@ def _is_at_a_robot(state: State, action_id: str) -> bool:
     return action_id in state.recovery or (action is not None and action.stage != "withdrawn")
 
 
-def _is_past(state: State, task_id: str, late: set[str]) -> bool:
-    return task_id not in state.task and task_id not in late
+def _is_past(state: State, task_id: str, recent: set[str]) -> bool:
+    return task_id not in state.task and task_id not in recent
 
 
-def _forget_actions(state: State, late: set[str]) -> None:
+def _forget_actions(state: State, recent: set[str]) -> None:
     """Forget the actions of such tasks that no robot has, and recoveries of actions that no robot executes."""
     for name, action in tuple(state.execution.actions.items()):
         is_asked_for = name in state.request.open or _is_at_a_robot(state, name)
-        if not is_asked_for and _is_past(state, action.task_id, late):
+        if not is_asked_for and _is_past(state, action.task_id, recent):
             state.execution = execution.ended(state.execution, name)
     state.recovery = _but(state.recovery, [name for name in state.recovery if name not in state.execution.actions])
 
@@ -205,7 +206,7 @@ def _forget_questions(state: State) -> None:
     ]
     approved = frozenset(name for name in asked.approved if name in requests or name in actions)
     state.supervision = replace(asked, approved=approved, calls=_but(asked.calls, calls))
-    approvals = _but(claims.approvals, [one for one in claims.approvals if one not in requests and one not in actions])
+    approvals = _but(claims.approvals, [key for key in claims.approvals if key not in requests and key not in actions])
     changes = authority.since(claims.changes, min(approvals.values(), default=None))
     state.authority = authority.Authority(claims.claims, claims.rights, approvals, changes)
     state.contention = replace(

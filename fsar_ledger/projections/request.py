@@ -84,9 +84,9 @@ class Request(msgspec.Struct, frozen=True, gc=False):
     `result` is known once the execution is over. `is_over`: it was refused, closed or given up, and nothing more is
     decided about it.
     `is_relayed`: the relay has passed it on. `is_heard`: the robot asked has deferred it or called a supervisor.
-    `is_received`: a robot has it, in its queue or before H_F, who orders two. `is_unanswered`: the time for an answer
+    `is_received`: a robot has it, in its queue or while H_F orders two. `is_unanswered`: the time for an answer
     has run out; `silent`: the robots that did not answer in time.
-    `bids`: the bids received, in that order; `underway`: those sent by robots of which none was received yet; `ahead`:
+    `bids`: the bids received, in that order; `underway`: those sent but not received yet; `ahead`:
     robot -> the number of actions that come first there, by its bid; `undelivered`: the robots that a message of this
     round cannot reach; `failed`: the robots whose contracts were void, in order.
     """

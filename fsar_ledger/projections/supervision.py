@@ -77,7 +77,7 @@ def evolve(state: Supervision, event: HANDLES) -> Supervision:
 def _without(calls: Mapping[int, SupervisorCalled], action_id: str, purpose: str) -> Mapping[int, SupervisorCalled]:
     """Return the calls that stay open once this one is answered.
 
-    The first supervisor to answer answers for all who were asked the same.
+    The first supervisor's answer counts for all who were asked the same.
     """
     for number, call in calls.items():
         if (call.subject.action_id, call.purpose) == (action_id, purpose):

@@ -62,8 +62,8 @@ def is_in_range(version: str, wanted: str) -> bool:
     return parsed >= lowest if sign == ">=" else parsed == lowest
 
 
-def _sign(wanted: str) -> str:
-    return "^" if wanted.startswith("^") else ">=" if wanted.startswith(">=") else ""
+def _sign(text: str) -> str:
+    return "^" if text.startswith("^") else ">=" if text.startswith(">=") else ""
 
 
 def _breaking(version: Version, count: int) -> Version:
@@ -91,7 +91,7 @@ def is_suitable(
 
 
 def contradiction(contract: Contract) -> str | None:
-    """Return what is wrong with the contract in itself, or None.
+    """Return why the contract is invalid in itself, or None.
 
     Preconditions and postconditions may differ, even be opposites: that is what execution is for. But
     neither may ask for a name and its `not` together, name anything twice, or name nothing. Paper: eq:adv.
@@ -160,7 +160,7 @@ class Query(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class Answer(msgspec.Struct, frozen=True):
     """Cand(Q): the robots that may be asked, best first, each with its capability that matched (`capabilities`).
 
-    Each robot of `rejected` offers what was asked for and was left out by the filter at the same index of
+    Each robot of `rejected` offers what was requested and was excluded by the filter at the same index of
     `rejected_by`. `domain` is the registry that answered, `as_of_us` (run time) the age of the copy that it read, None
     for the present.
     """
@@ -239,12 +239,12 @@ class _Search:
                 del self.found[robot]
                 self.left_out[robot] = "version"
 
-    def _put(self, by: Filter | None, record: Advertisement, robots: tuple[Robot, ...]) -> None:
-        if by is None:
+    def _put(self, reason: Filter | None, record: Advertisement, robots: tuple[Robot, ...]) -> None:
+        if reason is None:
             self._kinds.append(record)
             self.found.update(dict.fromkeys(robots, record))
         else:
-            self.left_out.update(dict.fromkeys(robots, by))
+            self.left_out.update(dict.fromkeys(robots, reason))
 
     def _judge_each(self, matches: Iterable[Advertisement]) -> None:
         """Judge the matches one by one: a group may match a robot more than once, and a limit ends the search."""
@@ -253,11 +253,11 @@ class _Search:
             robot = record.robot
             if robot == query.requester or (robot in self.found and not self.found[robot].is_deprecated):
                 continue
-            by = rejecting_filter(self._state, query, record)
-            if by is not None:
+            reason = rejecting_filter(self._state, query, record)
+            if reason is not None:
                 prior = self.left_out.get(robot)
-                if robot not in self.found and (prior is None or FILTERS.index(by) > FILTERS.index(prior)):
-                    self.left_out[robot] = by
+                if robot not in self.found and (prior is None or FILTERS.index(reason) > FILTERS.index(prior)):
+                    self.left_out[robot] = reason
                 continue
             self._kinds.append(record)
             self.found[robot] = record
@@ -314,12 +314,12 @@ def alike(
                 yield offered.of[robot], (robot,)
 
 
-def _matches(level: Offers, wanted: str, but: str | None) -> Iterator[Advertisement]:
+def _matches(level: Offers, capability: str, but: str | None) -> Iterator[Advertisement]:
     """Yield Match(e, e*): the records of the name or, for a group, of each name in it."""
-    names = [wanted]
-    if wanted.endswith(_GROUP):
+    names = [capability]
+    if capability.endswith(_GROUP):
         names = sorted(
-            {name for names in (level.records, level.ways) for name in names if name.startswith(wanted[:-1])}
+            {name for names in (level.records, level.ways) for name in names if name.startswith(capability[:-1])}
         )
     for name in names:
         yield from offers(level, name, but)

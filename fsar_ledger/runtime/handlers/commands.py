@@ -81,7 +81,7 @@ class Handlers:
     """The decisions and reactions of one module, which registers them with these decorators.
 
     Each command has one handler here, and each event one reaction; a second one is a ValueError.
-    `decides`: the handler of each command type; `actors`: who carries it out, for all but public commands; `reacts`:
+    `decides`: the handler of each command type; `actors`: its actor, for all but public commands; `reacts`:
     the reaction to each event type.
     """
 
@@ -298,7 +298,7 @@ def known_action(state: State, action_id: str) -> Action | None:
 
 
 def open_failure(state: State, action_id: str) -> Failure | None:
-    """Return the action and its failure that is being recovered, or None when there is none any more."""
+    """Return the action and its failure that is being recovered, or None if there is none."""
     action, recovery = state.execution.actions.get(action_id), state.recovery.get(action_id)
     return None if action is None or recovery is None else (action, recovery)
 

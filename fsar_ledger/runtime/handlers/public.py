@@ -124,7 +124,7 @@ def absent_robot(fleet: Fleet, *robots: str | None) -> str | None:
 def outdated(fleet: Fleet, robot: Robot, fence: int | None) -> str | None:
     """Return why to reject a report of the robot under this fencing number, or None.
 
-    A report from before it was declared departed does not answer what it was asked since it returned.
+    A report from before it was declared departed does not answer a question asked since it returned.
     """
     now = fleet.fences.get(robot)
     if (refused := absent_robot(fleet, robot)) is not None or fence == now:
@@ -267,7 +267,7 @@ def own_fields(kind: type[PublicCommand]) -> list[str]:
 
 
 def read(kind: type[PublicCommand], parameters: str) -> PublicCommand:
-    """Return the command with these fields, as JSON. Raises: msgspec.ValidationError for what it cannot have."""
+    """Return the command with these fields, as JSON. Raises: msgspec.ValidationError for invalid fields."""
     fields = msgspec.json.decode(parameters, type=dict[str, object])
     allowed = own_fields(kind)
     if unknown := sorted(fields.keys() - set(allowed)):

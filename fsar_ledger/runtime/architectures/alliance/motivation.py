@@ -232,7 +232,7 @@ def _on_step(_state: State, event: StepBegan, _now_us: int) -> tuple[Scheduled, 
 
 @HANDLERS.react(OutsiderRequestInjected)
 def _on_outsider(_state: State, event: OutsiderRequestInjected, _now_us: int) -> tuple[Scheduled, ...]:
-    """Treat an outsider's need as a need: nothing here looks at who has it."""
+    """Treat an outsider's need as a need: nothing here checks whose it is."""
     return (Scheduled(NoticeNeed(event.task_id)),)
 
 

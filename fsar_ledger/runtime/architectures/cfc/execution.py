@@ -104,15 +104,15 @@ def safe_stop(state: State, command: SafeStop) -> tuple[Event, ...]:
     claimed: list[Event] = []
     for action_id in _held(state.authority, state.request, command.robot):
         task_id = state.request.open[action_id].task_id
-        wanted: list[tuple[Dimension, Principal, str]] = [("override", command.robot, "safe stop")]
+        claims: list[tuple[Dimension, Principal, str]] = [("override", command.robot, "safe stop")]
         if command.window is not None:
-            wanted.append(("audit", FLEET_SUPERVISOR, "policy window"))
+            claims.append(("audit", FLEET_SUPERVISOR, "policy window"))
             if on_shift(state, command.robot) is not None:
-                wanted.append(("audit", local_supervisor(command.robot), command.window))
+                claims.append(("audit", local_supervisor(command.robot), command.window))
         existing = {(claim.dimension, claim.claimant, claim.reason) for claim in state.authority.claims[action_id]}
         claimed += [
             AuthorityClaimed(subject=Subject(task_id, action_id), dimension=dimension, claimant=claimant, reason=reason)
-            for dimension, claimant, reason in wanted
+            for dimension, claimant, reason in claims
             if (dimension, claimant, reason) not in existing
         ]
     return tuple(claimed)
@@ -132,7 +132,7 @@ def _held(authority: Authority, requests: Requests, robot: Robot) -> list[str]:
 
 @HANDLERS.decide(EndWatch, nobody)
 def end_watch(state: State, command: EndWatch) -> tuple[Event, ...]:
-    """Release what the local supervisor watched over in this window."""
+    """Release the local supervisor's claims from this window."""
     return released(made_for(state.authority, command.window))
 
 

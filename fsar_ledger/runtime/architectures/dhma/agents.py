@@ -177,7 +177,7 @@ def engage_planner(state: State, command: EngagePlanner) -> tuple[Event, ...]:
 
 
 def _has_started(execution: Execution, request: Request) -> bool:
-    """Tell whether it is too late to question the contract: the action runs, has ended, or is an outsider's."""
+    """Return whether it is too late to question the contract: the action runs, has ended, or is an outsider's."""
     # See docs/decisions/outsider-requests-have-no-contract.md.
     if request.step == 0:
         return True

@@ -101,9 +101,9 @@ class AcceptAward(ActionCommand):
 
 def best_bid(request: Request) -> tuple[Robot, PolicyOutcome] | None:
     """Return the first bid that allows, else the first under review, else None."""
-    for wanted in ("allow", "review"):
+    for preferred in ("allow", "review"):
         for robot, outcome in request.bids.items():
-            if outcome == wanted:
+            if outcome == preferred:
                 return robot, outcome
     return None
 
@@ -244,7 +244,7 @@ def close_request(state: State, _command: CloseRequest, request: Request) -> tup
     return (RequestClosed(request.request_subject, principals),)
 
 
-LONGEST = 3  # a call delivered within the answer time, plus two hops, takes at most so many answer times
+LONGEST = 3  # a call delivered within the answer time, plus two hops, takes at most this many answer times
 
 
 def call(fleet: Fleet, request: Request, robot: Robot, before: tuple[Ask, ...] = ()) -> Scheduled:

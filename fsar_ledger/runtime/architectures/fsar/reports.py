@@ -206,7 +206,7 @@ def report_start(state: State, command: ReportStart) -> tuple[Event, ...]:
 
 @HANDLERS.decide(ReportAttempt)
 def report_attempt(state: State, command: ReportAttempt) -> tuple[Event, ...]:
-    """Resolve the failure, or go on with the next attempt or level. Paper: sec:model:recovery, level 1."""
+    """Resolve the failure, or continue with the next attempt or level. Paper: sec:model:recovery, level 1."""
     refused = _not_its_own(state, command)
     recovery = state.recovery.get(command.action_id)
     if refused is None and (recovery is None or recovery.level != "local" or not recovery.number):
