@@ -93,13 +93,13 @@ class RecoverResult(Answer, msgspec.Struct, frozen=True):
             )
         elif found.anchored is not None:
             yield f"  the anchor vouches for the first {found.anchored:,} events"
-        elif note.checkpoint.size > head.size:
+        elif head.commits and note.checkpoint.size > head.size:
             yield (
                 f"  the anchor knows of {note.checkpoint.size:,} events, and the stored hashes do not prove that it "
                 f"begins with these {head.size:,}"
             )
         else:
-            yield "  the anchor contradicts it"
+            yield "  the anchor vouches for none of it"
 
     def _next(self) -> Iterator[str]:
         ledger, found, into = self.ledger, self.found, self.into

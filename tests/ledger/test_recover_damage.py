@@ -226,6 +226,19 @@ def test_what_an_anchor_contradicts_is_damaged(tmp_path: Path) -> None:
     assert "history was rewritten" in str(found.problems[0])
 
 
+def test_nothing_of_a_ledger_that_an_anchor_contradicts_is_trusted_or_copied(tmp_path: Path) -> None:
+    path, anchor = tmp_path / "ledger", checkpoint_of(1, tmp_path)
+    append_all(path, made_up_batches(4, size=13))
+    found = recover(path, asked=asked(anchor))
+    assert (found.head.commits, found.head.size, len(found.later)) == (0, 0, 4)
+    with pytest.raises(LedgerCorrupted, match=r"history was rewritten(.|\n)*no commit that can be trusted"):
+        recover(path, asked=asked(anchor), into=tmp_path / "new")
+    assert not (tmp_path / "new").exists()
+    segment_at(path, 3).unlink()
+    assert recover(path, asked=asked(anchor)).head.commits == 0, "also where something else is damaged"
+    assert recover(path).head.commits == 3
+
+
 def test_what_is_no_checkpoint_is_no_anchor(path: Path, tmp_path: Path) -> None:
     (tmp_path / "anchor").write_text("hello")
     with pytest.raises(UsageError, match="expected a checkpoint of this ledger"):

@@ -126,8 +126,20 @@ def find_trusted(path: Path, workers: int, progress: Progress | None, asked: Ver
             placements -= 1
     if problems:
         commits = min(commits, view.commits.up_to(view.chain.placed[placements - 1].end if placements else 0))
+    if _is_contradicted(view, look, asked, commits):
+        placements = commits = 0
     anchored = _anchored(view, look, asked, commits) if report.problems else report.anchored
     return TrustedPart(view, placements, commits, tuple(problems), report, anchored)
+
+
+def _is_contradicted(view: View, look: Verification, asked: VerifyOptions, commits: int) -> bool:
+    """Return whether the rows of the first so many commits show that the ledger is not the one of the anchor."""
+    if asked.anchor is None or asked.anchor.note is None:
+        return False
+    size = asked.anchor.note.checkpoint.size
+    root = look.roots.get(size)
+    known = root is not None and size <= _size(view, commits)
+    return known and bool(check_anchor(asked.anchor, view.manifest.origin, size, root, asked.trusted))
 
 
 def _anchored(view: View, look: Verification, asked: VerifyOptions, commits: int) -> int | None:
