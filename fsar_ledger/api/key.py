@@ -1,5 +1,6 @@
 """The verbs `key` and `witness`: who signs a ledger under which name, and who watches that it only grows."""
 
+import os
 import re
 import signal
 from collections.abc import Callable, Iterator, Sequence
@@ -137,6 +138,21 @@ def anchor_of(file: str | PathLike[str] | None, trusted: "VerifierKey | None" = 
             f"trusted key; one of before the key changed is compared without {option('trusted_key')}"
         )
     return anchor
+
+
+OWN_CHECKPOINT = (
+    "the anchor is this ledger's own checkpoint, which whoever writes the ledger writes: it shows nothing of the past; "
+    "keep a copy elsewhere"
+)
+
+
+def is_own_checkpoint(anchor: "Anchor | None", ledger: Path) -> bool:
+    """Return whether the anchor is the file `checkpoint` of this very ledger, by whatever path."""
+    from fsar_ledger.ledger.store.paths import CHECKPOINT
+
+    with suppress(OSError):
+        return anchor is not None and os.path.samefile(anchor.file, ledger / CHECKPOINT)
+    return False
 
 
 def checkpoint_of(file: str | PathLike[str] | None) -> "Checkpoint | None":

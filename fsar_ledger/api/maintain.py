@@ -12,7 +12,7 @@ from fsar_ledger.base.printable import SafeText, counted
 from fsar_ledger.base.progress import Progress
 
 from .answers import Answer, Lines, Screen, head_json
-from .key import anchor_of, signature_text, trusted_of
+from .key import OWN_CHECKPOINT, anchor_of, is_own_checkpoint, signature_text, trusted_of
 from .names import Place
 from .verbs import Option, Shows, TrustedKeyOption, WorkersOption, declare, readers_of, verb
 
@@ -91,6 +91,8 @@ class RecoverResult(Answer, msgspec.Struct, frozen=True):
                 "  whether newer commits were removed, nothing in a ledger shows; --anchor FILE does, a checkpoint "
                 "kept elsewhere"
             )
+        elif is_own_checkpoint(self.asked.anchor, self.ledger):
+            yield f"  {OWN_CHECKPOINT}"
         elif found.anchored is not None:
             yield f"  the anchor vouches for the first {found.anchored:,} events"
         elif head.commits and note.checkpoint.size > head.size:

@@ -12,7 +12,7 @@ from fsar_ledger.base.printable import counted
 from fsar_ledger.base.progress import Progress
 
 from .answers import Answer, Screen
-from .key import anchor_of, signature_text, trusted_of
+from .key import OWN_CHECKPOINT, anchor_of, is_own_checkpoint, signature_text, trusted_of
 from .names import Place
 from .verbs import Gives, Shows, TrustedKeyOption, WorkersOption, declare, readers_of, switch, verb
 
@@ -213,6 +213,8 @@ def verify(
         trusted = seen.log
     asked = VerifyOptions(quick, trusted, kept, seen.evidence.checkpoints if seen is not None else ())
     report = full_verify(place, readers_of(workers, place), progress, asked)
+    if report.anchored is not None and is_own_checkpoint(kept, place):
+        report = msgspec.structs.replace(report, remarks=(OWN_CHECKPOINT, *report.remarks))
     again = replayed(place, report, workers, progress, recorded) if replay else None
     compared = None if of is None else _compared(place, Path(of), report, workers)
     return Verification(report, again, seen, place, recorded, compared)
