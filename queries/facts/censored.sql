@@ -31,7 +31,11 @@ meanings (what, not_observed, judges) AS (
     ('claim', 'who held authority before the record', ['authority_conflicts']),
     (
         'absence', 'who was off shift before the record',
-        ['audit_attributability', 'i5_audit_attributability', 'a5_audit_completeness']
+        ['audit_attributability', 'i5_audit_attributability', 'a5_audit_completeness', 'true_attribution']
+    ),
+    (
+        'supervisor before', 'who supervised a robot before it joined again',
+        ['audit_attributability', 'i5_audit_attributability', 'a5_audit_completeness', 'true_attribution']
     )
 ),
 
@@ -62,19 +66,15 @@ left_open AS (
     ANTI JOIN fleet_members AS members ON called.run_id = members.run_id AND called.supervisor = members.supervisor
     ANTI JOIN fleet_calls AS calls ON called.run_id = calls.run_id
     UNION ALL
-    SELECT run_id, what
+    SELECT run_id, if(what = 'supervisor', 'supervisor before', what) AS what
     FROM begun_before
-),
-
-judged AS (
-    SELECT left_open.run_id, left_open.what, meanings.not_observed, unnest(meanings.judges) AS judge
-    FROM left_open
-    INNER JOIN meanings ON left_open.what = meanings.what
 )
 
 SELECT
-    run_id, judge,
-    string_agg(DISTINCT not_observed, ', ' ORDER BY not_observed) AS not_observed,
-    bool_or(what = 'absence') AS hides_offences
-FROM judged
-GROUP BY run_id, judge
+    left_open.run_id, judged.judge,
+    string_agg(DISTINCT meanings.not_observed, ', ' ORDER BY meanings.not_observed) AS not_observed,
+    bool_or(left_open.what IN ('absence', 'supervisor before')) AS hides_offences
+FROM left_open
+INNER JOIN meanings ON left_open.what = meanings.what
+CROSS JOIN unnest(meanings.judges) AS judged (judge)
+GROUP BY left_open.run_id, judged.judge

@@ -93,6 +93,46 @@ def test_who_releases_what_nobody_claimed_on_record_may_have_held_it_against_ano
         assert found == [expected]
 
 
+def joined(at_s: int, supervisor: str | None) -> dict[str, Any]:
+    return event("RobotJoined", at_s * S, robot="robot/A1", role="A", domain="", supervisor=supervisor)
+
+
+@pytest.mark.parametrize(
+    ("again", "not_observed"),
+    [
+        ("supervisor/A1", None),
+        ("supervisor/B1", "who supervised a robot before it joined again"),
+        (None, "who supervised a robot before it joined again"),
+    ],
+)
+def test_a_robot_that_joins_again_under_another_supervisor_does_not_make_older_records_offences(
+    again: str | None, not_observed: str | None
+) -> None:
+    """Its own supervisor was off shift when it acted, so nobody is missing from that record."""
+    named = {"requested_by": "robot/A1", "executed_by": "robot/A1"}
+    rows = [
+        joined(0, "supervisor/A1"),
+        event("SupervisorLeft", S, supervisor="supervisor/A1"),
+        event("ExecutionStarted", 2 * S, action_id="t/1", robot="robot/A1", on_behalf_of="robot/A1", **named),
+        joined(9, again),
+    ]
+    for metric in ("audit_attributability", "true_attribution"):
+        found = answer(f"metrics/{metric}", run(*rows, **FOREIGN), columns=("value", "not_observed"))
+        assert found == [(None, not_observed) if not_observed else (1, None)]
+    hidden = answer("facts/unobservable", run(*rows, **FOREIGN), columns=("judge", "not_observed", "hides_offences"))
+    for invariant in ("i5_audit_attributability", "a5_audit_completeness"):
+        assert ((invariant, not_observed, True) in hidden) == (not_observed is not None)
+
+
+def test_nobody_is_missing_from_what_was_done_while_a_supervisor_may_have_been_off_shift() -> None:
+    named = {"requested_by": "robot/A1", "executed_by": "robot/A1"}
+    acted = event("ExecutionStarted", 2 * S, action_id="t/1", robot="robot/A1", on_behalf_of="robot/A1", **named)
+    back = event("SupervisorReturned", 3 * S, supervisor="supervisor/A1")
+    rows = run(joined(0, "supervisor/A1"), acted, back, **FOREIGN)
+    found = answer("metrics/true_attribution", rows, columns=("value", "not_observed"))
+    assert found == [(None, "who was off shift before the record")]
+
+
 def test_a_failure_of_a_simulated_run_that_nobody_resolves_is_not_contained() -> None:
     assert contained() == 0
 
