@@ -4,7 +4,8 @@
 -- Key: run_id
 -- Units: steps causes between the event and the decision (0: the event is the decision); decided_us microseconds of run
 --   time
--- NULL: the decision's columns when no cause was a decision; decided_by when the record names no decider
+-- NULL: the decision's columns when no cause was a decision; decided_by when the record names no decider; is_local when
+--   the record of another system names no path either
 -- Example: fsar-ledger query audit/decision_owner LEDGER --param run=RUN --param seq=107
 --   answers for an ExecutionFinished: RequestAccepted, 3 causes back, by robot/C1 alone, so it was local
 -- Parameters: seq: seq, run: run = all
@@ -28,23 +29,37 @@ way_back AS (
         ON way_back.run_id = causes.run_id AND way_back.caused_by = causes.seq AND way_back.seq > causes.seq
 ),
 
+made AS (
+    SELECT run_id, seq, decision_kind, is_local FROM decisions
+    UNION ALL
+    -- In our own runs what has no path is no decision; another system may leave out who decided.
+    SELECT
+        events.run_id, events.seq, classes.decision_kind,
+        NULL AS is_local
+    FROM event_principals AS events
+    INNER JOIN event_classes AS classes ON events.type = classes.type AND classes.decision_kind IS NOT NULL
+    INNER JOIN runs ON events.run_id = runs.run_id AND runs.kind = 'foreign'
+    WHERE len(events.path) = 0
+),
+
 nearest AS (
     SELECT
         way_back.run_id,
         min(way_back.steps) AS steps,
-        arg_min(decisions.seq, way_back.steps) AS decision_seq
+        arg_min(made.seq, way_back.steps) AS decision_seq
     FROM way_back
-    INNER JOIN decisions ON way_back.run_id = decisions.run_id AND way_back.seq = decisions.seq
+    INNER JOIN made ON way_back.run_id = made.run_id AND way_back.seq = made.seq
     GROUP BY way_back.run_id
 )
 
 SELECT
     asked.run_id, asked.seq, asked.type, nearest.steps, nearest.decision_seq,
-    decisions.type AS decision_type,
-    decisions.decision_kind,
-    decisions.time_us AS decided_us,
-    decisions.decided_by, decisions.path, decisions.is_local
+    decision.type AS decision_type,
+    made.decision_kind,
+    decision.time_us AS decided_us,
+    decision.decided_by, decision.path, made.is_local
 FROM event_principals AS asked
 LEFT JOIN nearest ON asked.run_id = nearest.run_id
-LEFT JOIN decisions ON nearest.run_id = decisions.run_id AND nearest.decision_seq = decisions.seq
+LEFT JOIN made ON nearest.run_id = made.run_id AND nearest.decision_seq = made.seq
+LEFT JOIN event_principals AS decision ON made.run_id = decision.run_id AND made.seq = decision.seq
 WHERE $run IN ('all', asked.run_id) AND asked.seq = $seq::BIGINT

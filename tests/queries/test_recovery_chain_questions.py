@@ -4,8 +4,10 @@ from typing import Any
 
 import pytest
 
-from tests.queries.histories import Row, S, event
+from fsar_ledger.metrics.database import plain_rows
+from tests.queries.histories import Row, S, event, run
 from tests.queries.test_audit_questions import asked, trust
+from tests.recycled import from_rows
 
 
 def claimed(
@@ -87,6 +89,26 @@ def test_the_owner_is_the_nearest_decision_on_the_way_back() -> None:
     assert asked("decision_owner", "steps", {**event("ApproachStarted", 1), "caused_by": 1}, seq=1) == [(None,)], (
         "a forged circle ends"
     )
+
+
+@pytest.mark.parametrize(
+    ("kind", "owner"),
+    [
+        ("foreign", (1, "RequestAdmitted.v1", None, None)),  # somebody decided, whom the other system does not name
+        ("simulated", (2, "RequestIssued.v1", "robot/A1", True)),  # what has no path is no decision
+    ],
+)
+def test_a_decision_of_whom_the_record_names_nobody_is_not_laid_to_who_decided_before(
+    kind: str, owner: tuple[object, ...]
+) -> None:
+    events = (
+        event("RequestIssued", 1, decided_by="robot/A1", path=["robot/A1"]),
+        event("RequestAdmitted", 2, path=[]),
+        event("ApproachStarted", 3),
+    )
+    with from_rows(run(*events, kind=kind)) as database:
+        [found] = plain_rows(database.query("audit/decision_owner", {"seq": "3"}))
+    assert (found["steps"], found["decision_type"], found["decided_by"], found["is_local"]) == owner
 
 
 def test_a_supervisor_is_off_shift_from_leaving_until_returning() -> None:
