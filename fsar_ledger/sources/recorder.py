@@ -253,7 +253,9 @@ class Recorder:
                 f"({_first(stored.robots)}), expected the same as now ({_first(robots)}); record RobotJoined of who "
                 "comes later, or give the run another name"
             )
-        if not {*asked.observes, *asked.records} <= {*kept.observes, *kept.records}:
+        before, now = {*kept.observes, *kept.records}, {*asked.observes, *asked.records}
+        added = {"RobotJoined"} if stored.robots else set()  # by `_begin`
+        if not now <= before or (now and not before <= now | added):  # nothing declared is what the run records
             raise UsageError(
                 f"run {value(self.run)}: found a run that records {_shown(kept)}, expected {_shown(asked)}; declare "
                 "the same, or give the run another name"

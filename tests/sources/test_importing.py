@@ -173,7 +173,7 @@ def test_a_run_into_which_something_was_recorded_takes_no_imports(tmp_path: Path
     whole = vda.long_night(2)
     if imported_before:
         imported(tmp_path / "ledger", filed(tmp_path, whole[:imported_before]))
-    with Recorder(tmp_path / "ledger", run="night", observes=["TaskArrived"]) as recorder:
+    with Recorder(tmp_path / "ledger", run="night", observes=() if imported_before else ["TaskArrived"]) as recorder:
         recorder.event("TaskArrived", task_id="by hand")
     before = rows(tmp_path / "ledger")
     found = "run night: found a run into which events were recorded as they happened, expected one that holds imports"
