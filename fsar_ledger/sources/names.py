@@ -6,9 +6,12 @@ nor test a guess. What stays is the pattern: that it is one person, when, and ab
 """
 
 import base64
+import fcntl
 import hashlib
 import os
 import secrets
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import msgspec
@@ -54,39 +57,64 @@ class PrivateNames:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        try:
-            self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o600)
-            lines = path.read_bytes().splitlines()
-        except OSError as error:
-            raise WriteFailed(f"{value(str(path))}: the table of names cannot be opened ({error.strerror})") from error
-        self._known: dict[str, str] = {}
-        for number, line in enumerate(lines, 1):
-            try:
-                one = msgspec.json.decode(line, type=NamedPerson)
-                is_right = one.is_right
-            except (msgspec.DecodeError, ValueError) as error:
-                raise UsageError(
-                    f"{value(str(path))}:{number}: {error!s:.200}; expected a line of a table of names"
-                ) from error
-            if not is_right:
-                raise UsageError(f"{value(str(path))}:{number}: found another commitment than that of the name and key")
-            self._known[one.name] = one.commitment
-
-    def close(self) -> None:
-        """Close the file."""
-        os.close(self._file)
+        with self._table() as (_, lines):
+            self._known = self._commitments(lines)
 
     def hidden(self, name: str) -> str:
         """Return the commitment to a name; a new one is in the table, on disk, before it is returned."""
         if name not in self._known:
-            key = secrets.token_bytes(32)
-            one = NamedPerson(name, key.hex(), committed(name, key))
-            try:
-                append_whole(self._file, msgspec.json.encode(one) + b"\n")
-            except OSError as error:
-                raise WriteFailed(f"{value(str(self._path))}: the name was not written ({error.strerror})") from error
-            self._known[name] = one.commitment
+            with self._table() as (file, lines):
+                self._known = self._commitments(lines) | self._known  # recorders may share the table
+                if name not in self._known:
+                    self._known[name] = self._added(file, lines, name)
         return self._known[name]
+
+    @contextmanager
+    def _table(self) -> Iterator[tuple[int, list[bytes]]]:
+        """Open the table and read its lines; whoever else wants it waits, where the file system has locks."""
+        try:
+            file = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o600)
+        except OSError as error:
+            raise self._failed("the table of names cannot be opened", error) from error
+        try:
+            with suppress(OSError):
+                fcntl.flock(file, fcntl.LOCK_EX)
+            with open(file, "rb", closefd=False) as table:
+                lines = table.readlines()
+            yield file, lines
+        finally:
+            os.close(file)
+
+    def _commitments(self, lines: Sequence[bytes]) -> dict[str, str]:
+        known: dict[str, str] = {}
+        for number, line in enumerate(lines, 1):
+            where = f"{value(str(self._path))}:{number}"
+            try:
+                one = msgspec.json.decode(line, type=NamedPerson)
+                is_right = one.is_right
+            except (msgspec.DecodeError, ValueError) as error:
+                raise UsageError(f"{where}: {error!s:.200}; expected a line of a table of names") from error
+            if not is_right:
+                raise UsageError(f"{where}: found another commitment than that of the name and key")
+            if known.setdefault(one.name, one.commitment) != one.commitment:
+                raise UsageError(
+                    f"{where}: found a second commitment to a name, expected one: they would be two persons; keep the "
+                    "line whose commitment the ledger has, and the other elsewhere"
+                )
+        return known
+
+    def _added(self, file: int, lines: Sequence[bytes], name: str) -> str:
+        key = secrets.token_bytes(32)
+        one = NamedPerson(name, key.hex(), committed(name, key))
+        gap = b"" if not lines or lines[-1].endswith(b"\n") else b"\n"  # an editor may have left the last line open
+        try:
+            append_whole(file, gap + msgspec.json.encode(one) + b"\n")
+        except OSError as error:
+            raise self._failed("the name was not written", error) from error
+        return one.commitment
+
+    def _failed(self, what: str, error: OSError) -> WriteFailed:
+        return WriteFailed(f"{value(str(self._path))}: {what} ({error.strerror})")
 
     def event(self, event: Event) -> Event:
         """Return the event with commitments in place of the names of supervisors, and of persons that it observes."""

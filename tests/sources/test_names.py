@@ -149,3 +149,32 @@ def test_a_name_for_which_the_disk_has_no_room_leaves_no_part_of_a_line(tmp_path
     later = names.hidden("bob")
     again = PrivateNames(tmp_path / "names")
     assert (again.hidden("ann"), again.hidden("bob")) == (known, later)
+
+
+def test_recorders_that_share_a_table_have_one_commitment_for_a_name(tmp_path: Path) -> None:
+    first, second = PrivateNames(tmp_path / "names"), PrivateNames(tmp_path / "names")
+    assert first.hidden("ann") == second.hidden("ann") == PrivateNames(tmp_path / "names").hidden("ann")
+    assert second.hidden("bob") == first.hidden("bob")
+    assert len((tmp_path / "names").read_bytes().splitlines()) == 2
+
+
+def test_a_table_with_two_commitments_to_a_name_is_refused_with_the_second_line(tmp_path: Path) -> None:
+    lines = b""
+    for table in ("one", "two"):
+        PrivateNames(tmp_path / table).hidden("ann")
+        lines += (tmp_path / table).read_bytes()
+    (tmp_path / "names").write_bytes(lines)
+    with pytest.raises(UsageError, match=r"names:2: found a second commitment to a name, expected one"):
+        PrivateNames(tmp_path / "names")
+
+
+def test_a_name_is_added_on_a_line_of_its_own_wherever_an_editor_left_the_table(tmp_path: Path) -> None:
+    table = tmp_path / "names"
+    names = PrivateNames(table)
+    ann = names.hidden("ann")
+    table.write_bytes(table.read_bytes().rstrip())
+    bob = names.hidden("bob")
+    table.rename(tmp_path / "moved")
+    carl = names.hidden("carl")
+    assert [decoded(line).commitment for line in (tmp_path / "moved").read_bytes().splitlines()] == [ann, bob]
+    assert [decoded(line).commitment for line in table.read_bytes().splitlines()] == [carl]
