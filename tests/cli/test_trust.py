@@ -207,21 +207,6 @@ def test_verify_says_how_it_looked_who_signed_and_since_when_it_only_grew(call: 
     )
 
 
-@pytest.mark.parametrize("quick", [(), ("--quick",)])
-def test_an_anchor_that_is_the_checkpoint_of_the_ledger_itself_is_said_to_show_nothing(
-    call: Call, folder: Path, tmp_path: Path, quick: tuple[str, ...]
-) -> None:
-    own, link = folder / "ledger" / "checkpoint", tmp_path / "monday"
-    link.symlink_to(own)
-    for anchor in (own, link):
-        called = call("verify", folder / "ledger", "--anchor", anchor, *quick)
-        assert (called.code, "the anchor is this ledger's own checkpoint" in called.out) == (0, True)
-        remarks = json.loads(call("verify", folder / "ledger", "--anchor", anchor, "--json", *quick).out)["remarks"]
-        assert "it shows nothing of the past" in remarks[0]
-    kept = shutil.copy(own, tmp_path / "kept")
-    assert "own checkpoint" not in call("verify", folder / "ledger", "--anchor", kept, *quick).out
-
-
 def test_verify_says_the_same_as_json(call: Call, folder: Path) -> None:
     ledger, size = folder / "ledger", size_of(folder / "ledger")
     trusted = ("--trusted-key", folder / "fleet.key.pub", "--anchor", ledger / "checkpoint")

@@ -1,6 +1,7 @@
 """`verify-proof` compares the root with one that was kept, reads pipes, and says what a cut proof lacks."""
 
 import json
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -89,3 +90,18 @@ def test_an_empty_or_cut_proof_is_said_to_be_so(call: Call, proof: Path, tmp_pat
         one_message(call("verify-proof", cut), 3, said, "expected what `fsar-ledger prove` wrote")
     one_message(call("verify-proof", tmp_path), 3, "neither a regular file nor a pipe")
     one_message(call("verify-proof", tmp_path / "missing"), 2, "found no file")
+
+
+@pytest.mark.parametrize("quick", [(), ("--quick",)])
+def test_an_anchor_that_is_the_checkpoint_of_the_ledger_itself_is_said_to_show_nothing(
+    call: Call, ledger: Path, tmp_path: Path, quick: tuple[str, ...]
+) -> None:
+    own, link = ledger / "checkpoint", tmp_path / "monday"
+    link.symlink_to(own)
+    for anchor in (own, link):
+        called = call("verify", ledger, "--anchor", anchor, *quick)
+        assert (called.code, "the anchor is this ledger's own checkpoint" in called.out) == (0, True)
+        remarks = json.loads(call("verify", ledger, "--anchor", anchor, "--json", *quick).out)["remarks"]
+        assert "it shows nothing of the past" in remarks[0]
+    kept = shutil.copy(own, tmp_path / "kept")
+    assert "own checkpoint" not in call("verify", ledger, "--anchor", kept, *quick).out

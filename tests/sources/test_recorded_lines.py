@@ -217,3 +217,17 @@ def test_a_recorded_request_is_not_open_after_its_task_was_abandoned_but_while_i
     assert requests_of(tmp_path / "abandoned", issued, abandoned) == []
     assert requests_of(tmp_path / "other", issued, other) == [("t/1", "robot/b", "asked")]
     assert [one[0] for one in requests_of(tmp_path / "executed", issued, started, abandoned)] == ["t/1"]
+
+
+def test_a_recorder_that_records_less_than_its_run_says_is_refused(tmp_path: Path) -> None:
+    """What it would leave out would count as what did not happen."""
+    declared, fleet = ["TaskArrived", "TaskCompleted"], {"a": "agv"}
+    with fsar_ledger.record(tmp_path / "ledger", run="night", observes=declared, fleet=fleet):
+        pass
+    for less in (["TaskArrived"], ["RobotJoined"]):
+        with pytest.raises(UsageError, match=f"RobotJoined, .*TaskCompleted.*, expected {less[0]}; declare the same"):
+            fsar_ledger.record(tmp_path / "ledger", run="night", observes=less, fleet=fleet)
+    for same in (declared, [*declared, "RobotJoined"], []):
+        with fsar_ledger.record(tmp_path / "ledger", run="night", observes=same, fleet=fleet) as one:
+            one.event("TaskArrived", task_id="a")
+    assert tasks(tmp_path / "ledger") == ["a", "a", "a"]

@@ -190,20 +190,6 @@ def test_a_run_that_was_declared_otherwise_is_refused_and_stays(tmp_path: Path) 
     assert tasks(tmp_path / "ledger") == ["a"]
 
 
-def test_a_recorder_that_records_less_than_its_run_says_is_refused(tmp_path: Path) -> None:
-    """What it would leave out would count as what did not happen."""
-    declared, fleet = ["TaskArrived", "TaskCompleted"], {"a": "agv"}
-    with recorder(tmp_path / "ledger", observes=declared, fleet=fleet):
-        pass
-    for less in (["TaskArrived"], ["RobotJoined"]):
-        with pytest.raises(UsageError, match=f"RobotJoined, .*TaskCompleted.*, expected {less[0]}; declare the same"):
-            recorder(tmp_path / "ledger", observes=less, fleet=fleet)
-    for same in (declared, [*declared, "RobotJoined"], []):
-        with recorder(tmp_path / "ledger", observes=same, fleet=fleet) as one:
-            one.event(arrived("a"))
-    assert tasks(tmp_path / "ledger") == ["a", "a", "a"]
-
-
 def test_a_time_before_the_last_event_is_refused_and_says_what_to_do(tmp_path: Path) -> None:
     with recorder(tmp_path / "ledger", epoch=BEGINS) as one:
         one.event(arrived("a"), at=BEGINS + timedelta(seconds=5))
