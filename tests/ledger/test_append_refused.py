@@ -20,7 +20,7 @@ from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.manifest import Manifest
 from fsar_ledger.ledger.store.record import EMPTY_HEAD
 from fsar_ledger.ledger.store.staging import stage
-from fsar_ledger.ledger.verify import verify
+from fsar_ledger.ledger.verify import recover, verify
 from tests.ledger.forgery import segment_at
 from tests.ledger.samples import ORIGIN, append_all, contents, made_up_run
 from tests.ledger.test_append import BATCHES
@@ -184,4 +184,17 @@ def test_a_lock_does_not_outlive_its_writer(path: Path) -> None:
 def test_one_run_a_commit_and_one_event_a_run_are_enough(path: Path) -> None:
     head = append_all(path, [[made_up_run("tiny", 1, seed=3)]])
     assert (head.commits, head.size) == (1, 1)
+    assert verify(path).ok
+
+
+@pytest.mark.parametrize("name", ["nodes", "index.jsonl"])
+@pytest.mark.parametrize("put", [os.mkfifo, os.mkdir, lambda file: os.symlink("elsewhere", file)])
+def test_a_derived_file_that_is_no_file_is_refused_at_once(path: Path, name: str, put: Callable[[Path], None]) -> None:
+    """A pipe that is opened for writing waits until somebody reads it."""
+    append_all(path, BATCHES[:1])
+    (path / name).unlink()
+    put(path / name)
+    with pytest.raises(WriteFailed, match=f"{name} is a link or something else than a file; .* recover sets it aside"):
+        append_all(path, BATCHES[1:2])
+    assert recover(path).outcome == "mended"
     assert verify(path).ok

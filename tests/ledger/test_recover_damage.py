@@ -226,6 +226,24 @@ def test_what_an_anchor_contradicts_is_damaged(tmp_path: Path) -> None:
     assert "history was rewritten" in str(found.problems[0])
 
 
+@pytest.mark.parametrize("name", ["nodes", "index.jsonl"])
+@pytest.mark.parametrize(
+    "put",
+    [
+        lambda file: file.write_bytes(file.read_bytes() + b"\n"),
+        lambda file: (file.unlink(), file.mkdir()),
+        lambda file: (file.unlink(), file.symlink_to("x" * 200)),
+    ],
+)
+def test_what_no_commit_left_beyond_a_derived_file_does_not_say_that_commits_were_removed(
+    path: Path, name: str, put: Callable[[Path], object]
+) -> None:
+    put(path / name)
+    found = recover(path)
+    assert (found.outcome, found.problems) == ("mended", ())
+    assert ("set aside", name) in [(step.did, step.file) for step in found.steps]
+
+
 def test_nothing_of_a_ledger_that_an_anchor_contradicts_is_trusted_or_copied(tmp_path: Path) -> None:
     path, anchor = tmp_path / "ledger", checkpoint_of(1, tmp_path)
     append_all(path, made_up_batches(4, size=13))

@@ -7,6 +7,7 @@ signature binds a placement: a reader compares it with the rows where no look ha
 """
 
 import os
+import stat
 from bisect import bisect_right
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import lru_cache
@@ -95,7 +96,9 @@ def append_derived(ledger: Path, name: str, data: bytes, start: int) -> None:
     without it. Raises: OSError.
     """
     is_new = not os.path.lexists(ledger / name)
-    handle = os.open(ledger / name, os.O_WRONLY | os.O_CREAT | os.O_NOFOLLOW, 0o666)
+    if not is_new and not stat.S_ISREG(os.lstat(ledger / name).st_mode):  # a pipe would wait for who reads it
+        raise OSError(0, f"{name} is a link or something else than a file; fsar-ledger maintain recover sets it aside")
+    handle = os.open(ledger / name, os.O_WRONLY | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK, 0o666)
     try:
         size = os.fstat(handle).st_size
         if size < start:
