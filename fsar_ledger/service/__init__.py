@@ -75,7 +75,7 @@ class Principals:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._changed_ns = self._changed()
+        self._seen = self._state()
         self._by_id = _read(path)
 
     def __len__(self) -> int:
@@ -83,8 +83,8 @@ class Principals:
 
     def known(self, authorization: str) -> Principal | None:
         """Return whose token this header has (`Bearer fsar.ID.SECRET`), or None if it is nobody's."""
-        if (changed_ns := self._changed()) != self._changed_ns:
-            self._by_id, self._changed_ns = _read(self._path), changed_ns
+        if (now := self._state()) != self._seen:
+            self._by_id, self._seen = _read(self._path), now
         scheme, _, token = authorization.partition(" ")
         parts = token.strip().split(".")
         is_formed = scheme.lower() == "bearer" and len(parts) == 3 and parts[0] == "fsar"
@@ -93,11 +93,13 @@ class Principals:
         is_right = hmac.compare_digest(digest, found.sha256 if found is not None else _DUMMY)
         return found if is_right else None
 
-    def _changed(self) -> int:
+    def _state(self) -> tuple[int, ...]:
+        """Return what is another one after any change: a copy may keep the time at which the file was written last."""
         try:
-            return self._path.stat().st_mtime_ns
+            status = self._path.stat()
         except OSError:
-            return -1
+            return ()
+        return status.st_mtime_ns, status.st_ctime_ns, status.st_ino, status.st_size
 
 
 def _read(path: Path) -> dict[str, Principal]:
