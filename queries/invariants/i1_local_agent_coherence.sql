@@ -11,10 +11,13 @@ WITH members AS (
     SELECT
         joined.run_id, joined.robot, joined.supervisor, joined.seq, joined.time_us,
         lag(joined.seq) OVER (PARTITION BY joined.run_id, joined.robot ORDER BY joined.seq) AS joined_before,
-        departed.seq AS departed_seq
+        departed.seq AS departed_seq,
+        returned.seq AS returned_seq
     FROM robot_joined AS joined
     ASOF LEFT JOIN robot_departed AS departed
         ON joined.run_id = departed.run_id AND joined.robot = departed.robot AND joined.seq > departed.seq
+    ASOF LEFT JOIN robot_returned AS returned
+        ON joined.run_id = returned.run_id AND joined.robot = returned.robot AND joined.seq > returned.seq
 ),
 
 known AS (
@@ -66,7 +69,7 @@ SELECT
     NULL AS action_id,
     robot || ' joins although it is in the fleet' AS found
 FROM members
-WHERE joined_before > coalesce(departed_seq, -1)
+WHERE greatest(joined_before, returned_seq) > coalesce(departed_seq, -1)
 UNION ALL
 SELECT
     run_id, seq, time_us, type, action_id,

@@ -84,6 +84,7 @@ def test_a_robot_that_joins_anew_after_it_departed_is_in_the_fleet_again() -> No
     assert found(departed(9), again, claimed(12)) == []
     assert found(departed(9), again, departed(11, 2), claimed(12)) == [f"{B} acts after it departed"]
     assert found(departed(9), again, {**again, "time_us": 11 * S}) == [f"{B} joins although it is in the fleet"]
+    assert found(departed(9), returned(10), {**again, "time_us": 11 * S}) == [f"{B} joins although it is in the fleet"]
 
 
 def test_a_claim_under_an_old_number_is_found() -> None:
