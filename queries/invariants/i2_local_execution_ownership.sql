@@ -12,7 +12,10 @@
 WITH acceptances AS (
     SELECT
         starts.run_id, starts.seq,
-        arg_max(coalesce(accepted.decided_by, 'nobody'), accepted.seq) AS decided_by,
+        arg_max(coalesce(accepted.decided_by, 'somebody not on record'), accepted.seq) AS decided_by,
+        arg_max(coalesce(accepted.executed_by, 'nobody'), accepted.seq) AS executor,
+        arg_max(array_to_string(list_filter(accepted.path, LAMBDA one: one <> starts.robot), ', '), accepted.seq)
+            AS through,
         coalesce(
             bool_or(
                 accepted.decided_by = starts.robot
@@ -35,8 +38,15 @@ SELECT
     starts.action_id,
     starts.robot || ' executes for ' || starts.on_behalf_of || CASE
         WHEN acceptances.decided_by IS NULL THEN ' what nobody had accepted'
-        WHEN NOT acceptances.is_own THEN ' what ' || acceptances.decided_by || ' had accepted'
-        ELSE ', but the record names ' || coalesce(starts.executed_by, 'nobody') || ' as executor'
+        WHEN
+            acceptances.is_own
+            THEN ', but the record names ' || coalesce(starts.executed_by, 'nobody') || ' as executor'
+        WHEN acceptances.decided_by <> starts.robot THEN ' what ' || acceptances.decided_by || ' had accepted'
+        WHEN acceptances.executor <> starts.robot
+            THEN ' what it had accepted, but the acceptance names ' || acceptances.executor || ' as executor'
+        ELSE
+            ' what it had accepted '
+            || coalesce('through ' || nullif(acceptances.through, ''), 'by a path that is not on record')
     END AS found
 FROM execution_started AS starts
 INNER JOIN acceptances ON starts.run_id = acceptances.run_id AND starts.seq = acceptances.seq

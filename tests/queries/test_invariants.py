@@ -341,6 +341,27 @@ def test_an_executor_that_stands_twice_on_its_path_accepted_alone() -> None:
         assert len(answer("invariants/i2_local_execution_ownership", rows, columns=("found",))) == found
 
 
+@pytest.mark.parametrize(
+    ("accepted", "found"),
+    [
+        ({"path": ["robot/B1", "coordinator"]}, "it had accepted through coordinator"),
+        ({"path": []}, "it had accepted by a path that is not on record"),
+        ({"executed_by": None}, "it had accepted, but the acceptance names nobody as executor"),
+        ({"decided_by": "coordinator"}, "coordinator had accepted"),
+        ({"decided_by": None}, "somebody not on record had accepted"),
+    ],
+)
+def test_an_acceptance_that_is_not_the_executors_own_is_told_with_what_is_wrong_with_it(
+    accepted: Row, found: str
+) -> None:
+    own = {"decided_by": "robot/B1", "requested_by": "robot/A1", "executed_by": "robot/B1", "action_id": "t/1"}
+    starts = event("ExecutionStarted", 2, **own, robot="robot/B1", on_behalf_of="robot/A1")
+    rows = run(event("RequestAccepted", 1, **{**own, "path": ["robot/B1"], **accepted}), starts)
+    assert answer("invariants/i2_local_execution_ownership", rows, columns=("found",)) == [
+        (f"robot/B1 executes for robot/A1 what {found}",)
+    ]
+
+
 def test_a_stranger_that_executes_offends_i1_also_where_the_record_leaves_its_executor_out() -> None:
     joined = event("RobotJoined", 0, robot="robot/A1", role="A")
     history = run(
