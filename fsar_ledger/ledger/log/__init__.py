@@ -2,7 +2,7 @@
 
 ```
 merkle    RFC 6962 hashes and proofs
-pack      hashes of the tree in files: which are in the pack or in which tile, and which a commit adds
+pack      tree hashes in files: their positions in the pack or in tiles, and which ones a commit adds
 note      signed notes and checkpoints, and which public keys can be trusted
 ```
 """

@@ -2,17 +2,17 @@
 
 ```
 disk       durable files: all or nothing
-growing    files that grow, or change at a place
+growing    files that grow or change in place
 paths      where the files are, and where other commands must not write
-manifest   what ledger.json holds
-problem    one finding, with its place
+manifest   the content of ledger.json
+problem    one finding and its location
 keys       key files
-record     the lines of a chain: commits, and placements of their rows; Commits, packed; Head, how far a ledger goes
+record     the lines of a chain: commits, and placements of their rows; Commits, packed; Head, the end of a ledger
 segments   find and read segments
-staging    stage: segments that wait for a writer; rows for a journal, and as columns
+staging    stage: segments that are not committed yet; rows for a journal, and as columns
 links      follow a chain line by line
 journal    commits whose rows are not in a segment yet
-derived    the pack of the tree, and the index: which runs are where, and which segments share runs
+derived    the pack of the tree, and the index: the location of each run, and which segments share runs
 snapshot   what is committed at one moment, and how far the file `checkpoint` is behind
 read       View: what is committed
 locations  where the events of a run are

@@ -1,17 +1,17 @@
 """Append commits to a ledger. Each is added whole or not at all, and is on disk when the call returns.
 
-Many events at once go into a segment of their own, and each step is durable before the next:
+A large commit gets its own segment, and each step is durable before the next:
 1. `stage` (any number of workers) writes the segment to `staging/`, under its SHA-256.
 2. `append` (one parent) writes two lines to the chain, the commit and where its rows are: this is the commit.
 3. The segment moves to `segments/`. Until then readers look in `staging/`.
 4. The pack of the tree and the checkpoint follow.
 
-A few events go into the journal (`add`), in one sync. A full one is handed over: it gets another name, a thread makes a
-segment of its rows while further commits go into a new journal, and steps 1 to 4 follow for all of its commits at once;
-then it is removed. `seal` does so at once.
+A small commit goes into the journal (`add`), in one sync. A full journal is renamed and sealed: a thread makes a
+segment of its rows while further commits go into a new journal, then steps 1 to 4 follow for all of its commits at once
+and it is removed. `seal` does so immediately.
 
-Writers take turns, under an exclusive lock on `segments/`. Each begins its turn with what others have added meanwhile,
-so no work is done again: leaves and segments do not depend on where in the ledger they go.
+Writers take turns, under an exclusive lock on `segments/`. Each turn begins by reading what others have added, so no
+work is repeated: leaves and segments do not depend on their position in the ledger.
 """
 
 import base64
@@ -51,17 +51,17 @@ from fsar_ledger.ledger.store.staging import Staged, require_staged, rows_of, st
 
 # See docs/decisions/segments-hold-65536-events.md.
 SEAL_ROWS, SEAL_BYTES = 1 << 14, 1 << 23
-"""A journal is sealed before it holds more events or bytes; so many always fit into a segment."""
+"""A journal is sealed before it holds more events or bytes; this many always fit into a segment."""
 
 
 class Writer:
     """Appends to a ledger, which it creates if there is none. Use it as a context manager.
 
     Args:
-        signer: The key that signs the notes of new commits, and whose name must be the origin. Without one they are
+        signer: The key that signs the notes of new commits; its name must be the origin. Without one they are
             unsigned.
-        adopts: The signer vouches for a ledger whose newest commit is unsigned or signed by another key; without one
-            a signed ledger goes on unsigned.
+        adopts: Allow signing on top of commits that this key did not sign; without a signer, allow unsigned commits
+            in a signed ledger.
 
     Raises:
         NotALedger: The path is a file, a folder with other things in it, or a ledger of another origin; it is left as
@@ -110,7 +110,7 @@ class Writer:
 
     @property
     def head(self) -> Head:
-        """Return how far the ledger goes."""
+        """Return the head of the ledger."""
         return self._view.head
 
     def __enter__(self) -> "Writer":
@@ -120,7 +120,7 @@ class Writer:
         self.close()
 
     def close(self) -> None:
-        """Release the lock, after the checkpoint covers what is in the journal. What was appended stays."""
+        """Release the lock, once the checkpoint covers the journal. Appended commits stay."""
         if self._lock < 0:
             self._turn.close()
             self._chain.close()
@@ -144,19 +144,19 @@ class Writer:
             self._lock = -1
 
     def _settle(self) -> None:
-        """Finish the sealing that was begun, and write the checkpoint of all commits. Raises: OSError, WriteFailed."""
+        """Finish any sealing in progress, and write the checkpoint of all commits. Raises: OSError, WriteFailed."""
         self._seal(self._view.journal.sealing)
         if self._journal.is_open:
             self._journal.trim(self._view.journal.end)
             self._write_checkpoint()
 
     def existing_runs(self) -> RunsAndPlans:
-        """Return which runs and plans the ledger holds now. Raises: As `append`; LedgerCorrupted for damaged rows."""
+        """Return the runs and plans that the ledger holds. Raises: As `append`; LedgerCorrupted for damaged rows."""
         with self._its_turn():
             return self._runs().told()
 
     def unfinished_runs(self) -> dict[str, int]:
-        """Return the runs of which later commits may hold more, and how many events the ledger holds of each."""
+        """Return the runs that later commits may extend, each with its number of events in the ledger."""
         return {run: self._runs().events(run) for run in sorted(self._view.chain.going_on)}
 
     def _runs(self) -> ExistingRuns:
@@ -166,13 +166,13 @@ class Writer:
 
     # See docs/decisions/append-is-one-sync.md.
     def append(self, staged: Staged, signature: str = "") -> Head:
-        """Commit the staged segment, durably. Appending a segment that is there already changes nothing.
+        """Commit the staged segment, durably. Appending a segment that the ledger already holds changes nothing.
 
-        `signature` is one that the tree after it has already, as in a record; else the writer's signer makes one.
+        `signature` is an existing one of the resulting tree, as in a record; the writer's signer replaces it.
 
         Raises:
-            InvalidRun: Its events do not continue those that the ledger holds of a run, or repeat some. The staged file
-                is removed; the ledger is unchanged.
+            InvalidRun: Its events do not continue the ledger's events of a run, or repeat some. The staged file is
+                removed; the ledger is unchanged.
             LedgerCorrupted: Another writer made the ledger contradict itself.
             WriteFailed: The disk refused. The ledger is unchanged, unless the message says otherwise.
         """
@@ -190,9 +190,9 @@ class Writer:
         return self._view.head
 
     def commit(self, runs: Sequence[LedgerRun]) -> Head:
-        """Commit these runs, or parts of runs, durably: to the journal, or as a segment if it does not hold so many.
+        """Commit these runs, or parts of runs, durably: to the journal, or as a segment if too large for it.
 
-        Raises: As `add` and `append`; CommitTooLarge if a segment does not hold them either.
+        Raises: As `add` and `append`; CommitTooLarge if they do not fit into a segment either.
         """
         try:
             return self.add(runs)
@@ -200,11 +200,11 @@ class Writer:
             return self.append(stage(self._path, runs))
 
     def add(self, runs: Sequence[LedgerRun]) -> Head:
-        """Commit these runs, or parts of runs, to the journal, durably: for a few events at a time.
+        """Commit these runs, or parts of runs, to the journal, durably: for small commits.
 
         Raises:
             InvalidRun: As `stage`, or as `append`. The ledger is unchanged.
-            CommitTooLarge: They are more than a journal holds, 16,384 events or 8 MiB. The ledger is unchanged.
+            CommitTooLarge: They exceed the limit of a journal, 16,384 events or 8 MiB. The ledger is unchanged.
             LedgerCorrupted: Another writer made the ledger contradict itself.
             WriteFailed: The disk refused. The ledger is unchanged, unless the message says otherwise.
         """
@@ -243,18 +243,18 @@ class Writer:
         return self._view.head
 
     def newest_rows(self) -> bytes:
-        """Return the rows of the newest commit as they are hashed, a line each. Raises: LedgerCorrupted."""
+        """Return the hashed bytes of the newest commit's rows, one line each. Raises: LedgerCorrupted."""
         newest = self._view.commits[-1]
         if self._view.journal.frames:
             return self._view.journal.frames[-1].rows
         return b"".join(row + b"\n" for row in self._view.rows(newest.tree_size - newest.rows, newest.tree_size))
 
     def compact(self) -> int:
-        """Put small neighbouring segments together, durably; return how many were put into others.
+        """Merge small neighbouring segments, durably; return how many were merged into others.
 
-        No leaf, root, commit or proof changes. The old segments are removed once the new one is on record and in place.
+        No leaf, root, commit or proof changes. Old segments are removed once the new one is recorded and in place.
 
-        Raises: LedgerCorrupted if a segment is not as placed; else as `append`.
+        Raises: LedgerCorrupted if a segment is not as placed; otherwise as `append`.
         """
         merged = 0
         with self._its_turn():
@@ -265,7 +265,7 @@ class Writer:
         return merged
 
     def _merge(self, old: Sequence[Placement]) -> None:
-        """Put these neighbouring segments into one, and remove them."""
+        """Merge these neighbouring segments into one, and remove them."""
         staged, chain = merged_segment(self._view, old), self._view.chain
         placement = chain.placement(staged, old[0].first, old[-1].tree(), chain.sha256)
         self._is_broken = True  # unless everything below succeeds
@@ -278,19 +278,19 @@ class Writer:
         self._is_broken = False
 
     def settle(self) -> None:
-        """Finish the sealing of the journal that was full last. Raises: As `append`."""
+        """Finish sealing the last full journal. Raises: As `append`."""
         with self._its_turn():
             self._seal(self._view.journal.sealing)
 
     def seal(self) -> Head:
-        """Put what is in the journal into a segment. Raises: As `append`."""
+        """Move the journal's rows into a segment. Raises: As `append`."""
         with self._its_turn():
             self._seal_all()
         return self._view.head
 
     # See docs/decisions/journals-are-sealed-in-the-background.md.
     def _hand_over(self) -> None:
-        """Begin to seal the journal; the next commit goes into a new one. The caller has its turn."""
+        """Begin to seal the journal; the next commit goes into a new one. The caller holds the turn lock."""
         self._seal(self._view.journal.sealing)
         self._is_broken = True  # unless everything below succeeds
         with disk.refusals(self._journal.path, "handing over the journal"):
@@ -300,12 +300,12 @@ class Writer:
         self._sealing.begin(self._path, list(self._view.journal.frames), self._view.chain.tree())
 
     def _seal_all(self) -> None:
-        """Put what is in the journal into segments, and remove it; the caller has its turn."""
+        """Move the journal's rows into segments, and remove it. The caller holds the turn lock."""
         self._seal(self._view.journal.sealing)
         self._seal(len(self._view.journal.frames))
 
     def _seal(self, count: int) -> None:
-        """Put the first so many frames of the journal into a segment: all, those that are being sealed, or none."""
+        """Move the first `count` frames of the journal into a segment: all, those being sealed, or none."""
         journal, chain = self._view.journal, self._view.chain
         if not count:
             return
@@ -318,7 +318,7 @@ class Writer:
     # See docs/decisions/writers-take-turns.md.
     @contextmanager
     def _its_turn(self) -> Iterator[None]:
-        """Take a turn, which begins with what others have added since the last. Raises: WriteFailed if it cannot."""
+        """Hold the turn lock, after reading what other writers added. Raises: WriteFailed if broken or closed."""
         if self._is_broken or self._lock < 0:
             raise WriteFailed(
                 f"{self._path}: this writer is {'broken' if self._is_broken else 'closed'}; open the ledger again and "
@@ -326,11 +326,11 @@ class Writer:
             )
         with self._turn:
             if not self._view.is_current(self._chain, self._journal.handle):
-                known = self._view.head.size
+                size = self._view.head.size
                 self._journal.close()
                 self._view = self._opened(settles=False)
                 if self._held is not None:
-                    self._held.add_from(self._view, known)
+                    self._held.add_from(self._view, size)
             yield
 
     def _continued(self, staged: Staged) -> tuple[tuple[str, int], ...]:
@@ -365,9 +365,9 @@ class Writer:
         blocks: Sequence[Block],
         frames: int = 0,
     ) -> None:
-        """Append these lines of commits, and the placement of rows up to this tree; then all that follows from them.
+        """Append these commit lines and the placement of rows up to this tree, then update the derived files.
 
-        The rows are those of the first so many frames of the journal, or of the one commit.
+        The rows are those of the journal's first `frames` frames, or of the one commit.
         """
         chain = self._view.chain
         line = index_line(chain.placed_size, blocks)
@@ -390,7 +390,7 @@ class Writer:
         self._is_broken = False
 
     def _grow_chain(self, lines: Sequence[bytes], frames: int, tree: Frontier) -> None:
-        """Append these lines to the chain, durably; they place so many frames, and the tree is that of all events."""
+        """Append these lines to the chain, durably; they place `frames` frames, and `tree` is that of all events."""
         with disk.refusals(self._path / paths.CHAIN, "writing to the chain"):
             growing.append_durably(self._path / paths.CHAIN, b"\n".join((*lines, b"")), self._view.followed.end)
         self._view = self._view.grown(lines, frames, tree)

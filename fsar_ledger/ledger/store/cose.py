@@ -10,9 +10,9 @@
     SIGNATURE])
 ```
 
-`<<...>>` is the CBOR of what is inside, as a byte string. A receipt of RFC 9942 signs the root alone, to which some
-hashes also lead from another place in a tree of another size. So its protected header has the checkpoint (origin, size,
-root) as well, as C2SP writes it. See docs/decisions/receipts-are-signed-when-proving.md.
+`<<...>>` is the CBOR of its content, as a byte string. A receipt of RFC 9942 signs only the root, to which some hashes
+also lead from another index in a tree of another size. So its protected header also has the checkpoint (origin, size,
+root), in C2SP form. See docs/decisions/receipts-are-signed-when-proving.md.
 """
 
 from types import ModuleType
@@ -45,12 +45,12 @@ class Statement(msgspec.Struct, frozen=True):
 
 
 def is_statement(data: bytes) -> bool:
-    """Return whether the file begins as a COSE_Sign1 does, which no text of ours does."""
+    """Return whether the file begins as a COSE_Sign1 does, which none of our text formats does."""
     return data.startswith(_START)
 
 
 def library(where: str) -> ModuleType:
-    """Return the library of CBOR. Raises: UsageError if it is not installed; the error names what needs it, `where`."""
+    """Return the CBOR library. Raises: UsageError if it is not installed; the error names what needs it, `where`."""
     try:
         import cbor2
     except ImportError as error:
@@ -58,16 +58,16 @@ def library(where: str) -> ModuleType:
             f"{where}: found no library cbor2, expected it for COSE; install it (`pip install cbor2`, or the extra "
             "`cose` of this package)"
         ) from error
-    found: ModuleType = cbor2
-    return found
+    module: ModuleType = cbor2
+    return module
 
 
 def signed_statement(where: str, proof: Proof, signer: Signer) -> bytes:
     """Return the transparent statement of this proof, signed by the key that signed its checkpoint.
 
     Raises:
-        UsageError: The key did not sign the checkpoint, so that the receipt would vouch for more than the ledger does;
-            the tree has one event, which no receipt can be of; or there is no cbor2.
+        UsageError: The key did not sign the checkpoint, so the receipt would vouch for more than the ledger does; the
+            tree has one event, for which no receipt is possible; or cbor2 is not installed.
     """
     cbor, tree, key = library(where), proof.note.checkpoint, signer.verifier
     if (why := doubt(proof.note, key)) is not None:
@@ -91,9 +91,9 @@ def check_statement(where: str, data: bytes, trusted: VerifierKey | None = None)
     Errors name the file `where`.
 
     Raises:
-        LedgerCorrupted: The file is not what `signed_statement` writes, to the byte; the hashes do not lead to the
+        LedgerCorrupted: The file is not, to the byte, what `signed_statement` writes; the hashes do not lead to the
             root; the event is not canonical; or the key did not sign the event and the root.
-        UsageError: There is no cbor2.
+        UsageError: cbor2 is not installed.
     """
     cbor = library(where)
     statement = _parsed(cbor, where, data)
@@ -116,7 +116,7 @@ def check_statement(where: str, data: bytes, trusted: VerifierKey | None = None)
 
 
 def _parsed(cbor: Any, where: str, data: bytes) -> Statement:
-    """Parse a statement; nothing is checked but its form. Raises: LedgerCorrupted if it has another."""
+    """Parse a statement, checking only its form. Raises: LedgerCorrupted if that is wrong."""
     try:
         outer = cbor.loads(data).value
         inner = cbor.loads(outer[1][RECEIPTS][0]).value
@@ -133,7 +133,7 @@ def _parsed(cbor: Any, where: str, data: bytes) -> Statement:
                 if _encoded(cbor, statement) == data:
                     return statement
     except (cbor.CBORDecodeError, LookupError, TypeError, ValueError, AttributeError, RecursionError):
-        pass  # cbor2 5 has no limit of depth
+        pass  # cbor2 5 has no depth limit
     raise LedgerCorrupted(
         f"{where}: found COSE of another form, or a part of it, expected what `fsar-ledger prove --as cose` wrote; get "
         "it again"
@@ -146,8 +146,8 @@ def _encoded(cbor: Any, statement: Statement) -> bytes:
     path: bytes = cbor.dumps([tree.size, proof.index, list(proof.hashes)])
     of_event, of_root = _headers(cbor, statement)
     receipt = cbor.dumps(cbor.CBORTag(SIGN1, [of_root, {VDP: {INCLUSION: [path]}}, None, statement.of_root]))
-    found: bytes = cbor.dumps(cbor.CBORTag(SIGN1, [of_event, {RECEIPTS: [receipt]}, proof.event, statement.of_event]))
-    return found
+    encoded: bytes = cbor.dumps(cbor.CBORTag(SIGN1, [of_event, {RECEIPTS: [receipt]}, proof.event, statement.of_event]))
+    return encoded
 
 
 def _headers(cbor: Any, statement: Statement) -> tuple[bytes, bytes]:
@@ -161,9 +161,9 @@ def _headers(cbor: Any, statement: Statement) -> tuple[bytes, bytes]:
 
 
 def _signed_texts(cbor: Any, statement: Statement) -> tuple[bytes, bytes]:
-    """Return what is signed of the event and of the root: the Sig_structure of RFC 9052, section 4.4.
+    """Return the signed bytes of the event and of the root: the Sig_structure of RFC 9052, section 4.4.
 
-    Each begins with 0x84, with which no note begins, since its text is UTF-8. So no signature is good for both.
+    Each begins with 0x84, with which no note begins, since its text is UTF-8. So no signature is valid for both.
     """
     proof = statement.proof
     of_event, of_root = (

@@ -1,9 +1,9 @@
-"""The files of a ledger that are derived from the events that segments hold, and grow with these.
+"""The files of a ledger that are derived from the events in its segments, and grow with them.
 
 `nodes` is the pack of the tree, `index.jsonl` the index: which runs are in the ledger, and where. The index has a line
-for each append that added events, whose placement holds the line's size and hash. So a reader knows without reading
-rows whether a line is the one that was placed. One that is not there, or another, it derives from the rows. No
-signature binds a placement: a reader compares it with the rows where no look has done so before.
+for each append that added events, whose placement holds the line's size and hash. So a reader can check a line against
+its placement without reading rows. A missing or different line is derived from the rows. No signature binds a
+placement: a reader compares it with the rows unless that was done before.
 """
 
 import os
@@ -34,7 +34,7 @@ _READ = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK
 
 
 def read_node(ledger: Path, place: int) -> bytes:
-    """Return the hash at this place of the pack. Raises: LedgerCorrupted if it is not there."""
+    """Return the hash at this position of the pack. Raises: LedgerCorrupted if it is missing."""
     path = ledger / NODES
     try:
         handle = os.open(path, _READ)
@@ -55,25 +55,25 @@ def read_node(ledger: Path, place: int) -> bytes:
 
 
 def holds_nodes(ledger: Path, leaves: int) -> bool:
-    """Return whether the pack is as long as that of the tree of this many leaves."""
+    """Return whether the pack is long enough for the tree of this many leaves."""
     try:
         return growing.size_of(ledger / NODES) >= pack.count(leaves) * HASH_BYTES
-    except OSError:  # whoever reads a node says why
+    except OSError:  # reading a node reports why
         return False
 
 
 def node_reader(ledger: Path, tree: Frontier, others: bytes, rows: Callable[[int, int], list[bytes]]) -> merkle.Node:
-    """Return a function that gives the complete subtrees of a ledger's tree, and so of each smaller one.
+    """Return a function that returns the complete subtrees of a ledger's tree, and so of each smaller one.
 
     `tree` is that of the events whose nodes the pack holds, `others` the packed leaves of those after them, and `rows`
-    gives the canonical bytes of the events between two indexes. It raises LedgerCorrupted where the pack is too short.
+    returns the canonical bytes of the events between two indexes. It raises LedgerCorrupted if the pack is too short.
     """
     start, size = pack.count(tree.size), tree.size + len(others) // HASH_BYTES
     _, more = pack.grow(tree, others)
 
     def read(place: int) -> bytes:
-        at = (place - start) * HASH_BYTES
-        return more[at : at + HASH_BYTES] if at >= 0 else read_node(ledger, place)
+        offset = (place - start) * HASH_BYTES
+        return more[offset : offset + HASH_BYTES] if offset >= 0 else read_node(ledger, place)
 
     @lru_cache(maxsize=4)
     def leaf_hashes(first: int, end: int) -> bytes:
@@ -90,10 +90,10 @@ def node_reader(ledger: Path, tree: Frontier, others: bytes, rows: Callable[[int
 
 
 def append_derived(ledger: Path, name: str, data: bytes, start: int) -> None:
-    """Write these bytes, durably, to a derived file after the first so many, which are there.
+    """Write these bytes, durably, to a derived file from byte `start` on.
 
-    What is there already beyond is replaced. Of a new file the name is durable, too: a checkpoint must never be there
-    without it. Raises: OSError.
+    Anything beyond `start` is replaced. The name of a new file is durable, too: a checkpoint must never exist without
+    it. Raises: OSError, also if the file is shorter than `start`.
     """
     is_new = not os.path.lexists(ledger / name)
     if not is_new and not stat.S_ISREG(os.lstat(ledger / name).st_mode):  # a pipe would wait for who reads it
@@ -113,12 +113,12 @@ def append_derived(ledger: Path, name: str, data: bytes, start: int) -> None:
 
 
 def derived_sizes(chain: Chain) -> dict[str, int]:
-    """Return the bytes that each derived file has when it has all."""
+    """Return the size in bytes of each derived file when complete."""
     return {NODES: pack.count(chain.placed_size) * HASH_BYTES, INDEX: chain.index_bytes}
 
 
 class Part(msgspec.Struct, frozen=True):
-    """A part of a run: those of the events from index `first` to `end` of the ledger that are its own.
+    """A part of a run: its events from index `first` to `end` of the ledger.
 
     Events of other runs may be among them. The block has neither `observes` nor `concerns`.
     """
@@ -129,7 +129,7 @@ class Part(msgspec.Struct, frozen=True):
 
 
 class Extent(msgspec.Struct, frozen=True):
-    """How many events a run or plan has, and between which indexes of the ledger they are, perhaps among others."""
+    """The number of events of a run or plan, and the indexes of the ledger between which they are, perhaps mixed."""
 
     run: str
     rows: int
@@ -144,7 +144,7 @@ class RunNames(msgspec.Struct, frozen=True):
     plans: tuple[str, ...] = ()
 
     def numbers(self) -> dict[str, int]:
-        """Return the number that names each run, from 1; none that is itself the name of a run or a plan."""
+        """Return the 1-based number of each run, by name, except numbers that are the name of a run or a plan."""
         names = {*self.runs, *self.plans}
         return {name: number for number, name in enumerate(self.runs, start=1) if f"{number}" not in names}
 
@@ -160,7 +160,7 @@ class IndexLine(msgspec.Struct, frozen=True):
 
 
 class _Named(msgspec.Struct, gc=False):
-    """What a block says of a name alone."""
+    """The fields of a block that identify its run or plan."""
 
     run: str
     first: int
@@ -174,22 +174,22 @@ class _NamedLine(msgspec.Struct):
 _LINE, _NAMED = msgspec.json.Decoder(IndexLine), msgspec.json.Decoder(_NamedLine)
 
 _BEGINNING, _PLAN, _GOES_ON = b'{"first":0,"first_us":', b'"is_alone":true,', b'"goes_on_from":'
-"""What the blocks of runs and plans begin with where these begin, and what those of plans, and of runs that continue
-others, have, too. No name has them: there each quotation mark comes after a backslash."""
+"""The bytes with which the first block of a run or plan begins, and those found only in blocks of plans and of runs
+that continue others. No name contains them: in a name, each quotation mark is escaped by a backslash."""
 
 
 def index_line(first: int, blocks: Sequence[Block]) -> bytes:
-    """Return the line of the events from this index in the ledger on, with a line feed."""
+    """Return the index line of the events from index `first` of the ledger on, with a line feed."""
     return canonical.document(IndexLine(by_run(blocks), first)) + b"\n"
 
 
 def line_of(first: int, table: pa.Table) -> bytes:
-    """Return the line of these rows, which begin with this index in the ledger."""
+    """Return the index line of these rows, which begin at index `first` of the ledger."""
     return index_line(first, tuple(blocks_of(table)))
 
 
 def line_doubt(placement: Placement, line: bytes) -> Problem | None:
-    """Return that this line of the index, by the rows, is not the one that was placed; None if it is."""
+    """Return the problem if this index line, derived from the rows, is not the one that was placed; None if it is."""
     record = placement
     if (len(line), sha256_hex(line)) == (record.index_bytes, record.index_sha256):
         return None
@@ -198,24 +198,24 @@ def line_doubt(placement: Placement, line: bytes) -> Problem | None:
 
 
 def read_index(ledger: Path, chain: Chain, by_rows: Callable[[int], Sequence[bytes]]) -> list[bytes]:
-    """Return the lines of the index for what segments hold, each the one that was placed.
+    """Return the index lines of the events in segments, each the one that was placed.
 
-    Where the file holds another, `by_rows` gives the lines of a segment in force. Raises: As that, and `require_lines`.
+    If the file holds another, `by_rows` derives those of a segment in force. Raises: As `by_rows` and `require_lines`.
     """
     lines = list(chain.index_lines(read_placed(ledger, chain)))
     for number in range(len(chain.placed)):
-        places = chain.added_in(number)
-        if all(lines[at] for at in places):
+        indexes = chain.added_in(number)
+        if all(lines[index] for index in indexes):
             continue
         rows_of_index = by_rows(number)
         require_lines(ledger, chain.placed_in(number), rows_of_index)
-        for at, line in zip(places, rows_of_index, strict=True):
-            lines[at] = line
+        for index, line in zip(indexes, rows_of_index, strict=True):
+            lines[index] = line
     return lines
 
 
 def require_lines(ledger: Path, added: Sequence[Placement], lines: Sequence[bytes]) -> None:
-    """Require that these lines, by the rows, are those that were placed. Raises: LedgerCorrupted if one is not."""
+    """Require that these lines, from the rows, are those that were placed. Raises: LedgerCorrupted if one is not."""
     for placement, line in zip(added, lines, strict=True):
         if (problem := line_doubt(placement, line)) is not None:
             raise LedgerCorrupted(
@@ -225,7 +225,7 @@ def require_lines(ledger: Path, added: Sequence[Placement], lines: Sequence[byte
 
 
 def read_placed(ledger: Path, chain: Chain) -> bytes:
-    """Return as many bytes of the file as were placed, or fewer; none if it cannot be read."""
+    """Return the placed bytes of the index file, or fewer; none if it cannot be read."""
     try:
         return growing.read_at(ledger / INDEX, 0, min(chain.index_bytes, growing.size_of(ledger / INDEX)))
     except OSError:
@@ -233,12 +233,12 @@ def read_placed(ledger: Path, chain: Chain) -> bytes:
 
 
 def extents_of(parts: Iterable[Part]) -> list[Extent]:
-    """Return where each run and plan of these parts is, in the order of their first events."""
+    """Return the extent of each run and plan of these parts, in the order of their first events."""
     extents: dict[str, Extent] = {}
     for first, end, block in map(msgspec.structs.astuple, parts):
-        known = extents.get(block.run)
-        rows = block.rows + (known.rows if known else 0)
-        extents[block.run] = Extent(block.run, rows, known.first if known else first, end)
+        extent = extents.get(block.run)
+        rows = block.rows + (extent.rows if extent else 0)
+        extents[block.run] = Extent(block.run, rows, extent.first if extent else first, end)
     return list(extents.values())
 
 
@@ -249,8 +249,8 @@ class Index:
         self.lines = lines
         self._text = b"".join(lines)
         self._ends = list(accumulate(map(len, lines)))
-        self._ordinals: dict[str, int] = {}  # of runs that were asked for
-        self._found: dict[str, list[int]] = {}  # for each of them, the lines that name it
+        self._ordinals: dict[str, int] = {}  # cached, by run
+        self._found: dict[str, list[int]] = {}  # cached, by run: the numbers of the lines that name it
         self._earlier: Mapping[str, str] | Flaw | None = None
 
     def run_names(self) -> RunNames:
@@ -261,28 +261,28 @@ class Index:
         return RunNames(runs, tuple([block.run for block in begins if block.is_alone]))
 
     def ordinal_of(self, run: str) -> int:
-        """Return the number of this run in `run_names`, from 1; 0 if there is none."""
+        """Return the 1-based number of this run in `run_names`; 0 if it is not there."""
         if run not in self._ordinals:
             lines = self._lines_of(run)
             self._ordinals[run] = self._ordinal(_of_run(run), lines[0]) if lines else 0
         return self._ordinals[run]
 
     def _ordinal(self, name: bytes, number: int) -> int:
-        """Return the number of the run that this line is the first to name with these bytes; 0 if it is a plan."""
-        at = self._text.find(name, self._ends[number] - len(self.lines[number]))
-        first = self._text.rfind(b"{", 0, at)
-        if not self._text.startswith(_BEGINNING, first) or _PLAN in self._text[first:at]:
+        """Return the 1-based number of the run that these bytes first name in this line; 0 if it is a plan."""
+        offset = self._text.find(name, self._ends[number] - len(self.lines[number]))
+        first = self._text.rfind(b"{", 0, offset)
+        if not self._text.startswith(_BEGINNING, first) or _PLAN in self._text[first:offset]:
             return 0
-        return self._text.count(_BEGINNING, 0, at) - self._text.count(_PLAN, 0, at)
+        return self._text.count(_BEGINNING, 0, offset) - self._text.count(_PLAN, 0, offset)
 
     def continues(self) -> dict[str, str]:
-        """Return by its name each run that says that it continues another, and the name of that."""
+        """Return the run that each run claims to continue, by name."""
         lines = [_LINE.decode(self.lines[number]) for number in self._lines_with(_GOES_ON)]
         blocks = [block for line in lines for block in line.blocks]
-        return {one.run: one.goes_on_from[0] for one in blocks if one.goes_on_from is not None}
+        return {block.run: block.goes_on_from[0] for block in blocks if block.goes_on_from is not None}
 
     def earlier(self) -> Mapping[str, str] | Flaw:
-        """As `continues`, of runs that are here; or why one does not follow. Where no run says so, it costs nothing."""
+        """Return `continues` for runs that are here, or the flaw of one that does not follow; free if empty."""
         if self._earlier is None:
             self._earlier = _earlier(self.blocks()) if (continues := self.continues()) else continues
         return self._earlier
@@ -309,12 +309,12 @@ class Index:
         return self._found[run]
 
     def _lines_with(self, name: bytes) -> Iterator[int]:
-        """Yield the number of each line that has these bytes. All are searched at once, which is quickest."""
-        at = self._text.find(name)
-        while at >= 0:
-            number = bisect_right(self._ends, at)
+        """Yield the number of each line that contains these bytes. All are searched at once, which is fastest."""
+        offset = self._text.find(name)
+        while offset >= 0:
+            number = bisect_right(self._ends, offset)
             yield number
-            at = self._text.find(name, self._ends[number])
+            offset = self._text.find(name, self._ends[number])
 
 
 def _earlier(blocks: Iterable[Block]) -> Mapping[str, str] | Flaw:
@@ -327,12 +327,12 @@ def _earlier(blocks: Iterable[Block]) -> Mapping[str, str] | Flaw:
 
 
 def _of_run(run: str) -> bytes:
-    """Return what a block of this run, and no other, has: its last member."""
+    """Return the bytes found only in blocks of this run: their last member."""
     return b'"run":' + canonical.document(run)
 
 
 def groups_of(segments: Iterable[Sequence[str]]) -> list[tuple[int, ...]]:
-    """Return segments, each given by its runs, in groups that share no run, each of neighbours."""
+    """Return the numbers of these segments, each a list of its runs, in groups of neighbours that share no run."""
     reach: dict[str, int] = {}
     ends: list[int] = []
     for number, runs in enumerate(segments):
@@ -342,9 +342,9 @@ def groups_of(segments: Iterable[Sequence[str]]) -> list[tuple[int, ...]]:
     groups: list[tuple[int, ...]] = []
     first = 0
     while first < len(ends):
-        last = at = first
-        while at <= last:
-            last, at = max(last, ends[at]), at + 1
+        last = current = first
+        while current <= last:
+            last, current = max(last, ends[current]), current + 1
         groups.append(tuple(range(first, last + 1)))
         first = last + 1
     return groups

@@ -1,13 +1,13 @@
-"""Files that are there whole or not at all, and survive a power failure.
+"""Files that exist whole or not at all, and survive a power failure.
 
 Every change is a plain call of `os`, so that tests can make each one fail, or stop the process there. Python itself
 repeats a call that a signal interrupts. A file whose `fsync` failed is given up, never synced again: the kernel may
 have dropped what it could not write, and would report success the second time.
 
-Assumed of the file system: `link` and `rename` happen whole or not at all, also across two folders.
+Assumed of the file system: `link` and `rename` are atomic, also across two folders.
 
-Locks, by which writers of a ledger take turns and readers see whether one of them is at work, end with their process,
-and have no effect where the file system has none.
+Locks, by which writers of a ledger take turns and readers detect an active writer, end with their process, and have no
+effect where the file system has none.
 """
 
 import errno
@@ -25,10 +25,10 @@ from fsar_ledger.base.errors import WriteFailed
 TEMPORARY = ".tmp"
 _NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW
 MAX_DOCUMENT_BYTES = 1 << 20
-"""The most bytes that a JSON file is read with; none of a ledger comes near it."""
+"""The most bytes read of a JSON file; those of a ledger are far smaller."""
 
 MAX_NAMES = 1 << 20
-"""The most names that a folder is read with; nobody makes so many commits."""
+"""The most names read of a folder; far more than any ledger's commits."""
 
 
 def read_document(path: Path | str) -> bytes:
@@ -70,23 +70,23 @@ def read_large(path: Path | str, most: int, start: int = 0, count: int | None = 
 
 
 def read_given(path: Path | str) -> bytes:
-    """Read a small file that a user names: a regular one, a link to one, or a pipe.
+    """Read a small file named by the user: a regular one, a link to one, or a pipe.
 
-    Raises: OSError if it is missing, anything else, too large or unreadable.
+    Raises: OSError if it is missing, of another kind, too large or unreadable.
     """
     handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
     try:
         mode = os.fstat(handle).st_mode
         if not stat.S_ISREG(mode) and not stat.S_ISFIFO(mode):
             raise OSError(0, "it is neither a regular file nor a pipe")
-        os.set_blocking(handle, True)  # wait for who writes to the pipe
+        os.set_blocking(handle, True)  # wait for the pipe's writer
         return _whole(handle)
     finally:
         close(handle)
 
 
 def _whole(handle: int) -> bytes:
-    """Read what is left. Raises: OSError if it is too large or unreadable."""
+    """Read the rest of the file. Raises: OSError if it is too large or unreadable."""
     data = b""
     while part := os.read(handle, MAX_DOCUMENT_BYTES + 1 - len(data)):
         data += part
@@ -105,11 +105,11 @@ def entries(folder: Path) -> list["os.DirEntry[str]"]:
 
 
 class Uncertain(OSError):
-    """The disk refused a commit and then to take it back, so it may be found there later."""
+    """The disk refused a commit and then its removal, so the commit may exist later."""
 
 
 def refusal(path: Path, doing: str, error: OSError) -> WriteFailed:
-    """Return the error for what the disk refused."""
+    """Return the error for an operation that the disk refused."""
     reason = error.strerror or str(error)
     if isinstance(error, Uncertain):
         return WriteFailed(
@@ -158,19 +158,19 @@ def make_folder(folder: Path) -> None:
     while not folder.is_dir():
         missing.append(folder)
         folder = folder.parent
-    with suppress(PermissionError):  # whoever made this one could open the folder above
+    with suppress(PermissionError):  # the process that made this folder could open the one above
         sync_folder(folder.parent)
     for parent in reversed(missing):
         try:
             os.mkdir(parent)
-        except FileExistsError:  # another process was quicker
+        except FileExistsError:  # another process made it first
             if not parent.is_dir():
                 raise
         sync_folder(parent.parent)
 
 
 def write_durably(path: Path, data: bytes | memoryview) -> None:
-    """Write the file, whole and durably, replacing what it held."""
+    """Write the file atomically and durably, replacing its content."""
     temporary = temporary_name(path)
     try:
         write_temporary(temporary, data)
@@ -213,7 +213,7 @@ def _write_all(handle: int, data: bytes | memoryview) -> None:
 
 
 def append_whole(handle: int, data: bytes) -> None:
-    """Append the data to a file that nobody else writes, on disk when this returns, whole or not at all.
+    """Append the data to a file without other writers, whole or not at all; it is on disk when this returns.
 
     Raises: OSError.
     """
@@ -237,7 +237,7 @@ def link_new(temporary: Path, path: Path) -> None:
     except OSError as error:
         if _is_same(temporary, path):  # a network file system may link and yet report a failure
             return
-        if isinstance(error, FileNotFoundError) and os.path.lexists(path):  # a quicker process has cleaned up already
+        if isinstance(error, FileNotFoundError) and os.path.lexists(path):  # another process has cleaned up already
             raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path)) from error
         raise
     finally:
@@ -245,7 +245,7 @@ def link_new(temporary: Path, path: Path) -> None:
 
 
 def _is_same(one: Path, other: Path) -> bool:
-    """Return whether both names exist and are those of one file."""
+    """Return whether both names exist and refer to the same file."""
     try:
         return os.path.samestat(one.lstat(), other.lstat())
     except OSError:
@@ -253,7 +253,7 @@ def _is_same(one: Path, other: Path) -> bool:
 
 
 def move(source: Path, path: Path) -> None:
-    """Rename the file, durably. If another process has moved it already, that is fine."""
+    """Rename the file, durably, unless another process has moved it already."""
     try:
         os.rename(source, path)
     except FileNotFoundError:
@@ -271,7 +271,7 @@ def remove(path: Path) -> None:
 
 
 def replace_durably(path: Path, data: bytes, staging: Path) -> None:
-    """Write the file, whole and durably, replacing what it held. Until then its bytes are in this folder."""
+    """Write the file atomically and durably, replacing its content. Until then its bytes are in folder `staging`."""
     temporary = temporary_name(staging / "file")
     write_temporary(temporary, data)
     try:
@@ -283,14 +283,14 @@ def replace_durably(path: Path, data: bytes, staging: Path) -> None:
 
 
 def write_secret(path: Path, data: bytes) -> None:
-    """Write a new file, durably, that only its owner may read. Raises: FileExistsError if the name is taken."""
+    """Durably write a new file that only its owner may read. Raises: FileExistsError if the name is taken."""
     _write_new(path, data, 0o600)
     sync_folder(path.parent)
 
 
 @contextmanager
 def shared_lock(folder: Path) -> Iterator[None]:
-    """Hold a lock on this folder that excludes all but shared ones.
+    """Hold a lock on this folder that excludes all but shared locks.
 
     Has no effect where the file system has no locks. It ends with its process.
 
@@ -308,7 +308,7 @@ def shared_lock(folder: Path) -> Iterator[None]:
 
 @contextmanager
 def lock_if_free(folder: Path) -> Iterator[bool]:
-    """Hold a lock on this folder, as `shared_lock`, if nobody has it alone; yield whether that is so.
+    """Hold a shared lock on this folder unless it is locked exclusively; yield whether it was free.
 
     Yields True also where the file system has no locks, or the folder cannot be opened.
     """
@@ -331,7 +331,7 @@ def lock_if_free(folder: Path) -> Iterator[bool]:
 
 
 class FolderLock:
-    """An exclusive lock on this folder, taken again and again; the folder is opened once.
+    """A reusable exclusive lock on this folder, which is opened once.
 
     Use it as a context manager. Raises: WriteFailed if the folder cannot be opened.
     """

@@ -1,4 +1,4 @@
-"""Files that grow, or change at a place: the chain, the journal and the pack of a ledger.
+"""Files that grow or change in place: the chain, the journal and the pack of a ledger.
 
 Every change is a plain call of `os`, as in `disk`.
 """
@@ -15,7 +15,7 @@ _ZEROS_AT_ONCE = 1 << 16
 
 
 def size_of(path: Path | str) -> int:
-    """Return the bytes of this file; 0 if there is none. Raises: OSError."""
+    """Return the size of this file in bytes; 0 if there is none. Raises: OSError."""
     try:
         return os.lstat(path).st_size
     except FileNotFoundError:
@@ -23,7 +23,7 @@ def size_of(path: Path | str) -> int:
 
 
 def inode_of(path: Path | str) -> int:
-    """Return the number of this file on its disk; 0 if there is none. Raises: OSError."""
+    """Return the inode number of this file; 0 if there is none. Raises: OSError."""
     try:
         return os.lstat(path).st_ino
     except FileNotFoundError:
@@ -31,7 +31,7 @@ def inode_of(path: Path | str) -> int:
 
 
 def read_at(path: Path | str, place: int, most: int) -> bytes:
-    """Read at most so many bytes at this place of a file; none if there is no file. Raises: OSError."""
+    """Read at most `most` bytes at offset `place` of a file; none if there is no file. Raises: OSError."""
     try:
         handle = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
     except FileNotFoundError:
@@ -43,7 +43,7 @@ def read_at(path: Path | str, place: int, most: int) -> bytes:
 
 
 def read_whole(path: Path, most: int, start: int = 0, count: int | None = None) -> bytes:
-    """Read a file of a ledger, from `start` on, or `count` bytes from there; nothing if there is none.
+    """Read a file of a ledger, from `start` on, or `count` bytes from there; b"" if there is none.
 
     Raises: LedgerCorrupted if it cannot be read, or is longer than `most`.
     """
@@ -58,14 +58,14 @@ def read_whole(path: Path, most: int, start: int = 0, count: int | None = None) 
 
 
 class OpenFile:
-    """A file whose size is asked for again and again. It is opened once it is there."""
+    """A file polled for its size, opened once it exists."""
 
     def __init__(self, path: Path) -> None:
         self._path = str(path)
         self._handle = -1
 
     def size(self) -> int:
-        """Return the bytes of the file; 0 if there is none yet. Raises: OSError."""
+        """Return the size of the file in bytes; 0 if there is none yet. Raises: OSError."""
         if self._handle < 0:
             if not os.access(self._path, os.F_OK):
                 return 0
@@ -80,12 +80,12 @@ class OpenFile:
 
 
 def append_durably(path: Path, data: bytes, end: int) -> None:
-    """Append these lines to a file that ends there, and sync them; make the file if it is new.
+    """Append these lines to a file that ends at `end`, and sync them; create the file if it is new.
 
-    Until all is on disk, NUL takes the place of the last line feed. So what readers see as whole lines stays. That line
+    Until all is on disk, a NUL replaces the last line feed. So any line that readers see as whole is durable. That line
     feed is on disk after `sync`, or with the next append.
 
-    When the disk refuses, the file is cut off again where it ended. Raises: OSError; Uncertain if it refuses that, too.
+    If the disk refuses, the file is truncated back to `end`. Raises: OSError; Uncertain if it refuses that, too.
     """
     handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
     try:
@@ -103,34 +103,34 @@ def append_durably(path: Path, data: bytes, end: int) -> None:
 
 
 def take_back(handle: int, end: int, shown: int, error: BaseException) -> None:
-    """Cut an open file off there because of this error, unless the byte at `shown` has made visible what follows.
+    """Truncate an open file to `end` because of this error, unless the byte at `shown` already makes the data visible.
 
-    It is not synced: if that failed before, the file is given up, and the next writer cuts it off durably.
+    It is not synced: if a sync failed before, the file is given up, and the next writer truncates it durably.
 
-    Raises: Uncertain if the error is that of a disk, and the file is not cut off.
+    Raises: Uncertain if the error is an OSError, and the file is not truncated.
     """
     try:
         if os.pread(handle, 1, shown) not in (b"", b"\0"):
             raise OSError(errno.EIO, "it is visible already")
         os.ftruncate(handle, end)
-    except OSError as other:
+    except OSError as truncate_error:
         if isinstance(error, OSError):
-            raise disk.Uncertain(error.errno, error.strerror or str(error)) from other
+            raise disk.Uncertain(error.errno, error.strerror or str(error)) from truncate_error
 
 
 def show(path: Path, places: Sequence[int], byte: bytes) -> None:
-    """Write this byte at these places of a file, durably, which makes what is there visible. Raises: OSError."""
+    """Write this byte at these offsets of a file, durably, which makes the data there visible. Raises: OSError."""
     handle = os.open(path, os.O_RDWR | os.O_NOFOLLOW)
     try:
-        for at in places:
-            write_at(handle, byte, at)
+        for offset in places:
+            write_at(handle, byte, offset)
         os.fdatasync(handle)
     finally:
         os.close(handle)
 
 
 def sync(path: Path) -> None:
-    """Sync a file to the disk, whoever wrote it; do nothing if there is none. Raises: OSError."""
+    """Sync a file to the disk, whichever process wrote it; do nothing if there is none. Raises: OSError."""
     try:
         handle = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
     except FileNotFoundError:
@@ -143,9 +143,9 @@ def sync(path: Path) -> None:
 
 # See docs/decisions/writers-rewrite-the-last-append.md.
 def write_again(path: Path, start: int, end: int, *, cuts: bool) -> None:
-    """Write these bytes of a file over themselves, cut off what follows if asked to, and sync the file, once.
+    """Rewrite these bytes of a file in place, truncate the file after them if `cuts`, and sync it, once.
 
-    Its writer may have ended before it synced them, or after that had failed. Syncing alone would not do: the kernel
+    Its writer may have ended before it synced them, or after a sync failed. Syncing alone is not enough: the kernel
     may have dropped what it could not write, and would report success the second time.
 
     Raises: OSError.
@@ -166,10 +166,10 @@ def write_again(path: Path, start: int, end: int, *, cuts: bool) -> None:
 
 
 def write_zeros(handle: int, place: int, end: int) -> None:
-    """Fill an open file with NUL bytes up to there. Raises: OSError.
+    """Fill an open file with NUL bytes from `place` to `end`. Raises: OSError.
 
-    Some at a time: a file system keeps together in memory what is written at once, and goes through all of it each time
-    that a few bytes of it are written later.
+    In pieces: a file system keeps what is written at once together in memory, and scans all of it whenever a few bytes
+    of it are written later.
     """
     while place < end:
         size = min(end - place, _ZEROS_AT_ONCE)
@@ -178,7 +178,7 @@ def write_zeros(handle: int, place: int, end: int) -> None:
 
 
 def write_at(handle: int, data: bytes | memoryview, place: int) -> None:
-    """Write all these bytes at this place of an open file. Raises: OSError."""
+    """Write all these bytes at offset `place` of an open file. Raises: OSError."""
     while data:
         written = os.pwrite(handle, data, place)
         if written == 0:

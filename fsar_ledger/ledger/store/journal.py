@@ -1,13 +1,13 @@
 """The journal: commits whose rows are not in a segment yet.
 
 `journal.jsonl` holds frames, one for each commit: its record, as in the chain, and then its rows, each the canonical
-bytes of an event. It continues the chain. Room for more frames is allotted ahead, as NUL bytes. A frame is hidden by a
-NUL in place of its first byte until the rest of it was synced, once, so readers see only what is on disk. After a crash
-the last frames may be torn, or whole and hidden still; the roots in their records show which. Whole ones count.
+bytes of an event. It continues the chain. Room for more frames is preallocated as NUL bytes. A frame is hidden by a NUL
+in place of its first byte until the rest has been synced, once, so readers see only what is on disk. After a crash the
+last frames may be torn, or whole and still hidden; the roots in their records show which. Whole ones count.
 
 A full journal becomes `sealing.jsonl`, and further commits go into a new one, while its rows are put into a segment.
-The placement comes after the commits of the new one so far, whose records the chain has before a segment has their
-rows.
+The placement comes after the commits of the new one so far, whose records are in the chain before their rows are in a
+segment.
 """
 
 import os
@@ -31,15 +31,15 @@ FIRST = b"{"
 
 # See docs/decisions/small-commits-write-into-room.md.
 ALLOTTED = 1 << 20
-"""Bytes by which the file grows: writing over what is there, a disk syncs only the data."""
+"""Bytes by which the file grows: overwriting existing bytes, a disk syncs only the data."""
 _LARGE = 1 << 17
-"""Bytes from which a frame brings no room: to write as many bytes again takes longer than to sync the file's size."""
+"""Frames of this many bytes preallocate no room: writing that many zeros takes longer than syncing the file's size."""
 
 
 class Frame(msgspec.Struct, frozen=True):
-    """One commit in the journal: the line of its record, what it says, and its rows.
+    """One commit in the journal: the line of its record, the record, and its rows.
 
-    `rows` are the canonical bytes of each, with a line feed after it; `leaves` are their packed leaf hashes.
+    `rows` are the canonical bytes of each, followed by a line feed; `leaves` are their packed leaf hashes.
     """
 
     line: bytes
@@ -49,14 +49,14 @@ class Frame(msgspec.Struct, frozen=True):
 
 
 class Journal(msgspec.Struct):
-    """What a journal holds: its frames, and the tree after them.
+    """The content of a journal: its frames, and the tree after them.
 
-    The first `sealing` frames are in `sealing.jsonl`, if it is there (`has_sealing`); `rows` and `end` (in bytes) are
+    The first `sealing` frames are in `sealing.jsonl`, if it exists (`has_sealing`); `rows` and `end` (in bytes) are
     those of the others, in `journal.jsonl`. The chain has the records of the first `chained` frames.
 
-    `problem` says where it contradicts the chain or itself, if not merely its last frame is torn. Files that were
-    `sealed` hold nothing any more; as long as they are there, their sealing may not be finished. `hidden` says where in
-    `journal.jsonl` frames begin that count and are hidden.
+    `problem` is a contradiction with the chain or within the journal, unless only its last frame is torn. Files that
+    were `sealed` count as empty; while they exist, their sealing may not be finished. `hidden` are the offsets in
+    `journal.jsonl` of frames that count and are still hidden.
     """
 
     frames: list[Frame]
@@ -73,12 +73,12 @@ class Journal(msgspec.Struct):
 
     @property
     def last(self) -> int:
-        """Return where the last frame of `journal.jsonl` begins."""
+        """Return the offset of the last frame in `journal.jsonl`."""
         return self.end - (size_of(self.frames[-1]) if self.end else 0)
 
     @property
     def unsure(self) -> int:
-        """Return where the frames of `journal.jsonl` begin that may not be on disk: the last, and those hidden."""
+        """Return the offset in `journal.jsonl` of the first frame that may not be on disk: the last or a hidden one."""
         return min((self.last, *self.hidden))
 
     def add(self, frame: Frame, tree: Frontier) -> None:
@@ -89,18 +89,18 @@ class Journal(msgspec.Struct):
         self.end += size_of(frame)
 
     def hand_over(self) -> None:
-        """Take over that `journal.jsonl`, with all frames, became `sealing.jsonl`."""
+        """Record that `journal.jsonl`, with all frames, became `sealing.jsonl`."""
         self.sealing, self.has_sealing = len(self.frames), True
         self.rows = self.end = 0
 
 
 def size_of(frame: Frame) -> int:
-    """Return the bytes that a frame takes."""
+    """Return the size of a frame in bytes."""
     return len(frame.line) + 1 + len(frame.rows)
 
 
 def lines_of(frames: Sequence[Frame]) -> bytes:
-    """Return the rows of these frames, the canonical bytes of each with a line feed after it."""
+    """Return the rows of these frames, the canonical bytes of each followed by a line feed."""
     return b"".join([frame.rows for frame in frames])
 
 
@@ -110,42 +110,42 @@ def leaves_in(frames: Sequence[Frame]) -> bytes:
 
 
 def read_frames(sealing: bytes, journal: bytes, chain: Chain, *, has_sealing: bool) -> Journal:
-    """Read the frames in these bytes of the two files, and add to the chain the commits that it lacks.
+    """Read the frames in these bytes of the two files, and add missing commits to the chain.
 
-    A file whose first commit a segment holds has been sealed, and is empty. Only the roots of the last two frames are
-    compared with the rows; `verify` compares all. `has_sealing` says whether `sealing.jsonl` was there before either
-    was read.
+    A file whose first commit is in a segment has been sealed, and counts as empty. Only the roots of the last two
+    frames are compared with the rows; `verify` compares all. `has_sealing` is whether `sealing.jsonl` existed before
+    either was read.
     """
     texts = {SEALING: sealing.rstrip(b"\0"), JOURNAL: journal.rstrip(b"\0")}
     sealed = tuple(name for name, text in texts.items() if _is_sealed(text, chain))
     texts |= dict.fromkeys(sealed, b"")
     if texts[SEALING] and not has_sealing:
-        texts[JOURNAL] = b""  # a writer renamed it between two looks: it may be the same
-    read = _Reading(chain)
-    read.add(SEALING, texts[SEALING])
-    if read.is_whole():
-        read.add(JOURNAL, texts[JOURNAL])
-    read.finish()
-    own = read.frames[read.sealing :]
+        texts[JOURNAL] = b""  # a writer renamed it between the two reads: both may be the same file
+    reading = _Reading(chain)
+    reading.add(SEALING, texts[SEALING])
+    if reading.is_whole():
+        reading.add(JOURNAL, texts[JOURNAL])
+    reading.finish()
+    unsealed = reading.frames[reading.sealing :]
     return Journal(
-        read.frames,
-        chain.tree().extend(leaves_in(read.frames)),
-        read.sealing,
-        sum(frame.commit.rows for frame in own),
-        sum(map(size_of, own)),
-        min(len(read.known), len(read.frames)),
+        reading.frames,
+        chain.tree().extend(leaves_in(reading.frames)),
+        reading.sealing,
+        sum(frame.commit.rows for frame in unsealed),
+        sum(map(size_of, unsealed)),
+        min(len(reading.known), len(reading.frames)),
         has_sealing,
-        read.rest,
-        read.problem if read.is_damage else None,
+        reading.rest,
+        reading.problem if reading.is_damage else None,
         sealed,
     )
 
 
 class _Reading:
-    """Frames as they are read, of which the first `sealing` are those of `sealing.jsonl`.
+    """The frames read so far, of which the first `sealing` are those of `sealing.jsonl`.
 
-    `known` are the commits of the chain whose rows no segment has. `rest` counts the bytes of the last file from where
-    it cannot be read; `problem` is why, and `is_damage` says that no crash leaves it.
+    `known` are the commits of the chain whose rows are in no segment. `rest` is the number of unreadable bytes at the
+    end of the last file; `problem` is why, and `is_damage` is whether no crash could leave it.
     """
 
     def __init__(self, chain: Chain) -> None:
@@ -156,30 +156,30 @@ class _Reading:
         self.is_damage = False
         self._chain, self._name = chain, SEALING
         self._text = b""  # of the last file
-        self._marks = [chain.mark()]  # and after each commit that the chain lacked
+        self._marks = [chain.mark()]  # and one after each commit that the chain lacked
 
     def add(self, name: str, text: bytes) -> None:
         """Read the frames of this file."""
         self._name, self._text = name, text
-        at = 0
-        while (end := text.find(b"\n", at)) >= 0:
-            line = line_at(text, at, end)
+        offset = 0
+        while (end := text.find(b"\n", offset)) >= 0:
+            line = line_at(text, offset, end)
             commit = self._commit(line)
-            if commit is None or (after := after_lines(text, end + 1, commit.rows)) is None:
+            if commit is None or (frame_end := after_lines(text, end + 1, commit.rows)) is None:
                 break
-            rows = text[end + 1 : after]
+            rows = text[end + 1 : frame_end]
             self.frames.append(Frame(line, commit, rows, leaves(rows)))
             if len(self.frames) > len(self.known):
                 self._chain.add(commit, sha256_hex(line))
                 self._marks.append(self._chain.mark())
-            at = after
-        self.rest = len(text) - at
+            offset = frame_end
+        self.rest = len(text) - offset
         if name == SEALING:
             self.sealing = len(self.frames)
 
     def _commit(self, line: bytes) -> Commit | None:
-        """Return the commit of this line; None if it is none, or contradicts what precedes it."""
-        known, number = self._expected(), self._number()
+        """Return the commit of this line; None if it is not a commit, or contradicts what precedes it."""
+        chained, number = self._expected(), self._number()
         try:
             record = parse_line(line)
         except ValueError as error:
@@ -187,27 +187,27 @@ class _Reading:
             return None
         if not isinstance(record, Commit):
             self.problem = Problem(self._name, "a placement", "commits and their rows", number, field="kind")
-        elif (doubt := self._chain.doubt(record) if known is None else _other(record, known)) is None:
+        elif (doubt := self._chain.doubt(record) if chained is None else _other(record, chained)) is None:
             return record
         else:
             name, found, expected = doubt
             expectation = f"{expected}, as {CHAIN} and the frames before say"
             kind = LaterRelease if name == "release" and is_later(record.release) else Problem
             self.problem = kind(self._name, f"{found!r}", expectation, number, field=name)
-        self.is_damage = True  # a record that can be read, which no crash leaves
+        self.is_damage = True  # a readable wrong record, which no crash leaves
         return None
 
     def _expected(self) -> Commit | None:
-        """Return the next commit, if the chain has it."""
+        """Return the next commit if the chain has it."""
         return self.known[len(self.frames)] if len(self.frames) < len(self.known) else None
 
     def _number(self) -> int:
         """Return the number of the next commit."""
-        known = self._expected()
-        return self._chain.count if known is None else known.number
+        chained = self._expected()
+        return self._chain.count if chained is None else chained.number
 
     def is_whole(self) -> bool:
-        """Return whether all of a file could be read that was on disk when it got its name."""
+        """Return whether all of `sealing.jsonl`, which was on disk before it got its name, could be read."""
         if self.rest:
             self.is_damage = True
             torn = Problem(self._name, "a torn frame", "whole ones, as they were", commit=self._number())
@@ -215,7 +215,7 @@ class _Reading:
         return not self.rest
 
     def finish(self) -> None:
-        """Drop the last frame if it is torn, and look for what no crash leaves."""
+        """Drop the last frame if it is torn, and detect what no crash leaves."""
         if self._has_wrong_root():
             if len(self.frames) <= max(len(self.known), self.sealing):
                 return self._tell_first_wrong()  # it was on disk before what followed
@@ -235,13 +235,13 @@ class _Reading:
         return None
 
     def _has_wrong_root(self) -> bool:
-        """Return whether the rows lead to another root than the last frame says."""
+        """Return whether the rows lead to another root than that in the last frame."""
         if not self.frames:
             return False
         return self._chain.tree().extend(leaves_in(self.frames)).root().hex() != self.frames[-1].commit.tree_root
 
     def _tell_first_wrong(self) -> None:
-        """Tell which frame, of which the last has a wrong root, is the first with one; none is left."""
+        """Report the first frame with a wrong root, given that the last has one, and drop all frames."""
         tree, wrong = self._chain.tree(), 0
         while tree.extend(self.frames[wrong].leaves).root().hex() == self.frames[wrong].commit.tree_root:
             tree = tree.extend(self.frames[wrong].leaves)
@@ -253,7 +253,7 @@ class _Reading:
 
 
 def after_lines(text: bytes, at: int, count: int) -> int | None:
-    """Return where so many lines from here on end; None if there are fewer."""
+    """Return the offset after `count` lines from `at` on; None if there are fewer."""
     for _ in range(count):
         at = text.find(b"\n", at) + 1
         if not at:
@@ -262,7 +262,7 @@ def after_lines(text: bytes, at: int, count: int) -> int | None:
 
 
 def _is_sealed(text: bytes, chain: Chain) -> bool:
-    """Return whether a segment holds the commit with which this journal begins."""
+    """Return whether the first commit of this journal is already in a segment."""
     try:
         first = parse_line(line_at(text, 0, text.find(b"\n")))
     except ValueError:
@@ -272,9 +272,9 @@ def _is_sealed(text: bytes, chain: Chain) -> bool:
     return first.tree_size <= chain.placed_size
 
 
-def _other(commit: Commit, known: Commit) -> Doubt | None:
-    """Return the first field in which this commit is another than the one that the chain has."""
-    fields = ((name, getattr(commit, name), getattr(known, name)) for name in commit.__struct_fields__)
+def _other(commit: Commit, recorded: Commit) -> Doubt | None:
+    """Return the first field in which this commit differs from the one in the chain."""
+    fields = ((name, getattr(commit, name), getattr(recorded, name)) for name in commit.__struct_fields__)
     return next((doubt for doubt in fields if doubt[1] != doubt[2]), None)
 
 
@@ -285,29 +285,29 @@ def _wrong_rows(name: str, commit: Commit) -> Problem:
 
 
 class JournalFile:
-    """The file of a journal, for its writer; opened when something is written. `handle` is -1 until then."""
+    """A journal's file, for its writer; opened on the first write. `handle` is -1 until then."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.handle = -1
-        self._room = 0  # the size of the file, with what is allotted
+        self._room = 0  # the size of the file, including preallocated bytes
 
     @property
     def is_open(self) -> bool:
-        """Return whether something was written since it was opened or closed."""
+        """Return whether the file is open, as it is after a write."""
         return self.handle >= 0
 
     def write(self, data: bytes, end: int) -> None:
-        """Write this frame where the last one ends, sync it, once, and show it.
+        """Write this frame at offset `end`, where the last one ends, sync it, once, and make it visible.
 
-        When the disk refuses, the file is cut off there. Raises: OSError; Uncertain if it refuses that, too.
+        If the disk refuses, the file is truncated there. Raises: OSError; Uncertain if it refuses that, too.
         """
         if self.handle < 0:
             self._open(end)
-        after = end + len(data)
+        frame_end = end + len(data)
         try:
-            if after > self._room and len(data) < _LARGE:
-                room = after // ALLOTTED * ALLOTTED + ALLOTTED
+            if frame_end > self._room and len(data) < _LARGE:
+                room = frame_end // ALLOTTED * ALLOTTED + ALLOTTED
                 growing.write_zeros(self.handle, self._room, room)
                 self._room = room
             growing.write_at(self.handle, memoryview(data)[1:], end + 1)
@@ -316,22 +316,22 @@ class JournalFile:
         except BaseException as error:
             growing.take_back(self.handle, end, end, error)
             raise
-        self._room = max(self._room, after)
+        self._room = max(self._room, frame_end)
 
     def _open(self, end: int) -> None:
-        """Open the file, or make it, durably. Raises: OSError."""
+        """Open the file, or create it durably. Raises: OSError."""
         is_new = not os.path.lexists(self.path)
-        # What a sealed journal left, which could not be removed, goes first.
-        how = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | (0 if end else os.O_TRUNC)
-        self.handle = os.open(self.path, how, 0o666)
+        # Remains of a sealed journal that could not be removed are truncated first.
+        flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | (0 if end else os.O_TRUNC)
+        self.handle = os.open(self.path, flags, 0o666)
         self._room = os.fstat(self.handle).st_size
         if is_new:
             disk.sync_folder(self.path.parent)
 
     def hand_over(self, end: int) -> None:
-        """Make it the file that is being sealed, durably; the next frame goes into a new one. Raises: OSError.
+        """Rename it durably to the file being sealed; the next frame goes into a new one. Raises: OSError.
 
-        Its room is given back before, by which other writers that have it open see that this happened.
+        It is trimmed first, which shows other writers that have it open that this happened.
         """
         if self.handle < 0:
             self._open(end)
@@ -342,12 +342,12 @@ class JournalFile:
         disk.sync_folder(self.path.parent)
 
     def trim(self, end: int) -> None:
-        """Give back what is allotted beyond the last frame. Raises: OSError."""
+        """Release the preallocated bytes beyond the last frame. Raises: OSError."""
         os.ftruncate(self.handle, end)
         os.fsync(self.handle)
 
     def remove(self, *, is_all: bool) -> None:
-        """Remove what has been sealed, this file too if it `is_all`; if the disk refuses, the next writer does it."""
+        """Remove the sealed files, including this one if `is_all`; if the disk refuses, the next writer does it."""
         with suppress(OSError):
             if is_all:
                 self.close()

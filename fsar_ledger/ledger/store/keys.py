@@ -1,4 +1,4 @@
-"""Key files: the secret half, which only its owner may read, and beside it the public half in `.pub`."""
+"""Key files: the secret half, readable only by its owner, and beside it the public half in `.pub`."""
 
 import base64
 import binascii
@@ -14,10 +14,10 @@ _SECRET = "PRIVATE+KEY"
 
 
 def new_key(path: Path, name: str) -> VerifierKey:
-    """Make a key: the secret half in this file, the public half in the same name with `.pub`. Return the public half.
+    """Create a key: the secret half in this file, the public half beside it with `.pub`. Return the public half.
 
     Raises:
-        UsageError: The name cannot be that of a key, or one of the files exists; it is left as it is.
+        UsageError: The name is not valid for a key, or one of the files exists; it is left unchanged.
         WriteFailed: The disk refused; no key was made.
     """
     if not is_name(name):
@@ -34,7 +34,7 @@ def new_key(path: Path, name: str) -> VerifierKey:
         try:
             disk.write_secret(path, text.encode())
             disk.write_durably(public, f"{verifier}\n".encode())
-        except FileExistsError:  # another process was quicker and owns the file
+        except FileExistsError:  # another process created the file first, and owns it
             raise
         except BaseException:
             disk.remove(path)
@@ -105,7 +105,7 @@ def _read_key(path: Path) -> str:
 
 
 def _key_bytes(data: str) -> bytes | None:
-    """Decode the 32 bytes of an Ed25519 key; None if this is not one."""
+    """Decode the 32 bytes of an Ed25519 key; return None if `data` is not one."""
     try:
         key = base64.b64decode(data, validate=True)
     except (binascii.Error, ValueError):

@@ -1,9 +1,9 @@
-"""Follow a chain line by line: what it says, and where it contradicts itself. No segment is looked at.
+"""Follow a chain line by line: what it records, and where it contradicts itself. No segment is read.
 
 `chain.jsonl` only grows, by whole appends, and each append ends with a placement: commits and the segment that holds
-their rows. So what follows the last placement is an append that was interrupted, torn anywhere, and nothing of it was
-acknowledged. More after a later placement is damage; so is a line that can be read and contradicts those before it,
-since no crash leaves one.
+their rows. So what follows the last placement is an interrupted append, torn at any byte, and nothing of it was
+acknowledged. More after a later placement is damage; so is a readable line that contradicts those before it, since no
+crash leaves one.
 """
 
 from bisect import bisect_left
@@ -34,14 +34,14 @@ from fsar_ledger.ledger.store.record import (
 from fsar_ledger.ledger.store.staging import Staged
 
 _MANY_BYTES, _FEW_BYTES = 1 << 20, 1 << 14
-"""How much is read at once, and where lines are too many to be records."""
+"""Bytes parsed at once: the usual number, and that for lines too short to be records."""
 
 Doubt = tuple[str, object, object]
-"""A field, what was found in it, and what was expected."""
+"""A field, the value found in it, and the expected one."""
 
 
 class Mark(NamedTuple):
-    """How many commits a chain has, the hash of its newest line, and the runs of which later commits may hold more."""
+    """A chain's number of commits, the hash of its newest line, and the runs that later commits may extend."""
 
     commits: int
     sha256: str
@@ -49,18 +49,18 @@ class Mark(NamedTuple):
 
 
 class Chain:
-    """What the lines of a chain say so far, each after the one before.
+    """The state of a chain after the lines read so far.
 
     `placed` are the placements in force, which hold all events from 0 on without a gap; `added` are those that added
     events, in force or not, each with a line of the index, which has `index_bytes`. Segments hold the first
     `placed_size` events. `sha256` is the hash of the newest
-    line; `going_on` are the runs of which later commits may hold more. The last append began when segments held the
-    first `settled` events, and so when all that is derived from these was on disk.
+    line; `going_on` are the runs that later commits may extend. The last append began when segments held the first
+    `settled` events, and so when everything derived from these was on disk.
 
-    There are `count` commits. `commits` are all of them, or the newest of them once those `let_go` are forgotten.
+    There are `count` commits. `commits` are all of them, or the newest ones once `let_go` has dropped the others.
 
-    Each frontier is compared with the root of its commit, unless it `trusts_frontiers`; then `has_right_tree` looks at
-    the last one, which is what everything goes on from.
+    Each frontier is compared with the root of its commit, unless it `trusts_frontiers`; then `has_right_tree` checks
+    the last one, on which everything later builds.
     """
 
     def __init__(self, manifest_sha256: str, *, trusts_frontiers: bool = False) -> None:
@@ -90,11 +90,11 @@ class Chain:
         return self.tree().root() == self.root_at(self.placed_size)
 
     def tree_at(self, end: int) -> Frontier:
-        """Return the tree of the events up to the end of this segment in force; 0 is the empty one."""
+        """Return the tree of the events up to `end`, where a segment in force ends; the empty tree for 0."""
         return next((placement.tree() for placement in self.placed if placement.end == end), Frontier())
 
     def added_in(self, number: int) -> range:
-        """Return which of those added are in this segment in force; none is in two."""
+        """Return the indexes in `added` of the placements in this segment in force; none is in two."""
         placement = self.placed[number]
         return range(
             bisect_left(self.added, placement.first, key=lambda each: each.first),
@@ -102,11 +102,11 @@ class Chain:
         )
 
     def placed_in(self, number: int) -> list[Placement]:
-        """Return those added that are in this segment in force."""
-        return [self.added[at] for at in self.added_in(number)]
+        """Return the placements in `added` that are in this segment in force."""
+        return [self.added[index] for index in self.added_in(number)]
 
     def span_of_line(self, number: int) -> tuple[int, int]:
-        """Return the indexes in the ledger between which the events of this line of the index are.
+        """Return the first and end index in the ledger of the events of this line of the index.
 
         The line after those of the segments is that of the journal.
         """
@@ -115,27 +115,27 @@ class Chain:
         return self.added[number].first, self.added[number].end
 
     def index_lines(self, data: bytes) -> Iterator[bytes]:
-        """Yield the line of the index of each placement that added events; nothing where these bytes hold another."""
+        """Yield from `data` the index line of each placement that added events; b"" where the hash differs."""
         ends = list(accumulate([placement.index_bytes for placement in self.added], initial=0))
         lines = [data[start:end] for start, end in pairwise(ends)]
-        for line, sha256, one in zip(lines, digests(lines), self.added, strict=True):
-            yield line if sha256 == one.index_sha256 else b""
+        for line, sha256, placement in zip(lines, digests(lines), self.added, strict=True):
+            yield line if sha256 == placement.index_sha256 else b""
 
     def let_go(self) -> None:
-        """Forget the commits whose rows segments hold, but for the last of these: who only appends needs no other."""
+        """Drop the commits whose rows are in segments, except the last of them: appending needs no other."""
         self.commits.let_go(bisect_left(self.commits.sizes, self.placed_size))
 
     def mark(self) -> Mark:
-        """Return how far the chain goes now, to which it can go `back`."""
+        """Return a mark of the chain's current end, for `back`."""
         return Mark(self.count, self.sha256, self.going_on)
 
     def back(self, mark: Mark) -> None:
-        """Forget the commits since then; none of them was placed, or let go."""
+        """Drop the commits since the mark; none of them was placed, or dropped by `let_go`."""
         self.commits.cut(len(self.commits) - self.count + mark.commits)
         self.count, self.sha256, self.going_on = mark
 
     def add(self, record: Record, sha256: str) -> None:
-        """Add the record of a line with this SHA-256 that nothing speaks against."""
+        """Add the record of a line with this SHA-256, for which `doubt` found nothing."""
         self.sha256 = sha256
         if isinstance(record, Commit):
             self.commits.extend((record,))
@@ -157,7 +157,7 @@ class Chain:
     def adds(self, records: Sequence[Record], hashes: Sequence[str]) -> bool:
         """Add the records of lines with these SHA-256 if each is a commit, or a placement that adds events.
 
-        Together this takes a third of the time. Nothing is added where anything may speak against a record.
+        This takes a third of the time of single adds. Returns False, with nothing added, if any record may be wrong.
         """
         commits = [record for record in records if type(record) is Commit]
         placements = [record for record in records if type(record) is Placement]
@@ -169,23 +169,23 @@ class Chain:
             and FINGERPRINTS.items() >= {(placement.release, placement.schema_sha256) for placement in placements}
             and [commit.number for commit in commits] == list(range(self.count, self.count + len(commits)))
             and [placement.number for placement in placements]
-            == [len(self.placements) + at for at in range(len(placements))]
+            == [len(self.placements) + index for index in range(len(placements))]
             and [placement.first for placement in placements]
             == [self.placed_size, *[placement.end for placement in placements]][:-1]
             and [commit.rows for commit in commits] == [*map(sub, ends, [self.size, *ends])]
             and all(placement.index_bytes and placement.index_sha256 for placement in placements)
-            and (not placements or records[-1] is placements[-1])  # else nobody could go back to this one
+            and (not placements or records[-1] is placements[-1])  # otherwise no mark could be taken after it
             and self._are_committed(records, placements, ends)
         ):
             return False
-        before = self.going_on
+        going_on_before = self.going_on
         for commit in commits:
             if len(commit.goes_on) == len(commit.continues) == 1 and commit.goes_on[0] in self.going_on:
                 (run, first), (goes_on,) = commit.continues[0], commit.goes_on
                 if run == goes_on and first:
                     continue  # the usual case of a live run
             if self._of_runs(commit) is not None:
-                self.going_on = before
+                self.going_on = going_on_before
                 return False
             self._go_on(commit)
         if placements:
@@ -200,15 +200,15 @@ class Chain:
         return True
 
     def _are_committed(self, records: Sequence[Record], placements: Sequence[Placement], ends: Sequence[int]) -> bool:
-        """Return whether each of these placements ends where a commit before it does.
+        """Return whether each of these placements ends where an earlier commit does.
 
-        `ends` are the ends of those among the records.
+        `ends` are the tree sizes of the commits among the records.
         """
-        places = {size: at for at, size in enumerate(ends)}
+        indexes = {size: index for index, size in enumerate(ends)}
         numbers = [number for number, record in enumerate(records) if type(record) is Placement]
         return all(
-            places[placement.end] < number - earlier
-            if placement.end in places
+            indexes[placement.end] < number - earlier
+            if placement.end in indexes
             else self.commits.ending_at(placement.end) is not None
             for earlier, (number, placement) in enumerate(zip(numbers, placements, strict=True))
         )
@@ -217,7 +217,7 @@ class Chain:
         if not commit.continues and not commit.goes_on:
             return
         if len(commit.continues) == len(commit.goes_on) == 1 and commit.continues[0][0] == commit.goes_on[0]:
-            return  # the usual case: one run that went on does so
+            return  # the usual case: one live run stays live
         ended = {run for run, _ in commit.continues}.difference(commit.goes_on)
         if ended or not self.going_on.issuperset(commit.goes_on):
             self.going_on = self.going_on - ended | frozenset(commit.goes_on)
@@ -241,7 +241,7 @@ class Chain:
         )
 
     def doubt(self, record: Record) -> Doubt | None:
-        """Return the first field that contradicts the record itself, the lines before, or what this version knows."""
+        """Return the first field that contradicts the record itself, earlier lines, or this version's releases."""
         if record.release not in FINGERPRINTS:
             later = is_later(record.release)
             expected = (
@@ -251,8 +251,8 @@ class Chain:
             )
             return "release", record.release, expected
         if record.previous_sha256 != self.sha256:
-            before = "the line before" if self.commits else MANIFEST
-            return "previous_sha256", record.previous_sha256, f"{self.sha256}, the SHA-256 of {before}"
+            predecessor = "the line before" if self.commits else MANIFEST
+            return "previous_sha256", record.previous_sha256, f"{self.sha256}, the SHA-256 of {predecessor}"
         return self._of_commit(record) if isinstance(record, Commit) else self._of_placement(record)
 
     def _of_commit(self, commit: Commit) -> Doubt | None:
@@ -277,8 +277,8 @@ class Chain:
     def _of_placement(self, placement: Placement) -> Doubt | None:
         if placement.number != len(self.placements):
             return "number", placement.number, len(self.placements)
-        if (known := FINGERPRINTS.get(placement.release)) not in (None, placement.schema_sha256):
-            return "schema_sha256", placement.schema_sha256, known
+        if (fingerprint := FINGERPRINTS.get(placement.release)) not in (None, placement.schema_sha256):
+            return "schema_sha256", placement.schema_sha256, fingerprint
         is_added, end = placement.first == self.placed_size, placement.end
         if not is_added and not self._starts(placement.first):
             return "first", placement.first, f"{self.placed_size}, or the first event of a segment"
@@ -288,18 +288,18 @@ class Chain:
         if not self._trusts_frontiers and (placed_root := placement.tree().root()) != root:
             return "frontier", placed_root.hex(), f"one of root {root.hex()}, as committed"
         for name in ("index_bytes", "index_sha256"):
-            if is_added != bool(found := getattr(placement, name)):
+            if is_added != bool(value := getattr(placement, name)):
                 expected = "that of the events' line of the index" if is_added else "none, as no events are added"
-                return name, found, expected
+                return name, value, expected
         return None
 
     def _starts(self, index: int) -> bool:
-        """Return whether a segment begins with this event."""
-        at = bisect_left(self.placed, index, key=lambda placement: placement.first)
-        return at < len(self.placed) and self.placed[at].first == index
+        """Return whether a segment in force begins with this event."""
+        position = bisect_left(self.placed, index, key=lambda placement: placement.first)
+        return position < len(self.placed) and self.placed[position].first == index
 
     def root_at(self, size: int) -> bytes | None:
-        """Return the root of this many events, as committed; None if no commit ends there."""
+        """Return the committed root of this many events; None if no commit ends there."""
         if not size:
             return EMPTY_ROOT
         commit = self.commits.ending_at(size)
@@ -307,15 +307,15 @@ class Chain:
 
 
 def _is_sorted(names: Sequence[str]) -> bool:
-    """Return whether these are sorted, each once."""
+    """Return whether these names are sorted and distinct."""
     return len(names) < 2 or all(map(lt, names, names[1:]))
 
 
 class Followed(msgspec.Struct, frozen=True):
-    """How far the bytes of a chain were followed: the bytes up to the last whole append, and why no further.
+    """How far the bytes of a chain were followed: the end of the last whole append, and why no further.
 
     The last append begins at `last`. `problem` is None where the bytes end, or where an append was interrupted; then
-    `torn` counts the bytes of it. The last append `is_hidden` if only its last line feed is not there yet, and counts.
+    `torn` is the number of its bytes. The last append `is_hidden` if only its last line feed is missing; it counts.
     """
 
     end: int
@@ -327,52 +327,52 @@ class Followed(msgspec.Struct, frozen=True):
 
 def follow(data: bytes, chain: Chain) -> Followed:
     """Add the lines in these bytes to the chain, up to the last whole append."""
-    at = last = end = 0
+    offset = last = end = 0
     mark = chain.mark()
     problem: Problem | None = None
     for lines in _parts(data):
         hashes = digests(lines)
         with without_collection():
-            parsed = _parsed(data[at : at + sum(map(len, lines)) + len(lines)], lines)
+            parsed = _parsed(data[offset : offset + sum(map(len, lines)) + len(lines)], lines)
             are_added = isinstance(parsed, list) and chain.adds(parsed, hashes)
         for line, record, line_sha256 in zip(lines, parsed, hashes, strict=True):
             if not are_added and (problem := _add(record, line_sha256, chain)) is not None:
                 break
-            at += len(line) + 1
+            offset += len(line) + 1
             if isinstance(record, Placement):
-                last, end, mark = end, at, chain.mark()
+                last, end, mark = end, offset, chain.mark()
         chain.commits.pack(chain.commits.up_to(chain.placed_size))
         if problem is not None:
             break
     else:
-        if at < len(data):
+        if offset < len(data):
             problem = Problem(CHAIN, "a line without end", "whole lines", commit=chain.count)
     chain.back(mark)
-    if problem is not None and (problem.field is not None or has_later_append(data, at)):
+    if problem is not None and (problem.field is not None or has_later_append(data, offset)):
         return Followed(end, problem=problem, last=last)
     return Followed(end, len(data) - end, last=last)
 
 
 def _parts(data: bytes) -> Iterator[list[bytes]]:
-    """Yield the lines of a chain, some at a time, up to a placement if they have one.
+    """Yield the lines of a chain in batches, each ending with a placement if it has one.
 
-    They are fewer if they are too many to be records.
+    Batches are smaller if the lines are too short to be records.
     """
     end = data.rfind(b"\n") + 1
     at_once = _MANY_BYTES if data.count(b"\n") * LEAST_LINE_BYTES <= end else _FEW_BYTES
-    at = 0
+    offset = 0
     if not end:
         yield []
-    while at < end:
-        placed = data.rfind(PLACEMENT, at, at + at_once)
-        after = data.rfind(b"\n", at, at + at_once) if placed < 0 else data.find(b"\n", placed)
-        after = (after if after >= at else data.find(b"\n", at)) + 1
-        yield data[at:after].split(b"\n")[:-1]
-        at = after
+    while offset < end:
+        placed = data.rfind(PLACEMENT, offset, offset + at_once)
+        batch_end = data.rfind(b"\n", offset, offset + at_once) if placed < 0 else data.find(b"\n", placed)
+        batch_end = (batch_end if batch_end >= offset else data.find(b"\n", offset)) + 1
+        yield data[offset:batch_end].split(b"\n")[:-1]
+        offset = batch_end
 
 
 def _add(record: Record | ValueError, sha256: str, chain: Chain) -> Problem | None:
-    """Add the record of the next line, which has this SHA-256, or return what speaks against it."""
+    """Add the record of the next line, which has this SHA-256, or return the problem with it."""
     number = chain.count
     if isinstance(record, ValueError):
         return Problem(CHAIN, f"no record ({record})", "one as it is written", commit=number)
@@ -385,7 +385,7 @@ def _add(record: Record | ValueError, sha256: str, chain: Chain) -> Problem | No
 
 
 def _parsed(data: bytes, lines: Sequence[bytes]) -> Iterable[Record | ValueError]:
-    """Parse these lines, at once if all are records, else one by one to see which is none, and why."""
+    """Parse these lines, together if all are records, else one by one to find the first that is not, and why."""
     try:
         return parse_lines(data, lines)
     except ValueError:

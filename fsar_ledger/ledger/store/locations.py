@@ -1,9 +1,9 @@
 """Where in a ledger the events of a run are, and whether the index agrees with the rows.
 
-Signatures bind roots. Whoever can write the folder can chain a line of the index anew that leaves a run out, or a part
-of one; its rows are there, and lead to the root.
+Signatures bind roots. Anyone with write access to the folder can chain a forged line of the index that omits a run, or
+part of one; its rows are still there, and lead to the root.
 
-A writer asks which runs there are, and how far they go: a run goes on where it stopped.
+A writer needs to know the existing runs and their next sequence numbers: a run continues where it stopped.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -28,7 +28,7 @@ from fsar_ledger.ledger.store.shards import PREFIX, is_log
 
 
 def event_count(parts: Iterable[Part]) -> int:
-    """Return how many events these parts of runs have."""
+    """Return the number of events in these parts of runs."""
     return sum(part.block.rows for part in parts)
 
 
@@ -36,7 +36,7 @@ def place_of(view: View, run: str, seq: int) -> int:
     """Return the index in the ledger of this event of the run.
 
     Raises:
-        KeyError: The run has no such event; the argument is how many it has.
+        KeyError: The run has no such event; the argument is its number of events.
         LedgerCorrupted: A segment cannot be read, or does not hold the event.
     """
     parts = view.parts(run)
@@ -61,33 +61,33 @@ class Places(NamedTuple):
 
 
 def places_of(view: View, runs: Sequence[str]) -> dict[str, Places]:
-    """Return where these runs begin and end. Raises: LedgerCorrupted if a segment cannot be read."""
-    found: dict[str, Places] = {}
+    """Return the first and last index of each run, by name. Raises: LedgerCorrupted if a segment cannot be read."""
+    places: dict[str, Places] = {}
     for number in _segments_of(view, runs):
         names = view.table(number, ["run_id"])["run_id"]
         rows = pa.table({"run": names, "row": np.arange(len(names))}).filter(pc.is_in(names, pa.array(runs)))
         ends = rows.group_by("run").aggregate([("row", "min"), ("row", "max")]).to_pylist()
-        for run, first, last in ((one["run"], one["row_min"], one["row_max"]) for one in ends):
-            begun = found[run].first if run in found else view.first(number) + first
-            found[run] = Places(begun, view.first(number) + last)
-    return found
+        for run, first, last in ((row["run"], row["row_min"], row["row_max"]) for row in ends):
+            first_index = places[run].first if run in places else view.first(number) + first
+            places[run] = Places(first_index, view.first(number) + last)
+    return places
 
 
 def event_at(view: View, place: int) -> dict[str, object]:
-    """Return the event with this index in the ledger, as it is stored. Raises: LedgerCorrupted."""
+    """Return the stored event with this index in the ledger. Raises: LedgerCorrupted."""
     return msgspec.json.decode(view.event(place), type=dict[str, object])
 
 
 def record_of(view: View, run: str, size: int | None = None) -> LedgerRun:
-    """Return the events of the run of this name, as `records_of`; with `size`, of the first so many events alone.
+    """Return the events of this run, as `records_of`; with `size`, only those among the ledger's first `size` events.
 
-    Event 0 must be one of these.
+    Event 0 of the run must be one of these.
     """
     return records_of(view, [run], size)[0]
 
 
 def records_of(view: View, runs: Sequence[str], size: int | None = None) -> list[LedgerRun]:
-    """Return the events of these runs, each with those of the runs that it continues, as `continuing` does.
+    """Return the events of these runs, each joined by `continuing` with those of the runs that it continues.
 
     Only the segments that hold them are decoded, each once.
 
@@ -106,29 +106,29 @@ def records_of(view: View, runs: Sequence[str], size: int | None = None) -> list
 
 
 def pieces_of(view: View, run: str, size: int | None = None) -> Iterator[LedgerRun]:
-    """Yield in order the pieces of what `record_of` returns, in memory that does not grow with the run.
+    """Yield what `record_of` returns in pieces, in order, in memory that does not grow with the run.
 
-    Raises: As that; LedgerCorrupted also if a piece is missing.
+    Raises: As `record_of`; LedgerCorrupted also if a piece is missing.
     """
     names = chain_of(view, run)
-    current, rows, before = names[0], 0, 0  # rows of the current run so far, and how much higher its seqs are counted
+    current, rows, offset = names[0], 0, 0  # the current run, its rows so far, and the offset added to its seqs
     started: Event | None = None
     for number in _segments_of(view, names):
         for piece in codec.decode(_rows(view, number, names, size), is_whole=False):
             if piece.run_id != current:
-                current, rows, before = piece.run_id, 0, before + rows - 1
+                current, rows, offset = piece.run_id, 0, offset + rows - 1
             require_next(piece, rows)
             rows += len(piece.events)
             if piece.first == 0:
                 started = started or piece.events[0]
                 require_alike(piece, started, names[0])
-            yield piece if current == names[0] else counted_on(piece, before)
+            yield piece if current == names[0] else counted_on(piece, offset)
     if started is None:
         raise UsageError(f"{view.path}: run {printable.value(run)}: there is no such run")
 
 
 def end_of(view: View, run: str, size: int | None = None) -> int:
-    """Return the time of the last event that `record_of` returns, in microseconds of run time. Raises: As that."""
+    """Return the time of `record_of`'s last event, in microseconds of run time. Raises: As `record_of`."""
     names = chain_of(view, run)
     for number in reversed(_segments_of(view, names)):
         if len(rows := _rows(view, number, names, size, ["run_id", "time_us"])):
@@ -141,51 +141,51 @@ def _segments_of(view: View, runs: Sequence[str]) -> list[int]:
 
 
 def _rows(view: View, number: int, runs: Sequence[str], size: int | None, columns: list[str] | None = None) -> pa.Table:
-    """Return the rows that a segment has of these runs, of the first so many events of the ledger."""
+    """Return a segment's rows of these runs, among the first `size` events of the ledger (None: all)."""
     table = segment.read_table(view.segment(number), columns)
     table = table.slice(0, len(table) if size is None else max(0, size - view.first(number)))
     return table.filter(pc.is_in(table["run_id"], pa.array(runs)))
 
 
 def continued_by(record: LedgerRun) -> str | None:
-    """Return the name of the run that the one on record continues; None if it begins by itself."""
+    """Return the name of the run that this record continues; None if there is none."""
     second = record.events[1] if len(record.events) > 1 else None
     return second.continues if isinstance(second, RunContinued) else None
 
 
 def chain_of(view: View, run: str) -> list[str]:
-    """Return the runs that this one continues, the first first, as far as the ledger holds them, and itself."""
-    before, found = earlier_runs(view), [run]
-    while found[-1] in before:
-        found.append(before[found[-1]])
-    return found[::-1]
+    """Return the runs that this one continues, earliest first, as far as the ledger holds them, and then itself."""
+    earlier, chain = earlier_runs(view), [run]
+    while chain[-1] in earlier:
+        chain.append(earlier[chain[-1]])
+    return chain[::-1]
 
 
 def whole_of(view: View, run: str) -> str:
-    """Return the last of the runs that continue this one, so that all of them are read with it; itself if none does."""
+    """Return the last run in the chain that continues this one, which is read with all of them; itself if none does."""
     return wholes_of(view).get(run, run)
 
 
 def wholes_of(view: View) -> Mapping[str, str]:
-    """Return by its name each run that continues another or is continued, and the last of those that do."""
-    found: dict[str, str] = {}
-    for run, before in reversed([*earlier_runs(view).items()]):  # in the order in which they begin
-        found[before] = found.setdefault(run, run)
-    return found
+    """Return, for each run that continues another or is continued, the last run of its chain, by name."""
+    wholes: dict[str, str] = {}
+    for run, earlier in reversed([*earlier_runs(view).items()]):  # in the order in which they begin
+        wholes[earlier] = wholes.setdefault(run, run)
+    return wholes
 
 
 def whole_runs(view: View) -> Iterator[LedgerRun]:
-    """Yield every run as `View.runs`, and runs that continue each other as one. Raises: as that, and `continuing`."""
-    wholes, held = wholes_of(view), dict[str, list[LedgerRun]]()
+    """Yield every run as `View.runs`, joining those that continue each other. Raises: As that, and `continuing`."""
+    wholes, pending = wholes_of(view), dict[str, list[LedgerRun]]()
     for run in view.runs():
-        whole = wholes.get(run.run_id, run.run_id)
-        held.setdefault(whole, []).append(run)
-        if run.run_id == whole:
-            yield continuing(held.pop(whole))
+        name = wholes.get(run.run_id, run.run_id)
+        pending.setdefault(name, []).append(run)
+        if run.run_id == name:
+            yield continuing(pending.pop(name))
 
 
 def whole_groups(view: View) -> list[tuple[int, ...]]:
-    """As `View.groups`; runs that continue each other are in one of them."""
+    """Return the groups of `View.groups`, with runs that continue each other in the same group."""
     wholes = wholes_of(view)
     if not wholes:
         return view.groups()
@@ -194,60 +194,60 @@ def whole_groups(view: View) -> list[tuple[int, ...]]:
 
 
 def counted_rows(view: View, rows: pa.Table) -> pa.Table:
-    """Return these columns `run_id` and `seq` of stored events as readers of whole runs have them.
+    """Return these columns `run_id` and `seq` of stored events as numbered in whole runs.
 
-    Event 0 of a run that continues another, which they leave out, has the seq of event 1.
+    Event 0 of a run that continues another, which whole runs omit, has the seq of event 1.
     """
     wholes = wholes_of(view)
     if not wholes:
         return rows
-    before = {run: seq_counted_on(view, run, 1) - 1 for run in rows["run_id"].unique().to_pylist() if run in wholes}
+    offsets = {run: seq_counted_on(view, run, 1) - 1 for run in rows["run_id"].unique().to_pylist() if run in wholes}
     pairs = zip(rows["run_id"].to_pylist(), rows["seq"].to_pylist(), strict=True)
-    counted = ((run, max(seq, 1) + before[run] if before.get(run) else seq) for run, seq in pairs)
-    found = [(wholes.get(run, run), seq) for run, seq in counted]
-    return pa.table([[run for run, _ in found], [seq for _, seq in found]], schema=rows.schema)
+    counted = ((run, max(seq, 1) + offsets[run] if offsets.get(run) else seq) for run, seq in pairs)
+    numbered = [(wholes.get(run, run), seq) for run, seq in counted]
+    return pa.table([[run for run, _ in numbered], [seq for _, seq in numbered]], schema=rows.schema)
 
 
 def earlier_runs(view: View) -> Mapping[str, str]:
-    """Return by its name each run that continues another one of the ledger, and the name of that.
+    """Return, by name, the run of the ledger that each run continues.
 
     Raises:
-        LedgerCorrupted: One does not follow the run that it says it continues; or as `View.index`.
+        LedgerCorrupted: A run does not follow the one it claims to continue; or as `View.index`.
     """
     if not any("continues" in SCHEMAS[release].names for release in {*view.releases}):
         return {}
-    found = view.index.earlier()
-    if isinstance(found, Flaw):
-        raise LedgerCorrupted(f"{view.path}: {found}; run fsar-ledger verify")
-    return found
+    earlier = view.index.earlier()
+    if isinstance(earlier, Flaw):
+        raise LedgerCorrupted(f"{view.path}: {earlier}; run fsar-ledger verify")
+    return earlier
 
 
 def place_counted_on(view: View, run: str, seq: int) -> int:
-    """As `place_of`, of an event whose seq counts on over the runs that this one continues."""
-    before = 0
+    """Return the index as `place_of`, for a seq that counts across the runs that this one continues."""
+    offset = 0
     for name in chain_of(view, run):
         size = event_count(view.parts(name))
-        if name != run and seq - before >= size:
-            before += size - 1
+        if name != run and seq - offset >= size:
+            offset += size - 1
             continue
         try:
-            return place_of(view, name, seq - before)
+            return place_of(view, name, seq - offset)
         except KeyError:
-            raise KeyError(before + size) from None
+            raise KeyError(offset + size) from None
     raise KeyError(0)
 
 
 def seq_counted_on(view: View, run: str, seq: int) -> int:
-    """Return the seq of this event of the run, counted on over those that it continues; its event 0 is not counted."""
+    """Return the seq of this event counted across the runs that its run continues, without the run's own event 0."""
     earlier = chain_of(view, run)[:-1]
-    before = sum(event_count(view.parts(name)) - 1 for name in earlier)
-    return before + max(seq, 1 if earlier else 0)
+    offset = sum(event_count(view.parts(name)) - 1 for name in earlier)
+    return offset + max(seq, 1 if earlier else 0)
 
 
 def compare_index(view: View) -> bool:
-    """Compare the lines of the index for each segment that is not believed; return whether all could be read.
+    """Compare the index lines of each segment not yet compared; return whether all could be read.
 
-    Raises: LedgerCorrupted if the rows of a segment have other lines than the chain says.
+    Raises: LedgerCorrupted if the lines derived from a segment's rows differ from those in the chain.
     """
     is_read = True
     for number in range(len(view.chain.placed)):
@@ -255,7 +255,7 @@ def compare_index(view: View) -> bool:
             continue
         try:
             lines = view.index_lines(number)
-        except LedgerCorrupted:  # whoever reads its rows is told
+        except LedgerCorrupted:  # reading its rows reports this
             is_read = False
             continue
         require_lines(view.path, view.chain.placed_in(number), lines)
@@ -264,20 +264,20 @@ def compare_index(view: View) -> bool:
 
 
 _MOST_SOUGHT = 64
-"""How many runs are sought in the index by name before all of it is read, which takes about as long."""
+"""The number of runs searched in the index by name before all of it is read, which takes about as long."""
 
 
 class RunsAndPlans(NamedTuple):
-    """The names of the runs that a ledger holds, and of its plans."""
+    """The names of the runs and plans in a ledger."""
 
     runs: frozenset[str]
     plans: frozenset[str]
 
 
 class ExistingRuns:
-    """The runs of a ledger, sought in its index as they are asked about.
+    """The existing runs of a ledger, looked up in its index on demand.
 
-    A writer believes the index, as it believes the rows: it only appends.
+    A writer trusts the index, as it trusts the rows: it only appends.
 
     Raises: LedgerCorrupted if rows must be read and cannot be.
     """
@@ -289,22 +289,22 @@ class ExistingRuns:
         self._index: Index | None = view.index  # None once all of it is read
         self._runs.continued = {before: run for run, before in view.index.continues().items()}
         self._sought: set[str] = set()
-        self._indexed: set[str] = set()  # what these observe is not known: the index does not say it
+        self._indexed: set[str] = set()  # runs whose `observes` is missing, as the index does not hold it
 
     def add_from(self, view: View, first: int) -> None:
-        """Add the events of this view from that index on. Raises: LedgerCorrupted if they cannot be read."""
+        """Add the events of this view from index `first` on. Raises: LedgerCorrupted if they cannot be read."""
         for table in view.tables_from(first, BLOCK_COLUMNS):
             self.add(blocks_of(table))
 
     def add(self, blocks: Iterable[Block]) -> None:
-        """Add what was committed."""
+        """Add these committed blocks."""
         for block in blocks:
             self._is_log = _is_head(block)
             self._seek(block.run)
             self._runs.add(block)
 
     def _seek(self, run: str) -> None:
-        """Take over what the index says of this run."""
+        """Load this run from the index."""
         if self._index is None or run in self._sought:
             return
         if len(self._sought) == _MOST_SOUGHT:
@@ -314,7 +314,7 @@ class ExistingRuns:
         self._take_over(block for _, block in self._index.of_run(run))
 
     def _read_all(self) -> None:
-        """Take over what the index says of all runs."""
+        """Load all runs from the index."""
         if self._index is not None:
             self._take_over(block for block in self._index.blocks() if block.run not in self._sought)
             self._index = None
@@ -325,21 +325,21 @@ class ExistingRuns:
             self._indexed.add(block.run)
 
     def told(self) -> RunsAndPlans:
-        """Return the names of these runs, and of the plans."""
+        """Return the names of all runs and plans."""
         self._read_all()
-        plans = frozenset(run for run, known in self._runs.known.items() if known.is_alone)
+        plans = frozenset(run for run, state in self._runs.known.items() if state.is_alone)
         return RunsAndPlans(frozenset(self._runs.known.keys() - plans), plans)
 
     def events(self, run: str) -> int:
-        """Return how many events of this run the ledger holds."""
+        """Return the number of this run's events in the ledger."""
         self._seek(run)
-        known = self._runs.known.get(run)
-        return 0 if known is None else known.next
+        state = self._runs.known.get(run)
+        return 0 if state is None else state.next
 
     def refused(self, blocks: Sequence[Block], view: View) -> Flaw | None:
-        """Return why these blocks cannot be the next of this ledger; None if they can.
+        """Return why these blocks cannot be appended to this ledger; None if they can.
 
-        Raises: LedgerCorrupted if the beginning of a run that goes on cannot be read.
+        Raises: LedgerCorrupted if the beginning of a continued run cannot be read.
         """
         seen: set[str] = set()
         for block in blocks:
@@ -364,7 +364,7 @@ class ExistingRuns:
         return None
 
     def _read_beginning(self, run: str, view: View) -> None:
-        """Read what the run observes. Raises: LedgerCorrupted."""
+        """Read `observes` of the run from its first event. Raises: LedgerCorrupted."""
         view.believe_index()
         started = event_at(view, place_of(view, run, 0))
         observes, records = started.get("observes"), started.get("records")
@@ -380,5 +380,5 @@ def _is_head(block: Block) -> bool:
 
 
 def continued(blocks: Sequence[Block]) -> tuple[tuple[str, int], ...]:
-    """Return, for the record of a commit, the runs that these blocks continue, and from which seq on."""
+    """Return `continues` of a commit's record: the runs that these blocks continue, each with its first seq."""
     return tuple(sorted([(block.run, block.first) for block in blocks if block.first]))

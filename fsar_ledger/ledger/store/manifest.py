@@ -1,4 +1,4 @@
-"""The file `ledger.json`, which says what a ledger is."""
+"""The file `ledger.json`, which describes a ledger."""
 
 import os
 from pathlib import Path
@@ -55,7 +55,7 @@ def read_manifest(path: Path) -> bytes:
 
 
 def refuse_version_1(ledger: Path, data: bytes) -> None:
-    """Refuse a ledger whose ledger.json, with these bytes, says that it has format 1. Raises: FormatVersionMismatch."""
+    """Refuse a ledger whose ledger.json has these bytes, if they declare format 1. Raises: FormatVersionMismatch."""
     if version_of(data) == VERSION_1:
         raise _too_old(ledger)
 
@@ -68,7 +68,7 @@ def _too_old(ledger: Path) -> FormatVersionMismatch:
 
 
 def version_of(data: bytes) -> object:
-    """Return the format version that these bytes of ledger.json name; None if they are not those of a ledger."""
+    """Return the format version in these bytes of ledger.json; None if they are not those of a ledger."""
     try:
         header = msgspec.json.decode(data, type=dict[str, object])
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):

@@ -12,11 +12,11 @@ CHECKPOINT = "checkpoint"
 COMMITS, SEGMENTS, STAGING = "commits", "segments", "staging"
 CHAIN, JOURNAL = "chain.jsonl", "journal.jsonl"
 SEALING = "sealing.jsonl"
-"""What was the journal, while its rows are put into a segment and further commits go into another one."""
+"""The former journal, while its rows are put into a segment and further commits go into a new journal."""
 NODES = "nodes"
 INDEX = "index.jsonl"
 _PARTS = (MANIFEST, SEGMENTS, COMMITS, CHAIN, JOURNAL)
-"""What shows a ledger, even of format 1, and even if some of it is lost."""
+"""The parts that identify a ledger, even of format 1, and even if some are lost."""
 
 
 def segment_name(first: int, end: int) -> str:
@@ -30,7 +30,7 @@ def staged_file(sha256: str) -> str:
 
 
 def segment_bytes(ledger: Path) -> int:
-    """Return the bytes that segments take, in place and staged; of a sparse file, only those allocated."""
+    """Return the total size of segments in bytes, in place and staged; of a sparse file, only those allocated."""
     size = 0
     for folder in (SEGMENTS, STAGING):
         with suppress(OSError), os.scandir(ledger / folder) as entries:
@@ -47,7 +47,7 @@ def staged_path(ledger: Path, sha256: str) -> Path:
 
 
 def require_created(ledger: Path) -> None:
-    """Refuse a folder that an interrupted creation left. It is not damaged: creating the ledger again finishes it.
+    """Refuse a folder left by an interrupted creation. It is not damaged: creating the ledger again finishes it.
 
     Raises:
         NotALedger: The folder holds only some of a ledger's folders, and in them at most an unfinished ledger.json.
@@ -81,14 +81,14 @@ def is_unfinished(ledger: Path) -> bool:
 def require_outside(out: Path, what: str) -> None:
     """Refuse an output file inside any ledger, even one that the command does not read.
 
-    Messages call it `what`, as the user did. A folder counts as a ledger if two of the parts of one are there: a
-    damaged one is evidence, too.
+    Messages call it `what`, as the user did. A folder counts as a ledger if it holds two parts of one: a damaged ledger
+    is evidence, too.
 
     Raises:
         UsageError: The file, or what it links to, would be inside a ledger.
     """
-    named, led_to = Path(os.path.realpath(out.parent)) / out.name, Path(os.path.realpath(out))
-    for path in (named, led_to):
+    named, resolved = Path(os.path.realpath(out.parent)) / out.name, Path(os.path.realpath(out))
+    for path in (named, resolved):
         for folder in (path, *path.parents):
             if sum(os.path.lexists(folder / part) for part in _PARTS) > 1:
                 raise UsageError(

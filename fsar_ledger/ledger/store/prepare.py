@@ -1,7 +1,7 @@
-"""What a Writer makes before it appends: a ledger, its lock, what an interrupted writer left, and merged segments.
+"""Preparation for a Writer: creating, locking and repairing a ledger, sealing journals and merging segments.
 
-The segment of a journal is made in a thread, while its writer goes on with another journal; nothing is written there.
-What is made in vain, because another writer was quicker, is dropped.
+The segment of a journal is made in a thread, which writes nothing, while its writer continues with another journal.
+Segments are discarded if another writer committed first.
 """
 
 import fcntl
@@ -50,7 +50,7 @@ from fsar_ledger.ledger.store.staging import Staged, UnstagedSegment, made_of, s
 def lock(ledger: Path) -> tuple[int, bool]:
     """Open the ledger's folder and try to lock it; return the handle, and whether it holds the only lock.
 
-    False where another writer is at work or the file system has no locks.
+    False if another writer has the ledger open or the file system has no locks.
     """
     with disk.refusals(ledger, "locking"):
         handle = os.open(ledger, os.O_RDONLY | os.O_DIRECTORY)
@@ -62,9 +62,9 @@ def lock(ledger: Path) -> tuple[int, bool]:
 
 
 def require_name(origin: str, key: VerifierKey | None) -> None:
-    """Require that this is an origin, and that of the key.
+    """Require that this is a valid origin, and the name of the key.
 
-    Raises: UsageError if it is another than the key's, ValueError if it is none.
+    Raises: UsageError if it is not the key's name, ValueError if it is not valid.
     """
     if key is not None and key.name != origin:
         raise UsageError(
@@ -78,10 +78,10 @@ def require_name(origin: str, key: VerifierKey | None) -> None:
 
 
 def create(ledger: Path, origin: str) -> None:
-    """Create an empty ledger, or finish an interrupted creation; leave anything else there alone.
+    """Create an empty ledger, or finish an interrupted creation; leave anything else at the path alone.
 
     Raises:
-        NotALedger, FormatVersionMismatch, LedgerCorrupted: Something else is there, or a ledger of another format.
+        NotALedger, FormatVersionMismatch, LedgerCorrupted: The path is something else, or a ledger of another format.
         WriteFailed: The disk refused.
     """
     if os.path.lexists(ledger / MANIFEST):
@@ -95,25 +95,25 @@ def create(ledger: Path, origin: str) -> None:
     temporary = disk.temporary_name(ledger / STAGING / MANIFEST)
     with disk.refusals(ledger, "creating a ledger"):
         if os.path.isdir(ledger) and not is_unfinished(ledger):
-            if os.path.lexists(ledger / MANIFEST):  # another writer was quicker
+            if os.path.lexists(ledger / MANIFEST):  # another writer created it first
                 return
             if os.path.lexists(ledger / CHAIN):
-                read_manifest(ledger)  # which alone is missing, and says so
+                read_manifest(ledger)  # raises: only the manifest is missing
             raise NotALedger(
                 f"{ledger}: found a folder with other things in it, expected a ledger or a free path; give another path"
             )
         for folder in folders:
             disk.make_folder(folder)
         disk.write_temporary(temporary, canonical.document(manifest))
-        with suppress(FileExistsError):  # another writer was quicker
+        with suppress(FileExistsError):  # another writer created it first
             disk.link_new(temporary, ledger / MANIFEST)
         disk.sync_folder(ledger)
 
 
 def require_own(view: View, key: VerifierKey | None) -> None:
-    """Require that the key signed the newest commit, if there is one, because its next signature covers all before.
+    """Require that the key signed the newest commit, if any, because its next signature covers all earlier ones.
 
-    Without a key nobody may have signed it: the ledger would be unsigned from here on.
+    Without a key, that commit must be unsigned: the next one would be.
 
     Raises: UsageError if that is not so.
     """
@@ -126,19 +126,19 @@ def require_own(view: View, key: VerifierKey | None) -> None:
                 f"{value(str(view.path))}: found a newest commit signed by {value(signers)}, expected its key for what "
                 f"follows: give it with {option('key')}, or go on in a new ledger"
             )
-    elif (doubted := doubt(note, key)) is not None:
+    elif (flaw := doubt(note, key)) is not None:
         raise UsageError(
-            f"{view.path}: found a newest checkpoint with {doubted}, expected one of {key.key}; its next signature "
+            f"{view.path}: found a newest checkpoint with {flaw}, expected one of {key.key}; its next signature "
             f"would vouch for all that is there: verify the ledger, and say {option('adopt')} to sign on from here, "
             "where the command has that; `record`, `import`, `federate` and `serve` go on in a new ledger"
         )
 
 
 def repair(view: View, *, is_alone: bool, settles: bool = True) -> View:
-    """Finish what an interrupted writer left, durably, and return the view of what is there then.
+    """Finish what an interrupted writer left, durably, and return the resulting view.
 
-    The caller has its turn. What is staged and not placed is removed only if the writer `is_alone`: others may be
-    staging. Unless it `settles`, a checkpoint that is behind the journal alone stays.
+    The caller holds the turn lock. Staged segments that are not placed are removed only if the writer `is_alone`:
+    others may be staging. Unless it `settles`, a checkpoint that lags behind only the journal stays.
 
     Raises:
         LedgerCorrupted: A segment is missing, or the checkpoint is not one that a crash leaves.
@@ -154,7 +154,7 @@ def repair(view: View, *, is_alone: bool, settles: bool = True) -> View:
         if view.followed.is_hidden:
             growing.show(path / CHAIN, [view.followed.end - 1], b"\n")
         if view.journal.end:
-            # What follows is torn, or room that was allotted, of which nobody knows whether it is on disk.
+            # What follows is torn, or preallocated room that may not be on disk.
             cuts = view.journal.torn > 0 or (settles and growing.size_of(path / JOURNAL) > view.journal.end)
             growing.write_again(path / JOURNAL, view.journal.unsure, view.journal.end, cuts=cuts)
             if view.journal.hidden:
@@ -174,14 +174,14 @@ def repair(view: View, *, is_alone: bool, settles: bool = True) -> View:
 
 def _roll_forward(view: View) -> None:
     """Move every placed segment into place. Raises: LedgerCorrupted if one is missing."""
-    there = {
+    files = {
         entry.name: entry.stat(follow_symlinks=False)
-        for entry in os.scandir(view.path / SEGMENTS)  # which takes a third of the time of looking for each
+        for entry in os.scandir(view.path / SEGMENTS)  # three times as fast as a stat of each path
     }
     for placement in view.chain.placed:
         name = segment_of(placement)
-        known = there.get(name.removeprefix(f"{SEGMENTS}/"))
-        if known is not None and stat.S_ISREG(known.st_mode) and known.st_size == placement.segment_bytes:
+        status = files.get(name.removeprefix(f"{SEGMENTS}/"))
+        if status is not None and stat.S_ISREG(status.st_mode) and status.st_size == placement.segment_bytes:
             continue
         target = view.path / name
         file = view.located(placement)
@@ -200,14 +200,14 @@ def _clean(view: View, *, is_alone: bool) -> None:
     if not is_alone:
         return
     for entry in list(os.scandir(view.path / STAGING)):
-        if entry.is_file(follow_symlinks=False):  # a writer that creates the same ledger may have removed its own
+        if entry.is_file(follow_symlinks=False):  # another creator of this ledger may have removed its temporary file
             disk.remove(Path(entry.path))
 
 
 def _derive(view: View, *, is_settled: bool) -> None:
-    """Bring pack and index up to the events that segments hold.
+    """Bring pack and index up to date with the events in segments.
 
-    What the last append added is written again if not settled.
+    What the last append added is rewritten if not settled.
 
     Raises: LedgerCorrupted if a segment is not as placed.
     """
@@ -220,24 +220,24 @@ def _derive(view: View, *, is_settled: bool) -> None:
 
 
 def _derive_index(view: View, good: int, have: int) -> None:
-    """Write the lines of the index beyond the first so many events, or bytes. Raises: As `_derive`."""
-    chain, at = view.chain, 0
+    """Write the lines of the index beyond the first `good` events or `have` bytes. Raises: As `_derive`."""
+    chain, offset = view.chain, 0
     for number, placement in enumerate(chain.placed):
         added = chain.placed_in(number)
         size = sum(placement.index_bytes for placement in added)
-        if placement.end > good or at + size > have:
+        if placement.end > good or offset + size > have:
             lines = view.index_lines(number)
             if [sha256_hex(line) for line in lines] != [placement.index_sha256 for placement in added]:
                 raise LedgerCorrupted(
                     f"{view.segment(number)}: found rows with other lines of the index than those placed; run "
                     "fsar-ledger verify"
                 )
-            append_derived(view.path, INDEX, b"".join(lines), at)
-        at += size
+            append_derived(view.path, INDEX, b"".join(lines), offset)
+        offset += size
 
 
 def _derive_nodes(view: View, good: int, have: int) -> None:
-    """Write the hashes of the pack beyond those of the first so many events, or bytes. Raises: As `_derive`."""
+    """Write the hashes of the pack beyond the first `good` events or `have` bytes. Raises: As `_derive`."""
     placed = view.chain.placed
     begin = 0
     while begin < len(placed) and placed[begin].end <= good and pack.count(placed[begin].end) * HASH_BYTES <= have:
@@ -255,7 +255,7 @@ def _derive_nodes(view: View, good: int, have: int) -> None:
 
 
 class Sealed(NamedTuple):
-    """The segment of some frames, its blocks, the tree after them, and what they add to the pack of the tree."""
+    """The segment of some journal frames, its blocks, the tree after them, and the nodes added to the pack."""
 
     made: UnstagedSegment
     blocks: tuple[Block, ...]
@@ -264,9 +264,9 @@ class Sealed(NamedTuple):
 
 
 def sealed(path: Path, frames: Sequence[Frame], before: Frontier) -> Sealed:
-    """Make the segment of these frames of the journal of a ledger, whose tree is this one before them.
+    """Make the segment of these journal frames of a ledger whose tree before them is `before`.
 
-    Raises: LedgerCorrupted if their rows are no events.
+    Raises: LedgerCorrupted if their rows are not events.
     """
     table = table_of(path / JOURNAL, lines_of(frames))
     leaves = leaves_in(frames)
@@ -274,7 +274,7 @@ def sealed(path: Path, frames: Sequence[Frame], before: Frontier) -> Sealed:
 
 
 class Sealing:
-    """What is being made in a thread: of some frames, the last of which tells which."""
+    """A background thread that makes the segment of some journal frames, identified by the last one."""
 
     def __init__(self) -> None:
         self._threads: ThreadPoolExecutor | None = None
@@ -282,23 +282,23 @@ class Sealing:
         self._last: Frame | None = None
 
     def begin(self, path: Path, frames: Sequence[Frame], before: Frontier) -> None:
-        """Begin to make the segment of these frames."""
+        """Start making the segment of these frames."""
         if self._threads is None:
             self._threads = ThreadPoolExecutor(1, "fsar-ledger-sealing")
         self._found, self._last = self._threads.submit(sealed, path, frames, before), frames[-1]
 
     @property
     def is_begun(self) -> bool:
-        """Return whether something is being made, or was."""
+        """Return whether a segment was started and not yet taken."""
         return self._found is not None
 
     @property
     def is_done(self) -> bool:
-        """Return whether something was made."""
+        """Return whether that segment is finished."""
         return self._found is not None and self._found.done()
 
     def taken(self, path: Path, frames: Sequence[Frame], before: Frontier) -> Sealed:
-        """Return the segment of these frames, which is made now if that was not begun. Raises: As `sealed`."""
+        """Return the segment of these frames, making it now if it was not started. Raises: As `sealed`."""
         ready, last = self._found, self._last
         self._found = self._last = None
         if ready is None or last is None or last.commit != frames[-1].commit or last.line != frames[-1].line:
@@ -306,7 +306,7 @@ class Sealing:
         return ready.result()
 
     def close(self) -> None:
-        """End the thread, after what it is at."""
+        """End the thread, after its current segment."""
         if self._threads is not None:
             self._threads.shutdown()
             self._threads = None
@@ -314,9 +314,9 @@ class Sealing:
 
 # See docs/decisions/segments-hold-65536-events.md.
 MERGED_ROWS = 1 << 16
-"""The most events of a segment that others are put into."""
+"""The most events of a merged segment."""
 MERGED_BYTES = 1 << 22
-"""The most bytes of the segments that are put together; a small part of what a segment may have."""
+"""The most bytes of the segments merged into one; a small part of a segment's limit."""
 
 
 def mergeable(placed: Sequence[Placement]) -> Iterator[Sequence[Placement]]:
@@ -342,12 +342,12 @@ def merged_segment(view: View, old: Sequence[Placement]) -> Staged:
     tables: list[pa.Table] = [segment.read_table(view.placed_segment(placement)) for placement in old]
     table = pa.concat_tables(tables).combine_chunks()
     leaves = canonical.leaves(table)
-    before = view.chain.tree_at(old[0].first)
-    after = before.extend(leaves)
-    if after != old[-1].tree():
+    tree_before = view.chain.tree_at(old[0].first)
+    tree_after = tree_before.extend(leaves)
+    if tree_after != old[-1].tree():
         raise LedgerCorrupted(
             f"{view.path}: events {old[0].first} to {old[-1].end - 1}: found rows that lead to root "
-            f"{after.root().hex()}, expected {old[-1].tree().root().hex()} as placed; run fsar-ledger verify"
+            f"{tree_after.root().hex()}, expected {old[-1].tree().root().hex()} as placed; run fsar-ledger verify"
         )
     unstaged = made_of(table, leaves)
     stage_made(view.path, unstaged)

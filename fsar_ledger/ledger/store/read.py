@@ -1,6 +1,6 @@
-"""What is committed in a ledger, as a reader sees it.
+"""A reader's view of what is committed in a ledger.
 
-Readers never write. `snapshot` reads the chain and the journal beside writers; rows are read when they are asked for.
+Readers never write. `snapshot` reads the chain and the journal alongside writers; rows are read on demand.
 """
 
 import os
@@ -40,13 +40,13 @@ _TRIES = 10
 
 
 class View(msgspec.Struct, frozen=True, dict=True):
-    """A ledger as it was when it was opened; later commits do not show.
+    """A ledger as it was when it was opened, without later commits.
 
     Its rows are in segments, in order; those that are still in the journal come last, as a segment outside the ledger.
 
-    `followed` says how far the chain could be followed, `journal` what is not in a segment yet, `checkpoint` what the
-    file of that name held, or why it cannot be read. What the chain says of the rows of the `believed` segments was
-    compared with them.
+    `followed` is how far the chain could be followed, `journal` what is not in a segment yet, `checkpoint` the content
+    of that file, or why it cannot be read. For the `believed` segments, the chain's index hashes were compared with the
+    rows.
     """
 
     path: Path
@@ -72,13 +72,13 @@ class View(msgspec.Struct, frozen=True, dict=True):
 
     @property
     def head(self) -> Head:
-        """Return how far the ledger goes."""
+        """Return the head of the ledger."""
         last = self.chain.commits[-1] if self.chain.commits else None
         return EMPTY_HEAD if last is None else Head(self.chain.count, last.tree_size, last.tree_root)
 
     @cached_property
     def releases(self) -> list[str]:
-        """Return for each segment the release that has its columns."""
+        """Return for each segment the release whose columns it has."""
         return [placement.release for placement in self.chain.placed] + [RELEASE] * bool(self.journal.frames)
 
     def first(self, number: int) -> int:
@@ -92,10 +92,10 @@ class View(msgspec.Struct, frozen=True, dict=True):
         return placed[number].end if number < len(placed) else self.chain.size
 
     def segment(self, number: int, is_laid_out: bool = False) -> Path:
-        """Return this segment, after checking that it is the placed one and, unless that is known, within the bounds.
+        """Return this segment, after checking that it is the placed one and, unless `is_laid_out`, within the bounds.
 
-        One of the journal, or compacted meanwhile, is a file elsewhere that is removed when the process ends. Raises:
-        LedgerCorrupted if it is missing, is not as placed, or exceeds the bounds.
+        For the journal, or a segment compacted since, it is a file elsewhere that is removed when the process ends.
+        Raises: LedgerCorrupted if it is missing, is not as placed, or exceeds the bounds.
         """
         if number not in self.checked or not self.checked[number].exists():
             placed = self.chain.placed[number : number + 1]
@@ -109,7 +109,7 @@ class View(msgspec.Struct, frozen=True, dict=True):
         return [self.segment(number, are_laid_out) for number in range(len(self.releases))]
 
     def placed_segment(self, placement: Placement, is_laid_out: bool = False) -> Path:
-        """Return the segment of this placement, checked as by `segment`. Raises: As that."""
+        """Return the segment of this placement, checked as by `segment`. Raises: As `segment`."""
         path, data = self._placed(placement)
         if not is_laid_out:
             check_layout(path, data)
@@ -135,7 +135,7 @@ class View(msgspec.Struct, frozen=True, dict=True):
         raise LedgerCorrupted(f"{self.path}/{names.place}: found no file to read, expected the segment; restore it")
 
     def _compacted(self, placement: Placement) -> tuple[Path, bytes] | None:
-        """Return, as `_placed`, a file of this process with the rows of a segment that was compacted meanwhile."""
+        """Return, as `_placed`, a temporary file with the rows of a segment that was compacted since; None if not."""
         now = open_chain(self.path, canonical.document(self.manifest), is_damage_told=False)
         if placement in now.chain.placed or placement not in now.chain.placements:
             return None
@@ -155,10 +155,10 @@ class View(msgspec.Struct, frozen=True, dict=True):
 
     # See docs/decisions/journal-status-is-never-read.md.
     def is_current(self, chain: growing.OpenFile | None = None, journal: int = -1) -> bool:
-        """Return whether nothing was appended since the ledger was opened; `chain` and `journal` are these, if open.
+        """Return whether nothing was appended since the ledger was opened; `chain` and `journal` are the open files.
 
-        Sealing appends to the chain, handing over gives the journal's room back and renames it, and others write where
-        it ends. Its size is not looked at: after that a file system has to give the next change a time of its own.
+        Sealing appends to the chain, handing over trims the journal and renames it, and other writers write where it
+        ends. Its size is not read: after a stat the file system must give the next change a distinct timestamp.
         """
         try:
             chain_path, path, sealing = self._growing
@@ -176,9 +176,9 @@ class View(msgspec.Struct, frozen=True, dict=True):
         return tuple(str(self.path / name) for name in (CHAIN, JOURNAL, SEALING))
 
     def grown(self, lines: Sequence[bytes], placed: int, tree: Frontier) -> "View":
-        """Return the view after these lines were appended to the chain: those that it lacks of the journal, and more.
+        """Return the view after these lines were appended to the chain: the journal's missing ones, and more.
 
-        They place the rows of the first so many frames; the tree is that of all events.
+        They place the rows of the first `placed` frames; `tree` is that of all events.
         """
         journal, end = self.journal, self.followed.end
         for line in lines[len(journal.frames) - journal.chained :]:
@@ -227,9 +227,9 @@ class View(msgspec.Struct, frozen=True, dict=True):
         placed = self.chain.placed
         while first < end:
             if first >= self.chain.placed_size:
-                at = first - self.chain.placed_size
+                offset = first - self.chain.placed_size
                 lines = lines_of(self.journal.frames).split(b"\n")
-                return [*rows, *lines[at : at + end - first]]
+                return [*rows, *lines[offset : offset + end - first]]
             number = bisect_right(placed, first, key=lambda placement: placement.first) - 1
             start, stop = first - placed[number].first, min(end, placed[number].end) - placed[number].first
             rows += canonical.from_table(self._coded(number).slice(start, stop - start).cast(SCHEMA).combine_chunks())
@@ -237,7 +237,7 @@ class View(msgspec.Struct, frozen=True, dict=True):
         return rows
 
     def _coded(self, number: int) -> pa.Table:
-        """Return the rows of this segment; the last ones asked for are kept. Raises: As `segment`."""
+        """Return the rows of this segment, caching those of the last one. Raises: As `segment`."""
         if number not in self.kept:
             self.kept.clear()
             self.kept[number] = self._read(number)
@@ -258,11 +258,11 @@ class View(msgspec.Struct, frozen=True, dict=True):
         return self.rows(index, index + 1)[0]
 
     def runs(self) -> Iterator[LedgerRun]:
-        """Yield every run, once its last event was read, with its events in their newest versions.
+        """Yield every run, as soon as its last event is read, with its events in their newest versions.
 
         Raises: LedgerCorrupted or UnknownEventTag if a segment does not hold valid events.
         """
-        last: dict[str, int] = {}  # of runs that several commits hold: where the last of these begins
+        last: dict[str, int] = {}  # start of the last commit of each run that spans several
         for commit in self.commits:
             last.update((run, commit.tree_size - commit.rows) for run, _ in commit.continues)
         yield from gathered(self._pieces(), last)
@@ -277,9 +277,9 @@ class View(msgspec.Struct, frozen=True, dict=True):
 
     @cached_property
     def index(self) -> Index:
-        """Return the index of all events: of those in the journal, and where the file is not right, by their rows.
+        """Return the index of all events; for the journal, and where the file is wrong, it is derived from the rows.
 
-        Raises: LedgerCorrupted if rows are needed and are no events, or other than the chain says.
+        Raises: LedgerCorrupted if rows are needed and are not events, or differ from the chain.
         """
         lines = derived.read_index(self.path, self.chain, self.index_lines)
         if self.journal.frames:
@@ -287,22 +287,22 @@ class View(msgspec.Struct, frozen=True, dict=True):
         return Index(lines)
 
     def believe_index(self, placement: int | None = None) -> None:
-        """Take over where runs are as the chain says, up to this placement or all: it was compared with the rows."""
+        """Mark the chain's index lines as compared with the rows, up to this placement (None: all)."""
         placed = self.chain.placed
         most = len(self.chain.placements) if placement is None else placement
         self.believed.update(number for number in range(len(placed)) if placed[number].number <= most)
 
     def require_index(self, *segments: int) -> None:
-        """Require that the chain has the lines of the index for these segments in force that their rows have.
+        """Require that the chain's index lines for these segments in force match their rows.
 
-        Raises: LedgerCorrupted if it has others, or as `segment`.
+        Raises: LedgerCorrupted if they do not, or as `segment`.
         """
         for number in {*segments}.intersection(range(len(self.chain.placed))) - self.believed:
             derived.require_lines(self.path, self.chain.placed_in(number), self.index_lines(number))
             self.believed.add(number)
 
     def index_lines(self, number: int) -> list[bytes]:
-        """Return the lines of the index for the events of this segment in force, by its rows. Raises: As `segment`."""
+        """Return this segment's lines of the index, derived from its rows. Raises: As `segment`."""
         start = self.chain.placed[number].first
         table = self._read(number, BLOCK_COLUMNS).combine_chunks()
         added = self.chain.placed_in(number)
@@ -321,19 +321,19 @@ class View(msgspec.Struct, frozen=True, dict=True):
         return any(True for _ in self.index.of_run(run))
 
     def ordinal_of(self, run: str) -> int:
-        """Return the number of this run among all, from 1; 0 if there is none. Raises: As `index`."""
+        """Return the 1-based number of this run among all; 0 if there is none. Raises: As `index`."""
         return self.index.ordinal_of(run)
 
     def span_of_line(self, number: int) -> tuple[int, int]:
-        """Return the indexes between which the events of this line of the index are."""
+        """Return the first and end index in the ledger of the events of this line of the index."""
         return self.chain.span_of_line(number)
 
     def extents(self) -> list[Extent]:
-        """Return where each run and plan is, in the order of their first events. Raises: As `index`."""
+        """Return the extent of each run and plan, in the order of their first events. Raises: As `index`."""
         return derived.extents_of(Part(*self.span_of_line(number), block) for number, block in self.index.by_line())
 
     def parts(self, run: str) -> list[Part]:
-        """Return where the run of this name is. Raises: As `require_index`."""
+        """Return the parts of the run of this name. Raises: As `require_index`."""
         parts = [Part(*self.span_of_line(number), block) for number, block in self.index.of_run(run)]
         self.require_index(*self.segments_of(parts))
         return parts
@@ -343,13 +343,13 @@ class View(msgspec.Struct, frozen=True, dict=True):
         return sorted({number for part in parts for number in self.segments_between(part.first, part.end)})
 
     def segments_between(self, first: int, end: int) -> list[int]:
-        """Return the numbers of the segments that hold events from this index up to that, in order."""
+        """Return the numbers of the segments that hold events from `first` up to `end`, in order."""
         numbers = range(len(self.releases))
         start = bisect_right(numbers, first, key=self.end)
         return list(takewhile(lambda number: self.first(number) < end, numbers[start:]))
 
     def groups(self) -> list[tuple[int, ...]]:
-        """Return the segments in groups that share no run, each of neighbours."""
+        """Return the segments in groups of neighbours that share no run with another group."""
         return derived.groups_of(list(table.column("run_id").unique().to_pylist()) for table in self.tables(["run_id"]))
 
     def note(self) -> Note | None:
@@ -357,10 +357,10 @@ class View(msgspec.Struct, frozen=True, dict=True):
         return self.chain.commits[-1].note(self.manifest.origin) if self.chain.commits else None
 
     def node(self, size: int) -> merkle.Node:  # noqa: ARG002  complete subtrees are those of every later tree
-        """Return a function that gives the complete subtrees of the tree of this many events.
+        """Return a function that returns the complete subtrees of the tree of this many events.
 
         What an interrupted append left out of the pack is hashed from its rows. The function raises LedgerCorrupted
-        where more is missing. Raises: As `segment`.
+        if more is missing. Raises: As `segment`.
         """
         tree, leaves = self.chain.tree(), leaves_in(self.journal.frames)
         if not derived.holds_nodes(self.path, tree.size):
@@ -378,9 +378,9 @@ def open_chain(path: Path, manifest_bytes: bytes, *, is_damage_told: bool = True
 
     Args:
         path: Its folder.
-        manifest_bytes: What its ledger.json holds.
-        is_damage_told: Raise an error for a chain or a journal that contradicts itself; else return what precedes that.
-        has_turn: The caller has the turn of a writer.
+        manifest_bytes: The content of its ledger.json.
+        is_damage_told: Raise an error for a chain or a journal that contradicts itself; else return what precedes it.
+        has_turn: The caller holds the writers' turn lock.
 
     Raises:
         FormatVersionMismatch: It has another format, or holds events of a later release.
