@@ -1,7 +1,7 @@
-"""Read a ledger of format 1, which fsar-ledger 0.8 and earlier wrote, for one purpose: `fsar-ledger maintain upgrade`.
+"""Read a ledger of format 1, written by fsar-ledger 0.8 and earlier, for `fsar-ledger maintain upgrade` only.
 
-The whole ledger is verified before anything is written. `docs/ledger-format.md` says what it holds. Its writer may have
-been interrupted; fsar-ledger 0.8 can finish that, and nothing here does.
+The whole ledger is verified before anything is written. `docs/ledger-format.md` describes the format. If its writer was
+interrupted, only fsar-ledger 0.8 can finish that, not this module.
 """
 
 import base64
@@ -36,7 +36,7 @@ _NAMES = frozenset({MANIFEST, COMMITS, SEGMENTS, STAGING, TILE, CHECKPOINT})
 
 
 class CommitRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What one commit added, and the state of the ledger after it: the content of `commits/NNNNNNNNNNNN.json`.
+    """The events that one commit added, and the ledger's state after it: the content of `commits/NNNNNNNNNNNN.json`.
 
     Units: `segment_bytes` bytes, `rows` and `tree_size` events. `tree_root` and `frontier` (the roots of the complete
     subtrees, largest first) are hex; `note` is the C2SP checkpoint of that tree, with one signature or none.
@@ -60,8 +60,8 @@ class CommitRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 def upgrade(ledger: Path, into: Path, progress: Progress | None = None) -> Head:
     """Verify the ledger of format 1, then write it into this new folder, commit by commit; return its head.
 
-    Segments are copied byte for byte, and each record keeps its signature. The same call goes on after an interruption.
-    `progress` is called with (commits verified, commits in all), and then with those written.
+    Segments are copied byte for byte, and each record keeps its signature. After an interruption the same call resumes.
+    `progress` is called with (commits verified, total), and then with (commits written, total).
 
     Raises:
         UsageError: The ledger is not of format 1, its writer was interrupted, or `into` holds other commits than these.
@@ -71,8 +71,11 @@ def upgrade(ledger: Path, into: Path, progress: Progress | None = None) -> Head:
     origin, records, examined = _verified(ledger, progress)
     with Writer(into, origin, adopts=True) as writer:  # with the notes of the old one
         done = writer.head.commits
-        at = records[done - 1] if 0 < done <= len(records) else None
-        if done and (at is None or (at.tree_size, at.tree_root) != (writer.head.size, writer.head.root)):
+        last_copied = records[done - 1] if 0 < done <= len(records) else None
+        if done and (
+            last_copied is None
+            or (last_copied.tree_size, last_copied.tree_root) != (writer.head.size, writer.head.root)
+        ):
             raise UsageError(f"{into}: found a ledger of other events, expected a free path; give another path")
         for record, facts in zip(records[done:], examined[done:], strict=True):
             writer.append(_copied(ledger, into, record, facts), _signature(record))
@@ -102,16 +105,16 @@ def _copied(ledger: Path, into: Path, record: CommitRecord, facts: SegmentFacts)
 
 
 def _signature(record: CommitRecord) -> str:
-    """Return the signature of the record's note, as a commit holds it; empty if there is none."""
+    """Return the signature of the record's note in the form of a commit's; empty if there is none."""
     signatures = parse_note("note", record.note).signatures
     return base64.b64encode(signatures[0].key_id + signatures[0].data).decode() if signatures else ""
 
 
-# --- what such a ledger must be ---
+# --- verification ---
 
 
 def _verified(ledger: Path, progress: Progress | None) -> tuple[str, Sequence[CommitRecord], Sequence[SegmentFacts]]:
-    """Return the origin, the records, and what their segments hold, after deriving again all that the ledger says.
+    """Return the origin, the records and the facts of their segments, after re-deriving everything in the ledger.
 
     Raises: As `upgrade`.
     """
@@ -131,8 +134,8 @@ def _verified(ledger: Path, progress: Progress | None) -> tuple[str, Sequence[Co
     runs = Runs()
     segments = [(record.number, record, _names(record.number)) for record in records]
     for record, facts in zip(records, examine_all(ledger, segments, 1, None, is_quick=False), strict=True):
-        before = records[record.number - 1] if record.number else None
-        for problem in (*facts.problems, *_doubts_of_rows(record, before, facts, runs)):
+        previous = records[record.number - 1] if record.number else None
+        for problem in (*facts.problems, *_doubts_of_rows(record, previous, facts, runs)):
             raise _damaged(ledger, problem)
         examined.append(facts)
         if progress is not None:
@@ -159,15 +162,15 @@ def _names(number: int) -> Names:
 
 
 def _misplaced(ledger: Path) -> Iterator[Problem]:
-    """Yield a problem for each name that should not be there, each that is missing, and each link."""
-    there = names_in(ledger)
-    for name in there:
-        wanted = stat.S_ISREG if name in (MANIFEST, CHECKPOINT) else stat.S_ISDIR
+    """Yield a problem for each unexpected name, each missing one, and each link."""
+    present = names_in(ledger)
+    for name in present:
+        is_right_kind = stat.S_ISREG if name in (MANIFEST, CHECKPOINT) else stat.S_ISDIR
         if name not in _NAMES:
             yield Problem(name, "an unknown file", f"only {', '.join(sorted(_NAMES))}; take it away")
-        elif not wanted(os.lstat(ledger / name).st_mode):
+        elif not is_right_kind(os.lstat(ledger / name).st_mode):
             yield Problem(name, "a link or something else", "a file or folder of the ledger")
-    for name in sorted({MANIFEST, COMMITS, SEGMENTS}.difference(there)):
+    for name in sorted({MANIFEST, COMMITS, SEGMENTS}.difference(present)):
         yield Problem(name, "nothing", "a file or folder of the ledger")
     numbers = range(len(names_in(ledger / COMMITS)))
     yield from _strays(ledger, COMMITS, {_names(number).said_by for number in numbers})
@@ -175,7 +178,7 @@ def _misplaced(ledger: Path) -> Iterator[Problem]:
 
 
 def _strays(ledger: Path, folder: str, expected: set[str]) -> Iterator[Problem]:
-    """Yield a problem for each file in this folder that is not expected there, and each that is missing."""
+    """Yield a problem for each unexpected file in this folder, and each missing one."""
     names = {f"{folder}/{name}" for name in names_in(ledger / folder)}
     for name in (*sorted(names - expected), *sorted(expected - names)):
         what = "a stray file" if name in names else "no file"
@@ -183,7 +186,7 @@ def _strays(ledger: Path, folder: str, expected: set[str]) -> Iterator[Problem]:
 
 
 def _records(ledger: Path, origin: str, previous: str) -> Iterator[CommitRecord]:
-    """Yield the records, each compared with the one before, whose hash is `previous`. Raises: LedgerCorrupted."""
+    """Yield the records, each checked against the hash of the one before, first `previous`. Raises: LedgerCorrupted."""
     size = 0
     for number in range(len(names_in(ledger / COMMITS))):
         where = _names(number).said_by
@@ -196,10 +199,13 @@ def _records(ledger: Path, origin: str, previous: str) -> Iterator[CommitRecord]
             tree = Frontier(record.tree_size, bytes.fromhex("".join(record.frontier)))
         except ValueError:
             tree = Frontier()
-        note, own = checkpoint_of(origin, tree), parse_note(f"{ledger / where}", record.note)
+        note, parsed_note = checkpoint_of(origin, tree), parse_note(f"{ledger / where}", record.note)
         is_signed_by_others = (
-            any(signature.name != origin or len(signature.data) != SIGNATURE_BYTES for signature in own.signatures)
-            or len(own.signatures) > 1
+            any(
+                signature.name != origin or len(signature.data) != SIGNATURE_BYTES
+                for signature in parsed_note.signatures
+            )
+            or len(parsed_note.signatures) > 1
         )
         for name, value, expected in (
             ("release", record.release in FINGERPRINTS, True),
@@ -209,7 +215,7 @@ def _records(ledger: Path, origin: str, previous: str) -> Iterator[CommitRecord]
             ("rows", record.rows, record.tree_size - size),
             ("frontier", len(record.frontier), record.tree_size.bit_count()),
             ("tree_root", record.tree_root, tree.root().hex()),
-            ("note", own.checkpoint, note),
+            ("note", parsed_note.checkpoint, note),
             ("note", is_signed_by_others, False),
         ):
             if value != expected:
@@ -219,10 +225,10 @@ def _records(ledger: Path, origin: str, previous: str) -> Iterator[CommitRecord]
 
 
 def _doubts_of_rows(
-    record: CommitRecord, before: CommitRecord | None, facts: SegmentFacts, runs: Runs
+    record: CommitRecord, previous: CommitRecord | None, facts: SegmentFacts, runs: Runs
 ) -> Iterator[Problem]:
-    """Yield how the rows contradict the record or, by their runs, earlier commits; add their runs."""
-    tree = Frontier(before.tree_size, bytes.fromhex("".join(before.frontier))) if before else Frontier()
+    """Yield the contradictions of the rows with the record or, by their runs, earlier commits; add their runs."""
+    tree = Frontier(previous.tree_size, bytes.fromhex("".join(previous.frontier))) if previous else Frontier()
     root = tree.extend(facts.leaves or b"").root().hex()
     if root != record.tree_root:
         expected = f"{record.tree_root} as committed: a row was altered"
@@ -258,7 +264,7 @@ def _require_checkpoint(ledger: Path, records: Sequence[CommitRecord]) -> None:
 def _require_tiles(ledger: Path, commits: Iterable[bytes]) -> None:
     """Require the tiles of the tree of these packed leaves, commit by commit, and no others.
 
-    A partial tile stays until the full one is there. Raises: UsageError if it stayed longer, LedgerCorrupted.
+    A partial tile stays until the full one exists. Raises: UsageError if it stayed longer, LedgerCorrupted.
     """
     edge, kept, partial, outgrown = Edge(), set[str](), dict[Tile, bytes](), set[str]()
     for leaves in commits:

@@ -1,6 +1,6 @@
 """Hash many texts, or many pairs of hashes, in one call.
 
-In C where that was built (`_hashing.c`), else with hashlib. Both give the same hashes.
+In C if that was built (`_hashing.c`), otherwise with hashlib. Both give the same hashes.
 """
 
 import hashlib
@@ -26,44 +26,44 @@ def sha256_hex(data: bytes) -> str:
 
 
 def leaves_plainly(lines: bytes) -> bytes:
-    """As `leaves`, with hashlib."""
+    """Return the result of `leaves`, with hashlib."""
     sha256 = hashlib.sha256
     rows = (b"\x00" + lines[:-1].replace(b"\n", b"\n\x00")).split(b"\n") if lines else []
     return b"".join([sha256(row).digest() for row in rows])
 
 
 def digests_plainly(texts: list[bytes]) -> bytes:
-    """As `digests`, with hashlib."""
+    """Return the packed SHA-256 of each of these texts, with hashlib."""
     sha256 = hashlib.sha256
     return b"".join([sha256(text).digest() for text in texts])
 
 
 def parents_plainly(nodes: bytes) -> bytes:
-    """As `parents`, with hashlib.
+    """Return the result of `parents`, with hashlib.
 
     Inputs are cut from one buffer, because joining each pair costs a fifth more.
     """
     sha256 = hashlib.sha256
     pairs = np.frombuffer(nodes, np.uint8).reshape(-1, 2 * HASH_BYTES)
     levels = []
-    for at in range(0, len(pairs), _PAIRS_AT_ONCE):
-        some = pairs[at : at + _PAIRS_AT_ONCE]
-        hashed = np.ones((len(some), 1 + 2 * HASH_BYTES), np.uint8)  # the first byte of each row stays 0x01
-        hashed[:, 1:] = some
+    for start in range(0, len(pairs), _PAIRS_AT_ONCE):
+        batch = pairs[start : start + _PAIRS_AT_ONCE]
+        hashed = np.ones((len(batch), 1 + 2 * HASH_BYTES), np.uint8)  # the first byte of each row stays 0x01
+        hashed[:, 1:] = batch
         cut: list[Any] = hashed.view(_HASHED).ravel().tolist()
         levels.append(b"".join([sha256(pair).digest() for pair in cut]))
     return b"".join(levels)
 
 
 def _subtrees_of(size: int, subtrees: bytes, leaves: bytes) -> list[bytes]:
-    """Return these packed subtrees, largest first. Raises: ValueError if a tree of this size has others."""
+    """Split these packed subtrees, largest first. Raises: ValueError if they do not fit a tree of this size."""
     if len(subtrees) != size.bit_count() * HASH_BYTES or len(leaves) % HASH_BYTES:
         raise ValueError("found subtrees or leaves that are not those of a tree")
-    return [subtrees[at : at + HASH_BYTES] for at in range(0, len(subtrees), HASH_BYTES)]
+    return [subtrees[start : start + HASH_BYTES] for start in range(0, len(subtrees), HASH_BYTES)]
 
 
 def _add_leaf(kept: list[bytes], size: int, leaf: bytes) -> None:
-    """Add a leaf to a tree of so many, given by its complete subtrees, largest first."""
+    """Add a leaf to a tree of `size` leaves, given by its complete subtrees, largest first."""
     node = leaf
     while size & 1:
         node, size = hashlib.sha256(b"\x01" + kept.pop() + node).digest(), size >> 1
@@ -71,33 +71,33 @@ def _add_leaf(kept: list[bytes], size: int, leaf: bytes) -> None:
 
 
 def extended_plainly(size: int, subtrees: bytes, leaves: bytes) -> bytes:
-    """As `extended`, with hashlib."""
+    """Return the result of `extended`, with hashlib."""
     kept = _subtrees_of(size, subtrees, leaves)
-    for more, at in enumerate(range(0, len(leaves), HASH_BYTES)):
-        _add_leaf(kept, size + more, leaves[at : at + HASH_BYTES])
+    for offset, start in enumerate(range(0, len(leaves), HASH_BYTES)):
+        _add_leaf(kept, size + offset, leaves[start : start + HASH_BYTES])
     return b"".join(kept)
 
 
 def added_plainly(size: int, subtrees: bytes, lines: bytes) -> tuple[bytes, bytes, bytes]:
-    """As `added`, with hashlib."""
+    """Return the result of `added`, with hashlib."""
     added = leaves_plainly(lines)
     if not added or lines[-1:] != b"\n":
         raise ValueError("found no lines, or a last one that does not end; expected at least one")
-    after = size + len(added) // HASH_BYTES
-    return added, extended_plainly(size, subtrees, added), roots_plainly(size, subtrees, added, [after])
+    new_size = size + len(added) // HASH_BYTES
+    return added, extended_plainly(size, subtrees, added), roots_plainly(size, subtrees, added, [new_size])
 
 
 def roots_plainly(size: int, subtrees: bytes, leaves: bytes, sizes: list[int]) -> bytes:
-    """As `roots`, with hashlib."""
+    """Return the result of `roots`, with hashlib."""
     kept = _subtrees_of(size, subtrees, leaves)
     roots = []
-    at = 0
-    for wanted in sizes:
-        if wanted < max(size, 1) or (wanted - size) * HASH_BYTES > len(leaves) - at:
-            raise ValueError(f"found size {wanted}, expected more, and leaves for it")
-        while size < wanted:
-            _add_leaf(kept, size, leaves[at : at + HASH_BYTES])
-            size, at = size + 1, at + HASH_BYTES
+    offset = 0
+    for target in sizes:
+        if target < max(size, 1) or (target - size) * HASH_BYTES > len(leaves) - offset:
+            raise ValueError(f"found size {target}, expected more, and leaves for it")
+        while size < target:
+            _add_leaf(kept, size, leaves[offset : offset + HASH_BYTES])
+            size, offset = size + 1, offset + HASH_BYTES
         root = kept[-1]
         for subtree in reversed(kept[:-1]):
             root = hashlib.sha256(b"\x01" + subtree + root).digest()
@@ -118,7 +118,7 @@ def leaves_of(rows: Sequence[bytes]) -> bytes:
 def digests(texts: list[bytes]) -> list[str]:
     """Return the SHA-256 of each of these texts, in hex."""
     packed = _digests(texts).hex()
-    return [packed[at : at + 2 * HASH_BYTES] for at in range(0, len(packed), 2 * HASH_BYTES)]
+    return [packed[start : start + 2 * HASH_BYTES] for start in range(0, len(packed), 2 * HASH_BYTES)]
 
 
 def parents(nodes: bytes) -> bytes:
@@ -129,7 +129,7 @@ def parents(nodes: bytes) -> bytes:
 def extended(size: int, subtrees: bytes, leaves: bytes) -> bytes:
     """Return the packed complete subtrees, largest first, of a tree after these packed leaf hashes are added.
 
-    It has `size` leaves and these packed complete subtrees before. Costs one hash per leaf.
+    Before, it has `size` leaves and these packed complete subtrees. Costs one hash per leaf.
 
     Raises: ValueError if they are not those of a tree.
     """
@@ -137,21 +137,21 @@ def extended(size: int, subtrees: bytes, leaves: bytes) -> bytes:
 
 
 def added(size: int, subtrees: bytes, lines: bytes) -> tuple[bytes, bytes, bytes]:
-    """Return the packed leaf hashes of these lines; and of the tree with them the packed subtrees and the root.
+    """Return the packed leaf hashes of these lines, and the packed subtrees and root of the tree after adding them.
 
-    It was of `size` leaves and these subtrees before.
+    Before, it has `size` leaves and these subtrees.
 
-    Raises: ValueError as `extended`, and if there are no lines, or the last one does not end.
+    Raises: ValueError as `extended`, and if there are no lines, or the last one lacks its line feed.
     """
     return _added(size, subtrees, lines)
 
 
 def roots(size: int, subtrees: bytes, leaves: bytes, sizes: list[int]) -> bytes:
-    """Return the packed roots of a tree when it has so many leaves, for each of these sizes, which rise.
+    """Return the packed roots of a tree at each of these ascending sizes, as these packed leaf hashes are added.
 
-    It has `size` leaves and these packed complete subtrees, largest first; then these packed leaf hashes are added.
+    Before, it has `size` leaves and these packed complete subtrees, largest first.
 
-    Raises: ValueError for a size below the one before, and where leaves are missing.
+    Raises: ValueError for a size below the one before, and if leaves are missing.
     """
     return _roots(size, subtrees, leaves, sizes)
 
@@ -160,14 +160,14 @@ def roots(size: int, subtrees: bytes, leaves: bytes, sizes: list[int]) -> bytes:
 def _compiled() -> tuple[Hash, Digests, Hash, Extended, Added, Roots] | None:
     try:
         from fsar_ledger.ledger.log import _hashing
-    except ImportError:  # it was not built, as without a compiler
+    except ImportError:  # it was not built, for example without a compiler
         return None
     return _hashing.leaves, _hashing.digests, _hashing.parents, _hashing.extended, _hashing.added, _hashing.roots
 
 
 _found = _compiled()
 IS_COMPILED = _found is not None
-"""Whether the hashes are made in C."""
+"""Whether hashes are computed in C."""
 _leaves, _digests, _parents, _extended, _added, _roots = _found or (
     leaves_plainly,
     digests_plainly,

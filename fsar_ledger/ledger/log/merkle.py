@@ -43,25 +43,25 @@ class Frontier(msgspec.Struct, frozen=True):
     @property
     def subtrees(self) -> tuple[bytes, ...]:
         """Return the roots of the complete subtrees, largest first."""
-        return tuple([self.packed[at : at + HASH_BYTES] for at in range(0, len(self.packed), HASH_BYTES)])
+        return tuple([self.packed[start : start + HASH_BYTES] for start in range(0, len(self.packed), HASH_BYTES)])
 
     def extend(self, leaves: bytes) -> "Frontier":
         """Return the frontier after appending these packed leaf hashes. Costs one hash per leaf.
 
-        Raises: ValueError if it is of no tree.
+        Raises: ValueError if this frontier is not that of a tree.
         """
         return Frontier(self.size + len(leaves) // HASH_BYTES, hashing.extended(self.size, self.packed, leaves))
 
     def add(self, lines: bytes) -> tuple[bytes, "Frontier", bytes]:
         """Return the packed leaf hashes of these lines, the frontier after appending them, and its root.
 
-        Each line ends with a line feed, which is not hashed. Raises: ValueError if there are none, or it is of no tree.
+        Each line ends with a line feed, which is not hashed. Raises: ValueError if there are none, or as `extend`.
         """
         leaves, packed, root = hashing.added(self.size, self.packed, lines)
         return leaves, Frontier(self.size + len(leaves) // HASH_BYTES, packed), root
 
     def nodes(self) -> dict[tuple[int, int], bytes]:
-        """Return the complete subtrees by height, and index among those of that height."""
+        """Return the roots of the complete subtrees by height and index among those of that height."""
         nodes: dict[tuple[int, int], bytes] = {}
         first = 0
         for subtree in self.subtrees:
@@ -71,9 +71,9 @@ class Frontier(msgspec.Struct, frozen=True):
         return nodes
 
     def roots(self, leaves: bytes, sizes: Sequence[int]) -> list[bytes]:
-        """Return the roots of the tree at each of these sizes, which rise, as these packed leaf hashes are added."""
+        """Return the roots of the tree at each of these ascending sizes, as these packed leaf hashes are added."""
         packed = hashing.roots(self.size, self.packed, leaves, list(sizes))
-        return [packed[at : at + HASH_BYTES] for at in range(0, len(packed), HASH_BYTES)]
+        return [packed[start : start + HASH_BYTES] for start in range(0, len(packed), HASH_BYTES)]
 
     def root(self) -> bytes:
         """Return the root hash of the tree."""
@@ -81,7 +81,7 @@ class Frontier(msgspec.Struct, frozen=True):
             return EMPTY_ROOT
         if self.size and len(self.packed) == self.size.bit_count() * HASH_BYTES:
             return hashing.roots(self.size, self.packed, b"", [self.size])
-        *left, root = self.subtrees  # as somebody wrote them, of no tree
+        *left, root = self.subtrees  # forged, not those of a tree
         for subtree in reversed(left):
             root = node_hash(subtree, root)
         return root
@@ -158,7 +158,7 @@ def consistency_proof(node: Node, old: int, new: int) -> tuple[bytes, ...]:
         else:
             path.append(range_root(node, start, middle))
             start = middle
-    if start:  # otherwise this is the old root, which the verifier knows
+    if start:  # otherwise this is the old root, which the verifier already has
         path.append(range_root(node, start, end))
     return tuple(reversed(path))
 
@@ -168,7 +168,7 @@ def _are_hashes(*found: bytes) -> bool:
 
 
 def root_of_inclusion(leaf: bytes, index: int, size: int, proof: Sequence[bytes]) -> bytes | None:
-    """Return the root that this proof gives for the leaf hash (RFC 9162 section 2.1.3.2).
+    """Return the root to which this proof leads from the leaf hash (RFC 9162 section 2.1.3.2).
 
     None if the tree has no such leaf, the proof has the wrong length, or a hash is not 32 bytes long.
     """
@@ -204,15 +204,15 @@ def is_consistent(old: int, old_root: bytes, new: int, new_root: bytes, proof: S
     position, last = old - 1, new - 1
     while position & 1:
         position, last = position >> 1, last >> 1
-    found_old = found_new = first
+    computed_old = computed_new = first
     for sibling in rest:
         if last == 0:
             return False
         if position & 1 or position == last:
-            found_old, found_new = node_hash(sibling, found_old), node_hash(sibling, found_new)
+            computed_old, computed_new = node_hash(sibling, computed_old), node_hash(sibling, computed_new)
             while not position & 1 and position:
                 position, last = position >> 1, last >> 1
         else:
-            found_new = node_hash(found_new, sibling)
+            computed_new = node_hash(computed_new, sibling)
         position, last = position >> 1, last >> 1
-    return last == 0 and found_old == old_root and found_new == new_root
+    return last == 0 and computed_old == old_root and computed_new == new_root

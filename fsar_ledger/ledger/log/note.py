@@ -1,4 +1,4 @@
-"""Signed notes (C2SP signed-note), their keys, and which keys can be trusted. Our text is a C2SP tlog-checkpoint.
+"""Signed notes (C2SP signed-note), their keys, and which keys can be trusted. The text is a C2SP tlog-checkpoint.
 
 ```
 fsar-ledger/simulated                              the origin
@@ -9,7 +9,7 @@ GOniXQYJeSjvAPLjEaJ...UJtQ=                        their Merkle root
 
 An Ed25519 key (RFC 8032, section 5.1) is a point on a curve with 8 L points, where L is prime. Honest keys are
 multiples of the base point: the L points of the prime-order subgroup. Under a point of small order (1, 2, 4 or 8),
-anybody can sign anything without a secret. A key with a small-order component lets verifiers disagree. A point in a
+anyone can sign anything without a secret. A key with a small-order component lets verifiers disagree. A point in a
 second encoding is a second key for the same secret. Chalkias, Garillot, Nikolaenko, "Taming the many EdDSAs" (2020),
 lists these encodings; common libraries accept most of them. Python integers are good enough here: nothing is secret,
 and each key is read once.
@@ -41,14 +41,14 @@ _IDENTITY: Point = (0, 1, 1, 0)
 
 @lru_cache(maxsize=64)
 def flaw_of(public: bytes) -> str | None:
-    """Return why this public key cannot be trusted, in words that follow "found"; None if it can.
+    """Return why this public key cannot be trusted, phrased to follow "found"; None if it can.
 
     Takes about 1.5 ms, once per key.
     """
     if len(public) != KEY_BYTES:
         return f"{len(public)} bytes"
-    written = int.from_bytes(public, "little")
-    y, sign = written % 2**255, written >> 255
+    number = int.from_bytes(public, "little")
+    y, sign = number % 2**255, number >> 255
     if y >= _P:
         return "a point that is not written in its one way"
     x = _x_of(y)
@@ -66,8 +66,8 @@ def flaw_of(public: bytes) -> str | None:
 
 def _x_of(y: int) -> int | None:
     """Return one of the two x coordinates for this y; None if no point has it."""
-    above, below = (y * y - 1) % _P, (_D * y * y + 1) % _P
-    square = above * pow(below, -1, _P) % _P
+    numerator, denominator = (y * y - 1) % _P, (_D * y * y + 1) % _P
+    square = numerator * pow(denominator, -1, _P) % _P
     root = pow(square, (_P + 3) // 8, _P)
     for x in (root, root * _SQRT_OF_MINUS_1 % _P):
         if x * x % _P == square:
@@ -76,7 +76,7 @@ def _x_of(y: int) -> int | None:
 
 
 def _plus(a: Point, b: Point) -> Point:
-    """Add two points, by a formula that holds for every pair."""
+    """Add two points, with a formula that is valid for every pair."""
     low, high = (a[1] - a[0]) * (b[1] - b[0]) % _P, (a[1] + a[0]) * (b[1] + b[0]) % _P
     product, doubled = 2 * a[3] * b[3] * _D % _P, 2 * a[2] * b[2] % _P
     e, f, g, h = high - low, doubled - product, doubled + product, high + low
@@ -105,11 +105,11 @@ _DASH = "\N{EM DASH} "
 Signed = Literal["unsigned", "signer not checked", "signed"]
 
 MAX_SIGNATURES = 64
-"""The most signatures that a note may carry: the log's own, and those of witnesses."""
+"""The most signatures on a note: the log's own, and those of witnesses."""
 
 
 def is_name(name: str) -> bool:
-    """Return whether this can name a key or an origin: printable, not empty, no spaces, no plus signs."""
+    """Return whether this is a valid name of a key or an origin: printable, not empty, no spaces, no plus signs."""
     return name.isprintable() and name != "" and not set(name) & {" ", "+"}
 
 
@@ -153,7 +153,7 @@ class Note(msgspec.Struct, frozen=True):
 
 
 class PublicKey(msgspec.Struct, frozen=True):
-    """The public half of an Ed25519 key under a name. `KIND` is the byte by which C2SP tells what it signs.
+    """The public half of an Ed25519 key under a name. `KIND` is the C2SP byte for what it signs.
 
     Raises: ValueError, with the reason, if the point is in a second encoding, off the curve, or outside the prime-order
     subgroup.
@@ -250,23 +250,23 @@ def parse_note(where: str, text: str) -> Note:
     Errors name it `where`.
 
     Raises:
-        LedgerCorrupted: It is not a checkpoint, not in the form of C2SP, or has signatures that no Ed25519 key makes.
+        LedgerCorrupted: It is not a checkpoint, not in C2SP form, or has signatures that no Ed25519 key makes.
     """
     body, _, end = text.rpartition("\n\n")
     if len(lines := end.splitlines()) > MAX_SIGNATURES:
         raise LedgerCorrupted(f"{where}: found {len(lines):,} signatures, expected at most {MAX_SIGNATURES}")
     origin, size, root, *_ = [*body.split("\n"), "", ""]
-    number = int(size) if size.isdecimal() and len(size) <= 16 else -1
+    event_count = int(size) if size.isdecimal() and len(size) <= 16 else -1
     try:
         note = Note(
-            Checkpoint(origin, number, base64.b64decode(root, validate=True)),
+            Checkpoint(origin, event_count, base64.b64decode(root, validate=True)),
             tuple(map(_parse_signature, lines)),
         )
     except (binascii.Error, ValueError) as error:
         raise LedgerCorrupted(
             f"{where}: found a note with a part that is not base64 ({error}), expected a C2SP checkpoint; restore it"
         ) from error
-    is_checkpoint = number >= 0 and is_name(origin) and len(note.checkpoint.root) == HASH_BYTES
+    is_checkpoint = event_count >= 0 and is_name(origin) and len(note.checkpoint.root) == HASH_BYTES
     if str(note) != text or not is_checkpoint:
         raise LedgerCorrupted(
             f"{where}: found {text!r:.120}, expected a C2SP checkpoint (origin, size, root, an empty line, "
@@ -285,7 +285,7 @@ def _parse_signature(line: str) -> Signature:
 
 
 def names(note: Note, key: VerifierKey) -> bool:
-    """Return whether a signature on the note claims to be of this key."""
+    """Return whether a signature on the note claims to be by this key."""
     return any(signature.key == key.key for signature in note.signatures)
 
 

@@ -1,12 +1,12 @@
-"""Some hashes of a Merkle tree in files: the pack, one file that only grows, and tiles, as other systems have them.
+"""Hashes of a Merkle tree in files: the pack, one file that only grows, and tiles, the format of other systems.
 
-The pack holds the roots of the complete subtrees of 2^4, 2^6, 2^8, ... leaves, each as soon as it is complete, smaller
+The pack holds the roots of the complete subtrees of 2^4, 2^6, 2^8, ... leaves, in order of completion, smaller
 ones first: 2.7 bytes per leaf. Four subtrees of one level make one of the next, so any other complete subtree of at
-least 16 leaves is hashed from two of the pack, and smaller ones from at most 16 leaves.
+least 16 leaves is hashed from two in the pack, and smaller ones from at most 16 leaves.
 
 Tiles have the layout of C2SP tlog-tiles: `tile/<level>/<number>[.p/<width>]`. A tile holds up to 256 hashes: leaves at
 level 0, and above it the roots of the full tiles one level below. Tiles are derived from the events and can be rebuilt.
-With them, one event is proven without reading all others.
+With them, one event can be proven without reading all others.
 """
 
 from collections.abc import Callable
@@ -19,13 +19,13 @@ from fsar_ledger.ledger.log.merkle import Frontier, Node, node_hash
 
 # See docs/decisions/no-leaf-hashes-are-kept.md.
 BASE = 4
-"""The height of the smallest subtrees of a pack: 16 leaves. Roots of smaller ones would take more than the events."""
+"""The height of a pack's smallest subtrees: 16 leaves. Roots of smaller ones would take more space than the events."""
 STEP = 2
-"""Heights between one level of a pack and the next."""
+"""The number of heights from one level of a pack to the next."""
 
 
 def count(leaves: int) -> int:
-    """Return how many hashes the pack of a tree of this many leaves holds."""
+    """Return the number of hashes in the pack of a tree of this many leaves."""
     hashes, blocks = 0, leaves >> BASE
     while blocks:
         hashes += blocks
@@ -34,13 +34,13 @@ def count(leaves: int) -> int:
 
 
 def position(level: int, number: int) -> int:
-    """Return where in the pack, counted in hashes, the root of this subtree is: of 2^(4 + 2 level) leaves."""
-    blocks = (number + 1 << STEP * level) - 1  # complete before the one that completes it
+    """Return the position in the pack, in hashes, of the root of this subtree of 2^(4 + 2 level) leaves."""
+    blocks = (number + 1 << STEP * level) - 1  # complete blocks before the one that completes it
     return count(blocks << BASE) + level
 
 
 def grow(frontier: Frontier, leaves: bytes) -> tuple[Frontier, bytes]:
-    """Return the tree after appending these packed leaf hashes, and what its pack has more than that before, in order.
+    """Return the tree after appending these packed leaf hashes, and the hashes to append to its pack.
 
     Costs one hash per leaf.
     """
@@ -58,21 +58,21 @@ def grow(frontier: Frontier, leaves: bytes) -> tuple[Frontier, bytes]:
             subtrees.append(nodes[pairs:])
         nodes = parents(nodes[:pairs])
         size, height = size >> 1, height + 1
-    after = Frontier(frontier.size + len(leaves) // HASH_BYTES, b"".join([*kept, *reversed(subtrees)]))
-    return after, _in_order(complete, count(frontier.size), count(after.size))
+    extended = Frontier(frontier.size + len(leaves) // HASH_BYTES, b"".join([*kept, *reversed(subtrees)]))
+    return extended, _in_order(complete, count(frontier.size), count(extended.size))
 
 
 def _in_order(complete: list[tuple[int, int, bytes]], start: int, end: int) -> bytes:
-    """Put the roots of each level at their positions in the pack, of which they are `start` to `end`."""
+    """Return positions `start` to `end` of the pack, from the roots of each level."""
     pack = np.empty((end - start, HASH_BYTES), np.uint8)
     for level, first, roots in complete:
         numbers = np.arange(first, first + len(roots) // HASH_BYTES)
         blocks = (numbers + 1 << STEP * level) - 1
-        places = np.full(len(numbers), level - start)
+        positions = np.full(len(numbers), level - start)
         while blocks.any():
-            places += blocks
+            positions += blocks
             blocks >>= STEP
-        pack[places] = np.frombuffer(roots, np.uint8).reshape(-1, HASH_BYTES)
+        pack[positions] = np.frombuffer(roots, np.uint8).reshape(-1, HASH_BYTES)
     return pack.tobytes()
 
 
@@ -81,7 +81,7 @@ def node_of(read: Callable[[int], bytes], leaf_hashes: Callable[[int, int], byte
 
     Args:
         read: Returns the hash at this position of the pack.
-        leaf_hashes: Returns the packed leaf hashes from this index to that; at most 16 are asked for.
+        leaf_hashes: Returns the packed leaf hashes from one index to another; at most 16 are requested.
     """
 
     def node(height: int, number: int) -> bytes:
@@ -119,7 +119,7 @@ class Tile(msgspec.Struct, frozen=True, order=True):
         """
         digits = f"{self.number:03d}"
         digits = digits.zfill(-len(digits) // 3 * -3)
-        groups = [digits[at : at + 3] for at in range(0, len(digits), 3)]
+        groups = [digits[start : start + 3] for start in range(0, len(digits), 3)]
         number = "/".join([*("x" + group for group in groups[:-1]), groups[-1]])
         return f"{TILE}/{self.level}/{number}" + ("" if self.width == WIDTH else f".p/{self.width}")
 
@@ -148,16 +148,14 @@ class Edge(msgspec.Struct, frozen=True):
         partial: list[bytes] = []
         added, level = leaves, 0
         while added or level < len(self.partial):
-            before = self.partial[level] if level < len(self.partial) else b""
+            tail = self.partial[level] if level < len(self.partial) else b""
             if not added:
-                partial.append(before)
+                partial.append(tail)
             else:
                 first = (self.size >> HEIGHT * level) // WIDTH
-                hashes = before + added
+                hashes = tail + added
                 full = len(hashes) // _TILE_BYTES
-                tiles |= {
-                    Tile(level, first + at): hashes[at * _TILE_BYTES : (at + 1) * _TILE_BYTES] for at in range(full)
-                }
+                tiles |= {Tile(level, first + i): hashes[i * _TILE_BYTES : (i + 1) * _TILE_BYTES] for i in range(full)}
                 rest = hashes[full * _TILE_BYTES :]
                 if rest:
                     tiles[Tile(level, first + full, len(rest) // HASH_BYTES)] = rest
@@ -170,12 +168,12 @@ class Edge(msgspec.Struct, frozen=True):
         """Return the roots of the tree's complete subtrees, largest first."""
         subtrees: list[bytes] = []
         for hashes in reversed(self.partial):
-            at = 0
+            offset = 0
             for height in reversed(range(HEIGHT)):
                 size = HASH_BYTES << height
                 if len(hashes) & size:
-                    subtrees.append(_subtree_root(hashes[at : at + size]))
-                    at += size
+                    subtrees.append(_subtree_root(hashes[offset : offset + size]))
+                    offset += size
         return Frontier(self.size, b"".join(subtrees))
 
 

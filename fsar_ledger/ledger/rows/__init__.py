@@ -2,19 +2,19 @@
 
 ```
 schema      the columns, derived from the event types, and those that each release wrote
-runs        what a run handed to a writer may hold; its pieces, put together
+runs        the runs passed to a writer and their limits; splitting and joining them
 codec       runs of events <-> one Arrow table
-compiled    the hot paths of the codec in C, where they were built: events -> rows, rows -> columns
+compiled    the hot paths of the codec in C, if they were built: events -> rows, rows -> columns
 canonical   the hashed bytes of a row, made from structs and again from columns
 check       the rules for every stored row
-blocks      which rows of which run a table holds
+blocks      the runs in a table, and which rows of each
 segment     one batch of runs as one Parquet file
-layout      whether a segment has the accepted form; grammar: which bytes may be there
-bounds      what a segment may cost to read
+layout      whether a segment has the accepted form; grammar: the bytes allowed in it
+bounds      limits on the cost of reading a segment
 ```
 
-Here are columns for all of these: read as one array, strings as codes, buffers as numpy arrays; and made from Python
-values.
+This module has the column helpers shared by all of these: columns read as one array, strings as codes, buffers as numpy
+arrays; and columns made from Python values.
 """
 
 from collections import defaultdict
@@ -37,7 +37,7 @@ _T = TypeVar("_T")
 
 
 class Derived(dict[str, _T]):
-    """What follows from a column, by its name, made when it is first asked for."""
+    """Values derived from columns, by column name, computed on first access."""
 
     def __init__(self, make: Callable[[str], _T]) -> None:
         super().__init__()
@@ -49,10 +49,10 @@ class Derived(dict[str, _T]):
 
 
 class Columns:
-    """The columns of a table, each taken apart once, for all who look at it.
+    """The columns of a table, each decomposed once and shared.
 
-    `arrays` are the columns as one array each, `valid` which rows have a value. `coded` are strings as codes, those of
-    all lists of a column one after the other; `texts` are their dictionary, and `places` the index of each string in
+    `arrays` are the columns as one array each, `valid` masks the rows with a value. `coded` are strings as codes, those
+    of all lists of a column one after the other; `texts` are their dictionary, and `places` the index of each string in
     it.
     """
 
@@ -66,7 +66,7 @@ class Columns:
 
 
 def taken(rows: pa.Table | Columns) -> Columns:
-    """Return the columns of a table, or these."""
+    """Return the columns of a table, or the argument if it is `Columns` already."""
     return rows if isinstance(rows, Columns) else Columns(rows)
 
 
@@ -80,15 +80,15 @@ def whole(column: pa.ChunkedArray) -> pa.Array:
 
 
 def coded(strings: pa.Array) -> pa.DictionaryArray:
-    """Return the strings as codes into a dictionary, which they may be already.
+    """Return the strings as codes into a dictionary, unchanged if they are already.
 
-    The dictionary may hold a string twice, or one that no row uses.
+    The dictionary may contain a string twice, or one that no row uses.
     """
     return strings if isinstance(strings, pa.DictionaryArray) else strings.dictionary_encode()
 
 
 def validity(array: pa.Array) -> Mask:
-    """Return which values are not NULL. Takes a tenth of the time of `is_valid` for a few thousand rows."""
+    """Return the mask of values that are not NULL, in a tenth of the time of `is_valid` for a few thousand rows."""
     bits = array.buffers()[0]
     if bits is None or not array.null_count:
         return np.ones(len(array), bool)
@@ -99,7 +99,7 @@ def validity(array: pa.Array) -> Mask:
 
 
 def numbers(array: pa.Array) -> Integers:
-    """Return the values of an integer array; for a NULL, any value."""
+    """Return the values of an integer array; any value in place of NULL."""
     kind = array.type.to_pandas_dtype()
     data = np.frombuffer(array.buffers()[1] or b"", kind)
     return data[array.offset : array.offset + len(array)]
@@ -113,7 +113,7 @@ def places(strings: pa.DictionaryArray) -> Integers:
 
 
 class Texts:
-    """The strings of all columns, each held once, with codes from 1. The code of None is 0."""
+    """The distinct strings of all columns, with codes from 1. The code of None is 0."""
 
     def __init__(self) -> None:
         self._codes: defaultdict[object, int] = defaultdict(count(1).__next__, {None: 0})
@@ -123,21 +123,21 @@ class Texts:
         return np.fromiter(map(self._codes.__getitem__, texts), np.int32, size)
 
     def sorted(self) -> tuple[Values, Codes]:
-        """Return None and then all strings in order, and for each code the index of its string there."""
+        """Return None followed by all strings in order, and for each code the index of its string there."""
         _, *texts = self._codes
         order = sorted(range(len(texts)), key=texts.__getitem__)  # type: ignore[arg-type]
-        places = np.zeros(len(texts) + 1, np.int32)
-        places[1:][order] = np.arange(1, len(texts) + 1)
-        return np.array([None, *[texts[at] for at in order]], object), places
+        ranks = np.zeros(len(texts) + 1, np.int32)
+        ranks[1:][order] = np.arange(1, len(texts) + 1)
+        return np.array([None, *[texts[i] for i in order]], object), ranks
 
 
 def bits(is_set: Values) -> pa.Buffer:
-    """Return booleans as an Arrow bitmap; Arrow's own conversion from a mask of bytes is slower."""
+    """Return booleans as an Arrow bitmap, faster than Arrow's own conversion from a byte mask."""
     return pa.py_buffer(np.packbits(is_set, bitorder="little"))
 
 
 def array_of(values: Values, is_valid: Values) -> pa.Array:
-    """Return an Arrow array of int32, int64 or bool, NULL where it is not valid."""
+    """Return an Arrow array of int32, int64 or bool, NULL where `is_valid` is false."""
     data = bits(values) if values.dtype == bool else pa.py_buffer(values)
     return pa.Array.from_buffers(pa.from_numpy_dtype(values.dtype), len(values), [bits(is_valid), data])
 

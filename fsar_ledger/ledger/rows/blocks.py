@@ -1,7 +1,7 @@
-"""The blocks of a table: which rows of which run it holds, where runs may begin or end in other tables.
+"""The blocks of a table: the runs in it and the rows of each, where runs may begin or end in other tables.
 
 In a ledger a run may span commits and segments. Each table is checked on its own (`check.first_flaw`);
-`Runs` compares what follows from several of them, block by block.
+`Runs` checks across tables, block by block.
 """
 
 from collections.abc import Iterable, Iterator
@@ -23,12 +23,12 @@ _CONTINUED = f"{RunContinued.__struct_config__.tag}"
 
 
 class Block(msgspec.Struct, frozen=True, omit_defaults=True):
-    """Rows of one run that follow one another: the seq of the first, how many, and the times of the first and the last.
+    """Consecutive rows of one run: the seq of the first, their number, and the times of the first and the last.
 
-    `observes` are the concerns that the run's events may have, as event 0 says; None if that is elsewhere or says
-    nothing. `concerns` are those of the block's events, left out where event 0 is in the block, because the table alone
-    shows whether they fit. `is_alone` is true for a single event that stands alone. `goes_on_from` is what event 1
-    says, if it is in the block: the run that this one continues, and the last seq of that.
+    `observes` are the concerns that the run's events may have, from event 0; None if that is elsewhere or names none.
+    `concerns` are those of the block's events, omitted if event 0 is in the block, because the table alone shows
+    whether they fit. `is_alone` is true for a single event that stands alone. `goes_on_from` comes from event 1, if it
+    is in the block: the run that this one continues, and its last seq.
     """
 
     run: str
@@ -43,23 +43,23 @@ class Block(msgspec.Struct, frozen=True, omit_defaults=True):
 
     @property
     def end(self) -> int:
-        """Return the seq after the last."""
+        """Return the seq after the last row."""
         return self.first + self.rows
 
 
 def by_run(blocks: Iterable[Block]) -> tuple[Block, ...]:
-    """Return one block for each run of these, which are in the order of their rows, without what its events say."""
+    """Return one block for each run, without `observes` and `concerns`; `blocks` are in the order of their rows."""
     joined: dict[str, Block] = {}
     for block in blocks:
-        before = joined.get(block.run)
+        previous = joined.get(block.run)
         joined[block.run] = Block(
             block.run,
-            before.first if before else block.first,
-            block.rows + (before.rows if before else 0),
-            before.first_us if before else block.first_us,
+            previous.first if previous else block.first,
+            block.rows + (previous.rows if previous else 0),
+            previous.first_us if previous else block.first_us,
             block.last_us,
             is_alone=block.is_alone,
-            goes_on_from=before.goes_on_from or block.goes_on_from if before else block.goes_on_from,
+            goes_on_from=previous.goes_on_from or block.goes_on_from if previous else block.goes_on_from,
         )
     return tuple(joined.values())
 
@@ -80,14 +80,14 @@ def blocks_of(table: pa.Table) -> Iterator[Block]:
         if first:
             concerns = {CONCERNED.get(tags[code], "") for code in np.unique(codes[start:end]).tolist()} - {""}
         has_second = first <= 1 < first + end - start and _CONTINUED in tags
-        observed = None if first else concerns_admitted(observes[start].as_py(), records[start].as_py())
+        admitted = None if first else concerns_admitted(observes[start].as_py(), records[start].as_py())
         yield Block(
             runs[start].as_py(),
             first,
             end - start,
             int(times[start]),
             int(times[end - 1]),
-            observed,
+            admitted,
             tuple(sorted(concerns)),
             tags[codes[start]] in STANDS_ALONE,
             _goes_on_from(table, start + 1 - first) if has_second else None,
@@ -95,17 +95,17 @@ def blocks_of(table: pa.Table) -> Iterator[Block]:
 
 
 def _goes_on_from(table: pa.Table, row: int) -> tuple[str, int] | None:
-    """Return what this row, event 1 of a run, says of where the run goes on from."""
+    """Return `goes_on_from` of a block, from this row, event 1 of a run; None for another type of event."""
     values = [table.column(name)[row].as_py() for name in ("type", "continues", "continues_seq")]
     return (f"{values[1]}", int(values[2])) if values[0] == _CONTINUED else None
 
 
 BLOCK_COLUMNS = ["run_id", "seq", "time_us", "type", "observes", "records", "continues", "continues_seq"]
-"""What `blocks_of` reads of a table."""
+"""The columns that `blocks_of` reads."""
 
 
 class Known(NamedTuple):
-    """What is known of a run so far: the seq of its next event, the time of its last, and what it observes."""
+    """The state of a run so far: the seq of its next event, the time of its last, and what it observes."""
 
     next: int
     last_us: int
@@ -114,28 +114,28 @@ class Known(NamedTuple):
 
 
 class Runs:
-    """The runs of a ledger as its blocks follow one another."""
+    """The runs of a ledger, built up from its blocks in order."""
 
     def __init__(self) -> None:
         self.known: dict[str, Known] = {}
-        self.continued: dict[str, str] = {}  # by its name each run that another continues, and the other
+        self.continued: dict[str, str] = {}  # the run that continues each run, by name
 
     def flaw(self, block: Block) -> Flaw | None:
         """Return why the block cannot follow those added so far; None if it can."""
-        known = self.known.get(block.run)
-        expected = 0 if known is None else known.next
-        if known is not None and known.is_alone:
+        state = self.known.get(block.run)
+        expected = 0 if state is None else state.next
+        if state is not None and state.is_alone:
             return Flaw(-1, block.run, block.first, "type", "more events of its run", "the only event of its run")
         if block.first != expected:
-            if known is not None and block.first == 0:
+            if state is not None and block.first == 0:
                 return Flaw(-1, block.run, 0, "run_id", f"run {block.run} once more", f"its seq {expected}, or no more")
             return Flaw(-1, block.run, block.first, "seq", f"{block.first}", f"{expected}")
-        if (flaw := self._wrongly_continued(block, known)) is not None:
+        if (flaw := self._wrongly_continued(block, state)) is not None:
             return flaw
-        if known is None or known.observes is None:
+        if state is None or state.observes is None:
             return None
         for concern in block.concerns:
-            if concern not in known.observes:
+            if concern not in state.observes:
                 return Flaw(
                     -1,
                     block.run,
@@ -147,42 +147,42 @@ class Runs:
         return None
 
     # See docs/decisions/cut-runs-are-judged-whole.md.
-    def _wrongly_continued(self, block: Block, known: Known | None) -> Flaw | None:
-        """Return why the block cannot be of its run, by which run continues which; None if it can.
+    def _wrongly_continued(self, block: Block, state: Known | None) -> Flaw | None:
+        """Return why the block conflicts with which run continues which; None if it does not.
 
-        Of a run that is not there nothing is known, but that it cannot come later.
+        A run that is not in the ledger is not checked, but it must not come later.
         """
         if (other := self.continued.get(block.run)) is not None:
-            late = "its first event" if known is None else "more events of the run"
+            late = "its first event" if state is None else "more events of the run"
             expected = f"none after run {other!r}, which continues it"
             return Flaw(-1, block.run, block.first, "run_id", late, expected)
         if block.goes_on_from is None:
             return None
         run, last = block.goes_on_from
-        before, other = self.known.get(run), self.continued.get(run)
-        if run == block.run or (before is not None and before.is_alone):
+        earlier, other = self.known.get(run), self.continued.get(run)
+        if run == block.run or (earlier is not None and earlier.is_alone):
             return Flaw(-1, block.run, 1, "continues", repr(run), "another run")
-        if before is None:
+        if earlier is None:
             return None
         if other is not None:
             return Flaw(-1, block.run, 1, "continues", repr(run), f"a run that none continues, as {other!r} does")
-        if before.next != last + 1:
-            return Flaw(-1, block.run, 1, "continues_seq", f"{last}", f"{before.next - 1}, the last of run {run!r}")
-        if (begun_us := known.last_us if known else block.first_us) < before.last_us:
-            return Flaw(-1, block.run, 1, "time_us", f"{begun_us}", f"no less than at the end of run {run!r}")
+        if earlier.next != last + 1:
+            return Flaw(-1, block.run, 1, "continues_seq", f"{last}", f"{earlier.next - 1}, the last of run {run!r}")
+        if (start_us := state.last_us if state else block.first_us) < earlier.last_us:
+            return Flaw(-1, block.run, 1, "time_us", f"{start_us}", f"no less than at the end of run {run!r}")
         return None
 
     def backwards(self, block: Block) -> Flaw | None:
-        """Return that the block's time runs backwards from the run's last event, which no writer stores."""
-        known = self.known.get(block.run)
-        if known is None or block.first_us >= known.last_us:
+        """Return the flaw if the block begins before the run's last event in time, which no writer stores."""
+        state = self.known.get(block.run)
+        if state is None or block.first_us >= state.last_us:
             return None
         return Flaw(-1, block.run, block.first, "time_us", f"{block.first_us}", "no less than at the event before")
 
     def add(self, block: Block) -> None:
         """Add the block."""
-        known = self.known.get(block.run)
-        observes = block.observes if known is None else known.observes
+        state = self.known.get(block.run)
+        observes = block.observes if state is None else state.observes
         self.known[block.run] = Known(block.end, block.last_us, observes, block.is_alone)
         if block.goes_on_from is not None:
             self.continued[block.goes_on_from[0]] = block.run

@@ -1,7 +1,7 @@
-"""Limits on what a segment may cost to read, checked before anything is unpacked.
+"""Limits on the cost of reading a segment, checked before anything is unpacked.
 
 A Parquet file of a few kilobytes can claim, and unpack to, any number of rows: one repeated value costs nothing to
-store. So all page headers are read first, and a file that needs more than any batch of runs does is refused.
+store. So all page headers are read first, and a file that needs more than any batch of runs is refused.
 """
 
 from collections.abc import Iterator
@@ -18,28 +18,28 @@ For this many, `verify` needs a gigabyte: some 130 columns of 4 to 8 bytes, and 
 MAX_SEGMENT_BYTES = 1 << 27
 """Bytes of a segment. An event takes 10 to 17 bytes; `MAX_ROWS` rows of 128 bytes still fit."""
 MAX_UNPACKED_BYTES = 1 << 27
-"""Bytes of all pages of a segment, unpacked. Those that we write take 13 per event."""
+"""Bytes of all pages of a segment, unpacked. Those that our writer makes take 13 per event."""
 MAX_TEXT_BYTES = 1 << 29
 """Bytes of all strings of a segment, each counted in every row: some 150 per event. The canonical rows take a little
-more, but only some are in memory at once.
+more, but only a part is in memory at once.
 """
 MAX_LIST_VALUES = 1 << 22
-"""Values of all list columns, beyond one per row and column, which an absent list takes too: 4 for each of `MAX_ROWS`.
+"""Values of all list columns, beyond one per row and column, which a NULL list takes too: 4 for each of `MAX_ROWS`.
 """
 
 MAX_FOOTER_BYTES = 1 << 20
 MAX_PAGES = 1 << 10
 """Pages of one column; pyarrow begins a new one after 20,000 rows or 1 MiB."""
 MAX_BOUND_BYTES = 1 << 12
-"""Bytes of a `run_id` in statistics; they leave out a longer one."""
+"""Bytes of a `run_id` in statistics, which omit a longer one."""
 MAX_NAME_BYTES = MAX_BOUND_BYTES
-"""Bytes of the `run_id` of a new run and the origin of a new ledger: every commit record holds them and must stay
+"""Bytes of the `run_id` of a new run and the origin of a new ledger: every commit record contains them and must stay
 small.
 """
 
 
 def text_bytes(table: pa.Table) -> int:
-    """Return the bytes of all strings of the table, each counted in every row, in dictionaries or not."""
+    """Return the total bytes of the table's strings, each counted in every row, in dictionaries or not."""
     size = 0
     for values in _chunks(table):
         if pa.types.is_dictionary(values.type):
@@ -50,9 +50,9 @@ def text_bytes(table: pa.Table) -> int:
 
 
 def has_more_text_than(table: pa.Table, most: int) -> bool:
-    """Return whether `text_bytes` exceeds this.
+    """Return whether `text_bytes` exceeds `most`.
 
-    Quick if it would not even with the longest string of each column in every row.
+    Fast if it would not even with the longest string of each column in every row.
     """
     longest = 0
     for values in _chunks(table):
@@ -63,7 +63,7 @@ def has_more_text_than(table: pa.Table, most: int) -> bool:
 
 
 def _chunks(table: pa.Table) -> Iterator[pa.Array]:
-    """Yield the values of each column, those of its lists one by one; not those of a column that has none."""
+    """Yield the chunks of each column, lists flattened, without those that are all NULL."""
     for column in table.columns:
         for chunk in column.chunks:
             if chunk.null_count < len(chunk):  # most columns of a short run have none
@@ -71,6 +71,6 @@ def _chunks(table: pa.Table) -> Iterator[pa.Array]:
 
 
 def _longest(texts: pa.Array) -> int:
-    """Return the bytes of the longest string."""
+    """Return the length of the longest string in bytes."""
     ends = np.frombuffer(texts.buffers()[1] or bytes(4), np.int32)[texts.offset : texts.offset + len(texts) + 1]
     return int(np.diff(ends).max(initial=0))

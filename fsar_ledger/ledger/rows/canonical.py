@@ -1,7 +1,7 @@
-"""The bytes of a stored row that are hashed: its RFC 8785 JSON, with keys sorted and NULL columns left out.
+"""The hashed bytes of a stored row: its RFC 8785 JSON, with keys sorted and NULL columns omitted.
 
 Two independent functions make them: `lines` from structs when events are appended, `from_table` from columns when a
-ledger is verified, which does so in C where that was built (`_write_rows.c`). Tests require them to agree.
+ledger is verified, in C if that was built (`_write_rows.c`). Tests require them to agree.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -22,7 +22,7 @@ from . import Columns, coded, numbers, places, taken, validity, whole
 
 _ENCODER = msgspec.json.Encoder()
 _SORTING_ENCODER = msgspec.json.Encoder(order="sorted")
-# Of a segment, at once. A commit of 25 runs has some ten thousand rows and 10 MB of text.
+# Limits of a segment at once. A commit of 25 runs has some ten thousand rows and 10 MB of text.
 _MOST_ROWS, _MOST_TEXT = 1 << 16, 1 << 26
 _ROWS_AT_ONCE = 256
 _PIVOT = "run_id"  # never NULL, so the commas are placed around it
@@ -39,12 +39,12 @@ def document(value: object) -> bytes:
 
 
 def documents(values: Sequence[object]) -> bytes:
-    """Return the RFC 8785 JSON of each of these, as `document`, with a line feed after it."""
+    """Return the RFC 8785 JSON of each value, as `document`, followed by a line feed."""
     return _SORTING_ENCODER.encode_lines(values)
 
 
 def _row_type(layout: StoredType) -> tuple[type[msgspec.Struct], tuple[str, ...]]:
-    """Return a struct of all columns of this event type in sorted order; its JSON leaves out those that are None."""
+    """Return a struct of all columns of this event type in sorted order; its JSON omits those that are None."""
     names = tuple(sorted([field.name for field in (*ENVELOPE, *layout.fields)]))
     row = msgspec.defstruct(
         layout.cls.__name__ + "Row", [(name, Any, None) for name in names], omit_defaults=True, gc=False
@@ -56,9 +56,9 @@ _ROW_TYPES = {tag: _row_type(layout) for tag, layout in STORED.items()}
 
 
 def lines(tag: str, columns: Mapping[str, Sequence[object]]) -> Iterator[bytes]:
-    """Yield the canonical bytes of rows of one event type, each with a line feed after it.
+    """Yield the canonical bytes of rows of one event type, each followed by a line feed.
 
-    They come some hundred rows at a time, which stay in the CPU caches while they are hashed.
+    They come a few hundred rows at a time, which stay in the CPU caches while they are hashed.
 
     Args:
         tag: The stored type of the events.
@@ -71,7 +71,7 @@ def lines(tag: str, columns: Mapping[str, Sequence[object]]) -> Iterator[bytes]:
 
 
 class _Members:
-    """One column as members of JSON objects, `"name":value` with a comma; nothing where it is NULL.
+    """One column as members of JSON objects, `"name":value` with a comma; empty where it is NULL.
 
     Members before `run_id`, which is never NULL, end with a comma; those after it begin with one.
     """
@@ -110,22 +110,22 @@ class _Members:
                 return texts
             case "integer":
                 pattern = self._before + b"%d" + self._after
-                of_rows = [pattern % number for number in self._numbers[rows].tolist()]
+                members = [pattern % number for number in self._numbers[rows].tolist()]
             case "strings":
                 values = self._column.take(pa.array(rows)).to_pylist()
-                of_rows = [self._before + _ENCODER.encode(value) + self._after for value in values]
+                members = [self._before + _ENCODER.encode(value) + self._after for value in values]
         is_valid = self.is_valid[rows]
         return (
-            of_rows
+            members
             if is_valid.all()
-            else [member if valid else b"" for member, valid in zip(of_rows, is_valid.tolist(), strict=True)]
+            else [member if valid else b"" for member, valid in zip(members, is_valid.tolist(), strict=True)]
         )
 
 
 def from_table(table: pa.Table) -> list[bytes]:
     """Return the canonical bytes of every row.
 
-    Rows are taken by type, because a type has a tenth of the columns. String columns may be dictionaries.
+    Rows are processed by type, because a type has a tenth of the columns. String columns may be dictionaries.
     """
     columns = {name: whole(table.column(name)) for name in sorted(table.column_names)}
     members = [_Members(name, column) for name, column in columns.items() if column.null_count < len(column)]
@@ -133,28 +133,28 @@ def from_table(table: pa.Table) -> list[bytes]:
     order = np.argsort(codes, kind="stable")
     starts = np.flatnonzero(np.diff(codes[order], prepend=-1))
     # By column, whether rows of each type have it.
-    is_there = [np.logical_or.reduceat(column.is_valid[order], starts).tolist() for column in members]
+    is_present = [np.logical_or.reduceat(column.is_valid[order], starts).tolist() for column in members]
     by_row = np.empty(len(table), object)
     for type_, rows in enumerate(np.split(order, starts[1:])):
-        pieces = [column.of(rows) for column, is_in in zip(members, is_there, strict=True) if is_in[type_]]
-        by_row[rows] = list(map(b"".join, zip(repeat(b"{", len(rows)), *pieces, repeat(b"}", len(rows)), strict=True)))
+        parts = [column.of(rows) for column, has_column in zip(members, is_present, strict=True) if has_column[type_]]
+        by_row[rows] = list(map(b"".join, zip(repeat(b"{", len(rows)), *parts, repeat(b"}", len(rows)), strict=True)))
     lines: list[bytes] = by_row.tolist()
     return lines
 
 
 def leaves(rows: pa.Table | Columns) -> bytes:
-    """Return the packed RFC 6962 leaf hashes of the rows of a table, or of one with these columns.
+    """Return the packed RFC 6962 leaf hashes of the rows of a table, given as such or as its columns.
 
-    Rows are written out in parts, which saves memory.
+    Rows are encoded in parts, which saves memory.
     """
     columns = taken(rows)
     table = columns.table
     if len(table) <= _MOST_ROWS and not has_more_text_than(table, _MOST_TEXT):
         return _leaves(columns)
     most = max(1, min(_MOST_ROWS, _MOST_TEXT * len(table) // (text_bytes(table) + 1)))
-    # A slice of a dictionary column would bring its whole dictionary.
+    # A slice of a dictionary column would keep its whole dictionary.
     plain = pa.schema([SCHEMA.field(name) for name in table.column_names])
-    return b"".join(_leaves(Columns(table.slice(at, most).cast(plain))) for at in range(0, len(table), most))
+    return b"".join(_leaves(Columns(table.slice(start, most).cast(plain))) for start in range(0, len(table), most))
 
 
 def _leaves(columns: Columns) -> bytes:
@@ -163,7 +163,7 @@ def _leaves(columns: Columns) -> bytes:
 
 
 def compiled_lines(columns: Columns) -> bytes | None:
-    """Return the canonical bytes of the rows, each with a line feed after it; None where that was not built.
+    """Return the canonical bytes of the rows, each followed by a line feed; None if the C code was not built.
 
     String columns may be dictionaries.
     """
@@ -175,20 +175,20 @@ def compiled_lines(columns: Columns) -> bytes | None:
 
 
 def _taken(name: str, columns: Columns) -> tuple[Any, ...]:
-    """Take a column apart as `write_rows` wants it."""
-    before, is_there, column, kind = f'"{name}":'.encode(), columns.valid[name], columns.arrays[name], COLUMNS[name]
+    """Decompose a column into the arguments that `write_rows` expects."""
+    prefix, is_valid, column, kind = f'"{name}":'.encode(), columns.valid[name], columns.arrays[name], COLUMNS[name]
     if kind == "integer":
-        return before, is_there, numbers(column), None, None, None
+        return prefix, is_valid, numbers(column), None, None, None
     if kind == "boolean":
-        return before, is_there, numbers(column.cast(pa.int32())), *_BOOLEANS, None
+        return prefix, is_valid, numbers(column.cast(pa.int32())), *_BOOLEANS, None
     if kind == "string":
-        return before, is_there, columns.places[name], *_encoded(columns.texts[name]), None
+        return prefix, is_valid, columns.places[name], *_encoded(columns.texts[name]), None
     sizes: Rows = column.value_lengths().fill_null(0).to_numpy().astype(np.int64)
     starts = np.concatenate([np.zeros(1, np.int64), np.cumsum(sizes)])
-    return before, is_there, columns.places[name], *_encoded(columns.texts[name]), starts
+    return prefix, is_valid, columns.places[name], *_encoded(columns.texts[name]), starts
 
 
 def _encoded(texts: list[str]) -> tuple[bytes, Rows]:
-    """Return these texts as JSON, each with a line feed after it, and where the line feeds are."""
+    """Return these texts as JSON, each followed by a line feed, and the offsets of the line feeds."""
     encoded = _ENCODER.encode_lines(texts)
     return encoded, np.flatnonzero(np.frombuffer(encoded, np.uint8) == ord("\n"))

@@ -33,8 +33,8 @@ _FIELDS = tuple({field.name: field for field in layout.fields} for layout in STO
 
 
 def _holders(name: str, *, required: bool) -> Mask:
-    """Return, for each type code, whether its events have the column, or (`required`) must have a value in it."""
-    holds = [name in own and not (required and own[name].is_nullable) for own in _FIELDS]
+    """Return for each type code whether its events have the column, or (`required`) must have a value in it."""
+    holds = [name in fields and not (required and fields[name].is_nullable) for fields in _FIELDS]
     return np.array([*holds, False])
 
 
@@ -51,11 +51,11 @@ def first_flaw(rows: pa.Table | Columns, *, is_whole: bool = True) -> Flaw | Non
     """Return the flaw in the earliest bad row; None if every row is a valid event of its type, retired or not.
 
     Takes a table or its columns; string columns may be dictionaries. Unless the table `is_whole`, its runs may begin or
-    end elsewhere: then a block of rows of a run begins with any seq, a run may have several blocks, and what its event
-    0 says is not compared where that is elsewhere (see `blocks_of`).
+    end elsewhere: then a block of rows of a run may begin with any seq, a run may have several blocks, and its concerns
+    are not compared with its event 0 if that is elsewhere (see `blocks_of`).
     """
-    taken_apart = taken(rows)
-    table, columns = taken_apart.table, taken_apart.arrays
+    decomposed = taken(rows)
+    table, columns = decomposed.table, decomposed.arrays
     if not table.schema.equals(SCHEMA) and not table.schema.equals(CODED_SCHEMA):
         return Flaw(
             -1,
@@ -71,8 +71,8 @@ def first_flaw(rows: pa.Table | Columns, *, is_whole: bool = True) -> Flaw | Non
         return Flaw(-1, None, None, None, f"{error!s:.300}", "valid Arrow data")
     if not table.num_rows:
         return None
-    envelope = _envelope(columns, taken_apart.valid, is_whole=is_whole)
-    suspects = [*envelope, *_payload(taken_apart), *_company(columns), *_unobserved(columns)]
+    envelope = _envelope(columns, decomposed.valid, is_whole=is_whole)
+    suspects = [*envelope, *_payload(decomposed), *_company(columns), *_unobserved(columns)]
     first = min(suspects, key=lambda suspect: suspect[0], default=None)
     if first is None:
         return None
@@ -89,23 +89,23 @@ def first_flaw(rows: pa.Table | Columns, *, is_whole: bool = True) -> Flaw | Non
 
 
 def unprintable(table: pa.Table) -> Flaw | None:
-    """Find a text that no writer stores, with a control or another unprintable character; None if there is none.
+    """Return the first text that no writer stores, with a control or other unprintable character; None if all are fine.
 
-    Readers accept it, because 0.1.0 stored it, and escape it when they show it. The table has the columns of
-    `CODED_SCHEMA`; each distinct text is checked once.
+    Readers accept it, because 0.1.0 stored it, and escape it on output. The table has the columns of `CODED_SCHEMA`;
+    each distinct text is checked once.
     """
     for name, kind in COLUMNS.items():
         if kind not in ("string", "strings"):
             continue
         column = whole(table.column(name))
-        if column.null_count == len(column):  # as most columns of a short run are
+        if column.null_count == len(column):  # true of most columns of a short run
             continue
         texts = (column.dictionary if kind == "string" else column.flatten().unique()).to_pylist()
         if "".join(texts).isprintable():
             continue
         bad = {text for text in texts if not text.isprintable()}
-        held = ([value] if kind == "string" else value or () for value in column.to_pylist())
-        row, bad_text = next((at, text) for at, values in enumerate(held) for text in values if text in bad)
+        row_texts = ([value] if kind == "string" else value or () for value in column.to_pylist())
+        row, bad_text = next((index, text) for index, values in enumerate(row_texts) for text in values if text in bad)
         return Flaw(
             row,
             table.column("run_id")[row].as_py(),
@@ -118,10 +118,10 @@ def unprintable(table: pa.Table) -> Flaw | None:
 
 
 def disordered(table: pa.Table) -> Flaw | None:
-    """Find an order of events that no writer stores: a wrong or second beginning of a run, or time running backwards.
+    """Return an order of events that no writer stores: a wrong or second beginning of a run, or time going backwards.
 
-    None if there is none. Readers accept both, because 0.1.0 stored them. They do not accept an event that must stand
-    alone in a longer run, or one of a concern that its run does not observe. The rows have the columns of
+    None if there is none. Readers accept both, because 0.1.0 stored them. They do not accept a longer run with an event
+    that must stand alone, or an event of a concern that its run does not observe. The rows have the columns of
     `CODED_SCHEMA`, each run in one block.
     """
     columns = {name: whole(table.column(name)) for name in ("run_id", "type", "time_us", "observes", "records")}
@@ -160,14 +160,14 @@ def run_starts(run_ids: pa.Array) -> Integers:
 
 
 def standing_alone(types: pa.Array) -> Mask:
-    """Return which rows have a type that must be the only event of its run."""
+    """Return the mask of rows whose type must be the only event of its run."""
     tags = coded(types)
     alone: Mask = np.array([*(tag in STANDS_ALONE for tag in tags.dictionary.to_pylist()), False])[places(tags)]
     return alone
 
 
 def _first(bad: Mask, field: str, expected: str) -> list[tuple[int, str, str]]:
-    """Return the first bad row as a suspect, or nothing."""
+    """Return a list of the first bad row as a suspect; empty if there is none."""
     return [(int(np.argmax(bad)), field, expected)] if bad.any() else []
 
 
@@ -212,7 +212,7 @@ def _envelope(columns: dict[str, pa.Array], valid: dict[str, Mask], *, is_whole:
 
 
 def _company(columns: dict[str, pa.Array]) -> list[tuple[int, str, str]]:
-    """Find rows of types that must stand alone in their run, where it has other rows."""
+    """Find rows of types that must stand alone, in runs that have other rows."""
     is_alone = standing_alone(columns["type"])
     if not is_alone.any():
         return []
@@ -222,16 +222,18 @@ def _company(columns: dict[str, pa.Array]) -> list[tuple[int, str, str]]:
 
 
 def _unobserved(columns: dict[str, pa.Array]) -> list[tuple[int, str, str]]:
-    """Find rows that name what is unknown, and rows of what their run, by its seq 0, neither observes nor records."""
+    """Find rows with unknown names, and rows that their run, by its seq 0, neither observes nor records."""
     observes, types = columns["observes"], coded(columns["type"])
     if observes.null_count == len(observes):
         return []
     rows, names = _named(observes, CONCERNS)
     suspects = [(int(rows[np.argmax(names < 0)]), "observes", f"some of {list(CONCERNS)}")] if (names < 0).any() else []
     if columns["records"].null_count < len(observes):
-        at, known = _named(columns["records"], RECORDS)
+        record_rows, record_names = _named(columns["records"], RECORDS)
         expected = "event types, and fields of them that may be NULL, as in ExecutionStarted.requested_by"
-        suspects += [(int(at[np.argmax(known < 0)]), "records", expected)] if (known < 0).any() else []
+        suspects += (
+            [(int(record_rows[np.argmax(record_names < 0)]), "records", expected)] if (record_names < 0).any() else []
+        )
     starts = run_starts(columns["run_id"])
     run_of: Integers = np.repeat(np.arange(len(starts)), np.diff(starts, append=len(observes)))
     is_first = np.zeros(len(observes), bool)
@@ -239,7 +241,7 @@ def _unobserved(columns: dict[str, pa.Array]) -> list[tuple[int, str, str]]:
     first_rows = is_first[rows]
     is_observed = np.zeros((len(starts), len(CONCERNS) + 1), bool)
     is_observed[run_of[rows[first_rows]], names[first_rows]] = True
-    is_observed[~validity(observes)[starts]] = True  # the run does not say
+    is_observed[~validity(observes)[starts]] = True  # the run does not restrict them
     is_observed[:, -1] = True  # types without a concern
     if is_observed.all():
         return suspects
@@ -247,9 +249,9 @@ def _unobserved(columns: dict[str, pa.Array]) -> list[tuple[int, str, str]]:
     is_bad = ~is_observed[run_of, np.array([*concerns, -1])[places(types)]]
     for number in np.flatnonzero(validity(columns["records"])[starts]).tolist():
         kinds = {f"{name}.v" for name in columns["records"][int(starts[number])].as_py()}
-        of_run = run_of == number
+        in_run = run_of == number
         is_recorded = np.array([tag.rstrip("0123456789") in kinds for tag in types.dictionary.to_pylist()] + [False])
-        is_bad[of_run] &= ~is_recorded[places(types)[of_run]]
+        is_bad[in_run] &= ~is_recorded[places(types)[in_run]]
     return [
         *suspects,
         *_first(
@@ -259,12 +261,12 @@ def _unobserved(columns: dict[str, pa.Array]) -> list[tuple[int, str, str]]:
 
 
 def _named(lists: pa.Array, known: tuple[str, ...]) -> tuple[Integers, Integers]:
-    """Return the row of each name in these lists, and its place among the known ones, -1 for another."""
+    """Return the row of each name in these lists, and its index in `known`, -1 if it is not there."""
     sizes: Integers = lists.value_lengths().fill_null(0).to_numpy().astype(np.int64)
-    found: Integers = (
+    indexes: Integers = (
         pc.index_in(lists.flatten(), pa.array(known, pa.string())).fill_null(-1).to_numpy().astype(np.int64)
     )
-    return np.repeat(np.arange(len(lists)), sizes), found
+    return np.repeat(np.arange(len(lists)), sizes), indexes
 
 
 def _payload(columns: Columns) -> list[tuple[int, str, str]]:
@@ -281,7 +283,7 @@ def _payload(columns: Columns) -> list[tuple[int, str, str]]:
     is_needed = np.asarray(_NEEDED[:, rows > 0].any(axis=1))
     for name, needs_values in zip(PAYLOAD, is_needed, strict=True):
         if not needs_values and columns.arrays[name].null_count == len(codes):
-            continue  # as most columns of a few rows are; a journal is looked at commit by commit
+            continue  # true of most columns of a few rows; a journal is checked commit by commit
         valid = columns.valid[name]
         filled = (
             np.bincount(codes[valid], minlength=_UNKNOWN + 1)

@@ -1,7 +1,7 @@
 """Encode runs of events as one Arrow table (`encode`), and decode them (`decode`).
 
-Only current types are encoded; decoded events of retired types are upcast, so no other code meets them. Events are
-processed by type and column, never row by row, which makes it fast.
+Only current types are encoded; decoded events of retired types are upcast, so no other code sees them. Events are
+processed by type and column, never row by row, which is fast.
 """
 
 from collections import defaultdict
@@ -65,7 +65,7 @@ _PLACE = frozenset(field.name for field in ENVELOPE if field.name != "type")  # 
 
 
 class _Part(NamedTuple):
-    """The values of one event type for one column, and the rows that they belong to."""
+    """The values of one event type for one column, and their rows."""
 
     at: Positions
     values: Sequence[object]
@@ -110,21 +110,23 @@ class _Rows:
         """Return the rows with the columns of `CODED_SCHEMA`."""
         parts: defaultdict[str, list[_Part]] = defaultdict(list)
         for layout, block, columns in self.blocks:
-            at = self.order[block]
+            positions = self.order[block]
             for field, values in zip(layout.fields, columns, strict=True):
-                parts[field.name].append(_Part(at, values))
-        held = [name for name in PAYLOAD if name in parts]  # most columns of a few events are those of other types
+                parts[field.name].append(_Part(positions, values))
+        present = [name for name in PAYLOAD if name in parts]  # a few events lack most columns
         arrays = {name: pa.nulls(self.size, CODED_SCHEMA.field(name).type) for name in PAYLOAD if name not in parts}
-        arrays |= self._strings({name: parts[name] for name in held if COLUMNS[name] == "string"})
-        arrays |= {name: self._lists(parts[name]) for name in held if COLUMNS[name] == "strings"}
-        arrays |= {name: self._numbers(name, parts[name]) for name in held if COLUMNS[name] in ("integer", "boolean")}
+        arrays |= self._strings({name: parts[name] for name in present if COLUMNS[name] == "string"})
+        arrays |= {name: self._lists(parts[name]) for name in present if COLUMNS[name] == "strings"}
+        arrays |= {
+            name: self._numbers(name, parts[name]) for name in present if COLUMNS[name] in ("integer", "boolean")
+        }
         arrays |= self._integers()
         return pa.Table.from_arrays([arrays[name] for name in COLUMNS], schema=CODED_SCHEMA)
 
     def _integers(self) -> dict[str, pa.Array]:
-        """Return the integers of the envelope.
+        """Return the integer columns of the envelope.
 
-        Raises: ValueError unless the cause of every event is an earlier one, or not known.
+        Raises: ValueError unless the cause of every event is an earlier one or None.
         """
         times_us, causes = pa.array(self.times_us, pa.int64()), pa.array(self.causes, pa.int64())
         numbers = causes.fill_null(-1).to_numpy()
@@ -134,35 +136,35 @@ class _Rows:
         return {"seq": pa.array(self.seqs), "time_us": times_us, "caused_by": causes}
 
     def _strings(self, columns: dict[str, list[_Part]]) -> dict[str, pa.DictionaryArray]:
-        """Return the string columns, the envelope's included, each with a sorted dictionary of its own values."""
+        """Return the string columns, including those of the envelope, each with a sorted dictionary of its values."""
         texts = Texts()
-        everywhere: Positions = np.arange(self.size)
-        coded = {"run_id": (everywhere, np.repeat(texts.codes(self.runs, len(self.runs)), self.sizes))}
-        coded["type"] = (everywhere, texts.codes(_TAGS, len(_TAGS))[self.codes])
+        all_rows: Positions = np.arange(self.size)
+        coded = {"run_id": (all_rows, np.repeat(texts.codes(self.runs, len(self.runs)), self.sizes))}
+        coded["type"] = (all_rows, texts.codes(_TAGS, len(_TAGS))[self.codes])
         for name, parts in columns.items():
-            at = _positions(parts)
-            coded[name] = (at, texts.codes(chain.from_iterable(part.values for part in parts), len(at)))
-        dictionary, places = texts.sorted()
-        return {name: self._coded(at, places[codes], dictionary) for name, (at, codes) in coded.items()}
+            positions = _positions(parts)
+            coded[name] = (positions, texts.codes(chain.from_iterable(part.values for part in parts), len(positions)))
+        dictionary, ranks = texts.sorted()
+        return {name: self._coded(positions, ranks[codes], dictionary) for name, (positions, codes) in coded.items()}
 
-    def _coded(self, at: Positions, places: Codes, dictionary: Values) -> pa.DictionaryArray:
+    def _coded(self, positions: Positions, ranks: Codes, dictionary: Values) -> pa.DictionaryArray:
         """Return a string column, given as indexes into the dictionary of all columns; index 0 is NULL."""
         is_used = np.zeros(len(dictionary), bool)
-        is_used[places] = True
+        is_used[ranks] = True
         is_used[0] = False
-        codes = np.cumsum(is_used, dtype=np.int32) - 1  # -1 at index 0, because no used one is before it
+        codes = np.cumsum(is_used, dtype=np.int32) - 1  # -1 at index 0, which is never used
         indices = np.full(self.size, -1, np.int32)
-        indices[at] = codes[places]
+        indices[positions] = codes[ranks]
         used = pa.array(dictionary[is_used], pa.string())
         # Unchecked: each code is less than the number of used strings.
         return pa.DictionaryArray.from_arrays(array_of(indices, indices >= 0), used, safe=False)
 
     def _numbers(self, name: str, parts: list[_Part]) -> pa.Array:
         """Return a column of integers or booleans, NULL if the event type has no such field."""
-        at, column = _joined(parts, ARROW_TYPES[COLUMNS[name]])
+        positions, column = _joined(parts, ARROW_TYPES[COLUMNS[name]])
         values, is_valid = np.zeros(self.size, column.type.to_pandas_dtype()), np.zeros(self.size, bool)
-        is_valid[at] = column.is_valid() if column.null_count else True
-        values[at] = (column.fill_null(values.dtype.type(0)) if column.null_count else column).to_numpy(
+        is_valid[positions] = column.is_valid() if column.null_count else True
+        values[positions] = (column.fill_null(values.dtype.type(0)) if column.null_count else column).to_numpy(
             zero_copy_only=False
         )
         if COLUMNS[name] == "integer":
@@ -172,12 +174,15 @@ class _Rows:
     def _lists(self, parts: list[_Part]) -> pa.Array:
         """Return a column of lists of strings, NULL if the event type has no such field."""
         values = list(chain.from_iterable(part.values for part in parts))
-        at = _positions(parts)
-        order = np.argsort(at, kind="stable")
-        at, column = at[order], pa.array(list(map(values.__getitem__, order.tolist())), ARROW_TYPES["strings"])
+        positions = _positions(parts)
+        order = np.argsort(positions, kind="stable")
+        positions, column = (
+            positions[order],
+            pa.array(list(map(values.__getitem__, order.tolist())), ARROW_TYPES["strings"]),
+        )
         ends, is_valid = np.zeros(self.size + 1, np.int32), np.zeros(self.size, bool)
-        ends[at + 1] = np.diff(column.offsets.to_numpy())
-        is_valid[at] = column.is_valid() if column.null_count else True
+        ends[positions + 1] = np.diff(column.offsets.to_numpy())
+        is_valid[positions] = column.is_valid() if column.null_count else True
         np.cumsum(ends, out=ends)
         return pa.Array.from_buffers(
             column.type, self.size, [bits(is_valid), pa.py_buffer(ends)], children=[column.flatten()]
@@ -191,12 +196,12 @@ class _Rows:
         self._require_exact()
         lines: list[bytes] = [b""] * self.size
         rows = b"".join(self._lines()).split(b"\n")
-        for at, row in zip(self.order.tolist(), rows, strict=False):
-            lines[at] = row
+        for index, row in zip(self.order.tolist(), rows, strict=False):
+            lines[index] = row
         return lines
 
     def _require_exact(self) -> None:
-        """Check causes and integers as `table` does, for a few rows.
+        """Check causes and integers as `table` does, fast for a few rows.
 
         Raises: ValueError for an integer beyond 2^53 - 1, or a cause that is not an earlier event.
         """
@@ -220,7 +225,7 @@ class _Rows:
         return packed.tobytes()
 
     def _lines(self) -> Iterator[bytes]:
-        """Yield the canonical bytes of the rows sorted by type, some at a time, each with a line feed after it."""
+        """Yield the canonical bytes of the rows sorted by type, a few at a time, each followed by a line feed."""
         order = self.order.tolist()
         times_us, causes = (list(map(rows.__getitem__, order)) for rows in (self.times_us, self.causes))
         run_ids = list(
@@ -240,18 +245,18 @@ class _Rows:
 
 
 def _positions(parts: list[_Part]) -> Positions:
-    """Return the rows of all parts, one part after the other."""
+    """Return the rows of all parts, concatenated."""
     return np.concatenate([part.at for part in parts]) if parts else np.empty(0, np.int64)
 
 
 def _joined(parts: list[_Part], kind: pa.DataType) -> tuple[Positions, pa.Array]:
-    """Return the rows and the values of all parts."""
+    """Return the rows and the values of all parts, concatenated."""
     return _positions(parts), pa.array(list(chain.from_iterable(part.values for part in parts)), kind)
 
 
 @contextmanager
 def _refusals(runs: Sequence[LedgerRun]) -> Iterator[None]:
-    """Turn an error inside into InvalidRun for the first bad value; let it pass if there is none."""
+    """Convert an error into InvalidRun for the first bad value; reraise it if there is none."""
     try:
         yield
     except InvalidRun:
@@ -267,17 +272,17 @@ def encode(runs: Sequence[LedgerRun]) -> pa.Table:
     """Encode these runs as rows in order (run, seq), with the columns of `SCHEMA`.
 
     Raises:
-        InvalidRun: A run has no events, a number of times or causes other than that of its events, or the name of
-            another; an event after the first is not caused by an earlier one; the type of an event is not current; a
-            value is not exactly of the class of its field (msgspec constructors do not check), not in its closed list,
-            an integer beyond 2^53 - 1, or text with surrogates.
+        InvalidRun: A run has no events, not as many times and causes as events, or the name of another run; the cause
+            of an event is not an earlier one; the type of an event is not current; a value is not exactly of the class
+            of its field (msgspec constructors do not check), not in its closed list, an integer beyond 2^53 - 1, or
+            text with surrogates.
     """
     with _refusals(runs):
         return _Rows(runs).table().cast(SCHEMA)
 
 
 def encode_coded(runs: Sequence[LedgerRun]) -> pa.Table:
-    """Encode these runs with the columns of `CODED_SCHEMA`: text as dictionaries, quicker to make and to query.
+    """Encode these runs with the columns of `CODED_SCHEMA`: text as dictionaries, faster to make and to query.
 
     Otherwise as `encode`.
     """
@@ -286,7 +291,7 @@ def encode_coded(runs: Sequence[LedgerRun]) -> pa.Table:
 
 
 def encode_hashed(runs: Sequence[LedgerRun]) -> tuple[pa.Table, bytes]:
-    """Encode these runs with the columns of `CODED_SCHEMA`; return the packed leaf hashes of the rows too.
+    """Encode these runs with the columns of `CODED_SCHEMA`; also return the packed leaf hashes of the rows.
 
     Otherwise as `encode`.
     """
@@ -311,7 +316,7 @@ def decode(table: pa.Table, *, is_whole: bool = True) -> Iterator[LedgerRun]:
     Unless the table `is_whole`, its runs may begin or end elsewhere, and each block of rows of a run is yielded.
 
     Raises:
-        UnknownEventTag: A row has a type that this version does not know.
+        UnknownEventTag: A row has a type that is unknown to this version.
         LedgerCorrupted: The columns are not those of `SCHEMA`; a row lacks a value that its type requires, has one that
             it does not allow, or has a seq that does not follow the one before.
     """
@@ -328,15 +333,15 @@ def decode(table: pa.Table, *, is_whole: bool = True) -> Iterator[LedgerRun]:
 
 
 def upcast_rows(table: pa.Table, tags: Sequence[str]) -> pa.Table | None:
-    """Return the rows of these retired types as their newest version would be stored; None if there are none.
+    """Return the rows of these retired types as stored in their newest version; None if there are none.
 
-    Raises: as `decode`.
+    Raises: As `decode`.
     """
     stored = table.filter(pc.is_in(table.column("type"), pa.array(tags, pa.string())))
     if not stored.num_rows:
         return None
-    _require_valid(table, is_whole=False)  # runs that took turns lie in pieces
-    times_us, causes = range(stored.num_rows), [None, *range(stored.num_rows - 1)]  # replaced by the row's own below
+    _require_valid(table, is_whole=False)  # interleaved runs are in pieces
+    times_us, causes = range(stored.num_rows), [None, *range(stored.num_rows - 1)]  # replaced by the stored ones below
     rows = encode([LedgerRun("", times_us, causes, _events(stored).tolist())])
     return pa.Table.from_arrays(
         [(stored if name in _PLACE else rows).column(name) for name in SCHEMA.names], schema=SCHEMA
@@ -358,17 +363,17 @@ def _events(table: pa.Table) -> "np.ndarray[tuple[int], np.dtype[np.object_]]":
     tags = table.column("type").combine_chunks().dictionary_encode()
     codes = tags.indices.to_numpy()
     for code, tag in enumerate(tags.dictionary.to_pylist()):
-        at = np.flatnonzero(codes == code)
+        rows = np.flatnonzero(codes == code)
         layout = STORED[tag]
         columns = []
         for field in layout.fields:
-            values = table.column(field.name).take(pa.array(at)).to_pylist()
+            values = table.column(field.name).take(pa.array(rows)).to_pylist()
             columns.append(
                 [None if value is None else tuple(value) for value in values] if field.kind == "strings" else values
             )
-        of_type = layout.events(columns, len(at))
+        events_of_type = layout.events(columns, len(rows))
         for change in UPCASTS.get(layout.cls, ()):
-            of_type = list(map(change, of_type))
-        for position, event in zip(at.tolist(), of_type, strict=True):
+            events_of_type = list(map(change, events_of_type))
+        for position, event in zip(rows.tolist(), events_of_type, strict=True):
             events[position] = event
     return events

@@ -1,4 +1,4 @@
-"""The hot paths of the codec in C (`_codec.c`), where they were built; each has a twin in Python.
+"""The hot paths of the codec in C (`_codec.c`), if they were built; each has a twin in Python.
 
 | in C | from | to | twin |
 |---|---|---|---|
@@ -31,18 +31,18 @@ from fsar_ledger.ledger.rows.schema import (
 # See docs/decisions/c-is-optional.md.
 try:
     from fsar_ledger.ledger.rows import _codec
-except ImportError:  # it was not built, as without a compiler
+except ImportError:  # it was not built, for example without a compiler
     _codec = None  # type: ignore[assignment]
 
 codec = _codec
-"""The functions of the table; None where they were not built."""
+"""The functions of the table above; None if they were not built."""
 IS_COMPILED = codec is not None
 
 
 Columns: TypeAlias = tuple[tuple[Any, ...], ...]
 
 OPENING = 1
-"""Marks a type that only the event that begins a run has."""
+"""Marks a type that only the first event of a run may have."""
 MARK_OF = {concern: 2 << place for place, concern in enumerate(CONCERNS)}
 _WRITTEN_AS = {
     kind: code
@@ -54,7 +54,7 @@ _WRITTEN_AS = {
 
 
 def _columns(layout: StoredType) -> Columns:
-    """Return the columns of this event type as `write_events` wants them, in the order of a row."""
+    """Return the columns of this event type in the form that `write_events` expects, in the order of a row."""
     columns: dict[str, tuple[Any, ...]] = {
         field.name: (_WRITTEN_AS[field.name], None, None, layout.tag, False, None) for field in ENVELOPE
     }
@@ -71,7 +71,7 @@ def _marks(tag: str) -> int:
 
 
 MARKS: dict[type, int] = {layout.cls: _marks(tag) for tag, layout in LAYOUTS.items()}
-"""What is told of a run by the types of its events: `OPENING`, and `MARK_OF` each of their concerns."""
+"""The marks of a run by the types of its events: `OPENING`, and `MARK_OF` each of their concerns."""
 _TYPES: dict[type, tuple[int, Columns]] = {
     layout.cls: (MARKS[layout.cls], _columns(layout)) for layout in LAYOUTS.values()
 }
@@ -81,9 +81,9 @@ _IN_C = codec.event_types(_TYPES) if codec is not None else None
 
 
 class Plain(NamedTuple):
-    """The rows of some runs, the canonical bytes of each with a line feed after it, and what `MARKS` say of each run.
+    """The rows of some runs, the canonical bytes of each followed by a line feed, and the `MARKS` of each run.
 
-    The event that begins a run does not count for its marks.
+    The first event of a run does not count for its marks.
     """
 
     rows: bytes
@@ -91,9 +91,9 @@ class Plain(NamedTuple):
 
 
 def plain_lines(run: LedgerRun) -> tuple[bytes, int] | None:
-    """Return the rows and the marks of this run, as `Plain` has those of several, if that is quick and plain.
+    """Return the rows and the marks of this run, as in `Plain`; None if the fast path does not apply.
 
-    None says nothing about them: it was not built, or a row has text that is not plain ASCII, or no row can hold it.
+    That is if the C code was not built, or an event has text that is not plain ASCII or values that no row can hold.
     """
     if codec is None:
         return None
@@ -104,7 +104,7 @@ def plain_lines(run: LedgerRun) -> tuple[bytes, int] | None:
 
 
 def plain_rows(runs: Sequence[LedgerRun]) -> Plain | None:
-    """Return the rows of these runs; None if those of one are not plain, as `plain_lines` says."""
+    """Return the rows of these runs; None if `plain_lines` returns None for one of them."""
     if len(runs) == 1:
         return None if (lines := plain_lines(runs[0])) is None else Plain(lines[0], (lines[1],))
     rows: list[bytes] = []
@@ -118,7 +118,7 @@ def plain_rows(runs: Sequence[LedgerRun]) -> Plain | None:
 
 
 def marks_of(run: LedgerRun) -> int:
-    """Return the marks of this run, as `Plain` has them."""
+    """Return the marks of this run, as in `Plain`."""
     return reduce(or_, map(MARKS.__getitem__, set(map(type, run.events if run.first else run.events[1:]))), 0)
 
 
@@ -130,14 +130,14 @@ _READ_REQUIRED = tuple(field.name for field in CODED_SCHEMA if not field.nullabl
 
 # See docs/decisions/columns-come-from-canonical-rows.md.
 def plain_table(lines: bytes) -> pa.Table | None:
-    """Return rows, the canonical bytes of each with a line feed after it, with the columns of `CODED_SCHEMA`.
+    """Return rows, the canonical bytes of each followed by a line feed, as a table with the columns of `CODED_SCHEMA`.
 
-    None says nothing about them: it was not built, or a row is not canonical or has text that is not plain ASCII. Nor
-    does a table say that a row has the columns of its type.
+    None if the C code was not built, or a row is not canonical or has text that is not plain ASCII; the rows may still
+    be valid. A returned table does not imply that a row has the columns of its type.
     """
-    if codec is None or (taken := codec.read_rows(lines, _READ_NAMES)) is None:
+    if codec is None or (decoded := codec.read_rows(lines, _READ_NAMES)) is None:
         return None
-    parts = dict(zip(sorted(COLUMNS), taken, strict=True))
+    parts = dict(zip(sorted(COLUMNS), decoded, strict=True))
     if any(parts[name] is None for name in _READ_REQUIRED):
         return None
     rows = lines.count(b"\n")
@@ -151,10 +151,10 @@ def _array(name: str, parts: tuple[bytes, ...] | None, rows: int) -> pa.Array:
     kind = CODED_SCHEMA.field(name).type
     if parts is None:
         return pa.nulls(rows, kind)
-    is_there, values, *words = map(pa.py_buffer, parts)
-    if not words:
-        return pa.Array.from_buffers(kind, rows, [is_there, values])
-    texts = pa.Array.from_buffers(pa.string(), words[0].size // 4 - 1, [None, *words])
+    validity, values, *text_buffers = map(pa.py_buffer, parts)
+    if not text_buffers:
+        return pa.Array.from_buffers(kind, rows, [validity, values])
+    texts = pa.Array.from_buffers(pa.string(), text_buffers[0].size // 4 - 1, [None, *text_buffers])
     if COLUMNS[name] == "strings":
-        return pa.Array.from_buffers(ARROW_TYPES["strings"], rows, [is_there, values], children=[texts])
-    return pa.DictionaryArray.from_buffers(kind, rows, [is_there, values], texts)
+        return pa.Array.from_buffers(ARROW_TYPES["strings"], rows, [validity, values], children=[texts])
+    return pa.DictionaryArray.from_buffers(kind, rows, [validity, values], texts)

@@ -1,11 +1,11 @@
-"""Regular expressions for the bytes of a segment's footer and page headers. What they do not match is refused.
+"""Regular expressions for the bytes of a segment's footer and page headers. Anything else is refused.
 
-A footer is Thrift (compact protocol), which can say one thing in many ways, and some things twice. Libraries choose
+A footer is Thrift (compact protocol), which can encode one thing in many ways, and some things twice. Libraries choose
 differently among them, so one file could have two contents. Here each struct is spelled out field by field, as the only
 writer (Apache Arrow, called as in `segment.to_parquet`) makes it. Unknown, missing, repeated and reordered fields,
 negative counts and overlong numbers then need no checks: they do not match. Matching takes microseconds.
 
-Fields come in this order, with their numbers in Parquet's own definition; those in brackets may be left out:
+Fields come in this order, with their numbers in Parquet's own definition; those in brackets may be omitted:
 
 ```
 FileMetaData       1 version = 2, 2 schema (exactly as `schema_bytes` has it), 3 num_rows, 4 one row group,
@@ -42,7 +42,7 @@ from fsar_ledger.ledger.rows.schema import COLUMNS, Kind
 
 MAGIC = b"PAR1"
 HAS_STATISTICS = ("run_id", "seq", "time_us")
-"""The columns that may have statistics. Those of other columns would save readers no work."""
+"""The columns that may have statistics. Statistics of other columns would save readers no work."""
 _TYPES: dict[Kind, int] = {"boolean": 0, "integer": 2, "string": 6, "strings": 6}
 _ENCODINGS: dict[Kind, bytes] = {
     "boolean": b"\x25\x06\x00",
@@ -60,14 +60,14 @@ _INTEGER_BOUNDS = rb"\x18\x08(.{8})\x18\x08(.{8})\x16\x00\x28\x08(.{8})\x18\x08(
 _WITHOUT_GROUPS = _INTEGER_BOUNDS.replace(b"(.{8})", b".{8}")
 
 INTEGER_BOUNDS = re.compile(_INTEGER_BOUNDS, re.DOTALL)
-"""The statistics of integers: most, least, and both again."""
+"""The statistics of integers: maximum, minimum, and both again."""
 _LENGTH = rb"([\x80-\xff][\x01-\x7f]|[\x00-\x7f])"
 MOST = re.compile(rb"[\x1c]\x36\x00\x28" + _LENGTH, re.DOTALL)
 LEAST = re.compile(rb"\x18" + _LENGTH, re.DOTALL)
 BOUNDS_END = re.compile(_IS_EXACT + rb"\x00", re.DOTALL)
 """The end of the statistics of strings. `MOST` and `LEAST` each end with the length of the bound that follows."""
 UNBOUNDED = b"\x1c\x36\x00\x00"
-"""The statistics of strings that are too long to be bounds: only that there is no NULL."""
+"""The statistics of strings that are too long to be bounds: only a null count of 0."""
 
 _SIZES = rb"\x15(%b)\x15(%b)\x15(%b)" % (_N, _N, _SUM)  # unpacked, stored, checksum
 DICTIONARY_PAGE = re.compile(rb"\x15\x04" + _SIZES + rb"\x3c\x15(%b)\x15\x00\x12\x00\x00" % _N, re.DOTALL)
@@ -95,17 +95,17 @@ _BOUNDED_PAGE = _data_page(rb"\x0a", rb"()(?:(%b)|\x00)\x00\x00" % _WITHOUT_GROU
 
 
 def number(value: int) -> bytes:
-    """Encode a Thrift number that is not negative (zigzag)."""
+    """Encode a non-negative Thrift number (zigzag)."""
     return length(value << 1)
 
 
 class _Numbers(dict[bytes, int]):
-    """Decodes Thrift numbers that are not negative (zigzag), and caches the short ones, which most are."""
+    """A decoder of non-negative Thrift numbers (zigzag), which caches the short ones; most are short."""
 
     def __missing__(self, data: bytes) -> int:
         if len(data) < 3:
             return self.setdefault(data, unsigned(data) >> 1)
-        if len(data) == 3:  # most offsets are
+        if len(data) == 3:  # as most offsets have
             return ((data[0] & 0x7F) | (data[1] & 0x7F) << 7 | data[2] << 14) >> 1
         return unsigned(data) >> 1
 
@@ -119,7 +119,7 @@ def unsigned(data: bytes) -> int:
 
 
 DECODED = _Numbers()
-"""Decodes what `number` encodes."""
+"""The inverse of `number`."""
 
 
 def length(value: int) -> bytes:
@@ -137,12 +137,12 @@ def text(value: bytes) -> bytes:
 
 
 def listed(count: int, kind: int) -> bytes:
-    """Encode the beginning of a Thrift list of this many values of one kind."""
+    """Encode the header of a Thrift list of this many values of one kind."""
     return bytes([count << 4 | kind]) if count < 15 else bytes([0xF0 | kind]) + length(count)
 
 
 def schema_bytes(schema: pa.Schema) -> bytes:
-    """Return the list of schema elements of these columns, exactly as Thrift writes it."""
+    """Return the list of schema elements of these columns, exactly as written in Thrift."""
     names = schema.names
     elements = [b"\x35\x00\x18\x06schema\x15" + number(len(names)) + b"\x00"]
     for field in schema:
@@ -245,14 +245,14 @@ def _rest(kind: Kind, *, is_nullable: bool) -> bytes:
 
 
 RUN_ID_REST = re.compile(_rest("string", is_nullable=False), re.DOTALL)
-"""What follows the statistics of `run_id`: encoding statistics, size statistics."""
+"""The bytes after the statistics of `run_id`: encoding statistics, size statistics."""
 
 
 @cache
 def encoding_statistics(kind: Kind, dictionary: int, plain: int) -> bytes:
     """Return the encoding statistics of a column with this many data pages of either kind.
 
-    The values of a page are in a dictionary or plain; pages of integers all count as `dictionary`.
+    The values of a page are in a dictionary or plain; pages of integers and booleans all count as `dictionary`.
     """
     if kind in ("string", "strings"):
         counts = [(2, 0, 1), (0, 0, plain), (0, 8, dictionary)]

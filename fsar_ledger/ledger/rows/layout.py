@@ -1,8 +1,8 @@
-"""Check that a segment on disk has the one form that every reader reads alike.
+"""Check that a segment on disk has the one form that every reader interprets alike.
 
-This takes the footer and the page headers, before anything is unpacked. The column chunks fill the file from byte 4 to
-the footer, in the order of the schema, and pages fill their chunk: a dictionary first (strings only), then data. Every
-count and size that is stored twice is the same in both places. `grammar` defines how each struct is written.
+This reads only the footer and the page headers, before anything is unpacked. The column chunks fill the file from byte
+4 to the footer, in the order of the schema, and pages fill their chunk: a dictionary first (strings only), then data.
+Every count and size that is stored twice is the same in both places. `grammar` defines how each struct is written.
 """
 
 import os
@@ -38,11 +38,11 @@ from fsar_ledger.ledger.rows.schema import SCHEMAS
 _AS_WRITTEN = "those of a segment as it is written"
 _OTHER_FOOTER = f"the footer: other fields or values, expected {_AS_WRITTEN}"
 MIN_ENTRY_BYTES = 4
-"""Bytes of the length of a string in a dictionary."""
+"""The size in bytes of a string's length field in a dictionary."""
 
 
 class PageInfo(NamedTuple):
-    """The statistics of a column or a page, as Parquet stores them.
+    """The statistics of a column or a page, as stored in Parquet.
 
     `rows` are the rows of the page; None for a column.
     """
@@ -54,9 +54,9 @@ class PageInfo(NamedTuple):
 
 
 class Layout(NamedTuple):
-    """The layout of a segment, as it claims itself: rows, columns and writer, statistics and sizes.
+    """The layout that a segment claims to have: rows, columns and writer, statistics and sizes.
 
-    Statistics are those of columns and of pages; sizes are those of each column, as Parquet stores them.
+    Statistics are those of columns and of pages; sizes are those of each column, as stored in Parquet.
     """
 
     rows: int
@@ -93,7 +93,7 @@ def read_file(path: Path) -> bytes:
     """Read a segment into memory once, so that the same bytes are hashed, checked and decoded.
 
     Raises:
-        LedgerCorrupted: It is larger than a segment may be.
+        LedgerCorrupted: It exceeds the size limit of a segment.
         OSError: It cannot be read.
     """
     with path.open("rb") as file:
@@ -106,7 +106,7 @@ def read_file(path: Path) -> bytes:
 
 
 def check_layout(path: Path, data: bytes) -> Layout:
-    """Check the segment with these bytes and return its layout. Messages name the path.
+    """Check the segment with these bytes and return its layout. Errors name the path.
 
     Raises:
         LedgerCorrupted: It does not have the form of a segment, contradicts itself, or exceeds the `bounds`.
@@ -124,23 +124,23 @@ def read_layout(data: bytes) -> Layout:
         ValueError: It does not have the form of a segment, contradicts itself, or exceeds the `bounds`.
     """
     size, footer_at = len(data), _footer_at(data)
-    known = next((footer for footer in _footers() if data.startswith(footer.begin, footer_at)), None)
-    if known is None or (row_count := ROWS.match(data, at := footer_at + len(known.begin))) is None:
+    expected = next((footer for footer in _footers() if data.startswith(footer.begin, footer_at)), None)
+    if expected is None or (row_count := ROWS.match(data, offset := footer_at + len(expected.begin))) is None:
         raise ValueError(_OTHER_FOOTER)
     rows = DECODED[row_count[0]]
     if not 0 < rows <= bounds.MAX_ROWS:
         raise ValueError(f"{rows} rows, expected 1 to {bounds.MAX_ROWS}")
-    at = row_count.end()
-    if not data.startswith(known.group, at):
+    offset = row_count.end()
+    if not data.startswith(expected.group, offset):
         raise ValueError(_OTHER_FOOTER)
-    at += len(known.group)
+    offset += len(expected.group)
     page_at, unpacked, elements = len(MAGIC), 0, 0
     statistics, of_pages, sizes = list[PageInfo](), list[PageInfo](), list[bytes]()
-    for column in known.columns:
-        found_chunk = _chunk(data, column, at)
-        if found_chunk is None:
+    for column in expected.columns:
+        result = _chunk(data, column, offset)
+        if result is None:
             raise ValueError(f"the footer: column {column.name} in other fields or encodings, expected {_AS_WRITTEN}")
-        chunk, chunk_statistics, at = found_chunk
+        chunk, chunk_statistics, offset = result
         statistics += [chunk_statistics] if chunk_statistics else []
         sizes.append(chunk.sizes)
         _check_chunk(chunk, rows, page_at)
@@ -157,11 +157,11 @@ def read_layout(data: bytes) -> Layout:
                 f"{bounds.MAX_UNPACKED_BYTES}"
             )
         page_at = _check_pages(data, chunk, page_at, of_pages)
-    end = GROUP_END.match(data, at)
+    end = GROUP_END.match(data, offset)
     if (
         end is None
-        or not data.startswith(known.orders, end.end())
-        or end.end() + len(known.orders) != size - 8
+        or not data.startswith(expected.orders, end.end())
+        or end.end() + len(expected.orders) != size - 8
         or end[4][0] != len(end[5])
     ):
         raise ValueError(_OTHER_FOOTER)
@@ -175,11 +175,11 @@ def read_layout(data: bytes) -> Layout:
             raise ValueError(f"a row group of {DECODED[claimed]} {what}, expected {other}")
     if page_at != footer_at:
         raise ValueError(f"{footer_at - page_at} bytes between the last page and the footer, expected none")
-    return Layout(rows, known.schema, end[5].decode(), tuple(statistics), tuple(of_pages), tuple(sizes))
+    return Layout(rows, expected.schema, end[5].decode(), tuple(statistics), tuple(of_pages), tuple(sizes))
 
 
 def _footer_at(data: bytes) -> int:
-    """Return where the footer begins. Raises: ValueError if there is none."""
+    """Return the offset of the footer. Raises: ValueError if there is none."""
     size, length = len(data), int.from_bytes(data[-8:-4], "little")
     if data[-4:] != MAGIC or length > size - 12:
         raise ValueError(f"{size} bytes that end in {data[-4:]!r}, expected a Parquet file")
@@ -190,23 +190,23 @@ def _footer_at(data: bytes) -> int:
     return size - 8 - length
 
 
-def _chunk(data: bytes, column: Column, at: int) -> tuple[_Chunk, PageInfo | None, int] | None:
-    """Read the chunk of a column in the footer; return it, its statistics and where it ends; None if it does not match.
+def _chunk(data: bytes, column: Column, offset: int) -> tuple[_Chunk, PageInfo | None, int] | None:
+    """Read the chunk of a column in the footer; return it, its statistics and its end; None if it does not match.
 
     Raises: ValueError if the statistics are invalid.
     """
-    matched = column.chunk.match(data, at + len(column.about)) if data.startswith(column.about, at) else None
-    if matched is None:
+    match = column.chunk.match(data, offset + len(column.about)) if data.startswith(column.about, offset) else None
+    if match is None:
         return None
     chunk_statistics: PageInfo | None = None
-    rest: re.Match[bytes] | None = matched
+    rest: re.Match[bytes] | None = match
     if column.name == "run_id":
-        chunk_statistics, after = _text_bounds(data, matched.end(), b"\x19")
-        rest = RUN_ID_REST.match(data, after)
+        chunk_statistics, rest_offset = _text_bounds(data, match.end(), b"\x19")
+        rest = RUN_ID_REST.match(data, rest_offset)
     if rest is None:
         return None
-    values, unpacked, stored, data_at, dictionary_at, *stated = matched.groups()
-    if rest is matched and stated[0]:
+    values, unpacked, stored, data_at, dictionary_at, *stated = match.groups()
+    if rest is match and stated[0]:
         chunk_statistics = _integer_bounds(column.name, stated[0])
     encodings, sizes = rest.groups()[-2:]
     return (
@@ -225,16 +225,18 @@ def _chunk(data: bytes, column: Column, at: int) -> tuple[_Chunk, PageInfo | Non
     )
 
 
-def _text_bounds(data: bytes, at: int, after: bytes) -> tuple[PageInfo | None, int]:
-    """Read the statistics of `run_id`, if any, and what comes `after` them; return the statistics and where that ends.
+def _text_bounds(data: bytes, offset: int, after: bytes) -> tuple[PageInfo | None, int]:
+    """Read the statistics of `run_id`, if any, and the bytes `after` them; return the statistics and the end of both.
 
     Raises: ValueError if they are invalid.
     """
-    if data[at : at + 1] == b"\x29":
-        return None, at + 1
-    if data.startswith(without := UNBOUNDED + after, at):
-        return None, at + len(without)
-    if (most := MOST.match(data, at)) and (least := LEAST.match(data, most.end() + (most_bytes := _length(most[1])))):
+    if data[offset : offset + 1] == b"\x29":
+        return None, offset + 1
+    if data.startswith(unbounded := UNBOUNDED + after, offset):
+        return None, offset + len(unbounded)
+    if (most := MOST.match(data, offset)) and (
+        least := LEAST.match(data, most.end() + (most_bytes := _length(most[1])))
+    ):
         end = BOUNDS_END.match(data, least.end() + (least_bytes := _length(least[1])))
         if (
             end is not None
@@ -249,7 +251,7 @@ def _text_bounds(data: bytes, at: int, after: bytes) -> tuple[PageInfo | None, i
 
 
 def _page_bounds(data: bytes, name: str, header: re.Match[bytes]) -> tuple[PageInfo | None, int]:
-    """Read the statistics of the page with this header; return them, and where its body begins.
+    """Read the statistics of the page with this header; return them and the offset of its body.
 
     Raises: ValueError if they are invalid.
     """
@@ -276,8 +278,8 @@ def _integer_bounds(name: str, stated: bytes) -> PageInfo:
     return PageInfo(name, least, most)
 
 
-def _check_chunk(chunk: _Chunk, rows: int, place: int) -> None:
-    """Check that the chunk begins at this place and has a value for each row. Raises: ValueError if not."""
+def _check_chunk(chunk: _Chunk, rows: int, start: int) -> None:
+    """Check that the chunk begins at offset `start` and has a value for each row. Raises: ValueError if not."""
     name, kind = chunk.column.name, chunk.column.kind
     if kind == "strings":
         if chunk.values < rows:
@@ -286,28 +288,28 @@ def _check_chunk(chunk: _Chunk, rows: int, place: int) -> None:
         raise ValueError(f"column {name}: {chunk.values} values, expected {rows}")
     has_dictionary = kind in ("string", "strings")
     begin = chunk.dictionary_at if has_dictionary else chunk.data_at
-    if begin != place:
-        raise ValueError(f"column {name}: pages from byte {begin}, expected from byte {place}, where those before end")
+    if begin != start:
+        raise ValueError(f"column {name}: pages from byte {begin}, expected from byte {start}, where those before end")
 
 
-def _check_pages(data: bytes, chunk: _Chunk, place: int, of_pages: list[PageInfo]) -> int:
-    """Check the pages of this chunk, collect their statistics in `of_pages`, and return where they end.
+def _check_pages(data: bytes, chunk: _Chunk, start: int, of_pages: list[PageInfo]) -> int:
+    """Check the pages of this chunk, collect their statistics in `of_pages`, and return the offset of their end.
 
     Raises: ValueError if they do not agree with the chunk.
     """
     name, has_dictionary = chunk.column.name, chunk.column.kind in ("string", "strings")
-    at, end = place, place + chunk.stored
+    offset, end = start, start + chunk.stored
     values = plain = pages = unpacked = 0
     if has_dictionary:
-        at, unpacked = _check_dictionary(data, name, at)
-    if at != chunk.data_at:
-        raise ValueError(f"column {name}: data from byte {chunk.data_at}, expected from byte {at}")
+        offset, unpacked = _check_dictionary(data, name, offset)
+    if offset != chunk.data_at:
+        raise ValueError(f"column {name}: data from byte {chunk.data_at}, expected from byte {offset}")
     match = chunk.column.page.match
-    while at < end:
-        header = match(data, at)
+    while offset < end:
+        header = match(data, offset)
         if header is None:
             raise ValueError(
-                f"column {name}: a page header of other fields or encodings at byte {at}, expected {_AS_WRITTEN}"
+                f"column {name}: a page header of other fields or encodings at byte {offset}, expected {_AS_WRITTEN}"
             )
         pages += 1
         if pages > bounds.MAX_PAGES:
@@ -318,10 +320,10 @@ def _check_pages(data: bytes, chunk: _Chunk, place: int, of_pages: list[PageInfo
         _check_sum(data, name, body, stored, header[3])
         values += DECODED[header[4]]
         plain += header[5] == b"\x00"
-        unpacked += DECODED[header[1]] + body - at
-        at = body + stored
-    if at != end:
-        raise ValueError(f"column {name}: a page that ends at byte {at}, expected it to end by {end}")
+        unpacked += DECODED[header[1]] + body - offset
+        offset = body + stored
+    if offset != end:
+        raise ValueError(f"column {name}: a page that ends at byte {offset}, expected it to end by {end}")
     if values != chunk.values:
         raise ValueError(f"column {name}: pages of {values} values, expected {chunk.values}")
     if unpacked != chunk.unpacked:
@@ -333,15 +335,15 @@ def _check_pages(data: bytes, chunk: _Chunk, place: int, of_pages: list[PageInfo
     return end
 
 
-def _check_dictionary(data: bytes, name: str, at: int) -> tuple[int, int]:
-    """Return where the dictionary that begins here ends, and its unpacked bytes, header included.
+def _check_dictionary(data: bytes, name: str, offset: int) -> tuple[int, int]:
+    """Return the end of the dictionary at this offset, and its unpacked bytes, including the header.
 
-    Raises: ValueError if there is none.
+    Raises: ValueError if there is no dictionary.
     """
-    header = DICTIONARY_PAGE.match(data, at)
+    header = DICTIONARY_PAGE.match(data, offset)
     if header is None:
         raise ValueError(
-            f"column {name}: a page header of other fields or encodings at byte {at}, expected {_AS_WRITTEN}"
+            f"column {name}: a page header of other fields or encodings at byte {offset}, expected {_AS_WRITTEN}"
         )
     unpacked, stored, values = DECODED[header[1]], DECODED[header[2]], DECODED[header[4]]
     if values * MIN_ENTRY_BYTES > unpacked:
@@ -350,13 +352,13 @@ def _check_dictionary(data: bytes, name: str, at: int) -> tuple[int, int]:
             "bytes each"
         )
     _check_sum(data, name, header.end(), stored, header[3])
-    return header.end() + stored, unpacked + header.end() - at
+    return header.end() + stored, unpacked + header.end() - offset
 
 
-def _check_sum(data: bytes, name: str, at: int, stored: int, said: bytes) -> None:
+def _check_sum(data: bytes, name: str, offset: int, stored: int, stated: bytes) -> None:
     """Compare the stored bytes of a page with the checksum in its header. Raises: ValueError if they differ."""
-    value = unsigned(said)
-    if (checksum := crc32(data[at : at + stored])) != (value >> 1 ^ -(value & 1)) & 0xFFFFFFFF:
+    value = unsigned(stated)
+    if (checksum := crc32(data[offset : offset + stored])) != (value >> 1 ^ -(value & 1)) & 0xFFFFFFFF:
         raise ValueError(
-            f"column {name}: a page at byte {at} with the checksum {checksum}, expected that of its header"
+            f"column {name}: a page at byte {offset} with the checksum {checksum}, expected that of its header"
         )

@@ -1,7 +1,7 @@
-"""Runs as they are handed to a writer, what they may hold, and how they are cut into pieces and put together again.
+"""Runs as they are passed to a writer, their limits, and how they are split into pieces and joined again.
 
-msgspec constructors do not check types, so an event may hold anything. The codec notices by column that a batch has a
-bad value; the functions here then search for it value by value, to report its run, seq and field.
+msgspec constructors do not check types, so an event may contain anything. The codec detects by column that a batch has
+a bad value; the functions here then search for it value by value, to report its run, seq and field.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -23,8 +23,8 @@ from fsar_ledger.ledger.rows.schema import LAYOUTS, MAX_INTEGER, Field, Kind
 class LedgerRun(msgspec.Struct, frozen=True):
     """One run in memory, or a part of it: its events, and one time and one cause for each.
 
-    The seq of an event is its index, counted from `first`; that is 0 unless the run continues what an earlier commit
-    holds, as runs of a ledger may. `goes_on` says that later commits may hold more of it.
+    The seq of an event is its index, counted from `first`; that is 0 unless the run continues in this commit from an
+    earlier one, as runs of a ledger may. `goes_on` is whether later commits may extend it.
     """
 
     run_id: str
@@ -36,7 +36,7 @@ class LedgerRun(msgspec.Struct, frozen=True):
 
 
 def start_of(record: LedgerRun) -> RunStarted:
-    """Return how the run started. Raises: UsageError: it is the plan of an experiment, in which nothing happens."""
+    """Return the run's first event. Raises: UsageError if it is the plan of an experiment, in which nothing happens."""
     started = record.events[0]
     if not isinstance(started, RunStarted):
         name = printable.value(record.run_id)
@@ -45,7 +45,7 @@ def start_of(record: LedgerRun) -> RunStarted:
 
 
 class Flaw(msgspec.Struct, frozen=True):
-    """The first flaw in some rows. `row` counts from 0 within the table; -1 is the table as a whole."""
+    """The first flaw in some rows. `row` counts from 0 within the table; -1 means the table as a whole."""
 
     row: int
     run: str | None
@@ -61,7 +61,7 @@ class Flaw(msgspec.Struct, frozen=True):
 
 
 class Allowed(NamedTuple):
-    """The values that a field of an event may hold: exactly of this type, or perhaps None.
+    """The allowed values of a field of an event: exactly of this type, or None if `is_nullable`.
 
     Elements of a tuple are exactly strings. With a closed list, only its values are allowed.
     """
@@ -85,18 +85,18 @@ def _allowed(field: Field) -> Allowed:
 ALLOWED: dict[str, tuple[Allowed, ...]] = {
     layout.tag: tuple(map(_allowed, layout.fields)) for layout in LAYOUTS.values()
 }
-"""What the fields of each event type may hold, in the order of its constructor. This comes from the structs, as does
-all that `check` expects of stored rows.
+"""The allowed values of the fields of each event type, in the order of its constructor. They are derived from the
+structs, as is all that `check` expects of stored rows.
 """
 
 
 def are_allowed(values: Sequence[object], allowed: Allowed) -> bool:
-    """Return whether a field may hold each of these values.
+    """Return whether each of these values is allowed in a field.
 
     The size of integers and surrogates in strings are checked by column instead.
     """
     kind, is_nullable, closed = allowed
-    types = list(map(type, values))  # the quickest way to check each
+    types = list(map(type, values))  # the fastest way to check each
     if (of_kind := types.count(kind)) != len(types) and not (
         is_nullable and of_kind + types.count(type(None)) == len(types)
     ):
@@ -111,7 +111,7 @@ def _are_strings(values: Iterable[object]) -> bool:
 
 
 def require_runs(runs: Sequence[LedgerRun]) -> None:
-    """Check that each run has events, as many times and causes, and a name that no other has.
+    """Check that each run has events, as many times and causes, and a unique name.
 
     Raises: InvalidRun if not.
     """
@@ -142,20 +142,20 @@ def refusal(flaw: Flaw) -> InvalidRun:
 
 
 def first_unfit(runs: Sequence[LedgerRun]) -> Flaw | None:
-    """Find the first value that no row can hold, run by run and event by event."""
+    """Return the flaw of the first value that no row can hold, run by run and event by event; None if there is none."""
     return next(
         (
-            Flaw(-1, run.run_id, run.first + at, *unfit)
+            Flaw(-1, run.run_id, run.first + index, *unfit)
             for run in runs
-            for at in range(len(run.events))
-            for unfit in _unfit(run, at)
+            for index in range(len(run.events))
+            for unfit in _unfit(run, index)
         ),
         None,
     )
 
 
 def unreadable(runs: Sequence[LedgerRun]) -> Flaw | None:
-    """Find the first run whose parameters cannot be read as constants.
+    """Return the flaw of the first run whose parameters cannot be read as constants; None if there is none.
 
     Readers accept it, because 0.1.0 and 0.2.0 stored any text.
     """
@@ -170,18 +170,18 @@ def unreadable(runs: Sequence[LedgerRun]) -> Flaw | None:
 
 
 def overlong(runs: Sequence[LedgerRun]) -> Flaw | None:
-    """Find the first run whose name is longer than readers take."""
+    """Return the flaw of the first run whose name is longer than readers accept; None if there is none."""
     for run in runs:
         if (size := len(run.run_id.encode())) > MAX_NAME_BYTES:
             return Flaw(-1, run.run_id, 0, "run_id", f"a name of {size} bytes", f"at most {MAX_NAME_BYTES}")
     return None
 
 
-def _unfit(run: LedgerRun, at: int) -> Iterator[tuple[str, str, str]]:
-    """Yield what is wrong with the event at this index: field, found, expected."""
-    for name, value, allowed in (("time_us", run.times_us[at], TIME), ("caused_by", run.caused_by[at], CAUSE)):
+def _unfit(run: LedgerRun, index: int) -> Iterator[tuple[str, str, str]]:
+    """Yield each fault of the event at this index: field, found, expected."""
+    for name, value, allowed in (("time_us", run.times_us[index], TIME), ("caused_by", run.caused_by[index], CAUSE)):
         yield from _unfit_value(name, value, allowed)
-    cause, event, seq = run.caused_by[at], run.events[at], run.first + at
+    cause, event, seq = run.caused_by[index], run.events[index], run.first + index
     if cause is not None and seq == 0:
         yield "caused_by", f"{cause!r:.80}", "None, as nothing came before"
     if cause is not None and seq > 0 and not 0 <= cause < seq:
@@ -227,7 +227,7 @@ def _is_unicode(text: str) -> bool:
 
 
 def joined(pieces: Sequence[LedgerRun]) -> LedgerRun:
-    """Return the run of these pieces, each of which continues the one before."""
+    """Join these pieces of one run, each of which continues the one before."""
     if len(pieces) == 1:
         return pieces[0]
     return LedgerRun(
@@ -241,9 +241,9 @@ def joined(pieces: Sequence[LedgerRun]) -> LedgerRun:
 
 
 def continuing(parts: Sequence[LedgerRun]) -> LedgerRun:
-    """Return runs, each of which continues the one before, as the one run that they are, with the name of the last.
+    """Join runs, each of which continues the one before, into one run with the name of the last.
 
-    Its seqs count on: event 0 of each but the first, which is like that of the first, is left out.
+    Its seqs are consecutive: event 0 of each run but the first, which equals that of the first, is omitted.
 
     Raises: LedgerCorrupted if one has another event 0.
     """
@@ -256,13 +256,13 @@ def continuing(parts: Sequence[LedgerRun]) -> LedgerRun:
 
 
 def require_alike(part: LedgerRun, started: Event, before: str) -> None:
-    """Require that a run begins as the one that it continues. Raises: LedgerCorrupted if not."""
+    """Require that a run begins with the same event as the one that it continues. Raises: LedgerCorrupted if not."""
     if part.events[0] != started:
         raise LedgerCorrupted(unlike_beginning(part.run_id, before))
 
 
 def unlike_beginning(run: str, before: str) -> str:
-    """Say that a run begins otherwise than the one that it continues."""
+    """Return the message that a run begins differently from the one that it continues."""
     return (
         f"run {printable.value(run)}, seq 0: found another event than event 0 of run {printable.value(before)}, which "
         "it continues, expected the same; run fsar-ledger verify --replay"
@@ -270,16 +270,16 @@ def unlike_beginning(run: str, before: str) -> str:
 
 
 def counted_on(part: LedgerRun, by: int) -> LedgerRun:
-    """Return a part of a run that continues another with its seqs so much higher, or lower, and without its event 0."""
-    without = 0 if part.first else 1
-    causes = [cause + by if cause else cause for cause in part.caused_by[without:]]
+    """Return a part of a run that continues another, with its seqs shifted by `by` and without its event 0."""
+    skipped = 0 if part.first else 1
+    causes = [cause + by if cause else cause for cause in part.caused_by[skipped:]]
     return LedgerRun(
-        part.run_id, part.times_us[without:], causes, part.events[without:], part.first + without + by, part.goes_on
+        part.run_id, part.times_us[skipped:], causes, part.events[skipped:], part.first + skipped + by, part.goes_on
     )
 
 
 def whole(pieces: Sequence[LedgerRun]) -> LedgerRun:
-    """Return the run of all its pieces that a ledger holds. Raises: LedgerCorrupted if one of them is missing."""
+    """Join all pieces of a run in a ledger. Raises: LedgerCorrupted if one of them is missing."""
     next_seq = 0
     for part in pieces:
         require_next(part, next_seq)
@@ -288,7 +288,7 @@ def whole(pieces: Sequence[LedgerRun]) -> LedgerRun:
 
 
 def require_next(part: LedgerRun, seq: int) -> None:
-    """Require that this event is the first of a part of a run. Raises: LedgerCorrupted if not."""
+    """Require that a part of a run begins with this seq. Raises: LedgerCorrupted if not."""
     if part.first != seq:
         raise LedgerCorrupted(
             f"run {printable.value(part.run_id)}: found event {part.first} where event {seq} is expected; run "
@@ -297,24 +297,24 @@ def require_next(part: LedgerRun, seq: int) -> None:
 
 
 def gathered(parts: Iterable[tuple[int, Sequence[LedgerRun]]], last: Mapping[str, int]) -> Iterator[LedgerRun]:
-    """Yield each run that these parts of a ledger hold in pieces, once all were there.
+    """Yield each run that is in these parts of a ledger, once all its pieces are read.
 
     Args:
-        parts: Where each part ends in the ledger, and its pieces.
-        last: Where the last piece of a run begins, of those that may be in several parts.
+        parts: The end index in the ledger of each part, and its pieces of runs.
+        last: The start index of the last piece of each run that may be in several parts.
 
     Raises: As `whole`.
     """
-    held: dict[str, list[LedgerRun]] = {}
+    pending: dict[str, list[LedgerRun]] = {}
     for end, pieces in parts:
         for part in pieces:
-            held.setdefault(part.run_id, []).append(part)
-        for run in [run for run in held if last.get(run, 0) < end]:
-            yield whole(held.pop(run))
+            pending.setdefault(part.run_id, []).append(part)
+        for run in [run for run in pending if last.get(run, 0) < end]:
+            yield whole(pending.pop(run))
 
 
 def piece(run: LedgerRun, at: int, end: int) -> LedgerRun:
-    """Return the events of a run between these indexes; it goes on unless they are its last."""
+    """Return the part of a run between these indexes of its events; it `goes_on` unless they are its last."""
     if (at, end) == (0, len(run.events)):
         return run
     return LedgerRun(

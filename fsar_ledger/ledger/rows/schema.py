@@ -5,14 +5,14 @@
 | `run_id` | string | never |
 | `seq` | int64, from 0 within the run without gaps | never |
 | `time_us` | int64, microseconds of run time | never |
-| `caused_by` | int64, seq of the event that led to this one | for seq 0, and where that is not known |
+| `caused_by` | int64, seq of the event that led to this one | for seq 0, and where the cause is unknown |
 | `type` | string, name and version of the event type | never |
 | every field of any event type, A to Z | string, int64, bool or list of string | the type has no such field, or None |
 
-And the columns that each release wrote. A commit record names the release of its events, so a reader knows whether it
-can read them. `columns/N.N.N.txt` holds the columns of one release as text; its SHA-256 is the `schema_sha256` of the
-records that name the release. A release that changes no event type has no such file: its records name the release
-before. Columns are added, and never changed or removed, so rows of an earlier release are rows of today with NULL in
+Also the columns that each release wrote. A commit record names the release of its events, so a reader can tell whether
+it can read them. `columns/N.N.N.txt` holds the columns of one release as text; its SHA-256 is the `schema_sha256` of
+the records that name the release. A release that changes no event type has no such file: its records name the earlier
+release. Columns are added, and never changed or removed, so rows of an earlier release are current rows with NULL in
 later columns.
 """
 
@@ -41,11 +41,11 @@ ARROW_TYPES: dict[Kind, pa.DataType] = {
 }
 
 MAX_INTEGER = 2**53 - 1
-"""The largest integer that every JSON reader keeps exactly (RFC 8785); the smallest is its negative."""
+"""The largest integer that every JSON reader preserves exactly (RFC 8785); the smallest is its negative."""
 
 
 class Field(msgspec.Struct, frozen=True):
-    """One field of an event type as it is stored. Only `values` are allowed; None allows any."""
+    """The stored form of one field of an event type. Only `values` are allowed; None allows any."""
 
     name: str
     kind: Kind
@@ -64,7 +64,7 @@ class Member(msgspec.Struct, frozen=True):
 class StoredType(msgspec.Struct, frozen=True):
     """The stored form of one event type.
 
-    `members` are in the order of its constructor; `fields` are the columns that they are stored in.
+    `members` are in the order of its constructor; `fields` are the columns in which they are stored.
     """
 
     tag: str
@@ -107,7 +107,7 @@ class StoredType(msgspec.Struct, frozen=True):
 
 
 def _joined(member: Member, columns: list[Iterable[object]]) -> Iterable[object]:
-    """Return the values of a member from the columns that it is stored in."""
+    """Return the values of a member from the columns in which it is stored."""
     if member.part is None:
         return columns[0]
     names = member.part.__struct_fields__
@@ -125,7 +125,7 @@ ENVELOPE: tuple[Field, ...] = (
 
 
 def _alternatives(kind: inspect.Type) -> list[inspect.Type]:
-    """Return the types of a union, each once. Robots and supervisors have types of their own, but both are strings."""
+    """Return the distinct types of a union. Robots and supervisors have types of their own, but both are strings."""
     alternatives: list[inspect.Type] = []
     for alternative in kind.types if isinstance(kind, inspect.UnionType) else (kind,):
         if alternative not in alternatives:
@@ -198,13 +198,13 @@ def columns(layouts: tuple[StoredType, ...]) -> dict[str, Kind]:
 
 
 LAYOUTS: dict[str, StoredType] = {layout.tag: layout for layout in map(stored_type, EVENT_TYPES)}
-"""How each event type is stored, by its tag, in the order of `EVENT_TYPES`."""
+"""The stored form of each event type, by tag, in the order of `EVENT_TYPES`."""
 
 RETIRED: dict[str, StoredType] = {layout.tag: layout for layout in map(stored_type, RETIRED_TYPES)}
-"""How events of earlier versions are stored, by tag; none is written any more."""
+"""The stored form of each event type of earlier versions, by tag; none is written any more."""
 
 STORED: dict[str, StoredType] = LAYOUTS | RETIRED
-"""How each event type that a ledger may hold is stored, by its tag."""
+"""The stored form of each event type that a ledger may hold, by tag."""
 
 STANDS_ALONE: frozenset[str] = frozenset(tag for tag, layout in STORED.items() if layout.cls in ALONE)
 """The tags of events that must be the only one of their run."""
@@ -222,11 +222,11 @@ RECORDS: tuple[str, ...] = tuple(
     if kind in CONCERN_OF
     for name in (kind, *(f"{kind}.{field.name}" for field in layout.fields if field.is_nullable))
 )
-"""What a run can say that its source records: event types, and those of their fields that may be NULL."""
+"""The names that a run can declare as recorded by its source: event types, and those of their nullable fields."""
 
 
 def concerns_admitted(observes: Sequence[str] | None, records: Sequence[str] | None) -> tuple[str, ...] | None:
-    """Return the concerns of which a run may have events, by what its event 0 says; None if that says nothing."""
+    """Return the concerns of which a run may have events, by these fields of its event 0; None if all are allowed."""
     if observes is None:
         return None
     kinds = (record.partition(".")[0] for record in records or ())
@@ -234,7 +234,7 @@ def concerns_admitted(observes: Sequence[str] | None, records: Sequence[str] | N
 
 
 COLUMNS: dict[str, Kind] = columns(tuple(STORED.values()))
-"""The kind of every column, in stored order. Columns that only retired types have remain."""
+"""The kind of every column, in stored order, including columns used only by retired types."""
 
 PAYLOAD: tuple[str, ...] = tuple(COLUMNS)[len(ENVELOPE) :]
 """The columns that come from fields of event types."""
@@ -273,10 +273,10 @@ RELEASE = "0.14.0"
 
 
 def parse_columns(where: str, text: str) -> pa.Schema:
-    """Parse the columns in this text, which must be among today's.
+    """Parse the columns in this text, which must be among the current ones.
 
     Raises:
-        TypeError: Today's columns lack one of them or changed it, so that ledgers of that release could not be read.
+        TypeError: The current columns lack one of them or changed it, so ledgers of that release could not be read.
     """
     names = [line.partition(" ")[0] for line in text.splitlines()]
     schema = pa.schema([SCHEMA.field(name) for name in SCHEMA.names if name in names])
@@ -302,11 +302,11 @@ def _number(release: str) -> tuple[int, ...] | None:
 
 
 def _released() -> dict[str, pa.Schema]:
-    """Return the columns of every release that has a file, the first release first."""
-    found = {file.name.removesuffix(".txt"): file for file in (files("fsar_ledger.ledger.rows") / "columns").iterdir()}
+    """Return the columns of every release that has a file, earliest release first."""
+    paths = {file.name.removesuffix(".txt"): file for file in (files("fsar_ledger.ledger.rows") / "columns").iterdir()}
     return {
-        release: parse_columns(found[release].name, found[release].read_text("utf-8"))
-        for release in sorted(found, key=lambda release: _number(release) or ())
+        release: parse_columns(paths[release].name, paths[release].read_text("utf-8"))
+        for release in sorted(paths, key=lambda release: _number(release) or ())
     }
 
 
@@ -318,14 +318,14 @@ FINGERPRINTS: dict[str, str] = {release: fingerprint(schema) for release, schema
 
 
 def is_later(release: str) -> bool:
-    """Return whether this names a release whose events came after those of `RELEASE`."""
+    """Return whether this is the name of a release later than `RELEASE`."""
     number = _number(release)
-    own = _number(RELEASE)
-    return number is not None and own is not None and number > own
+    current = _number(RELEASE)
+    return number is not None and current is not None and number > current
 
 
 def widened(table: pa.Table, names: Sequence[str], schema: pa.Schema) -> pa.Table:
-    """Return the rows with all columns of today's schema, in its order, with NULL in those that are missing."""
+    """Return the rows with those columns of `schema` that are in `names`, in its order, with NULL in missing ones."""
     fields = [field for field in schema if field.name in names]
     present = set(table.column_names)
     if len(present) == len(fields):

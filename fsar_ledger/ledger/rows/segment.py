@@ -54,20 +54,20 @@ def coded(table: pa.Table) -> pa.Table:
 
 
 def _coded(strings: pa.Array) -> pa.DictionaryArray:
-    """Return the strings as codes into a sorted dictionary of them."""
+    """Return the strings as codes into a sorted dictionary of their values."""
     encoded = strings.dictionary_encode()
     order = pc.sort_indices(encoded.dictionary).to_numpy()
-    places = np.empty(len(order), np.int32)
-    places[order] = np.arange(len(order))
+    ranks = np.empty(len(order), np.int32)
+    ranks[order] = np.arange(len(order))
     return pa.DictionaryArray.from_arrays(
-        pa.array(places).take(encoded.indices), encoded.dictionary.take(pa.array(order))
+        pa.array(ranks).take(encoded.indices), encoded.dictionary.take(pa.array(order))
     )
 
 
 def read_table(path: Path, columns: list[str] | None = None) -> pa.Table:
     """Check the layout of a segment and read its rows with these columns of `SCHEMA` (None: all).
 
-    Columns that its release did not have are NULL.
+    Columns missing in its release are NULL.
 
     Raises:
         LedgerCorrupted: The file cannot be read, exceeds the `bounds`, or does not have the form of a segment (see
@@ -83,7 +83,7 @@ def read_table(path: Path, columns: list[str] | None = None) -> pa.Table:
 
 
 def read_coded(path: Path, data: bytes, layout: Layout, columns: list[str] | None = None) -> pa.Table:
-    """Read the rows with these columns of `CODED_SCHEMA`, as the file holds them, without decoding every string.
+    """Read the rows with these columns of `CODED_SCHEMA`, as stored in the file, without decoding every string.
 
     Takes the bytes and the layout of the file; otherwise as `read_table`.
     """
@@ -112,10 +112,7 @@ def _read(path: Path, data: bytes, layout: Layout, columns: list[str] | None, ta
 
 
 def _columns(file: pq.ParquetFile, names: list[str], rows: int) -> pa.Table:
-    """Read these columns of the file, a few at a time if there are many rows.
-
-    So the memory for decoding is free again for the next columns.
-    """
+    """Read these columns of the file, a few at a time if there are many rows, to reuse the memory for decoding."""
     if rows <= _FEW_ROWS:
         return file.read(columns=names, use_threads=False)
     parts = [
@@ -127,7 +124,7 @@ def _columns(file: pq.ParquetFile, names: list[str], rows: int) -> pa.Table:
 
 
 def first_damage(segments: Sequence[Path]) -> LedgerCorrupted | None:
-    """Say what is wrong with the first segment that cannot be read; None if all can."""
+    """Return the error of the first segment that cannot be read; None if all can."""
     for path in segments:
         try:
             read_table(path)

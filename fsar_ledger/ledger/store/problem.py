@@ -1,4 +1,4 @@
-"""One problem that `verify` found, with its place."""
+"""One problem that `verify` found, with its location."""
 
 from pathlib import Path
 
@@ -12,9 +12,9 @@ MAX_TEXT = 600
 
 
 class Problem(msgspec.Struct, frozen=True):
-    """One problem: where it is, what was found and what was expected.
+    """One problem: its location, what was found and what was expected.
 
-    The place is a file within the ledger, and the commit, run, seq and field if known. Whatever a file or its name
+    The location is a file within the ledger, and the commit, run, seq and field if known. Whatever a file or its name
     holds, each text is one printable line with at most `MAX_TEXT` characters of it, except `run`, which is as stored.
     """
 
@@ -58,15 +58,15 @@ def _printable(text: str) -> str:
 
 
 def refusal(place: str | Path, error: FsarLedgerError) -> str:
-    """Return what a reader's error says, in brackets and without the place, which the caller names."""
+    """Return the message of a reader's error, in brackets and without the location, which the caller names."""
     return f"({str(error).removeprefix(f'{place}: ')})"
 
 
 def unexpected(where: str, commit: int | None, error: BaseException) -> Problem:
     """Turn an exception that stopped a check into a problem.
 
-    Raises: What is not the ledger's fault, unchanged: too little memory, and an installation that lacks a module or has
-        a wrong query or registry.
+    Raises: `error` unchanged if it is not the ledger's fault: too little memory, a missing module, or a wrong query or
+        registry in the installation.
     """
     if isinstance(error, (MemoryError, ImportError, InvalidQuery)) or type(error) is UsageError:
         raise error

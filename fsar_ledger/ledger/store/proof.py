@@ -3,7 +3,7 @@
 ```
 c2sp.org/tlog-proof@v1
 extra eyJhY3Rpb25faWQiOiJBMS0xLzIuMSIs...    the canonical bytes of the event; leaf = SHA-256(0x00 || bytes)
-index 1234                                   its place in the ledger, from 0
+index 1234                                   its index in the ledger, from 0
 gSKyXoYZUgZ6jduWYrkDOARinOMGJveXjgMkBTcdPlQ=   the inclusion proof: the leaf's sibling first, one per line
 ...
 
@@ -12,7 +12,7 @@ fsar-ledger/simulated                        the checkpoint, signed or not
 ```
 
 The proof of an event of a federation has two steps, each a tlog-proof, with an empty line between them: that the event
-is in the shard, and that the log of the federation has the head of the shard that the first one leads to.
+is in the shard, and that the federation's log has the head of the shard to which the first one leads.
 """
 
 import base64
@@ -34,13 +34,13 @@ from fsar_ledger.ledger.store.shards import HEAD_TYPE, Federation
 TITLE = "c2sp.org/tlog-proof@v1"
 
 Value = str | int | bool | list[str]
-"""What a field of an event can hold."""
+"""The value of a field of an event."""
 
 
 class Proof(msgspec.Struct, frozen=True):
     """An event (its canonical bytes), its index in the ledger, the hashes from it to the root, and a checkpoint.
 
-    Of a shard of a federation, `log` is the proof that its log has the head in that checkpoint.
+    For a shard of a federation, `log` is the proof that the federation's log has the head in that checkpoint.
     """
 
     event: bytes
@@ -55,10 +55,10 @@ class Proof(msgspec.Struct, frozen=True):
 
 
 class Proven(msgspec.Struct, frozen=True):
-    """What a proof shows: the event as stored, and whose ledger it is in, as far as the signature says.
+    """The result of a checked proof: the event as stored, and the ledger that holds it, as far as the signature shows.
 
     `index` and `size` count events, `root` is hex. `signer` is the trusted key (`name+id`), or else the one that the
-    note names. Of a shard, `log` is what is proven of its head, by the trusted key where there is one.
+    note names. For a shard, `log` is the result for its head, by the trusted key if there is one.
     """
 
     event: dict[str, Value]
@@ -74,7 +74,7 @@ class Proven(msgspec.Struct, frozen=True):
 def prove(view: View, index: int) -> Proof:
     """Prove that the ledger holds the event with this index, from 0.
 
-    The proof leads to the root of the newest commit whose tiles are there; in a federation, to that of its log.
+    The proof leads to the root of the newest commit whose tiles exist; in a federation, to that of its log.
 
     Raises:
         ValueError: There is no such event.
@@ -83,8 +83,8 @@ def prove(view: View, index: int) -> Proof:
     if not 0 <= index < view.head.events:
         raise ValueError(f"found index {index}, expected one of {view.head.events} events")
     if isinstance(view, Federation):
-        shard, own = view.shard_of(index)
-        return msgspec.structs.replace(prove(shard.view, own), log=prove(view.log, shard.head.index))
+        shard, shard_index = view.shard_of(index)
+        return msgspec.structs.replace(prove(shard.view, shard_index), log=prove(view.log, shard.head.index))
     event = view.event(index)
     note = view.note()
     assert note is not None  # as there is an event
@@ -123,7 +123,7 @@ def _segment_of(view: View, index: int) -> Path:
 
 
 def read_given(path: Path) -> bytes:
-    """Read a proof of any form in this file or pipe. Raises: UsageError if there is none, LedgerCorrupted."""
+    """Read a proof of any form from this file or pipe. Raises: UsageError if it is missing, LedgerCorrupted."""
     try:
         return disk.read_given(path)
     except FileNotFoundError as error:
@@ -133,7 +133,7 @@ def read_given(path: Path) -> bytes:
 
 
 def proof_of(where: str, data: bytes) -> Proof:
-    """Parse what a file of this name holds; lines may end as on Windows. Raises: LedgerCorrupted if it is no proof."""
+    """Parse the content of file `where`, which may have CRLF lines. Raises: LedgerCorrupted if it is not a proof."""
     try:
         text = data.decode()
     except UnicodeDecodeError as error:
@@ -151,7 +151,7 @@ def parse_proof(where: str, text: str) -> Proof:
     """Parse this text as a proof, whose `str` is the same text to the byte. Nothing is checked. Errors name it `where`.
 
     Raises:
-        LedgerCorrupted: It is not in the form of C2SP, or lacks the event.
+        LedgerCorrupted: It is not in C2SP form, or lacks the event.
     """
     first, *others = text.split(f"\n\n{TITLE}\n")
     if len(others) > 1:
@@ -203,13 +203,13 @@ def check_proof(where: str, proof: Proof, trusted: VerifierKey | None = None) ->
     tree = proof.note.checkpoint
     root = root_of_inclusion(leaf_hash(proof.event), proof.index, tree.size, proof.hashes)
     if root != tree.root:
-        led = (
+        path = (
             f"a way to root {root.hex()}"
             if root
             else f"{len(proof.hashes)} hashes for event {proof.index} of {tree.size}, which lead nowhere"
         )
         raise LedgerCorrupted(
-            f"{where}: found {led}, expected one to {tree.root.hex()}: the event is not proven; get the proof again"
+            f"{where}: found {path}, expected one to {tree.root.hex()}: the event is not proven; get the proof again"
         )
     event = _event(where, proof.event)
     if trusted is not None and (why := doubt(proof.note, trusted)) is not None:
@@ -224,7 +224,7 @@ def check_proof(where: str, proof: Proof, trusted: VerifierKey | None = None) ->
 
 
 def _check_steps(where: str, proof: Proof, log: Proof, trusted: VerifierKey | None) -> Proven:
-    """Check both steps of a proof, and that the second is about the tree that the first leads to. Raises: As that."""
+    """Check both steps, and that the second is about the tree to which the first leads. Raises: As `check_proof`."""
     proven = check_proof(f"{where}, step 1 (event in shard)", msgspec.structs.replace(proof, log=None))
     of_log = check_proof(f"{where}, step 2 (shard in log)", msgspec.structs.replace(log, log=None), trusted)
     head = of_log.event
@@ -243,10 +243,10 @@ def _check_steps(where: str, proof: Proof, log: Proof, trusted: VerifierKey | No
 
 
 def require_tree(where: str, proven: Proven, kept: Checkpoint, source: str) -> None:
-    """Check that the proof's root is that of a checkpoint that was kept elsewhere, in the file `source`.
+    """Check that the proof's root is that of the checkpoint `kept` elsewhere, in the file `source`.
 
     Raises:
-        UsageError: The checkpoint is of another size, so that only the ledger can tell whether one grew from the other.
+        UsageError: The checkpoint is of another size, so only the ledger can show whether one grew from the other.
         LedgerCorrupted: The checkpoint is of another ledger, or has another root.
     """
     if (kept.origin, kept.size) == (proven.origin, proven.size):

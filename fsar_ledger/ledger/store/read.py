@@ -287,7 +287,7 @@ class View(msgspec.Struct, frozen=True, dict=True):
         return Index(lines)
 
     def believe_index(self, placement: int | None = None) -> None:
-        """Mark the chain's index lines as compared with the rows, up to this placement (None: all)."""
+        """Trust the chain's index lines up to this placement (None: all), as already compared with the rows."""
         placed = self.chain.placed
         most = len(self.chain.placements) if placement is None else placement
         self.believed.update(number for number in range(len(placed)) if placed[number].number <= most)

@@ -1,4 +1,4 @@
-"""The lines of a chain: what was committed, and which segment holds its rows.
+"""The lines of a chain: commits, and the segments that hold their rows.
 
 Each line is the RFC 8785 JSON of one struct, to the byte, and holds the SHA-256 of the line before it (the first: of
 ledger.json), so the last line vouches for all. There are two kinds:
@@ -8,8 +8,8 @@ commit      events were added: how many, the tree with them, perhaps a signature
 placement   events FIRST to FIRST + ROWS are in this segment; a later one of the same events supersedes it
 ```
 
-An end that a crash has torn is told from damage: there, more follows that was on disk only after what cannot be read.
-What cannot be read may hold anything, so each byte is looked at a few times at most.
+An end torn by a crash differs from damage: damage is followed by bytes that were on disk only after the unreadable
+ones. Unreadable bytes may be anything, so each byte is scanned a few times at most.
 """
 
 import base64
@@ -34,7 +34,7 @@ from fsar_ledger.ledger.store.paths import segment_name
 
 LEAST_LINE_BYTES, MAX_LINE_BYTES = 200, 1 << 20
 """A record has more bytes than the first, and fewer than the second."""
-_AT_ONCE = 64  # records that are written again: their lines stay in the CPU caches
+_AT_ONCE = 64  # records encoded again at a time: their lines stay in the CPU caches
 
 Count = Annotated[int, msgspec.Meta(ge=0, le=MAX_INTEGER)]
 
@@ -44,18 +44,18 @@ Line = TypeVar("Line", bound=msgspec.Struct)
 class Commit(
     msgspec.Struct,
     frozen=True,
-    gc=False,  # it refers to text alone, and a ledger may have a hundred thousand
+    gc=False,  # it refers only to text, and a ledger may have a hundred thousand
     forbid_unknown_fields=True,
     omit_defaults=True,
     tag="commit",
     tag_field="kind",
 ):
-    """What one commit added, and the tree after it.
+    """The events that one commit added, and the tree after it.
 
-    `release` is the first with the event types of its rows. `continues` names each run of which it holds events that do
-    not begin it, with the seq of the first of these. `goes_on` names each of its runs of which later commits may hold
-    more; a run that is not named there has ended. `signature` is base64 of key id and Ed25519 signature of the
-    checkpoint by the key whose name is the origin; empty if there is none.
+    `release` is the first with the event types of its rows. `continues` names each run that it continues, with the seq
+    of the run's first event in it. `goes_on` names each of its runs that later commits may extend; a run that is not
+    named there has ended. `signature` is base64 of key id and Ed25519 signature of the checkpoint by the key whose name
+    is the origin; empty if there is none.
 
     Units: `rows` and `tree_size` events; `tree_root` hex.
     """
@@ -73,7 +73,7 @@ class Commit(
     signature: str = ""
 
     def checkpoint(self, origin: str) -> Checkpoint:
-        """Return the tree head after this commit, under the name of its ledger."""
+        """Return the tree head after this commit, under the ledger's origin."""
         return Checkpoint(origin, self.tree_size, bytes.fromhex(self.tree_root))
 
     def note(self, origin: str) -> Note:
@@ -94,9 +94,9 @@ class Placement(
     tag="placement",
     tag_field="kind",
 ):
-    """Which segment holds the events from `first` on, and its columns: those of `release`.
+    """The segment that holds the `rows` events from `first` on, with the columns of `release`.
 
-    `frontier` holds the roots of the complete subtrees of the tree that ends with these events, largest first. Of a
+    `frontier` holds the roots of the complete subtrees of the tree that ends with these events, largest first. For a
     placement that adds events, `index_bytes` and `index_sha256` are those of their line of the index.
 
     Units: `rows` events, `segment_bytes` and `index_bytes` bytes; hashes in hex.
@@ -132,9 +132,9 @@ _DECODER = msgspec.json.Decoder(Record)
 
 
 def line_at(text: bytes, start: int, end: int) -> bytes:
-    """Return the line between these places of a text (an end of -1 is that of the text).
+    """Return the line from offset `start` to `end` of a text (an end of -1 is that of the text).
 
-    Of a line that is too long for a record, only so much that this still shows.
+    A line too long for a record is cut to a length that still shows this.
     """
     return text[start : min(len(text) if end < 0 else end, start + MAX_LINE_BYTES)]
 
@@ -149,9 +149,9 @@ def parse_line(line: bytes) -> Record:
 
 
 def parse_lines(data: bytes, lines: Sequence[bytes]) -> list[Record]:
-    """Parse these bytes, which are these lines of a chain; as `parse_line`, and three times as quick.
+    """Parse `data`, which consists of `lines` of a chain; as `parse_line`, and three times as fast.
 
-    Raises: ValueError if one of them is not as it must be.
+    Raises: ValueError if one of them is not a valid record.
     """
     if max(map(len, lines), default=0) >= MAX_LINE_BYTES:
         raise ValueError(f"a line of {MAX_LINE_BYTES} bytes or more")
@@ -159,7 +159,7 @@ def parse_lines(data: bytes, lines: Sequence[bytes]) -> list[Record]:
 
 
 def _parsed(data: bytes) -> list[Record]:
-    """Parse these lines. Raises: ValueError, with the reason, if one is not as it must be."""
+    """Parse these lines. Raises: ValueError, with the reason, if one is not a valid record."""
     try:
         records: list[Record] = _DECODER.decode_lines(data)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
@@ -174,53 +174,53 @@ def _parsed(data: bytes) -> list[Record]:
 
 
 def _are_canonical(data: bytes, records: Sequence[Record]) -> bool:
-    """Return whether these bytes are the canonical lines of these records, which are written a few at a time."""
-    at = 0
+    """Return whether these bytes are the canonical lines of these records, encoding a few at a time."""
+    offset = 0
     for first in range(0, len(records), _AT_ONCE):
         lines = canonical.documents(records[first : first + _AT_ONCE])
-        if not data.startswith(lines, at):
+        if not data.startswith(lines, offset):
             return False
-        at += len(lines)
-    return at == len(data)
+        offset += len(lines)
+    return offset == len(data)
 
 
 def _is_hex(text: str) -> bool:
-    """Return whether all of this is digits of lower-case hex."""
+    """Return whether this text consists of lower-case hex digits."""
     return text.isascii() and not text.encode().translate(None, b"0123456789abcdef")
 
 
 def _hashes_at_once(records: Sequence[Record]) -> list[str]:
-    """Return what must be hashes in these records, in any order. Raises: ValueError, as `_hashes` for each."""
+    """Return the fields of these records that must be hashes, in any order. Raises: ValueError, as `_hashes`."""
     commits = [record for record in records if type(record) is Commit]
-    others = [record for record in records if type(record) is Placement]
-    of_lines = [placement.index_sha256 if placement.index_bytes else "" for placement in others]
-    sizes = [(placement.first + placement.rows).bit_count() for placement in others]
+    placements = [record for record in records if type(record) is Placement]
+    line_hashes = [placement.index_sha256 if placement.index_bytes else "" for placement in placements]
+    sizes = [(placement.first + placement.rows).bit_count() for placement in placements]
     if (
         any(record.signature for record in commits)
-        or "" in of_lines
-        or sizes != [len(record.frontier) for record in others]
+        or "" in line_hashes
+        or sizes != [len(record.frontier) for record in placements]
     ):
         return list(chain.from_iterable(map(_hashes, records)))
     return [
         *[record.previous_sha256 for record in records],
         *[commit.tree_root for commit in commits],
-        *[placement.schema_sha256 for placement in others],
-        *[placement.segment_sha256 for placement in others],
-        *chain.from_iterable([placement.frontier for placement in others]),
-        *of_lines,
+        *[placement.schema_sha256 for placement in placements],
+        *[placement.segment_sha256 for placement in placements],
+        *chain.from_iterable([placement.frontier for placement in placements]),
+        *line_hashes,
     ]
 
 
 def _hashes(record: Record) -> tuple[str, ...]:
-    """Return what must be hashes in this record. Raises: ValueError, with the reason, if it contradicts itself."""
+    """Return the fields of this record that must be hashes. Raises: ValueError, with the reason, if inconsistent."""
     if isinstance(record, Commit):
         if record.signature and not _is_signature(record.signature):
             raise ValueError(f"signature {record.signature!r:.80}, which is not 68 bytes in base64")
         return record.previous_sha256, record.tree_root
     if len(record.frontier) != record.end.bit_count():
         raise ValueError(f"{len(record.frontier)} hashes of a tree of {record.end} events")
-    of_line = (record.index_sha256,) if record.index_sha256 else ()
-    return record.previous_sha256, record.schema_sha256, record.segment_sha256, *record.frontier, *of_line
+    line_hash = (record.index_sha256,) if record.index_sha256 else ()
+    return record.previous_sha256, record.schema_sha256, record.segment_sha256, *record.frontier, *line_hash
 
 
 def _is_signature(text: str) -> bool:
@@ -238,12 +238,12 @@ def segment_of(placement: Placement) -> str:
 
 _OF_COMMIT, PLACEMENT, _MORE = b'"kind":"commit"', b'"kind":"placement"', re.compile(rb"[^\n]")
 _BEGINNINGS = (b'{"continues":', b'{"goes_on":', b'{"kind":"commit"')
-"""What the record of a commit begins with: its first member in the order of names. None of these is within a record."""
+"""The possible beginnings of a commit's record: its alphabetically first member. None occurs within a record."""
 
 
 # See docs/decisions/torn-ends-are-not-damage.md.
 def has_later_append(data: bytes, start: int) -> bool:
-    """Return whether anything follows a placement in these bytes of a chain, from here on."""
+    """Return whether anything follows a placement in these bytes of a chain, from `start` on."""
     return any(
         isinstance(_record(data, first, end), Placement) and _MORE.search(data, end)
         for first, end in _lines_with(PLACEMENT, data, start)
@@ -251,9 +251,9 @@ def has_later_append(data: bytes, start: int) -> bool:
 
 
 def has_later_commit(text: bytes, start: int, expected: int) -> bool:
-    """Return whether a line of a journal, from here on, ends with the record of a commit after the expected one.
+    """Return whether a line of a journal, from `start` on, ends with the record of a commit after the expected one.
 
-    It may begin within the line: the line feed before it may be what was damaged.
+    The record may begin within the line, as the line feed before it may be damaged.
     """
     for first, end in _lines_with(_OF_COMMIT, text, start):
         begins = max([text.rfind(beginning, first, end) for beginning in _BEGINNINGS])
@@ -264,14 +264,14 @@ def has_later_commit(text: bytes, start: int, expected: int) -> bool:
 
 
 def _lines_with(kind: bytes, text: bytes, start: int) -> Iterator[tuple[int, int]]:
-    """Yield where each whole line begins and ends that has these bytes and may be a record."""
-    at = text.find(kind, start)
-    while at >= 0 and (end := text.find(b"\n", at)) >= 0:
-        first = text.rfind(b"\n", start, at) + 1 or start
+    """Yield the start and end of each whole line that contains `kind` and may be a record."""
+    offset = text.find(kind, start)
+    while offset >= 0 and (end := text.find(b"\n", offset)) >= 0:
+        first = text.rfind(b"\n", start, offset) + 1 or start
         if end - first > LEAST_LINE_BYTES:
             yield first, end
         start = end + 1
-        at = text.find(kind, start)
+        offset = text.find(kind, start)
 
 
 def _record(text: bytes, first: int, end: int) -> Record | None:
@@ -282,7 +282,7 @@ def _record(text: bytes, first: int, end: int) -> Record | None:
 
 
 class Head(msgspec.Struct, frozen=True):
-    """How far a ledger goes: commits, events, the Merkle root over them in hex, and the last run."""
+    """The end of a ledger: the number of commits and events, the Merkle root over them in hex, and the last run."""
 
     commits: int
     size: int
@@ -291,7 +291,7 @@ class Head(msgspec.Struct, frozen=True):
 
     @property
     def events(self) -> int:
-        """Return the number of events that an answer at this head is about."""
+        """Return the number of events that a query at this head covers."""
         return self.size
 
 
@@ -299,22 +299,22 @@ EMPTY_HEAD = Head(0, 0, EMPTY_ROOT.hex())
 
 
 _PACKED = 4096
-"""So many commits are packed together, and unpacked when one of them is asked for."""
+"""The number of commits packed together, and unpacked when one of them is read."""
 _PACKING, _UNPACKING = msgspec.msgpack.Encoder(), msgspec.msgpack.Decoder(list[Commit])
 
 
 # See docs/decisions/commits-are-packed.md.
 class Commits(Sequence[Commit]):
-    """Commits in their order, the older ones packed: a live ledger has one for each command, a million in a year.
+    """A sequence of commits, the older ones packed: a live ledger has one per command, a million in a year.
 
-    `sizes` are the events of the tree after each of them.
+    `sizes` are the tree sizes after each of them, in events.
     """
 
     def __init__(self) -> None:
         self.sizes = array("q")
-        self._packs: list[tuple[int, bytes]] = []  # what each has unpacked, in bytes, and packed
+        self._packs: list[tuple[int, bytes]] = []  # the unpacked size of each in bytes, and its packed data
         self._recent: list[Commit] = []
-        self._unpacked: tuple[int, list[Commit]] = -1, []  # the number of a pack, and what it holds
+        self._unpacked: tuple[int, list[Commit]] = -1, []  # the number of a pack, and its commits
 
     def __len__(self) -> int:
         return len(self.sizes)
@@ -336,32 +336,32 @@ class Commits(Sequence[Commit]):
         return chain(chain.from_iterable(map(self._pack, range(len(self._packs)))), self._recent)
 
     def copy(self) -> "Commits":
-        """Return the same commits, which change apart from these."""
+        """Return an independent copy."""
         other = Commits()
         other.sizes, other._packs, other._recent = self.sizes[:], [*self._packs], [*self._recent]
         return other
 
     def up_to(self, size: int) -> int:
-        """Return how many of these commits are of the first so many events."""
+        """Return the number of commits that end within the first `size` events."""
         return bisect_right(self.sizes, size)
 
     def ending_at(self, size: int) -> Commit | None:
-        """Return the commit after which the tree has so many events; None if there is none."""
-        at = bisect_left(self.sizes, size)
-        return self[at] if at < len(self) and self.sizes[at] == size else None
+        """Return the commit after which the tree has `size` events; None if there is none."""
+        index = bisect_left(self.sizes, size)
+        return self[index] if index < len(self) and self.sizes[index] == size else None
 
     def within(self, first: int, end: int) -> list[Commit]:
-        """Return the commits that end after the first of these events, and no later than the last."""
+        """Return the commits that end after index `first`, and no later than `end`."""
         return self[self.up_to(first) : self.up_to(end)]
 
     def extend(self, commits: Iterable[Commit]) -> None:
-        """Add these after the others."""
+        """Append these commits."""
         added = list(commits)
         self._recent += added
         self.sizes.extend([commit.tree_size for commit in added])
 
     def cut(self, count: int) -> None:
-        """Keep the first so many."""
+        """Keep only the first `count` commits."""
         while count < len(self._packs) * _PACKED:
             self._recent[:0] = self._pack(len(self._packs) - 1)
             self._packs.pop()
@@ -369,12 +369,12 @@ class Commits(Sequence[Commit]):
         del self._recent[count - len(self._packs) * _PACKED :], self.sizes[count:]
 
     def let_go(self, count: int) -> None:
-        """Forget the first so many; the others are counted from 0 then."""
+        """Drop the first `count` commits; the others are then numbered from 0."""
         self._recent, self.sizes = self[count:], self.sizes[count:]
         self._packs, self._unpacked = [], (-1, [])
 
     def pack(self, count: int) -> None:
-        """Pack what is old among the first so many."""
+        """Pack the older ones of the first `count` commits."""
         while count - len(self._packs) * _PACKED >= 2 * _PACKED:
             data = _PACKING.encode(self._recent[:_PACKED])
             self._packs.append((len(data), pa.compress(data, codec="zstd", asbytes=True)))

@@ -1,10 +1,10 @@
-"""Find and read the segments of a ledger, and tell what is wrong with their files.
+"""Find and read the segments of a ledger, and detect what is wrong with their files.
 
-It changes nothing and reports damage as findings, not exceptions:
+It changes nothing and reports damage as problems, not exceptions:
 
 ```
 a link, or no file, in place of a segment      is not read; the segment is in doubt
-a link in staging/                             is no segment: the segment is missing
+a link in staging/                             is not a segment: the segment is missing
 ```
 """
 
@@ -25,11 +25,11 @@ _NO_LINK = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK
 
 
 class Stored(Protocol):
-    """What is on record about a segment."""
+    """The recorded properties of a segment."""
 
     @property
     def release(self) -> str:
-        """Return the release that has its columns."""
+        """Return the release whose columns it has."""
 
     @property
     def schema_sha256(self) -> str:
@@ -49,14 +49,14 @@ class Stored(Protocol):
 
 
 class Names(NamedTuple):
-    """Where a segment is within the ledger once it is in place, and the file that says so."""
+    """The final path of a segment within the ledger, and the file that records it."""
 
     place: str
     said_by: str
 
 
 class FoundSegment(NamedTuple):
-    """Where a segment is: in place, or in staging if its writer was interrupted.
+    """The location of a segment: in place, or in staging if its writer was interrupted.
 
     `status` is that of the file. With a `problem`, no file there can be the segment.
     """
@@ -99,20 +99,20 @@ def _unfit(file: str, number: int, record: Stored, status: os.stat_result, said_
 def read_segment(
     ledger: Path, file: str, number: int, record: Stored, names: Names, *, is_kept: bool = True
 ) -> tuple[bytes, Problem | None]:
-    """Read this file and check that it is the one that the record names; return its bytes, if `is_kept`, and a problem.
+    """Read this file and check that it is the recorded one; return its bytes, if `is_kept`, and any problem.
 
     Raises:
-        FileNotFoundError: It is not there, or no longer.
+        FileNotFoundError: It does not exist, or no longer.
     """
     said_by = names.said_by
     try:
         handle = os.open(f"{ledger}/{file}", _NO_LINK)
-        with open(handle, "rb") as opened:
+        with open(handle, "rb") as stream:
             problem = _unfit(file, number, record, os.fstat(handle), said_by)
             if problem is not None:
                 return b"", problem
-            data = opened.read(record.segment_bytes + 1) if is_kept else b""
-            digest = hashlib.sha256(data) if is_kept else hashlib.file_digest(opened, "sha256")
+            data = stream.read(record.segment_bytes + 1) if is_kept else b""
+            digest = hashlib.sha256(data) if is_kept else hashlib.file_digest(stream, "sha256")
     except FileNotFoundError:
         raise
     except OSError as error:
@@ -124,7 +124,7 @@ def read_segment(
 
 
 def names_in(folder: Path) -> list[str]:
-    """List a folder, sorted; nothing if it is missing or a link.
+    """Return the sorted names in a folder; none if it is missing or a link.
 
     Raises: OSError if it cannot be read or holds too many names.
     """
@@ -135,7 +135,7 @@ def names_in(folder: Path) -> list[str]:
 
 
 def check_manifest(ledger: Path) -> tuple[str | None, bytes | None, Problem | None]:
-    """Return the origin and the bytes of ledger.json, each None if it cannot be read, and then the problem."""
+    """Return the origin and the bytes of ledger.json, each None if it cannot be read, and the problem if any."""
     try:
         data = disk.read_document(ledger / MANIFEST)
     except OSError as error:

@@ -1,10 +1,10 @@
-"""A federation of ledgers: the heads of its shards are on record in a ledger, its log, and its events are theirs.
+"""A federation of ledgers: the heads of its shards are recorded in a ledger, its log, and its events are the shards'.
 
 The log is a ledger like any other. Its events are heads of shards (`ShardRecorded`) and nothing else; the newest head
-of each origin holds. Whoever asks the log about events is answered from the shards at exactly these heads, as from one
-ledger that holds the events of one shard after those of another, in the order in which the log first names them.
+of each origin is in force. Queries on the log read the shards at exactly these heads, as one ledger that holds the
+events of one shard after those of another, in the order in which the log first names them.
 
-What may be wrong with a shard has a name here (`MISSING` and so on), which each message has; docs/shards.md lists them.
+Each fault of a shard has a name here (`MISSING` and so on), used in its message; docs/shards.md lists them.
 """
 
 import hashlib
@@ -37,7 +37,7 @@ from fsar_ledger.ledger.store.record import EMPTY_HEAD, Commits, Head
 MISSING, LATE, SWAPPED, OTHER_ORIGIN = "missing", "late", "swapped", "of another origin"
 OTHER_HISTORY, REPLAYED, TWICE, NESTED = "of another history", "replayed", "shown twice", "a federation itself"
 PREFIX = "shard-"
-"""What the names of the runs begin with that hold heads of shards."""
+"""The prefix of the names of runs that hold heads of shards."""
 HEAD_TYPE = str(ShardRecorded.__struct_config__.tag)
 _ROOT = re.compile("[0-9a-f]{64}")
 _FIRST = b'{"blocks":[{"first":0,"first_us":'
@@ -45,7 +45,7 @@ _HEAD = f'"run":"{PREFIX}'.encode()
 
 
 class ShardHead(msgspec.Struct, frozen=True):
-    """The head of a shard as the log has it, and the index in the log of the event that records it."""
+    """The head of a shard as recorded in the log, and the index in the log of the event that records it."""
 
     origin: str
     folder: str
@@ -54,7 +54,7 @@ class ShardHead(msgspec.Struct, frozen=True):
     index: int
 
     def place(self, log: Path) -> Path:
-        """Return where the shard of the log in this folder is."""
+        """Return the folder of this shard, given that of its log."""
         return Path(os.path.normpath(log / self.folder))
 
     def __str__(self) -> str:
@@ -81,7 +81,7 @@ class LogHead(Head, frozen=True):
 
 # See docs/decisions/a-federation-is-a-ledger-of-heads.md.
 class Federation(View, frozen=True, dict=True):
-    """A federation of ledgers, as a reader of one ledger sees it.
+    """A federation of ledgers, read as one ledger.
 
     Events, segments, runs and the index are those of the shards, one after the other; head, note and proofs are those
     of the log.
@@ -103,17 +103,17 @@ class Federation(View, frozen=True, dict=True):
 
     @property
     def head(self) -> LogHead:
-        """Return how far the log goes, and how many events that is."""
+        """Return the head of the log, with the number of events of the shards."""
         return msgspec.convert({**msgspec.structs.asdict(self.log.head), "of_shards": self._firsts[-1]}, LogHead)
 
     @property
     def commits(self) -> Commits:
-        """Return the commits of all shards; `tree_size` counts on, each root is that of the shard."""
-        found = Commits()
+        """Return the commits of all shards; `tree_size` is cumulative, each root is that of the shard."""
+        joined = Commits()
         for first, view in zip(self._firsts, self.views, strict=False):
-            found.extend(msgspec.structs.replace(commit, tree_size=first + commit.tree_size) for commit in view.commits)
-            found.pack(len(found))
-        return found
+            joined.extend(msgspec.structs.replace(each, tree_size=first + each.tree_size) for each in view.commits)
+            joined.pack(len(joined))
+        return joined
 
     @property
     def record_sha256(self) -> str:
@@ -123,7 +123,7 @@ class Federation(View, frozen=True, dict=True):
 
     @cached_property
     def releases(self) -> list[str]:
-        """Return for each segment the release that has its columns."""
+        """Return for each segment the release whose columns it has."""
         return [release for view in self.views for release in view.releases]
 
     @cached_property
@@ -133,37 +133,37 @@ class Federation(View, frozen=True, dict=True):
 
     @cached_property
     def _segments(self) -> list[tuple[int, int]]:
-        """Return for each segment the number of its shard, and its own number there."""
-        return [(at, number) for at, view in enumerate(self.views) for number in range(len(view.releases))]
+        """Return for each segment the number of its shard, and its number within the shard."""
+        return [(i, number) for i, view in enumerate(self.views) for number in range(len(view.releases))]
 
     @cached_property
     def _lines(self) -> list[tuple[int, int]]:
-        """Return for each line of the index the number of its shard, and its own number there."""
+        """Return for each line of the index the number of its shard, and its number within the shard."""
         return [
-            (at, number)
-            for at, view in enumerate(self.views)
+            (i, number)
+            for i, view in enumerate(self.views)
             for number in range(len(view.chain.added) + bool(view.journal.frames))
         ]
 
     def first(self, number: int) -> int:
         """Return the index of the first event of this segment."""
-        at, own = self._segments[number]
-        return self._firsts[at] + self.shards[at].view.first(own)
+        shard, local = self._segments[number]
+        return self._firsts[shard] + self.shards[shard].view.first(local)
 
     def end(self, number: int) -> int:
         """Return the index after the last event of this segment."""
-        at, own = self._segments[number]
-        return self._firsts[at] + self.shards[at].view.end(own)
+        shard, local = self._segments[number]
+        return self._firsts[shard] + self.shards[shard].view.end(local)
 
     def segment(self, number: int, is_laid_out: bool = False) -> Path:
         """Return this segment, checked. Raises: As `View.segment`."""
-        at, own = self._segments[number]
-        return self.shards[at].view.segment(own, is_laid_out)
+        shard, local = self._segments[number]
+        return self.shards[shard].view.segment(local, is_laid_out)
 
     def table(self, number: int, columns: list[str] | None = None) -> pa.Table:
         """Return the stored rows of this segment with these columns (None: all). Raises: As `segment`."""
-        at, own = self._segments[number]
-        return self.shards[at].view.table(own, columns)
+        shard, local = self._segments[number]
+        return self.shards[shard].view.table(local, columns)
 
     def tables_from(self, first: int, columns: list[str]) -> Iterator[pa.Table]:
         """Yield these columns of the events from this index on, a table for each segment. Raises: As `segment`."""
@@ -173,16 +173,16 @@ class Federation(View, frozen=True, dict=True):
 
     def shard_of(self, index: int) -> tuple[Shard, int]:
         """Return the shard that holds the event at this index, and the event's index there."""
-        at = bisect_right(self._firsts, index) - 1
-        return self.shards[at], index - self._firsts[at]
+        shard = bisect_right(self._firsts, index) - 1
+        return self.shards[shard], index - self._firsts[shard]
 
     def rows(self, first: int, end: int) -> list[bytes]:
         """Return the canonical bytes of these events. Raises: As `segment`."""
         return [
             row
             for start, view in zip(self._firsts, self.views, strict=False)
-            if (own := max(first - start, 0)) < (until := min(end - start, view.head.size))
-            for row in view.rows(own, until)
+            if (local := max(first - start, 0)) < (stop := min(end - start, view.head.size))
+            for row in view.rows(local, stop)
         ]
 
     def runs(self) -> Iterator[LedgerRun]:
@@ -195,29 +195,29 @@ class Federation(View, frozen=True, dict=True):
         return Index([line for view in self.views for line in view.index.lines])
 
     def span_of_line(self, number: int) -> tuple[int, int]:
-        """Return the indexes between which the events of this line of the index are."""
-        at, own = self._lines[number]
-        first, end = self.shards[at].view.span_of_line(own)
-        return self._firsts[at] + first, self._firsts[at] + end
+        """Return the first and end index of the events of this line of the index."""
+        shard, local = self._lines[number]
+        first, end = self.shards[shard].view.span_of_line(local)
+        return self._firsts[shard] + first, self._firsts[shard] + end
 
     def believe_index(self, placement: int | None = None) -> None:
-        """Take over where runs are as the chains of all shards say."""
+        """Trust the index lines in the chains of all shards, as already compared with the rows."""
         for view in self.views:
             view.believe_index(placement)
 
     def require_index(self, *segments: int) -> None:
-        """Require that the chains say of these segments what their rows do. Raises: As `View.require_index`."""
-        for at, own in {self._segments[number] for number in segments}:
-            self.shards[at].view.require_index(own)
+        """Require that the chains' index lines of these segments match their rows. Raises: As `View.require_index`."""
+        for shard, local in {self._segments[number] for number in segments}:
+            self.shards[shard].view.require_index(local)
 
 
 def views_of(view: View) -> Sequence[View]:
-    """Return the ledgers whose events these are, one after the other: the shards of a federation, or the ledger."""
+    """Return the ledgers that hold this view's events, in order: the shards of a federation, or the ledger itself."""
     return view.views if isinstance(view, Federation) else [view]
 
 
 def log_of(view: View) -> View:
-    """Return the ledger whose head this is: the log of a federation, or the ledger."""
+    """Return the ledger that has this view's head: the log of a federation, or the ledger itself."""
     return view.log if isinstance(view, Federation) else view
 
 
@@ -231,12 +231,12 @@ def is_log(view: View) -> bool:
 
 
 def names_head(line: bytes) -> bool:
-    """Return whether an index that begins with this line says that its ledger begins with the head of a shard."""
+    """Return whether this first line of an index shows that its ledger begins with the head of a shard."""
     return line.startswith(_FIRST) and _HEAD in line.partition(b"}")[0]
 
 
 def _first_line(view: View) -> bytes:
-    """Return the first line of the index, as placed: to read all of it would take long where there are many runs."""
+    """Return the first line of the index, as placed: reading all of it would be slow if there are many runs."""
     placement = view.chain.added[0]
     try:
         line = growing.read_at(view.path / INDEX, 0, placement.index_bytes)
@@ -250,11 +250,11 @@ def _type(row: bytes) -> object:
 
 
 def heads_of(view: View) -> list[ShardHead]:
-    """Return all heads that a log has, in order.
+    """Return all heads in a log, in order.
 
     Raises: LedgerCorrupted if it holds an event of another type, or as `View.rows`.
     """
-    found = []
+    heads = []
     for index, row in enumerate(view.rows(0, view.chain.size)):
         event = msgspec.json.decode(row, type=dict[str, object])
         if (of := event["type"]) != HEAD_TYPE:
@@ -270,8 +270,8 @@ def heads_of(view: View) -> list[ShardHead]:
                 f"{view.path}: found event {index}, {printable.value(f'{event}')}, expected a head with an origin, a "
                 f"folder, a number of events and a root in hex, as run {PREFIX}{index}; record the heads in a new log"
             )
-        found.append(head)
-    return found
+        heads.append(head)
+    return heads
 
 
 def newest(heads: Sequence[ShardHead]) -> list[ShardHead]:
@@ -280,79 +280,79 @@ def newest(heads: Sequence[ShardHead]) -> list[ShardHead]:
 
 
 def doubts(heads: Sequence[ShardHead]) -> list[Problem]:
-    """Return where the heads of a log contradict each other: an origin only grows."""
-    known: dict[str, ShardHead] = {}
-    found = []
+    """Return the contradictions between the heads of a log: an origin only grows."""
+    latest: dict[str, ShardHead] = {}
+    problems = []
     for head in heads:
-        before = known.get(head.origin)
-        if before is not None and _is_older(head, before):
-            was = f"{REPLAYED}: after its head of {before.shard_events:,} events one of {head.shard_events:,}"
+        previous = latest.get(head.origin)
+        if previous is not None and _is_older(head, previous):
+            was = f"{REPLAYED}: after its head of {previous.shard_events:,} events one of {head.shard_events:,}"
             expected = "heads that only grow; record it again in a new log"
-            found.append(Problem(str(head), was, expected))
-        known[head.origin] = head
-    return found
+            problems.append(Problem(str(head), was, expected))
+        latest[head.origin] = head
+    return problems
 
 
-def _is_older(head: ShardHead, before: ShardHead) -> bool:
-    if head.shard_events == before.shard_events:
-        return head.shard_root != before.shard_root
-    return head.shard_events < before.shard_events
+def _is_older(head: ShardHead, previous: ShardHead) -> bool:
+    if head.shard_events == previous.shard_events:
+        return head.shard_root != previous.shard_root
+    return head.shard_events < previous.shard_events
 
 
 def doubt_of(head: ShardHead, view: View, heads: Sequence[ShardHead]) -> Problem | None:
     """Return why the ledger of this view is not the recorded shard, or not all of it; None if it holds all.
 
-    It may have grown since. `heads` are all of the log.
+    It may have grown since it was recorded. `heads` are all heads of the log.
     """
-    place, has = str(view.path), view.manifest.origin
+    place, actual = str(view.path), view.manifest.origin
     if is_log(view):
         return Problem(place, f"{NESTED}: the log of other ledgers", f"{head}, a ledger of runs; record those others")
-    if has != head.origin:
-        is_other = any(one.origin == has for one in heads)
+    if actual != head.origin:
+        is_other = any(other.origin == actual for other in heads)
         was = SWAPPED if is_other else OTHER_ORIGIN
-        of = f"shard {printable.value(has)}" if is_other else f"origin {printable.value(has)}"
+        of = f"shard {printable.value(actual)}" if is_other else f"origin {printable.value(actual)}"
         return Problem(place, f"{was}: the ledger of {of}", f"that of {head}; put it back, or record where it is")
-    at = f"{head.shard_events:,} events under root {head.shard_root}"
+    tree = f"{head.shard_events:,} events under root {head.shard_root}"
     size, root = view.head.size, view.head.root
     if size < head.shard_events:
-        if (rewritten := doubt_of_past(head, view, [one for one in heads if one.shard_events <= size])) is not None:
-            return rewritten
-        earlier = [one for one in heads if one.origin == has and one.index < head.index]
-        was = REPLAYED if any((size, root) == (one.shard_events, one.shard_root) for one in earlier) else LATE
-        told = "as at an earlier head" if was == REPLAYED else "of which the log has more"
+        if (flaw := doubt_of_past(head, view, [other for other in heads if other.shard_events <= size])) is not None:
+            return flaw
+        earlier = [other for other in heads if other.origin == actual and other.index < head.index]
+        was = REPLAYED if any((size, root) == (other.shard_events, other.shard_root) for other in earlier) else LATE
+        note = "as at an earlier head" if was == REPLAYED else "of which the log has more"
         return Problem(
-            place, f"{was}: {size:,} events, {told}", f"{at}, as recorded; bring what is missing from where it is"
+            place, f"{was}: {size:,} events, {note}", f"{tree}, as recorded; bring what is missing from where it is"
         )
     if not begins_with(view, head.shard_events, head.shard_root):
-        return Problem(place, f"{OTHER_HISTORY}: {size:,} events under root {root}", f"{at}, or more after them")
+        return Problem(place, f"{OTHER_HISTORY}: {size:,} events under root {root}", f"{tree}, or more after them")
     return None
 
 
 def doubt_of_past(head: ShardHead, view: View, heads: Sequence[ShardHead]) -> Problem | None:
-    """Return which earlier head of this shard is none that it had; None if it had all. Raises: As `begins_with`."""
-    for one in heads:
-        if one.origin == head.origin and not begins_with(view, one.shard_events, one.shard_root):
-            was = f"{OTHER_HISTORY}: it never had the root {one.shard_root} of {one.shard_events:,} events"
+    """Return the problem with a head of this shard that it never had; None if it had all. Raises: As `begins_with`."""
+    for past in heads:
+        if past.origin == head.origin and not begins_with(view, past.shard_events, past.shard_root):
+            was = f"{OTHER_HISTORY}: it never had the root {past.shard_root} of {past.shard_events:,} events"
             return Problem(str(view.path), was, f"heads of {head} that it had; record it in a new log")
     return None
 
 
 def begins_with(view: View, size: int, root: str) -> bool:
-    """Return whether the stored hashes prove that the first so many events have this root.
+    """Return whether the stored hashes prove that the first `size` events have this root.
 
-    Raises: LedgerCorrupted if a hash that it takes is missing.
+    Raises: LedgerCorrupted if a required hash is missing.
     """
-    now = view.head
+    current = view.head
     if not size:
         return root == EMPTY_HEAD.root
-    if size == now.size:
-        return root == now.root
-    proof = consistency_proof(view.node(now.size), size, now.size)
-    return is_consistent(size, bytes.fromhex(root), now.size, bytes.fromhex(now.root), proof)
+    if size == current.size:
+        return root == current.root
+    proof = consistency_proof(view.node(current.size), size, current.size)
+    return is_consistent(size, bytes.fromhex(root), current.size, bytes.fromhex(current.root), proof)
 
 
 def twice(views: Mapping[str, View]) -> Problem | None:
-    """Return that two of these shards, by origin, hold a run of the same name; None if none do."""
+    """Return the problem if two of these shards, by origin, hold a run of the same name; None if none do."""
     seen: dict[str, str] = {}
     for origin, view in views.items():
         names = view.run_names
@@ -365,14 +365,14 @@ def twice(views: Mapping[str, View]) -> Problem | None:
 
 
 def unreadable(head: ShardHead, place: Path, error: Exception) -> Problem:
-    """Return that there is no ledger where a shard should be, or none that can be read."""
+    """Return the problem of a shard's folder that has no ledger, or an unreadable one."""
     if isinstance(error, NotALedger):
         return Problem(str(place), f"{MISSING}: no ledger", f"{head}; put it back, or record where it is")
     return Problem(str(place), f"{error}", f"{head}, a ledger that can be read")
 
 
 def told(head: ShardHead, view: View, runs: int | None, models: Sequence[str], log: Path) -> str:
-    """Return a line on a shard that was verified, with so many runs (None: not counted) of these model versions."""
+    """Return a line on a verified shard, with its number of runs (None: not counted) and their model versions."""
     size = view.head.size
     more = f"{head.shard_events:,} of them are recorded, run fsar-ledger shards {printable.word(log)} for the rest"
     grown = f"; {more}" if size > head.shard_events else ""
@@ -392,7 +392,7 @@ def joined(log: View, shards: Sequence[Shard]) -> Federation:
 def record_of_head(head: ShardHead) -> LedgerRun:
     """Return the record to commit for a head: a run with one event, at time 0.
 
-    Its name has its place in the log, so that of two writers who read the same log only one adds to it.
+    Its name contains its index in the log, so if two writers read the same log, only one can append.
     """
     event = ShardRecorded(
         origin=head.origin, folder=head.folder, shard_events=head.shard_events, shard_root=head.shard_root

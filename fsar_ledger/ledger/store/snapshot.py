@@ -1,8 +1,8 @@
-"""Read what is committed in a ledger at one moment, beside writers that go on.
+"""Read what is committed in a ledger at one moment, while writers continue.
 
 Readers read the chain, the checkpoint, and then the journal. If the chain grew meanwhile they follow it further, and
-read the others again. A commit that is hidden is on its way to the disk, or was left by a crash; what does not fit
-together was written meanwhile, or is damaged. Which of these shows whether a writer has its turn.
+read the others again. A hidden commit is on its way to the disk, or was left by a crash; an inconsistency was written
+meanwhile, or is damage. Whether a writer holds the turn lock shows which.
 """
 
 import hashlib
@@ -27,10 +27,10 @@ if TYPE_CHECKING:
 
 MAX_CHAIN_BYTES = 1 << 32
 PART_BYTES = 1 << 24
-"""How much of a chain is read at once."""
+"""The bytes of a chain that are read at once."""
 MAX_JOURNAL_BYTES = 1 << 30
 _PAUSE_S, _PATIENCE_S = 0.0005, 10.0
-"""How long a reader waits for a writer each time, and in all."""
+"""How long a reader waits for a writer each time, and in total."""
 
 
 class Snapshot(NamedTuple):
@@ -43,11 +43,11 @@ class Snapshot(NamedTuple):
 
     @property
     def problem(self) -> Problem | None:
-        """Return what does not fit together; None if all does."""
+        """Return the first inconsistency; None if there is none."""
         return self.followed.problem or self.journal.problem
 
     def require_whole(self, path: Path) -> None:
-        """Raise what does not fit together. Raises: FormatVersionMismatch for a later release, else LedgerCorrupted."""
+        """Require consistency. Raises: FormatVersionMismatch for a record of a later release, else LedgerCorrupted."""
         if isinstance(self.problem, LaterRelease):
             raise FormatVersionMismatch(f"{path}/{self.problem}")
         if self.problem is not None:
@@ -56,7 +56,7 @@ class Snapshot(NamedTuple):
 
 # See docs/decisions/commits-are-packed.md.
 class Known(NamedTuple):
-    """What the first bytes of a chain say, up to where they were `followed`, and their SHA-256."""
+    """The state of a chain after its first bytes, up to where they were `followed`, and their SHA-256."""
 
     sha256: bytes
     followed: Followed
@@ -64,9 +64,9 @@ class Known(NamedTuple):
 
 
 LEAST_KNOWN, MOST_KNOWN = 1 << 12, 8
-"""How many commits a chain has at least that is known to this process from before, and how many chains are."""
+"""The least number of commits of a chain cached in this process, and the most chains cached."""
 known: dict[tuple[Path, str], Known] = {}
-"""By the folder and the hash of its ledger.json; the newest last."""
+"""The cached chains by folder and hash of ledger.json; the newest last."""
 
 
 def take_snapshot(path: Path, manifest_sha256: str, *, trusts_frontiers: bool, has_turn: bool) -> Snapshot:
@@ -76,10 +76,10 @@ def take_snapshot(path: Path, manifest_sha256: str, *, trusts_frontiers: bool, h
         path: The folder of the ledger.
         manifest_sha256: The hash of its ledger.json.
         trusts_frontiers: As in `Chain`.
-        has_turn: The caller has the turn of a writer.
+        has_turn: The caller holds the writers' turn lock.
     """
     reader = _Reader(path, manifest_sha256, trusts_frontiers=trusts_frontiers)
-    if has_turn:  # a writer goes on for long, and lets go of commits
+    if has_turn:  # a writer is long-lived, and drops commits
         return reader.look(counts_hidden=True)
     reader.begin_known()
     snapshot = _settled(reader)
@@ -99,7 +99,7 @@ def _settled(reader: "_Reader") -> Snapshot:
                     return reader.look(counts_hidden=reader.is_synced())
             continue
         seen = snapshot.followed.end, snapshot.chain.count
-        # What was hidden at first may have been seen already, if a crash left it; what was hidden later may not.
+        # Commits hidden at first may have been seen before, if a crash left them; those hidden later cannot.
         if snapshot.problem is None and (not reader.has_hidden or first not in (None, seen)):
             return snapshot
         with disk.lock_if_free(reader.path / SEGMENTS) as is_free:
@@ -112,14 +112,14 @@ def _settled(reader: "_Reader") -> Snapshot:
 
 
 class _Reader:
-    """Looks at a ledger again and again. The part of the chain that was followed is not read again."""
+    """A reader that polls a ledger, without rereading the part of the chain already followed."""
 
     def __init__(self, path: Path, manifest_sha256: str, *, trusts_frontiers: bool) -> None:
         self.path = path
         self.is_steady = True
-        """Whether the chain was the same before and after the last look."""
+        """Whether the chain had the same size before and after the last look."""
         self.has_hidden = False
-        """Whether that saw commits that are hidden."""
+        """Whether that found hidden commits."""
         self._sha256 = manifest_sha256
         self._trusts_frontiers = trusts_frontiers
         self._begin()
@@ -130,37 +130,37 @@ class _Reader:
         self._newest = self._chain.mark()  # without what the journal added
 
     def begin_known(self) -> None:
-        """Begin where this process has followed the chain to before, if the file still has the same bytes up to there.
+        """Start from the cached state of the chain, if the file still has the same bytes up to there.
 
-        To read and hash them takes a tenth of the time.
+        Reading and hashing them takes a tenth of the time of following them.
         """
-        one = known.get((self.path, self._sha256)) if self._trusts_frontiers else None
-        if one is None:
+        cached = known.get((self.path, self._sha256)) if self._trusts_frontiers else None
+        if cached is None:
             return
         digest = hashlib.sha256()
-        for at in range(0, one.followed.end, PART_BYTES):
-            count = min(PART_BYTES, one.followed.end - at)
-            digest.update(growing.read_whole(self.path / CHAIN, MAX_CHAIN_BYTES, at, count))
-        if digest.digest() == one.sha256:
-            self._chain, self._followed, self._digest = _copied(one.chain), one.followed, digest
+        for offset in range(0, cached.followed.end, PART_BYTES):
+            count = min(PART_BYTES, cached.followed.end - offset)
+            digest.update(growing.read_whole(self.path / CHAIN, MAX_CHAIN_BYTES, offset, count))
+        if digest.digest() == cached.sha256:
+            self._chain, self._followed, self._digest = _copied(cached.chain), cached.followed, digest
             self._newest = self._chain.mark()
 
     def keep(self) -> None:
-        """Keep how far the chain was followed for the next reader in this process."""
+        """Cache the state of the chain for the next reader in this process."""
         if not self._trusts_frontiers or self._newest.commits < LEAST_KNOWN or self._followed.problem is not None:
             return
-        place, sha256 = (self.path, self._sha256), self._digest.digest()
-        one = known.pop(place, None)
-        if one is None or one.sha256 != sha256:
+        key, sha256 = (self.path, self._sha256), self._digest.digest()
+        entry = known.pop(key, None)
+        if entry is None or entry.sha256 != sha256:
             chain = _copied(self._chain)
             chain.back(self._newest)
-            one = Known(sha256, Followed(self._followed.end, last=self._followed.last), chain)
-        known[place] = one
+            entry = Known(sha256, Followed(self._followed.end, last=self._followed.last), chain)
+        known[key] = entry
         for oldest in [*known][:-MOST_KNOWN]:
-            known.pop(oldest, None)  # unless another thread was first
+            known.pop(oldest, None)  # unless another thread has removed it
 
     def is_synced(self) -> bool:
-        """Sync what is hidden to the disk, so that it stays; return whether the disk took it."""
+        """Sync hidden commits to the disk, so that they stay; return whether that succeeded."""
         if self.has_hidden:
             try:
                 growing.sync(self.path / CHAIN)
@@ -170,26 +170,26 @@ class _Reader:
         return True
 
     def look(self, *, counts_hidden: bool = False) -> Snapshot:
-        """Return what the ledger holds now, with or without whole commits that are hidden."""
+        """Return a snapshot of the ledger, with or without whole commits that are hidden."""
         size = self._follow(counts_hidden=counts_hidden)
         has_sealing = os.access(self.path / SEALING, os.F_OK)  # one renamed after this is read under its new name too
-        note = read_checkpoint(self.path)  # before the commits that it may be about
+        note = read_checkpoint(self.path)  # before the commits that it may cover
         newer, older = (growing.read_whole(self.path / name, MAX_JOURNAL_BYTES) for name in (JOURNAL, SEALING))
-        shown, places = _with_hidden(newer)
-        newer = shown if counts_hidden else newer[: places[0]] if places else newer
+        with_hidden, offsets = _with_hidden(newer)
+        newer = with_hidden if counts_hidden else newer[: offsets[0]] if offsets else newer
         journal = read_frames(older, newer, self._chain, has_sealing=has_sealing)
-        journal.hidden = places if counts_hidden else ()
-        self.has_hidden = self.has_hidden or bool(places)
+        journal.hidden = offsets if counts_hidden else ()
+        self.has_hidden = self.has_hidden or bool(offsets)
         self.is_steady = growing.size_of(self.path / CHAIN) == size
         return Snapshot(self._chain, self._followed, journal, note)
 
     def _follow(self, *, counts_hidden: bool) -> int:
-        """Follow what the chain has beyond what was followed; return the size of the file."""
+        """Follow the new bytes of the chain; return the size of the file."""
         self._chain.back(self._newest)
         if self._followed.problem or growing.size_of(self.path / CHAIN) < self._followed.end:
             self._begin()
         size = self._follow_parts(counts_hidden=counts_hidden)
-        if not self._chain.has_right_tree():  # which line is wrong?
+        if not self._chain.has_right_tree():  # find the wrong line
             self._begin()
             self._chain = Chain(self._sha256)
             size = self._follow_parts(counts_hidden=False)
@@ -197,9 +197,9 @@ class _Reader:
         return size
 
     def _follow_parts(self, *, counts_hidden: bool) -> int:
-        """Follow the file from there on, some bytes at a time; return its size.
+        """Follow the rest of the file in parts; return its size.
 
-        Within the file, what follows the last whole append of a part is read again with the next one.
+        Within the file, the bytes after the last whole append of a part are read again with the next one.
         """
         count = PART_BYTES
         while True:
@@ -208,9 +208,9 @@ class _Reader:
             is_last = len(data) < count
             self.has_hidden = is_last and data.endswith(b"}\0") and _is_placement(_last_line(data))
             is_hidden = self.has_hidden and counts_hidden
-            shown = data[:-1] + b"\n" if is_hidden else data
-            followed = follow(shown, self._chain)
-            self._digest.update(shown[: followed.end])
+            visible = data[:-1] + b"\n" if is_hidden else data
+            followed = follow(visible, self._chain)
+            self._digest.update(visible[: followed.end])
             size = start + len(data) if is_last else growing.size_of(self.path / CHAIN)
             self._followed = Followed(
                 start + followed.end,
@@ -225,7 +225,7 @@ class _Reader:
 
 
 def _copied(chain: Chain) -> Chain:
-    """Return a chain that says the same, and changes apart from this one."""
+    """Return an independent copy of this chain."""
     other = copy(chain)
     other.commits = chain.commits.copy()
     other.placements, other.placed, other.added = [*chain.placements], [*chain.placed], [*chain.added]
@@ -233,26 +233,26 @@ def _copied(chain: Chain) -> Chain:
 
 
 def _with_hidden(text: bytes) -> tuple[bytes, tuple[int, ...]]:
-    """Return the bytes of `journal.jsonl` with its whole hidden frames shown, and where each of these begins.
+    """Return the bytes of `journal.jsonl` with its whole hidden frames made visible, and their offsets.
 
     There are two if the power failed before the first byte of a frame, and a later frame, were on disk.
     """
-    places: list[int] = []
-    at = text.find(b"\0")  # neither records nor rows have any
-    while at >= 0 and (end := _end_of_hidden(text, at)):
-        text = text[:at] + FIRST + text[at + 1 :]
-        places.append(at)
-        at = end if text[end : end + 1] == b"\0" else -1
-    return text, tuple(places)
+    offsets: list[int] = []
+    offset = text.find(b"\0")  # neither records nor rows contain NUL
+    while offset >= 0 and (end := _end_of_hidden(text, offset)):
+        text = text[:offset] + FIRST + text[offset + 1 :]
+        offsets.append(offset)
+        offset = end if text[end : end + 1] == b"\0" else -1
+    return text, tuple(offsets)
 
 
-def _end_of_hidden(text: bytes, at: int) -> int:
-    """Return where the hidden frame that begins there ends; 0 if there is none, or not all of it."""
-    end = text.find(b"\n", at) + 1
-    if not end or text[at + 1 : at + 2] == b"\0":
+def _end_of_hidden(text: bytes, offset: int) -> int:
+    """Return the end of the hidden frame at this offset; 0 if there is none, or only part of it."""
+    end = text.find(b"\n", offset) + 1
+    if not end or text[offset + 1 : offset + 2] == b"\0":
         return 0
     try:
-        record = parse_line(FIRST + line_at(text, at + 1, end - 1))
+        record = parse_line(FIRST + line_at(text, offset + 1, end - 1))
     except ValueError:
         return 0
     return (isinstance(record, Commit) and after_lines(text, end, record.rows)) or 0
@@ -272,7 +272,7 @@ def _is_placement(line: bytes) -> bool:
 
 
 def read_checkpoint(path: Path) -> str | Problem | None:
-    """Return what the file `checkpoint` holds, None if there is none, or why it cannot be read."""
+    """Return the content of the file `checkpoint`, None if it is missing, or why it cannot be read."""
     try:
         return disk.read_document(path / CHECKPOINT).decode()
     except FileNotFoundError:
@@ -283,44 +283,43 @@ def read_checkpoint(path: Path) -> str | Problem | None:
 
 
 # The checkpoint is written after each append to the chain, and when a writer closes the ledger, not for each commit in
-# the journal. So it may be behind by the commits that the journal holds, and, after a crash, by the last append to the
-# chain.
+# the journal. So it may lag behind by the commits in the journal, and, after a crash, by the last append to the chain.
 
 
 def behind(view: "View") -> int:
     """Return how many of the newest commits the checkpoint does not cover.
 
-    Raises: LedgerCorrupted if it is the note of none of them, or of none that a crash leaves.
+    Raises: LedgerCorrupted if it is not the note of any of them, or not one that a crash leaves.
     """
-    back = covered(view)
-    if isinstance(back, Problem):
+    lag = covered(view)
+    if isinstance(lag, Problem):
         raise LedgerCorrupted(
-            f"{view.path}/{back}; run fsar-ledger verify, and fsar-ledger maintain recover if it says so"
+            f"{view.path}/{lag}; run fsar-ledger verify, and fsar-ledger maintain recover if it says so"
         )
-    return back
+    return lag
 
 
 def covered(view: "View") -> int | Problem:
-    """Return how many of the newest commits the checkpoint does not cover, or why it is no note that a crash leaves."""
-    if isinstance(kept := view.checkpoint, Problem):
-        return kept
+    """Return how many of the newest commits the checkpoint does not cover, or why no crash leaves such a note."""
+    if isinstance(checkpoint := view.checkpoint, Problem):
+        return checkpoint
     commits, origin = view.commits, view.manifest.origin
-    for back in range(len(commits) + 1):
-        number = len(commits) - back
+    for lag in range(len(commits) + 1):
+        number = len(commits) - lag
         note = str(commits[number - 1].note(origin)) if number else None
-        if kept == note:
-            return back
+        if checkpoint == note:
+            return lag
         if number and commits[number - 1].tree_size <= view.chain.settled:
             break
     return Problem(
         CHECKPOINT,
-        "no file" if kept is None else f"{kept!r:.400}",
+        "no file" if checkpoint is None else f"{checkpoint!r:.400}",
         "the note of the newest commit, or of one since which a crash leaves none",
     )
 
 
 def check_chain_checkpoint(view: "View") -> list[Problem]:
-    """Compare the file with the notes of the newest commits. Returns the problems."""
-    back = covered(view)
+    """Compare the checkpoint with the notes of the newest commits, and return the problems."""
+    lag = covered(view)
     number = len(view.commits) - 1 if view.commits else None
-    return [msgspec.structs.replace(back, commit=number)] if isinstance(back, Problem) else []
+    return [msgspec.structs.replace(lag, commit=number)] if isinstance(lag, Problem) else []

@@ -1,7 +1,7 @@
-"""What goes into a ledger, on its way: runs as a staged segment, or as rows of a journal, and these as columns.
+"""Encode runs for a ledger: as a staged segment, or as rows of a journal, and those rows as columns.
 
-Runs are checked as they are handed over. Any number of workers may stage; that needs no lock and no order, and what is
-staged is not yet part of the ledger. The rows of a journal are made from a few events at once, without columns.
+Runs are checked on the way. Any number of workers may stage; that needs no lock and no order, and staged segments are
+not yet part of the ledger. The rows of a journal are made directly from a few events, without columns.
 """
 
 import atexit
@@ -50,10 +50,10 @@ from fsar_ledger.ledger.store.paths import staged_path
 
 
 class Staged(msgspec.Struct, frozen=True):
-    """What the parent must know of a segment that waits to be committed.
+    """The properties of a staged segment that the parent needs to commit it.
 
     Units: `segment_bytes` bytes, `rows` events. `leaves` are the packed RFC 6962 leaf hashes, 32 bytes per row.
-    `blocks` are those of the rows; `goes_on` are the runs of which later commits may hold more.
+    `blocks` are those of the rows; `goes_on` are the runs that later commits may extend.
     `release` is the one whose events and columns these are.
     """
 
@@ -70,13 +70,13 @@ class Staged(msgspec.Struct, frozen=True):
 def stage(ledger: Path, runs: Sequence[LedgerRun]) -> Staged:
     """Encode these runs and write them to the staging folder, durably; they are not yet part of the ledger.
 
-    Needs no lock and no order. Workers may stage at the same time, but while a Writer is open: one that is alone when
-    it opens removes what is staged and not committed. The same runs give the same file.
+    Needs no lock and no order. Workers may stage concurrently, but only while a Writer is open: when the only Writer
+    opens, it removes uncommitted staged segments. The same runs give the same file.
 
     Raises:
-        CommitTooLarge: They are more than one commit may hold (see `bounds`). Nothing was written.
+        CommitTooLarge: They exceed the limits of one commit (see `bounds`). Nothing was written.
         InvalidRun: There are no runs, or one cannot be encoded (see `codec.encode`), has unprintable text (see
-            `check.unprintable`), events in a wrong order (see `check.disordered`) or unreadable parameters (see
+            `check.unprintable`), events in the wrong order (see `check.disordered`) or unreadable parameters (see
             `runs.unreadable`). Nothing was written.
         WriteFailed: The disk refused; nothing is left behind.
     """
@@ -91,7 +91,7 @@ def stage(ledger: Path, runs: Sequence[LedgerRun]) -> Staged:
 
 
 def stage_rows(ledger: Path, runs: Sequence[LedgerRun], table: pa.Table, leaves: bytes) -> Staged:
-    """Stage encoded runs without a check of their names and order, as 0.1.0 did. Raises: As `stage`."""
+    """Stage encoded runs without checking their names and order, as 0.1.0 did. Raises: As `stage`."""
     data = segment.to_parquet(table)
     sizes = [(table.num_rows, MAX_ROWS, "events"), (data.size, MAX_SEGMENT_BYTES, "bytes")]
     if has_more_text_than(table, MAX_TEXT_BYTES):
@@ -128,9 +128,9 @@ _TAG_OF: dict[type, str] = {layout.cls: tag for tag, layout in LAYOUTS.items()}
 
 
 def rows_of(runs: Sequence[LedgerRun]) -> tuple[bytes, tuple[Block, ...]]:
-    """Return the rows of these runs, the canonical bytes of each with a line feed after it, and their blocks.
+    """Return the rows of these runs, the canonical bytes of each followed by a line feed, and their blocks.
 
-    Raises: InvalidRun for whatever `stage` refuses, but for its bounds on a segment.
+    Raises: InvalidRun for whatever `stage` refuses, except its bounds on a segment.
     """
     if not runs:
         raise InvalidRun("found no runs to commit, expected at least 1")
@@ -147,13 +147,13 @@ def rows_of(runs: Sequence[LedgerRun]) -> tuple[bytes, tuple[Block, ...]]:
         if flaw := disordered(table):
             raise refusal(flaw)
     begun = [run for run in runs if not run.first]
-    if begun and (flaw := unreadable(begun) or overlong(begun)):  # of the others, the ledger holds the name
+    if begun and (flaw := unreadable(begun) or overlong(begun)):  # the ledger already holds the names of the others
         raise refusal(flaw)
     return rows, tuple(map(_block, runs, marks))
 
 
 def _going_on(run: LedgerRun) -> tuple[bytes, tuple[Block]] | None:
-    """Return, as `rows_of`, what follows of a run that has begun; None unless it is plain that nothing is wrong."""
+    """Return the result of `rows_of` for a continued run; None if the fast path does not apply."""
     if not run.first or (lines := plain_lines(run)) is None:
         return None
     rows, marks = lines
@@ -161,9 +161,9 @@ def _going_on(run: LedgerRun) -> tuple[bytes, tuple[Block]] | None:
 
 
 def _is_printable(rows: bytes) -> bool:
-    """Return whether it is plain that all text in these rows, canonical JSON, is printable.
+    """Return whether a quick test shows that all text in these rows, canonical JSON, is printable.
 
-    JSON escapes other ASCII than DEL by a backslash. Looking at bytes takes a tenth of the time of looking at text.
+    JSON escapes unprintable ASCII except DEL with a backslash. Testing bytes takes a tenth of the time of testing text.
     """
     text = rows.replace(b"\n", b"")
     return b"\\" not in text and b"\x7f" not in text and (text.isascii() or text.decode().isprintable())
@@ -175,17 +175,17 @@ def _concerns(marks: int) -> tuple[str, ...]:
 
 
 def _is_in_order(run: LedgerRun, marks: int) -> bool:
-    """Return whether it is plain that nothing is wrong with the order of these events and the run's beginning."""
+    """Return whether a quick test shows that the order of these events and the run's beginning are right."""
     times = run.times_us
     if marks & OPENING or (len(times) > 1 and list(times) != sorted(times)):
         return False
     if run.first:
         return True
-    first, observes = _TAG_OF[type(run.events[0])], _observes(run)
+    first_tag, observes = _TAG_OF[type(run.events[0])], _observes(run)
     return (
-        first in OPENINGS
+        first_tag in OPENINGS
         and getattr(run.events[0], "records", None) is None
-        and (first not in STANDS_ALONE or len(run.events) == 1)
+        and (first_tag not in STANDS_ALONE or len(run.events) == 1)
         and (observes is None or (set(observes) <= set(CONCERNS) and set(_concerns(marks)) <= set(observes)))
     )
 
@@ -205,13 +205,13 @@ def _block(run: LedgerRun, marks: int) -> Block:
 
 
 def _goes_on_from(run: LedgerRun) -> tuple[str, int] | None:
-    """Return what event 1 says, if it is here: the run that this one continues, and the last seq of that."""
+    """Return the run that this one continues, and its last seq, from event 1; None without such an event."""
     second = run.events[1 - run.first] if run.first <= 1 < run.first + len(run.events) else None
     return (second.continues, second.continues_seq) if isinstance(second, RunContinued) else None
 
 
 def _observes(run: LedgerRun) -> tuple[str, ...] | None:
-    """Return the concerns that the run's events may have, as event 0 says; None if it is not here or says nothing."""
+    """Return the concerns that the run's events may have, from event 0; None if that is absent or names none."""
     if run.first or not isinstance(started := run.events[0], RunStarted):
         return None
     return concerns_admitted(started.observes, started.records)
@@ -223,14 +223,14 @@ _PARSE = pyarrow.json.ParseOptions(
     newlines_in_values=False,
 )
 _BLOCK_BYTES = 1 << 24
-_folders: list[str] = []  # of this process, for rows of journals
+_folders: list[str] = []  # at most one: this process's temporary folder for rows of journals
 _folder_lock = Lock()
 
 
 def table_of(path: Path, lines: bytes) -> pa.Table:
     """Return these rows of the journal at this path, the canonical bytes of each and a line feed, as a table.
 
-    It has the columns of `SCHEMA`, or of `CODED_SCHEMA`.
+    It has the columns of `SCHEMA` or of `CODED_SCHEMA`.
 
     Raises: LedgerCorrupted if a row is not the canonical JSON of such columns.
     """
@@ -245,12 +245,12 @@ def table_of(path: Path, lines: bytes) -> pa.Table:
             pyarrow.json.ReadOptions(use_threads=False, block_size=max(_BLOCK_BYTES, *map(len, rows)) + 1),
             _PARSE,
         ).cast(SCHEMA)
-        again = canonical.from_table(table.combine_chunks())
+        encoded = canonical.from_table(table.combine_chunks())
     except (pa.ArrowException, ValueError) as error:
         raise LedgerCorrupted(
             f"{path}: found rows that are no events ({error!s:.200}); run fsar-ledger verify, and restore the file"
         ) from error
-    for number, (row, line) in enumerate(zip(rows, again, strict=True)):
+    for number, (row, line) in enumerate(zip(rows, encoded, strict=True)):
         if line != row:
             raise LedgerCorrupted(
                 f"{path}: row {number}: found {row!r:.200}, expected canonical JSON of the columns of events; restore "
@@ -260,14 +260,14 @@ def table_of(path: Path, lines: bytes) -> pa.Table:
 
 
 class UnstagedSegment(NamedTuple):
-    """A segment in memory, which is not staged yet: its bytes, and what a writer must know of it."""
+    """A segment in memory that is not staged yet: its bytes, and its properties once staged."""
 
     data: pa.Buffer
     staged: Staged
 
 
 def made_of(table: pa.Table, leaves: bytes) -> UnstagedSegment:
-    """Make a segment of these rows, of runs that a ledger holds, with these packed leaf hashes."""
+    """Return a segment of these rows of runs already in a ledger, with these packed leaf hashes."""
     data = segment.to_parquet(table)
     return UnstagedSegment(data, Staged(sha256_hex(data), data.size, table.num_rows, leaves))
 
@@ -292,9 +292,9 @@ def require_staged(ledger: Path, staged: Staged) -> None:
 
 
 def materialized(table: pa.Table) -> Path:
-    """Write these rows as a segment into a folder of this process, and return it."""
+    """Write these rows as a segment into this process's temporary folder, and return its path."""
     data = segment.to_parquet(table)
-    with _folder_lock:  # and renamed when it is whole, so that nobody reads half a file
+    with _folder_lock:  # the file is renamed when complete, so that no reader sees half of it
         if not _folders:
             _folders.append(tempfile.mkdtemp(prefix="fsar-ledger-"))
             atexit.register(shutil.rmtree, _folders[0], ignore_errors=True)
