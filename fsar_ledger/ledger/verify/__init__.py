@@ -1,23 +1,23 @@
-"""Verify a ledger: derive again from the rows everything that it says about itself, and compare; recover it.
+"""Verify a ledger: re-derive from the rows all that its records claim, and compare; recover it.
 
-Without a signature or an anchor this proves that nothing was altered, removed or added *inside* the ledger that its
-last record vouches for. Rewriting every record, or removing the newest ones, is caught by a trusted key (nobody else
-can sign other records) and by an anchor, an earlier checkpoint kept elsewhere.
+Without a signature or an anchor this proves that nothing was altered, removed or added *inside* the ledger for which
+its last record vouches. Rewriting every record, or removing the newest ones, is caught by a trusted key (no other key
+can sign its records) and by an anchor, an earlier checkpoint kept elsewhere.
 
-To recover is to finish or set aside what a crash left, to explain what was altered, and to delete nothing:
+Recovery finishes or sets aside what a crash left, explains what was altered, and deletes nothing:
 
-1. First find what can be trusted, without changing anything (`trusted.py`). If nothing is to be mended, that is all.
-2. If it is the whole ledger, committed segments move into place, and what can be derived from the commits
-   (ledger.json, nodes, index, checkpoint) is made again where it is wrong. Everything else is set aside: it moves to
-   `LEDGER.set-aside/NNN/` under the same name. A crash may follow any step; the next recovery goes on from there.
-3. If it is not, the ledger stays as it is, as evidence; `into` copies the trusted commits to a new ledger, byte for
+1. First find what can be trusted, without changing anything (`trusted.py`). If nothing needs mending, that is all.
+2. If it is the whole ledger, committed segments move into place, and files that can be derived from the commits
+   (ledger.json, nodes, index, checkpoint) are rebuilt if they are wrong. Everything else is set aside: it moves to
+   `LEDGER.set-aside/NNN/` under the same name. A crash may follow any step; the next recovery continues from there.
+3. If it is not, the ledger stays unchanged, as evidence; `into` copies the trusted commits to a new ledger, byte for
    byte.
 
 ```
-chain     one look at the ledger, segment by segment
-segment   one segment: what a worker does
-report    what is asked, what was found, who signed, and whether the ledger only grew
-trusted   how much of a ledger can be trusted, mended or copied
+chain     one pass over the ledger, segment by segment
+segment   one segment: the task of a worker
+report    the options and the findings: problems, signatures, and whether the ledger only grew
+trusted   how much of a ledger can be trusted; mending and copying it
 ```
 """
 
@@ -58,33 +58,33 @@ from fsar_ledger.ledger.verify.trusted import Did, Later, TrustedPart, find_trus
 def verify(
     path: Path, workers: int = 1, progress: Progress | None = None, asked: VerifyOptions | None = None
 ) -> VerifyReport:
-    """Derive every field of every record again, and report every difference as a problem.
+    """Re-derive every field of every record, and report every difference as a problem.
 
-    Damage never raises, whatever the files hold. Symbolic links count as damage. If a writer is at work and what was
-    read does not fit together, the writer waits while all is read once more.
+    Damage never raises, whatever is in the files. Symbolic links count as damage. If a writer changed the ledger
+    meanwhile and the result is inconsistent, everything is read once more under a lock that keeps writers out.
 
     Args:
         path: The directory of the ledger.
         workers: Processes that read segments, or threads if rows are not read.
-        progress: Called with (segments done, segments in all).
+        progress: Called with (segments done, total).
         asked: A quick look, a key that must have signed, an earlier checkpoint.
 
     Raises:
-        NotALedger: There is no directory at the path, nothing of a ledger is in it, or its creation was interrupted.
-        FormatVersionMismatch: Its ledger.json says that it has format 1.
+        NotALedger: There is no directory at the path, no part of a ledger is in it, or its creation was interrupted.
+        FormatVersionMismatch: Its ledger.json declares format 1.
         WorkerDied: A process that reads segments was ended, so nothing is known about the ledger.
     """
     require_ledger(path)
-    before = _moment(path)
+    state = _moment(path)
     report = _look(path, workers, progress, asked or VerifyOptions())
-    if not report.ok and _moment(path) != before:  # what was read late need not fit what was read early
+    if not report.ok and _moment(path) != state:  # late reads may be inconsistent with early ones
         with disk.shared_lock(path / SEGMENTS):
             report = _look(path, workers, progress, asked or VerifyOptions())
     return report
 
 
 def require_ledger(path: Path) -> None:
-    """Require that something of a ledger is at this path, and not one of format 1.
+    """Require that at least part of a ledger is at this path, and not one of format 1.
 
     Raises: NotALedger, FormatVersionMismatch.
     """
@@ -98,7 +98,7 @@ def require_ledger(path: Path) -> None:
 
 
 def _moment(path: Path) -> tuple[tuple[int, ...], str | Problem | None] | None:
-    """Return what changes while a writer is at work; None where it cannot be read."""
+    """Return the file sizes, inodes and checkpoint, which an active writer changes; None if they cannot be read."""
     files = [path / name for name in (CHAIN, JOURNAL, SEALING, NODES, INDEX)]
     try:
         return (*map(growing.size_of, files), *map(growing.inode_of, files)), read_checkpoint(path)
@@ -107,7 +107,7 @@ def _moment(path: Path) -> tuple[tuple[int, ...], str | Problem | None] | None:
 
 
 class Reading(NamedTuple):
-    """How shards are opened, and how the model versions of their runs are read."""
+    """Functions that open shards and read the model versions of their runs."""
 
     opened: Callable[[Path], View]
     models_of: Callable[[View], list[str]]
@@ -121,41 +121,41 @@ def verify_shards(
     progress: Progress | None,
     asked: VerifyOptions,
 ) -> tuple[VerifyReport, list[str | None]]:
-    """Verify the shards of a log that this report is about, and compare them with their recorded heads.
+    """Verify the shards of this log, whose own report is given, and compare them with their recorded heads.
 
-    Returns the report on all, and the newest records of what was verified without doubt.
+    Returns the report on all, and the hashes of the newest records of what was verified without doubt.
     """
     try:
         heads = shards.heads_of(log)
     except LedgerCorrupted as error:
         problem = Problem(CHAIN, f"{error}", "a log that holds heads of shards alone")
         return msgspec.structs.replace(report, ok=False, problems=(problem,), root=None, record_sha256=None), []
-    problems, found, reports = shards.doubts(heads), list[shards.Shard](), list[VerifyReport]()
+    problems, verified, reports = shards.doubts(heads), list[shards.Shard](), list[VerifyReport]()
     for head in shards.newest(heads):
-        place = head.place(log.path)
+        folder = head.place(log.path)
         try:
-            view = reading.opened(place)
+            view = reading.opened(folder)
         except FsarLedgerError as error:
-            problems.append(shards.unreadable(head, place, error))
+            problems.append(shards.unreadable(head, folder, error))
             continue
         doubt = shards.doubt_of(head, view, heads)
-        kept = () if doubt is not None else (_as_recorded(head),)
-        own = VerifyOptions(asked.is_quick, witnessed=kept, second_reader=asked.second_reader)
-        told = verify(place, workers, progress, own)
-        if told.ok and doubt is None:
+        anchors = () if doubt is not None else (_as_recorded(head),)
+        options = VerifyOptions(asked.is_quick, witnessed=anchors, second_reader=asked.second_reader)
+        result = verify(folder, workers, progress, options)
+        if result.ok and doubt is None:
             doubt = shards.doubt_of_past(head, view, heads)
         problems += [] if doubt is None else [doubt]
-        problems += [msgspec.structs.replace(one, where=f"{place}/{one.where}") for one in told.problems]
-        if told.ok and doubt is None:
-            found.append(shards.Shard(head, view))
-            reports.append(told)
-    if (doubt := shards.twice({one.head.origin: one.view for one in found})) is not None:
+        problems += [msgspec.structs.replace(each, where=f"{folder}/{each.where}") for each in result.problems]
+        if result.ok and doubt is None:
+            verified.append(shards.Shard(head, view))
+            reports.append(result)
+    if (doubt := shards.twice({shard.head.origin: shard.view for shard in verified})) is not None:
         problems.append(doubt)
-    records = [one.record_sha256 for one in reports]
+    records = [each.record_sha256 for each in reports]
     if problems:
         named = tuple(problems[:MAX_PROBLEMS])
         return msgspec.structs.replace(report, ok=False, problems=named, root=None, record_sha256=None), records
-    whole = _of_all(report, shards.joined(log, found), reports, reading)
+    whole = _of_all(report, shards.joined(log, verified), reports, reading)
     return whole, [whole.record_sha256, report.record_sha256, *records]
 
 
@@ -175,7 +175,7 @@ def _of_all(
         remarks.append(shards.told(shard.head, shard.view, None if told.is_quick else told.runs, own, federation.path))
     if len(models) > 1:
         remarks.append(f"shards of model versions {', '.join(sorted(models))}: no answer pools them")
-    # One that has grown while it was verified was not verified as it was opened.
+    # A shard that has grown during verification was not verified as it was opened.
     is_same = [told.record_sha256 for told in reports] == [view.record_sha256 for view in federation.views]
     return msgspec.structs.replace(
         report,
@@ -187,15 +187,15 @@ def _of_all(
 
 
 def _look(path: Path, workers: int, progress: Progress | None, asked: VerifyOptions) -> VerifyReport:
-    """Look at the whole ledger once. Raises: WorkerDied, and what `unexpected` raises: then nothing is known."""
+    """Verify the whole ledger once. Raises: WorkerDied, and as `unexpected`; then nothing is known."""
     verification = Verification(path, asked)
     try:
         return verification.run(max(1, workers), progress)
     except WorkerDied:
         raise
     except (Exception, RecursionError) as error:  # a check that fails unexpectedly is still a finding
-        found = dict.fromkeys((*verification.names, *verification.problems))
-        problems = (*[*found][: MAX_PROBLEMS - 1], unexpected(str(path), None, error))
+        earlier = dict.fromkeys((*verification.names, *verification.problems))
+        problems = (*[*earlier][: MAX_PROBLEMS - 1], unexpected(str(path), None, error))
         return VerifyReport(False, problems, 0, 0, 0, None, is_quick=verification.asked.is_quick)
 
 
@@ -203,7 +203,7 @@ Outcome = Literal["whole", "mended", "damaged", "continued"]
 
 
 class Step(msgspec.Struct, frozen=True):
-    """One thing that was done: to which file of the ledger, and where the file is now."""
+    """One recovery action: what was done, the file of the ledger, and where the file is now."""
 
     did: Did
     file: str
@@ -211,13 +211,13 @@ class Step(msgspec.Struct, frozen=True):
 
 
 class Recovery(msgspec.Struct, frozen=True):
-    """What `recover` found and did.
+    """The result of `recover`.
 
     `outcome`: the ledger was *whole* already, or is so again (*mended*); or it is *damaged* and was not touched, with
-    the trusted commits in a new ledger (*continued*) if that was asked for. `head` is that of the trusted commits.
+    the trusted commits in a new ledger (*continued*) if that was requested. `head` is that of the trusted commits.
     `problems` are those of the first commit after them, `later` each commit after them, judged on its own. `anchored`
-    counts the trusted events that the anchor vouches for, None if it cannot or none was given. `report` is what
-    `verify` says about the whole, the mended or the new ledger. `shards` are what is wrong with the shards of a log.
+    is the number of trusted events for which the anchor vouches, None if it cannot or none was given. `report` is that
+    of `verify` on the whole, the mended or the new ledger. `shards` are the problems of the shards of a log.
     """
 
     outcome: Outcome
@@ -237,22 +237,22 @@ def recover(
     asked: VerifyOptions | None = None,
     into: Path | None = None,
 ) -> Recovery:
-    """Mend the ledger so that it verifies, or leave it as it is and report what of it can be trusted.
+    """Mend the ledger so that it verifies, or leave it unchanged and report how much of it can be trusted.
 
     Args:
         path: The directory of the ledger.
         workers: Processes that read segments.
-        progress: Called with (segments done, segments in all), from the beginning each time that they are read.
+        progress: Called with (segments done, total), from the beginning each time that they are read.
         asked: A key that must have signed, an earlier checkpoint.
-        into: Where the trusted commits of a damaged ledger go; nothing may be there yet.
+        into: Where to copy the trusted commits of a damaged ledger; the path must be free.
 
     Raises:
         NotALedger, FormatVersionMismatch: There is no ledger that this version reads, or its creation was interrupted
             before anything was in it.
-        UsageError: Something is at `into` already, or it is within the ledger, or the anchor is not a checkpoint.
+        UsageError: The path `into` exists, or is within the ledger, or the anchor is not a checkpoint.
         LedgerCorrupted: No commit can be trusted, so there is nothing to copy; or files changed while they were read.
-        WriteFailed: Another writer is at work, or the disk refused; what was done so far stays, and the next recovery
-            goes on.
+        WriteFailed: Another writer has the ledger open, or the disk refused; what was done so far stays, and the next
+            recovery continues.
     """
     asked = asked or VerifyOptions()
     require_ledger(path)
@@ -282,21 +282,21 @@ def recover(
 
 
 def shards_to_recover(log: View, workers: int = 1, progress: Progress | None = None) -> list[Problem]:
-    """Return what is wrong with shards of a log, or was left there by a crash. Raises: LedgerCorrupted: `heads_of`."""
-    found = []
+    """Return the problems of a log's shards, including leftovers of a crash. Raises: LedgerCorrupted, as `heads_of`."""
+    problems = []
     for head in shards.newest(shards.heads_of(log)):
-        place = head.place(log.path)
+        folder = head.place(log.path)
         try:
-            require_ledger(place)
-            with _alone(place):
-                look = find_trusted(place, workers, progress, VerifyOptions(anchor=_as_recorded(head)))
+            require_ledger(folder)
+            with _alone(folder):
+                trusted = find_trusted(folder, workers, progress, VerifyOptions(anchor=_as_recorded(head)))
         except FsarLedgerError as error:
-            found.append(shards.unreadable(head, place, error))
+            problems.append(shards.unreadable(head, folder, error))
         else:
-            found += [msgspec.structs.replace(one, where=f"{place}/{one.where}") for one in look.problems[:1]]
-            if not (look.problems or look.is_whole):
-                found.append(Problem(str(place), "what an interrupted writer left", f"{head} alone"))
-    return found
+            problems += [msgspec.structs.replace(each, where=f"{folder}/{each.where}") for each in trusted.problems[:1]]
+            if not (trusted.problems or trusted.is_whole):
+                problems.append(Problem(str(folder), "what an interrupted writer left", f"{head} alone"))
+    return problems
 
 
 def _require_free(path: Path, into: Path | None) -> None:
@@ -312,7 +312,7 @@ def _require_free(path: Path, into: Path | None) -> None:
 
 @contextmanager
 def _alone(path: Path) -> Iterator[None]:
-    """Lock out writers, where the file system has locks. Raises: WriteFailed if one is at work, or locking fails."""
+    """Lock out writers, if the file system has locks. Raises: WriteFailed if one is active, or locking fails."""
     with disk.refusals(path, "locking"):
         handle = os.open(path, os.O_RDONLY | os.O_DIRECTORY)  # not ledger.json, which may be missing or replaced
     try:
@@ -334,7 +334,7 @@ def _lock(path: Path, handle: int) -> None:
 
 
 class _Mending:
-    """The steps on one ledger. A crash may follow any of them; all of them can be repeated."""
+    """The steps of mending one ledger. A crash may follow any of them; all of them can be repeated."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -342,7 +342,7 @@ class _Mending:
         self._aside: Path | None = None
 
     def did(self, did: Did, file: str, to: str) -> None:
-        """Note what was done."""
+        """Record a step."""
         self.steps.append(Step(did, file, to))
 
     def set_aside(self, name: str) -> None:
@@ -356,7 +356,7 @@ class _Mending:
 
 
 def _new_folder(ledger: Path) -> Path:
-    """Make a new folder beside the ledger, durably."""
+    """Create a new numbered folder beside the ledger, durably."""
     real = ledger.resolve() if ledger.is_symlink() or ledger.name in ("", "..") else ledger
     top = real.with_name(f"{real.name}.set-aside")
     disk.make_folder(top)
@@ -371,7 +371,7 @@ def _new_folder(ledger: Path) -> Path:
 def _copy(
     path: Path, trusted: TrustedPart, into: Path, workers: int, progress: Progress | None, asked: VerifyOptions
 ) -> VerifyReport:
-    """Copy the trusted commits to a new ledger, byte for byte, and verify it; on failure nothing is there."""
+    """Copy the trusted commits to a new ledger, byte for byte, and verify it; on failure nothing is left."""
     if not trusted.head.commits:
         raise LedgerCorrupted(
             f"{trusted.problems[0]}\n{path}: found no commit that can be trusted, expected one to copy to {into}; "

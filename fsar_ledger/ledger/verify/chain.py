@@ -1,4 +1,4 @@
-"""Derive again from the rows of a ledger everything that it says about itself: a part of `verify`."""
+"""Re-derive from the rows of a ledger all that its records claim: a part of `verify`."""
 
 import os
 import re
@@ -72,23 +72,23 @@ _SYMBOLIC = "a link or something else than a file"
 
 
 class Verification:
-    """One look at a ledger, segment by segment."""
+    """A single verification of a ledger, segment by segment."""
 
     def __init__(self, path: Path, asked: VerifyOptions) -> None:
         self.path, self.asked = path, asked
-        self.names: list[Problem] = []  # of files that are strange, or links
+        self.names: list[Problem] = []  # unknown files, and links
         self.problems: list[Problem] = []
         self.events = self.done = 0
-        self.checkpoint: Problem | None = None  # only where the records themselves are whole
+        self.checkpoint: Problem | None = None  # only if the records themselves are whole
         self.derived: list[Problem] = []  # the first one of the pack, and of the index
-        self.index: list[bytes] = []  # its lines; empty where they are not as their placements say
+        self.index: list[bytes] = []  # its lines; each empty if it differs from its placement
         self.trusted = (0, 0)  # placements, and commits, before the first doubt about one
         self.runs = Runs()
-        self.tree: Frontier | None = Frontier()  # by the rows; None: unknown, because some were not read
-        self.roots: dict[int, bytes] = {0: merkle.EMPTY_ROOT}  # by the rows, at the end of each commit and anchor
+        self.tree: Frontier | None = Frontier()  # from the rows; None: unknown, because some were not read
+        self.roots: dict[int, bytes] = {0: merkle.EMPTY_ROOT}  # from the rows, at the end of each commit and anchor
 
     def run(self, workers: int, progress: Progress | None, document: bytes | None = None) -> VerifyReport:
-        """Look at the whole ledger, whatever ledger.json holds if this is the `document` that it should be."""
+        """Verify the whole ledger; with `document`, use these bytes in place of ledger.json."""
         self.names = list(_check_names(self.path))
         if document is None:
             _, document, doubt = check_manifest(self.path)
@@ -115,22 +115,22 @@ class Verification:
             for name in unplaced(view)
         ]
         checkpoint = [self.checkpoint] if self.checkpoint is not None else []
-        # A strange name, and a checkpoint ahead of the records, tell more than what follows from them.
+        # An unknown name, and a checkpoint ahead of the records, say more than the problems that they cause.
         self.problems = [*self.names, *checkpoint, *self.problems, *strays, *self.derived]
         remarks = self._check_derived(view, is_behind=is_behind)
         return self._report(view, remarks)
 
     def _is_behind(self, view: View) -> bool:
-        """Return whether the checkpoint is that of before the last append to the chain."""
-        back = covered(view)
-        if isinstance(back, Problem):
-            self.checkpoint = None if self.problems else back
+        """Return whether the checkpoint is from before the last append to the chain."""
+        lag = covered(view)
+        if isinstance(lag, Problem):
+            self.checkpoint = None if self.problems else lag
             return False
-        size = view.commits[-back - 1].tree_size if back < len(view.commits) else 0
-        return back > 0 and size < view.chain.placed_size
+        size = view.commits[-lag - 1].tree_size if lag < len(view.commits) else 0
+        return lag > 0 and size < view.chain.placed_size
 
     def _add(self, view: View, number: int, facts: SegmentFacts, *, is_behind: bool) -> None:
-        """Add one segment: its rows go into the tree, its blocks to the runs."""
+        """Add one segment: its rows to the tree, its blocks to the runs."""
         placement = view.chain.placed[number]
         self.problems += facts.problems
         if self.asked.is_quick:
@@ -140,26 +140,26 @@ class Verification:
             self.tree = None
             return
         commits = view.commits.within(placement.first, placement.end)
-        before = len(self.problems)
+        problem_count = len(self.problems)
         nodes = self._grow(facts, facts.leaves, placement, commits)
-        if len(self.problems) == before and not facts.problems:
+        if len(self.problems) == problem_count and not facts.problems:
             is_needed = not (is_behind and placement.first >= view.chain.settled)
             self._compare_nodes(placement.first, nodes, is_needed=is_needed)
             self._follow(facts.file, facts.blocks, commits, placement.first)
-        if len(self.problems) == before and not facts.problems:
+        if len(self.problems) == problem_count and not facts.problems:
             self._compare_index(view, number, facts.blocks, is_needed=is_needed)
-        if len(self.problems) == before:
+        if len(self.problems) == problem_count:
             self.events += placement.rows
             self.done += len(commits)
             if self.done == commits[-1].number + 1:
                 self.trusted = (self.trusted[0] + 1, self.done)
 
     def _grow(self, facts: SegmentFacts, leaves: bytes, placement: Placement, commits: Sequence[Commit]) -> bytes:
-        """Add the leaves of a segment to the tree, compare the roots, and return what they add to the pack."""
+        """Add the leaves of a segment to the tree, compare the roots, and return the hashes added to the pack."""
         assert self.tree is not None
         by_size = {commit.tree_size: commit for commit in commits}
-        sizes_asked = {size for size in self.asked.sizes() if placement.first < size < placement.end}
-        sizes = sorted(sizes_asked.union(by_size) - {placement.end})
+        anchor_sizes = {size for size in self.asked.sizes() if placement.first < size < placement.end}
+        sizes = sorted(anchor_sizes.union(by_size) - {placement.end})
         for size, root in zip(sizes, self.tree.roots(leaves, sizes), strict=True):
             self._compare_root(size, root, by_size.get(size), facts.file)
         self.tree, nodes = pack.grow(self.tree, leaves)
@@ -175,8 +175,8 @@ class Verification:
             )
 
     def _follow(self, file: str, blocks: Sequence[Block], commits: Sequence[Commit], first: int) -> None:
-        """Compare the blocks with those before, and with the runs that each commit says it continues."""
-        at, index = first, 0
+        """Compare the blocks with earlier ones, and with the runs that each commit claims to continue."""
+        offset, index = first, 0
         continued: dict[int, list[tuple[str, int]]] = {}
         seen: set[tuple[int, str]] = set()
         for block in blocks:
@@ -186,8 +186,8 @@ class Verification:
                 )
                 return
             self.runs.add(block)
-            seq, end = block.first, at + block.rows
-            while at < end:
+            seq, end = block.first, offset + block.rows
+            while offset < end:
                 commit = commits[index]
                 if (commit.number, block.run) in seen:
                     self.problems.append(
@@ -199,24 +199,24 @@ class Verification:
                 seen.add((commit.number, block.run))
                 if seq:
                     continued.setdefault(commit.number, []).append((block.run, seq))
-                step = min(end, commit.tree_size) - at
-                at, seq = at + step, seq + step
-                index += at == commit.tree_size
-        said_by = file if file in (JOURNAL, SEALING) else CHAIN
+                step = min(end, commit.tree_size) - offset
+                offset, seq = offset + step, seq + step
+                index += offset == commit.tree_size
+        source = file if file in (JOURNAL, SEALING) else CHAIN
         for commit in commits:
             continues = tuple(sorted(continued.get(commit.number, ())))
             if continues != commit.continues:
                 self.problems.append(
-                    Problem(said_by, f"{commit.continues!r}", f"{continues!r}", commit.number, field="continues")
+                    Problem(source, f"{commit.continues!r}", f"{continues!r}", commit.number, field="continues")
                 )
                 return
             if absent := [run for run in commit.goes_on if (commit.number, run) not in seen]:
                 expected = "runs of which the commit holds events"
-                self.problems.append(Problem(said_by, f"{absent[0]!r}", expected, commit.number, field="goes_on"))
+                self.problems.append(Problem(source, f"{absent[0]!r}", expected, commit.number, field="goes_on"))
                 return
 
     def _add_frame(self, frame: Frame, file: str) -> None:
-        """Add one commit of the journal, in this file."""
+        """Add one commit of the journal, from this file."""
         commit = frame.commit
         if self.tree is not None:
             first = self.tree.size
@@ -255,7 +255,7 @@ class Verification:
             return b""
 
     def _compare_nodes(self, first: int, nodes: bytes, *, is_needed: bool) -> None:
-        """Compare these hashes with those in the pack after the events before `first`."""
+        """Compare these hashes with those in the pack from event `first` on."""
         start = pack.count(first) * HASH_BYTES
         try:
             actual = growing.read_at(self.path / NODES, start, len(nodes))
@@ -264,28 +264,30 @@ class Verification:
             return
         if actual == nodes or not is_needed or any(problem.where == NODES for problem in self.derived):
             return
-        at_byte = next(
-            at for at in range(0, len(nodes), HASH_BYTES) if actual[at : at + HASH_BYTES] != nodes[at : at + HASH_BYTES]
+        mismatch = next(
+            offset
+            for offset in range(0, len(nodes), HASH_BYTES)
+            if actual[offset : offset + HASH_BYTES] != nodes[offset : offset + HASH_BYTES]
         )
-        there, expected = (data[at_byte : at_byte + HASH_BYTES].hex() or "nothing" for data in (actual, nodes))
-        self.derived.append(Problem(NODES, there, expected, field=f"hash {(start + at_byte) // HASH_BYTES}"))
+        actual_hash, expected = (data[mismatch : mismatch + HASH_BYTES].hex() or "nothing" for data in (actual, nodes))
+        self.derived.append(Problem(NODES, actual_hash, expected, field=f"hash {(start + mismatch) // HASH_BYTES}"))
 
     def _compare_index(self, view: View, number: int, blocks: Sequence[Block], *, is_needed: bool) -> None:
-        """Compare the lines of the index for the events of this segment with their placements, and with the file."""
+        """Compare this segment's lines of the index with their placements, and with the file."""
         chain = view.chain
-        placement, places = chain.placed[number], chain.added_in(number)
-        is_whole = [chain.added[at] for at in places] == [placement]
+        placement, indexes = chain.placed[number], chain.added_in(number)
+        is_whole = [chain.added[index] for index in indexes] == [placement]
         lines = [index_line(placement.first, blocks)] if is_whole else view.index_lines(number)
-        for at, line in zip(places, lines, strict=True):
-            if (problem := line_doubt(chain.added[at], line)) is not None:
+        for index, line in zip(indexes, lines, strict=True):
+            if (problem := line_doubt(chain.added[index], line)) is not None:
                 self.problems.append(problem)
                 return
-            if not self.index[at] and is_needed and not any(problem.where == INDEX for problem in self.derived):
+            if not self.index[index] and is_needed and not any(problem.where == INDEX for problem in self.derived):
                 actual, expected = "another line, or none", f"{line!r:.200}"
-                self.derived.append(Problem(INDEX, actual, expected, field=f"line {at + 1}"))
+                self.derived.append(Problem(INDEX, actual, expected, field=f"line {index + 1}"))
 
     def _check_derived(self, view: View, *, is_behind: bool) -> tuple[str, ...]:
-        """Compare the size of the pack; return the remarks on what only a crash may have left."""
+        """Compare the sizes of the derived files; return the remarks on leftovers of a crash."""
         if self.problems:
             return ()
         for name, expected in derived_sizes(view.chain).items():
@@ -293,18 +295,18 @@ class Verification:
             if size > expected or (size < expected and not is_behind):
                 self.problems.append(Problem(name, f"{size} bytes", f"{expected}, for {view.chain.placed_size} events"))
                 return ()
-        back = behind(view)
+        lag = behind(view)
         placed = {segment_of(placement) for placement in view.chain.placed}
-        left = any(f"{SEGMENTS}/{name}" not in placed for name in names_in(self.path / SEGMENTS))
+        has_superseded = any(f"{SEGMENTS}/{name}" not in placed for name in names_in(self.path / SEGMENTS))
         return (
-            *((SEALED,) if view.journal.sealed else (BEHIND,) if is_behind else (OPEN,) if back else ()),
+            *((SEALED,) if view.journal.sealed else (BEHIND,) if is_behind else (OPEN,) if lag else ()),
             *((HIDDEN,) if view.followed.is_hidden or view.journal.hidden else ()),
             *((TORN,) if view.followed.torn or view.journal.torn else ()),
-            *((SUPERSEDED,) if left else ()),
+            *((SUPERSEDED,) if has_superseded else ()),
         )
 
     def check_signatures(self, view: View) -> tuple[list[Problem], Signatures]:
-        """Return what is wrong with the signatures of the commits, and what they say."""
+        """Return the problems with the signatures of the commits, and a summary of the signatures."""
         chained = len(view.commits) - len(view.journal.frames) + view.journal.chained
         judged = self._to_judge(view.commits)
         return check_signatures(
@@ -328,7 +330,7 @@ class Verification:
             tuple(self.problems[:MAX_PROBLEMS]),
             len(view.commits) if quick and ok else self.done,
             view.head.size if quick and ok else self.events,
-            sum(not known.is_alone for known in self.runs.known.values()),
+            sum(not state.is_alone for state in self.runs.known.values()),
             view.head.root if ok else None,
             signature=signed.state,
             signer=signed.signer,
@@ -341,13 +343,13 @@ class Verification:
         )
 
     def _to_judge(self, commits: Sequence[Commit]) -> list[Commit]:
-        """Return the commits whose notes tell something: without a key, those that are signed, and the newest."""
+        """Return the commits whose notes matter: without a key, those that are signed, and the newest."""
         if self.asked.trusted is not None:
             return list(commits)
         return [*(commit for commit in commits[:-1] if commit.signature), *commits[-1:]]
 
     def _check_anchors(self, view: View) -> int | None:
-        """Check the anchors; return the events that the user's one vouches for."""
+        """Check the anchors; return the number of events for which the user's anchor vouches."""
         for witnessed in self.asked.witnessed:
             self._check_anchor(view, witnessed, None)
         if (anchor := self.asked.anchor) is None:
@@ -360,17 +362,17 @@ class Verification:
         self.problems += check_anchor(anchor, origin, size, by_hashes.root, trusted, by_hashes.missing)
 
     def _look_then(self, view: View, anchor: Anchor) -> ByHashes:
-        """Return the root of the ledger when it had as many events as the anchor counts, if it is known."""
-        then = anchor.note.checkpoint if anchor.note is not None else None
-        if then is None or then.size > view.head.size:
+        """Return the root of the ledger at the size of the anchor, if it is known."""
+        checkpoint = anchor.note.checkpoint if anchor.note is not None else None
+        if checkpoint is None or checkpoint.size > view.head.size:
             return ByHashes()
-        if then.size in self.roots or not self.asked.is_quick:
-            return ByHashes(self.roots.get(then.size))
-        return root_by_hashes(view.path, view.node, then, view.head.size, bytes.fromhex(view.head.root))
+        if checkpoint.size in self.roots or not self.asked.is_quick:
+            return ByHashes(self.roots.get(checkpoint.size))
+        return root_by_hashes(view.path, view.node, checkpoint, view.head.size, bytes.fromhex(view.head.root))
 
 
 def _check_names(path: Path) -> Iterator[Problem]:
-    """Yield a problem for each name in the ledger's folder that is not its own, and each that is missing or a link."""
+    """Yield a problem for each name in the ledger's folder that is unknown, missing or a link."""
     for name in names_in(path):
         if name not in FOLDERS | FILES:
             yield Problem(name, "an unknown file", f"only {', '.join(sorted(FOLDERS | FILES))}; take it away")
@@ -391,6 +393,6 @@ def _of_stray(name: str) -> str:
 
 
 def unplaced(view: View) -> list[str]:
-    """Return the files among the segments that no placement names."""
-    known = {segment_of(placement) for placement in view.chain.placements}
-    return [name for file in names_in(view.path / SEGMENTS) if (name := f"{SEGMENTS}/{file}") not in known]
+    """Return the files in the segments folder that no placement names."""
+    listed = {segment_of(placement) for placement in view.chain.placements}
+    return [name for file in names_in(view.path / SEGMENTS) if (name := f"{SEGMENTS}/{file}") not in listed]

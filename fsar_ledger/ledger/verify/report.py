@@ -1,4 +1,4 @@
-"""What `verify` is asked, and what it reports: problems, who signed, whether the ledger grew from a checkpoint."""
+"""The options and the report of `verify`: problems, signatures, and whether the ledger grew from a checkpoint."""
 
 import os
 from collections.abc import Callable, Sequence
@@ -17,9 +17,9 @@ from fsar_ledger.ledger.verify.segment import SecondReader
 
 
 class Signatures(msgspec.Struct, frozen=True):
-    """Who signed: the state of the newest note, the key (`name+id`) that it names, and the number of signed commits.
+    """The signatures of a ledger: the state of the newest note, the key (`name+id`) that it names, and signed commits.
 
-    `commits` counts those that this key signed, or any key where none is trusted.
+    `commits` is the number of commits signed by this key, or by any key if none is trusted.
     """
 
     state: Signed
@@ -28,7 +28,7 @@ class Signatures(msgspec.Struct, frozen=True):
 
 
 class Anchor(msgspec.Struct, frozen=True):
-    """An earlier checkpoint that was kept elsewhere: its file, and its note or the reason why there is none."""
+    """An earlier checkpoint kept elsewhere: its file, and its note or the reason why there is none."""
 
     file: str
     note: Note | None
@@ -52,7 +52,7 @@ def check_signatures(
 ) -> tuple[list[Problem], Signatures]:
     """Check that the trusted key signed the newest note, and that no note falsely claims its signature.
 
-    Without a key, only tell whether the newest note is signed at all. `place` names the file of a commit's record.
+    Without a key, only report whether the newest note is signed at all. `place` returns the file of a commit's record.
     """
     signers = signers_of(notes[-1]) if notes else None
     if trusted is None:
@@ -64,13 +64,13 @@ def check_signatures(
     problems = [
         Problem(
             place(number),
-            doubted,
+            note_doubt,
             f"one of {trusted.key}, the trusted key",
             commit=number,
             field="note",
         )
         for number, note in enumerate(notes)
-        if (doubted := doubt(note, trusted)) is not None and (note is notes[-1] or names(note, trusted))
+        if (note_doubt := doubt(note, trusted)) is not None and (note is notes[-1] or names(note, trusted))
     ]
     if problems:
         return problems, Signatures("signer not checked" if signers else "unsigned", signers)
@@ -78,13 +78,13 @@ def check_signatures(
 
 
 Nodes: TypeAlias = Callable[[int], Node]
-"""Returns, for a size in events, where the complete subtrees of the tree of that size come from."""
+"""Returns, for a size in events, the function that reads complete subtrees of the tree of that size."""
 
 
 class ByHashes(msgspec.Struct, frozen=True):
-    """What the stored hashes prove about an anchor.
+    """The result of comparing an anchor with the stored hashes.
 
-    Its root, None if they prove nothing; the size in events of the tree that begins with it; what was missing.
+    Its root, None if they prove nothing; the size in events of the tree that begins with it; which hash was missing.
     """
 
     root: bytes | None = None
@@ -96,7 +96,7 @@ class ByHashes(msgspec.Struct, frozen=True):
 def root_by_hashes(ledger: Path, nodes: Nodes, then: Checkpoint, size: int, root: bytes) -> ByHashes:
     """Return the root of an earlier checkpoint if the ledger's hashes prove that the tree of this size begins with it.
 
-    Only the proof counts: an attacker who rewrote history may have left old hashes, and old records, in place.
+    Only the proof counts: an attacker who rewrote history may have left old hashes and records in place.
     """
     try:
         proof = consistency_proof(nodes(size), then.size, size)
@@ -119,15 +119,15 @@ def check_anchor(
         anchor: The earlier checkpoint.
         origin: The ledger's.
         size: The ledger's, in events.
-        root_then: The root of the ledger when it had as many events as the anchor counts; None if unknown.
+        root_then: The root of the ledger at the size of the anchor; None if unknown.
         trusted: The key that must have signed the anchor too.
-        missing: What of the stored hashes is missing, if that is the only reason why that root is unknown.
+        missing: The stored hash that is missing, if that is the only reason why that root is unknown.
     """
     if anchor.note is None:
         return [Problem(anchor.file, anchor.reason, "a checkpoint of this ledger")]
-    then = anchor.note.checkpoint
-    if then.origin != origin:
-        return [Problem(anchor.file, f"a checkpoint of {then.origin}", f"one of {origin}, this ledger's origin")]
+    checkpoint = anchor.note.checkpoint
+    if checkpoint.origin != origin:
+        return [Problem(anchor.file, f"a checkpoint of {checkpoint.origin}", f"one of {origin}, this ledger's origin")]
     if trusted is not None and not trusted.has_signed(anchor.note):
         return [
             Problem(
@@ -137,18 +137,20 @@ def check_anchor(
                 f"{option('trusted_key')}",
             )
         ]
-    if then.size > size:
+    if checkpoint.size > size:
         return [
-            Problem(CHAIN, f"{size} events", f"at least {then.size}, as {anchor.file} says: the newest were removed")
+            Problem(
+                CHAIN, f"{size} events", f"at least {checkpoint.size}, as {anchor.file} says: the newest were removed"
+            )
         ]
     if missing:
         expected = (
-            f"those from the {then.size} events of {anchor.file} to the ledger's {size}; run fsar-ledger "
+            f"those from the {checkpoint.size} events of {anchor.file} to the ledger's {size}; run fsar-ledger "
             f"maintain recover, or verify without {option('quick')}"
         )
         return [Problem(NODES, f"one that cannot be read ({missing})", expected)]
     if root_then is None:
-        gap = f"no way from its {then.size} events to the ledger's {size}"
+        gap = f"no way from its {checkpoint.size} events to the ledger's {size}"
         return [
             Problem(
                 anchor.file,
@@ -156,34 +158,34 @@ def check_anchor(
                 "a ledger that begins with them: history was rewritten, or rows or hashes were damaged",
             )
         ]
-    if root_then != then.root:
+    if root_then != checkpoint.root:
         return [
             Problem(
                 CHAIN,
-                f"root {root_then.hex()} over the first {then.size} events",
-                f"{then.root.hex()}, as {anchor.file} says: history was rewritten",
+                f"root {root_then.hex()} over the first {checkpoint.size} events",
+                f"{checkpoint.root.hex()}, as {anchor.file} says: history was rewritten",
             )
         ]
     return []
 
 
 def not_compared(anchored: int | None) -> str:
-    """Say what a quick look leaves open; the anchor has so many events."""
+    """Return the remark on what a quick look did not compare; the anchor has `anchored` events."""
     if anchored is None:
         return "rows were not compared with the recorded roots"
     return f"the recorded roots only grew since the anchor's {anchored:,} events; rows were not compared with them"
 
 
 MAX_PROBLEMS = 100
-"""The most problems that a report names; a ledger with more is lost anyway."""
+"""The most problems in a report; a ledger with more is lost anyway."""
 
 
 class VerifyOptions(msgspec.Struct, frozen=True):
-    """What `verify` is asked to check beyond the ledger itself.
+    """Options of `verify`: what to check beyond the ledger itself.
 
     With `is_quick`, no rows are read: only the chain of records, the hashes of the files and the notes are checked.
-    `witnessed` are more anchors, whose signatures were checked where they came from. `second_reader` reads the rows of
-    each segment again, with other code, and compares them; it can be pickled.
+    `witnessed` are more anchors, whose signatures were checked when they were obtained. `second_reader` reads the rows
+    of each segment again, with other code, and compares them; it can be pickled.
     """
 
     is_quick: bool = False
@@ -199,7 +201,7 @@ class VerifyOptions(msgspec.Struct, frozen=True):
 
 
 NOT_LOOKED_AT = ("rows of segments", NODES, INDEX, f"continues, goes_on and index_sha256 in {CHAIN}")
-"""What a quick look does not look at."""
+"""The parts that a quick look does not check."""
 
 
 class VerifyReport(msgspec.Struct, frozen=True):
@@ -209,11 +211,11 @@ class VerifyReport(msgspec.Struct, frozen=True):
 
     `root` is the Merkle root in hex over the rows themselves (as recorded, if rows were not read), None if there is any
     doubt. `signer` is the trusted key (`name+id`) if one was given, else the one that the newest note names; `anchored`
-    counts the events of the anchor. `remarks` are not doubts: what a crash may leave behind, and what a quick look
-    leaves open. `not_looked_at` names what that did not compare with anything; nothing if it was not quick.
-    `record_sha256` is the hash of the newest commit record (of ledger.json if there is none), which vouches for all
-    before; None if there is any doubt. Of the log of a federation, `events` are heads of its `shards`, which have the
-    `runs`; the hash is of all of it.
+    is the number of events of the anchor. `remarks` are not doubts: leftovers of a crash, and what a quick look did not
+    compare. `not_looked_at` names the parts that a quick look skipped; it is empty otherwise. `record_sha256` is the
+    hash of the newest commit record (of ledger.json if there is none), which vouches for all earlier ones; None if
+    there is any doubt. For the log of a federation, `events` are heads of its `shards`, which have the `runs`; the hash
+    covers all of it.
     """
 
     ok: bool

@@ -1,4 +1,4 @@
-"""Examine one segment on its own: what a worker of `verify` does."""
+"""Examine one segment on its own: the task of a worker of `verify`."""
 
 import operator
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -27,21 +27,21 @@ from fsar_ledger.ledger.store.problem import Problem, refusal, unexpected
 from fsar_ledger.ledger.store.segments import Names, Stored, find_segment, read_segment
 
 _MOST_SEGMENTS, _MOST_ROWS = 16, 1 << 18
-"""How many a second reader reads at once: planning takes longer than reading one."""
+"""How many segments and rows a second reader reads at once: planning takes longer than reading one segment."""
 
 
 class Digest(NamedTuple):
-    """The columns of some rows, and numbers that follow from their values."""
+    """The columns of some rows, and numbers computed from their values."""
 
     columns: tuple[str, ...]
     numbers: tuple[int, ...]
 
 
 class SegmentFacts(msgspec.Struct, frozen=True):
-    """What a segment holds. `leaves` (packed leaf hashes) are None if the rows are in doubt.
+    """The content of a segment. `leaves` (packed leaf hashes) are None if the rows are in doubt.
 
-    `blocks` are those of a segment without a flaw. `digest` is that of the rows of a file that is what they are written
-    as, which a second reader has not read yet.
+    `blocks` are those of a segment without a flaw. `digest` is that of the rows if writing them gives the same file,
+    which a second reader has not read yet.
     """
 
     file: str
@@ -57,19 +57,19 @@ _Asked: TypeAlias = tuple[int, Stored, Names]
 
 
 class SecondReader(Protocol):
-    """Reads files with code other than `segment`, and compares them with the rows that it decoded.
+    """A reader of files with code other than `segment`, which compares them with the rows that `segment` decoded.
 
-    What it finds is (found, expected). It can be pickled.
+    Differences are (found, expected). It can be pickled.
     """
 
     def by_value(self, path: str, decoded: pa.Table) -> tuple[str, str] | None:
-        """Return what differs in the file at this path, compared value by value; None if it holds these rows."""
+        """Return the difference of the file at this path, compared value by value; None if it holds these rows."""
 
     def digest(self, decoded: pa.Table) -> Digest:
-        """Return what `by_digest` compares of these rows."""
+        """Return the digest of these rows, for `by_digest`."""
 
     def by_digest(self, digests: Mapping[str, Digest]) -> Mapping[str, tuple[str, str]]:
-        """Return what differs, by path; the files are what the rows are written as, to the byte."""
+        """Return the differences, by path; writing the rows gives the same files, to the byte."""
 
 
 def examine(
@@ -79,11 +79,11 @@ def examine(
     names: Names,
     second_reader: SecondReader | None = None,
 ) -> SegmentFacts:
-    """Compare the segment with these names with its record and what the second reader finds.
+    """Compare the segment with these names with its record and with the rows that the second reader finds.
 
-    What that reads by digest is left to `examine_some`. Its runs may begin or end in other segments.
+    Comparison by digest is left to `examine_some`. The segment's runs may begin or end in other segments.
 
-    Raises: Only what `unexpected` raises.
+    Raises: Only as `unexpected`.
     """
     return _guarded(partial(_examine, second_reader), Path(ledger), number, record, names)
 
@@ -94,21 +94,21 @@ def examine_some(
     segments: Sequence[_Asked],
     second_reader: SecondReader | None,
 ) -> list[SegmentFacts]:
-    """Return what each of these segments holds, each as by `one`, which is `examine`; digests are compared at once."""
+    """Return the facts of each of these segments by `one`, which is `examine`; digests are compared together."""
     examined = [one(ledger, number, record, names, second_reader) for number, record, names in segments]
     digests = {f"{ledger}/{facts.file}": facts.digest for facts in examined if facts.digest is not None}
-    others = second_reader.by_digest(digests) if second_reader is not None and digests else {}
-    for at, (facts, (number, _, _)) in enumerate(zip(examined, segments, strict=True)):
-        if (other := others.get(f"{ledger}/{facts.file}")) is not None:
-            problem = Problem(facts.file, *other, commit=number, field="segment_sha256")
-            examined[at] = msgspec.structs.replace(facts, problems=(*facts.problems, problem))
+    differences = second_reader.by_digest(digests) if second_reader is not None and digests else {}
+    for index, (facts, (number, _, _)) in enumerate(zip(examined, segments, strict=True)):
+        if (difference := differences.get(f"{ledger}/{facts.file}")) is not None:
+            problem = Problem(facts.file, *difference, commit=number, field="segment_sha256")
+            examined[index] = msgspec.structs.replace(facts, problems=(*facts.problems, problem))
     return examined
 
 
 def examine_file(ledger: str, number: int, record: Stored, names: Names) -> SegmentFacts:
     """Compare the file of the segment with these names with its record, without reading the rows.
 
-    Raises: Only what `unexpected` raises.
+    Raises: Only as `unexpected`.
     """
     return _guarded(_examine_file, Path(ledger), number, record, names)
 
@@ -122,7 +122,7 @@ def examine_all(
     *,
     is_quick: bool,
 ) -> Iterator[SegmentFacts]:
-    """Yield what each segment holds, in order, as `examine` or, if `is_quick`, as `examine_file`.
+    """Yield the facts of each segment, in order, as `examine` or, if `is_quick`, as `examine_file`.
 
     Args:
         ledger: Its folder.
@@ -139,14 +139,14 @@ def examine_all(
             each = stack.enter_context(ThreadPoolExecutor(workers)).map if workers > 1 else map
             yield from each(examine_file, repeat(str(ledger)), *zip(*segments, strict=True))
             return
-        given = (repeat(examine), repeat(str(ledger)), _together(segments, workers), repeat(second_reader))
+        arguments = (repeat(examine), repeat(str(ledger)), _together(segments, workers), repeat(second_reader))
         pool = stack.enter_context(pool_of(workers))
-        for part in (pool.map if pool else map)(examine_some, *given):
+        for part in (pool.map if pool else map)(examine_some, *arguments):
             yield from part
 
 
 def _together(segments: Sequence[_Asked], workers: int) -> Iterator[list[_Asked]]:
-    """Yield these in parts that are read at once; so many that each of several workers has several."""
+    """Yield these segments in parts that are read at once, at least about four for each of several workers."""
     most = _MOST_SEGMENTS if workers == 1 else max(1, min(_MOST_SEGMENTS, len(segments) // (4 * workers)))
     part: list[_Asked] = []
     rows = 0
@@ -177,7 +177,7 @@ def _checked(check: _Check, ledger: Path, number: int, record: Stored, names: Na
     """Check the segment where it is found.
 
     Raises:
-        FileNotFoundError: It was found, and then was no longer there.
+        FileNotFoundError: It was found, but was gone when it was read.
     """
     segment = find_segment(ledger, number, record, names)
     if segment.problem is not None:
@@ -203,7 +203,7 @@ def _examine(
         return SegmentFacts(file, (problem,))
     if record.release not in FINGERPRINTS:  # its rows cannot be judged; the record is a problem already
         return SegmentFacts(file, rows=record.rows)
-    says = f"as {names.said_by} says"
+    source = f"as {names.said_by} says"
 
     def fail(found: object, expected: object, field: str) -> SegmentFacts:
         return SegmentFacts(file, (Problem(file, str(found), str(expected), commit=number, field=field),))
@@ -214,9 +214,9 @@ def _examine(
     except LedgerCorrupted as error:
         return fail(f"no segment {refusal(path, error)}", "one as it is written", "segment_sha256")
     if layout.rows != record.rows:
-        return fail(layout.rows, f"{record.rows}, {says}", "rows")
+        return fail(layout.rows, f"{record.rows}, {source}", "rows")
     if fingerprint(layout.schema) != record.schema_sha256:
-        return fail(fingerprint(layout.schema), f"{record.schema_sha256}, {says}", "schema_sha256")
+        return fail(fingerprint(layout.schema), f"{record.schema_sha256}, {source}", "schema_sha256")
     table = read_coded(path, data, layout)
     columns = Columns(table)
     flaw = first_flaw(columns, is_whole=False)
@@ -225,13 +225,13 @@ def _examine(
     )
     stored = table.select(layout.schema.names)
     is_as_written, misleading = _misleading(data, layout, stored, columns)
-    again = second_reader.by_value(str(path), stored) if second_reader is not None and not is_as_written else None
+    difference = second_reader.by_value(str(path), stored) if second_reader is not None and not is_as_written else None
     digest = second_reader.digest(stored) if second_reader is not None and is_as_written else None
     problems = (
         *problems,
         *(
             Problem(file, *other, commit=number, field="segment_sha256")
-            for other in (misleading, again)
+            for other in (misleading, difference)
             if other is not None
         ),
     )
@@ -241,23 +241,25 @@ def _examine(
 
 
 def _misleading(data: bytes, layout: Layout, table: pa.Table, columns: Columns) -> tuple[bool, tuple[str, str] | None]:
-    """Return whether the file is what these rows are written as, and what in it could make a reader see other rows.
+    """Return whether writing these rows gives the same file, and any part that could make a reader see other rows.
 
     That is (found, expected), or None. A query engine skips rows by the statistics in the footer, which no leaf covers.
     The same version of pyarrow must write the same bytes; for a file by another version, the statistics are compared.
     """
-    # Otherwise writing them again would repeat what is not ours.
+    # Otherwise rewriting the rows would reproduce a dictionary that our writer does not make.
     is_ours = all(_is_sorted(name, columns) for name in table.column_names)
-    again = to_parquet(table)
-    if is_ours and again.equals(pa.py_buffer(data)):
+    rewritten = to_parquet(table)
+    if is_ours and rewritten.equals(pa.py_buffer(data)):
         return True, None
-    if layout.created_by == pq.read_metadata(pa.BufferReader(again)).created_by:
+    if layout.created_by == pq.read_metadata(pa.BufferReader(rewritten)).created_by:
         return False, ("other bytes", "those that these rows are written as")
-    for name, sizes, own in zip(table.column_names, layout.sizes, read_layout(again.to_pybytes()).sizes, strict=True):
-        if sizes and own and sizes != own:
+    for name, sizes, rewritten_sizes in zip(
+        table.column_names, layout.sizes, read_layout(rewritten.to_pybytes()).sizes, strict=True
+    ):
+        if sizes and rewritten_sizes and sizes != rewritten_sizes:
             return False, (
                 f"sizes of strings and lists {sizes.hex()} in column {name}",
-                f"{own.hex()}, as its rows are",
+                f"{rewritten_sizes.hex()}, as its rows are",
             )
     for info in (*layout.statistics, *layout.of_pages):
         values = table.column(info.name).slice(*info.rows or (0,)).cast(SCHEMA.field(info.name).type)
@@ -271,16 +273,16 @@ def _misleading(data: bytes, layout: Layout, table: pa.Table, columns: Columns) 
 
 
 def _stored(value: int | str) -> bytes:
-    """Return a value as the statistics of Parquet hold it."""
+    """Return a value as stored in Parquet statistics."""
     return value.encode() if isinstance(value, str) else value.to_bytes(8, "little", signed=True)
 
 
 def _is_sorted(name: str, columns: Columns) -> bool:
-    """Return whether a column has no dictionary, or one as we write it."""
+    """Return whether a column has no dictionary, or one in our writer's form."""
     if not isinstance(columns.arrays[name], pa.DictionaryArray):
         return True
     texts = columns.texts[name]
-    if columns.arrays[name].null_count == len(columns.table):  # as most columns of a segment are
+    if columns.arrays[name].null_count == len(columns.table):  # true of most columns of a segment
         return not texts
     is_used = np.zeros(len(texts) + 1, bool)
     is_used[columns.places[name]] = True

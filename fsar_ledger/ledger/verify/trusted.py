@@ -1,4 +1,4 @@
-"""How much of a ledger can be trusted, how it is mended, and a copy of what is trusted: parts of `recover`."""
+"""Find how much of a ledger can be trusted, mend it, and copy the trusted part: parts of `recover`."""
 
 import os
 import shutil
@@ -43,8 +43,8 @@ NO_SEGMENT = "the segment is missing or not as its record says"
 class Later(msgspec.Struct, frozen=True):
     """A commit after the trusted ones, judged on its own.
 
-    `restore` is the SHA-256 of its segment if that is lost or altered and all records up to this one are whole: whoever
-    has the file with this SHA-256 can put it back as `file` of the ledger.
+    `restore` is the SHA-256 of its segment if that is lost or altered and all records up to this one are whole: a copy
+    with this SHA-256 can be put back as `file` of the ledger.
     """
 
     number: int
@@ -54,10 +54,10 @@ class Later(msgspec.Struct, frozen=True):
 
 
 class TrustedPart(msgspec.Struct, frozen=True):
-    """What of a ledger can be trusted: the view of it, and how many of its placements and commits.
+    """The part of a ledger that can be trusted: the view of it, and the number of its placements and commits.
 
-    `problems` are why no more; none if the ledger is whole but for what is derived. `report` is what `verify` says
-    before anything is mended, had ledger.json what it should have.
+    `problems` are why no more; none if the ledger is whole except for derived files. `report` is that of `verify`
+    before anything is mended, with ledger.json taken as correct.
     """
 
     view: View
@@ -69,34 +69,34 @@ class TrustedPart(msgspec.Struct, frozen=True):
 
     @property
     def is_whole(self) -> bool:
-        """Return whether there is nothing to mend, and nothing that a crash left."""
+        """Return whether there is nothing to mend, including leftovers of a crash."""
         _, manifest, _ = check_manifest(self.view.path)
         is_described = manifest is not None and sha256_hex(manifest) == self.view.manifest_sha256
         return is_described and self.report.ok and not self.report.remarks and not names_in(self.view.path / STAGING)
 
     def later(self) -> Iterator[Later]:
-        """Yield each commit after the trusted ones, with what its segment, or the journal, shows of it alone."""
+        """Yield each commit after the trusted ones, judged by its segment or the journal alone."""
         view, chain = self.view, self.view.chain
         for number, placement in enumerate(chain.placed[self.placements :], start=self.placements):
-            own = self._after(placement.first, placement.end)
+            commits = self._after(placement.first, placement.end)
             try:
                 view.segment(number)
             except LedgerCorrupted:
                 yield from (
-                    Later(commit, NO_SEGMENT, placement.segment_sha256, segment_of(placement)) for commit in own
+                    Later(commit, NO_SEGMENT, placement.segment_sha256, segment_of(placement)) for commit in commits
                 )
             else:
-                yield from (Later(commit, FITS) for commit in own)
+                yield from (Later(commit, FITS) for commit in commits)
         yield from (Later(commit, FITS) for commit in self._after(chain.placed_size, view.head.size))
 
     def _after(self, first: int, end: int) -> range:
-        """Return the commits after the trusted ones that end after this event and no later than that."""
+        """Return the commits after the trusted ones that end after index `first` and no later than `end`."""
         start, stop = self.view.commits.up_to(first), self.view.commits.up_to(end)
         return range(max(start, self.commits), stop)
 
     @property
     def head(self) -> Head:
-        """Return how far the trusted part goes."""
+        """Return the head of the trusted part."""
         if not self.commits:
             return EMPTY_HEAD
         last = self.view.commits[self.commits - 1]
@@ -107,18 +107,18 @@ class TrustedPart(msgspec.Struct, frozen=True):
 def find_trusted(path: Path, workers: int, progress: Progress | None, asked: VerifyOptions) -> TrustedPart:
     """Find how much of the ledger can be trusted. Changes nothing.
 
-    Raises: LedgerCorrupted if ledger.json cannot be read, and nothing says what was in it.
+    Raises: LedgerCorrupted if ledger.json cannot be read or reconstructed.
     """
     manifest = manifest_of(path)
     view = open_chain(path, manifest, is_damage_told=False)
-    look = Verification(path, msgspec.structs.replace(asked, is_quick=False))
-    report = look.run(workers, progress, manifest)
+    verification = Verification(path, msgspec.structs.replace(asked, is_quick=False))
+    report = verification.run(workers, progress, manifest)
     mendable = {NODES, INDEX, CHECKPOINT, MANIFEST, *_strays(view)}
-    problems = [problem for problem in look.problems if problem.where not in mendable]
+    problems = [problem for problem in verification.problems if problem.where not in mendable]
     problems += _removed(view) + _contradicted(view, asked.trusted)
     if not problems and not report.ok:
-        problems += look.check_signatures(view)[0]  # which `verify` does only of a ledger without a problem
-    placements, commits = look.trusted
+        problems += verification.check_signatures(view)[0]  # `verify` does so only for a ledger without a problem
+    placements, commits = verification.trusted
     if asked.trusted is not None:
         key, origin = asked.trusted, view.manifest.origin
         while commits and doubt(view.commits[commits - 1].note(origin), key) is not None:
@@ -127,47 +127,51 @@ def find_trusted(path: Path, workers: int, progress: Progress | None, asked: Ver
             placements -= 1
     if problems:
         commits = min(commits, view.commits.up_to(view.chain.placed[placements - 1].end if placements else 0))
-    if _is_contradicted(view, look, asked, commits):
+    if _is_contradicted(view, verification, asked, commits):
         placements = commits = 0
-    anchored = _anchored(view, look, asked, commits) if report.problems else report.anchored
+    anchored = _anchored(view, verification, asked, commits) if report.problems else report.anchored
     return TrustedPart(view, placements, commits, tuple(problems), report, anchored)
 
 
-def _is_contradicted(view: View, look: Verification, asked: VerifyOptions, commits: int) -> bool:
-    """Return whether the rows of the first so many commits show that the ledger is not the one of the anchor."""
+def _is_contradicted(view: View, verification: Verification, asked: VerifyOptions, commits: int) -> bool:
+    """Return whether the rows of the first `commits` commits contradict the anchor."""
     if asked.anchor is None or asked.anchor.note is None:
         return False
     size = asked.anchor.note.checkpoint.size
-    root = look.roots.get(size)
-    known = root is not None and size <= _size(view, commits)
-    return known and bool(check_anchor(asked.anchor, view.manifest.origin, size, root, asked.trusted))
+    root = verification.roots.get(size)
+    is_covered = root is not None and size <= _size(view, commits)
+    return is_covered and bool(check_anchor(asked.anchor, view.manifest.origin, size, root, asked.trusted))
 
 
-def _anchored(view: View, look: Verification, asked: VerifyOptions, commits: int) -> int | None:
-    """Count the events of the first so many commits that the anchor vouches for; None if it cannot."""
+def _anchored(view: View, verification: Verification, asked: VerifyOptions, commits: int) -> int | None:
+    """Return for how many events of the first `commits` commits the anchor vouches; None if it cannot."""
     anchor, origin, size = asked.anchor, view.manifest.origin, _size(view, commits)
     if anchor is None or anchor.note is None:
         return None
-    then = anchor.note.checkpoint
-    if then.size <= size:
-        return None if check_anchor(anchor, origin, size, look.roots.get(then.size), asked.trusted) else then.size
-    is_own = not check_anchor(anchor, origin, then.size, then.root, asked.trusted)
+    checkpoint = anchor.note.checkpoint
+    if checkpoint.size <= size:
+        return (
+            None
+            if check_anchor(anchor, origin, size, verification.roots.get(checkpoint.size), asked.trusted)
+            else checkpoint.size
+        )
+    is_own = not check_anchor(anchor, origin, checkpoint.size, checkpoint.root, asked.trusted)
     root = view.commits[commits - 1].tree_root if commits else ""
-    return size if is_own and _begins_with(view.node, then, size, root) else None
+    return size if is_own and _begins_with(view.node, checkpoint, size, root) else None
 
 
-def _begins_with(nodes: Nodes, then: Checkpoint, size: int, root: str) -> bool:
-    """Return whether these hashes prove that a checkpoint's tree begins with the tree of so many events, at least one.
+def _begins_with(nodes: Nodes, checkpoint: Checkpoint, size: int, root: str) -> bool:
+    """Return whether these hashes prove that a checkpoint's tree begins with the tree of `size` events, at least one.
 
     Only the proof counts, not the hashes as such.
     """
-    if not 0 < size <= then.size:
+    if not 0 < size <= checkpoint.size:
         return False
     try:
-        proof = consistency_proof(nodes(then.size), size, then.size)
+        proof = consistency_proof(nodes(checkpoint.size), size, checkpoint.size)
     except LedgerCorrupted:
         return False
-    return is_consistent(size, bytes.fromhex(root), then.size, then.root, proof)
+    return is_consistent(size, bytes.fromhex(root), checkpoint.size, checkpoint.root, proof)
 
 
 def _size(view: View, commits: int) -> int:
@@ -175,18 +179,18 @@ def _size(view: View, commits: int) -> int:
 
 
 def _strays(view: View) -> list[str]:
-    """Return what is in the ledger's folder, or among its segments, and does not belong to it.
+    """Return the names in the ledger's folder, or among its segments, that do not belong to it.
 
-    A file with the name of a segment is none of them: it says that its commits were removed.
+    A file with the name of a segment is not one of them: it shows that its commits were removed.
     """
     strays = [name for name in names_in(view.path) if name not in FILES | FOLDERS]
     return strays + [name for name in unplaced(view) if not SEGMENT_NAME.fullmatch(name)]
 
 
 def _removed(view: View) -> list[Problem]:
-    """Return a problem if something is there only because the ledger once had more commits.
+    """Return a problem if something exists only because the ledger once had more commits.
 
-    Where a record or a frame is damaged, those after it are there, and were not removed.
+    If a record or a frame is damaged, those after it still exist, and were not removed.
     """
     if view.followed.problem is not None or view.journal.problem is not None:
         return []
@@ -226,9 +230,9 @@ def _checkpoint_note(path: Path) -> Note | None:
 
 
 def manifest_of(path: Path) -> bytes:
-    """Return what ledger.json holds or, if that cannot be read, what the chain says that it held.
+    """Return the content of ledger.json or, if that is wrong, its content reconstructed to match the chain's hash.
 
-    Raises: LedgerCorrupted if neither is known.
+    Raises: LedgerCorrupted if it cannot be read or reconstructed.
     """
     data = b""
     try:
@@ -251,7 +255,7 @@ def manifest_of(path: Path) -> bytes:
 
 
 def _first_hash(path: Path) -> str:
-    """Return the hash of ledger.json as the chain's first line has it; empty if it has none."""
+    """Return the hash of ledger.json in the chain's first line; empty if it has none."""
     try:
         line = growing.read_at(path / CHAIN, 0, 1 << 20).partition(b"\n")[0]
         return str(msgspec.json.decode(line, type=dict[str, object]).get("previous_sha256", ""))
@@ -268,9 +272,9 @@ def mend(trusted: TrustedPart, set_aside: SetAside, done: Done) -> None:
     _make_again(path, MANIFEST, manifest, set_aside, done)
     for placement in view.chain.placed:
         target = path / segment_of(placement)
-        if (there := view.located(placement)) != target:
-            disk.move(there, target)
-            done("moved into place", str(there.relative_to(path)), segment_of(placement))
+        if (source := view.located(placement)) != target:
+            disk.move(source, target)
+            done("moved into place", str(source.relative_to(path)), segment_of(placement))
     _make_again(path, NODES, _nodes(view), set_aside, done)
     _make_again(path, INDEX, _index(view), set_aside, done)
     try:
@@ -285,7 +289,7 @@ def mend(trusted: TrustedPart, set_aside: SetAside, done: Done) -> None:
 
 
 def _make_again(path: Path, name: str, data: bytes, set_aside: SetAside, done: Done) -> None:
-    """Write the file if it does not hold these bytes; what is there goes aside. No bytes are no file."""
+    """Write the file if it does not hold these bytes, setting any existing one aside. No bytes mean no file."""
     with suppress(OSError):  # missing, a link or longer
         if disk.read_large(path / name, len(data)) == data:
             return
@@ -310,7 +314,7 @@ def _index(view: View) -> bytes:
 
 
 def write_copy(trusted: TrustedPart, work: Path) -> None:
-    """Write a ledger of the trusted commits that segments hold to this new folder, durably.
+    """Write a ledger of the trusted commits in segments to this new folder, durably.
 
     Raises: OSError, LedgerCorrupted.
     """
@@ -323,14 +327,14 @@ def write_copy(trusted: TrustedPart, work: Path) -> None:
     lines: list[bytes] = []
     for number, placement in enumerate(view.chain.placed[: trusted.placements]):
         source = view.located(placement)
-        with open(source, "rb") as there, open(work / segment_of(placement), "xb") as target:
-            shutil.copyfileobj(there, target)
+        with open(source, "rb") as original, open(work / segment_of(placement), "xb") as target:
+            shutil.copyfileobj(original, target)
             target.flush()
             os.fsync(target.fileno())
         within = view.commits.within(placement.first, placement.end)
-        held = [commit for commit in within if commit.number < trusted.commits]
+        trusted_commits = [commit for commit in within if commit.number < trusted.commits]
         line = line_of(placement.first, segment.read_table(view.segment(number)))
-        lines += [_relinked(commit, chain) for commit in held]
+        lines += [_relinked(commit, chain) for commit in trusted_commits]
         lines.append(_relinked(_adding(placement, line), chain))
     if lines:
         growing.append_durably(work / CHAIN, b"".join(line + b"\n" for line in lines), 0)
@@ -342,12 +346,12 @@ def write_copy(trusted: TrustedPart, work: Path) -> None:
 
 
 def _adding(placement: Placement, line: bytes) -> Placement:
-    """Return the placement as one that adds its events, which have this line of the index."""
+    """Return the placement as one that adds its events, with this line of the index."""
     return msgspec.structs.replace(placement, index_bytes=len(line), index_sha256=sha256_hex(line))
 
 
 def _relinked(record: Record, chain: Chain) -> bytes:
-    """Add the record to another chain, and return its line there."""
+    """Add the record to another chain, and return its new line."""
     number = len(chain.placements if isinstance(record, Placement) else chain.commits)
     relinked: Record = msgspec.structs.replace(record, number=number, previous_sha256=chain.sha256)
     line = canonical.document(relinked)
