@@ -1,1 +1,1 @@
-"""What every other room may use: errors, text that is safe to print, files, progress, memory, and worker processes."""
+"""Helpers for all other packages: errors, text that is safe to print, files, progress, memory, and worker processes."""

@@ -41,16 +41,16 @@ _is_command_line = ContextVar("is_command_line", default=False)
 
 @contextmanager
 def named_as_options() -> Iterator[None]:
-    """Name parameters as options of the command line in the errors raised inside."""
-    before = _is_command_line.set(True)
+    """Name parameters as command-line options in the errors raised inside."""
+    token = _is_command_line.set(True)
     try:
         yield
     finally:
-        _is_command_line.reset(before)
+        _is_command_line.reset(token)
 
 
 def option(name: str, value: object = None) -> str:
-    """Name a parameter, with its value if there is one, as the caller gave it.
+    """Return a parameter's name, with its value if there is one, as the caller gave it.
 
     In Python that is `trusted_key=KEY`, on the command line `--trusted-key KEY`.
     """
@@ -64,7 +64,7 @@ class FsarLedgerError(Exception):
     """An error that a user can meet.
 
     The message says where, what was found, what was expected and what to do; each argument is a message. A secret key
-    that was given in place of another file is not quoted.
+    given in place of another file is not quoted.
     """
 
     exit_code = 1
@@ -91,7 +91,7 @@ class InvalidRun(UsageError, ValueError):
 
 
 class CommitTooLarge(InvalidRun):
-    """The runs are more than one commit may hold; they may be committed in parts."""
+    """The runs exceed the limits of one commit; they may be committed in parts."""
 
 
 class UnknownQuery(UsageError):
@@ -99,7 +99,7 @@ class UnknownQuery(UsageError):
 
 
 class InvalidQuery(UsageError, ValueError):
-    """The header of a query of the package lacks something, or says it twice."""
+    """The header of a packaged query lacks something, or has it twice."""
 
 
 class QueryFailed(UsageError):
@@ -107,7 +107,7 @@ class QueryFailed(UsageError):
 
 
 class LimitReached(UsageError):
-    """The request needs more memory than it may take."""
+    """The request needs more memory than allowed."""
 
 
 class NotALedger(UsageError):
@@ -119,15 +119,15 @@ class FormatVersionMismatch(UsageError):
 
 
 class NotCosigned(FsarLedgerError):
-    """Fewer witnesses cosigned than a policy demands."""
+    """Fewer witnesses cosigned than the policy requires."""
 
 
 class WriteFailed(FsarLedgerError):
-    """The disk refused to store the data; the ledger is as it was."""
+    """The disk refused to store the data; the ledger is unchanged."""
 
 
 class SequenceConflict(WriteFailed):
-    """Another writer committed under the number that this one expected to take."""
+    """Another writer committed under the number that this one expected to use."""
 
 
 class WorkerDied(FsarLedgerError):
@@ -144,7 +144,7 @@ class LedgerCorrupted(FsarLedgerError):
 
 
 class UnknownEventTag(LedgerCorrupted):
-    """A stored event has a type that this version does not know."""
+    """A stored event has a type that is unknown to this version."""
 
 
 class ReplayMismatch(LedgerCorrupted):

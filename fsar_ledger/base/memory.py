@@ -1,10 +1,10 @@
-"""Limits the memory of this process, so that a command that needs more ends with a message; pauses its collector.
+"""Limit the memory of this process, so that a command that needs more ends with a message; pause its collector.
 
-It also leaves out a large library that another one would load for nothing.
+Also prevents the import of a large library that another one would load without need.
 
-It counts the memory that this process and its children hold, without shared libraries. Address space is not memory: the
-libraries reserve ten times what they use. So the operating system's limit is only a safety net, set far above, for what
-grows between two checks.
+The limit counts the memory of this process and its children, without shared libraries. Address space is not memory: the
+libraries reserve ten times what they use. So the operating system's limit is only a safety net, set far higher, for
+growth between two checks.
 """
 
 import gc
@@ -19,33 +19,33 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 CHECK_S = 0.02
-"""Seconds between two checks: memory fills at some GiB a second."""
+"""Seconds between two checks: memory fills at some GiB per second."""
 
 NET_BYTES = 4 << 30
-"""How far beyond the limit and what is reserved already the operating system lets a process reserve."""
+"""Bytes beyond the limit and existing reservations that the operating system lets a process reserve."""
 
 MOST_MIB = 1 << 24
-"""The largest limit that can be asked for, more than any machine has."""
+"""The largest allowed limit, more than any machine has."""
 
 _PAGE_BYTES = os.sysconf("SC_PAGE_SIZE")
 _PEAK_UNIT = 1024 if os.uname().sysname == "Linux" else 1  # of ru_maxrss
 
 unfinished: set[Path] = set()
-"""Files and folders to remove when the process is ended because of its memory."""
+"""Files and folders to remove when the process is ended for exceeding its limit."""
 
 _limit: int | None = None
 
 
 def limit() -> int | None:
-    """Return the bytes that this process may take, or None without a limit."""
+    """Return the memory limit of this process in bytes, or None without a limit."""
     return _limit
 
 
 @contextmanager
 def folder_for_spilling() -> Iterator[str]:
-    """Yield the name of an empty folder of this user alone for what does not fit into memory; remove it at the end.
+    """Yield the name of an empty private folder for data that does not fit into memory; remove it at the end.
 
-    The name is empty where no folder can be made.
+    The name is empty if no folder can be made.
     """
     from tempfile import TemporaryDirectory
 
@@ -72,25 +72,25 @@ def exceeded_message() -> str:
 
 @contextmanager
 def limited(most: int, excess: Callable[[], None]) -> Iterator[None]:
-    """Limit the memory that the process takes from here on to `most` bytes.
+    """Limit the additional memory of the process to `most` bytes.
 
-    Beyond that, `excess` is called once, in a thread of its own, and must end the process. Where the operating system
-    does not say what a process holds (macOS), its peak so far counts, without its children.
+    Beyond that, `excess` is called once, in a separate thread, and must end the process. If the operating system does
+    not report a process's memory (macOS), its peak so far counts, without its children.
     """
     global _limit
-    before, _limit = _limit, most
+    previous, _limit = _limit, most
     stopped = threading.Event()
     soft, hard = resource.getrlimit(resource.RLIMIT_DATA)
-    # The watch first: a thread that finds no room for its stack never says that it began, and `start` waits for ever.
+    # Start the thread first: without room for its stack it would never signal its start, and `start` would hang.
     threading.Thread(target=_watch, args=(bytes_held() + most, excess, stopped), name="memory", daemon=True).start()
-    net = min([bytes_reserved() + most + NET_BYTES, *(one for one in (soft, hard) if one != resource.RLIM_INFINITY)])
+    net = min([bytes_reserved() + most + NET_BYTES, *(cap for cap in (soft, hard) if cap != resource.RLIM_INFINITY)])
     with suppress(OSError, ValueError):
         resource.setrlimit(resource.RLIMIT_DATA, (net, hard))
     try:
         yield
     finally:
         stopped.set()
-        _limit = before
+        _limit = previous
         with suppress(OSError, ValueError):
             resource.setrlimit(resource.RLIMIT_DATA, (soft, hard))
 
@@ -103,7 +103,7 @@ def _watch(most: int, excess: Callable[[], None], stopped: threading.Event) -> N
 
 
 def bytes_held() -> int:
-    """Return the bytes that this process and its children hold."""
+    """Return the memory of this process and its children in bytes."""
     own = _held_by("self")
     if own is None:
         return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * _PEAK_UNIT
@@ -111,24 +111,24 @@ def bytes_held() -> int:
 
 
 def bytes_reserved() -> int:
-    """Return the bytes that RLIMIT_DATA counts of this process, 0 where the system does not say."""
+    """Return the bytes of this process that RLIMIT_DATA counts, 0 if the system does not report them."""
     with suppress(OSError), open("/proc/self/statm", encoding="ascii") as file:
         return int(file.read().split()[5]) * _PAGE_BYTES
     return 0
 
 
 def children() -> list[str]:
-    """Return the ids of the processes that this one started, where the system lists them."""
-    found: list[str] = []
+    """Return the ids of this process's children, if the system lists them."""
+    ids: list[str] = []
     with suppress(OSError):
         for thread in os.listdir("/proc/self/task"):
             with suppress(OSError), open(f"/proc/self/task/{thread}/children", encoding="ascii") as file:
-                found += file.read().split()
-    return found
+                ids += file.read().split()
+    return ids
 
 
 def _has_begun(child: str) -> bool:
-    """Return whether a child runs its own program: until then it shares the memory of this process."""
+    """Return whether a child already runs its own program; until then it shares the memory of this process."""
     return _command(child) != _command("self")
 
 
@@ -148,7 +148,7 @@ def _held_by(process: str) -> int | None:
 
 
 def bytes_installed() -> int:
-    """Return the bytes of memory that the machine has."""
+    """Return the memory of the machine in bytes."""
     return os.sysconf("SC_PHYS_PAGES") * _PAGE_BYTES
 
 
@@ -165,7 +165,7 @@ def without_collection() -> Iterator[None]:
 
 
 class _NoPandas:
-    """Finds pandas, and cannot load it."""
+    """An import finder that makes importing pandas fail."""
 
     @classmethod
     def find_spec(cls, name: str, *_: object) -> ModuleSpec | None:
@@ -180,9 +180,9 @@ class _NoPandas:
 
 
 def leave_out_pandas() -> None:
-    """Let pyarrow do without pandas, which it loads, where there is one, to look at its first list of values.
+    """Prevent pyarrow from importing pandas, if installed, for its first list of values.
 
-    That takes as long as all other imports of a command together. It is for processes that are ours alone: no command
-    and no worker uses pandas.
+    The import takes as long as all others of a command together. Call this only in our own processes: no command and no
+    worker uses pandas.
     """
     sys.meta_path.insert(0, _NoPandas)

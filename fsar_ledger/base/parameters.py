@@ -1,4 +1,4 @@
-"""The parameters that runs record, of this or any other model: JSON with names and values."""
+"""The recorded parameters of runs, of this or any other model: JSON with names and values."""
 
 from typing import Any, TypeVar
 
@@ -6,24 +6,26 @@ import msgspec
 
 _T = TypeVar("_T")
 MAX_LEVELS = 16
-"""How deep recorded parameters may be nested; those of this model take five levels."""
+"""The maximum nesting of recorded parameters; those of this model have five levels."""
 
 
 class BadParameters(ValueError):
-    """The text is not what a run records as its parameters; the message says what was found and expected."""
+    """The text is not valid as the parameters of a run; the message says what was found and expected."""
 
 
 def read_parameters(parameters: str) -> dict[str, Any]:
-    """Parse the parameters of a run of any model: names and values, in few levels. Raises: BadParameters."""
-    found: dict[str, Any] = decode_parameters(parameters, dict[str, Any])
-    level: list[Any] = [found]
+    """Parse the parameters of a run of any model: names and values, up to `MAX_LEVELS` deep. Raises: BadParameters."""
+    parsed: dict[str, Any] = decode_parameters(parameters, dict[str, Any])
+    level: list[Any] = [parsed]
     for _ in range(MAX_LEVELS):
-        values = [value for one in level for value in (one.values() if isinstance(one, dict) else one)]
+        values = [
+            value for container in level for value in (container.values() if isinstance(container, dict) else container)
+        ]
         if any(isinstance(value, int) and not -(2**63) <= value < 2**63 for value in values):
             raise _bad(parameters, "an integer beyond 64 bits")
         level = [value for value in values if isinstance(value, dict | list)]
         if not level:
-            return found
+            return parsed
     raise _bad(parameters, f"more than {MAX_LEVELS} levels")
 
 

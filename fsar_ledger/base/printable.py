@@ -1,6 +1,6 @@
-"""Makes untrusted text safe to show in a terminal, a spreadsheet or a page: each character as itself or as an escape.
+"""Make untrusted text safe to show in a terminal, a spreadsheet or a page: each character as itself or as an escape.
 
-Characters that act instead of being seen, or that move their neighbours, are escaped: controls (C0, DEL, C1), line and
+Characters that have effects, are invisible, or move their neighbours are escaped: controls (C0, DEL, C1), line and
 paragraph separators, bidirectional and other format characters, blanks other than the space, fillers, variation
 selectors, private, unassigned and surrogate code points, letters of right-to-left scripts (a terminal reverses numbers
 beside them), marks without a letter, and a third mark on one letter. Escapes are those of Python: `\\n`, `\\x1b`,
@@ -15,10 +15,10 @@ from pathlib import PurePath
 from typing import NewType
 
 SafeText = NewType("SafeText", str)
-"""Complete lines without anything that a terminal would obey."""
+"""Complete lines without anything that a terminal would interpret."""
 
 MAX_VALUE = 200
-"""Characters of one value shown to people; programs get all."""
+"""Characters of one value shown to people; programs get the whole value."""
 
 MAX_LINE = 4_000
 """Characters of one line shown to people."""
@@ -27,10 +27,10 @@ MAX_MARKS = 2
 """Marks on one letter; Vietnamese needs two."""
 
 DECIMALS = 6
-"""Of a number for people; in seconds that is to the microsecond."""
+"""Decimals of a number for people; for seconds that is to the microsecond."""
 
 NAMED = 5
-"""How many things a message names, in a list or one a line; the rest are only counted."""
+"""The most items named in a message, in a list or one per line; the rest are only counted."""
 
 _SEEN = b"\n" + bytes(range(0x20, 0x7F))
 # printable according to Unicode, and blank
@@ -44,7 +44,7 @@ _BLANKS = re.compile(r"^ | (?= )| $")
 
 
 def is_shown(text: str) -> bool:
-    """Return whether every character of the text is shown as itself."""
+    """Return whether every character of the text is shown unescaped."""
     if text.isascii():
         return text.isprintable()
     if not text.isprintable() or _MOVING.search(text):
@@ -53,7 +53,7 @@ def is_shown(text: str) -> bool:
 
 
 def escaped(text: str) -> str:
-    """Return the text on one line with unsafe characters escaped; backslashes stay as they are."""
+    """Return the text on one line with unsafe characters escaped; backslashes are unchanged."""
     return text if is_shown(text) else _escaped(text, is_whole=False)
 
 
@@ -61,7 +61,7 @@ def value(text: str, most: int = MAX_VALUE) -> str:
     """Return the value as shown to people, distinct from every other value, cut after `most` characters.
 
     Unsafe characters are escaped. If there are any, or if the value looks escaped, its own backslashes are doubled. So
-    a text that is shown unchanged holds no backslash before one of `\\xuUntr`, and one that is changed does.
+    a text that is shown unchanged has no backslash before one of `\\xuUntr`, and a changed one does.
     """
     if len(text) > most:
         return f"{value(text[:most], most)}... ({len(text) - most:,} more)"
@@ -72,8 +72,8 @@ def value(text: str, most: int = MAX_VALUE) -> str:
 
 def cell(text: str, most: int = MAX_VALUE) -> str:
     """Return the value for a column of a table: as `value`, but also escape blanks that look like column space."""
-    shown = value(text, most)
-    return _BLANKS.sub(r"\\x20", shown) if "  " in shown or shown[:1] == " " or shown[-1:] == " " else shown
+    printed = value(text, most)
+    return _BLANKS.sub(r"\\x20", printed) if "  " in printed or printed[:1] == " " or printed[-1:] == " " else printed
 
 
 def field(text: str) -> str:
@@ -82,9 +82,9 @@ def field(text: str) -> str:
 
 
 def word(text: object) -> str:
-    """Quote the text as one word of a shell command that people may paste; a path never as an option.
+    """Quote the text as one word of a shell command that people may paste; a path never looks like an option.
 
-    Where characters act or cannot be seen it is the bash, ksh and zsh form `$'...'`, of their bytes.
+    If characters are unsafe it has the bash, ksh and zsh form `$'...'`, with their bytes.
     """
     plain = f"./{text}" if isinstance(text, PurePath) and str(text).startswith("-") else str(text)
     if is_shown(plain):
@@ -93,7 +93,7 @@ def word(text: object) -> str:
 
 
 def _byte(byte: int) -> str:
-    """Write a byte within `$'...'`."""
+    """Return a byte in the form for use within `$'...'`."""
     character = chr(byte)
     if character in "\\'":
         return f"\\{character}"
@@ -101,7 +101,7 @@ def _byte(byte: int) -> str:
 
 
 def _without_formula(text: str) -> str:
-    """Put an apostrophe before text that a spreadsheet would read as a formula, or that already has one."""
+    """Prefix an apostrophe to text that a spreadsheet would read as a formula, or that already has one."""
     return "'" + text if _FORMULA.match(text) else text
 
 
@@ -112,7 +112,7 @@ def line(text: str, most: int = MAX_LINE) -> SafeText:
 
 
 def lines(*texts: str) -> SafeText:
-    """Return each text as `line` makes it, one after the other."""
+    """Return the `line` of each text, concatenated."""
     return SafeText("".join(map(line, texts)))
 
 
@@ -122,7 +122,7 @@ def joined(*parts: SafeText) -> SafeText:
 
 
 def ascii_json(text: str) -> SafeText:
-    """Return the JSON text in ASCII, with the same meaning: other characters are within strings and become `\\u`."""
+    """Return equivalent JSON text in ASCII: other characters only occur in strings and become `\\u`."""
     return SafeText(text if text.isascii() and "\x7f" not in text else _NOT_ASCII.sub(_in_json, text))
 
 
@@ -134,15 +134,15 @@ def columns_of(character: str) -> int:
 
 
 def sanitized(text: str) -> str:
-    """Escape everything unsafe in these lines; lines that are all `SafeText` stay as they are."""
-    if text.isascii() and not text.encode().translate(None, _SEEN):  # as `is_shown`, and quick for megabytes
+    """Escape everything unsafe in these lines; `SafeText` is unchanged."""
+    if text.isascii() and not text.encode().translate(None, _SEEN):  # as `is_shown`, but fast for megabytes
         return text
     return text if is_shown(text.replace("\n", "")) else "\n".join(map(escaped, text.split("\n")))
 
 
 def _in_json(match: re.Match[str]) -> str:
     units = match.group().encode("utf-16-be", "surrogatepass")
-    return "".join(f"\\u{units[at : at + 2].hex()}" for at in range(0, len(units), 2))
+    return "".join(f"\\u{units[i : i + 2].hex()}" for i in range(0, len(units), 2))
 
 
 def _is_mark(character: str) -> bool:
@@ -151,22 +151,22 @@ def _is_mark(character: str) -> bool:
 
 def _escaped(text: str, *, is_whole: bool) -> str:
     """Escape the text; double its own backslashes if `is_whole`."""
-    found: list[str] = []
-    carried = MAX_MARKS  # marks on the last letter; the maximum where there is no letter, so that none may follow
+    pieces: list[str] = []
+    carried = MAX_MARKS  # marks on the last letter; the maximum if there is no letter, so that none may follow
     for character in text:
         is_mark = _is_mark(character)
         is_plain = character.isprintable() and not _MOVING.match(character) and not (is_mark and carried >= MAX_MARKS)
         carried = carried + 1 if is_mark else 0 if is_plain and character.isalpha() else MAX_MARKS
         if not is_plain or (is_whole and character == "\\"):
             character = character.encode("unicode_escape", "surrogatepass").decode("ascii")
-        found.append(character)
-    return "".join(found)
+        pieces.append(character)
+    return "".join(pieces)
 
 
 def number(value: float) -> str:
     """Return a float for people: from 1 on with at most six decimals, below that with six significant digits.
 
-    So two times in seconds look alike only within a microsecond, no count is rounded, and a mean or a p stays short.
+    So two times in seconds look equal only within a microsecond, no count is rounded, and a mean or a p-value is short.
     """
     return repr(round(value, DECIMALS)).removesuffix(".0") if abs(value) >= 1 else f"{value:.6g}"
 
@@ -190,36 +190,36 @@ def every(parts: Sequence[str], nothing: str = "none") -> str:
 
 def ranges(numbers: Sequence[int]) -> str:
     """Return numbers in ascending order as ranges: `1-100`, `2-299 by 3`, `7, 9`."""
-    parts, at = [], 0
-    while at < len(numbers):
-        step = numbers[at + 1] - numbers[at] if at + 1 < len(numbers) else 1
-        end = at
+    parts, start = [], 0
+    while start < len(numbers):
+        step = numbers[start + 1] - numbers[start] if start + 1 < len(numbers) else 1
+        end = start
         while end + 1 < len(numbers) and numbers[end + 1] - numbers[end] == step:
             end += 1
-        if end - at < 2 and step != 1:  # two apart are no range, and the second may begin one
-            end = at
-        first, last = numbers[at], numbers[end]
+        if end - start < 2 and step != 1:  # two numbers apart are not a range, and the second may begin one
+            end = start
+        first, last = numbers[start], numbers[end]
         parts.append(str(first) if first == last else f"{first}-{last}" + (f" by {step}" if step > 1 else ""))
-        at = end + 1
+        start = end + 1
     return ", ".join(parts)
 
 
 def did_you_mean(asked: str, names: Collection[str]) -> str:
-    """Return `; did you mean NAME?` for the nearest name, or nothing where none is near."""
+    """Return `; did you mean NAME?` for the nearest name, or "" if none is near."""
     near = nearest(asked, names)
     return "" if near is None else f"; did you mean {value(near)}?"
 
 
 def nearest(asked: str, names: Collection[str]) -> str | None:
-    """Return the name that is probably meant, None where none is near.
+    """Return the name that is probably meant, None if none is near.
 
-    It is the name in other capitals, else the first that begins like the one asked for, else the most similar one, else
-    the first with the most similar beginning. At least half of the letters must agree.
+    It is the same name in other case, else the first that begins with `asked`, else the most similar one, else the
+    first with the most similar beginning. At least half of the letters must agree.
     """
     from difflib import get_close_matches
 
     ordered = sorted(names)
-    found = (
+    candidates = (
         [name for name in ordered if name.casefold() == asked.casefold()]
         or [name for name in ordered if name.startswith(asked)]
         or get_close_matches(asked, ordered, 1, 0.5)
@@ -230,4 +230,4 @@ def nearest(asked: str, names: Collection[str]) -> str | None:
             if name.startswith(beginning)
         ]
     )
-    return found[0] if asked and found else None
+    return candidates[0] if asked and candidates else None

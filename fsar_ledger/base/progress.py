@@ -1,4 +1,4 @@
-"""Long operations: how their progress is reported, and their parts."""
+"""Long operations: reporting their progress, and splitting them into parts."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, nullcontext
@@ -27,15 +27,15 @@ def unseen(_verb: str, _unit: str) -> AbstractContextManager[None]:
 
 
 def parts_of(every: Iterable[_One], size_of: Callable[[_One], int], most: int) -> Iterator[list[_One]]:
-    """Yield these in order, in parts of at most this size all together, or of one that is larger."""
+    """Yield these items in order, in parts of at most `most` in total size, or of one larger item."""
     part: list[_One] = []
-    whole = 0
-    for one in every:
-        size = size_of(one)
-        if part and whole + size > most:
+    total = 0
+    for item in every:
+        size = size_of(item)
+        if part and total + size > most:
             yield part
-            part, whole = [], 0
-        part.append(one)
-        whole += size
+            part, total = [], 0
+        part.append(item)
+        total += size
     if part:
         yield part

@@ -10,7 +10,7 @@ ADVICE = "free space or choose another --out"
 
 
 def require_place(path: Path) -> None:
-    """Check, before any work is done, that the file can be written. Raises: WriteFailed if that is known to fail."""
+    """Check, before any work is done, that the file can be written. Raises: WriteFailed if that would surely fail."""
     try:
         _require_file(path)
         above = next(folder for folder in path.absolute().parents if folder.exists())
@@ -32,9 +32,9 @@ def require_another(out: Path, what: str, other: Path, other_what: str) -> None:
 
 
 def publish(path: Path, content: bytes, advice: str = ADVICE) -> None:
-    """Replace the file by this content atomically: written beside it, made durable, renamed.
+    """Replace the file's content atomically: written beside it, made durable, renamed.
 
-    Raises: WriteFailed, with the advice, if the disk refuses (no such folder can be made, read-only, full) or the path
+    Raises: WriteFailed, with the advice, if the disk refuses (the folder cannot be made, read-only, full) or the path
         is a folder.
     """
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial")

@@ -1,4 +1,4 @@
-"""Times of day in UTC: as text of ISO 8601, and as microseconds since 1970."""
+"""Times in UTC: as ISO 8601 text, and as microseconds since 1970."""
 
 from datetime import UTC, datetime, timedelta
 
@@ -7,25 +7,25 @@ MICROSECOND = timedelta(microseconds=1)
 
 
 def parsed(text: str) -> datetime:
-    """Return a time of ISO 8601; without a zone it is UTC. Raises: ValueError for any other text."""
+    """Parse an ISO 8601 time; without a zone it is UTC. Raises: ValueError for any other text."""
     return zoned(datetime.fromisoformat(text))
 
 
 def zoned(when: datetime) -> datetime:
-    """Return a moment with its zone; without one it is UTC."""
+    """Return the time with its zone; without one it is UTC."""
     return when if when.tzinfo is not None else when.replace(tzinfo=UTC)
 
 
 def shown(when: datetime, timespec: str = "auto") -> str:
-    """Return a time in UTC as text that ends in Z; `timespec` as `datetime.isoformat` has it."""
+    """Return a time in UTC as text that ends in Z; `timespec` is that of `datetime.isoformat`."""
     return when.isoformat(timespec=timespec).replace("+00:00", "Z")
 
 
 def microseconds(when: datetime) -> int:
-    """Return the microseconds from 1970 to a moment with a zone."""
+    """Return the microseconds from 1970 to a time with a zone."""
     return (when - EPOCH) // MICROSECOND
 
 
 def shown_us(time_us: int, timespec: str = "auto") -> str:
-    """Return so many microseconds since 1970 as `shown` has them."""
+    """Return a time in microseconds since 1970 as the text of `shown`."""
     return shown(EPOCH + time_us * MICROSECOND, timespec)

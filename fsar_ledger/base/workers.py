@@ -1,6 +1,6 @@
 """Worker processes that leave Ctrl-C to the command that started them, end with it, and cannot die unnoticed.
 
-Each worker holds the only other end of its own pipe, so the pipe ends wherever it dies, even halfway through an answer.
+Each worker holds the only other end of its own pipe, so the pipe ends whenever it dies, even halfway through an answer.
 (The standard library's pool shares one queue: a process killed while writing to it leaves every reader waiting.)
 """
 
@@ -68,11 +68,11 @@ def _without_main() -> Iterator[None]:
 _CLUSTER: "ContextVar[Cluster | None]" = ContextVar("cluster", default=None)
 CLUSTERS = "the address of a Dask scheduler (tcp://HOST:PORT), or local:N for N processes of this machine"
 RETRIES = 3
-"""How often a call is made again whose worker died."""
+"""How many times a call is retried after its worker died."""
 
 
 class Cluster(Executor):
-    """The workers of a Dask cluster, to be used as a `WorkerPool`. A call whose worker dies is made again on another.
+    """The workers of a Dask cluster, used like a `WorkerPool`. A call whose worker dies is retried on another.
 
     They run this version, and see the ledgers under the same paths.
     """
@@ -80,8 +80,8 @@ class Cluster(Executor):
     def __init__(self, client: Any, address: str) -> None:
         self._client, self._address = client, address
         self._executor = client.get_executor(pure=False, retries=RETRIES)
-        found = client.run(_program)
-        if others := sorted({*found.values()} - {_program()}):
+        programs = client.run(_program)
+        if others := sorted({*programs.values()} - {_program()}):
             raise UsageError(
                 f"{option('cluster', address)}: found workers with {', '.join(others)}, expected {_program()} as here; "
                 "install the same there"
@@ -89,15 +89,15 @@ class Cluster(Executor):
         self.workers = max(1, sum(client.nthreads().values()))
 
     def submit(self, fn: Callable[_P, _T], /, *args: _P.args, **kwargs: _P.kwargs) -> Future[_T]:
-        """Queue the call, as in any executor; its result raises WorkerDied where the cluster cannot finish it."""
+        """Queue the call, as in any executor; its result raises WorkerDied if the cluster cannot finish it."""
         future: Future[_T] = Future()
-        asked = self._executor.submit(fn, *args, **kwargs)
-        asked.add_done_callback(lambda done: _pass_on(done, future, self._address))
+        dask_future = self._executor.submit(fn, *args, **kwargs)
+        dask_future.add_done_callback(lambda done: _pass_on(done, future, self._address))
         return future
 
 
 def _pass_on(done: Future[_T], to: Future[_T], address: str) -> None:
-    """Pass on what a call came to; what Dask itself raises becomes WorkerDied."""
+    """Pass on the result or exception of a call; exceptions of Dask itself become WorkerDied."""
     try:
         to.set_result(done.result())
     except BaseException as error:
@@ -109,7 +109,7 @@ def _pass_on(done: Future[_T], to: Future[_T], address: str) -> None:
 
 
 def _program() -> str:
-    """Return which version of this program runs here."""
+    """Return the name and version of this program."""
     from fsar_ledger import __version__
 
     return f"fsar-ledger {__version__}"
@@ -117,12 +117,12 @@ def _program() -> str:
 
 @contextmanager
 def cluster(address: str | None) -> Iterator[None]:
-    """Have all work that is shared among processes done by this cluster, or with None by processes of this machine.
+    """Run all parallel work on this cluster, or with None in processes of this machine.
 
     `address` is that of a Dask scheduler, or local:N for N processes.
 
     Raises:
-        UsageError: Dask is not installed, the address is of another form, nobody answers there, or other versions run.
+        UsageError: Dask is not installed, the address is malformed, no scheduler answers there, or versions differ.
     """
     if address is None:
         yield
@@ -140,13 +140,13 @@ def cluster(address: str | None) -> Iterator[None]:
         try:
             if count is not None:
                 with _without_main():
-                    made = LocalCluster(
+                    local_cluster = LocalCluster(
                         n_workers=count,
                         threads_per_worker=1,
                         dashboard_address=":0",
                         silence_logs=50,
                     )
-                client = stack.enter_context(Client(stack.enter_context(made)))
+                client = stack.enter_context(Client(stack.enter_context(local_cluster)))
             else:
                 client = stack.enter_context(Client(address, timeout=TIMEOUT))
         except (OSError, ValueError) as error:
@@ -161,7 +161,7 @@ def cluster(address: str | None) -> Iterator[None]:
 
 
 def local_processes(address: str) -> int | None:
-    """Return how many processes of this machine the address stands for, 0 for no number; None for another cluster."""
+    """Return the number of processes in a local:N address, 0 if N is not a number; None for another cluster."""
     kind, _, number = address.partition(":")
     return None if kind != "local" else int(number) if number.isdecimal() else 0
 
@@ -171,20 +171,20 @@ TIMEOUT = "10s"
 
 
 def workers_of_cluster() -> int | None:
-    """Return how many workers the cluster has that work goes to; None where there is none."""
-    found = _CLUSTER.get()
-    return None if found is None else found.workers
+    """Return the number of workers of the current cluster; None if there is none."""
+    current = _CLUSTER.get()
+    return None if current is None else current.workers
 
 
 @contextmanager
 def pool_of(workers: "int | WorkerPool", parts: int = sys.maxsize) -> "Iterator[Cluster | WorkerPool | None]":
-    """Yield what so many parts of work are shared among: the cluster, this pool, or so many processes.
+    """Yield the executor for this many parts of work: the cluster, this pool, or a new pool of this many processes.
 
-    It is None where one process does it all.
+    It is None if one process does it all.
     """
     most = min(workers.workers if isinstance(workers, WorkerPool) else workers, parts)
-    if (found := _CLUSTER.get()) is not None:
-        yield found
+    if (current := _CLUSTER.get()) is not None:
+        yield current
     elif most <= 1:
         yield None
     elif isinstance(workers, WorkerPool):
@@ -198,7 +198,7 @@ class WorkerPool(Executor):
     """A pool of fresh processes that ignore Ctrl-C from the start and end with this process, however it ends.
 
     A process inherits the signals that are blocked when it starts, which is on a submission. When one dies, every open
-    call raises `WorkerDied`. Leaving the pool drops the calls that have not begun and waits for the others.
+    call raises `WorkerDied`. Leaving the pool drops calls that have not started and waits for the others.
     """
 
     def __init__(self, workers: int) -> None:
@@ -216,7 +216,7 @@ class WorkerPool(Executor):
         """Queue the call, as in any executor. Raises: WorkerDied if a worker has died or none can be started."""
         call = bytes(ForkingPickler.dumps((fn, args, kwargs)))
         future: Future[_T] = Future()
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        previous_mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
             if self._death is None and len(self._workers) < self.workers:
                 self._start()
@@ -226,13 +226,13 @@ class WorkerPool(Executor):
                 self._waiting.append((future, call))
             self._wake.send_bytes(b".")
         finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+            signal.pthread_sigmask(signal.SIG_SETMASK, previous_mask)
         return future
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:  # noqa: ARG002
         """Wait for all processes to end, after their running calls and, without `cancel_futures`, the queued ones.
 
-        It always waits, whatever `wait` says.
+        It always waits, regardless of `wait`.
         """
         with self._lock:
             if self._is_closing:
@@ -270,7 +270,7 @@ class WorkerPool(Executor):
         """Pass calls to idle workers and answers to their futures, until the pool is left or a worker dies."""
         while True:
             with self._lock:
-                begun = [
+                started = [
                     (worker, call)
                     for worker in self._workers
                     if worker.running is None and (call := self._take_call(worker)) is not None
@@ -278,8 +278,8 @@ class WorkerPool(Executor):
                 pipes = {worker.pipe: worker for worker in self._workers}
                 if self._is_closing and not any(worker.running for worker in self._workers):
                     return
-            for worker, call in begun:
-                with suppress(OSError):  # it is dead, and so is its pipe, which is noticed below
+            for worker, call in started:
+                with suppress(OSError):  # it is dead, and so is its pipe, which is detected below
                     worker.pipe.send_bytes(call)
             for ready in connection.wait([*pipes, self._wakes]):
                 if ready is self._wakes:
@@ -307,7 +307,7 @@ class WorkerPool(Executor):
         assert future is not None  # a worker sends nothing but answers
         try:
             is_result, value = pickle.loads(answer)
-        except Exception as error:  # its class may do anything while it is made again
+        except Exception as error:  # its class may run any code while unpickling
             is_result, value = False, error
         (future.set_result if is_result else future.set_exception)(value)
         return True
@@ -321,7 +321,7 @@ class WorkerPool(Executor):
                 worker.process.pid,
                 "it still runs" if code is None else f"ended by signal {-code}" if code < 0 else f"ended with {code}",
             )
-            open_calls = [one.running for one in self._workers if one.running is not None]
+            open_calls = [each.running for each in self._workers if each.running is not None]
             open_calls += [future for future, _ in self._waiting if future.set_running_or_notify_cancel()]
             self._waiting.clear()
         for future in open_calls:
@@ -354,7 +354,7 @@ def _work(pipe: Connection) -> None:
 
 
 def _answer(call: bytes) -> bytes:
-    """Make the call and return what it returns or raises, pickled."""
+    """Make the call and return its result or exception, pickled."""
     try:
         function, args, kwargs = pickle.loads(call)
         return pickle.dumps((True, function(*args, **kwargs)))
@@ -369,7 +369,7 @@ def _answer(call: bytes) -> bytes:
 
 
 def _end_with_parent() -> None:
-    """End the process at once when its parent has ended; what it was writing is in staging, and harmless there."""
+    """End the process at once when its parent has ended; a file that it was writing is in staging, and harmless."""
     parent = parent_process()
     assert parent is not None
     connection.wait([parent.sentinel])

@@ -1,10 +1,10 @@
 """Witnesses of a ledger: the service that cosigns, the client, and the auditor's policy.
 
-Here is what a witness is told and says, without network: C2SP tlog-witness (`add-checkpoint`) and tlog-cosignature.
+This module has a witness's messages, without network: C2SP tlog-witness (`add-checkpoint`) and tlog-cosignature.
 
 ```
-old 20852014                                       the size that the witness is thought to know
-PlRNCrwHpqhGrupue0L7gxbjbMiKA9temvuZZDDpkaw=       the consistency proof from there, a hash a line
+old 20852014                                       the size that the witness is assumed to have
+PlRNCrwHpqhGrupue0L7gxbjbMiKA9temvuZZDDpkaw=       the consistency proof from that size, one hash per line
 ...
 
 fsar-ledger/simulated                              the checkpoint, signed by the log
@@ -70,7 +70,7 @@ class WitnessKey(PublicKey, frozen=True):
 
     def time_of(self, note: Note) -> int | None:
         """Return the newest time (seconds since 1970) at which this witness cosigned the note, or None."""
-        times = [self._time(one, note.checkpoint) for one in note.signatures if one.key == self.key]
+        times = [self._time(signature, note.checkpoint) for signature in note.signatures if signature.key == self.key]
         return max((time for time in times if time is not None), default=None)
 
     def _time(self, signature: Signature, checkpoint: Checkpoint) -> int | None:
@@ -88,10 +88,10 @@ class Cosigner:
         self.key = WitnessKey(name, self._signer.verifier.public)
 
     def cosign(self, checkpoint: Checkpoint, time_s: int) -> Signature:
-        """Cosign the checkpoint: the witness knew no larger tree of this log at `time_s` (seconds since 1970).
+        """Cosign the checkpoint: the witness had seen no larger tree of this log at `time_s` (seconds since 1970).
 
         Raises:
-            ValueError: The time is not a valid one.
+            ValueError: The time is not valid.
         """
         if not 0 < time_s <= MAX_TIME_S:
             raise ValueError(f"found time {time_s}, expected seconds since 1970")
@@ -117,8 +117,8 @@ def parse_vkey(text: str) -> VerifierKey | WitnessKey:
     """Parse the public key of a log (0x01) or of a witness (0x04).
 
     Raises:
-        ValueError: The text is no such key, or a key for which anyone could sign. The message does not repeat the text,
-            which may be a secret.
+        ValueError: The text is not such a key, or is a key for which anyone could sign. The message does not repeat the
+            text, which may be a secret.
     """
     name, _, rest = text.partition("+")
     key_id, _, data = rest.partition("+")
@@ -155,14 +155,14 @@ def read_log_key(key: str) -> VerifierKey:
     is_text = key.count("+") >= 2 and not os.path.lexists(key)
     where = "--log" if is_text else f"--log {key}"
     try:
-        found = parse_vkey(key if is_text else _read(Path(key)))
+        log_key = parse_vkey(key if is_text else _read(Path(key)))
     except ValueError as error:
         raise UsageError(f"{where}: {error}") from error
-    if not isinstance(found, VerifierKey):
+    if not isinstance(log_key, VerifierKey):
         raise UsageError(
             f"{where}: found the key of a witness, expected that of a log, as `fsar-ledger key new` prints it"
         )
-    return found
+    return log_key
 
 
 def _read(path: Path) -> str:
@@ -175,7 +175,7 @@ def _read(path: Path) -> str:
 
 
 def secret_text(key: WitnessKey, secret: bytes) -> str:
-    """Return the line that the secret file of this key holds."""
+    """Return the content of this key's secret file, one line."""
     return f"{_SECRET}{key.key}+{base64.b64encode(_COSIGNATURE + secret).decode()}\n"
 
 
@@ -184,10 +184,10 @@ def parse_secret(text: str) -> Cosigner | None:
     name, _, rest = text.removesuffix("\n").removeprefix(_SECRET).partition("+")
     try:
         material = base64.b64decode(rest.partition("+")[2], validate=True)
-        found = Cosigner(name, material[1:])
+        cosigner = Cosigner(name, material[1:])
     except (binascii.Error, ValueError):
         return None
-    return found if text == secret_text(found.key, material[1:]) else None
+    return cosigner if text == secret_text(cosigner.key, material[1:]) else None
 
 
 ADD_CHECKPOINT = "/add-checkpoint"
@@ -201,7 +201,7 @@ _OLD = re.compile(r"old (0|[1-9][0-9]{0,18})")
 
 
 class Answer(msgspec.Struct, frozen=True):
-    """An HTTP answer: its status, its text and the media type."""
+    """An HTTP response: its status, its text and the media type."""
 
     status: int
     text: str
@@ -217,12 +217,12 @@ class Request(msgspec.Struct, frozen=True):
 
     def __str__(self) -> str:
         return "\n".join(
-            [f"old {self.old}", *(base64.b64encode(one).decode() for one in self.proof), "", str(self.note)]
+            [f"old {self.old}", *(base64.b64encode(entry).decode() for entry in self.proof), "", str(self.note)]
         )
 
 
 def checkpoint_path(origin: str) -> str:
-    """Return the path of a log's newest checkpoint: by the SHA-256 of its origin in hex, as C2SP tlog-mirror does."""
+    """Return the path of a log's newest checkpoint: by the SHA-256 of its origin in hex, as in C2SP tlog-mirror."""
     return f"/{origin_hash(origin)}/checkpoint"
 
 
@@ -235,7 +235,7 @@ def parse_request(body: bytes) -> Request:
     """Parse a request to `add-checkpoint`.
 
     Raises:
-        ValueError: The bytes are not a request; the message repeats nothing of them.
+        ValueError: The bytes are not a request; the message repeats none of them.
     """
     head, blank, note = body.partition(b"\n\n")
     try:
@@ -258,21 +258,21 @@ def parse_request(body: bytes) -> Request:
 
 def _parse_hash(line: str) -> bytes:
     try:
-        found = base64.b64decode(line, validate=True)
+        digest = base64.b64decode(line, validate=True)
     except (binascii.Error, ValueError):
-        found = b""
-    if len(found) != HASH_BYTES or base64.b64encode(found).decode() != line:
+        digest = b""
+    if len(digest) != HASH_BYTES or base64.b64encode(digest).decode() != line:
         raise ValueError("a line of the proof is not the base64 of a hash")
-    return found
+    return digest
 
 
 def judge(request: Request, logs: Sequence[VerifierKey], known: Checkpoint | None) -> Note | Answer:
-    """Decide on a request: return the note to cosign, with the signatures of the log alone, or the refusal.
+    """Decide on a request: return the note to cosign, with only the signatures of the log, or the refusal.
 
     Args:
         request: The parsed request.
         logs: The keys of all logs that this witness trusts.
-        known: The newest checkpoint of this log that it cosigned, if any.
+        known: The newest checkpoint of this log that the witness cosigned, if any.
     """
     new = request.note.checkpoint
     trusted = [key for key in logs if key.name == new.origin]
@@ -298,10 +298,10 @@ def judge(request: Request, logs: Sequence[VerifierKey], known: Checkpoint | Non
 
 def signatures_of(note: Note, trusted: Sequence[VerifierKey]) -> tuple[Signature, ...]:
     """Return the signatures by these keys of the log, or none at all if one of them is forged."""
-    found: list[Signature] = []
+    signatures: list[Signature] = []
     for key in trusted:
-        of_key = [one for one in note.signatures if one.key == key.key]
-        if of_key and not key.has_signed(note):
+        by_key = [signature for signature in note.signatures if signature.key == key.key]
+        if by_key and not key.has_signed(note):
             return ()
-        found += of_key[:1]
-    return tuple(found)
+        signatures += by_key[:1]
+    return tuple(signatures)

@@ -1,7 +1,7 @@
-"""What the witnesses of a policy saw of a ledger, for whoever verifies it, and in words.
+"""The statements of a policy's witnesses about a ledger, for its verifier, and as text.
 
-Two things follow from it. The ledger must begin with every checkpoint that its own key signed, whoever presents it: no
-witness can forge one. It also gives the number of events for which enough witnesses vouch: each vouches for the tree
+They show two things. The ledger must begin with every checkpoint that its own key signed, whichever witness presents
+it: none can forge one. They also give the number of events for which enough witnesses vouch: each vouches for the tree
 that it cosigned and for every prefix of that tree.
 """
 
@@ -35,7 +35,7 @@ MAX_AGE_S = 300
 class Statement(msgspec.Struct, frozen=True):
     """The statement of one witness: it saw `size` events at `time_s` (seconds since 1970).
 
-    Both are None if the statement does not count; `reason` then says why.
+    Both are None if the statement does not count; then `reason` is why.
     """
 
     witness: str
@@ -57,7 +57,7 @@ class Evidence(msgspec.Struct, frozen=True):
 
 
 def ask_witnesses(policy: Policy, logs: Sequence[VerifierKey], origin: str, now_s: int) -> Evidence:
-    """Ask the witnesses of the policy for their newest checkpoint. Raises: UsageError if none has a URL."""
+    """Query the witnesses of the policy for their newest checkpoints. Raises: UsageError if none has a URL."""
     statements, checkpoints = [], []
     otherwise = "; or give what they cosigned with --cosigned FILE"
     for witness, answer in ask_all(lambda witness: _newest(witness, origin), policy, otherwise):
@@ -73,7 +73,7 @@ def ask_witnesses(policy: Policy, logs: Sequence[VerifierKey], origin: str, now_
 def read_cosigned(
     policy: Policy, logs: Sequence[VerifierKey], origin: str, now_s: int, files: Sequence[Path]
 ) -> Evidence:
-    """Read the statements of the policy's witnesses from notes that were cosigned at any time.
+    """Read the statements of the policy's witnesses from these notes, which may be cosigned at any time.
 
     Raises:
         UsageError: A file cannot be read, or is not a note of this log.
@@ -87,24 +87,24 @@ def read_cosigned(
             )
     statements = []
     for witness in policy.witnesses:
-        said = [
+        own = [
             _statement(witness, str(file), note, logs, origin, now_s, is_asked=False) for file, note in notes.items()
         ]
-        statements.append(max(said, key=lambda one: (one.size is not None, one.size or 0, one.time_s or 0)))
+        statements.append(max(own, key=lambda each: (each.size is not None, each.size or 0, each.time_s or 0)))
     return _weigh(policy, statements, [Anchor(str(file), note) for file, note in notes.items()])
 
 
 def _newest(witness: Witness, origin: str) -> Note:
-    """Ask this witness for the newest note that it cosigned. Raises: NoAnswer."""
+    """Request the newest note that this witness cosigned. Raises: NoAnswer."""
     url = witness.url or ""
     answer = ask(url, checkpoint_path(origin))
     if answer.status != HTTPStatus.OK:
-        said = (
+        reason = (
             "it has no checkpoint of this log"
             if answer.status == HTTPStatus.NOT_FOUND
             else f"an answer with status {answer.status}"
         )
-        raise NoAnswer(f"{url}: {said}")
+        raise NoAnswer(f"{url}: {reason}")
     try:
         return parse_cosigned(url, answer.text.encode())
     except LedgerCorrupted as error:
@@ -136,7 +136,7 @@ def _statement(
     if not _is_of(logs, note, origin):
         reason = f"{where}: a checkpoint that no key of the log {origin} signed"
     elif time_s is None:
-        named = any(one.key == witness.key.key for one in note.signatures)
+        named = any(signature.key == witness.key.key for signature in note.signatures)
         reason = f"{where}: {'a cosignature that its key did not make' if named else 'no cosignature of it'}"
     elif time_s > now_s + MAX_AGE_S:
         reason = f"{where}: a cosignature {time_s - now_s:,} s in the future"
@@ -151,17 +151,19 @@ def _statement(
 
 def _weigh(policy: Policy, statements: Sequence[Statement], checkpoints: Sequence[Anchor]) -> Evidence:
     """Find the largest size that enough witnesses saw; one that saw a larger tree also saw the smaller one in it."""
-    sizes = sorted({one.size for one in statements if one.size}, reverse=True)
+    sizes = sorted({statement.size for statement in statements if statement.size}, reverse=True)
     enough = (
         size
         for size in sizes
-        if policy.is_met({one.witness for one in statements if one.size is not None and one.size >= size})
+        if policy.is_met(
+            {statement.witness for statement in statements if statement.size is not None and statement.size >= size}
+        )
     )
     return Evidence(next(enough, 0), tuple(statements), tuple(checkpoints))
 
 
 class WitnessAnswer(NamedTuple):
-    """What the witnesses of a policy saw of a ledger; one of the keys of `logs` must have signed what they cosigned."""
+    """The evidence of a policy's witnesses about a ledger; a key of `logs` must have signed what they cosigned."""
 
     policy: Policy
     logs: tuple[VerifierKey, ...]
@@ -169,16 +171,16 @@ class WitnessAnswer(NamedTuple):
 
     @property
     def log(self) -> VerifierKey | None:
-        """Return the key that must have signed the ledger, where there is no choice."""
+        """Return the key that must have signed the ledger; None if there are several."""
         return self.logs[0] if len(self.logs) == 1 else None
 
     @property
     def is_enough(self) -> bool:
-        """Return whether enough witnesses saw anything."""
+        """Return whether enough witnesses saw any events."""
         return self.evidence.size > 0
 
     def lines(self, events: int) -> list[str]:
-        """Describe what they saw, for people; `events` counts the ledger's."""
+        """Return lines of text about what they saw; `events` is the number of the ledger's events."""
         size, statements = self.evidence.size, self.evidence.statements
         rest = "" if size >= events else f"; fewer saw the newest {events - size:,}"
         return [
@@ -194,7 +196,7 @@ class WitnessAnswer(NamedTuple):
         ]
 
     def doubt(self, ledger: Path) -> str:
-        """Describe why too few of them saw anything."""
+        """Return the message about why too few of them saw any events."""
         reasons = "; ".join(
             f"{one.witness}: {one.reason}" for one in self.evidence.statements if one.reason is not None
         )
@@ -208,7 +210,7 @@ class WitnessAnswer(NamedTuple):
         return listed({one.witness: one.time_s for one in self.evidence.statements if one.time_s is not None})
 
     def json(self) -> dict[str, object]:
-        """Return what they saw, for JSON."""
+        """Return the evidence, for JSON."""
         return {
             "policy": self.policy.file,
             "ok": self.is_enough,
@@ -224,9 +226,9 @@ def answers_of(
     trusted: VerifierKey | None,
     now_s: int | None,
 ) -> WitnessAnswer | None:
-    """Return what the witnesses of the policy saw of the ledger; None without a policy.
+    """Return the evidence of the policy's witnesses about the ledger; None without a policy.
 
-    They are asked now, or have answered in these files.
+    They are queried now, or their notes are read from the files `cosigned`.
 
     Raises:
         UsageError: The policy is invalid, or does not fit the other arguments.
@@ -241,8 +243,8 @@ def answers_of(
             )
         return None
 
-    read = read_policy(policy)
-    logs = _logs_of(read, trusted)
+    parsed = read_policy(policy)
+    logs = _logs_of(parsed, trusted)
     try:
         origin = parse_manifest(ledger / MANIFEST, read_manifest(ledger)).origin
     except LedgerCorrupted:
@@ -256,12 +258,12 @@ def answers_of(
     if now_s is None:
         raise UsageError("witness policy: found no time, expected now_s, seconds since 1970; cosignatures have dates")
     if cosigned:
-        return WitnessAnswer(read, logs, read_cosigned(read, logs, origin, now_s, cosigned))
-    return WitnessAnswer(read, logs, ask_witnesses(read, logs, origin, now_s))
+        return WitnessAnswer(parsed, logs, read_cosigned(parsed, logs, origin, now_s, cosigned))
+    return WitnessAnswer(parsed, logs, ask_witnesses(parsed, logs, origin, now_s))
 
 
 def _logs_of(policy: Policy, trusted: VerifierKey | None) -> tuple[VerifierKey, ...]:
-    """Return the keys, one of which must have signed what the witnesses cosigned."""
+    """Return the keys of which one must have signed what the witnesses cosigned."""
     if policy.quorum is None:
         raise UsageError(
             f"{policy.file}: found `quorum none`, expected a witness or a group; without one nothing is shown"
@@ -274,7 +276,7 @@ def _logs_of(policy: Policy, trusted: VerifierKey | None) -> tuple[VerifierKey, 
 
 
 def listed(times: dict[str, int]) -> str:
-    """Return witnesses and when they cosigned, in words."""
+    """Return the names of witnesses with the times at which they cosigned, as text."""
     return ", ".join(f"{name} ({_time(time_s)})" for name, time_s in times.items())
 
 

@@ -1,7 +1,7 @@
-"""Sends a ledger's newest checkpoint to witnesses, each with a proof that the log only grew since the one it has.
+"""Send a ledger's newest checkpoint to witnesses, each with a proof that the log only grew since the one it has.
 
-The HTTP client limits the size and the time of every answer. Answers themselves are not trusted: callers believe only
-what a signature in one proves.
+The HTTP client limits the size and the time of every response. Responses themselves are not trusted: callers rely only
+on what a signature in one proves.
 """
 
 import http.client
@@ -25,28 +25,28 @@ from fsar_ledger.witness.policy import Policy, Witness
 from . import ADD_CHECKPOINT, MAX_BODY_BYTES, SIZE, Answer, Request, parse_cosigned
 
 ANSWER_S = 10.0
-"""Seconds after which a witness that has not answered counts as silent."""
+"""Seconds after which a witness that has not responded counts as silent."""
 
 _Found = TypeVar("_Found")
 
 
 class NoAnswer(Exception):
-    """Raised when a witness gave no usable answer; the message says why."""
+    """Raised when a witness gave no usable response; the message says why."""
 
 
 def ask(url: str, path: str, body: bytes | None = None) -> Answer:
-    """Send a POST with the body, or a GET without one, and return the answer.
+    """Send a POST with the body, or a GET without one, and return the response.
 
     Redirects are not followed and proxies are not used.
 
     Raises:
-        NoAnswer: The server cannot be reached, or its answer is not HTTP or is too long.
+        NoAnswer: The server cannot be reached, or its response is not HTTP or is too long.
     """
-    place = _parse_url(url)
+    parts = _parse_url(url)
     try:
-        connection = _connection(place)
+        connection = _connection(parts)
         try:
-            connection.request("GET" if body is None else "POST", place.path.rstrip("/") + path, body)
+            connection.request("GET" if body is None else "POST", parts.path.rstrip("/") + path, body)
             response = connection.getresponse()
             data = response.read(MAX_BODY_BYTES + 1)
         finally:
@@ -61,13 +61,13 @@ def ask(url: str, path: str, body: bytes | None = None) -> Answer:
 def ask_all(
     question: Callable[[Witness], _Found], policy: Policy, otherwise: str = ""
 ) -> list[tuple[Witness, _Found | NoAnswer]]:
-    """Ask all witnesses of a policy at once and return each one's answer, in their order.
+    """Query all witnesses of a policy at once and return each one's response, in their order.
 
-    A witness whose complete answer takes longer than `ANSWER_S` is silent, even if it sends a byte now and then.
+    A witness whose complete response takes longer than `ANSWER_S` is silent, even if it sends a byte now and then.
 
-    Raises: UsageError if none has a URL; it ends with what else can be done.
+    Raises: UsageError if none has a URL; its message ends with `otherwise`.
     """
-    found: dict[str, _Found | NoAnswer] = {
+    outcomes: dict[str, _Found | NoAnswer] = {
         witness.name: NoAnswer(
             f"the policy has no URL for {witness.name}" if witness.url is None else f"no answer within {ANSWER_S:.0f} s"
         )
@@ -80,45 +80,45 @@ def ask_all(
 
     def put(witness: Witness) -> None:
         try:
-            found[witness.name] = question(witness)
+            outcomes[witness.name] = question(witness)
         except NoAnswer as error:
-            found[witness.name] = error
-        except Exception as error:  # an answer that breaks the parser in an unforeseen way is no answer either
-            found[witness.name] = NoAnswer(f"no answer that can be read ({type(error).__name__})")
+            outcomes[witness.name] = error
+        except Exception as error:  # a response that breaks the parser unexpectedly counts as none
+            outcomes[witness.name] = NoAnswer(f"no answer that can be read ({type(error).__name__})")
         finished[witness.name].set()
-        if all(one.is_set() for one in finished.values()):
+        if all(event.is_set() for event in finished.values()):
             all_finished.set()
 
     for witness in policy.witnesses:
         if witness.name in finished:
             Thread(target=put, args=(witness,), daemon=True).start()
     all_finished.wait(ANSWER_S)
-    return [(witness, found[witness.name]) for witness in policy.witnesses]
+    return [(witness, outcomes[witness.name]) for witness in policy.witnesses]
 
 
 def _parse_url(url: str) -> SplitResult:
-    """Parse the URL of a witness. Raises: NoAnswer if it is not a usable one."""
+    """Parse the URL of a witness. Raises: NoAnswer if it is not usable."""
     try:
-        place = urlsplit(url)
+        parts = urlsplit(url)
         is_right = (
-            place.scheme in ("http", "https")
-            and bool(place.hostname)
-            and (place.port is None or place.port > 0)
+            parts.scheme in ("http", "https")
+            and bool(parts.hostname)
+            and (parts.port is None or parts.port > 0)
             and url.isascii()
             and url.isprintable()
         )
     except ValueError:
         is_right = False
-    if not is_right or place.query or place.fragment or place.username is not None:
+    if not is_right or parts.query or parts.fragment or parts.username is not None:
         raise NoAnswer(f"{url}: not a witness URL, expected http://HOST:PORT or https://HOST, with or without a path")
-    return place
+    return parts
 
 
-def _connection(place: SplitResult) -> http.client.HTTPConnection:
-    host = place.hostname or ""
-    if place.scheme == "https":
-        return http.client.HTTPSConnection(host, place.port, timeout=ANSWER_S, context=ssl.create_default_context())
-    return http.client.HTTPConnection(host, place.port, timeout=ANSWER_S)
+def _connection(parts: SplitResult) -> http.client.HTTPConnection:
+    host = parts.hostname or ""
+    if parts.scheme == "https":
+        return http.client.HTTPSConnection(host, parts.port, timeout=ANSWER_S, context=ssl.create_default_context())
+    return http.client.HTTPConnection(host, parts.port, timeout=ANSWER_S)
 
 
 def _reason(error: Exception) -> str:
@@ -126,14 +126,14 @@ def _reason(error: Exception) -> str:
     return f"{text or type(error).__name__:.120}"
 
 
-_TRIES = 3  # the first gets the size that the witness knows; another client may advance it before the second
+_TRIES = 3  # the first gets the size that the witness has; another client may advance it before the second
 
 
 class Cosigned(msgspec.Struct, frozen=True):
-    """The outcome of asking the witnesses of a policy to cosign.
+    """The result of requesting cosignatures from the witnesses of a policy.
 
-    `note` carries their cosignatures. By witness name, `times` holds when each one cosigned (seconds since 1970) and
-    `silent` why the others did not.
+    `note` has their cosignatures. By witness name, `times` are when each one cosigned (seconds since 1970) and `silent`
+    why the others did not.
     """
 
     note: Note
@@ -142,7 +142,7 @@ class Cosigned(msgspec.Struct, frozen=True):
 
 
 def published_note(view: View) -> Note:
-    """Return the note of the newest commit, or of the one before it if the newest one's tiles are not yet written.
+    """Return the note of the newest commit.
 
     Raises:
         UsageError: There is no commit, or its checkpoint is unsigned.
@@ -187,11 +187,16 @@ def _obtain(view: View, note: Note, witness: Witness) -> tuple[int, Signature]:
         answer = ask(url, ADD_CHECKPOINT, str(Request(old, _proof(view, old, size), note)).encode())
         if answer.status == HTTPStatus.OK:
             return _cosignature(answer, note, witness)
-        known = answer.text.removesuffix("\n")
-        is_size = answer.media == SIZE and known.isascii() and known.isdecimal() and len(known) <= len(str(1 << 63))
+        witness_size = answer.text.removesuffix("\n")
+        is_size = (
+            answer.media == SIZE
+            and witness_size.isascii()
+            and witness_size.isdecimal()
+            and len(witness_size) <= len(str(1 << 63))
+        )
         if answer.status != HTTPStatus.CONFLICT or not is_size:
             break
-        old = int(known)
+        old = int(witness_size)
         if old > size:
             raise NoAnswer(
                 f"{url}: refused: it knows {old:,} events of this log, the ledger has {size:,}: "
@@ -222,13 +227,13 @@ def _proof(view: View, old: int, new: int) -> tuple[bytes, ...]:
 
 
 def _cosignature(answer: Answer, note: Note, witness: Witness) -> tuple[int, Signature]:
-    """Return the time and the newest cosignature of this witness in the answer. Raises: NoAnswer if it has none."""
+    """Return the time and the newest cosignature of this witness in the response. Raises: NoAnswer if it has none."""
     try:
-        found = parse_cosigned("answer", f"{note.checkpoint.text()}\n{answer.text}".encode())
+        cosigned = parse_cosigned("answer", f"{note.checkpoint.text()}\n{answer.text}".encode())
     except LedgerCorrupted as error:
         raise NoAnswer(f"{witness.url}: an answer without cosignatures") from error
-    for signature in found.signatures:
+    for signature in cosigned.signatures:
         time = witness.key.time_of(Note(note.checkpoint, (signature,)))
-        if time is not None and time == witness.key.time_of(found):
+        if time is not None and time == witness.key.time_of(cosigned):
             return time, signature
     raise NoAnswer(f"{witness.url}: a cosignature that the key of {witness.name} did not make")

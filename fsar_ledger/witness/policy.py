@@ -30,7 +30,7 @@ _FORBIDDEN = re.compile(rb"[^\t\n\x20-\x7e\x80-\xff]")
 
 
 class Witness(msgspec.Struct, frozen=True):
-    """A witness: its name within the policy, its key, and the URL at which it is asked, if any."""
+    """A witness: its name within the policy, its key, and its URL, if any."""
 
     name: str
     key: WitnessKey
@@ -48,7 +48,7 @@ class Group(msgspec.Struct, frozen=True):
 class Policy(msgspec.Struct, frozen=True):
     """A parsed policy: logs, witnesses and groups in the order of the file.
 
-    `quorum` names the witness or group that must have cosigned; None if none need have.
+    `quorum` is the name of the witness or group that must have cosigned; None if none is required.
     """
 
     file: str
@@ -58,17 +58,17 @@ class Policy(msgspec.Struct, frozen=True):
     quorum: str | None
 
     def is_met(self, cosigned: AbstractSet[str]) -> bool:
-        """Return whether the witnesses with these names are enough."""
+        """Return whether the witnesses with these names meet the quorum."""
         if self.quorum is None:
             return True
         enough = {witness.name for witness in self.witnesses if witness.name in cosigned}
-        for group in self.groups:  # each is written after its members
+        for group in self.groups:  # each comes after its members
             if sum(1 for member in group.members if member in enough) >= group.threshold:
                 enough.add(group.name)
         return self.quorum in enough
 
     def rule(self) -> str:
-        """Describe the quorum in words."""
+        """Return the quorum as text."""
         groups = {group.name: group for group in self.groups}
         if self.quorum not in groups:
             return f"that of {self.quorum}"
@@ -77,7 +77,7 @@ class Policy(msgspec.Struct, frozen=True):
 
 
 def read_policy(path: Path) -> Policy:
-    """Read the policy in this file. Raises: UsageError if it holds none."""
+    """Read the policy in this file. Raises: UsageError if it is not a valid one."""
     try:
         return parse_policy(str(path), disk.read_document(Path(os.path.realpath(path))))
     except OSError as error:
@@ -93,10 +93,10 @@ def parse_policy(file: str, data: bytes) -> Policy:
         UsageError: A line is not valid in C2SP tlog-policy; the message names the line.
     """
     reader = _Reader(file)
-    found = _FORBIDDEN.search(data)
-    if found is not None:
-        reader.number = data.count(b"\n", 0, found.start()) + 1
-        raise reader.wrong(f"byte {found.group()[0]:#04x}", "text; of control characters only tabs and line feeds")
+    forbidden = _FORBIDDEN.search(data)
+    if forbidden is not None:
+        reader.number = data.count(b"\n", 0, forbidden.start()) + 1
+        raise reader.wrong(f"byte {forbidden.group()[0]:#04x}", "text; of control characters only tabs and line feeds")
     *lines, rest = data.decode("utf-8", "surrogateescape").split("\n")
     for number, line in enumerate([*lines, rest] if rest else lines, 1):
         reader.number = number

@@ -1,7 +1,7 @@
 """The service of a witness, and its HTTP/1.1 server.
 
-The service judges, stores and cosigns checkpoints, one request per log at a time. The server takes one POST and one
-GET, with limits on size, number and time of requests.
+The service judges, stores and cosigns checkpoints, one request per log at a time. The server handles one POST and one
+GET endpoint, with limits on size, number and time of requests.
 """
 
 import io
@@ -28,15 +28,15 @@ Clock = Callable[[], int]
 
 
 class Service:
-    """The answers of a witness to requests, independent of the transport.
+    """A witness's request handling, independent of the transport.
 
     Args:
         state: Its key and the checkpoints that it cosigned.
         logs: The keys of the logs that it watches; the name of a key is the origin of its log.
-        clock: Returns the present time.
+        clock: Returns the current time.
         tell: Called with a line for the operator about each checkpoint of a watched log that was cosigned or refused.
 
-    Raises: LedgerCorrupted if what is stored of a log lacks its signature, or has a damaged one.
+    Raises: LedgerCorrupted if the stored note of a log lacks its signature, or has a damaged one.
     """
 
     def __init__(self, state: State, logs: Sequence[VerifierKey], clock: Clock, tell: Callable[[str], None]) -> None:
@@ -47,27 +47,27 @@ class Service:
         self._locks = {origin: Lock() for origin in self._origins.values()}
 
     def add_checkpoint(self, body: bytes) -> Answer:
-        """Store and cosign the checkpoint in this request, or say why not."""
+        """Store and cosign the checkpoint in this request, or respond with why not."""
         try:
             request = parse_request(body)
         except ValueError as error:
             return Answer(HTTPStatus.BAD_REQUEST, f"{error}\n")
         origin = request.note.checkpoint.origin
-        turn = self._locks.get(origin)
-        if turn is None:
+        lock = self._locks.get(origin)
+        if lock is None:
             return Answer(HTTPStatus.NOT_FOUND, "unknown log\n")
-        with turn:
+        with lock:
             newest = self._state.newest(origin)
             judged = judge(request, self._logs, newest.checkpoint if newest is not None else None)
             answer = judged if isinstance(judged, Answer) else self._cosign(judged)
-        if answer.status != HTTPStatus.FORBIDDEN:  # anybody can send what the log did not sign
+        if answer.status != HTTPStatus.FORBIDDEN:  # anyone can send checkpoints that the log did not sign
             size = request.note.checkpoint.size
             outcome = "cosigned" if answer.status == HTTPStatus.OK else f"refused ({answer.text.strip()})"
             self.tell(f"{origin}: {size:,} events: {outcome}")
         return answer
 
     def newest(self, name: str) -> Answer:
-        """Return the newest checkpoint of the log of this name (see `origin_hash`), cosigned again as of now."""
+        """Return the newest checkpoint of the log of this name (see `origin_hash`), with a new cosignature."""
         origin = self._origins.get(name)
         if origin is None:
             return Answer(HTTPStatus.NOT_FOUND, "unknown log\n")
@@ -75,7 +75,7 @@ class Service:
             note = self._state.newest(origin)
             if note is None:
                 return Answer(HTTPStatus.NOT_FOUND, "no checkpoint of this log was cosigned yet\n")
-            signed = tuple(one for one in note.signatures if one.key != self._state.cosigner.key.key)
+            signed = tuple(each for each in note.signatures if each.key != self._state.cosigner.key.key)
             cosignature = self._state.cosigner.cosign(note.checkpoint, self._clock())
         return Answer(HTTPStatus.OK, str(Note(note.checkpoint, (*signed, cosignature))))
 
@@ -90,10 +90,10 @@ class Service:
 
 
 REQUEST_S = 10.0
-"""Seconds within which a request must arrive, from the start of its connection or from the previous answer."""
+"""Seconds within which a request must arrive, from the start of its connection or from the previous response."""
 
 MAX_CONNECTIONS, MAX_OF_CLIENT = 64, 8
-"""Connections at once: of all clients, and of one. So no client alone keeps the others out by saying nothing."""
+"""Simultaneous connections: of all clients, and of one. So no single client can keep others out by idling."""
 
 _NETWORK_BITS = 64
 _NAME_CHARACTERS = 64
@@ -103,7 +103,7 @@ _BUSY = b"HTTP/1.1 503 Service Unavailable\r\nContent-Length: 0\r\nConnection: c
 
 
 def client_of(host: str) -> str:
-    """Return who connects from this address: of IPv6 its network, since whoever has one has all addresses in it."""
+    """Return the client at this address; for IPv6 its network, since one client has all addresses in it."""
     address = ip_address(host.partition("%")[0])
     if isinstance(address, IPv4Address):
         return f"{address}"
@@ -111,24 +111,24 @@ def client_of(host: str) -> str:
 
 
 class _Room:
-    """Room for so many connections at once, of all clients and of each."""
+    """A limit on simultaneous connections, in total and per client."""
 
     def __init__(self) -> None:
         self._held: Counter[str] = Counter()
         self._lock = Lock()
 
     def take(self, client: str) -> bool:
-        """Take room for a connection of this client; return whether there was some."""
+        """Reserve a connection for this client; return whether one was free."""
         with self._lock:
             is_free = self._held.total() < MAX_CONNECTIONS and self._held[client] < MAX_OF_CLIENT
             self._held[client] += is_free
             return is_free
 
     def leave(self, client: str) -> None:
-        """Give back the room that a connection took."""
+        """Release a connection of this client."""
         with self._lock:
             self._held[client] -= 1
-            self._held += Counter()  # forgets who has none
+            self._held += Counter()  # drops clients without connections
 
 
 class _DeadlineReader(io.RawIOBase):
@@ -174,7 +174,7 @@ class _Handler(BaseHTTPRequestHandler):
             self.close_connection = True
 
     def do_GET(self) -> None:
-        """Answer with the newest checkpoint of a log."""
+        """Respond with the newest checkpoint of a log."""
         name = self.path.removeprefix("/").removesuffix("/checkpoint")
         is_name = len(name) == _NAME_CHARACTERS and self.path == f"/{name}/checkpoint"
         if self.headers.get("Content-Length", "0") != "0" or "Transfer-Encoding" in self.headers:
@@ -182,7 +182,7 @@ class _Handler(BaseHTTPRequestHandler):
         self._send(self.server.service.newest(name) if is_name else Answer(HTTPStatus.NOT_FOUND, "nothing is here\n"))
 
     def do_POST(self) -> None:
-        """Answer with the cosignature of a checkpoint."""
+        """Respond with the cosignature of a checkpoint."""
         lengths = self.headers.get_all("Content-Length", [])
         is_length = (
             len(lengths) == 1 and lengths[0].isascii() and lengths[0].isdecimal() and len(lengths[0]) <= _LENGTH_DIGITS
@@ -229,9 +229,9 @@ class _Handler(BaseHTTPRequestHandler):
             self.wfile.write(data)
 
     def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:  # noqa: ARG002
-        """Answer requests that `http.server` refuses with one line that repeats nothing of the request."""
+        """Respond to requests that `http.server` refuses with one line that repeats nothing of the request."""
         self.close_connection = True
-        if getattr(self, "request_version", "HTTP/0.9") == "HTTP/0.9":  # no HTTP/1 request, so no HTTP/1 answer
+        if getattr(self, "request_version", "HTTP/0.9") == "HTTP/0.9":  # not an HTTP/1 request: respond as HTTP/1
             self.request_version = self.protocol_version
         self._send(Answer(code, f"{HTTPStatus(code).phrase.lower()}\n"))
 
@@ -246,7 +246,7 @@ class WitnessServer(ThreadingHTTPServer):
         UsageError: It cannot listen at this address.
     """
 
-    daemon_threads = True  # safe to stop at any moment: a checkpoint is stored as a whole or not at all
+    daemon_threads = True  # safe to stop at any moment: a checkpoint is stored whole or not at all
     block_on_close = False
     request_queue_size = 64
 
@@ -270,12 +270,12 @@ class WitnessServer(ThreadingHTTPServer):
         return f"http://[{host!s}]:{port}" if ":" in str(host) else f"http://{host!s}:{port}"
 
     def server_bind(self) -> None:
-        """Bind the socket without a name-server look-up of the host."""
+        """Bind the socket without a DNS lookup of the host."""
         TCPServer.server_bind(self)
         self.server_name, self.server_port = str(self.server_address[0]), int(self.server_address[1])
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Give the connection a thread, or answer 503 when all are taken, or all of this client."""
+        """Start a thread for the connection, or respond 503 if the total or this client's limit is reached."""
         client = client_of(client_address[0])
         if not self._room.take(client):
             with suppress(OSError):
@@ -285,7 +285,7 @@ class WitnessServer(ThreadingHTTPServer):
             return
         try:
             super().process_request(request, client_address)
-        except BaseException:  # no thread was started, so none will give the room back
+        except BaseException:  # no thread was started, so none will release the connection
             self._room.leave(client)
             raise
 
@@ -297,7 +297,7 @@ class WitnessServer(ThreadingHTTPServer):
             self._room.leave(client_of(client_address[0]))
 
     def handle_error(self, request: Any, client_address: Any) -> None:  # noqa: ARG002
-        """Tell the operator what went wrong, unless the connection merely broke."""
+        """Report the error to the operator, unless the connection merely broke."""
         error = sys.exc_info()[1]
         if not isinstance(error, OSError):
             self.service.tell(f"a request was not answered: {type(error).__name__}")

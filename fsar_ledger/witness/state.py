@@ -8,9 +8,9 @@ STATE/
                                 of the origin
 ```
 
-A witness that forgot would cosign a rewritten log as if it were new. So the key and the checkpoints are in one folder
-and are lost together, a checkpoint is on disk before its cosignature is sent, and only one process at a time has the
-folder open.
+A witness that lost its checkpoints would cosign a rewritten log as if it were new. So the key and the checkpoints are
+in one folder and are lost together, a checkpoint is on disk before its cosignature is sent, and only one process at a
+time has the folder open.
 """
 
 import errno
@@ -43,16 +43,16 @@ class State:
         return self._newest.get(origin)
 
     def require_signed(self, logs: Sequence[VerifierKey]) -> None:
-        """Require that what is stored of these logs has the signature with which it came.
+        """Require that the stored note of each log still has the log's signature, undamaged.
 
-        A log may have changed its key since, so a signature of a key that is not given is taken as it is.
+        A log may have changed its key since, so a signature by a key that is not given is not checked.
 
-        Raises: LedgerCorrupted if a signature is damaged, or there is none.
+        Raises: LedgerCorrupted if a signature is damaged or missing.
         """
         for origin, note in self._newest.items():
-            signed = [one for one in note.signatures if one.name == origin]
+            signed = [signature for signature in note.signatures if signature.name == origin]
             keys = [key for key in logs if key.name == origin]
-            if not all(_is_right(one, note.checkpoint, keys) for one in signed) or not signed:
+            if not all(_is_right(signature, note.checkpoint, keys) for signature in signed) or not signed:
                 raise LedgerCorrupted(
                     f"{self.folder / LOGS / origin_hash(origin)}: found a note without the signature of the log of "
                     f"{origin}, or with a damaged one, {_GONE}"
@@ -74,7 +74,7 @@ def new_state(folder: Path, name: str) -> WitnessKey:
     """Create the folder of a new witness, with a new key and no checkpoints.
 
     Raises:
-        UsageError: The name is not valid for a key, or the folder is not empty; it is left as it is.
+        UsageError: The name is not valid for a key, or the folder is not empty; it is left unchanged.
         WriteFailed: The disk refused; no key was made.
     """
     if not is_name(name):
@@ -101,7 +101,7 @@ def open_state(folder: Path) -> Iterator[State]:
     """Open the witness in this folder, for this process only.
 
     Raises:
-        UsageError: The folder holds no witness, others can read its key, or another process has it open.
+        UsageError: The folder is not that of a witness, other users can read its key, or another process has it open.
         LedgerCorrupted: A stored checkpoint cannot be read, or was not written by this witness.
         WriteFailed: The folder cannot be locked.
     """
@@ -159,7 +159,7 @@ def _read_key(path: Path) -> Cosigner:
 
 
 def _is_right(signature: Signature, checkpoint: Checkpoint, keys: Sequence[VerifierKey]) -> bool:
-    """Return whether nothing shows that this signature of a log is damaged: neither its key id nor what follows."""
+    """Return whether these keys show no damage in this signature of a log, in its key id or its data."""
     makers = [key for key in keys if key.made(signature.data, checkpoint.text().encode())]
     named = [key for key in keys if key.key_id == signature.key_id]
     return makers == named
@@ -167,7 +167,7 @@ def _is_right(signature: Signature, checkpoint: Checkpoint, keys: Sequence[Verif
 
 def _read_logs(folder: Path, key: WitnessKey) -> dict[str, Note]:
     """Return the newest note of each log, by origin."""
-    found: dict[str, Note] = {}
+    notes: dict[str, Note] = {}
     try:
         names = [entry.name for entry in disk.entries(folder / LOGS)]
     except OSError as error:
@@ -185,8 +185,8 @@ def _read_logs(folder: Path, key: WitnessKey) -> dict[str, Note]:
             raise LedgerCorrupted(
                 f"{path}: found a note that this witness did not cosign, or under another name, {_GONE}"
             )
-        found[note.checkpoint.origin] = note
-    return found
+        notes[note.checkpoint.origin] = note
+    return notes
 
 
 _GONE = (
