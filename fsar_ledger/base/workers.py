@@ -81,10 +81,10 @@ class Cluster(Executor):
         self._client, self._address = client, address
         self._executor = client.get_executor(pure=False, retries=RETRIES)
         programs = client.run(_program)
-        if others := sorted({*programs.values()} - {_program()}):
+        if mismatches := sorted({*programs.values()} - {_program()}):
             raise UsageError(
-                f"{option('cluster', address)}: found workers with {', '.join(others)}, expected {_program()} as here; "
-                "install the same there"
+                f"{option('cluster', address)}: found workers with {', '.join(mismatches)}, expected {_program()} as "
+                "here; install the same there"
             )
         self.workers = max(1, sum(client.nthreads().values()))
 

@@ -167,7 +167,7 @@ def folders_of(ledger: Path) -> list[Path]:
 
 
 class Present(NamedTuple):
-    """Heads to record, and the shards that can be read, by origin."""
+    """The heads to record, and the shards that can be read, by origin."""
 
     heads: list[shards.ShardHead]
     views: dict[str, View]

@@ -266,7 +266,7 @@ def _require_tiles(ledger: Path, commits: Iterable[bytes]) -> None:
 
     A partial tile stays until the full one exists. Raises: UsageError if it stayed longer, LedgerCorrupted.
     """
-    edge, kept, partial, outgrown = Edge(), set[str](), dict[Tile, bytes](), set[str]()
+    edge, required, partial, outgrown = Edge(), set[str](), dict[Tile, bytes](), set[str]()
     for leaves in commits:
         edge, tiles = edge.extend(leaves)
         full = {(tile.level, tile.number) for tile in tiles if tile.width == WIDTH}
@@ -277,16 +277,16 @@ def _require_tiles(ledger: Path, commits: Iterable[bytes]) -> None:
                 partial[tile] = data
             else:
                 _require_tile(ledger, tile, data)
-                kept.add(tile.name)
+                required.add(tile.name)
     for tile, data in partial.items():
         _require_tile(ledger, tile, data)
-        kept.add(tile.name)
+        required.add(tile.name)
     listed = {
         os.path.relpath(os.path.join(folder, name), ledger)
         for folder, folders, files in os.walk(ledger / TILE)
         for name in (*files, *(name for name in folders if os.path.islink(os.path.join(folder, name))))
     }
-    for name in sorted(listed - kept - outgrown):
+    for name in sorted(listed - required - outgrown):
         raise _damaged(ledger, Problem(name, "a stray file", "only tiles of this tree; take it away"))
     if listed & outgrown:
         raise _interrupted(ledger, "partial tiles beside their full ones")

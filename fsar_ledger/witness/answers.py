@@ -189,16 +189,18 @@ class WitnessAnswer(NamedTuple):
                 f"{self.policy.rule()}){rest}"
             ),
             *(
-                f"witness {one.witness}: its word does not count: {one.reason}"
-                for one in statements
-                if one.reason is not None
+                f"witness {statement.witness}: its word does not count: {statement.reason}"
+                for statement in statements
+                if statement.reason is not None
             ),
         ]
 
     def doubt(self, ledger: Path) -> str:
         """Return the message about why too few of them saw any events."""
         reasons = "; ".join(
-            f"{one.witness}: {one.reason}" for one in self.evidence.statements if one.reason is not None
+            f"{statement.witness}: {statement.reason}"
+            for statement in self.evidence.statements
+            if statement.reason is not None
         )
         return (
             f"{self.policy.file}: found {self._heard() or 'no cosignature that counts'} ({reasons}), expected "
@@ -207,7 +209,13 @@ class WitnessAnswer(NamedTuple):
         )
 
     def _heard(self) -> str:
-        return listed({one.witness: one.time_s for one in self.evidence.statements if one.time_s is not None})
+        return listed(
+            {
+                statement.witness: statement.time_s
+                for statement in self.evidence.statements
+                if statement.time_s is not None
+            }
+        )
 
     def json(self) -> dict[str, object]:
         """Return the evidence, for JSON."""

@@ -62,20 +62,20 @@ def _subtrees_of(size: int, subtrees: bytes, leaves: bytes) -> list[bytes]:
     return [subtrees[start : start + HASH_BYTES] for start in range(0, len(subtrees), HASH_BYTES)]
 
 
-def _add_leaf(kept: list[bytes], size: int, leaf: bytes) -> None:
+def _add_leaf(stack: list[bytes], size: int, leaf: bytes) -> None:
     """Add a leaf to a tree of `size` leaves, given by its complete subtrees, largest first."""
     node = leaf
     while size & 1:
-        node, size = hashlib.sha256(b"\x01" + kept.pop() + node).digest(), size >> 1
-    kept.append(node)
+        node, size = hashlib.sha256(b"\x01" + stack.pop() + node).digest(), size >> 1
+    stack.append(node)
 
 
 def extended_plainly(size: int, subtrees: bytes, leaves: bytes) -> bytes:
     """Return the result of `extended`, with hashlib."""
-    kept = _subtrees_of(size, subtrees, leaves)
+    stack = _subtrees_of(size, subtrees, leaves)
     for offset, start in enumerate(range(0, len(leaves), HASH_BYTES)):
-        _add_leaf(kept, size + offset, leaves[start : start + HASH_BYTES])
-    return b"".join(kept)
+        _add_leaf(stack, size + offset, leaves[start : start + HASH_BYTES])
+    return b"".join(stack)
 
 
 def added_plainly(size: int, subtrees: bytes, lines: bytes) -> tuple[bytes, bytes, bytes]:
@@ -89,17 +89,17 @@ def added_plainly(size: int, subtrees: bytes, lines: bytes) -> tuple[bytes, byte
 
 def roots_plainly(size: int, subtrees: bytes, leaves: bytes, sizes: list[int]) -> bytes:
     """Return the result of `roots`, with hashlib."""
-    kept = _subtrees_of(size, subtrees, leaves)
+    stack = _subtrees_of(size, subtrees, leaves)
     roots = []
     offset = 0
     for target in sizes:
         if target < max(size, 1) or (target - size) * HASH_BYTES > len(leaves) - offset:
             raise ValueError(f"found size {target}, expected more, and leaves for it")
         while size < target:
-            _add_leaf(kept, size, leaves[offset : offset + HASH_BYTES])
+            _add_leaf(stack, size, leaves[offset : offset + HASH_BYTES])
             size, offset = size + 1, offset + HASH_BYTES
-        root = kept[-1]
-        for subtree in reversed(kept[:-1]):
+        root = stack[-1]
+        for subtree in reversed(stack[:-1]):
             root = hashlib.sha256(b"\x01" + subtree + root).digest()
         roots.append(root)
     return b"".join(roots)

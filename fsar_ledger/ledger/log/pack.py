@@ -44,7 +44,7 @@ def grow(frontier: Frontier, leaves: bytes) -> tuple[Frontier, bytes]:
 
     Costs one hash per leaf.
     """
-    kept = list(frontier.subtrees)  # smallest last
+    old_subtrees = list(frontier.subtrees)  # smallest last
     subtrees: list[bytes] = []  # smallest first
     complete: list[tuple[int, int, bytes]] = []  # level of the pack, number of the first subtree, their roots
     size, nodes, height = frontier.size, leaves, 0
@@ -52,13 +52,13 @@ def grow(frontier: Frontier, leaves: bytes) -> tuple[Frontier, bytes]:
         if height >= BASE and (height - BASE) % STEP == 0:
             complete.append(((height - BASE) // STEP, size, nodes))
         if size & 1:
-            nodes = kept.pop() + nodes
+            nodes = old_subtrees.pop() + nodes
         pairs = len(nodes) // (2 * HASH_BYTES) * 2 * HASH_BYTES
         if pairs < len(nodes):
             subtrees.append(nodes[pairs:])
         nodes = parents(nodes[:pairs])
         size, height = size >> 1, height + 1
-    extended = Frontier(frontier.size + len(leaves) // HASH_BYTES, b"".join([*kept, *reversed(subtrees)]))
+    extended = Frontier(frontier.size + len(leaves) // HASH_BYTES, b"".join([*old_subtrees, *reversed(subtrees)]))
     return extended, _in_order(complete, count(frontier.size), count(extended.size))
 
 

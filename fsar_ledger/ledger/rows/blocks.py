@@ -25,7 +25,7 @@ _CONTINUED = f"{RunContinued.__struct_config__.tag}"
 class Block(msgspec.Struct, frozen=True, omit_defaults=True):
     """Consecutive rows of one run: the seq of the first, their number, and the times of the first and the last.
 
-    `observes` are the concerns that the run's events may have, from event 0; None if that is elsewhere or names none.
+    `observes` are the concerns that the run's events may have, from event 0; None if that is elsewhere or allows all.
     `concerns` are those of the block's events, omitted if event 0 is in the block, because the table alone shows
     whether they fit. `is_alone` is true for a single event that stands alone. `goes_on_from` comes from event 1, if it
     is in the block: the run that this one continues, and its last seq.
@@ -152,20 +152,20 @@ class Runs:
 
         A run that is not in the ledger is not checked, but it must not come later.
         """
-        if (other := self.continued.get(block.run)) is not None:
-            late = "its first event" if state is None else "more events of the run"
-            expected = f"none after run {other!r}, which continues it"
-            return Flaw(-1, block.run, block.first, "run_id", late, expected)
+        if (successor := self.continued.get(block.run)) is not None:
+            found = "its first event" if state is None else "more events of the run"
+            expected = f"none after run {successor!r}, which continues it"
+            return Flaw(-1, block.run, block.first, "run_id", found, expected)
         if block.goes_on_from is None:
             return None
         run, last = block.goes_on_from
-        earlier, other = self.known.get(run), self.continued.get(run)
+        earlier, successor = self.known.get(run), self.continued.get(run)
         if run == block.run or (earlier is not None and earlier.is_alone):
             return Flaw(-1, block.run, 1, "continues", repr(run), "another run")
         if earlier is None:
             return None
-        if other is not None:
-            return Flaw(-1, block.run, 1, "continues", repr(run), f"a run that none continues, as {other!r} does")
+        if successor is not None:
+            return Flaw(-1, block.run, 1, "continues", repr(run), f"a run that none continues, as {successor!r} does")
         if earlier.next != last + 1:
             return Flaw(-1, block.run, 1, "continues_seq", f"{last}", f"{earlier.next - 1}, the last of run {run!r}")
         if (start_us := state.last_us if state else block.first_us) < earlier.last_us:

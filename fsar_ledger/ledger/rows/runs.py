@@ -202,20 +202,20 @@ def _unfit(run: LedgerRun, index: int) -> Iterator[tuple[str, str, str]]:
 
 def _unfit_value(name: str, value: object, allowed: Allowed) -> Iterator[tuple[str, str, str]]:
     kind, is_nullable, closed = allowed
-    shown = f"{value!r:.80}"
+    quoted = f"{value!r:.80}"
     if type(value) is not kind and not (value is None and is_nullable):
-        yield name, shown, f"a value: {kind.__name__}{' or None' * is_nullable}, and no other class"
+        yield name, quoted, f"a value: {kind.__name__}{' or None' * is_nullable}, and no other class"
     elif closed is not None and value not in closed:
-        yield name, shown, f"one of {sorted(filter(None, closed))}"
+        yield name, quoted, f"one of {sorted(filter(None, closed))}"
     elif isinstance(value, int) and abs(value) > MAX_INTEGER:
-        yield name, shown, "at most 2^53 - 1 in size"
+        yield name, quoted, "at most 2^53 - 1 in size"
     else:
         texts = value if isinstance(value, tuple) else (value,) if isinstance(value, str) else ()
         for text in texts:
             if type(text) is not str:
-                yield name, shown, "strings in the tuple, and no other class"
+                yield name, quoted, "strings in the tuple, and no other class"
             elif not _is_unicode(text):
-                yield name, shown, "text without surrogates"
+                yield name, quoted, "text without surrogates"
 
 
 def _is_unicode(text: str) -> bool:

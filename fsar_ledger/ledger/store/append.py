@@ -55,7 +55,7 @@ SEAL_ROWS, SEAL_BYTES = 1 << 14, 1 << 23
 
 
 class Writer:
-    """Appends to a ledger, which it creates if there is none. Use it as a context manager.
+    """A writer that appends to a ledger, which it creates if missing. Use it as a context manager.
 
     Args:
         signer: The key that signs the notes of new commits; its name must be the origin. Without one they are
@@ -95,7 +95,7 @@ class Writer:
         self._held: ExistingRuns | None = None  # read when the first batch is appended
 
     def _opened(self, *, is_alone: bool = False, settles: bool = True) -> View:
-        """Open the ledger, finish what an interrupted writer left, and check who signed it."""
+        """Open the ledger, finish what an interrupted writer left, and check its signer."""
         view = open_chain(self._path, read_manifest(self._path), has_turn=True)
         if view.manifest.origin != self._origin:
             raise NotALedger(

@@ -244,10 +244,10 @@ def link_new(temporary: Path, path: Path) -> None:
         remove(temporary)
 
 
-def _is_same(one: Path, other: Path) -> bool:
+def _is_same(first: Path, second: Path) -> bool:
     """Return whether both names exist and refer to the same file."""
     try:
-        return os.path.samestat(one.lstat(), other.lstat())
+        return os.path.samestat(first.lstat(), second.lstat())
     except OSError:
         return False
 

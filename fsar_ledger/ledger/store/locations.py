@@ -287,7 +287,7 @@ class ExistingRuns:
         self._is_log = is_log(view) if view.chain.size else None
         view.believe_index()
         self._index: Index | None = view.index  # None once all of it is read
-        self._runs.continued = {before: run for run, before in view.index.continues().items()}
+        self._runs.continued = {earlier: run for run, earlier in view.index.continues().items()}
         self._sought: set[str] = set()
         self._indexed: set[str] = set()  # runs whose `observes` is missing, as the index does not hold it
 

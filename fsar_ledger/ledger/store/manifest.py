@@ -117,12 +117,12 @@ def parse_document(path: Path | str, data: bytes, kind: type[_Document]) -> _Doc
         raise LedgerCorrupted(f"{path}: found other JSON than expected ({error}); restore the file") from error
     expected = canonical.document(document)
     if data != expected:
-        at = next(
-            (at for at, (byte, other) in enumerate(zip(data, expected, strict=False)) if byte != other),
+        offset = next(
+            (offset for offset, (byte, other) in enumerate(zip(data, expected, strict=False)) if byte != other),
             min(len(data), len(expected)),
         )
         raise LedgerCorrupted(
-            f"{path}: byte {at}: found {data[at : at + 20]!r}, expected {expected[at : at + 20]!r} (canonical JSON); "
-            "restore the file"
+            f"{path}: byte {offset}: found {data[offset : offset + 20]!r}, expected "
+            f"{expected[offset : offset + 20]!r} (canonical JSON); restore the file"
         )
     return document

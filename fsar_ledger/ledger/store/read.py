@@ -136,11 +136,11 @@ class View(msgspec.Struct, frozen=True, dict=True):
 
     def _compacted(self, placement: Placement) -> tuple[Path, bytes] | None:
         """Return, as `_placed`, a temporary file with the rows of a segment that was compacted since; None if not."""
-        now = open_chain(self.path, canonical.document(self.manifest), is_damage_told=False)
-        if placement in now.chain.placed or placement not in now.chain.placements:
+        current = open_chain(self.path, canonical.document(self.manifest), is_damage_told=False)
+        if placement in current.chain.placed or placement not in current.chain.placements:
             return None
-        number = bisect_right(now.chain.placed, placement.first, key=lambda placed: placed.first) - 1
-        path = materialized(now.table(number).slice(placement.first - now.first(number), placement.rows))
+        number = bisect_right(current.chain.placed, placement.first, key=lambda placed: placed.first) - 1
+        path = materialized(current.table(number).slice(placement.first - current.first(number), placement.rows))
         return path, path.read_bytes()
 
     def located(self, placement: Placement) -> Path:
@@ -268,7 +268,7 @@ class View(msgspec.Struct, frozen=True, dict=True):
         yield from gathered(self._pieces(), last)
 
     def _pieces(self) -> Iterator[tuple[int, list[LedgerRun]]]:
-        """Yield the pieces of runs that each segment holds, and where it ends. Raises: As `runs`."""
+        """Yield the end of each segment, and its pieces of runs. Raises: As `runs`."""
         for number, table in enumerate(self.tables()):
             try:
                 yield self.first(number) + table.num_rows, list(codec.decode(table, is_whole=False))

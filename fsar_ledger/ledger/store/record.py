@@ -238,7 +238,7 @@ def segment_of(placement: Placement) -> str:
 
 _OF_COMMIT, PLACEMENT, _MORE = b'"kind":"commit"', b'"kind":"placement"', re.compile(rb"[^\n]")
 _BEGINNINGS = (b'{"continues":', b'{"goes_on":', b'{"kind":"commit"')
-"""The possible beginnings of a commit's record: its alphabetically first member. None occurs within a record."""
+"""The possible beginnings of a commit's record: its alphabetically first member. They never occur within a record."""
 
 
 # See docs/decisions/torn-ends-are-not-damage.md.

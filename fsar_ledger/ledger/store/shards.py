@@ -257,10 +257,10 @@ def heads_of(view: View) -> list[ShardHead]:
     heads = []
     for index, row in enumerate(view.rows(0, view.chain.size)):
         event = msgspec.json.decode(row, type=dict[str, object])
-        if (of := event["type"]) != HEAD_TYPE:
+        if (tag := event["type"]) != HEAD_TYPE:
             raise LedgerCorrupted(
-                f"{view.path}: found event {index} of type {printable.value(f'{of}')}, expected heads of shards alone, "
-                "as in the log of a federation; record the heads in a new log"
+                f"{view.path}: found event {index} of type {printable.value(f'{tag}')}, expected heads of shards "
+                "alone, as in the log of a federation; record the heads in a new log"
             )
         head = msgspec.convert({**event, "index": index}, ShardHead)
         is_tree = head.shard_events >= 0 and _ROOT.fullmatch(head.shard_root) is not None
@@ -376,9 +376,9 @@ def told(head: ShardHead, view: View, runs: int | None, models: Sequence[str], l
     size = view.head.size
     more = f"{head.shard_events:,} of them are recorded, run fsar-ledger shards {printable.word(log)} for the rest"
     grown = f"; {more}" if size > head.shard_events else ""
-    of = "" if runs is None else f" of {printable.counted(runs, 'run')}"
+    count_text = "" if runs is None else f" of {printable.counted(runs, 'run')}"
     model = ", ".join(map(printable.value, models)) or "unknown"
-    return f"{head}: consistent, {printable.counted(size, 'event')}{of}, model version {model}{grown}"
+    return f"{head}: consistent, {printable.counted(size, 'event')}{count_text}, model version {model}{grown}"
 
 
 def joined(log: View, shards: Sequence[Shard]) -> Federation:

@@ -146,8 +146,10 @@ def rows_of(runs: Sequence[LedgerRun]) -> tuple[bytes, tuple[Block, ...]]:
             raise InvalidRun(f"{flaw}; give it another name")
         if flaw := disordered(table):
             raise refusal(flaw)
-    begun = [run for run in runs if not run.first]
-    if begun and (flaw := unreadable(begun) or overlong(begun)):  # the ledger already holds the names of the others
+    new_runs = [run for run in runs if not run.first]
+    if new_runs and (
+        flaw := unreadable(new_runs) or overlong(new_runs)
+    ):  # the ledger already holds the names of the others
         raise refusal(flaw)
     return rows, tuple(map(_block, runs, marks))
 
@@ -211,7 +213,7 @@ def _goes_on_from(run: LedgerRun) -> tuple[str, int] | None:
 
 
 def _observes(run: LedgerRun) -> tuple[str, ...] | None:
-    """Return the concerns that the run's events may have, from event 0; None if that is absent or names none."""
+    """Return the concerns that the run's events may have, from event 0; None if that is absent or allows all."""
     if run.first or not isinstance(started := run.events[0], RunStarted):
         return None
     return concerns_admitted(started.observes, started.records)
