@@ -1,6 +1,6 @@
-"""The replay analyzer: any moment of a run, any difference between two, what would have been, and why.
+"""Replay analysis: any moment of a run, the differences between two, what would have been, and why.
 
-All of it rests on the record of a run, read from its ledger, and tells events in the words of `log`.
+Everything works on the record of a run, read from its ledger; events are worded as in `log`.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -21,23 +21,25 @@ from fsar_ledger.metrics.results import typed
 
 
 def commits_of(view: View, run: str) -> list[tuple[int, int]]:
-    """Return for each commit that holds events of the run the seq of the first of them and its number, from 0.
+    """Return (first seq, commit number) for each commit that holds events of the run; commits count from 0.
 
-    Those of the runs that it continues come first, and seqs count on. Raises: as `record_of`.
+    Commits of the runs that it continues come first, and seqs run on. Raises: as `record_of`.
     """
-    found: dict[int, int] = {}
+    first_seqs: dict[int, int] = {}
     sizes = np.array(view.commits.sizes)
     shift = 0
     for name in chain_of(view, run):
         parts = view.parts(name)
         for number in view.segments_of(parts):
             table = segment.read_table(view.segment(number), ["run_id", "seq"])
-            places = np.flatnonzero(pc.equal(table.column("run_id"), name).to_numpy())
-            commits, at = np.unique(np.searchsorted(sizes, places + view.first(number), "right"), return_index=True)
-            seqs = np.maximum(table.column("seq").to_numpy()[places[at]], 1 if shift else 0) + shift
-            found.update(zip(commits.tolist(), seqs.tolist(), strict=True))
+            positions = np.flatnonzero(pc.equal(table.column("run_id"), name).to_numpy())
+            commits, firsts = np.unique(
+                np.searchsorted(sizes, positions + view.first(number), "right"), return_index=True
+            )
+            seqs = np.maximum(table.column("seq").to_numpy()[positions[firsts]], 1 if shift else 0) + shift
+            first_seqs.update(zip(commits.tolist(), seqs.tolist(), strict=True))
         shift += event_count(parts) - 1
-    return [(seq, commit) for commit, seq in found.items()]
+    return [(seq, commit) for commit, seq in first_seqs.items()]
 
 
 def starts_of(view: View) -> Iterator[tuple[str, RunStarted]]:
@@ -49,7 +51,7 @@ def starts_of(view: View) -> Iterator[tuple[str, RunStarted]]:
 
 
 MAX_WORDS = 1_000
-"""Characters of an event in words that people are shown."""
+"""Maximum length, in characters, of an event's text on display."""
 LINES = """
     SELECT run_id, seq, time_s, action_id, sender, receiver, message, note
     FROM log_lines
@@ -58,9 +60,9 @@ LINES = """
 
 
 class Line(msgspec.Struct, frozen=True):
-    """An event in words, as a row of `log`: who tells whom what, or does what. Units: `time_s` seconds of run time.
+    """An event in words, as a row of `log`: sender, receiver, message. Units: `time_s` seconds of run time.
 
-    None: what the record does not say.
+    None: not on record.
     """
 
     run_id: str
@@ -74,7 +76,7 @@ class Line(msgspec.Struct, frozen=True):
 
     @property
     def text(self) -> str:
-        """Return who does or tells what, in one line, unescaped."""
+        """Return the names, the message and the note in one line, unescaped."""
         names = self.sender or "?"
         if self.receiver != self.sender or self.sender is None:
             names = f"{names} -> {self.receiver or '?'}"
@@ -82,22 +84,22 @@ class Line(msgspec.Struct, frozen=True):
 
     @property
     def words(self) -> str:
-        """Return the action and the text, as people see them."""
+        """Return the action and the text, escaped for display."""
         action = "" if self.action_id is None else f"{printable.value(self.action_id)}  "
         return action + printable.value(self.text, MAX_WORDS)
 
 
 def lines_of(records: Sequence[LedgerRun], seqs: Iterable[tuple[str, int]]) -> dict[tuple[str, int], Line]:
-    """Return these events of the records in words, by run and seq. Raises: as `Database.rows`."""
+    """Return the lines of these events of the records, by run and seq. Raises: as `Database.rows`."""
     with from_table(encode_coded(records)) as database:
         return lines_from(database, seqs)
 
 
 def lines_from(database: Database, seqs: Iterable[tuple[str, int]]) -> dict[tuple[str, int], Line]:
-    """Return these events in words, by run and seq. Raises: as `Database.rows`."""
-    places = sorted(seqs, key=itemgetter(1))
-    if not places:
+    """Return the lines of these events, by run and seq. Raises: as `Database.rows`."""
+    keys = sorted(seqs, key=itemgetter(1))
+    if not keys:
         return {}
-    names = [f"{run} {seq}" for run, seq in places]
-    found = typed(database.rows(LINES, {"places": names, "first": places[0][1], "last": places[-1][1]}), Line)
-    return {(line.run_id, line.seq): line for line in found}
+    names = [f"{run} {seq}" for run, seq in keys]
+    lines = typed(database.rows(LINES, {"places": names, "first": keys[0][1], "last": keys[-1][1]}), Line)
+    return {(line.run_id, line.seq): line for line in lines}

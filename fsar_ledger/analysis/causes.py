@@ -5,17 +5,17 @@ the run, `i3 > 0` how many events violate an invariant; a SELECT gives the `run_
 run in which a metric has no value neither has the outcome nor lacks it: without a task, nothing succeeded and nothing
 failed.
 
-All that a run takes from outside is its world's facts and the answers at its ports. Without a fact, it does not happen;
-without an answer, an attempt holds, a supervisor answers as usual, and with `lengths`, what lasts takes the middle of
-its law. A set suffices if the outcome stands with it alone, and is 1-minimal if the outcome falls without any one of
-it. But-for tests alone would miss causes of which either suffices. A fact of the set without which the outcome has no
-value to compare is presupposed and no cause: without a task nothing fails, and nothing succeeds.
+A run's inputs are its world's facts and the answers at its ports. A fact that is taken away does not happen; without
+an answer, an attempt holds, a supervisor answers as usual, and with `lengths`, a duration takes the middle of its
+distribution. A set suffices if the outcome stands with it alone, and is 1-minimal if the outcome falls without any one
+element. But-for tests alone would miss causes when either of two suffices. A fact of the set without which the outcome
+has no value to compare is presupposed, not a cause: without a task nothing fails, and nothing succeeds.
 
-All that a live run takes from outside is its commands. Without some of them it may ask what nobody on record answers
-and end there: it neither has the outcome then nor lacks it, since nobody knows how it would go on.
+A live run's inputs are its commands. Without some of them it may ask a question that the record does not answer and
+end there: it then neither has nor lacks the outcome, since how it would continue is unknown.
 
-Zeller, Hildebrandt: Simplifying and Isolating Failure-Inducing Input (2002), whose delta debugging this is, with many
-forks judged by one query.
+The search is the delta debugging of Zeller, Hildebrandt: Simplifying and Isolating Failure-Inducing Input (2002), with
+many forks judged by one query.
 """
 
 import re
@@ -46,13 +46,13 @@ _COMPARISON = re.compile(r"\s*([A-Za-z_0-9/]+)\s*(>=|<=|!=|<>|=|==|>|<)\s*(-?[0-
 _SELECT = re.compile(r"\s*(SELECT|WITH|FROM)\b", re.IGNORECASE)
 _OPERATORS = {"==": "=", "!=": "<>"}
 SECONDS, MEMORY_BYTES = 60, 1 << 32
-"""The limits of a SELECT of one's own."""
+"""The limits of a SELECT written by the user."""
 
 
 class Outcome(NamedTuple):
-    """A condition as it was given, and the SELECT of the runs that meet it; `is_own` if people wrote that SELECT.
+    """A condition as given, and the SELECT of the runs that meet it; `is_own` if the user wrote that SELECT.
 
-    `defined` is the SELECT of the runs in which there is a value to compare; empty: in all of them.
+    `defined` is the SELECT of the runs that have a value to compare; empty: all of them.
     """
 
     text: str
@@ -75,29 +75,29 @@ class Outcome(NamedTuple):
                 database.check_one_select(self.sql)
                 database.prepare(self.sql)
                 database.lock(SECONDS, MEMORY_BYTES)
-            found = database.table(self.sql)
+            table = database.table(self.sql)
             valued = {row["run_id"] for row in database.rows(self.defined)} if self.defined else None
-        names = [one.run_id for one in records]
-        held = runs_named(found, names)
-        return [None if valued is not None and name not in valued else name in held for name in names]
+        names = [record.run_id for record in records]
+        matching = runs_named(table, names)
+        return [None if valued is not None and name not in valued else name in matching for name in names]
 
 
 def runs_named(found: pa.Table, runs: Collection[str]) -> set[str]:
-    """Return the runs that the rows of an outcome name. Raises: QueryFailed for rows of anything else than runs."""
+    """Return the runs that the rows of an outcome name. Raises: QueryFailed if the rows do not name runs."""
     if "run_id" not in found.column_names:
         named = printable.some(map(printable.value, found.column_names))
         raise QueryFailed(f"outcome: found the columns {named}, expected run_id of each run with the outcome")
-    held = set(found.column("run_id").to_pylist())
-    if held and held.isdisjoint(runs):
-        named = printable.value(f"{held.pop()}")
+    run_ids = set(found.column("run_id").to_pylist())
+    if run_ids and run_ids.isdisjoint(runs):
+        named = printable.value(f"{run_ids.pop()}")
         raise QueryFailed(
             f"outcome: found the run_id {named}, which no run has, expected those of runs: `SELECT run_id FROM runs`"
         )
-    return held
+    return run_ids
 
 
 def outcome_of(text: str) -> Outcome:
-    """Return the outcome that a text gives. Raises: UsageError for an unknown name or form."""
+    """Return the outcome that a text describes. Raises: UsageError for an unknown name or form."""
     if _SELECT.match(text):
         return Outcome(text, text, is_own=True)
     match = _COMPARISON.fullmatch(text)
@@ -107,17 +107,17 @@ def outcome_of(text: str) -> Outcome:
             "0` or `i3 > 0`, or a SELECT of run_id"
         )
     name, operator, number = match[1], _OPERATORS.get(match[2], match[2]), match[3]
-    if name in (one.name for one in metrics()):
+    if name in (metric.name for metric in metrics()):
         defined = f"SELECT run_id FROM {name} WHERE value IS NOT NULL"
         return Outcome(text, f"SELECT run_id FROM {name} WHERE value {operator} {number}", defined=defined)
     aliases = {alias: query.relation for query in invariants() for alias in (query.relation, query.relation[:2])}
     relation = aliases.get(name.lower())
     if relation is None:
-        names = [one.name for one in metrics()] + sorted(aliases)
+        names = [metric.name for metric in metrics()] + sorted(aliases)
         hint = printable.did_you_mean(name, names) or ";"
         raise UsageError(
             f"outcome {printable.value(text)}: there is no metric or invariant {printable.value(name)}{hint} expected "
-            f"one of {', '.join(one.name for one in metrics())}, or an invariant, i1 to i5 and a1 to a5"
+            f"one of {', '.join(metric.name for metric in metrics())}, or an invariant, i1 to i5 and a1 to a5"
         )
     counted = f"SELECT run_id, count(DISTINCT seq) AS events FROM {relation} GROUP BY run_id"
     return Outcome(
@@ -129,16 +129,16 @@ def outcome_of(text: str) -> Outcome:
 
 Progress = Callable[[int], None]
 USUAL = {ATTEMPT: 1, CALL: 0}
-"""The answers that are nobody's doing: what is tried holds, and the supervisor answers as the model's do."""
+"""The default answers: an attempt holds, and the supervisor answers as the model's do."""
 MOST_AT_ONCE = 200
-"""Forks that are judged together; more take more memory and no less time."""
+"""Forks judged together; more take more memory and no less time."""
 
 
 class Element(msgspec.Struct, frozen=True):
-    """A fact or an answer that a run took from outside: its name, and what it is, in the words of `log`.
+    """A fact or an answer that a run took from outside: its name, and its description as in `log`.
 
     `seq` is the event of a fact, and `begins_s` when it happens in seconds of run time; None for an answer.
-    `is_necessary`: without it alone the outcome falls. `change` is the text that takes it away.
+    `is_necessary`: the outcome falls if it alone is removed. `change` is the change text that removes it.
     """
 
     name: str
@@ -152,10 +152,10 @@ class Element(msgspec.Struct, frozen=True):
 class Cause(msgspec.Struct, frozen=True):
     """A smallest set that suffices for an outcome, of `candidates` facts and answers; `forks` were played to find it.
 
-    `elements` are those of the set without any one of which the outcome falls, `presupposed` those without any one of
-    which there is nothing to judge, `unknown` those of a live run without any one of which nobody knows how it would go
-    on. `also_necessary` are those outside of the set without any one of which the outcome
-    falls, because it would be prevented or come otherwise; a set can suffice without them.
+    Members by what happens if they alone are removed: `elements`: the outcome falls; `presupposed`: there is nothing to
+    judge; `unknown`: how the live run would continue is unknown. `also_necessary` are candidates outside the set of
+    which the same holds as of `elements`, because the outcome would be prevented or come about differently; a set can
+    suffice without them.
     """
 
     outcome: str
@@ -168,16 +168,16 @@ class Cause(msgspec.Struct, frozen=True):
 
 
 class Search:
-    """The forks of one run in which some of what it took from outside is taken away, with their outcomes."""
+    """The forks of one run with some of its inputs removed, and their outcomes."""
 
     def __init__(
         self, repeated: Rerun, outcome: Outcome, *, lengths: bool = False, progress: Progress | None = None
     ) -> None:
-        """Find out what the run took from outside. `middles` are the lengths taken for those of the world, by name.
+        """Collect the inputs of the run. `middles` are the lengths used in place of the world's, by name.
 
         Args:
             repeated: The run, made again.
-            outcome: What is asked about.
+            outcome: The outcome to explain.
             lengths: Whether the lengths of messages, ways, executions and responses count, too.
             progress: Called with the number of forks played.
         """
@@ -193,32 +193,34 @@ class Search:
         self._outcome = outcome
         self._progress = progress
         self._known: dict[frozenset[str], bool | None] = {}
-        answers = [one.name for one in dict.fromkeys(repeated.asked) if one.answer != USUAL.get(one.kind)]
+        answers = [
+            question.name for question in dict.fromkeys(repeated.asked) if question.answer != USUAL.get(question.kind)
+        ]
         if not lengths:
             answers = [name for name in answers if name.partition(":")[0] in USUAL]
         self.candidates: tuple[str, ...] = (*self._places, *dict.fromkeys(answers))
 
     def judge(self, sets: Sequence[frozenset[str]]) -> list[bool | None]:
-        """Return for each set whether the outcome stands with it alone; None: it is undefined. Raises: QueryFailed."""
-        new = [one for one in dict.fromkeys(sets) if one not in self._known]
+        """Return for each set whether the outcome stands with it alone; None: undefined. Raises: QueryFailed."""
+        new = [subset for subset in dict.fromkeys(sets) if subset not in self._known]
         for begin in range(0, len(new), MOST_AT_ONCE):
             batch = new[begin : begin + MOST_AT_ONCE]
             with without_collection():
-                runs = [self._play(one) for one in batch]
+                runs = [self._play(subset) for subset in batch]
             self._known |= dict(zip(batch, self._outcome.of(runs), strict=True))
             self._known |= dict.fromkeys(self.ended.intersection(batch))
             self.played += len(batch)
             if self._progress is not None:
                 self._progress(self.played)
-        return [self._known[one] for one in sets]
+        return [self._known[subset] for subset in sets]
 
     def holds(self, one: frozenset[str]) -> bool:
         """Return whether the outcome is defined and stands with this set alone. Raises: QueryFailed."""
         return self.judge([one]) == [True]
 
     def _play(self, kept: frozenset[str]) -> tuple[Sequence[int], Sequence[int | None], Sequence[object]]:
-        places = {at for name, its in self._places.items() if name not in kept for at in its}
-        facts = [fact for at, fact in enumerate(self._facts) if at not in places]
+        removed = {index for name, indexes in self._places.items() if name not in kept for index in indexes}
+        facts = [fact for index, fact in enumerate(self._facts) if index not in removed]
         usual = self._world.answer
 
         def answer(ask: Ask) -> int:
@@ -274,18 +276,18 @@ def smallest(search: Search) -> frozenset[str]:
 
 
 def _without(search: Search, kept: list[str], removable: list[list[str]]) -> list[str]:
-    """Return what is left without as many of these parts as the outcome stands without, at least one.
+    """Return `kept` without as many of these chunks as can be removed with the outcome still standing, at least one.
 
-    Each can go alone; half of them together may still be too many.
+    Each can be removed alone; half of them together may still be too many.
     """
-    together = removable
-    while len(together) > 1:
-        left = frozenset(kept) - frozenset(name for chunk in together for name in chunk)
-        if search.holds(left):
+    removed = removable
+    while len(removed) > 1:
+        remaining = frozenset(kept) - frozenset(name for chunk in removed for name in chunk)
+        if search.holds(remaining):
             break
-        together = together[: (len(together) + 1) // 2]
-    gone = {name for chunk in together for name in chunk}
-    return [name for name in kept if name not in gone]
+        removed = removed[: (len(removed) + 1) // 2]
+    names = {name for chunk in removed for name in chunk}
+    return [name for name in kept if name not in names]
 
 
 def cause(repeated: Rerun, outcome: Outcome, *, lengths: bool = False, progress: Progress | None = None) -> Cause:
@@ -296,39 +298,39 @@ def cause(repeated: Rerun, outcome: Outcome, *, lengths: bool = False, progress:
         QueryFailed: The SELECT of the outcome fails.
     """
     search = Search(repeated, outcome, lengths=lengths, progress=progress)
-    found = smallest(search)
+    kept = smallest(search)
     whole = frozenset(search.candidates)
-    names = [name for name in search.candidates if name in found]
-    alone = dict(zip(names, search.judge([found - {name} for name in names]), strict=True))
+    names = [name for name in search.candidates if name in kept]
+    alone = dict(zip(names, search.judge([kept - {name} for name in names]), strict=True))
     singles = search.judge([whole - {name} for name in search.candidates])
     necessary = {name for name, stands in zip(search.candidates, singles, strict=True) if stands is False}
-    shown = found | necessary
-    told = {one.name: one for one in repeated.changeable() if one.name in shown}
-    seqs = {name: _seq(repeated, one.begins_s) for name, one in told.items() if one.begins_s is not None}
+    significant = kept | necessary
+    targets = {entry.name: entry for entry in repeated.changeable() if entry.name in significant}
+    seqs = {name: _seq(repeated, entry.begins_s) for name, entry in targets.items() if entry.begins_s is not None}
     record = repeated.base.record
     lines = lines_of([record], [(record.run_id, seq) for seq in seqs.values()])
 
     def element(name: str) -> Element:
-        kind, one, seq = name.partition(":")[0], told[name], seqs.get(name)
+        kind, entry, seq = name.partition(":")[0], targets[name], seqs.get(name)
         change = {ATTEMPT: f"answer {name} hold", CALL: f"answer {name} approve"}.get(kind, f"drop {name}")
         if name in search.middles:
             change = f"answer {name} {Question(name, search.middles[name]).text}"
-        words = f"the answer is {one.is_now}" if seq is None else lines[(record.run_id, seq)].text
-        return Element(name, words, seq, one.begins_s, name in necessary, change)
+        words = f"the answer is {entry.is_now}" if seq is None else lines[(record.run_id, seq)].text
+        return Element(name, words, seq, entry.begins_s, name in necessary, change)
 
     return Cause(
         outcome.text,
         tuple(element(name) for name in names if alone[name] is False),
-        tuple(element(name) for name in names if alone[name] is None and found - {name} not in search.ended),
-        tuple(element(name) for name in names if found - {name} in search.ended),
-        tuple(element(name) for name in search.candidates if name in necessary - found),
+        tuple(element(name) for name in names if alone[name] is None and kept - {name} not in search.ended),
+        tuple(element(name) for name in names if kept - {name} in search.ended),
+        tuple(element(name) for name in search.candidates if name in necessary - kept),
         len(search.candidates),
         search.played,
     )
 
 
 def _seq(repeated: Rerun, begins_s: float) -> int:
-    """Return the event of a fact; no two facts share an instant, and none is caused by anything."""
+    """Return the seq of a fact's event; no two facts share a time, and only event 0 causes them."""
     record = repeated.base.record
     time_us = round(begins_s * 1_000_000)
     return next(

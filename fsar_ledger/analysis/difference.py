@@ -2,11 +2,11 @@
 
 Events are aligned by cause and content, not by seq.
 
-The events of a run form a tree: each is caused by an earlier one, all of them in the end by event 0, which also causes
-the facts of the world. Two trees are aligned from their roots down: under two causes that are the same event, an effect
-is the same if it says the same, times aside. Of several that say the same, those as long after their cause are paired
-first. What is left is paired if it is about the same and of one type (it changed), or if it says the same under another
-cause. The rest happens on one side alone. So an insertion makes nothing different that does not differ.
+The events of a run form a tree: each is caused by an earlier one, ultimately by event 0, which also causes the facts of
+the world. Two trees are aligned from their roots down: under paired causes, effects with the same content, times aside,
+are paired. Of several with the same content, those with the same delay after their cause are paired first. The
+remaining events are paired if they have the same type and subject (changed), or the same content under another cause.
+The rest happens on one side only. So an insertion does not make later events differ.
 """
 
 from collections import defaultdict
@@ -31,11 +31,11 @@ _TIME = "_us"
 
 
 class Difference(msgspec.Struct, frozen=True):
-    """One event that is not the same in both runs.
+    """One event that differs between the runs.
 
-    `first_seq`, `second_seq`: where it is in each; None: it is not there. `shift_us`: how much later it is in the
-    second; None on one side alone. `fields`: in which it differs. `is_consequence`: it is on one side alone, as what
-    caused it is.
+    `first_seq`, `second_seq`: its seq in each; None: it is not there. `shift_us`: how much later it is in the second;
+    None on one side alone. `fields`: those that differ. `is_consequence`: it is on one side alone, and so is its
+    cause.
     """
 
     kind: Kind
@@ -47,7 +47,7 @@ class Difference(msgspec.Struct, frozen=True):
 
 
 class Alignment(NamedTuple):
-    """Which event of the second run each event of the first is, by seq, and all differences in order."""
+    """The seqs of paired events, first run to second, all differences in order, and the number of equal pairs."""
 
     pairs: dict[int, int]
     differences: list[Difference]
@@ -55,16 +55,16 @@ class Alignment(NamedTuple):
 
 
 def align(first: LedgerRun, second: LedgerRun) -> Alignment:
-    """Align two runs. Event 0 of one is always that of the other; the fields in which it differs are a difference."""
-    one = _Aligning(_Side(first), _Side(second))
-    one.pair(0, 0)
-    one.pair_elsewhere(is_timed=True)
-    one.pair_elsewhere(is_timed=False)
-    return _alignment(first, second, one.pairs, one.taken)
+    """Align two runs. Their events 0 are always paired; any fields in which they differ are a difference."""
+    aligning = _Aligning(_Side(first), _Side(second))
+    aligning.pair(0, 0)
+    aligning.pair_elsewhere(is_timed=True)
+    aligning.pair_elsewhere(is_timed=False)
+    return _alignment(first, second, aligning.pairs, aligning.taken)
 
 
 class _Side:
-    """A run with what each event says, and what it causes."""
+    """A run with the content and the effects of each event."""
 
     def __init__(self, run: LedgerRun) -> None:
         self.times_us = run.times_us
@@ -77,7 +77,7 @@ class _Side:
 
 
 class _Aligning:
-    """The pairs found so far, by seq, and which events of the second run they take."""
+    """The pairs found so far, by seq, and the events of the second run that they use."""
 
     def __init__(self, first: _Side, second: _Side) -> None:
         self.pairs: dict[int, int] = {}
@@ -85,18 +85,18 @@ class _Aligning:
         self._first, self._second = first, second
 
     def pair(self, one: int, other: int) -> None:
-        """Take these two as the same event, and align what follows from them."""
+        """Pair these two events, and align their effects."""
         waiting = [(one, other)]
         while waiting:
             one, other = waiting.pop()
             self.pairs[one] = other
             self.taken.add(other)
-            found = self._effects(one, other)
-            self.taken.update(second for _, second in found)
-            waiting += found
+            effects = self._effects(one, other)
+            self.taken.update(second for _, second in effects)
+            waiting += effects
 
     def pair_elsewhere(self, *, is_timed: bool) -> None:
-        """Pair what is left and says the same under other causes, in order; with `is_timed`, at the same time."""
+        """Pair the rest by content under other causes, in order; with `is_timed`, only at the same time."""
 
         def key(side: _Side, seq: int) -> Hashable:
             return side.says[seq], side.times_us[seq] if is_timed else None
@@ -106,43 +106,43 @@ class _Aligning:
             if seq not in self.taken:
                 waiting[key(self._second, seq)].append(seq)
         for seq in range(len(self._first.events)):
-            if seq not in self.pairs and (of_key := waiting.get(key(self._first, seq))):
-                other = next((one for one in reversed(of_key) if one not in self.taken), None)
+            if seq not in self.pairs and (candidates := waiting.get(key(self._first, seq))):
+                other = next((seq for seq in reversed(candidates) if seq not in self.taken), None)
                 if other is not None:
                     self.pair(seq, other)
 
-    def _effects(self, one: int, other: int) -> list[tuple[int, int]]:
-        """Return the pairs among the effects of two events that are the same."""
+    def _effects(self, first_cause: int, second_cause: int) -> list[tuple[int, int]]:
+        """Return the pairs among the effects of two paired events."""
         first, second = self._first, self._second
-        firsts = [seq for seq in first.effects[one] if seq not in self.pairs]
-        seconds = [seq for seq in second.effects[other] if seq not in self.taken]
-        since_us = first.times_us[one], second.times_us[other]
+        firsts = [seq for seq in first.effects[first_cause] if seq not in self.pairs]
+        seconds = [seq for seq in second.effects[second_cause] if seq not in self.taken]
+        since_us = first.times_us[first_cause], second.times_us[second_cause]
         keys: tuple[Callable[[_Side, int, int], Hashable], ...] = (
             lambda side, seq, since: (side.says[seq], side.times_us[seq] - since),
             lambda side, seq, _: side.says[seq],
             lambda side, seq, _: _about(side.events[seq]),
         )
-        found: list[tuple[int, int]] = []
+        pairs: list[tuple[int, int]] = []
         for key in keys:
             if not firsts or not seconds:
                 break
             waiting: defaultdict[Hashable, list[int]] = defaultdict(list)
             for seq in reversed(seconds):
                 waiting[key(second, seq, since_us[1])].append(seq)
-            rest: list[int] = []
+            unpaired: list[int] = []
             for seq in firsts:
-                of_key = waiting.get(key(first, seq, since_us[0]))
-                if of_key:
-                    found.append((seq, of_key.pop()))
+                candidates = waiting.get(key(first, seq, since_us[0]))
+                if candidates:
+                    pairs.append((seq, candidates.pop()))
                 else:
-                    rest.append(seq)
-            firsts, seconds = rest, sorted(seq for seqs in waiting.values() for seq in seqs)
-        return found
+                    unpaired.append(seq)
+            firsts, seconds = unpaired, sorted(seq for seqs in waiting.values() for seq in seqs)
+        return pairs
 
 
 @cache
 def _getters(kind: type[Event]) -> tuple[Callable[[Event], Any], Callable[[Event], Any]]:
-    """Return what an event of a type says, times aside, and the part of it that says what it is about."""
+    """Return the getters of a type's content, times aside, and of the part that identifies its subject."""
     names, about = [], ["__class__"]
     for field in msgspec.structs.fields(kind):
         if field.name.endswith(_TIME):
@@ -164,40 +164,40 @@ def _tuple_of(names: Sequence[str]) -> Callable[[Event], Any]:
 
 
 def _content(event: Event) -> Hashable:
-    said = _getters(type(event))[0](event)
-    return type(event), _hashable(said)
+    values = _getters(type(event))[0](event)
+    return type(event), _hashable(values)
 
 
-def _hashable(said: Any) -> Hashable:
-    return tuple(map(_hashable, said)) if isinstance(said, list) else said
+def _hashable(value: Any) -> Hashable:
+    return tuple(map(_hashable, value)) if isinstance(value, list) else value
 
 
 def _about(event: Event) -> Hashable:
-    found = _getters(type(event))[1](event)
-    return found if isinstance(found, tuple) else (found,)
+    values = _getters(type(event))[1](event)
+    return values if isinstance(values, tuple) else (values,)
 
 
 def _alignment(first: LedgerRun, second: LedgerRun, pairs: dict[int, int], taken: set[int]) -> Alignment:
     """Return the alignment with all differences, in the order of time."""
-    found: list[Difference] = []
+    differences: list[Difference] = []
     same = 0
-    for one, other in pairs.items():
-        shift_us = second.times_us[other] - first.times_us[one]
-        fields = _differing(first.events[one], second.events[other], shift_us)
-        if pairs.get(_cause(first, one)) != _cause(second, other):
-            found.append(Difference("caused otherwise", one, other, shift_us, fields))
+    for first_seq, second_seq in pairs.items():
+        shift_us = second.times_us[second_seq] - first.times_us[first_seq]
+        fields = _differing(first.events[first_seq], second.events[second_seq], shift_us)
+        if pairs.get(_cause(first, first_seq)) != _cause(second, second_seq):
+            differences.append(Difference("caused otherwise", first_seq, second_seq, shift_us, fields))
         elif fields:
-            found.append(Difference("changed", one, other, shift_us, fields))
+            differences.append(Difference("changed", first_seq, second_seq, shift_us, fields))
         elif shift_us:
-            found.append(Difference("moved", one, other, shift_us))
+            differences.append(Difference("moved", first_seq, second_seq, shift_us))
         else:
             same += 1
-    found += [
+    differences += [
         Difference("only first", seq, None, is_consequence=first.caused_by[seq] not in pairs)
         for seq in range(len(first.events))
         if seq not in pairs
     ]
-    found += [
+    differences += [
         Difference("only second", None, seq, is_consequence=second.caused_by[seq] not in taken)
         for seq in range(len(second.events))
         if seq not in taken
@@ -208,7 +208,7 @@ def _alignment(first: LedgerRun, second: LedgerRun, pairs: dict[int, int], taken
         times += [second.times_us[one.second_seq]] if one.second_seq is not None else []
         return min(times), one.first_seq if one.first_seq is not None else one.second_seq or 0
 
-    return Alignment(pairs, sorted(found, key=when), same)
+    return Alignment(pairs, sorted(differences, key=when), same)
 
 
 def _cause(run: LedgerRun, seq: int) -> int:
@@ -216,11 +216,11 @@ def _cause(run: LedgerRun, seq: int) -> int:
     return run.caused_by[seq] or 0
 
 
-def _differing(one: Event, other: Event, shift_us: int) -> tuple[str, ...]:
-    """Return the fields in which two events differ; times that moved as the event did do not."""
-    if one == other:
+def _differing(first: Event, second: Event, shift_us: int) -> tuple[str, ...]:
+    """Return the fields in which two events differ, except times that moved as the event did."""
+    if first == second:
         return ()
-    firsts, seconds = flat(one), flat(other)
+    firsts, seconds = flat(first), flat(second)
     return tuple(
         name
         for name, value in firsts.items()
@@ -237,10 +237,10 @@ def _differing(one: Event, other: Event, shift_us: int) -> tuple[str, ...]:
 
 def chain(run: LedgerRun, seq: int) -> list[int]:
     """Return the seqs of an event, of what caused it, and so on, back to a fact of the world or to event 0."""
-    found = [seq]
-    while (cause := run.caused_by[found[-1]]) is not None and cause != 0:
-        found.append(cause)
-    return found
+    seqs = [seq]
+    while (cause := run.caused_by[seqs[-1]]) is not None and cause != 0:
+        seqs.append(cause)
+    return seqs
 
 
 FIRST, SECOND = "first", "second"
@@ -266,7 +266,7 @@ VERDICTS = """
 
 
 COUNTED_BY = {"policy violation": "policy_violations", "authority conflict": "authority_conflicts"}
-"""The metric that counts each verdict: a run in which it is undefined does not observe what tells."""
+"""The metric that counts each verdict: a run in which it is undefined does not observe the evidence."""
 
 
 class MetricPair(msgspec.Struct, frozen=True):
@@ -278,9 +278,9 @@ class MetricPair(msgspec.Struct, frozen=True):
 
 
 class TaskPair(msgspec.Struct, frozen=True):
-    """A task in both runs: `completed`, `abandoned`, `open`, or None where it did not arrive, and when that was.
+    """A task in both runs: `completed`, `abandoned`, `open`, or None where it did not arrive, and when it ended.
 
-    None, too: what becomes of it after a run that ends before all has happened.
+    Also None: a task still open where a run ends before all has happened.
 
     Units: seconds of run time; `due_s` of the first run that has it, None where no budget is on record. A task that is
     completed later than that is late.
@@ -295,9 +295,9 @@ class TaskPair(msgspec.Struct, frozen=True):
 
 
 class Verdict(msgspec.Struct, frozen=True):
-    """What SQL finds in one of the runs alone: a policy violation (at the event `seq`) or an authority conflict.
+    """A finding in only one of the runs: a policy violation (at the event `seq`) or an authority conflict.
 
-    `is_judged_in_both`: False where the other run does not observe what tells, so that it may have it, too.
+    `is_judged_in_both`: False where the other run does not observe the evidence, so that it may have it, too.
     """
 
     run: str
@@ -309,7 +309,7 @@ class Verdict(msgspec.Struct, frozen=True):
 
 
 class OutcomesDiff(msgspec.Struct, frozen=True):
-    """What the runs came to. `verdicts` are those that only one of them has. Units: ends in seconds of run time."""
+    """The outcomes of two runs. `verdicts` are those that only one of them has. Units: ends in seconds of run time."""
 
     metrics: list[MetricPair]
     tasks: list[TaskPair]
@@ -319,16 +319,16 @@ class OutcomesDiff(msgspec.Struct, frozen=True):
 
 
 def outcomes_diff(database: Database, first: LedgerRun, second: LedgerRun, pairs: dict[int, int]) -> OutcomesDiff:
-    """Return what the two runs, held as `first` and `second`, came to; `pairs` are the events that are the same.
+    """Return the outcomes of the runs stored as `first` and `second`; `pairs` are the paired events, by seq.
 
     Raises: as `Database.rows`.
     """
-    found, measured = typed(database.rows(VERDICTS), Verdict), typed(database.rows(METRICS), MetricPair)
-    undefined = {(FIRST, one.metric) for one in measured if one.first is None}
-    undefined |= {(SECOND, one.metric) for one in measured if one.second is None}
+    verdicts, measured = typed(database.rows(VERDICTS), Verdict), typed(database.rows(METRICS), MetricPair)
+    undefined = {(FIRST, pair.metric) for pair in measured if pair.first is None}
+    undefined |= {(SECOND, pair.metric) for pair in measured if pair.second is None}
     alone = [
-        msgspec.structs.replace(one, is_judged_in_both=(_other(one.run), COUNTED_BY[one.verdict]) not in undefined)
-        for one in _alone(found, pairs)
+        msgspec.structs.replace(row, is_judged_in_both=(_other(row.run), COUNTED_BY[row.verdict]) not in undefined)
+        for row in _alone(verdicts, pairs)
     ]
     return OutcomesDiff(
         measured,
@@ -340,30 +340,30 @@ def outcomes_diff(database: Database, first: LedgerRun, second: LedgerRun, pairs
 
 
 def until_the_end(found: OutcomesDiff, ends_us: int) -> OutcomesDiff:
-    """Return what the runs came to where the second ends then, before all has happened.
+    """Return the outcomes where the second run ends at `ends_us`, before all has happened.
 
-    It has no metrics yet, nobody knows what becomes of its open tasks, and later verdicts on the first say nothing.
+    It has no metrics yet, the ends of its open tasks are unknown, and later verdicts on the first are meaningless.
     """
     return msgspec.structs.replace(
         found,
-        metrics=[msgspec.structs.replace(one, second=None) for one in found.metrics],
-        tasks=[msgspec.structs.replace(one, second=None) if one.second == "open" else one for one in found.tasks],
-        verdicts=[one for one in found.verdicts if one.time_s <= ends_us / 1e6],
+        metrics=[msgspec.structs.replace(pair, second=None) for pair in found.metrics],
+        tasks=[msgspec.structs.replace(task, second=None) if task.second == "open" else task for task in found.tasks],
+        verdicts=[verdict for verdict in found.verdicts if verdict.time_s <= ends_us / 1e6],
     )
 
 
-def _alone(found: Sequence[Verdict], pairs: dict[int, int]) -> list[Verdict]:
-    """Return the verdicts that only one run has: violations by the event, conflicts by what they are about."""
-    other = {second: first for first, second in pairs.items()}
+def _alone(all_verdicts: Sequence[Verdict], pairs: dict[int, int]) -> list[Verdict]:
+    """Return the verdicts that only one run has: violations matched by event, conflicts by subject."""
+    first_seq_of = {second: first for first, second in pairs.items()}
 
     def place(one: Verdict) -> object:
         if one.seq is None:
             return one.verdict, one.what
-        seq = one.seq if one.run == FIRST else other.get(one.seq, -1 - one.seq)
+        seq = one.seq if one.run == FIRST else first_seq_of.get(one.seq, -1 - one.seq)
         return one.verdict, seq
 
-    sides = {run: {place(one) for one in found if one.run == run} for run in (FIRST, SECOND)}
-    return [one for one in found if place(one) not in sides[_other(one.run)]]
+    sides = {run: {place(verdict) for verdict in all_verdicts if verdict.run == run} for run in (FIRST, SECOND)}
+    return [verdict for verdict in all_verdicts if place(verdict) not in sides[_other(verdict.run)]]
 
 
 def _other(run: str) -> str:
@@ -385,15 +385,15 @@ def _tasks(first: LedgerRun, second: LedgerRun) -> list[TaskPair]:
 
 
 def _ends(run: LedgerRun) -> dict[str, tuple[float | None, str, float | None]]:
-    """Return by task when it is due, what became of it, and when."""
-    found: dict[str, tuple[float | None, str, float | None]] = {}
+    """Return the due time, the end and the time of the end, by task."""
+    ends: dict[str, tuple[float | None, str, float | None]] = {}
     for time_us, event in zip(run.times_us, run.events, strict=True):
         match event:
             case TaskArrived():
                 budgeted_us = None if event.budget_us is None else time_us + event.budget_us
                 due_us = budgeted_us if event.due_us is None else event.due_us
-                found[event.task_id] = (None if due_us is None else due_us / 1e6, "open", None)
-            case TaskCompleted() | TaskAbandoned() if event.task_id in found:
+                ends[event.task_id] = (None if due_us is None else due_us / 1e6, "open", None)
+            case TaskCompleted() | TaskAbandoned() if event.task_id in ends:
                 word = "completed" if isinstance(event, TaskCompleted) else "abandoned"
-                found[event.task_id] = (found[event.task_id][0], word, time_us / 1e6)
-    return found
+                ends[event.task_id] = (ends[event.task_id][0], word, time_us / 1e6)
+    return ends

@@ -1,4 +1,4 @@
-"""Bases: recorded runs from which others can fork, and what a fleet refuses of the changes of a fork."""
+"""Recorded runs that can be forked, and the checks on the changes of a fork."""
 
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
@@ -52,7 +52,7 @@ LIST = "`whatif LEDGER --run RUN --list` lists all"
 
 
 class Base(NamedTuple):
-    """A recorded run, what it was made from, and the root of the ledger that holds it."""
+    """A recorded run, its recipe, and the root of the ledger that holds it."""
 
     record: LedgerRun
     recipe: Recipe
@@ -60,7 +60,7 @@ class Base(NamedTuple):
 
     @property
     def facts_by_name(self) -> FactPositions:
-        """Return the places of the facts of its world, by name."""
+        """Return the indexes of the facts of its world, by name."""
         return facts_by_name(tuple(edited_environment(self.recipe).facts))
 
 
@@ -79,34 +79,34 @@ class Changeable(msgspec.Struct, frozen=True):
 
 
 class Rerun(NamedTuple):
-    """A base that was made again as recorded, and what it asked at its ports, in order; of a live run, `of_whom`."""
+    """A base made again as recorded, and its questions at ports, in order; those of a live run are `of_whom`."""
 
     base: Base
     asked: list[Question]
     of_whom: Sequence[QuestionKey] = ()
 
     def changeable(self) -> list[Changeable]:
-        """Return the facts of the world in order of time, and then the questions in the order of asking, each once."""
+        """Return the facts of the world in order of time, then the questions in the order asked, each once."""
         facts = edited_environment(self.base.recipe).facts
-        found = []
-        for name, places in self.base.facts_by_name.items():
-            (begins_us, fact), (ends_us, _) = facts[places[0]], facts[places[-1]]
-            ends_s = ends_us / 1_000_000 if len(places) > 1 else None
-            found.append(Changeable(name, None, begins_us / 1_000_000, ends_s, fact_text(fact)))
+        items = []
+        for name, indexes in self.base.facts_by_name.items():
+            (begins_us, fact), (ends_us, _) = facts[indexes[0]], facts[indexes[-1]]
+            ends_s = ends_us / 1_000_000 if len(indexes) > 1 else None
+            items.append(Changeable(name, None, begins_us / 1_000_000, ends_s, fact_text(fact)))
         numbers = numbers_of_calls(self.asked)
-        for one in dict.fromkeys(self.asked):
-            number = numbers.get(CALL + one.name.partition(":")[2]) if one.kind in _SHORT else None
-            found.append(Changeable(one.name, None if number is None else f"{one.kind}:{number}", None, None, one.text))
-        found += [Changeable(one, None, None, None, f"{whom} says so by a command") for one, whom in self.of_whom]
-        return found
+        for ask in dict.fromkeys(self.asked):
+            number = numbers.get(CALL + ask.name.partition(":")[2]) if ask.kind in _SHORT else None
+            items.append(Changeable(ask.name, None if number is None else f"{ask.kind}:{number}", None, None, ask.text))
+        items += [Changeable(name, None, None, None, f"{whom} says so by a command") for name, whom in self.of_whom]
+        return items
 
     def with_answers(self, answers: Changes) -> "Rerun":
-        """Return the live run in whose forks these changes answer what the record does not; it does the same itself."""
+        """Return the live run, unchanged, whose forks let these changes answer what the record does not."""
         recipe = msgspec.structs.replace(self.base.recipe, changes=answers)
         return self._replace(base=self.base._replace(recipe=recipe))
 
     def fork(self, changes: Changes) -> Fork:
-        """Return the fork with these changes; what a name does not mean here changes nothing. Raises: UsageError."""
+        """Return the fork with these changes; a name that matches nothing here changes nothing. Raises: UsageError."""
         return fork(self.base.recipe, self.base.record, self.base.root, changes)
 
     def played(self, changes: Changes) -> Fork:
@@ -114,7 +114,7 @@ class Rerun(NamedTuple):
         try:
             return self.fork(changes)
         except (LookupError, ValueError, RuntimeError, TypeError) as error:
-            added = [one for one in changes if isinstance(one, Add)]
+            added = [change for change in changes if isinstance(change, Add)]
             if isinstance(error, UsageError) or not added:
                 raise
             for change in added:
@@ -136,24 +136,24 @@ class Rerun(NamedTuple):
         if rejected := _rejected_in(self.base, forked):
             raise UsageError(_rejection(forked.record.events[rejected[0]]))
         is_same = forked.parts_at is None and forked.end is None
-        if is_same and any(not _is_of_model(one) for one in changes):
-            said = printable.some(map(str, changes))
-            raise UsageError(f"change {said}: it has no effect, the run does the same; expected one that changes it")
+        if is_same and any(not _is_of_model(change) for change in changes):
+            text = printable.some(map(str, changes))
+            raise UsageError(f"change {text}: it has no effect, the run does the same; expected one that changes it")
         return forked
 
     def refused(self, change: AnyChange, forked: Fork) -> str | None:
-        """Return why an addition, a constant or a command means nothing in the run; None: it does."""
+        """Return why an addition, a constant or a command does not apply to the run; None: it does."""
         try:
             if isinstance(change, Add | Set | Commanded):
                 _require_meant(self, change)
             _require_task(self, change, forked)
-        except UsageError as found:
-            return str(found)
+        except UsageError as error:
+            return str(error)
         return None
 
 
 def base_of_record(record: LedgerRun, root: str) -> Base:
-    """Return the base that a record is. Raises: UsageError if this version cannot make the run, or it is a fork."""
+    """Return the record as a base. Raises: UsageError if this version cannot make the run, or it is a fork."""
     run, started = printable.value(record.run_id), start_of(record)
     if started.changes is not None:
         raise UsageError(
@@ -162,19 +162,19 @@ def base_of_record(record: LedgerRun, root: str) -> Base:
         )
     try:
         return Base(record, recipe_of(record, started), root)
-    except CannotReplay as found:
-        raise UsageError(f"run {run}: {found}; only such a run can be made again with a change") from found
+    except CannotReplay as error:
+        raise UsageError(f"run {run}: {error}; only such a run can be made again with a change") from error
 
 
 def rerun(base: Base) -> Rerun:
-    """Return the base, made again. Raises: UsageError naming the first event that the record has otherwise."""
+    """Make the base again. Raises: UsageError naming the first event that differs from the record."""
     of_whom: Iterable[QuestionKey] = ()
-    asked: list[Question] = []
+    questions: list[Question] = []
     try:
         if base.recipe.live is None:
-            made, asked = run_again(base.recipe)
+            remade, questions = run_again(base.recipe)
         else:
-            made, recipe = live_again(base.recipe)
+            remade, recipe = live_again(base.recipe)
             base = base._replace(recipe=recipe)
             of_whom = (recipe.live.asked or ()) if recipe.live is not None else ()
     except (LookupError, ValueError, RuntimeError, TypeError) as error:
@@ -182,13 +182,13 @@ def rerun(base: Base) -> Rerun:
             f"run {printable.value(base.record.run_id)}: it cannot be made again ({error!s:.300}); run "
             "`fsar-ledger verify --replay`"
         ) from error
-    at = parts_at(base.record, made)
-    if at is not None or made.events[0] != base.record.events[0]:
+    seq = parts_at(base.record, remade)
+    if seq is not None or remade.events[0] != base.record.events[0]:
         raise UsageError(
-            f"run {printable.value(base.record.run_id)}, event {at or 0}: the record is not what its world and its "
+            f"run {printable.value(base.record.run_id)}, event {seq or 0}: the record is not what its world and its "
             "handlers make, so nothing forks from it; run `fsar-ledger verify --replay`, which says what differs"
         )
-    return Rerun(base, asked, tuple(of_whom))
+    return Rerun(base, questions, tuple(of_whom))
 
 
 def _is_of_model(change: AnyChange) -> bool:
@@ -197,7 +197,7 @@ def _is_of_model(change: AnyChange) -> bool:
 
 
 def _require_meant(rerun: Rerun, change: AnyChange) -> None:
-    """Check that a change means something in the run. Raises: UsageError, with the nearest name."""
+    """Check that a change applies to the run. Raises: UsageError, with the nearest name."""
     base = rerun.base
     last_us = base.record.times_us[-1]
     match change:
@@ -241,12 +241,12 @@ def _require_members(base: Base, change: Add) -> None:
             'add 20s {"command": "ReportPresence", "by": "robot/B1", "robot": "robot/B1", "is_on": false}'
         )
     if base.recipe.live is not None:
-        return  # the handlers say whether it can be carried out
+        return  # the handlers decide whether it can be carried out
     if isinstance(fact, CommandGiven):
         _require_possible(base, change, fact)
         return
     fleet = founding_of(base.recipe.spec, base.recipe.constants)[1].fleet
-    known = {*fleet.robots, *(one.supervisor for one in fleet.robots.values() if one.supervisor is not None)}
+    known = {*fleet.robots, *(robot.supervisor for robot in fleet.robots.values() if robot.supervisor is not None)}
     for name in ("robot", "peer", "supervisor"):
         found = getattr(fact, name, None)
         if found is not None and found not in known:
@@ -260,9 +260,9 @@ def _require_members(base: Base, change: Add) -> None:
 
 def _require_possible(base: Base, change: Add, fact: CommandGiven) -> None:
     """Check that a scenario of this fleet could give the command. Raises: UsageError."""
-    one = OutsideCommand(change.at_s, fact.command, fact.issued_by, fact.parameters)
+    command = OutsideCommand(change.at_s, fact.command, fact.issued_by, fact.parameters)
     fleet = base.recipe.constants.fleet or registered.fleet()
-    for problem in problems_of_commands(Scenario("", (), commands=(one,)), fleet):
+    for problem in problems_of_commands(Scenario("", (), commands=(command,)), fleet):
         raise UsageError(f"change {change}: {problem.field[-1]}: found {problem.found}, expected {problem.expected}")
 
 
@@ -272,7 +272,7 @@ def _require_answer(change: Answer, kinds: Sequence[str]) -> None:
     is_live = kinds is LIVE_KINDS
     is_of_model = is_live and _is_of_model(change)
     if kind not in kinds and not (is_of_model and change.question == "*"):
-        raise _unknown("question", change, change.question, [f"{one}:" for one in kinds])
+        raise _unknown("question", change, change.question, [f"{known}:" for known in kinds])
     if is_of_model:
         if not change.answer.removeprefix(MODEL).isdecimal():
             raise UsageError(f"change {change}: found {printable.value(change.answer)}, expected {MODEL} and a seed")
@@ -300,19 +300,19 @@ def _require_used(rerun: Rerun, change: Answer, forked: Fork) -> None:
             if asked
             else f"change {change}: it has no effect, nobody is asked that in the fork"
         )
-    names = {one.name: one for one in rerun.asked}
+    names = {question.name: question for question in rerun.asked}
     calls = numbers_of_calls(rerun.asked)
     short = {
         f"{kind}:{number}": f"{kind}{name.removeprefix(CALL)}" for name, number in calls.items() for kind in _SHORT
     }
     full = short.get(change.question, change.question)
-    found = [names[name] for name in matching_names(full, list(names))]
-    if not found and full not in short.values():
+    questions = [names[name] for name in matching_names(full, list(names))]
+    if not questions and full not in short.values():
         raise _unknown("question", change, change.question, [*short, *names])
-    if not found:
+    if not questions:
         raise UsageError(f"change {change}: it has no effect, the call is settled before it is answered")
     raise UsageError(
-        f"change {change}: it has no effect, the answer is {found[0].text} already; expected another answer"
+        f"change {change}: it has no effect, the answer is {questions[0].text} already; expected another answer"
     )
 
 
@@ -320,26 +320,26 @@ _SHORT = (CALL, RESPONSE)
 """The kinds of question that a number can stand for."""
 
 
-def _unknown(what: str, change: AnyChange, asked: str, names: Sequence[str]) -> UsageError:
-    kind = asked.partition(":")[0]
+def _unknown(what: str, change: AnyChange, unknown: str, names: Sequence[str]) -> UsageError:
+    kind = unknown.partition(":")[0]
     of_kind = [name for name in names if name.partition(":")[0] == kind] or list(names)
-    hint = printable.did_you_mean(asked, of_kind) or ";"
-    shown = printable.some(map(printable.value, of_kind)) or f"none: the run has no {what}"
+    hint = printable.did_you_mean(unknown, of_kind) or ";"
+    options = printable.some(map(printable.value, of_kind)) or f"none: the run has no {what}"
     return UsageError(
-        f"change {change}: the run has no {what} {printable.value(asked)}{hint} expected one of {shown}; {LIST}"
+        f"change {change}: the run has no {what} {printable.value(unknown)}{hint} expected one of {options}; {LIST}"
     )
 
 
 def _rejected_in(base: Base, forked: Fork) -> list[int]:
     """Return the seqs at which a fork rejects a command that its base does not have."""
-    known = {event for event in base.record.events if isinstance(event, CommandRejected)}
+    recorded = {event for event in base.record.events if isinstance(event, CommandRejected)}
     commands = set(commands_of(base.record))
-    fork, found = forked.record, []
+    fork, rejected = forked.record, []
     for seq, (event, cause) in enumerate(zip(fork.events, fork.caused_by, strict=True)):
         is_on_record = cause is not None and (fork.times_us[cause], fork.events[cause]) in commands  # it was tried
-        if isinstance(event, CommandRejected) and event not in known and not is_on_record:
-            found.append(seq)
-    return found
+        if isinstance(event, CommandRejected) and event not in recorded and not is_on_record:
+            rejected.append(seq)
+    return rejected
 
 
 def _rejection(event: Event) -> str:
@@ -349,14 +349,14 @@ def _rejection(event: Event) -> str:
 
 
 class Refusal(NamedTuple):
-    """Why a change of a fork is refused, and whether the fork does the same as its base but for what is refused."""
+    """Why a change of a fork is refused, and whether the fork otherwise does the same as its base."""
 
     why: str
     is_same: bool
 
 
 def refusal(rerun: Rerun, changes: Changes, forked: Fork) -> Refusal | None:
-    """Return what of the changes is refused in the fork, as an error of `fork_with_effect`; None: nothing is."""
+    """Return the refusal of changes in the fork, worded as by `fork_with_effect`; None: nothing is refused."""
     base, fork = rerun.base.record, forked.record
     refused = {change: why for change in changes if (why := rerun.refused(change, forked)) is not None}
     rejected = _rejected_in(rerun.base, forked)
@@ -364,15 +364,15 @@ def refusal(rerun: Rerun, changes: Changes, forked: Fork) -> Refusal | None:
         return None
     whys = [*refused.values(), *(_rejection(fork.events[seq]) for seq in rejected)]
     causes = [cause for seq in rejected if (cause := fork.caused_by[seq])]
-    own = {*rejected, *(seq for seq in causes if isinstance(fork.events[seq], CommandGiven))}
+    excluded = {*rejected, *(seq for seq in causes if isinstance(fork.events[seq], CommandGiven))}
     for seq, (time_us, cause, event) in enumerate(zip(fork.times_us, fork.caused_by, fork.events, strict=True)):
-        if seq and not cause and any(_is_of(one, time_us, event, base.times_us[-1]) for one in refused):
-            own.add(seq)
-    return Refusal(whys[0], forked.end is None and _rest(fork, own) == _rest(base, ()))
+        if seq and not cause and any(_is_of(change, time_us, event, base.times_us[-1]) for change in refused):
+            excluded.add(seq)
+    return Refusal(whys[0], forked.end is None and _rest(fork, excluded) == _rest(base, ()))
 
 
 def _is_of(change: AnyChange, time_us: int, event: Event, last_us: int) -> bool:
-    """Return whether an event that nothing causes is that of the change, which is refused in a run that ends then."""
+    """Return whether an uncaused event is that of the change, which is refused in a run that ends at `last_us`."""
     match change:
         case Add():
             return event == fact_of(change.event)
@@ -384,14 +384,14 @@ def _is_of(change: AnyChange, time_us: int, event: Event, last_us: int) -> bool:
             return False
 
 
-def _rest(record: LedgerRun, own: Iterable[int]) -> list[tuple[int, int | None, Event]]:
-    """Return what happens after event 0, without these events and what they lead to."""
-    found: list[tuple[int, int | None, Event]] = []
-    out, places = {*own}, {0: 0}
+def _rest(record: LedgerRun, excluded: Iterable[int]) -> list[tuple[int, int | None, Event]]:
+    """Return the events after event 0, without the excluded ones and their effects."""
+    rest: list[tuple[int, int | None, Event]] = []
+    skipped, positions = {*excluded}, {0: 0}
     for seq, (time_us, cause, event) in enumerate(zip(record.times_us, record.caused_by, record.events, strict=True)):
-        if seq in out or cause in out:
-            out.add(seq)
+        if seq in skipped or cause in skipped:
+            skipped.add(seq)
         elif seq:
-            found.append((time_us, None if cause is None else places[cause], event))
-            places[seq] = len(found)
-    return found
+            rest.append((time_us, None if cause is None else positions[cause], event))
+            positions[seq] = len(rest)
+    return rest

@@ -27,15 +27,15 @@ from fsar_ledger.projections.world import in_force
 from .situation import Coverage
 
 EVERY = 256
-"""Events between two states that are kept; they share all that did not change."""
+"""Events between two kept states, which share everything that did not change."""
 
 
 class Past(msgspec.Struct):
-    """A run up to one of its events: the state after that, and what one asks about that no state keeps.
+    """A run up to one of its events: the state after it, and what is queried but not kept in the state.
 
-    By policy window, `opened` is the seq and the time of the event that opened it last; `told_us` is when somebody was
-    last told something, by the type of the event and the robot that it is about. `asked` is the robot to which a
-    request has gone, by action; `ends` are the requests that nobody closes.
+    `opened` is the seq and the time of the last event that opened a policy window, by window; `told_us` is when a
+    principal was last told something, by event type and the robot concerned. `asked` is the robot to which a request
+    has gone, by action; `ends` are the requests that no event closes.
     """
 
     started: Event
@@ -60,12 +60,12 @@ class Past(msgspec.Struct):
             self.asked = put(self.asked, event.subject.action_id, event.principals.executed_by)
 
     def copy(self) -> "Past":
-        """Return it as it is now; they share what does not change."""
+        """Return a copy; both share what does not change."""
         return msgspec.structs.replace(self, state=self.state.copy())
 
 
 class Timeline:
-    """A run with its states. Building it folds all events once; then each moment takes at most `EVERY` of them."""
+    """A run with its states. Building it folds all events once; each lookup then folds at most `EVERY` events."""
 
     def __init__(self, record: LedgerRun) -> None:
         self.record = record
@@ -77,24 +77,24 @@ class Timeline:
                 self._kept.append(past.copy())
 
     def seq_at(self, time_us: int) -> int:
-        """Return the last event that has happened by then, which may be event 0."""
+        """Return the seq of the last event that has happened by then, at least 0."""
         return max(0, bisect_right(self.record.times_us, time_us) - 1)
 
     def past(self, seq: int) -> Past:
         """Return the run up to this event."""
         past = self._kept[(seq + 1) // EVERY].copy()
-        for at in range(past.seq + 1, seq + 1):
-            past.add(self.record.events[at], self.record.times_us[at])
+        for number in range(past.seq + 1, seq + 1):
+            past.add(self.record.events[number], self.record.times_us[number])
         return past
 
 
 def past_at(pieces: Iterable[LedgerRun], time_us: int) -> Past:
-    """Return a run up to this time, at least up to event 0, in memory that hardly grows with the run."""
+    """Return a run up to this time, at least up to event 0, with memory nearly independent of its length."""
     events = ((us, event) for piece in pieces for us, event in zip(piece.times_us, piece.events, strict=True))
     begun_us, started = next(events)
     past = Past(started, State())
     past.add(started, begun_us)
-    for us, event in takewhile(lambda one: one[0] <= time_us, events):
+    for us, event in takewhile(lambda timed: timed[0] <= time_us, events):
         past.add(event, us)
     return past
 
@@ -113,15 +113,15 @@ MOVES = {
     "first": "event 0",
     "last": "the last event",
 }
-"""By name, where each move of a walk leads."""
+"""The target of each move of a walk, by name."""
 _SEQ = re.compile(r"[0-9]{1,16}")
 
 
 class Walk:
-    """A place in a run, at an event. A move that leads nowhere stays there and says so."""
+    """A cursor on the events of a run. A move that leads nowhere does not change it, and returns why."""
 
     def __init__(self, record: LedgerRun, words: list[str], seq: int = 0) -> None:
-        """Begin at an event; `words` are those of each event."""
+        """Begin at the event `seq`; `words` are the texts of all events."""
         self.record = record
         self.words = words
         self.seq = seq
@@ -132,7 +132,7 @@ class Walk:
         Args:
             name: One of `MOVES`.
             about: The robot, text, time or seq that it needs.
-            seq_at: Reads a time, and finds the last event that has happened by then.
+            seq_at: Parses a time and returns the last event that has happened by then.
 
         Raises:
             UsageError: There is no such move, or it lacks what it needs.
@@ -145,10 +145,10 @@ class Walk:
             )
         if name in ("next-of", "go", "find") and not about:
             raise UsageError(f"move {name}: expected what to look for, {MOVES[name]}")
-        found = self._found(name, about, seq_at)
-        if found is None:
+        seq = self._found(name, about, seq_at)
+        if seq is None:
             return f"found none: {MOVES[name].partition(':')[0]}"
-        self.seq = found
+        self.seq = seq
         return None
 
     def _found(self, name: str, about: str, seq_at: Callable[[str], int] | None) -> int | None:
@@ -184,17 +184,17 @@ class Walk:
 
 
 def _is_decision(event: Event) -> bool:
-    """Tell whether the record names who decided it."""
+    """Return whether the record names who decided it."""
     return flat(event).get("decided_by") is not None
 
 
 def _names(event: Event, robot: str) -> bool:
-    """Tell whether a field of the event, or an item of one, is this robot."""
-    return any(robot == one or (isinstance(one, tuple) and robot in one) for one in flat(event).values())
+    """Return whether a field of the event, or an item of one, is this robot."""
+    return any(robot == value or (isinstance(value, tuple) and robot in value) for value in flat(event).values())
 
 
 class Belief(msgspec.Struct, frozen=True):
-    """What a decider believes about a robot, when it was so, how old that is, and what holds now.
+    """What a decider believes about a robot, when that was so, how old it is, and what holds now.
 
     Units: `as_of_s` run time, `age_s` seconds. `believed` is None where it was never told, or where that is not
     observed, and then `was_told` is None, too. `holds` is None where that is not observed.
@@ -222,23 +222,25 @@ def deciders(state: State) -> list[str]:
         for robot in robots
         for kind in ("planning", "execution", "communication", "recovery")
     ]
-    supervisors = dict.fromkeys(one.supervisor for one in state.fleet.robots.values() if one.supervisor is not None)
+    supervisors = dict.fromkeys(
+        member.supervisor for member in state.fleet.robots.values() if member.supervisor is not None
+    )
     return [*dict.fromkeys([COORDINATOR, REGISTRY, *robots, *supervisors, FLEET_SUPERVISOR, *agents])]
 
 
 def beliefs(past: Past, decider: str, now_us: int) -> list[Belief]:
     """Return what a decider had been told by then, about each robot in order.
 
-    `now_us` is the moment, which the last event of the past may lie before: what was told ages without events.
+    `now_us` may be later than the last event of the past: beliefs age without events.
 
     Raises:
         UsageError: There is no such principal, or it decides on the present state and keeps no copies.
     """
-    state, known = past.state, deciders(past.state)
-    if decider not in known:
-        hint = printable.did_you_mean(decider, known) or ";"
+    state, names = past.state, deciders(past.state)
+    if decider not in names:
+        hint = printable.did_you_mean(decider, names) or ";"
         raise UsageError(
-            f"{printable.value(decider)}: there is no such principal{hint} expected one of {printable.some(known)}"
+            f"{printable.value(decider)}: there is no such principal{hint} expected one of {printable.some(names)}"
         )
     last = _Last(past, now_us)
     robots = {str(robot): robot for robot in state.fleet.robots}
@@ -258,7 +260,7 @@ def beliefs(past: Past, decider: str, now_us: int) -> list[Belief]:
 
 
 class _Last:
-    """When somebody was last told something, and what the run observes."""
+    """When principals were last told something, and what the run observes."""
 
     def __init__(self, past: Past, now_us: int) -> None:
         self._told_us, self.now_us = past.told_us, now_us
@@ -273,24 +275,24 @@ class _Last:
     ) -> Belief:
         """Return a belief of that age.
 
-        What was told, and what holds, come after the concern that they rest on; what holds may rest on several.
+        `told` and `holds` are pairs of a concern and the value that rests on it; what holds may rest on several.
         """
         believed, holding = self._seen.of(*told), holds[0][1]
         was_told = self._seen.of(told[0], told[1] is not None)
-        held = None if any(self._seen.of(*one) is None for one in holds) else holding
+        held = None if any(self._seen.of(*entry) is None for entry in holds) else holding
         if as_of_us is None or believed is None:
             return Belief(about, what, believed, None, None, held, was_told)
         return Belief(about, what, believed, as_of_us / 1e6, (self.now_us - as_of_us) / 1e6, held, was_told)
 
 
 def _of_coordinator(state: State, last: _Last) -> Iterator[Belief]:
-    """Yield what the coordinator's last copy says. A robot that it does not list allows, is idle and not degraded."""
+    """Yield what the coordinator's last copy says. A robot not listed there allows, is idle and not degraded."""
     copy, as_of_us, world = state.knowledge.copy, last.time_us(CopySynced), state.world
     for robot in state.fleet.robots:
-        own, fleet = in_force(world.local, robot), in_force(world.fleet, robot)
+        local, fleet = in_force(world.local, robot), in_force(world.fleet, robot)
         busy = _yes(robot in state.execution.current)
         told: tuple[tuple[str, str, tuple[tuple[str, str], ...]], ...] = (
-            ("own policy", _outcome(robot, copy.local_deny, copy.local_review), (("policy", own),)),
+            ("own policy", _outcome(robot, copy.local_deny, copy.local_review), (("policy", local),)),
             ("fleet's rule", _outcome(robot, copy.fleet_deny, copy.fleet_review), (("policy", fleet),)),
             ("busy", _yes(robot in copy.busy), (("execution", busy), ("recovery", busy))),
             ("degraded", _yes(robot in copy.degraded), (("world", _yes(robot in world.degraded)),)),
@@ -301,15 +303,15 @@ def _of_coordinator(state: State, last: _Last) -> Iterator[Belief]:
 
 
 def _of_robot(state: State, robot: Robot, last: _Last) -> Iterator[Belief]:
-    """Yield what a robot knows of itself, and what it was told of the fleet's rule, its peers and the registry."""
+    """Yield what a robot knows of itself, and what it was told about the fleet's rule, its peers and the registry."""
     holds = ("policy", in_force(state.world.local, robot))
     yield last.belief(robot, "own policy", holds, last.now_us, holds)
     as_of_us = state.knowledge.fleet_rule_as_of_us.get(robot)
     believed = state.knowledge.fleet_rule.get(robot)
     rule = ("policy", in_force(state.world.fleet, robot))
     yield last.belief(robot, "fleet's rule", ("knowledge", believed), as_of_us, rule)
-    for (one, peer), until_us in state.knowledge.met.items():
-        if one == robot:
+    for (knower, peer), until_us in state.knowledge.met.items():
+        if knower == robot:
             is_known = _yes(until_us > last.now_us)
             yield last.belief(peer, "a peer it met", ("knowledge", is_known), None, ("knowledge", "yes"))
     cache = state.registry.caches.get(robot)
@@ -326,16 +328,16 @@ def _of_planner(state: State, robot: Robot, last: _Last) -> Iterator[Belief]:
 
 
 def _of_registry(state: State, last: _Last) -> Iterator[Belief]:
-    """Yield the availability that the registry shows of each robot, and how the robot is."""
+    """Yield each robot's availability according to the registry, and its actual state."""
     for robot in state.fleet.robots:
-        shown = sorted({one.availability for one in surface(state.registry, robot)})
-        is_busy = "busy" in shown and robot in state.execution.current  # most architectures do not advertise that
+        states = sorted({offer.availability for offer in surface(state.registry, robot)})
+        is_busy = "busy" in states and robot in state.execution.current  # most architectures do not advertise that
         holds = "degraded" if robot in state.world.degraded else "busy" if is_busy else "ready"
         holds = "offline" if robot in state.world.off else holds
         yield last.belief(
             robot,
             "availability",
-            ("registry", ", ".join(shown) or "nothing"),
+            ("registry", ", ".join(states) or "nothing"),
             last.time_us(AvailabilityChanged, robot),
             *((concern, holds) for concern in ("world", "execution", "recovery", "registry")),
         )

@@ -1,10 +1,9 @@
 """Reads: what a decision looked up in the state, key by key, and which event last wrote it.
 
-A decision under observation gets a state that looks like the real one, notes what is read and gives plain values out.
+An observed decision gets a state that looks like the real one, notes what is read and returns plain values.
 Structures, mappings and sets are walked; everything else is read whole. So a path names the smallest thing that a
 decision can have depended on: a field of one action, the entry under one key, whether one robot is among those that
-are off. Whoever asks for a key that is not there has read its absence; whoever goes through a mapping has read all its
-keys.
+are off. Looking up a missing key reads its absence; iterating over a mapping reads all its keys.
 """
 
 from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence, Set
@@ -20,7 +19,7 @@ from fsar_ledger.projections.fold import ENDS, ROUTES, State, apply
 
 
 class Absent(Enum):
-    """What is read where nothing is."""
+    """The value of a read that finds nothing."""
 
     ABSENT = "absent"
 
@@ -35,7 +34,7 @@ class Step(NamedTuple):
 
     `field`: to the field of this name; `key`: to the value under this key; `has`: to whether the key, or the member, is
     there; `any`: to whether anything is; `keys`: to all keys, in order, or all members; `size`: to how many there are.
-    Only the first two lead on.
+    Only after the first two can another step follow.
     """
 
     kind: Kind
@@ -47,20 +46,20 @@ Path = tuple[Step, ...]
 
 
 class Reads:
-    """What was read, in order: each path with the value that was found there."""
+    """What was read, in order: each path with its value."""
 
     def __init__(self) -> None:
         self.values: dict[Path, object] = {}
 
     def state(self, state: State) -> State:
-        """Return the state as it looks to a decision under observation."""
-        shown = State.__new__(State)
+        """Return the state as an observed decision sees it."""
+        observed = State.__new__(State)
         for slot in State.__slots__:
-            setattr(shown, slot, self.shown(getattr(state, slot), (Step("field", slot),)))
-        return shown
+            setattr(observed, slot, self.shown(getattr(state, slot), (Step("field", slot),)))
+        return observed
 
     def shown(self, value: Any, path: Path) -> Any:
-        """Return the value as a decision sees it: what is read of it is noted, or itself if it has no parts."""
+        """Return the value as a decision sees it, with its reads noted; a value without parts is itself noted."""
         match value:
             case dict() | SharedMap():
                 return _Mapping(self, value, path)
@@ -120,7 +119,7 @@ def _whole(value: object) -> object:
 
 
 class _Members:
-    """What has keys or members, which are asked for one by one."""
+    """A container whose keys or members are looked up one by one."""
 
     __slots__ = ("_path", "_reads", "_value")
 
@@ -150,17 +149,17 @@ class _Mapping(_Members, Mapping[Any, Any]):
         if key not in self._value:
             self._reads.note(path, ABSENT)
             raise KeyError(key)
-        found = self._reads.shown(self._value[key], path)
-        if isinstance(found, _Structure | _Members):
+        value = self._reads.shown(self._value[key], path)
+        if isinstance(value, _Structure | _Members):
             _ = key in self
-        return found
+        return value
 
     def __iter__(self) -> Iterator[Any]:
         return iter(self._note(Step("keys"), tuple(self._value)))
 
 
 class _Set(_Members, Set[Any]):
-    """A set, whose members are asked for one by one."""
+    """A set, whose members are looked up one by one."""
 
     __slots__ = ()
 
@@ -173,7 +172,7 @@ class _Set(_Members, Set[Any]):
 
 
 def read_step(value: Any, step: Step) -> Any:
-    """Return what this step of a read finds; where the way ends early, there is nothing."""
+    """Return what this step of a read finds; nothing where the path ends early."""
     match step:
         case Step("field", name):
             return ABSENT if value is ABSENT else getattr(value, name)
@@ -190,9 +189,9 @@ def read_step(value: Any, step: Step) -> Any:
 
 
 class LastWrite(NamedTuple):
-    """Since when a path has its value: the seq of the event that wrote it, and of those that wrote its elements.
+    """The last write to a path: the seq of the event that wrote its value, and of those that wrote its elements.
 
-    `by` is None for what is as it was before the first event. `elements` are the events since which each element of a
+    `by` is None for what was there before the first event. `elements` are the events since which each element of a
     list, a set or a mapping's keys has been there; empty for anything else.
     """
 
@@ -201,9 +200,9 @@ class LastWrite(NamedTuple):
 
 
 class _WatchedPath:
-    """A place in the state, what is watched below it, and each change of its value where it is itself read.
+    """A path in the state, the paths watched below it, and the changes of its value if it is itself read.
 
-    A change is the seq of an event, and since when each element of the new value has been there.
+    A change is the seq of an event, and the seqs since which the elements of the new value have been there.
     """
 
     __slots__ = ("below", "changes", "since")
@@ -214,14 +213,14 @@ class _WatchedPath:
         self.since: dict[Any, int] = {}
 
     def at(self, path: Path) -> "_WatchedPath":
-        """Return the place to which the path leads from here, and watch the way to it."""
-        found = self
+        """Return the node at the path from here, and watch all nodes on the way."""
+        node = self
         for step in path:
-            found = found.below.setdefault(step, _WatchedPath())
-        return found
+            node = node.below.setdefault(step, _WatchedPath())
+        return node
 
     def look(self, before: object, after: object, seq: int) -> None:
-        """Note what the event with this seq changed here and below. What it left alone is the same object as before."""
+        """Note what the event with this seq changed here and below; what it did not change is the same object."""
         if before is after:
             return
         if self.changes is not None and before != after:
@@ -232,23 +231,23 @@ class _WatchedPath:
             below.look(read_step(before, step), read_step(after, step), seq)
 
     def before(self, seq: int) -> LastWrite:
-        """Return since when the value was what it was just before the event with this seq."""
+        """Return the last write before the event with this seq."""
         changes = [change for change in self.changes or () if change[0] < seq]
         return LastWrite(*changes[-1]) if changes else LastWrite(None)
 
 
 def last_writes(events: Sequence[Event], asked: Iterable[tuple[Path, int]]) -> dict[tuple[Path, int], LastWrite]:
-    """Return, for each path and seq, which events had written its value just before the event with that seq."""
-    whole = list(asked)
+    """Return, for each path and seq, which events had written its value before the event with that seq."""
+    queries = list(asked)
     root = _WatchedPath()
-    for path, _ in whole:
+    for path, _ in queries:
         root.at(path).changes = []
     state = State()
-    for seq in range(max((seq for _, seq in whole), default=0)):
+    for seq in range(max((seq for _, seq in queries), default=0)):
         kind = type(events[seq])
         names = State.__slots__ if kind in ENDS else [slot for slot, _ in ROUTES.get(kind, ())]
         slots = [(slot, getattr(state, slot)) for slot in names]
         apply(state, events[seq])
-        for slot, before in slots:
-            root.at((Step("field", slot),)).look(before, getattr(state, slot), seq)
-    return {(path, seq): root.at(path).before(seq) for path, seq in whole}
+        for slot, previous in slots:
+            root.at((Step("field", slot),)).look(previous, getattr(state, slot), seq)
+    return {(path, seq): root.at(path).before(seq) for path, seq in queries}

@@ -1,6 +1,6 @@
-"""How things stand at a moment of a run: what a person asks of a fleet, from its state.
+"""The situation of a fleet at a moment of a run, derived from its state.
 
-What rests on a concern that the run does not observe is None: nobody knows.
+What rests on a concern that the run does not observe is None, for unknown.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
@@ -30,15 +30,19 @@ EVERY_ROBOT = "every robot"
 class Coverage:
     """What the source of a run observes.
 
-    `lacking` has the concerns of which it does not record every event type, and how each is named to people.
+    `lacking` has the concerns of which it does not record every event type, each with its name for display.
     `is_in_part`: the run names the event types that it records. `tells_ends`: it records how executions end.
     """
 
     def __init__(self, started: Event) -> None:
         observes, records = getattr(started, "observes", ()), getattr(started, "records", None)
         partly = {CONCERN_OF.get(name) for name in records or ()}
-        unnamed = {one for name, one in CONCERN_OF.items() if name not in (records or ())} - {*observes}
-        self.lacking = {one: f"{one}{IN_PART}" if one in partly else one for one in CONCERNS if one in unnamed}
+        unnamed = {concern for name, concern in CONCERN_OF.items() if name not in (records or ())} - {*observes}
+        self.lacking = {
+            concern: f"{concern}{IN_PART}" if concern in partly else concern
+            for concern in CONCERNS
+            if concern in unnamed
+        }
         self.is_in_part = records is not None
         self.tells_ends = "execution" in observes or {"ExecutionFinished", "ExecutionWithdrawn"} <= {*(records or ())}
         self._names_supervisors = "fleet" in observes or "RobotJoined.supervisor" in (records or ())
@@ -52,9 +56,9 @@ class Coverage:
         return False if has_joined and self._names_supervisors else None
 
     def all(self, concern: str, values: Iterable[_T]) -> tuple[_T, ...] | None:
-        """Return the values, as `of`; of a run that records concerns in part, those that are on record."""
-        found = tuple(values)
-        return found if found and self.is_in_part else self.of(concern, found)
+        """Return the values, as `of`; of a run that records concerns in part, those on record."""
+        items = tuple(values)
+        return items if items and self.is_in_part else self.of(concern, items)
 
 
 class Window(msgspec.Struct, frozen=True):
@@ -83,10 +87,10 @@ class Work(msgspec.Struct, frozen=True):
 class RobotNow(msgspec.Struct, frozen=True):
     """A robot: whether it is on and linked, what it does and what waits, and what constrains it.
 
-    `work`: what it does, the newest first; empty: nothing, or not observed, of which `is_idle` tells. `offers`: its
-    advertised capabilities by availability. `departed`: how it has left the fleet, None: it has not, or not observed.
-    `grade` of its actuator, None: sound, or not observed; so is `supervisor`, of which `has_supervisor` tells. Any
-    other None: not observed.
+    `work`: what it does, newest first; empty: nothing, or not observed (see `is_idle`). `offers`: its advertised
+    capabilities by availability. `departed`: how it left the fleet, None: it has not, or not observed. `grade` of its
+    actuator, None: sound, or not observed. `supervisor` None: none, or not observed (see `has_supervisor`). Any other
+    None: not observed.
     """
 
     robot: str
@@ -107,7 +111,7 @@ class RobotNow(msgspec.Struct, frozen=True):
 
 
 class RequestNow(msgspec.Struct, frozen=True):
-    """An open request, and how far it is."""
+    """An open request, and its phase."""
 
     action_id: str
     requester: str
@@ -166,7 +170,7 @@ class TaskNow(msgspec.Struct, frozen=True):
 class TrustNow(msgspec.Struct, frozen=True):
     """An entry of trust: of a robot in a peer, or of every robot of a role in those of another; None: all of them.
 
-    One between a robot and every robot holds where no other entry does.
+    An entry between a robot and every robot applies where no other entry does.
     """
 
     robot: str
@@ -187,7 +191,7 @@ class RuleNow(msgspec.Struct, frozen=True):
 
 
 class Situation(msgspec.Struct, frozen=True, kw_only=True):
-    """How things stand after an event of a run. None: not observed, as `not_observed` says."""
+    """The situation after an event of a run. None: not observed; `not_observed` names the concerns."""
 
     robots: tuple[RobotNow, ...] | None
     requests: tuple[RequestNow, ...] | None
@@ -202,17 +206,17 @@ class Situation(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def situation(past: "Past", busy_us: Mapping[str, int], robot: str | None) -> Situation:
-    """Return how things stand then; with `robot`, what that robot has a part in. `busy_us` is facts/busy_before."""
+    """Return the situation then; with `robot`, only what involves it. `busy_us` is facts/busy_before."""
     state = past.state
-    known = dict.fromkeys((*state.fleet.robots, *state.execution.current))  # one that acts need not have joined
+    known = dict.fromkeys((*state.fleet.robots, *state.execution.current))  # an acting robot need not have joined
     robots = [name for name in known if robot in (None, name)]
     requests = [
-        RequestNow(one.action_id, one.requester, one.capability, one.target, _phase(one))
-        for one in _open_requests(past)
-        if robot in (None, one.requester, one.target)
+        RequestNow(request.action_id, request.requester, request.capability, request.target, _phase(request))
+        for request in _open_requests(past)
+        if robot in (None, request.requester, request.target)
     ]
-    names = {one.action_id for one in requests}
-    names |= {one for one in state.execution.actions if robot in (None, state.execution.actions[one].robot)}
+    names = {request.action_id for request in requests}
+    names |= {action for action in state.execution.actions if robot in (None, state.execution.actions[action].robot)}
 
     seen = Coverage(past.started)
     return Situation(
@@ -229,17 +233,21 @@ def situation(past: "Past", busy_us: Mapping[str, int], robot: str | None) -> Si
         ),
         recoveries=seen.all(
             "recovery",
-            (_recovery(action, one, seen) for action, one in state.recovery.items() if robot in (None, one.robot)),
+            (
+                _recovery(action, recovery, seen)
+                for action, recovery in state.recovery.items()
+                if robot in (None, recovery.robot)
+            ),
         ),
         calls=seen.all(
             "supervision",
             (
-                CallNow(number, one.supervisor, one.purpose, one.subject.action_id)
-                for number, one in state.supervision.calls.items()
-                if robot is None or one.subject.action_id in names
+                CallNow(number, call.supervisor, call.purpose, call.subject.action_id)
+                for number, call in state.supervision.calls.items()
+                if robot is None or call.subject.action_id in names
             ),
         ),
-        tasks=seen.all("task", (_task(one) for one in state.task.values() if robot in (None, one.robot))),
+        tasks=seen.all("task", (_task(task) for task in state.task.values() if robot in (None, task.robot))),
         trust=seen.all("trust", _trust(state, robot)),
         rules=seen.all("policy", _rules(state, robot)),
         off_shift=seen.all("supervision", sorted(state.world.off_shift)),
@@ -250,33 +258,37 @@ def situation(past: "Past", busy_us: Mapping[str, int], robot: str | None) -> Si
 def _open_requests(past: "Past") -> Iterator[Request]:
     """Yield the open requests, each with the robot that has it, or to which it has gone, as its target.
 
-    What nobody closes, such as what an abandoned task of another system's run asked for, is open only while it is
+    A request that no event closes, such as one of an abandoned task in another system's run, is open only while it is
     executed.
     """
     actions = past.state.execution.actions
-    for one in past.state.request.open.values():
-        if past.ends.is_over(one, actions):
+    for open_request in past.state.request.open.values():
+        if past.ends.is_over(open_request, actions):
             continue
-        action = actions.get(one.action_id)
-        asked = next((name for name in one.candidates[:1] if name == past.asked.get(one.action_id)), None)
-        yield msgspec.structs.replace(one, target=one.target or (asked if action is None else action.robot))
+        action = actions.get(open_request.action_id)
+        sent_to = next(
+            (name for name in open_request.candidates[:1] if name == past.asked.get(open_request.action_id)), None
+        )
+        yield msgspec.structs.replace(
+            open_request, target=open_request.target or (sent_to if action is None else action.robot)
+        )
 
 
-def _recovery(action: str, one: Recovery, seen: Coverage) -> RecoveryNow:
-    is_seen = one.number > 0 or one.level != "local" or "recovery" not in seen.lacking
-    level, attempts = (one.level, one.number) if is_seen else (None, None)
-    return RecoveryNow(action, one.robot, one.cause, level, attempts, one.detected_us / 1e6 or None)
+def _recovery(action: str, recovery: Recovery, seen: Coverage) -> RecoveryNow:
+    is_seen = recovery.number > 0 or recovery.level != "local" or "recovery" not in seen.lacking
+    level, attempts = (recovery.level, recovery.number) if is_seen else (None, None)
+    return RecoveryNow(action, recovery.robot, recovery.cause, level, attempts, recovery.detected_us / 1e6 or None)
 
 
-def _task(one: Task) -> TaskNow:
+def _task(task: Task) -> TaskNow:
     return TaskNow(
-        one.task_id,
-        one.robot or None,
-        one.step,
-        len(one.steps) if one.has_arrived and one.steps else None,
-        one.steps[one.step] if 0 <= one.step < len(one.steps) else None,
-        one.attempt,
-        one.due_us / 1e6 or None,
+        task.task_id,
+        task.robot or None,
+        task.step,
+        len(task.steps) if task.has_arrived and task.steps else None,
+        task.steps[task.step] if 0 <= task.step < len(task.steps) else None,
+        task.attempt,
+        task.due_us / 1e6 or None,
     )
 
 
@@ -289,9 +301,9 @@ def _trust(state: State, robot: str | None) -> Iterator[TrustNow]:
         if _has_role(state, robot, (role, peer_role), domain):
             for (capability, task), scope in entries.items():
                 yield TrustNow(_role(role, domain), f"role {peer_role}", scope, capability, task)
-    for (one, is_trusting), scope in state.trust.initial.items():
-        if robot in (None, one):
-            trusting, trusted = (one, EVERY_ROBOT) if is_trusting else (EVERY_ROBOT, one)
+    for (name, is_trusting), scope in state.trust.initial.items():
+        if robot in (None, name):
+            trusting, trusted = (name, EVERY_ROBOT) if is_trusting else (EVERY_ROBOT, name)
             yield TrustNow(trusting, trusted, scope, None, None)
 
 
@@ -309,9 +321,11 @@ def _role(role: str, domain: str) -> str:
 
 
 def _has_role(state: State, robot: str | None, roles: tuple[str, ...], domain: str) -> bool:
-    """Return whether the robot has one of these roles in the domain; True if no robot is asked for."""
+    """Return whether the robot has one of these roles in the domain; True if `robot` is None."""
     return robot is None or any(
-        one.role in roles and is_within(one.domain, domain) for one in state.fleet.robots.values() if one.name == robot
+        member.role in roles and is_within(member.domain, domain)
+        for member in state.fleet.robots.values()
+        if member.name == robot
     )
 
 
@@ -319,10 +333,10 @@ def _robot(past: "Past", name: Robot, seen: Coverage, is_known: bool) -> RobotNo
     state = past.state
     world, member = state.world, state.fleet.robots.get(name, Member(name, "", 0, None))
     offers: dict[str, tuple[str, ...]] = {}
-    for one in surface(state.registry, name):
-        offers[one.availability] = (*offers.get(one.availability, ()), one.capability)
+    for offer in surface(state.registry, name):
+        offers[offer.availability] = (*offers.get(offer.availability, ()), offer.capability)
     doing, waiting = doing_and_waiting(state.execution, name)
-    work = tuple(found for action in doing if (found := _work(state, action, seen)) is not None)
+    work = tuple(current for action in doing if (current := _work(state, action, seen)) is not None)
     return RobotNow(
         name,
         member.role or None,
@@ -336,14 +350,14 @@ def _robot(past: "Past", name: Robot, seen: Coverage, is_known: bool) -> RobotNo
         seen.of("world", world.obstructions.get(name, ())),
         False if work else seen.of("execution", seen.of("recovery", True if is_known else None)),
         work,
-        seen.of("execution", tuple(one.removeprefix(HELPING) for one in waiting)),
+        seen.of("execution", tuple(action.removeprefix(HELPING) for action in waiting)),
         seen.all("policy", _windows(past, name)),
         seen.of("registry", offers),
     )
 
 
 def _work(state: State, name: str, seen: Coverage) -> Work | None:
-    """Return what a robot has in hand; None where its source does not record how executions end."""
+    """Return an action of a robot as its work; None where its source does not record how executions end."""
     action = state.execution.actions.get(name)
     if action is None:
         return Work(name.removeprefix(HELPING), None, "helping", None, None)
@@ -363,7 +377,7 @@ def _windows(past: "Past", name: Robot) -> Iterator[Window]:
 
 
 def _phase(request: Request) -> str:
-    """Say how far a request is. Paper: eq:request."""
+    """Return the phase of a request, in words. Paper: eq:request."""
     if request.result is not None:
         return f"done, {request.result}; to be closed"
     if request.is_unanswered:

@@ -35,7 +35,7 @@ from . import starts_of
 from .fork_base import Base, Refusal, base_of_record, refusal, rerun
 
 EVENTS_AT_ONCE = 200_000
-"""Events of pairs that are judged together."""
+"""Events of pairs judged together."""
 BATCH_RUNS = 25  # runs in a commit
 
 RUNS = """
@@ -46,7 +46,7 @@ RUNS = """
     FROM run_metrics
     ORDER BY run_id, metric
 """
-"""The rows of `side_runs`, without what pairs of runs from different worlds would need."""
+"""The rows of `side_runs`, without what only pairs of runs from different worlds need."""
 EFFECTS = """
     SELECT
         definitions.metric,
@@ -84,7 +84,7 @@ UNKNOWN = {"fork_mean": None, "difference": None, "n": 0, "differing_pairs": 0}
 
 
 class Pair(NamedTuple):
-    """A base and its fork, and what is refused of the changes there."""
+    """A base, its fork, and the refusal of changes there, if any."""
 
     base: Base
     fork: Fork
@@ -97,11 +97,11 @@ class Pair(NamedTuple):
 
 
 class Divergence(msgspec.Struct, frozen=True):
-    """A base and its fork by name, and the first seq and time at which they part; None: they do the same.
+    """A base and its fork by name, and the first seq and time at which they differ; None: they do the same.
 
     `ends_s`: when the fork of a live run ends before all has happened, `ends` why, and `question` what an `answer` to
-    it would name; None: it does not end there. `left_out`: commands on record that nobody would have given in it.
-    `refused`: why a change is refused there, a command rejected for one; what differs only in that is the same.
+    it would name; None: it does not end there. `left_out`: commands on record that would not have been given in it.
+    `refused`: why a change is refused there, such as a rejected command; a fork that differs only in that is the same.
     Units: seconds of run time.
     """
 
@@ -128,7 +128,7 @@ class Effect(msgspec.Struct, frozen=True, kw_only=True):
 
     The means are over `n` pairs, those in which both have it or, of a ratio over all pairs, record it; in
     `differing_pairs` of them it differs. `low`, `high` (95 %), `test` (`paired t` or the exact `sign` test) and `p` are
-    those of `compare` (`statistics/side_differences`). `gain`: so many times as many runs would be as precise.
+    those of `compare` (`statistics/side_differences`). `gain`: as `statistics/side_gains`.
     None: what one pair or equal pairs do not have; means where the metric is undefined, of several also where `n` is 0.
     """
 
@@ -146,7 +146,7 @@ class Effect(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Effects(msgspec.Struct, frozen=True, kw_only=True):
-    """The effects on the runs of one side, as `compare` has them: pairs, how many of them part, and each metric.
+    """The effects on the runs of one side of `compare`: pairs, how many of them diverge, and each metric.
 
     `side` is its name there, `fsar:full@A/4`; None: of a single run. `refused`: why, and in how many of the pairs, a
     change is refused.
@@ -162,22 +162,22 @@ class Effects(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def forks_of(bases: Iterable[Base], changes: Changes) -> Iterator[Pair]:
-    """Yield each base with its fork; what a name does not mean in a run changes nothing there.
+    """Yield each base with its fork; a name that matches nothing in a run changes nothing there.
 
     Raises:
         UsageError: A base cannot be made again, or a change is impossible there.
     """
     for base in bases:
-        made = rerun(base)
+        repeated = rerun(base)
         try:
-            fork = made.played(changes)
+            fork = repeated.played(changes)
         except UsageError as error:
             raise UsageError(f"{error}{of_run(base.record.run_id)}") from error
-        yield Pair(base, fork, refusal(made, changes, fork))
+        yield Pair(base, fork, refusal(repeated, changes, fork))
 
 
 def of_run(run: str, others: str = "") -> str:
-    """Say at the end of an error which run it is about, and what is so in the others."""
+    """Return the end of an error message: the run that it is about, and what is true of the others."""
     return f"; that is run {printable.value(run)}{', and ' if others else ''}{others}"
 
 
@@ -188,14 +188,14 @@ def refused_in_all(pairs: Sequence[tuple[str, str]]) -> UsageError:
 
 
 def refused_in(pairs: Iterable[str | None]) -> list[RefusedChange]:
-    """Return in how many pairs a change is refused for which reason, the most frequent first."""
+    """Return the reasons for which changes are refused, each with its number of pairs, the most frequent first."""
     return [RefusedChange(reason, count) for reason, count in Counter(filter(None, pairs)).most_common()]
 
 
 def effects(pairs: Iterable[Pair]) -> tuple[list[Divergence], list[Effects]]:
     """Judge the pairs by every metric, for each architecture and configuration of the bases, in order.
 
-    They are judged some at a time, so that many take no more memory than few.
+    They are judged in batches, so that memory does not grow with their number.
 
     Raises: as `Database.rows`, and as what yields the pairs.
     """
@@ -209,21 +209,21 @@ def effects_over(
     names: Mapping[str, str],
     progress: Callable[[int], None] | None,
 ) -> tuple[list[Divergence], list[Effects]]:
-    """Fork these runs of a ledger, by a cluster if there is one, and judge the pairs as `effects` does.
+    """Fork these runs of a ledger, on a cluster if there is one, and judge the pairs as `effects` does.
 
-    `names` are those of the sides, by the column `side` of `sides`. `progress` is called with the forks that were
+    `names` are those of the sides, by the column `side` of `sides`. `progress` is called with the number of forks
     played.
 
-    Raises: as `fork_pairs` and `Database.rows`; SequenceConflict if another process finds another ledger there.
+    Raises: as `fork_pairs` and `Database.rows`; SequenceConflict if another process finds a different ledger there.
     """
     parts = _parts(view, runs)
-    path, root, found = str(view.path.absolute()), view.head.root, list[_JudgedPairs]()
+    path, root, judged = str(view.path.absolute()), view.head.root, list[_JudgedPairs]()
     with pool_of(1) as pool:
         for part in (pool.map if pool else map)(_forked, repeat(path), repeat(root), parts, repeat(changes)):
-            found.append(part)
+            judged.append(part)
             if progress is not None:
-                progress(sum(len(divergences) for divergences, _ in found))
-    return _compared(found, names)
+                progress(sum(len(divergences) for divergences, _ in judged))
+    return _compared(judged, names)
 
 
 def _forked(ledger: str, root: str, runs: Sequence[str], changes: Changes) -> "_JudgedPairs":
@@ -238,7 +238,7 @@ def _forked(ledger: str, root: str, runs: Sequence[str], changes: Changes) -> "_
 
 
 _JudgedPairs = tuple[list[Divergence], list[pa.Table]]
-"""Where pairs part, and the metrics of both runs of each."""
+"""Where pairs diverge, and the metrics of both runs of each."""
 
 
 def _judged(pairs: Iterable[Pair]) -> _JudgedPairs:
@@ -247,8 +247,8 @@ def _judged(pairs: Iterable[Pair]) -> _JudgedPairs:
     with without_collection():
         for batch in parts_of(pairs, lambda pair: sum(len(run.events) for run in pair.records), EVENTS_AT_ONCE):
             parted += map(_divergence, batch)
-            with from_table(encode_coded([run for pair in batch for run in pair.records])) as held:
-                rows.append(held.table(RUNS))
+            with from_table(encode_coded([run for pair in batch for run in pair.records])) as database:
+                rows.append(database.table(RUNS))
     return parted, rows
 
 
@@ -263,24 +263,24 @@ def _compared(judged: Iterable[_JudgedPairs], names: Mapping[str, str] = {}) -> 
     every = pa.concat_tables(rows)
     side_of = dict(zip(every.column("run_id").to_pylist(), every.column("side").to_pylist(), strict=True))
     groups: dict[tuple[str, str], list[Divergence]] = {}
-    for one in parted:
-        groups.setdefault((side_of[one.base], side_of[one.fork]), []).append(one)
+    for divergence in parted:
+        groups.setdefault((side_of[divergence.base], side_of[divergence.fork]), []).append(divergence)
     found = [(base, _effects(every, base, fork, group)) for (base, fork), group in groups.items()]
-    return parted, [msgspec.structs.replace(one, side=names.get(base)) for base, one in found]
+    return parted, [msgspec.structs.replace(effect, side=names.get(base)) for base, effect in found]
 
 
 def _divergence(pair: Pair) -> Divergence:
     (base, fork), refused = pair.records, pair.refused
-    at = None if refused is not None and refused.is_same else pair.fork.parts_at
+    seq = None if refused is not None and refused.is_same else pair.fork.parts_at
     why = None if refused is None else refused.why
-    times = [] if at is None else [run.times_us[at] for run in pair.records if at < len(run.times_us)]
+    times = [] if seq is None else [run.times_us[seq] for run in pair.records if seq < len(run.times_us)]
     parted_s = min(times) / 1e6 if times else None
-    left_out = tuple(f"{one.command} of {one.issued_by}" for one in pair.fork.left_out)
+    left_out = tuple(f"{command.command} of {command.issued_by}" for command in pair.fork.left_out)
     end = pair.fork.end
     if end is None:
-        return Divergence(base.run_id, fork.run_id, at, parted_s, left_out=left_out, refused=why)
+        return Divergence(base.run_id, fork.run_id, seq, parted_s, left_out=left_out, refused=why)
     ends_s = end.time_us / 1e6
-    return Divergence(base.run_id, fork.run_id, at, parted_s, ends_s, end.words, end.question, left_out, why)
+    return Divergence(base.run_id, fork.run_id, seq, parted_s, ends_s, end.words, end.question, left_out, why)
 
 
 def _effects(every: pa.Table, base: str, fork: str, group: Sequence[Divergence]) -> Effects:
@@ -288,8 +288,8 @@ def _effects(every: pa.Table, base: str, fork: str, group: Sequence[Divergence])
         is_its = pc.and_(pc.equal(every.column("side"), side), pc.is_in(every.column("run_id"), pa.array(runs)))
         return every.filter(is_its)
 
-    bases = of(base, [one.base for one in group])
-    with beside(of(fork, [one.fork for one in group]), bases) as database:
+    bases = of(base, [divergence.base for divergence in group])
+    with beside(of(fork, [divergence.fork for divergence in group]), bases) as database:
         if len(group) > 1:
             rows = typed(database.rows(EFFECTS), Effect)
         else:
@@ -299,8 +299,8 @@ def _effects(every: pa.Table, base: str, fork: str, group: Sequence[Divergence])
         architecture=bases.column("architecture")[0].as_py(),
         configuration=bases.column("configuration")[0].as_py(),
         pairs=len(group),
-        diverging=sum(one.parts_at is not None for one in group),
-        refused=refused_in(one.refused for one in group),
+        diverging=sum(divergence.parts_at is not None for divergence in group),
+        refused=refused_in(divergence.refused for divergence in group),
         rows=rows,
     )
 
@@ -308,18 +308,18 @@ def _effects(every: pa.Table, base: str, fork: str, group: Sequence[Divergence])
 def commit_pairs(out: Path, pairs: Iterable[Pair]) -> Head:
     """Commit each base and its fork to a ledger, which is created if there is none; return its head.
 
-    What it holds already is left out.
+    Runs that it already holds are skipped.
 
     Raises:
         NotALedger, FormatVersionMismatch, LedgerCorrupted, UsageError, WriteFailed: See `Writer`.
     """
     with Writer(out, ORIGIN) as writer, without_collection():
-        held = {*writer.existing_runs().runs}
+        existing = {*writer.existing_runs().runs}
 
         def missing() -> Iterator[LedgerRun]:
             for record in (record for pair in pairs for record in pair.records):
-                if record.run_id not in held:
-                    held.add(record.run_id)
+                if record.run_id not in existing:
+                    existing.add(record.run_id)
                     yield record
 
         for waiting in parts_of(missing(), lambda _: 1, BATCH_RUNS):
@@ -328,13 +328,13 @@ def commit_pairs(out: Path, pairs: Iterable[Pair]) -> Head:
 
 
 def changes_of(asked: str | Sequence[str]) -> Changes:
-    """Return the changes of these texts and files; each base says what held before. Raises: UsageError."""
+    """Return the changes of these texts and files; `before` comes from each base instead. Raises: UsageError."""
     texts = [asked] if isinstance(asked, str) else asked
-    if not isinstance(texts, Sequence) or not all(isinstance(one, str) for one in texts):
+    if not isinstance(texts, Sequence) or not all(isinstance(text, str) for text in texts):
         raise UsageError(
             f"changes: found {asked!r:.80}, expected a text, or a list of texts; an empty one changes nothing"
         )
-    parts = [read_changes(Path(one)) if one.endswith(".toml") else parsed([one]) for one in texts]
+    parts = [read_changes(Path(text)) if text.endswith(".toml") else parsed([text]) for text in texts]
     replace = msgspec.structs.replace
     return tuple(replace(one, before=None) if hasattr(one, "before") else one for part in parts for one in part)
 
@@ -343,7 +343,7 @@ def answers_of(model: str | None) -> tuple[str, ...]:
     """Return the change by which this model (`model:7`) answers what the record of a live run does not.
 
     Raises:
-        UsageError: It is none.
+        UsageError: `model` is not of that form.
     """
     if model is None:
         return ()
@@ -353,7 +353,7 @@ def answers_of(model: str | None) -> tuple[str, ...]:
 
 
 def runs_of(view: View, architectures: Sequence[str], kinds: Sequence[str] = ("simulated",)) -> list[str]:
-    """Return the runs of these kinds and architectures, or all, but no forks and none that another continues.
+    """Return the runs of these kinds and architectures (or all), without forks and runs that another continues.
 
     Raises:
         UsageError: There is none.
@@ -364,17 +364,17 @@ def runs_of(view: View, architectures: Sequence[str], kinds: Sequence[str] = ("s
     ]
     starts = [(run, one) for run, one in starts if one.kind != "live" or one.source == SOURCE]
     names = {started.architecture or "" for _, started in starts}
-    for asked in architectures:
-        if asked not in names:
-            hint = printable.did_you_mean(asked, names) or ";"
+    for name in architectures:
+        if name not in names:
+            hint = printable.did_you_mean(name, names) or ";"
             raise UsageError(
-                f"{option('architecture', printable.value(asked))}: there is no such run{hint} expected one of "
+                f"{option('architecture', printable.value(name))}: there is no such run{hint} expected one of "
                 f"{', '.join(sorted(names)) or 'none: it holds no simulated run'}"
             )
-    found = [run for run, started in starts if not architectures or started.architecture in architectures]
-    if not found:
+    chosen = [run for run, started in starts if not architectures or started.architecture in architectures]
+    if not chosen:
         raise UsageError(f"{view.path}: found no {kinds[0]} run that is not a fork itself, expected some to fork from")
-    return found
+    return chosen
 
 
 def fork_pairs(view: View, runs: Sequence[str], changes: Changes) -> Iterator[Pair]:
@@ -384,13 +384,13 @@ def fork_pairs(view: View, runs: Sequence[str], changes: Changes) -> Iterator[Pa
 
 
 def _parts(view: View, runs: Sequence[str]) -> list[list[str]]:
-    """Return these runs in the order in which they end on record, as many together as are judged at once."""
-    asked = dict.fromkeys(runs, 0)
+    """Return these runs in the order in which they end on record, in the batches that are judged together."""
+    sizes = dict.fromkeys(runs, 0)
     for extent in sorted(view.extents(), key=lambda extent: extent.end):
-        if extent.run in asked:
-            rows = asked.pop(extent.run)
-            asked[extent.run] = rows + 2 * extent.rows
-    return list(parts_of(asked, asked.__getitem__, EVENTS_AT_ONCE))
+        if extent.run in sizes:
+            rows = sizes.pop(extent.run)
+            sizes[extent.run] = rows + 2 * extent.rows
+    return list(parts_of(sizes, sizes.__getitem__, EVENTS_AT_ONCE))
 
 
 def fork_of(view: View, record: LedgerRun, changes: Changes) -> Pair:

@@ -1,7 +1,7 @@
-"""Why an event happened: what triggered it, what the decision read, who wrote that, and what was answered at ports.
+"""Why an event happened: its trigger, what the decision read and which events wrote that, and the answers at ports.
 
-The run is made again under observation. Handlers are functions of the state and a command, or an event: the decisions
-that are asked for, and the reactions that scheduled them, get a state that notes what they read (`reads.py`).
+The run is made again under observation. Handlers are functions of the state and a command or an event: the requested
+decisions, and the reactions that scheduled them, get a state that notes what they read (`reads.py`).
 """
 
 from collections.abc import Collection, Iterable, Iterator, Mapping
@@ -28,11 +28,11 @@ from fsar_ledger.runtime.simulation import founding_of, handler_table_of
 from .reads import ABSENT, LastWrite, Path, Reads, last_writes
 
 ReadValues = dict[Path, object]
-"""What was read: each path, in order, with the value found there."""
+"""What was read: each path, in order, with its value."""
 
 
 class Reaction(NamedTuple):
-    """What scheduled a decision: the function, what it read, and the questions that it asked at ports, answered."""
+    """What scheduled a decision: the function, what it read, and its questions at ports with their answers."""
 
     handler: str
     reads: ReadValues
@@ -43,7 +43,7 @@ class Decision(NamedTuple):
     """How a batch of events was made: the function, its command, and what it read.
 
     `reaction` is None for a command that came from outside. `waited_for` are the seqs of the facts that brought back a
-    robot or a link for which the command had been kept.
+    robot or a link that the command had been held back for.
     """
 
     handler: str
@@ -54,36 +54,36 @@ class Decision(NamedTuple):
 
 
 def first_of(record: LedgerRun, seq: int) -> int:
-    """Return the seq of the first event that was made together with this one."""
+    """Return the seq of the first event of the batch that this one belongs to."""
     cause = record.caused_by[seq]
     return seq if cause is None or record.times_us[cause] != record.times_us[seq] else cause
 
 
 def decisions(record: LedgerRun, seqs: Collection[int]) -> dict[int, Decision]:
-    """Return how the batches that begin at these seqs were made; those of the world and the founding by nobody.
+    """Return the decisions behind the batches that begin at these seqs; those of the world and the founding have none.
 
     Raises:
-        UsageError: This version cannot make the run again, or makes another one than is recorded.
+        UsageError: This version cannot make the run again, or makes one that differs from the record.
     """
     run, started = printable.value(record.run_id), start_of(record)
     try:
         recipe = recipe_of(record, started)
-    except CannotReplay as found:
-        raise UsageError(f"run {run}: {found}; only a run that can be made again shows what was read") from found
+    except CannotReplay as reason:
+        raise UsageError(f"run {run}: {reason}; only a run that can be made again shows what was read") from reason
     try:
-        watched = _ObservedKernel(record, started, recipe, seqs)
-        run_to_end(watched, watched.edited, recipe)
+        kernel = _ObservedKernel(record, started, recipe, seqs)
+        run_to_end(kernel, kernel.edited, recipe)
     except (LookupError, ValueError, RuntimeError, TypeError) as error:
         raise UsageError(
             f"run {run}: it cannot be made again ({error!s:.300}); run `fsar-ledger verify --replay`"
         ) from error
-    at = 0 if watched.events[0] != started else parts_at(record, record_of(watched))
+    at = 0 if kernel.events[0] != started else parts_at(record, record_of(kernel))
     if at is not None:
         raise UsageError(
             f"run {run}, event {at}: the record is not what its world and its handlers make, so nothing shows why; run "
             "`fsar-ledger verify --replay`, which says what differs"
         )
-    return watched.made
+    return kernel.made
 
 
 class _ObservedKernel(Kernel):
@@ -109,22 +109,22 @@ class _ObservedKernel(Kernel):
         }
 
     def set_environment(self, environment: Environment) -> None:
-        """From now on, let this environment answer, and note its answers."""
+        """Replace the environment that answers questions, and note its answers."""
 
         def answer(ask: Ask) -> int | None:
-            found = environment.answer(ask)
-            self._answers[id(ask)] = ask, found
-            return found
+            value = environment.answer(ask)
+            self._answers[id(ask)] = ask, value
+            return value
 
         self._answer = answer
 
     def _release(self, now_us: int) -> None:
-        kept = [scheduled.command for *_, scheduled in self._held_back]
+        held = [scheduled.command for *_, scheduled in self._held_back]
         super()._release(now_us)
-        still = {id(scheduled.command) for *_, scheduled in self._held_back}
-        for one in kept:
-            if id(one) not in still:
-                self._released.setdefault(id(one), (one, []))[1].append(len(self.events) - 1)
+        still_held = {id(scheduled.command) for *_, scheduled in self._held_back}
+        for held_command in held:
+            if id(held_command) not in still_held:
+                self._released.setdefault(id(held_command), (held_command, []))[1].append(len(self.events) - 1)
 
     def _decided(self, decide: Decide) -> Decide:
         def decided(state: State, command: Command) -> tuple[Event, ...]:
@@ -145,10 +145,10 @@ class _ObservedKernel(Kernel):
             if len(self.events) - 1 not in self._causes:
                 return react(state, event, now_us)
             reads = Reads()
-            found = react(reads.state(state), event, now_us)
-            for scheduled in found:
+            reactions = react(reads.state(state), event, now_us)
+            for scheduled in reactions:
                 self._scheduled[id(scheduled.command)] = scheduled, function_name(react), reads.values
-            return found
+            return reactions
 
         return reacted
 
@@ -156,13 +156,13 @@ class _ObservedKernel(Kernel):
         if id(command) not in self._scheduled:
             return None
         scheduled, handler, reads = self._scheduled[id(command)]
-        asked = scheduled.waits if scheduled.ask is None else (*scheduled.waits, scheduled.ask)
-        answers = (self._answers[id(ask)] for ask in asked)
+        asks = scheduled.waits if scheduled.ask is None else (*scheduled.waits, scheduled.ask)
+        answers = (self._answers[id(ask)] for ask in asks)
         return Reaction(handler, reads, tuple((ask, answer) for ask, answer in answers if answer is not None))
 
 
 DEPTH = 2
-"""How far a person looks unless told otherwise: the event, and the events that it rests on."""
+"""The default depth: the event, and the events that it rests on."""
 Origin = Literal["founding", "world", "command", "decision"]
 
 
@@ -174,9 +174,9 @@ class Read(msgspec.Struct, frozen=True):
             `request[A1-1/2.1]`.
         name: What of it: a field, the value under a `[key]`, `has KEY` (or member), `any`, all `keys` (or members), or
             the `size`; for a key of several parts, `*` stands for all.
-        value: What was found there, as JSON has it; None if `is_absent`.
+        value: What was found there, as JSON types; None if `is_absent`.
         is_absent: Whether nothing was found.
-        written_by: The seq of the event since which it is so; None if it is so since before the first event.
+        written_by: The seq of the event that last wrote it; None if it is unchanged since before the first event.
         elements: Of a list, a set or keys, the seqs of the events since which each element is there.
     """
 
@@ -197,7 +197,7 @@ class PortAnswer(msgspec.Struct, frozen=True):
 
 
 class DecisionTrace(msgspec.Struct, frozen=True, kw_only=True):
-    """How a batch of events came about, which one command made at one time.
+    """How a batch of events, made by one command at one time, came about.
 
     Attributes:
         seq: The first of the batch.
@@ -205,11 +205,11 @@ class DecisionTrace(msgspec.Struct, frozen=True, kw_only=True):
         origin: `founding`: the run begins with it; `world`: a fact of the world; `command`: somebody outside asked for
             it, or gave it; `decision`: an event triggered it.
         handler: The function that decided; None for the founding, the world and the giving of a command.
-        command: What it was asked to decide; None as for `handler`.
+        command: The command that it decided on; None as for `handler`.
         triggered_by: The seq of the event that triggered it; None if none did.
         scheduled_by: The function that scheduled it after that event; None if none did.
-        answers: What was asked at ports on the way, and answered.
-        waited_for: The seqs of the facts that brought back a robot or a link for which the command had been kept.
+        answers: The questions asked at ports on the way, with their answers.
+        waited_for: The seqs of the facts that brought back a robot or a link that the command had been held back for.
         scheduled_reads: What the scheduling function read.
         reads: What the decision read.
     """
@@ -228,14 +228,14 @@ class DecisionTrace(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def rests_on(self) -> tuple[int, ...]:
-        """Return the seqs of its trigger, of what it waited for, and of what wrote what was read; in order."""
+        """Return the seqs of its trigger, of what it waited for, and of the writers of what was read; in order."""
         reads = (*self.scheduled_reads, *self.reads)
-        found = {
+        seqs = {
             self.triggered_by,
             *self.waited_for,
             *(seq for read in reads for seq in (read.written_by, *read.elements)),
         }
-        return tuple(sorted(seq for seq in found if seq is not None))
+        return tuple(sorted(seq for seq in seqs if seq is not None))
 
 
 class Reasons(msgspec.Struct, frozen=True):
@@ -246,8 +246,8 @@ class Reasons(msgspec.Struct, frozen=True):
         seq: The event.
         triggers: The chain of triggers: the event's, the trigger of that one, and so on to a fact of the world, a
             command from outside or event 0.
-        made: How the event came about, then the events that it rests on, then those that these rest on, as deep as was
-            asked for; each batch once.
+        made: How the event came about, then the events that it rests on, then those that these rest on, to the
+            requested depth; each batch once.
     """
 
     run: str
@@ -257,10 +257,10 @@ class Reasons(msgspec.Struct, frozen=True):
 
     @property
     def seqs(self) -> list[int]:
-        """Return all events that are named, in order."""
+        """Return the seqs of all events named, in order."""
         named = {self.seq, *self.triggers}
-        for one in self.made:
-            named.update((one.seq, *one.rests_on))
+        for trace in self.made:
+            named.update((trace.seq, *trace.rests_on))
         return sorted(named)
 
 
@@ -270,24 +270,24 @@ def reasons(record: LedgerRun, seq: int, depth: int | None = DEPTH) -> Reasons:
     Args:
         record: The run.
         seq: An event of it.
-        depth: 1: how it came about; 2: and how what it rests on came about; and so on; None: all there is.
+        depth: 1: how it came about; 2: also how what it rests on came about; and so on; None: no limit.
 
     Raises:
         UsageError: The run cannot be made again, or not as recorded.
     """
-    made: dict[int, DecisionTrace] = {}
-    next_ones = [first_of(record, seq)]
-    while next_ones and (depth is None or depth > 0):
-        for one in _made(record, next_ones):
-            made[one.seq] = one
-        rests_on = [first_of(record, below) for above in next_ones for below in made[above].rests_on]
-        next_ones = [below for below in dict.fromkeys(rests_on) if below not in made]
+    batches: dict[int, DecisionTrace] = {}
+    pending = [first_of(record, seq)]
+    while pending and (depth is None or depth > 0):
+        for trace in _made(record, pending):
+            batches[trace.seq] = trace
+        rests_on = [first_of(record, below) for above in pending for below in batches[above].rests_on]
+        pending = [below for below in dict.fromkeys(rests_on) if below not in batches]
         depth = None if depth is None else depth - 1
-    return Reasons(record.run_id, seq, tuple(_triggers(record, seq)), tuple(made.values()))
+    return Reasons(record.run_id, seq, tuple(_triggers(record, seq)), tuple(batches.values()))
 
 
 def _triggers(record: LedgerRun, seq: int) -> Iterator[int]:
-    """Yield the trigger of the batch that has the event, and so on; event 0 only of the founding."""
+    """Yield the trigger of the batch that has the event, the trigger of that, and so on; event 0 is none."""
     while (cause := record.caused_by[first_of(record, seq)]) is not None and cause > 0:
         yield cause
         seq = cause
@@ -295,17 +295,17 @@ def _triggers(record: LedgerRun, seq: int) -> Iterator[int]:
 
 def _made(record: LedgerRun, firsts: list[int]) -> Iterator[DecisionTrace]:
     """Yield how the batches that begin at these seqs came about."""
-    found = decisions(record, firsts)
-    asked: list[tuple[Path, int]] = []
-    for seq, decision in found.items():
-        asked += [(path, seq) for path in decision.reads]
+    decided = decisions(record, firsts)
+    reads: list[tuple[Path, int]] = []
+    for seq, decision in decided.items():
+        reads += [(path, seq) for path in decision.reads]
         if decision.reaction is not None:
-            asked += [(path, _trigger(record, seq) + 1) for path in decision.reaction.reads]
-    writers = last_writes(record.events, asked)
+            reads += [(path, _trigger(record, seq) + 1) for path in decision.reaction.reads]
+    writers = last_writes(record.events, reads)
     for seq in firsts:
         count = _count(record, seq)
-        if seq in found:
-            yield _decided(record, seq, count, found[seq], writers)
+        if seq in decided:
+            yield _decided(record, seq, count, decided[seq], writers)
         else:
             itself: Origin = "command" if isinstance(record.events[seq], CommandGiven) else "world"
             yield DecisionTrace(seq=seq, count=count, origin="founding" if record.times_us[seq] == 0 else itself)
@@ -344,7 +344,7 @@ def _decided(
 
 
 def _count(record: LedgerRun, first: int) -> int:
-    """Return how many events the batch has that begins with this one."""
+    """Return the number of events of the batch that begins at this seq."""
     end = first + 1
     while end < len(record.events) and first_of(record, end) == first:
         end += 1
@@ -352,20 +352,20 @@ def _count(record: LedgerRun, first: int) -> int:
 
 
 def _answered(answers: Iterable[tuple[Ask, int]]) -> Iterator[PortAnswer]:
-    """Yield the questions that have a name; the others take no time."""
+    """Yield the questions that have a name, with their answers; the others take no time."""
     for ask, answer in answers:
         name = name_of(ask)
         if name is not None:
             yield PortAnswer(ask.port, name, Question(name, answer).text)
 
 
-def _reads(values: ReadValues, before: int, writers: Mapping[tuple[Path, int], LastWrite]) -> Iterator[Read]:
+def _reads(values: ReadValues, seq: int, writers: Mapping[tuple[Path, int], LastWrite]) -> Iterator[Read]:
     """Yield what was read just before the event with this seq."""
     for path, value in values.items():
         place, name = _words(path)
-        by = writers[path, before]
-        found = None if value is ABSENT else msgspec.to_builtins(value, str_keys=True, enc_hook=str)
-        yield Read(place, name, found, value is ABSENT, by.by, by.elements)
+        write = writers[path, seq]
+        plain = None if value is ABSENT else msgspec.to_builtins(value, str_keys=True, enc_hook=str)
+        yield Read(place, name, plain, value is ABSENT, write.by, write.elements)
 
 
 def _words(path: Path) -> tuple[str, str]:

@@ -20,10 +20,10 @@ DIFFERS = {
 }
 # See docs/decisions/pairs-met-the-same-world.md.
 FAULTS = ("facts", "repeated")
-"""Reasons that no experiment leads to: somebody else made, or changed, such runs."""
+"""Reasons that no experiment of ours leads to: such runs were made or changed elsewhere."""
 
 SOMEWHERE = "under some seeds or settings "
-"""What is said before that which other rows of the same comparison have."""
+"""Precedes what other rows of the same comparison do have."""
 
 WORLDS = """
     SELECT
@@ -138,18 +138,18 @@ class DifferingWorlds(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def is_fault(self) -> bool:
-        """Tell whether no experiment of ours leads to this."""
+        """Return whether no experiment of ours leads to this."""
         return self.differs in FAULTS
 
     def __str__(self) -> str:
-        one = self.first
+        pair = self.first
         count = f"{counted(self.pairs, 'pair')} of runs {'is' if self.pairs == 1 else 'are'} left out: they"
-        place = f"seed {one.seed}, {one.scenario}, {one.fleet_size} robots, run {one.run}"
-        found = (
-            f" has {one.first_found or 'nothing more'}, {one.second_run_id} has {one.second_found or 'nothing more'}"
+        world = f"seed {pair.seed}, {pair.scenario}, {pair.fleet_size} robots, run {pair.run}"
+        difference = (
+            f" has {pair.first_found or 'nothing more'}, {pair.second_run_id} has {pair.second_found or 'nothing more'}"
         )
-        shown = found if self.differs in ("setting", "facts") else f" and {one.second_run_id}"
-        return f"{self.comparison}: {count} {DIFFERS[self.differs]}; first under {place}: {one.first_run_id}{shown}"
+        second = difference if self.differs in ("setting", "facts") else f" and {pair.second_run_id}"
+        return f"{self.comparison}: {count} {DIFFERS[self.differs]}; first under {world}: {pair.first_run_id}{second}"
 
 
 class Ground(msgspec.Struct, frozen=True, kw_only=True):
@@ -180,7 +180,7 @@ class Ground(msgspec.Struct, frozen=True, kw_only=True):
     left_out: int
 
     def why_not(self) -> str | None:
-        """Say why nothing is compared here, and what it would take; None if there are pairs."""
+        """Return why nothing is compared here, and what to do about it; None if there are pairs."""
         if self.pair_count:
             return None
         first, second = (
@@ -188,13 +188,13 @@ class Ground(msgspec.Struct, frozen=True, kw_only=True):
             f"{self.second_architecture} ({self.second_configuration})",
         )
         if not self.first_count or not self.second_count:
-            missing, there, count, forks = (
+            missing, present, count, forks = (
                 (first, second, self.second_count, self.second_forks)
                 if not self.first_count
                 else (second, first, self.first_count, self.first_forks)
             )
             return (
-                f"{self.comparison}: found {_runs(count, forks)} of {there} and none of {missing}; "
+                f"{self.comparison}: found {_runs(count, forks)} of {present} and none of {missing}; "
                 "simulate it with the same seed, scenarios, runs and fleet size"
             )
         if not self.shared_worlds:
@@ -202,12 +202,12 @@ class Ground(msgspec.Struct, frozen=True, kw_only=True):
                 (first, self.first_seeds, self.first_fleet_sizes, self.first_scenarios),
                 (second, self.second_seeds, self.second_fleet_sizes, self.second_scenarios),
             )
-            held = "; ".join(
+            both = "; ".join(
                 f"{name} under seeds {_named(seeds)}, {_named(sizes)} robots, {_named(scenarios)}"
                 for name, seeds, sizes, scenarios in sides
             )
             return (
-                f"{self.comparison}: no run of both has the same seed, scenario, fleet size and number: found {held}; "
+                f"{self.comparison}: no run of both has the same seed, scenario, fleet size and number: found {both}; "
                 "simulate one as the other"
             )
         return (
@@ -217,13 +217,13 @@ class Ground(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def _runs(count: int, forks: int) -> str:
-    """Count runs, and the forks among them for themselves."""
+    """Return the counts of runs and forks, in words; `count` includes the forks."""
     parts = [counted(number, what) for number, what in ((count - forks, "run"), (forks, "fork")) if number]
     return every(parts)
 
 
 def _named(values: Sequence[object] | None) -> str:
-    """Name all of a few values, else the first and how many more there are."""
+    """Return all of a few values, else the first and how many more there are."""
     names = [str(value) for value in values or ()]
     return some(names) if len(names) > NAMED else every(names, "")
 
@@ -236,19 +236,19 @@ def differing_worlds(database: Database) -> list[DifferingWorlds]:
 
     Raises: as `Database.rows`.
     """
-    if not database.rows(ANY_DIFFERS):  # to look for the first facts that differ, all are read
+    if not database.rows(ANY_DIFFERS):  # finding the first facts that differ reads all facts
         return []
     return typed(database.rows(WORLDS), DifferingWorlds)
 
 
 def not_compared(database: Database) -> list[str]:
-    """Say why each comparison without a pair has none.
+    """Return why each comparison without a pair has none.
 
-    For a ledger that holds neither side of any, say why. Raises: as `Database.rows`.
+    For a ledger that holds neither side of any, return why. Raises: as `Database.rows`.
     """
-    found = typed(database.rows(GROUNDS), Ground)
-    if found:
-        return [why for one in found if (why := one.why_not())]
+    grounds = typed(database.rows(GROUNDS), Ground)
+    if grounds:
+        return [why for ground in grounds if (why := ground.why_not())]
     kinds = database.rows(KINDS)
     if not kinds:
         return ["found no runs; `fsar-ledger simulate` makes some"]
@@ -256,31 +256,31 @@ def not_compared(database: Database) -> list[str]:
         f"{counted(row['runs'], 'run')} ({row['kind']}) of {row['architecture'] or 'no named architecture'}"
         for row in kinds
     ]
-    held = some(names, "kinds more")
+    named = some(names, "kinds more")
     if all(row["nameless"] == row["runs"] for row in kinds):
         return [
-            f"found {held}, all without seed, scenario, fleet size or number; runs that are not known to have met one "
+            f"found {named}, all without seed, scenario, fleet size or number; runs that are not known to have met one "
             "world are no pairs"
         ]
-    return [f"found {held}; expected two architectures, or the configurations of one"]
+    return [f"found {named}; expected two architectures, or the configurations of one"]
 
 
 def left_over(database: Database) -> list[str]:
-    """Say which runs have no partner in a comparison that has pairs. Raises: as `Database.rows`."""
+    """Return which runs have no partner in a comparison that has pairs. Raises: as `Database.rows`."""
     lines = []
     for row in database.rows(UNPAIRED):
         name = (
             row["architecture"] if row["configuration"] == "full" else f"{row['architecture']} ({row['configuration']})"
         )
-        left = "has no partner and is left out" if row["runs"] == 1 else "have no partner and are left out"
+        remark = "has no partner and is left out" if row["runs"] == 1 else "have no partner and are left out"
         lines.append(
-            f"{row['comparison']}: {_runs(row['runs'], row['forks'])} of {name} under seed {row['seed']} {left}"
+            f"{row['comparison']}: {_runs(row['runs'], row['forks'])} of {name} under seed {row['seed']} {remark}"
         )
     return lines
 
 
 def imputed(database: Database, rows: Iterable[StatisticRow]) -> list[str]:
-    """Say which of the rows count how many runs without a value, and as what. Raises: as `Database.rows`."""
+    """Return which of the rows count runs without a value, how many, and as what. Raises: as `Database.rows`."""
     shown = {row.metric for row in rows}
     return [
         f"{row['metric']}: {_without_value(row['runs'], row['failed'])}, as {number(row['published_value'])}"
@@ -292,7 +292,7 @@ def imputed(database: Database, rows: Iterable[StatisticRow]) -> list[str]:
 
 
 def _without_value(runs: int, failed: int) -> str:
-    """Say that so many runs without a value count; in `failed` of them something failed, which gives none."""
+    """Return that `runs` runs without a value count; in `failed` of them something failed, which gives no value."""
     parts = [f"{counted(runs - failed, 'run')} without a failure"] if runs > failed else []
     parts += [f"{counted(failed, 'run')} with failures that give no value"] if failed else []
     alike = "as the paper counts those without a failure" if failed else "as in the paper"
@@ -300,32 +300,34 @@ def _without_value(runs: int, failed: int) -> str:
 
 
 def too_few(rows: Sequence[StatisticRow]) -> list[str]:
-    """Say which metrics have no Wilcoxon test, anywhere or in some rows, because too few pairs differ."""
+    """Return which metrics have no Wilcoxon test, anywhere or in some rows, because too few pairs differ."""
     tested = {(row.comparison, row.metric) for row in rows if row.wilcoxon_n >= MIN_WILCOXON}
-    found: dict[tuple[str, bool], dict[str, None]] = {}
+    untested: dict[tuple[str, bool], dict[str, None]] = {}
     for row in rows:
         if 0 < row.wilcoxon_n < MIN_WILCOXON:
-            found.setdefault((row.comparison, (row.comparison, row.metric) in tested), {})[row.metric] = None
+            untested.setdefault((row.comparison, (row.comparison, row.metric) in tested), {})[row.metric] = None
     return [
         f"{comparison}: {SOMEWHERE if is_tested else ''}no Wilcoxon test of {', '.join(names)}: fewer than "
         f"{MIN_WILCOXON} pairs differ"
-        for (comparison, is_tested), names in found.items()
+        for (comparison, is_tested), names in untested.items()
     ]
 
 
 def remarks_on(rows: Sequence[StatisticRow], metrics: Sequence[str]) -> list[str]:
-    """Say what the rows leave out.
+    """Return what the rows leave out.
 
     These are metrics that no pair defines for both runs, and comparisons of a single pair.
     """
     defined = {(row.comparison, row.metric) for row in rows}
-    held: dict[tuple[str, object], dict[str, int]] = {}
+    counts: dict[tuple[str, object], dict[str, int]] = {}
     for row in rows:
-        held.setdefault((row.comparison, setting_of(row)), {})[row.metric] = row.n
+        counts.setdefault((row.comparison, setting_of(row)), {})[row.metric] = row.n
     lines: dict[str, None] = {}
-    for (comparison, _), pairs in held.items():
+    for (comparison, _), pairs in counts.items():
         for where, elsewhere in (("", False), (SOMEWHERE, True)):
-            missing = [one for one in metrics if one not in pairs and ((comparison, one) in defined) == elsewhere]
+            missing = [
+                metric for metric in metrics if metric not in pairs and ((comparison, metric) in defined) == elsewhere
+            ]
             if missing:
                 lines[
                     f"{comparison}: {where}no pair of runs in which both have a value of {', '.join(missing)}: "

@@ -1,8 +1,8 @@
-"""Compare two sides: find those of a ledger, or of two, choose the ones that are meant, and pair their runs.
+"""Compare two sides: list those of one ledger or two, choose the requested ones, and pair their runs.
 
 A side is an architecture and configuration under one setting (kind, source, model version, constants, fleet size). Runs
-of two sides are paired by seed, scenario and number. What is compared is read from its ledger run by run and held in a
-database of its own (`paired`).
+of two sides are paired by seed, scenario and number. The compared runs are read from their ledgers run by run into a
+separate database (`paired`).
 """
 
 from collections.abc import Iterator, Sequence
@@ -85,7 +85,7 @@ class Side(msgspec.Struct, frozen=True, kw_only=True):
     """Runs that differ only in seed, scenario and number.
 
     `letter` is that of their constants, as in `info`; None where no constants are on record. `changes` are those of
-    forks, and `fork` their number where a ledger has forks by several changes.
+    forks, and `fork` the number of these changes in a ledger with forks by several.
     """
 
     side: str
@@ -113,18 +113,18 @@ class Side(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def names(self) -> set[str]:
-        """Return all names by which it can be asked for.
+        """Return all names that select it.
 
         The configuration `full`, the constants and the fleet size may be left out.
         """
-        made, configuration, constants, robots = self._parts
+        name, configuration, constants, robots = self._parts
         configurations = {configuration, ""} if self.configuration == FULL else {configuration}
         ends = {self._end, self._end.rstrip("0123456789")}
-        return {"".join(parts) for parts in product((made,), configurations, (constants, ""), (robots, ""), ends)}
+        return {"".join(parts) for parts in product((name,), configurations, (constants, ""), (robots, ""), ends)}
 
     @property
     def _parts(self) -> tuple[str, str, str, str]:
-        """Return the parts of its name. Without an architecture on record, the source or the kind has its place."""
+        """Return the parts of its name. Without an architecture on record, the source or the kind replaces it."""
         return (
             self.architecture or self.source or self.kind,
             f":{self.configuration}" if self.configuration else "",
@@ -134,7 +134,7 @@ class Side(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def _end(self) -> str:
-        """Return the suffix that tells workflows and forks from runs of scenarios under the same constants."""
+        """Return the suffix that distinguishes workflows and forks from runs of scenarios under the same constants."""
         return f"+{self.made_as}{self.fork or ''}" if self.made_as in ("workflow", "fork") else ""
 
     def __str__(self) -> str:
@@ -142,7 +142,7 @@ class Side(msgspec.Struct, frozen=True, kw_only=True):
         return f"{printable.value(self.name)} ({counted(self.run_count, 'run')}{changes})"
 
     def held(self) -> str:
-        """Say in words which seeds, scenarios and numbers its runs have."""
+        """Return in words which seeds, scenarios and numbers its runs have."""
         unnamed = (
             ""
             if self.named_count == self.run_count
@@ -160,7 +160,7 @@ class Side(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class LeftOut(msgspec.Struct, frozen=True, kw_only=True):
-    """Pairs that are left out for one reason (`side_pairs`), and the first of them."""
+    """The number of pairs left out for one reason (`side_pairs`), and the first of them."""
 
     differs: str
     pairs: int
@@ -200,7 +200,7 @@ class Differing(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Paired(msgspec.Struct, frozen=True, kw_only=True):
-    """The comparison of two sides: how many pairs share what, which runs are left out, and the rows."""
+    """The comparison of two sides: how many pairs share facts, draws or seed, which runs are left out, and the rows."""
 
     same_facts: int
     same_draws: int
@@ -226,32 +226,32 @@ def sides(database: "Database") -> list[Side]:
     from .results import lettered, models, typed
 
     letters = {
-        (one.kind, one.source, one.model_version, one.parameter_set): letter
-        for one, letter in lettered(models(database))
+        (model.kind, model.source, model.model_version, model.parameter_set): letter
+        for model, letter in lettered(models(database))
     }
     changes = {str(row["setting"]): str(row["changes"]) for row in database.rows(FORKS)}
     several = [*dict.fromkeys(changes.values())]
-    found = []
-    for one in typed(database.rows(SIDES), Side):
-        letter = letters.get((one.kind, one.source, one.model_version, one.parameter_set))
-        made = changes.get(one.setting)
-        number = several.index(made) + 1 if made is not None and len(several) > 1 else None
-        found.append(msgspec.structs.replace(one, letter=letter, changes=made, fork=number))
-    return found
+    listed = []
+    for side in typed(database.rows(SIDES), Side):
+        letter = letters.get((side.kind, side.source, side.model_version, side.parameter_set))
+        change = changes.get(side.setting)
+        number = several.index(change) + 1 if change is not None and len(several) > 1 else None
+        listed.append(msgspec.structs.replace(side, letter=letter, changes=change, fork=number))
+    return listed
 
 
 def chosen(
     held: Sequence[Sequence[Side]], asked: tuple[str | None, str | None], places: Sequence[str]
 ) -> tuple[Side, Side]:
-    """Return the two sides that are meant.
+    """Return the two requested sides.
 
     Args:
         held: The sides of the ledger, or of each of two.
-        asked: The names given as `--first` and `--second`; None where none is.
+        asked: The names given as `--first` and `--second`; None where not given.
         places: The ledgers, for messages.
 
     Raises:
-        UsageError: A name matches no side or several, or nothing says which of several is meant.
+        UsageError: A name matches no side or several, or a missing name leaves several to choose from.
     """
     firsts, seconds = held[0], held[-1]
     first = _named("--first", asked[0], firsts, places[0])
@@ -264,7 +264,7 @@ def chosen(
             )
         return first, second
     if first is None and second is None:
-        alike = [(one, other) for one in firsts for other in _alike(one, seconds)]
+        alike = [(first_side, second_side) for first_side in firsts for second_side in _alike(first_side, seconds)]
         only = [(firsts[0], seconds[0])] if len(firsts) == len(seconds) == 1 else alike
         if len(only) != 1:
             found = f"found {counted(len(alike), 'side')} in common" if alike else "found no side in common"
@@ -279,7 +279,7 @@ def chosen(
 def _alike(one: Side | None, held: Sequence[Side]) -> list[Side]:
     """Return the sides that equal this one except for constants, model and kind of runs.
 
-    If there is none, those that also differ in fleet size.
+    If there is none, return those that also differ in fleet size.
     """
     named = [
         side
@@ -290,17 +290,17 @@ def _alike(one: Side | None, held: Sequence[Side]) -> list[Side]:
     return [side for side in named if one and side.fleet_size == one.fleet_size] or named
 
 
-def _named(option: str, asked: str | None, held: Sequence[Side], place: str) -> Side | None:
-    if asked is None:
+def _named(option: str, text: str | None, held: Sequence[Side], place: str) -> Side | None:
+    if text is None:
         return None
-    found = [one for one in held if asked in one.names]
-    if len(found) == 1:
-        return found[0]
-    shown = printable.value(asked)
-    if found:
-        raise UsageError(f"{option} {shown}: found {len(found):,} such in {place}: {_listed(found)}; name one of them")
+    hits = [side for side in held if text in side.names]
+    if len(hits) == 1:
+        return hits[0]
+    name = printable.value(text)
+    if hits:
+        raise UsageError(f"{option} {name}: found {len(hits):,} such in {place}: {_listed(hits)}; name one of them")
     raise UsageError(
-        f"{option} {shown}: found no such runs in {place}, expected ARCHITECTURE[:CONFIGURATION][@CONSTANTS][/ROBOTS]: "
+        f"{option} {name}: found no such runs in {place}, expected ARCHITECTURE[:CONFIGURATION][@CONSTANTS][/ROBOTS]: "
         f"it holds {_listed(held)}"
     )
 
@@ -309,24 +309,24 @@ def _of_one(held: Sequence[Side], first: Side | None, second: Side | None, place
     """Return both sides of one ledger, if it leaves no choice."""
     if first is not None and second is not None:
         return first, second
-    one = first or second
-    others = [side for side in held if one is None or side.side != one.side]
-    if len(others) != (1 if one else 2):
+    side = first or second
+    others = [other for other in held if side is None or other.side != side.side]
+    if len(others) != (1 if side else 2):
         missing = (
-            "--first NAME and --second NAME" if one is None else "--second NAME" if second is None else "--first NAME"
+            "--first NAME and --second NAME" if side is None else "--second NAME" if second is None else "--first NAME"
         )
         if len(held) < 2:
-            found = f"1 side, {held[0]}" if held else "no runs"
-            raise UsageError(f"{place}: found {found}, expected two sides to compare; give a second ledger")
+            only = f"1 side, {held[0]}" if held else "no runs"
+            raise UsageError(f"{place}: found {only}, expected two sides to compare; give a second ledger")
         raise UsageError(
             f"{place}: found {len(held):,} sides, expected two, or {missing} to say which; it holds {_listed(held)}"
         )
-    return (others[0], others[1]) if one is None else (one, others[0]) if first is not None else (others[0], one)
+    return (others[0], others[1]) if side is None else (side, others[0]) if first is not None else (others[0], side)
 
 
-def _like(one: Side | None, held: Sequence[Side], option: str, place: str) -> Side:
-    """Return the side of the other ledger that is like this one, or the only one there."""
-    alike = _alike(one, held) or list(held)
+def _like(side: Side | None, held: Sequence[Side], option: str, place: str) -> Side:
+    """Return the side of the other ledger that is like this one, or its only side."""
+    alike = _alike(side, held) or list(held)
     if len(alike) != 1:
         raise UsageError(
             f"{option} is missing: found {len(alike):,} that may be meant in {place}: {_listed(alike)}; name one"
@@ -340,7 +340,7 @@ def _listed(held: Sequence[Side]) -> str:
 
 @contextmanager
 def beside(first: "pa.Table", second: "pa.Table") -> "Iterator[Database]":
-    """Yield a database that compares the runs of two sides, given as rows of `side_runs`, as `first` and `second`."""
+    """Yield a database that compares two sides, given as rows of `side_runs`, under the names `first` and `second`."""
     import pyarrow as pa
 
     from .database import Database
@@ -366,17 +366,17 @@ def beside(first: "pa.Table", second: "pa.Table") -> "Iterator[Database]":
 def paired(
     held: "Sequence[Database]", both: tuple[Side, Side], *, pools_seeds: bool = False, by_scenario: bool = False
 ) -> Paired:
-    """Compare the runs of the two sides, each from its ledger, in pairs. Raises: as `Database.rows`."""
+    """Compare the runs of the two sides, each from its own ledger, in pairs. Raises: as `Database.rows`."""
     from .results import typed
 
     tables = [
         database.table(RUNS, {"side": side.side}) for database, side in zip((held[0], held[-1]), both, strict=True)
     ]
     with beside(*tables) as database:
-        for name, of, side in zip(("first_constants", "second_constants"), (held[0], held[-1]), both, strict=True):
+        for name, source, side in zip(("first_constants", "second_constants"), (held[0], held[-1]), both, strict=True):
             database.hold(
                 name,
-                of.table(
+                source.table(
                     CONSTANTS, {key: getattr(side, key) for key in ("kind", "source", "model_version", "parameter_set")}
                 ),
             )

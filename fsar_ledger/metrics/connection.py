@@ -1,7 +1,7 @@
 """Own all DuckDB calls: a relation `events` and, over it, every packaged query.
 
-Queries become views when something first reads them, each after what it reads. Those whose header says `Stored` become
-tables, so that the metrics are computed once per connection.
+Queries become views when first read, each after what it reads. Those whose header says `Stored` become tables, so that
+the metrics are computed once per connection.
 """
 
 import re
@@ -27,13 +27,13 @@ if TYPE_CHECKING:
     from .database import Slices
 
 STORAGE = "v1.0.0"
-"""The DuckDB for which files are written: the oldest whose format of storage still is read."""
+"""The DuckDB version for which files are written: the oldest storage format that is still read."""
 
 DUCKDB_SHARE = 0.75
-"""The part of the memory of this process that DuckDB may take."""
+"""The share of this process's memory that DuckDB may take."""
 
 HELD_MIB = (256, 320, 640, 1_280)
-"""What DuckDB takes over a ledger in slices before it spills; where it can spill too little the next, at last all."""
+"""DuckDB's memory limits over a sliced ledger: each applies until it can no longer spill enough, then none."""
 
 OUT_OF_MEMORY = (duckdb.OutOfMemoryException, pa.ArrowMemoryError)
 FAULTS_OF_SQL = (
@@ -58,7 +58,7 @@ Value = str | int | float | bool | None | list[str]
 class Database:
     """A connection to a private in-memory DuckDB that holds nothing but views of `events`.
 
-    Answers are the same bits on any number of threads if queries sum integers, or floats in a fixed order; the packaged
+    Answers are bit-identical on any number of threads if queries sum integers, or floats in a fixed order; the packaged
     ones do.
     """
 
@@ -78,39 +78,39 @@ class Database:
     ):
         self.head = head
         self.rows_verified = rows_verified
-        """Whether a whole look compared the rows with the root of the head; None without a head."""
+        """Whether a full verification compared the rows with the root of the head; None without a head."""
         self.is_for_others = file is not None
-        """Whether the relations stay in a file for other programs, which may read it with an older DuckDB."""
+        """Whether the relations go to a file for other programs, which may read it with an older DuckDB."""
         self.library = queries or library()
         self.source: str | None = None
-        """A relation with all columns and rows of `events`, except those of `changed`, that costs less to read.
+        """A relation with all columns and rows of `events`, except those of `changed`, that is cheaper to read.
 
-        It reads segments, or rows as they were stored.
+        It reads segments, or rows as stored.
         """
         self.changed: frozenset[str] = frozenset()
         """Names, without version, of event types that differ between `events` and `source`."""
         self.absent: frozenset[str] = frozenset()
         """Event types known to have no row in `events`: their views read nothing."""
         self.slices = slices
-        """What is asked for the rows of queries that are `Partial`; None where a ledger is not judged in slices."""
+        """The source of the rows of `Partial` queries; None where a ledger is not judged in slices."""
         # See docs/decisions/few-events-are-judged-from-tables.md.
         self.is_small = is_small
-        """Whether events are few: then one thread is faster than two, and a table than the plan of a view in a view."""
+        """Whether events are few: then one thread is faster than two, and a table faster than planning nested views."""
         self._of_slices: set[str] = set()
         self._segments = tuple(segments)
         self._made: set[str] = set()
         self._macros: set[str] = set()
-        self._given: dict[str, str] = {}  # how those were made that no packaged query defines
+        self._given: dict[str, str] = {}  # kinds of the relations that no packaged query defines
         config: dict[str, Any] = {"threads": threads or 1} if threads or is_small else {}
         config |= {"storage_compatibility_version": STORAGE} if file else {}
         self._connection = duckdb.connect(literal(file) if file else ":memory:", config=config)
-        if slices is not None and file is None:  # tables of a row for each run take a tenth of the memory then
+        if slices is not None and file is None:  # tables with a row per run then take a tenth of the memory
             self._connection.execute("ATTACH ':memory:' AS judged (COMPRESS)")
             self._connection.execute("USE judged")
         # The wide relation is read often: its files stay open. UTC and no progress bar make answers the same anywhere.
         for setting in (f"parquet_metadata_cache = {str(caches_files).lower()}", "TimeZone = 'UTC'"):
             self._connection.execute(f"SET {setting}")
-        # In a notebook without ipywidgets the bar is off, and refuses the setting.
+        # In a notebook without ipywidgets the bar is off and rejects the setting.
         if self._connection.execute("SELECT current_setting('enable_progress_bar')").fetchone() != (False,):
             self._connection.execute("SET enable_progress_bar = false")
         # By default DuckDB would spill into `.tmp` of the working folder.
@@ -133,7 +133,7 @@ class Database:
         self._closing.close()
 
     def hold(self, name: str, table: Any, *, is_copied: bool = False) -> None:
-        """Make this Arrow table or dataset the relation of this name, or a copy, which is added to earlier copies."""
+        """Make this Arrow table or dataset the relation of this name, or append a copy of it to earlier copies."""
         if not (is_copied or self.is_for_others):
             self._connection.register(name, table)
             self._made.add(name)
@@ -147,7 +147,7 @@ class Database:
             self._connection.unregister(_GIVEN)
 
     def refill(self, events: pa.Table) -> None:
-        """Replace `events` by these few rows, in a table of DuckDB's own; columns that they lack are NULL."""
+        """Replace `events` by these few rows, in a DuckDB table; columns that they lack are NULL."""
         self.empty()
         self._connection.register(_GIVEN, with_all_columns(events))
         self._change(f"CREATE TABLE events AS SELECT * FROM {_GIVEN}")
@@ -155,7 +155,7 @@ class Database:
         self._made.add("events")
 
     def empty(self) -> None:
-        """Drop what was held, defined and stored; the views of queries stay, for other `events` of the same types."""
+        """Drop what was held, defined and stored; the views of queries stay, for new `events` of the same types."""
         for name, kind in sorted(self._given.items()):
             self.drop(name) if kind == "held" else self._change(f"DROP {kind} {name}")
             self._made.discard(name)
@@ -172,7 +172,7 @@ class Database:
         self._given.pop(name, None)
 
     def direct(self, sql: str) -> list[tuple[Any, ...]]:
-        """Return the rows of one SELECT over files and what this connection holds.
+        """Return the rows of one SELECT over files and the relations of this connection.
 
         It may not name packaged queries. Raises: as `table`.
         """
@@ -180,7 +180,7 @@ class Database:
             return self._connection.execute(sql).fetchall()  # a relation would plan it twice
 
     def define(self, name: str, sql: str, *, is_stored: bool = False) -> None:
-        """Make the SELECT, or with `is_stored` its present rows, the relation of this name.
+        """Make the SELECT, or with `is_stored` its current rows, the relation of this name.
 
         It replaces any packaged query. Raises: as `table`.
         """
@@ -208,22 +208,22 @@ class Database:
                 self._change("CHECKPOINT")
 
     def hold_rows_of_slices(self, names: Collection[str]) -> None:
-        """Hold the rows of what is `Partial` among what these relations read, unless a packaged query was replaced.
+        """Hold the rows of the `Partial` queries that these relations read, unless a packaged query was replaced.
 
-        Where a ledger is not judged in slices, nothing is to be done. Raises: As `table`.
+        Does nothing where a ledger is not judged in slices. Raises: As `table`.
         """
         if self.slices is None:
             return
         queries = self.library.partial(names, self._made)
         replaced = (self._given.keys() & self.library.relations.keys()) - self._of_slices - {"run_numbers"}
-        asked = [one for one in queries if replaced.isdisjoint(map(_relation, self.library.needs([one.relation])))]
-        for name, rows in self.slices.rows_of(asked) if asked else ():
-            self.hold(name, rows, is_copied=True)  # where it takes less memory
+        whole = [one for one in queries if replaced.isdisjoint(map(_relation, self.library.needs([one.relation])))]
+        for name, rows in self.slices.rows_of(whole) if whole else ():
+            self.hold(name, rows, is_copied=True)  # which takes less memory
             self._of_slices.add(name)
 
     def keeps(self, query: Query) -> bool:
-        """Tell whether a query becomes a table here; in a file also one that calls our functions, which others lack."""
-        if self.slices is not None and query.relation == "experiment_planned":  # few rows, for which all are read
+        """Return whether a query becomes a table here; in a file also if it calls our functions, which others lack."""
+        if self.slices is not None and query.relation == "experiment_planned":  # few rows, read from all events
             return True
         return query.is_stored or (self.is_for_others and not FUNCTIONS.isdisjoint(_CALL.findall(query.sql)))
 
@@ -240,12 +240,12 @@ class Database:
         return True
 
     def write_out(self) -> None:
-        """Write all that the file lacks; closing does it, too, but keeps silent if it fails. Raises: as `table`."""
+        """Write all that the file lacks; closing also does, but ignores errors. Raises: as `table`."""
         self._change(FOR_OLDER)
         self._change("CHECKPOINT")
 
     def _body(self, query: Query) -> str:
-        """Return the SELECT of a packaged query, in the form that reads least here."""
+        """Return the SELECT of a packaged query, in the cheapest form here."""
         if query.tags and query.tags <= self.absent:
             return query.nothing
         is_changed = self.changed if not query.tags else self.changed & {tag.partition(".")[0] for tag in query.tags}
@@ -269,10 +269,10 @@ class Database:
 
         def asked() -> list[dict[str, Any]]:
             rows = list[dict[str, Any]]()
-            found = self._connection.execute(sql, dict(params) if params else None)  # a relation would plan it twice
-            names = [column[0] for column in found.description or ()]
-            while part := found.fetchmany(BATCH_ROWS):
-                rows += [dict(zip(names, row, strict=True)) for row in part]
+            cursor = self._connection.execute(sql, dict(params) if params else None)  # a relation would plan it twice
+            names = [column[0] for column in cursor.description or ()]
+            while batch := cursor.fetchmany(BATCH_ROWS):
+                rows += [dict(zip(names, row, strict=True)) for row in batch]
             return rows
 
         with self._asking(UnicodeDecodeError):  # what a damaged file holds as text may be none
@@ -294,9 +294,9 @@ class Database:
         return self._execute(f"SELECT * FROM (\n{query.sql}\n) ORDER BY ALL", bound)
 
     def lock(self, seconds: int, memory_bytes: int) -> None:
-        """Shut the connection off from all but what it holds; limit seconds and memory of a statement.
+        """Deny the connection access to all but what it holds; limit seconds and memory of a statement.
 
-        An allow-list would grant writing, too. What DuckDB does not stop (a huge string) is the operating system's.
+        An allow-list would permit writing, too. What DuckDB does not stop (a huge string) is the operating system's.
         """
         for setting in LOCK:
             self._connection.execute(f"SET {setting}")
@@ -309,7 +309,7 @@ class Database:
         self._connection.execute("BEGIN TRANSACTION READ ONLY")
 
     def check_one_select(self, sql: str) -> None:
-        """Check that the text is exactly one statement that only reads, as far as its type says.
+        """Check that the text is exactly one statement that only reads, judging by its type.
 
         Raises:
             QueryFailed: It is empty, does not parse, holds several statements, or one that is neither SELECT nor
@@ -334,11 +334,11 @@ class Database:
     def batches(self, sql: str) -> Iterator[pa.RecordBatch]:
         """Yield the answer to one SELECT in batches; the first may be empty.
 
-        What it mentions must have been prepared.
+        The relations that it mentions must have been prepared.
 
         Raises:
             QueryFailed, LedgerCorrupted: As `table`; QueryFailed also for two columns of one name, or a type whose
-                values cannot be handed on unchanged.
+                values cannot be passed on unchanged.
         """
         with self._asking(pa.ArrowException, OSError):
             relation = self._connection.sql(sql)
@@ -350,19 +350,19 @@ class Database:
     def _change(self, sql: str) -> None:
         """Run a statement that makes or drops relations and has no answer."""
         with self._asking():
-            # A relation would be made of the answer that there is none, which takes as long as a small view.
+            # `sql` would make a relation of the empty answer, which takes as long as a small view.
             self._within(lambda: self._connection.execute(sql))
 
     def _execute(self, sql: str, params: Mapping[str, Value] | None) -> pa.Table:
-        """Return DuckDB's answer, with its errors turned into ours."""
+        """Return DuckDB's answer; its errors become ours."""
         with self._asking():
             return self._within(lambda: self._connection.sql(sql, params=dict(params or {}) or None).to_arrow_table())
 
-    def _within(self, asked: Callable[[], _Found]) -> _Found:
-        """Ask DuckDB, again with more memory where it can spill too little."""
+    def _within(self, call: Callable[[], _Found]) -> _Found:
+        """Call DuckDB, and again with more memory where it cannot spill enough."""
         while True:
             try:
-                return asked()
+                return call()
             except duckdb.OutOfMemoryException:
                 if not self._held_mib:
                     raise
@@ -370,17 +370,17 @@ class Database:
                 self._limit_memory()
 
     def _limit_memory(self) -> None:
-        limits = [] if (most := memory.limit()) is None else [int(most * DUCKDB_SHARE)]
+        limits = [] if (limit := memory.limit()) is None else [int(limit * DUCKDB_SHARE)]
         limits += [self._held_mib[0] << 20] if self._held_mib else []
         self._connection.execute(f"SET memory_limit = '{min(limits)} bytes'" if limits else "RESET memory_limit")
 
     @contextmanager
     def _asking(self, *others: type[Exception]) -> Iterator[None]:
-        """Turn DuckDB's errors and these others into ours, and its word for Ctrl-C into Python's."""
-        known: tuple[type[Exception], ...] = (duckdb.Error, *others)
+        """Turn DuckDB's errors and these others into ours, and its error for Ctrl-C into KeyboardInterrupt."""
+        handled: tuple[type[Exception], ...] = (duckdb.Error, *others)
         try:
             yield
-        except known as error:
+        except handled as error:
             raise self._failure(error) from error
         except RuntimeError as error:
             if str(error) != "Query interrupted":

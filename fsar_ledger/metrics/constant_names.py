@@ -14,13 +14,13 @@ from fsar_ledger.base.parameters import BadParameters, read_parameters
 from fsar_ledger.designs.constants import DESIGNS, Constants, read_constants, with_all_groups, write_constants
 
 MAX_PARAMETERS = 65_536
-"""Characters of parameters that are read constant by constant; those of the model have 2,000.
+"""Maximum characters of parameters that are read constant by constant; those of the model have 2,000.
 
 Longer ones are only compared as a whole.
 """
 
 MAX_SHOWN = 60
-"""Characters of a name or value that are shown; no constant of the model has more."""
+"""Maximum characters shown of a name or value; no constant of the model has more."""
 
 DEFAULT = "default"
 """Stands for the value of a constant that is not set and has no value by default."""
@@ -29,7 +29,7 @@ _PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
 
 
 def constants_of(parameters: str | None) -> list[dict[str, str]] | None:
-    """Return the constants by name, with their values as JSON, without those that are null.
+    """Return the constants by name, with their values as JSON, without nulls.
 
     Names are `world.message.high_s` or `world.durations["carry.heavy"].low_s`. Equal numbers are the same text, however
     they were written. None if the text is not the parameters of a run, or too long.
@@ -37,10 +37,10 @@ def constants_of(parameters: str | None) -> list[dict[str, str]] | None:
     if parameters is None or len(parameters) > MAX_PARAMETERS:
         return None
     try:
-        found = dict(_constants("", read_parameters(parameters)))
+        by_name = dict(_constants("", read_parameters(parameters)))
     except (BadParameters, UnicodeError):
         return None
-    return [{"name": name, "value": found[name]} for name in sorted(found)]
+    return [{"name": name, "value": by_name[name]} for name in sorted(by_name)]
 
 
 def _constants(name: str, value: Any) -> Iterator[tuple[str, str]]:
@@ -54,13 +54,13 @@ def _constants(name: str, value: Any) -> Iterator[tuple[str, str]]:
             (f"{dot}{key}" if _PLAIN.fullmatch(key) else f"{dot}{_json(key)}", inner) for key, inner in value.items()
         ]
     elif isinstance(value, list) and value:
-        named = all(isinstance(one, list) and len(one) == 2 and isinstance(one[0], str) for one in value) and len(
-            {one[0] for one in value}
+        named = all(isinstance(item, list) and len(item) == 2 and isinstance(item[0], str) for item in value) and len(
+            {item[0] for item in value}
         ) == len(value)
         parts = (
-            [(f"[{_json(one[0])}]", one[1]) for one in value]
+            [(f"[{_json(item[0])}]", item[1]) for item in value]
             if named
-            else [(f"[{at}]", inner) for at, inner in enumerate(value)]
+            else [(f"[{index}]", inner) for index, inner in enumerate(value)]
         )
     else:
         yield (
@@ -77,7 +77,7 @@ def _json(value: Any) -> str:
 
 
 def default_of(name: str) -> str | None:
-    """Return the value that a constant has in a run of this model version that does not record it.
+    """Return the value of a constant in a run of this model version that does not record it.
 
     None if there is no such constant.
     """
@@ -89,17 +89,17 @@ def unlike_ours(parameters: str) -> list[str]:
 
     Raises: BadParameters.
     """
-    found, own = _whole(read_constants(parameters)), _own()
+    actual, ours = _whole(read_constants(parameters)), _own()
     return [
-        f"{name:.{MAX_SHOWN}}={found.get(name, 'absent'):.{MAX_SHOWN}} (here {own.get(name, 'absent'):.{MAX_SHOWN}})"
-        for name in sorted({*found, *own})
-        if found.get(name) != own.get(name)
+        f"{name:.{MAX_SHOWN}}={actual.get(name, 'absent'):.{MAX_SHOWN}} (here {ours.get(name, 'absent'):.{MAX_SHOWN}})"
+        for name in sorted({*actual, *ours})
+        if actual.get(name) != ours.get(name)
     ]
 
 
 @cache
 def names_of_constants() -> tuple[str, ...]:
-    """Return the names of all constants that can be set, in order, also in groups that are absent by default."""
+    """Return the names of all constants that can be set, in order, including groups that are absent by default."""
     return tuple(sorted(_own()))
 
 
@@ -111,18 +111,20 @@ def _own() -> dict[str, str]:
 def _whole(constants: Constants) -> dict[str, str]:
     """Return every constant by name, with the groups that may be absent at their defaults.
 
-    A constant of a designer's own is its name alone.
+    A registered design is represented by its name alone.
     """
     groups = msgspec.structs.replace(with_all_groups(constants), scenario=None, fleet=None)
     designs = {name: getattr(constants, name) for name in DESIGNS}
-    own = {name: _json(one.name) for name, one in designs.items() if one is not None}
+    own = {name: _json(design.name) for name, design in designs.items() if design is not None}
     unset = {
         f"{group}.{name}": DEFAULT
         for group in groups.__struct_fields__
         if group not in designs
         for name in getattr(groups, group).__struct_fields__
     }
-    found = {one["name"]: one["value"] for one in constants_of(write_constants(groups)) or ()}
+    found = {constant["name"]: constant["value"] for constant in constants_of(write_constants(groups)) or ()}
     return (
-        {name: value for name, value in unset.items() if not any(one.startswith(name) for one in found)} | found | own
+        {name: value for name, value in unset.items() if not any(known.startswith(name) for known in found)}
+        | found
+        | own
     )

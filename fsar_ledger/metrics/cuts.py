@@ -1,8 +1,8 @@
-"""What a slice of a ledger answers; a run of years that was cut is judged some parts at a time.
+"""Answer queries over a slice of a ledger; a long run that was cut is judged some parts at a time.
 
-What a judge says of a run is said of tasks, actions and failures, one by one. What was over before the oldest that is
-still open began can meet nothing that comes later. So some parts are judged together with what was carried to them, and
-what is said of what is carried on is left to the next ones: the rest is settled, and adds up.
+Verdicts on a run are about single tasks, actions and failures. What ended before the oldest open one began cannot
+interact with anything later. So some parts are judged together with the events carried over to them, and verdicts on
+what is carried on are left to the next parts: the rest is settled, and adds up.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -28,34 +28,34 @@ from .slices import Slice, SliceQuery, digest_of, slice_of, slice_query
 _CARRIED = "carried_events"
 _CARRYING = f"SELECT events.*, carried.has_begun FROM events INNER JOIN {_CARRIED} AS carried USING (run_id, seq)"
 _WHETHER = frozenset({"human_intervention"})
-"""The metrics that say whether, and not how often."""
+"""The metrics that count whether, and not how often."""
 _OF_THE_RUN = frozenset({"actions_under_way", "run_started", "runs", "unobservable"})
-"""What follows from how a run began; `actions_under_way` and what is open of `unobservable` are of foreign runs."""
+"""What follows from how a run began; `actions_under_way` and the open part of `unobservable` are of foreign runs."""
 
 
 def answers(
     one: Slice, head: Head, rows_verified: bool | None, queries: Mapping[str, SliceQuery], threads: int | None = None
 ) -> dict[str, pa.Table]:
-    """Return what a slice of the ledger with this head answers to these, by their texts.
+    """Return the answers of a slice of the ledger with this head to these queries, by their texts.
 
     Raises: As `slices.fill` and `Database.table`.
     """
     connect = partial(slices.connect, one, head, rows_verified, threads)
-    found = _answers_by_cuts(one, connect, {text: each for text, each in queries.items() if _adds_up(each)})
-    if rest := queries.keys() - found.keys():
+    tables = _answers_by_cuts(one, connect, {text: query for text, query in queries.items() if _adds_up(query)})
+    if rest := queries.keys() - tables.keys():
         with connect() as database:
             slices.fill(database, one)
-            found.update((text, queries[text].of(database)) for text in rest)
-    return found
+            tables.update((text, queries[text].of(database)) for text in rest)
+    return tables
 
 
 # See docs/decisions/long-runs-are-judged-by-their-cuts.md.
 def _answers_by_cuts(
     one: Slice, connect: Callable[[], Database], queries: Mapping[str, SliceQuery]
 ) -> dict[str, pa.Table]:
-    """Return what a slice answers to these if it has one run that was cut, judged some parts at a time; else nothing.
+    """Return the answers of a slice that has one run that was cut, judged some parts at a time; else nothing.
 
-    Nothing, too, where an event of a part is about a task of an earlier one that was over. Raises: As `Database.table`.
+    Also nothing where an event of a part is about a task that ended in an earlier one. Raises: As `Database.table`.
     """
     if not (queries and (stretches := _stretches(one))):
         return {}
@@ -64,7 +64,7 @@ def _answers_by_cuts(
     texts = {name: digest_of([carrying, slice_query(f"SELECT * FROM {name}").text]) for name in names}
     texts[_CARRIED] = carrying
     of_parts: dict[str, list[pa.Table]] = {name: [] for name in names}
-    with connect() as database:  # one for all of them, since to plan the queries takes as long as to answer them
+    with connect() as database:  # one for all, since planning the queries takes as long as answering them
         types = relation.types_of(database, slices.segments(one))
         parts = relation.Parts(one.runs[-1].run, types, {}, 0, None)
         for stretch in stretches:
@@ -84,7 +84,7 @@ def _answers_by_cuts(
 
 
 class _Stretch(NamedTuple):
-    """Some parts of a run in a row, and by `digest` the bytes of all up to their end; None where these have no hash."""
+    """Consecutive parts of a run, and the `digest` of all bytes up to their end; None where these have no hash."""
 
     slice: Slice
     digest: str | None
@@ -92,41 +92,41 @@ class _Stretch(NamedTuple):
 
 
 def _stretches(one: Slice) -> list[_Stretch]:
-    """Return the parts of the run that a slice has alone, those together that are judged at once; nothing if all are.
+    """Return the parts of a slice's only run, grouped as they are judged; nothing if one group has all.
 
-    Nothing, too, if it has several runs, or parts in several ledgers.
+    Also nothing if it has several runs, or parts in several ledgers.
     """
     earlier = earlier_runs(one.view) if len(one.runs) > 1 else {}
     follow = all(earlier.get(after.run) == before.run for before, after in pairwise(one.runs))
     if not follow or len([*views_of(one.view)]) > 1:
         return []
-    found: list[_Stretch] = []
+    stretches: list[_Stretch] = []
     until: list[Extent] = []
     for runs in parts_of(one.runs, lambda each: each.rows, one.most):
         until += runs
         is_last = len(until) == len(one.runs)
         digest = None if is_last else slice_of(one.view, until, one.beside, one.most).digest
-        found.append(_Stretch(slice_of(one.view, runs, one.beside, one.most), digest, is_last))
-    return found if len(found) > 1 else []
+        stretches.append(_Stretch(slice_of(one.view, runs, one.beside, one.most), digest, is_last))
+    return stretches if len(stretches) > 1 else []
 
 
 def digests(one: Slice) -> dict[tuple[Extent, ...], str]:
-    """Return by which digest the cache knows a slice, and the parts of its run that are judged at once, by the runs."""
-    known = [(one.runs, one.digest), *((each.slice.runs, each.digest) for each in _stretches(one))]
-    return {runs: digest for runs, digest in known if digest is not None}
+    """Return the cache's digests of a slice and of the groups of parts of its run, by their runs."""
+    digests_of = [(one.runs, one.digest), *((stretch.slice.runs, stretch.digest) for stretch in _stretches(one))]
+    return {runs: digest for runs, digest in digests_of if digest is not None}
 
 
 @cache
 def _adding() -> frozenset[str]:
-    """Return the relations whose rows or numbers about a run are those of its parts, added up."""
-    every = library().relations.values()
-    metrics = {one.relation for one in every if one.name.startswith("metrics/") and "Partial" in one.header}
-    offences = {one.relation for one in every if one.name.startswith("invariants/")}
+    """Return the relations whose rows or numbers about a run are the sums of those of its parts."""
+    queries = library().relations.values()
+    metrics = {query.relation for query in queries if query.name.startswith("metrics/") and "Partial" in query.header}
+    offences = {query.relation for query in queries if query.name.startswith("invariants/")}
     return frozenset(metrics | offences | {"invariant_cases", "open_work"})
 
 
 def _adds_up(query: SliceQuery) -> bool:
-    """Return whether an answer follows from what adds up over the parts of a run, and else from how it began."""
+    """Return whether an answer depends only on relations that add up over a run's parts, and on how it began."""
     reads = query.reads or frozenset()
     return not reads.isdisjoint(_adding()) and not library().needs(reads, _adding() | _OF_THE_RUN)
 
@@ -134,22 +134,22 @@ def _adds_up(query: SliceQuery) -> bool:
 def _settled_of(
     stretch: _Stretch, database: Database, texts: Mapping[str, str], parts: relation.Parts
 ) -> dict[str, pa.Table] | None:
-    """As `settled`, from the cache where it is known by these texts; the run may have had another name then."""
-    known = slices.remembered(stretch.digest, texts.values())
-    made = {name: slices.joined([known[text]]) for name, text in texts.items() if text in known}
+    """Return `settled`, from the cache where it has these texts; the run may have had another name then."""
+    cached = slices.remembered(stretch.digest, texts.values())
+    made = {name: slices.joined([cached[text]]) for name, text in texts.items() if text in cached}
     if lacking := texts.keys() - made.keys():
         database.empty()
         slices.fill(database, stretch.slice, parts)
-        found = settled(database, sorted(lacking - {_CARRIED}), made.get(_CARRIED), is_last=stretch.is_last)
-        if found is None:
+        computed = settled(database, sorted(lacking - {_CARRIED}), made.get(_CARRIED), is_last=stretch.is_last)
+        if computed is None:
             return None
-        made |= found
+        made |= computed
         slices.remember(stretch.digest, {texts[name]: slices.written(made[name]) for name in lacking})
     return {name: _of_run(slices.coded(table), parts.run) for name, table in made.items()}
 
 
 def carried_on(database: Database) -> pa.Table | None:
-    """Return the events that later parts may need; None if one is about a task whose beginning is not there.
+    """Return the events that later parts may need; None if one is about a task whose beginning is missing.
 
     Raises: As `Database.table`.
     """
@@ -160,36 +160,38 @@ def carried_on(database: Database) -> pa.Table | None:
 def settled(
     database: Database, names: Sequence[str], carried: pa.Table | None, *, is_last: bool
 ) -> dict[str, pa.Table] | None:
-    """Return of each of these relations what no later part changes, and what is carried on to the next, if not known.
+    """Return the rows of each relation that no later part changes, and the events carried on to the next part.
 
-    The database has the events of some parts and what was carried to them; what is said of what is carried on is left
-    to the next part, if there is one. None if an event is about a task whose beginning was not carried, or if the rest
-    does not add up.
+    The database has the events of some parts and those carried to them; verdicts on what is carried on are left to the
+    next part, if there is one. `carried` is computed if None. None if an event is about a task whose beginning was not
+    carried, or if the rest does not add up.
 
     Raises: As `Database.table`.
     """
     if carried is None and (carried := carried_on(database)) is None:
         return None
     here = {name: database.table(f"SELECT * FROM {name}") for name in names}
-    made = {_CARRIED: carried}
+    settled_rows = {_CARRIED: carried}
     if is_last:
-        return made | here
+        return settled_rows | here
     numbers = database.table("SELECT * FROM run_numbers")
     database.refill(carried)
     database.hold("run_numbers", numbers)
     for name, table in here.items():
-        again = database.table(f"SELECT * FROM {name}").cast(table.schema)
+        open_rows = database.table(f"SELECT * FROM {name}").cast(table.schema)
         if "seq" in table.column_names:  # an offence
-            made[name] = table.filter(pc.invert(pc.is_in(table["seq"], again["seq"])))
-            adds_up = pc.all(pc.is_in(again["seq"], table["seq"]), min_count=0).as_py()
+            settled_rows[name] = table.filter(pc.invert(pc.is_in(table["seq"], open_rows["seq"])))
+            adds_up = pc.all(pc.is_in(open_rows["seq"], table["seq"]), min_count=0).as_py()
         else:
-            made[name] = _added(name, [(1, table), (-1, again)])
+            settled_rows[name] = _added(name, [(1, table), (-1, open_rows)])
             adds_up = all(
-                not pc.any(pc.less(column, 0)).as_py() for column in made[name].columns if column.type == pa.int64()
+                not pc.any(pc.less(column, 0)).as_py()
+                for column in settled_rows[name].columns
+                if column.type == pa.int64()
             )
         if not adds_up:
             return None
-    return made
+    return settled_rows
 
 
 def _of_run(table: pa.Table, run: str) -> pa.Table:
@@ -198,16 +200,16 @@ def _of_run(table: pa.Table, run: str) -> pa.Table:
 
 
 def summed(name: str, tables: Sequence[pa.Table]) -> pa.Table:
-    """Return the rows of a relation over a whole run, given what is settled of each part."""
+    """Return the rows of a relation over a whole run, given the settled rows of each part."""
     return pa.concat_tables(tables) if "seq" in tables[0].column_names else _added(name, [(1, one) for one in tables])
 
 
 def _added(name: str, signed: Iterable[tuple[int, pa.Table]]) -> pa.Table:
-    """Return the numbers of a relation, added and subtracted; what says whether is not."""
+    """Return the numbers of a relation, added and subtracted, except numerators of `_WHETHER`."""
     key, sums = tuple(library().relations[name].key or ()), dict[tuple[Any, ...], dict[str, Any]]()
     for sign, table in signed:
         for row in table.to_pylist():
-            whole = sums.setdefault(tuple(row[one] for one in key), dict.fromkeys(row))
+            whole = sums.setdefault(tuple(row[column] for column in key), dict.fromkeys(row))
             for column, value in row.items():
                 if not isinstance(value, int):
                     whole[column] = value if sign > 0 else whole[column]
@@ -218,8 +220,12 @@ def _added(name: str, signed: Iterable[tuple[int, pa.Table]]) -> pa.Table:
     for row in sums.values():
         for rest in ("", "_without_routine"):
             if f"value{rest}" in row:
-                of = row[f"denominator{rest}"]
-                share = row[f"numerator{rest}"] / of if of else None
+                denominator = row[f"denominator{rest}"]
+                share = row[f"numerator{rest}"] / denominator if denominator else None
                 row[f"value{rest}"] = share / 1_000_000 if share is not None and name.endswith("_s") else share
-    rows = [row for row in sums.values() if "value" in row or any(isinstance(one, int) and one for one in row.values())]
+    rows = [
+        row
+        for row in sums.values()
+        if "value" in row or any(isinstance(value, int) and value for value in row.values())
+    ]
     return pa.Table.from_pylist(rows, slices.decoded(table.slice(0, 0)).schema)

@@ -1,8 +1,8 @@
 """Open databases over the rows of a ledger, whole or in slices, or over rows in memory.
 
-A slice has whole runs, of some 500,000 events. What a query says of each run by itself (its header says `Partial`) is
-asked of one slice after the other and put together; what compares runs is asked of that. So memory does not grow with
-the ledger, and after an append only the slices that it changed are judged.
+A slice has whole runs, of some 500,000 events. Queries about each run by itself (their headers say `Partial`) are
+answered slice by slice and the rows combined; queries that compare runs read those. So memory does not grow with the
+ledger, and after an append only the slices that it changed are judged.
 """
 
 import sqlite3
@@ -47,13 +47,13 @@ __all__ = [
 
 _Name = TypeVar("_Name")
 SLICE_EVENTS = 8 << 16
-"""Events that are judged at once: few enough for half a gigabyte, and each slice costs some tenths of a second."""
+"""Events judged at once: few enough for half a gigabyte; each slice costs some tenths of a second."""
 LEAST_BYTES = 4
-"""Of an event in a segment; those of a fleet take 10 to 17."""
+"""The fewest bytes of an event in a segment; those of a fleet take 10 to 17."""
 FEW_ROWS = 20_000
 """Up to this many rows, copying costs less than planning over an Arrow table does."""
 SMALL = 1 << 16
-"""A ledger, or a run, of up to this many events is small."""
+"""The most events of a small ledger or run."""
 
 
 def connect(
@@ -63,9 +63,9 @@ def connect(
 
     Args:
         ledger: Its folder.
-        threads: Of DuckDB; None is one per core, and one for few events.
+        threads: DuckDB threads; None: one per core, or a single one for few events.
         demanded: The newest record that `ensure_verified` has just checked, if no other head will do.
-        file: A new file of DuckDB in which the relations stay, for other programs; None: they are in memory.
+        file: A new DuckDB file for the relations, for other programs; None: they are in memory.
 
     Raises:
         NotALedger, FormatVersionMismatch, LedgerCorrupted: As `open_for_answers`; also LedgerCorrupted for a segment
@@ -80,7 +80,7 @@ def connect_view(
 ) -> Database:
     """Open a database over this head, as `connect`. Raises: LedgerCorrupted, SequenceConflict."""
     rows_verified = is_verified(view, demanded)
-    earlier_runs(view)  # what `relation` puts together follows one another
+    earlier_runs(view)  # checks that the parts that `relation` joins follow one another
     segments = view.segments(are_laid_out=rows_verified)
     sliced = Slices(view, demanded) or None
     database = Database(
@@ -93,8 +93,8 @@ def connect_view(
         may_spill=sliced is not None,
         is_small=sliced is None and view.head.size <= SMALL,
     )
-    stay = {one.path / SEGMENTS for one in views_of(view)}
-    passing = [] if file is None else [path for path in segments if path.parent not in stay]
+    own_folders = {ledger.path / SEGMENTS for ledger in views_of(view)}
+    passing = [] if file is None else [path for path in segments if path.parent not in own_folders]
     numbers = sliced and relation.RowFilter("TRUE", relation.numbered(view.run_names.runs), frozenset(segments))
     _fill(database, segments, view.releases, numbers, passing)
     return database
@@ -112,8 +112,8 @@ def connect_run(view: View, run: str, demanded: str | None) -> Database:
     rows_verified = is_verified_for_runs(view, demanded)
     runs = chain_of(view, run)
     parts = [part for name in runs for part in view.parts(name)]
-    held = view.segments_of(parts)
-    segments = [view.segment(number) for number in held]
+    in_order = view.segments_of(parts)
+    segments = [view.segment(number) for number in in_order]
     count = event_count(parts)
     database = Database(
         view.head,
@@ -125,7 +125,7 @@ def connect_run(view: View, run: str, demanded: str | None) -> Database:
     ordinal, releases = view.ordinal_of(run), view.releases
     numbers = relation.numbered([run] if ordinal else [], ordinal)
     chosen = relation.RowFilter(relation.of_runs(runs), numbers)
-    _fill(database, segments, [releases[number] for number in held], chosen)
+    _fill(database, segments, [releases[number] for number in in_order], chosen)
     return database
 
 
@@ -136,7 +136,7 @@ def _fill(
     chosen: relation.RowFilter | None = None,
     passing: Sequence[Path] = (),
 ) -> None:
-    """Hold the rows of these segments as `hold_segments`, or close the database if that fails. Raises: As that."""
+    """Hold the rows of these segments, or close the database if that fails. Raises: As `hold_segments`."""
     try:
         relation.hold_segments(database, segments, releases, chosen, passing)
     except BaseException:
@@ -155,7 +155,7 @@ def from_table(events: pa.Table, threads: int | None = None) -> Database:
 
 
 def from_rows(rows: Sequence[Mapping[str, Value]], threads: int | None = None) -> Database:
-    """Open a database over these rows; columns that a row lacks are NULL. For tests and small questions.
+    """Open a database over these rows; columns that a row lacks are NULL. For tests and small queries.
 
     Raises: as `table_of`.
     """
@@ -163,7 +163,7 @@ def from_rows(rows: Sequence[Mapping[str, Value]], threads: int | None = None) -
 
 
 def table_of(rows: Sequence[Mapping[str, Value]]) -> pa.Table:
-    """Return these rows with all columns of events; those that a row lacks are NULL.
+    """Return these rows with all columns of events; columns that a row lacks are NULL.
 
     Raises:
         ValueError: A row has a column that events do not have.
@@ -176,14 +176,14 @@ def table_of(rows: Sequence[Mapping[str, Value]]) -> pa.Table:
 
 # See docs/decisions/what-is-known-of-runs-is-cached.md.
 class Slices:
-    """Databases over some runs of a ledger after the other, so that memory does not grow with the ledger.
+    """Databases over successive runs of a ledger, so that memory does not grow with the ledger.
 
-    Each has whole runs, of about `most` events, one run at least; it is closed when the next is asked for. Of a ledger
-    of fewer events there is none. A run is in the slice in which it ends, so that an append changes the slices of the
-    runs that go on, and the last one. The slices of a federation are those of its shards, so that what is known of a
-    shard is known of it here, too.
+    Each has whole runs, of about `most` events, at least one run; it is closed when the next is opened. A ledger with
+    fewer events has none. A run is in the slice in which it ends, so that an append changes only the slices of the runs
+    that continue, and the last one. The slices of a federation are those of its shards, so that answers cached for a
+    shard serve here, too.
 
-    Raises: As `database.connect_view`, when they are asked for.
+    Raises: As `database.connect_view`, on iteration.
     """
 
     def __init__(self, view: View, demanded: str | None = None, most: int | None = None) -> None:
@@ -191,7 +191,7 @@ class Slices:
         most = most or SLICE_EVENTS
         self._slices: list[Slice] = []
         self._rows_verified: bool | None = None
-        # A bomb has many rows in few bytes, and nothing to be judged: to judge it in parts would take longer.
+        # A decompression bomb has many rows in few bytes, and nothing to judge: judging it in parts would take longer.
         stored = sum(segment_bytes(ledger.path) for ledger in views_of(view)) if view.head.events > most else 0
         if stored > LEAST_BYTES * view.head.events:
             self._rows_verified = is_verified_for_runs(view, demanded)
@@ -201,13 +201,13 @@ class Slices:
         return len(self._slices)
 
     def __iter__(self) -> Iterator[Database]:
-        for one in self._slices:
-            with slices.connect(one, self._head, self._rows_verified) as database:
-                slices.fill(database, one)
+        for slice_ in self._slices:
+            with slices.connect(slice_, self._head, self._rows_verified) as database:
+                slices.fill(database, slice_)
                 yield database
 
     def tables(self, queries: Mapping[_Name, SliceQuery], progress: Progress | None = None) -> Iterator[pa.Table]:
-        """Yield what all slices answer together to each of these, in order, from the cache where it is known.
+        """Yield the answer of all slices together to each of these queries, in order, from the cache where it has it.
 
         Raises: As `Database.table`.
         """
@@ -216,45 +216,45 @@ class Slices:
     def _stored(
         self, queries: Mapping[_Name, SliceQuery], progress: Progress | None = None
     ) -> dict[_Name, list[bytes]]:
-        """Return what each slice answers to each of these as the cache has it, which takes little memory."""
-        found: dict[_Name, list[bytes]] = {name: [] for name in queries}
-        known = [slices.remembered(one.digest, {each.text for each in queries.values()}) for one in self._slices]
-        lacking = [{each.text: each for each in queries.values() if each.text not in held} for held in known]
+        """Return the answers of each slice to each of these queries in the cache's form, which takes little memory."""
+        stored: dict[_Name, list[bytes]] = {name: [] for name in queries}
+        cached = [slices.remembered(slice_.digest, {each.text for each in queries.values()}) for slice_ in self._slices]
+        lacking = [{each.text: each for each in queries.values() if each.text not in held} for held in cached]
         with pool_of(1) as pool:
             answers = [
-                pool.submit(answered, str(one.view.path.absolute()), one.runs, one.digest, each)
-                if pool is not None and each and one.digest is not None
+                pool.submit(answered, str(slice_.view.path.absolute()), slice_.runs, slice_.digest, each)
+                if pool is not None and each and slice_.digest is not None
                 else None
-                for one, each in zip(self._slices, lacking, strict=True)
+                for slice_, each in zip(self._slices, lacking, strict=True)
             ]
-            of_slices = zip(self._slices, known, lacking, answers, strict=True)
-            for done, (one, held, each, far) in enumerate(of_slices, start=1):
+            of_slices = zip(self._slices, cached, lacking, answers, strict=True)
+            for done, (slice_, held, each, far) in enumerate(of_slices, start=1):
                 if each:
-                    here = partial(cuts.answers, one, self._head, self._rows_verified, each)
+                    here = partial(cuts.answers, slice_, self._head, self._rows_verified, each)
                     tables = here() if far is None else far.result()
                     made = {text: slices.written(table) for text, table in tables.items()}
-                    slices.remember(one.digest, made)
+                    slices.remember(slice_.digest, made)
                     held |= made
-                for name, sought in queries.items():
-                    found[name].append(held[sought.text])
+                for name, query in queries.items():
+                    stored[name].append(held[query.text])
                 if progress is not None:
                     progress(done * len(queries), len(self._slices) * len(queries))
-        return found
+        return stored
 
     def rows_of(self, queries: Sequence[Query]) -> Iterator[tuple[str, pa.Table]]:
-        """Yield the names of the relations of these queries, which are of one run each, and their rows, texts coded."""
+        """Yield the relation name and the rows, texts coded, of each of these queries about single runs."""
         selects = {query.relation: slice_query(f"SELECT * FROM {query.relation}") for query in queries}
         for name, stored in self._stored(selects).items():
             yield name, slices.joined(stored)
 
 
 def keep_known(before: View, after: View) -> None:
-    """Let what is known of a ledger's slices be known of the same events in other segments."""
+    """Keep the cached answers of a ledger's slices for the same events in other segments."""
     with suppress(sqlite3.Error), slices.opened_cache() as cache:
         if not cache.execute("SELECT EXISTS (SELECT 1 FROM answers)").fetchone()[0]:
             return
         old, new = (
-            {runs: digest for one in Slices(view)._slices for runs, digest in cuts.digests(one).items()}
+            {runs: digest for slice_ in Slices(view)._slices for runs, digest in cuts.digests(slice_).items()}
             for view in (before, after)
         )
         cache.create_function("of_entry", 3, slices.of_entry)
@@ -268,18 +268,18 @@ def keep_known(before: View, after: View) -> None:
 def answered(
     ledger: str, runs: Sequence[Extent], digest: str, queries: Mapping[str, SliceQuery]
 ) -> dict[str, pa.Table]:
-    """Return what the slice of these runs of a ledger answers to these, by their texts, in another process.
+    """Return the answers of the slice of these runs to these queries, by their texts, in another process.
 
     Raises: As `Database.table`; SequenceConflict if the ledger there has no slice of this digest.
     """
     view = open_for_answers(Path(ledger))
-    one = slice_of(view, runs, view.extents(), SLICE_EVENTS)
-    if one.digest != digest:
+    slice_ = slice_of(view, runs, view.extents(), SLICE_EVENTS)
+    if slice_.digest != digest:
         raise SequenceConflict(
             f"{ledger}: found other events where another process read some of it, expected the same; is it the same "
             "folder there, and was it compacted meanwhile? run it again"
         )
-    return cuts.answers(one, view.head, None, queries, threads=1)  # a worker of a cluster has one core
+    return cuts.answers(slice_, view.head, None, queries, threads=1)  # a worker of a cluster has one core
 
 
 def _slices(view: View, most: int) -> Iterator[Slice]:
@@ -287,31 +287,31 @@ def _slices(view: View, most: int) -> Iterator[Slice]:
     earlier, homes = earlier_runs(view), dict[str, int]()
     ledgers = [(ledger, ledger.extents()) for ledger in views_of(view)]
     for at, (_, extents) in enumerate(ledgers if earlier else ()):
-        homes.update((one.run, at) for one in extents)
+        homes.update((extent.run, at) for extent in extents)
     beside = view.extents() if len(ledgers) > 1 and earlier else []
-    apart = [whole for whole in _continuing(beside, earlier) if len({homes[one.run] for one in whole}) > 1]
-    names = {one.run for whole in apart for one in whole}
+    crossing = [group for group in _continuing(beside, earlier) if len({homes[extent.run] for extent in group}) > 1]
+    names = {extent.run for group in crossing for extent in group}
     for ledger, extents in ledgers:
-        wholes = _continuing([one for one in extents if one.run not in names], earlier)
-        yield from (slice_of(ledger, runs, extents, most) for runs in _windows(wholes, most))
-    yield from (Slice(tuple(runs), None, view, beside, most) for runs in _windows(apart, most))
+        groups = _continuing([extent for extent in extents if extent.run not in names], earlier)
+        yield from (slice_of(ledger, runs, extents, most) for runs in _windows(groups, most))
+    yield from (Slice(tuple(runs), None, view, beside, most) for runs in _windows(crossing, most))
 
 
-def _windows(wholes: Iterable[Sequence[Extent]], most: int) -> Iterator[list[Extent]]:
-    """Yield the runs that end within the same so many events, in more parts where these are many more."""
+def _windows(groups: Iterable[Sequence[Extent]], most: int) -> Iterator[list[Extent]]:
+    """Yield the runs that end within the same `most` events, split further where they are many more."""
     windows: dict[int, list[Sequence[Extent]]] = {}
-    for whole in wholes:
-        windows.setdefault((max(one.end for one in whole) - 1) // most, []).append(whole)
+    for group in groups:
+        windows.setdefault((max(extent.end for extent in group) - 1) // most, []).append(group)
     for _, runs in sorted(windows.items()):
-        for part in parts_of(runs, lambda whole: sum(one.rows for one in whole), 2 * most):
+        for part in parts_of(runs, lambda group: sum(extent.rows for extent in group), 2 * most):
             yield list(chain.from_iterable(part))
 
 
 def _continuing(extents: Iterable[Extent], continues: Mapping[str, str]) -> list[list[Extent]]:
-    """Return where runs are, those together that continue each other, in the order in which the first of them begin."""
-    found: dict[str, list[Extent]] = {}
+    """Group the extents of runs that continue each other, in the order in which the first of each begin."""
+    groups: dict[str, list[Extent]] = {}
     first: dict[str, str] = {}
-    for one in extents:
-        whole = first[one.run] = first.get(continues.get(one.run, ""), one.run)
-        found.setdefault(whole, []).append(one)
-    return list(found.values())
+    for extent in extents:
+        name = first[extent.run] = first.get(continues.get(extent.run, ""), extent.run)
+        groups.setdefault(name, []).append(extent)
+    return list(groups.values())

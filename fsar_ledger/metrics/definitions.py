@@ -1,8 +1,8 @@
 """The metrics as `reports/metrics.toml` lists them (meaning, concerns, units, printed form), and the paper's numbers.
 
-The file is the one list of metrics. What SQL needs of it becomes relations here (`metric_definitions`,
+The file is the only list of metrics. What SQL needs of it becomes relations here (`metric_definitions`,
 `metric_concerns`, `metric_measurements`); the report, the statistics and the pages read the same rows. The numbers that
-the paper prints are in our unit, each with the step of its last digit; a table is read only when it is asked for.
+the paper prints are in our unit, each with the step of its last digit; a table is read only when needed.
 """
 
 import csv
@@ -66,14 +66,14 @@ class Metric(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def printed(self) -> Paper:
-        """Where the paper prints it. Raises: KeyError where it does not."""
+        """Return where the paper prints it. Raises: KeyError where it does not."""
         if self.paper is None:
             raise KeyError(f"{self.name}: the paper does not print it")
         return self.paper
 
 
 class Registry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The file: its metrics in their order."""
+    """The metrics file: its metrics in their order."""
 
     metric: tuple[Metric, ...]
 
@@ -87,32 +87,32 @@ def metrics() -> tuple[Metric, ...]:
 
 
 def metrics_in(text: str, queries: Collection[str]) -> tuple[Metric, ...]:
-    """Return the metrics of this registry, each measured by one of these queries; those of the paper come first.
+    """Return the metrics of this registry, each measured by one of these queries; those of the paper first.
 
     Raises:
         UsageError: a field is missing, unknown or of another type, a name stands twice or is that of no query, or a
             concern is unknown; with line and field.
     """
-    found = decoded(text, Registry, FILE).metric
+    listed = decoded(text, Registry, FILE).metric
     names: list[str] = []
-    for at, metric in enumerate(found):
+    for index, metric in enumerate(listed):
         if metric.name in names:
-            raise _wrong(text, ("metric", at, "name"), f"another metric of this name: {metric.name}", "each once")
+            raise _wrong(text, ("metric", index, "name"), f"another metric of this name: {metric.name}", "each once")
         if metric.name not in queries:
             expected = f"the name of a query in queries/metrics{printable.did_you_mean(metric.name, queries)}"
-            raise _wrong(text, ("metric", at, "name"), metric.name, expected)
+            raise _wrong(text, ("metric", index, "name"), metric.name, expected)
         for number, concern in enumerate(metric.rests_on):
             if concern not in CONCERNS:
                 expected = f"one of the concerns ({', '.join(CONCERNS)}){printable.did_you_mean(concern, CONCERNS)}"
-                raise _wrong(text, ("metric", at, "rests_on", number), concern, expected)
+                raise _wrong(text, ("metric", index, "rests_on", number), concern, expected)
         for number, record in enumerate(metric.records):
             if record not in RECORDS:
                 expected = (
                     f"an event type, or TYPE.FIELD of one that may be NULL{printable.did_you_mean(record, RECORDS)}"
                 )
-                raise _wrong(text, ("metric", at, "records", number), record, expected)
+                raise _wrong(text, ("metric", index, "records", number), record, expected)
         names.append(metric.name)
-    return tuple(sorted(found, key=lambda one: one.paper is None))
+    return tuple(sorted(listed, key=lambda metric: metric.paper is None))
 
 
 def _wrong(text: str, field: Field, found: str, expected: str) -> UsageError:
@@ -122,12 +122,12 @@ def _wrong(text: str, field: Field, found: str, expected: str) -> UsageError:
 @cache
 def published_metrics() -> tuple[Metric, ...]:
     """Return the metrics that the paper prints, in its order."""
-    return tuple(one for one in metrics() if one.paper is not None)
+    return tuple(metric for metric in metrics() if metric.paper is not None)
 
 
 def metric_named(name: str) -> Metric:
     """Return the metric of this name. Raises: KeyError when there is none."""
-    return {one.name: one for one in metrics()}[name]
+    return {metric.name: metric for metric in metrics()}[name]
 
 
 DEFINITIONS = (
@@ -136,7 +136,7 @@ DEFINITIONS = (
 
 
 def definitions_sql(of: Sequence[Metric] | None = None) -> str:
-    """Return the SELECT of what SQL must know of each metric (of these, or of all)."""
+    """Return the SELECT of the definition of each metric (of these, or of all)."""
     rows = [
         f"({at}, '{one.name}', '{one.scale}', '{one.better}', {written(one.is_pooled)}, {one.numerator_units}, "
         f"{written(one.published_value)}::DOUBLE, NULL::DOUBLE, {written(one.paper is not None)})"
@@ -146,22 +146,25 @@ def definitions_sql(of: Sequence[Metric] | None = None) -> str:
 
 
 def concerns_sql() -> str:
-    """Return the SELECT of what each metric rests on."""
-    rows = [f"('{one.name}', '{concern}')" for one in metrics() for concern in one.rests_on]
+    """Return the SELECT of the concerns that each metric rests on."""
+    rows = [f"('{metric.name}', '{concern}')" for metric in metrics() for concern in metric.rests_on]
     return _values("needed", "judge, concern", rows)
 
 
 def records_sql() -> str:
     """Return the SELECT of the event types and fields that each metric rests on, where it lists them."""
     return _values(
-        "needed", "judge, record", [f"('{one.name}', '{each}')" for one in metrics() for each in one.records]
+        "needed",
+        "judge, record",
+        [f"('{metric.name}', '{record}')" for metric in metrics() for record in metric.records],
     )
 
 
 def measured_sql(of: Sequence[Metric] | None = None) -> str:
-    """Return the SELECT of what every metric (of these, or of all) measures of each run."""
+    """Return the SELECT of the measurements of every metric (of these, or of all) for each run."""
     return "UNION ALL BY NAME\n".join(
-        f"SELECT\n    '{one.name}' AS metric,\n    {_measures(one)}\nFROM {one.name}\n" for one in of or metrics()
+        f"SELECT\n    '{metric.name}' AS metric,\n    {_measures(metric)}\nFROM {metric.name}\n"
+        for metric in of or metrics()
     )
 
 
@@ -209,12 +212,12 @@ class PrintedTest(NamedTuple):
 def printed_tests() -> dict[tuple[str, str], PrintedTest]:
     """Return the printed tests by metric and comparison (`first-second`), in their order. Paper: tab:significance."""
     names = {metric.printed.significance: metric.name for metric in published_metrics()}
-    found = {}
+    tests = {}
     for row in _lines("significance"):
         t, d = float(row["t"]), _number(row["cohens_d"])
         comparison = row["comparison"].lower().replace(" vs ", "-")
-        found[names[row["metric"]], comparison] = PrintedTest(t, d._replace(value=d.value if t > 0 else -d.value))
-    return found
+        tests[names[row["metric"]], comparison] = PrintedTest(t, d._replace(value=d.value if t > 0 else -d.value))
+    return tests
 
 
 @cache
@@ -277,7 +280,7 @@ def _number(text: str, unit: float = 1.0) -> Printed:
 
 
 def _metric(name: str) -> str:
-    """Return the metric that tables other than the results call so; such tables print our units."""
+    """Return the metric with this name in tables other than the results; such tables print our units."""
     return next(metric.name for metric in published_metrics() if metric.printed.elsewhere == name)
 
 
