@@ -1,4 +1,4 @@
-"""The result of the sensitivity study: what each constant does to each cell."""
+"""The result of the sensitivity study: the effect of each constant on each cell."""
 
 from collections.abc import Iterator
 from typing import ClassVar
@@ -15,11 +15,11 @@ NUMBERS = ("effects", "mu", "mu_star", "sigma", "mu_star_conf")
 
 
 class VariedCell(msgspec.Struct, frozen=True, kw_only=True):
-    """One cell: its mean at the base, in the metric's unit, and what chance alone could do to it.
+    """One cell: its mean at the base, in the metric's unit, and the possible effect of chance alone.
 
-    `by_chance` is the most that `mu_star` of a factor could be if only chance moved the cell, `by_chance_of_switch`
-    that of a switch. `emulator_r2` says how well the polynomial behind the Sobol indices predicts points that it has
-    not seen. None: the cell was undefined, or there is no such polynomial.
+    `by_chance` is the largest `mu_star` of a factor if only chance moved the cell, `by_chance_of_switch` that of a
+    switch. `emulator_r2` is how well the polynomial behind the Sobol indices predicts unseen points. None: the cell was
+    undefined, or there is no such polynomial.
     """
 
     metric: str
@@ -32,9 +32,9 @@ class VariedCell(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class VariedFactor(msgspec.Struct, frozen=True, kw_only=True):
-    """One factor, where its value is from, and what it does to each cell over its whole range, `low` to `high`.
+    """One factor, the origin of its value, and its effect on each cell over its whole range, `low` to `high`.
 
-    For a switch it is what changes between its two settings. The tuples have a number for each cell, in their order:
+    For a switch it is the change between its two settings. The tuples have a number for each cell, in their order:
     `mu`, `mu_star`, `sigma` and `mu_star_conf` (half of the 95 % interval of `mu_star`) are in the metric's unit, over
     `effects` moves. `sobol_first` and `sobol_total` are parts of the cell's variance while the factors that matter most
     vary together. None: the cell was undefined, or the factor is not among those.
@@ -56,7 +56,7 @@ class VariedFactor(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Effect(msgspec.Struct, frozen=True, kw_only=True):
-    """What one factor does to one cell, as in `VariedFactor`, in margins of the metric."""
+    """The effect of one factor on one cell, as in `VariedFactor`, in margins of the metric."""
 
     metric: str
     architecture: str
@@ -70,7 +70,7 @@ class Effect(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Sensitivity(GroundedResult, frozen=True, kw_only=True):
-    """The effects around the constants `parameters`, and how many evaluations and runs they come from.
+    """The effects around the constants `parameters`, and the number of evaluations and runs behind them.
 
     `dozen` names the factors that matter most (`that_matter`), the one that moves a cell furthest first.
     """
@@ -96,22 +96,22 @@ class Sensitivity(GroundedResult, frozen=True, kw_only=True):
         expected = [
             (metric.name, architecture) for metric in published_metrics() for architecture in PAPER_ARCHITECTURES
         ]
-        if [(one.metric, one.architecture) for one in self.cells] != expected:
+        if [(cell.metric, cell.architecture) for cell in self.cells] != expected:
             raise ValueError("the cells are not those of the results table")
-        names = [one.name for one in self.factors]
+        names = [factor.name for factor in self.factors]
         if len(set(names)) != len(names) or not set(self.dozen) <= set(names):
             raise ValueError("a factor stands twice, or is not there")
-        for one in self.factors:
-            parts = [getattr(one, name) for name in NUMBERS] + [
-                one.sobol_first or expected,
-                one.sobol_total or expected,
+        for factor in self.factors:
+            parts = [getattr(factor, name) for name in NUMBERS] + [
+                factor.sobol_first or expected,
+                factor.sobol_total or expected,
             ]
             if any(len(part) != len(expected) for part in parts):
-                raise ValueError(f"factor {one.name}: not a number for each cell")
+                raise ValueError(f"factor {factor.name}: not a number for each cell")
 
     @property
     def effects(self) -> tuple[Effect, ...]:
-        """The effect of each factor on each cell, cell by cell."""
+        """Return the effect of each factor on each cell, cell by cell."""
         return tuple(self._effects())
 
     def _effects(self) -> Iterator[Effect]:
@@ -135,7 +135,7 @@ class Sensitivity(GroundedResult, frozen=True, kw_only=True):
         yield dozen(self)
 
     def summary(self) -> str:
-        """Say how much was varied."""
+        """Return how much was varied, in one line."""
         still = sum(furthest == 0 for furthest in reach(self).values())
         return (
             f"{len(self.factors)} factors, {self.evaluations:,} evaluations in {self.cpu_minutes} minutes of one core; "
@@ -144,11 +144,11 @@ class Sensitivity(GroundedResult, frozen=True, kw_only=True):
 
 
 def reach(found: Sensitivity) -> dict[str, float]:
-    """Return how far each factor moves the cell that it moves furthest, in margins, the largest first.
+    """Return the furthest that each factor moves any cell, in margins, the largest first.
 
     Equal ones keep the order of the file.
     """
-    furthest = dict.fromkeys((one.name for one in found.factors), 0.0)
+    furthest = dict.fromkeys((factor.name for factor in found.factors), 0.0)
     for effect in found.effects:
         furthest[effect.factor] = max(furthest[effect.factor], effect.mu_star_margins or 0.0)
     return dict(sorted(furthest.items(), key=lambda item: -item[1]))
@@ -173,11 +173,11 @@ def dozen(found: Sensitivity) -> list[Row]:
     """Return a row for each factor that matters most: the cell it moves furthest, how far, its part of the variance."""
     rows: list[Row] = []
     effects = found.effects
-    by_name = {one.name: one for one in found.factors}
+    by_name = {factor.name: factor for factor in found.factors}
     for name in found.dozen:
         factor, of_factor = by_name[name], [effect for effect in effects if effect.factor == name]
-        at = max(range(len(of_factor)), key=lambda cell: of_factor[cell].mu_star_margins or 0.0)
-        most = of_factor[at]
+        index = max(range(len(of_factor)), key=lambda cell: of_factor[cell].mu_star_margins or 0.0)
+        most = of_factor[index]
         rows.append(
             {
                 "factor": name,
@@ -192,9 +192,9 @@ def dozen(found: Sensitivity) -> list[Row]:
                 "mu_star_margins": most.mu_star_margins,
                 "conf": most.mu_star_conf_margins,
                 "by_chance": most.by_chance_margins,
-                "sobol_first": None if factor.sobol_first is None else factor.sobol_first[at],
-                "sobol_total": None if factor.sobol_total is None else factor.sobol_total[at],
-                "r2": found.cells[at].emulator_r2,
+                "sobol_first": None if factor.sobol_first is None else factor.sobol_first[index],
+                "sobol_total": None if factor.sobol_total is None else factor.sobol_total[index],
+                "r2": found.cells[index].emulator_r2,
             }
         )
     return rows

@@ -1,6 +1,6 @@
 """Check the ten invariants: what each query of `queries/invariants/` finds, by architecture and configuration.
 
-And the single verdicts on a run, of invariants and of metrics, each with the events that made it.
+Also the single verdicts on a run, of invariants and of metrics, each with the events behind it.
 """
 
 from collections.abc import Sequence
@@ -22,10 +22,10 @@ class AuditRow(msgspec.Struct, frozen=True):
     """One invariant over the runs of one architecture and configuration.
 
     It holds if no event violates it, every run observes what it rests on, and there was a case; `not_observed` names
-    what `runs_not_observed` of the runs do not observe. A violation counts although something is not observed, if what
-    is observed suffices to prove it. `holds` is None without a violation if something is not observed or there was no
-    case. `cases` is how much was checked. `events` counts distinct events; `first_*` is the first of them by run and
-    seq, None if there is none or nothing could be judged.
+    what `runs_not_observed` of the runs do not observe. A violation counts despite gaps if what is observed proves it.
+    `holds` is None without a violation if something is not observed or there was no case. `cases` counts the cases
+    checked. `events` counts distinct events; `first_*` is the first of them by run and seq, None if there is none or
+    nothing could be judged.
     """
 
     invariant: str
@@ -44,20 +44,20 @@ class AuditRow(msgspec.Struct, frozen=True):
 
     @property
     def is_empty(self) -> bool:
-        """Return whether everything was observed, and nothing happened that the invariant is about."""
+        """Return whether everything was observed, but no case of the invariant occurred."""
         return self.holds is None and not self.runs_not_observed
 
 
 def all_shown(rows: Sequence[AuditRow]) -> bool:
-    """Return whether a case of some architecture shows each invariant to hold, and none is broken or not observable."""
+    """Return whether some architecture shows each invariant to hold, and none is broken or not observable."""
     shown = {row.invariant for row in rows if row.holds}
     return all(row.holds or (row.is_empty and row.invariant in shown) for row in rows)
 
 
 def invariants() -> list[Query]:
     """Return the queries of the invariants, I1 to I5 before A1 to A5."""
-    found = [query for query in library().queries.values() if query.name.startswith("invariants/")]
-    return sorted(found, key=lambda query: (query.relation[0] != "i", query.relation))
+    queries = [query for query in library().queries.values() if query.name.startswith("invariants/")]
+    return sorted(queries, key=lambda query: (query.relation[0] != "i", query.relation))
 
 
 def chosen(names: Sequence[str]) -> list[Query]:
@@ -66,19 +66,19 @@ def chosen(names: Sequence[str]) -> list[Query]:
     Raises:
         UnknownQuery: There is no such invariant; the message suggests the nearest.
     """
-    every = invariants()
-    known = {
-        alias: query for query in every for alias in (query.relation, query.relation.partition("_")[0], query.name)
+    queries = invariants()
+    named = {
+        alias: query for query in queries for alias in (query.relation, query.relation.partition("_")[0], query.name)
     }
     for name in names:
-        if name.lower() not in known:
+        if name.lower() not in named:
             hint = (
-                printable.did_you_mean(name.lower(), known)
-                or f"; expected one of {', '.join(one.relation for one in every)}"
+                printable.did_you_mean(name.lower(), named)
+                or f"; expected one of {', '.join(query.relation for query in queries)}"
             )
             raise UnknownQuery(f"invariant {name}: there is no invariant of that name{hint}")
-    asked = {known[name.lower()].relation for name in names}
-    return [query for query in every if not asked or query.relation in asked]
+    chosen_names = {named[name.lower()].relation for name in names}
+    return [query for query in queries if not chosen_names or query.relation in chosen_names]
 
 
 def audit_rows(
@@ -89,10 +89,10 @@ def audit_rows(
 ) -> list[AuditRow]:
     """Return what these invariants find: a row for each, per architecture (default: all) and configuration with runs.
 
-    `progress` is called with how often an invariant was judged, and how often that will be.
+    `progress` is called with the number of judgements done, and the total.
 
     Raises:
-        UsageError: There is no run to check, so nothing could be said to hold.
+        UsageError: There is no run to check.
         QueryFailed, LedgerCorrupted: As `Database.table`.
     """
     selects = {query.relation: _counted(query) for query in queries}
@@ -210,7 +210,7 @@ JUDGES = {
     "late": "coordination_success",
     "unattributed": "audit_attributability",
 }
-"""By kind of verdict, the metric that counts such verdicts."""
+"""The metric that counts each kind of verdict."""
 
 _OF_METRICS = """
     SELECT seq, time_us / 1e6 AS time_s, action_id, about, found, made_by
@@ -233,14 +233,14 @@ _OF_INVARIANT = """
 
 
 def verdict_kinds() -> dict[str, str]:
-    """Return the kinds of verdicts, each with the metric or invariant that judges."""
+    """Return the kinds of verdicts, each with the metric or invariant that gives it."""
     return JUDGES | {query.relation.partition("_")[0]: query.relation for query in invariants()}
 
 
 def verdict_rows(database: Database, run: str, kind: str) -> tuple[pa.Table, Query]:
-    """Return the verdicts of this kind on a run, with the events that made each, and the query that judges.
+    """Return the verdicts of this kind on a run, with the events behind each, and the query that gives them.
 
-    There are none where the run does not observe what they rest on, as where the metric or invariant judges.
+    There are none where the run does not observe what they rest on, like those of the metric or invariant.
 
     Raises:
         UsageError: There is no such kind.

@@ -1,14 +1,14 @@
-"""Find the packaged queries by name, read their headers and know their dependencies.
+"""Find the packaged queries by name, with their headers and dependencies.
 
 A query file starts with comment lines `-- Name: text`. Title, Paper, Grain, Key, Units, NULL and Example are required.
-`Key` lists the columns that tell any two rows apart, with `?` after one that may be NULL; or it says `one row`, or
+`Key` lists the columns that identify a row, with `?` after one that may be NULL; or it is `one row`, or
 `none, <reason>`. `Parameters: name: kind = default, ...` (`sql_values.py`) makes it a query that is run with
 values instead of a view. `Stored: <reason>` keeps its rows, once computed, for the life of a connection. `Partial:
-<reason>` says that its rows of a ledger are those of some of the runs and those of the others, so that a large ledger
-is asked in slices.
+<reason>` means that its rows for all runs are the union of its rows for subsets of runs, so that a large ledger is
+queried in slices.
 
-A file in `readings/` is another reading of a relation: it reads that relation, has the same columns, and differs in the
-one thing that `Title` says (`metrics/multiverse.py`). `Reading` is the number of ours, `Replaces` the relation, `Moves`
+A file in `readings/` is another reading of a relation: it reads that relation, has the same columns, and differs in
+what `Title` says (`metrics/multiverse.py`). `Reading` is the number of our reading, `Replaces` the relation, `Moves`
 the metrics that depend on it, `Question` what it answers differently, and `Why` the words of the paper that allow it.
 """
 
@@ -51,8 +51,8 @@ _VERSIONED = re.compile(r"(?<=[a-z0-9])(?=[A-Z])")
 class Query(msgspec.Struct, frozen=True):
     """One relation that SQL can name: a packaged file, or a view that is generated from an event type.
 
-    `name` is `folder/relation`; `tags` are the event types whose view it is; `nothing` selects the same columns where
-    no such event exists.
+    `name` is `folder/relation`; `tags` are the event types of a view; `nothing` selects the same columns where no such
+    event exists.
     """
 
     name: str
@@ -64,14 +64,14 @@ class Query(msgspec.Struct, frozen=True):
 
     @property
     def relation(self) -> str:
-        """Return the name by which SQL refers to it: the last part of its name."""
+        """Return the last part of its name, by which SQL refers to it."""
         return self.name.rpartition("/")[2]
 
     @property
     def key(self) -> dict[str, bool] | None:
-        """Return the columns that tell any two rows apart, and whether each may be NULL, which counts as a value.
+        """Return the columns that identify a row, and whether each may be NULL, which counts as a value.
 
-        Empty: there is at most one row. None: rows may look alike, and each counts.
+        Empty: there is at most one row. None: rows may be equal, and each counts.
         """
         text = self.header["Key"]
         if text.startswith("none, "):
@@ -81,7 +81,7 @@ class Query(msgspec.Struct, frozen=True):
 
     @property
     def is_stored(self) -> bool:
-        """Tell whether its rows are computed once per connection."""
+        """Return whether its rows are computed once per connection."""
         return "Stored" in self.header
 
     @property
@@ -90,11 +90,11 @@ class Query(msgspec.Struct, frozen=True):
         return hashlib.sha256(self.sql.encode()).hexdigest()
 
     def sources(self) -> set[str]:
-        """Return the names behind FROM and JOIN: relations and its own steps."""
+        """Return the names after FROM and JOIN: relations and its own steps."""
         return sources(self.sql)
 
     def reading_from(self, others: Mapping[str, str]) -> str:
-        """Return its SQL with other relations under the names that it knows: `FROM others[name] AS name`."""
+        """Return its SQL reading other relations under the same names: `FROM others[name] AS name`."""
 
         def renamed(match: re.Match[str]) -> str:
             before, name, alias = match.groups()
@@ -106,13 +106,13 @@ class Query(msgspec.Struct, frozen=True):
 
 
 def sources(sql: str) -> set[str]:
-    """Return the names behind FROM and JOIN: relations and the SELECT's own steps, but no functions."""
+    """Return the names after FROM and JOIN: relations and the SELECT's own steps, but no functions."""
     return set(_SOURCE.findall(_TEXT_OR_COMMENT.sub(" ", sql)))
 
 
 def plain_sql(sql: str) -> str:
-    """Return the SQL without comments, each run of white space outside of texts as one space."""
-    parts = _TEXT.split(_TEXT_OR_COMMENT.sub(lambda found: found[0] if found[0].startswith("'") else " ", sql))
+    """Return the SQL without comments, with white space outside string literals collapsed to single spaces."""
+    parts = _TEXT.split(_TEXT_OR_COMMENT.sub(lambda match: match[0] if match[0].startswith("'") else " ", sql))
     return "".join(part if part.startswith("'") else _SPACE.sub(" ", part) for part in parts).strip()
 
 
@@ -154,7 +154,7 @@ def view_name(tag: str) -> str:
 def staging_sql(tag: str, source: str | None = "events") -> str:
     """Return the SELECT of one event type's envelope and fields from a relation with the columns of `events`.
 
-    With `source` None it selects no rows, for a type that no event has.
+    With `source` None it selects no rows, for a type without events.
     """
     return _select([*ENVELOPE, *LAYOUTS[tag].fields], [tag], source, without="type")
 
@@ -166,9 +166,9 @@ def _select(fields: Iterable[Field], tags: Iterable[str], source: str | None, wi
         nothing = ", ".join(f'CAST(NULL AS {SQL_TYPES[COLUMNS[name]]}) AS "{name}"' for name in names)
         return f"SELECT {nothing}\nWHERE FALSE\n"
     columns = ", ".join(f'"{name}"' for name in names)
-    listed = [f"'{tag}'" for tag in tags]
-    found = f"IN ({', '.join(listed)})" if len(listed) > 1 else f"= {listed[0]}"
-    return f"SELECT {columns}\nFROM {source}\nWHERE type {found}\n"
+    quoted = [f"'{tag}'" for tag in tags]
+    condition = f"IN ({', '.join(quoted)})" if len(quoted) > 1 else f"= {quoted[0]}"
+    return f"SELECT {columns}\nFROM {source}\nWHERE type {condition}\n"
 
 
 def staging_query(tag: str) -> Query:
@@ -199,7 +199,7 @@ def _generated(
     tags: frozenset[str] = frozenset(),
     nothing: str = "",
 ) -> Query:
-    """Return a query that has no file, with the header that a file would have."""
+    """Return a query without a file, with the header that a file would have."""
     values = (title, paper, grain, key, units, null, f"fsar-ledger query {name} LEDGER")
     return Query(name, sql, dict(zip(REQUIRED_KEYS, values, strict=True)), tags=tags, nothing=nothing)
 
@@ -247,7 +247,7 @@ def concern_query(concern: str) -> Query:
 
 
 def world_query() -> Query:
-    """Return the view of what the world did, of any type: one text per fact, equal for equal facts."""
+    """Return the view of the world's events of any type: one text per fact, equal for equal facts."""
     layouts = [layout for layout in LAYOUTS.values() if issubclass(layout.cls, get_args(WorldEvent))]
     fields = sorted({field.name for layout in layouts for field in layout.fields})
     values = ", ".join(f"'{name}=' || to_json(\"{name}\")::VARCHAR" for name in fields)
@@ -263,7 +263,7 @@ def world_query() -> Query:
 
 
 def metric_queries() -> list[Query]:
-    """Return the relations that `reports/metrics.toml` makes."""
+    """Return the relations made from `reports/metrics.toml`."""
     return [
         _generated(
             "metrics/metric_definitions",
@@ -305,7 +305,7 @@ def metric_queries() -> list[Query]:
 
 
 def generated() -> list[Query]:
-    """Return the queries that have no file.
+    """Return the queries without a file.
 
     They are a view of each event type and concern, the facts of the world, and the relations about metrics.
     """
@@ -319,7 +319,7 @@ def generated() -> list[Query]:
 
 
 def _files(folder: Traversable, prefix: str = "") -> Iterator[tuple[str, str]]:
-    """Yield name and text of every SQL file below the folder, sorted by name."""
+    """Yield the name and the text of every SQL file below the folder, sorted by name."""
     for entry in sorted(folder.iterdir(), key=lambda entry: entry.name):
         if entry.is_dir():
             yield from _files(entry, f"{prefix}{entry.name}/")
@@ -328,7 +328,7 @@ def _files(folder: Traversable, prefix: str = "") -> Iterator[tuple[str, str]]:
 
 
 class Library:
-    """All queries by name, with what each reads."""
+    """All queries by name, with their dependencies."""
 
     def __init__(self, queries: Iterable[Query]):
         self.queries: dict[str, Query] = {query.name: query for query in queries}
@@ -346,7 +346,7 @@ class Library:
         if query is None:
             near = difflib.get_close_matches(name.rpartition("/")[2], self.relations, 3, 0.6)
             hint = (
-                f"did you mean {' or '.join(self.relations[one].name for one in near)}?"
+                f"did you mean {' or '.join(self.relations[relation].name for relation in near)}?"
                 if near
                 else "`fsar-ledger query --list --all` shows all names."
             )
@@ -354,10 +354,10 @@ class Library:
         return query
 
     def needs(self, names: Iterable[str], held: Collection[str] = ()) -> tuple[Query, ...]:
-        """Return the queries that these relations are made of, themselves included, each after what it reads.
+        """Return the queries that these relations are made of, including themselves, each after what it reads.
 
-        Left out are names that are no relation, and those already held with what only they read. Raises: ValueError if
-        a query reads itself.
+        Without names that are no relation, and without those in `held` and what only they read. Raises: ValueError if a
+        query reads itself.
         """
         order: dict[str, Query] = {}
 
@@ -376,12 +376,14 @@ class Library:
         return tuple(order.values())
 
     def partial(self, names: Collection[str], held: Collection[str] = ()) -> list[Query]:
-        """Return the first queries that are partial on each way down from these relations, but for those held."""
-        every = {name for name, query in self.relations.items() if "Partial" in query.header or name == "run_started"}
-        every.difference_update(held)
-        above = self.needs(names, {*held, *every})
+        """Return the first partial queries on each path down from these relations, except those held."""
+        candidates = {
+            name for name, query in self.relations.items() if "Partial" in query.header or name == "run_started"
+        }
+        candidates.difference_update(held)
+        above = self.needs(names, {*held, *candidates})
         read = {*names}.union(*(query.sources() for query in above))
-        return [self.relations[name] for name in sorted(every & read)]
+        return [self.relations[name] for name in sorted(candidates & read)]
 
     def mentioned(self, sql: str) -> set[str]:
         """Return the relations whose names occur anywhere in this SQL."""

@@ -2,7 +2,7 @@
 
 A reading (`queries/readings/*.sql`) replaces one relation by another with the same columns. Readings of different
 questions combine; those of one question exclude each other. The multiverse of a metric is every combination of the
-readings that move it; the empty one is ours. Nothing is simulated again: the same ledger is read differently.
+readings that affect it; the empty one is ours. Nothing is simulated again: the same ledger is read differently.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -27,10 +27,10 @@ ReadingNames = tuple[str, ...]
 """The readings that replace ours, by name and in order; () is our own."""
 
 PRINTED = ("full", 4, "simulated")
-"""Configuration, fleet size and kind of the runs in the paper's results table: forks are none of them."""
+"""Configuration, fleet size and kind of the runs in the paper's results table, which has no forks."""
 
 AT_ONCE = 8
-"""Combinations per statement: more are hardly faster, and each takes memory."""
+"""Combinations per statement: more are hardly faster, and take more memory."""
 
 MEANS = """
     WITH definitions AS ({definitions}), means AS (
@@ -66,7 +66,7 @@ DEFINED = (
 
 # See docs/decisions/readings-are-queries.md.
 class Reading(msgspec.Struct, frozen=True):
-    """One reading other than ours: its title, the number of ours, their question, and the words of the paper behind it.
+    """One reading other than ours: its title, the number of ours, their question, and the paper's words behind it.
 
     `replaces` is a relation; `moves` are the metrics that depend on it.
     """
@@ -82,7 +82,7 @@ class Reading(msgspec.Struct, frozen=True):
 
 
 class _OfRuns(msgspec.Struct, frozen=True, kw_only=True):
-    """The architecture and the runs that a metric is of. None: what the runs do not have."""
+    """The architecture and the runs of a metric. None: not recorded in the runs."""
 
     metric: str
     architecture: str | None
@@ -96,7 +96,7 @@ class _OfRuns(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Universe(_OfRuns, frozen=True, kw_only=True):
-    """The mean of one metric for one architecture when these readings replace ours.
+    """The mean of one metric for one architecture under these readings instead of ours.
 
     Runs whose source does not record what the metric rests on are left out. None: undefined or not observed.
     """
@@ -144,16 +144,16 @@ def readings() -> tuple[Reading, ...]:
 
 
 def _reading(query: Query) -> Reading:
-    told = query.header
-    moves = tuple(name.strip() for name in told["Moves"].split(","))
+    header = query.header
+    moves = tuple(name.strip() for name in header["Moves"].split(","))
     return Reading(
         query.relation,
-        told["Title"],
-        told["Reading"],
-        told["Question"],
-        told["Why"],
-        told["Paper"],
-        told["Replaces"],
+        header["Title"],
+        header["Reading"],
+        header["Question"],
+        header["Why"],
+        header["Paper"],
+        header["Replaces"],
         moves,
     )
 
@@ -164,9 +164,9 @@ def combinations(metric: str) -> tuple[ReadingNames, ...]:
     Ours comes first, then those of fewer readings.
     """
     questions: dict[str, list[str]] = {}
-    for one in readings():
-        if metric in one.moves:
-            questions.setdefault(one.question, []).append(one.name)
+    for reading in readings():
+        if metric in reading.moves:
+            questions.setdefault(reading.question, []).append(reading.name)
     chosen = (
         tuple(sorted(filter(None, choice))) for choice in product(*(("", *names) for names in questions.values()))
     )
@@ -176,15 +176,15 @@ def combinations(metric: str) -> tuple[ReadingNames, ...]:
 class Relations:
     """The relations of a ledger under alternative readings.
 
-    Each is made once and shared by all combinations that leave it the same. What readings replace or read is stored;
-    what follows from it is not.
+    Each is made once and shared by all combinations that do not change it. Relations that readings replace or read are
+    stored; those derived from them are not.
     """
 
     def __init__(self, database: Database, using: Sequence[Reading]):
         self._database = database
-        self._replaced = {one.name: one.replaces for one in using}
-        found = {source for name in self._replaced for source in database.library.relations[name].sources()}
-        self._kept = (found | set(self._replaced.values())) & database.library.relations.keys()
+        self._replaced = {reading.name: reading.replaces for reading in using}
+        sources = {source for name in self._replaced for source in database.library.relations[name].sources()}
+        self._kept = (sources | set(self._replaced.values())) & database.library.relations.keys()
         self._readings_of: dict[str, frozenset[str]] = {}
         self._made: dict[tuple[str, frozenset[str]], tuple[str, bool]] = {}
 
@@ -193,44 +193,44 @@ class Relations:
         query = self._database.library.relations.get(relation)
         if query is None:
             return relation  # the events, or a step of the query that reads it
-        telling = chosen & self._telling(relation)
-        if not telling and relation not in self._kept:
+        using = chosen & self._telling(relation)
+        if not using and relation not in self._kept:
             self._database.prepare(relation)
             return relation
-        if (relation, telling) not in self._made:
-            self._make(query, telling)
-        return self._made[relation, telling][0]
+        if (relation, using) not in self._made:
+            self._make(query, using)
+        return self._made[relation, using][0]
 
     def _telling(self, relation: str) -> frozenset[str]:
-        """Return the readings that replace this relation, or something that it is made of."""
+        """Return the readings that replace this relation, or one that it is made of."""
         if relation not in self._readings_of:
-            below = {one.relation for one in self._database.library.needs([relation])}
+            below = {query.relation for query in self._database.library.needs([relation])}
             self._readings_of[relation] = frozenset(
                 name for name, replaced in self._replaced.items() if replaced in below
             )
         return self._readings_of[relation]
 
-    def _make(self, query: Query, telling: frozenset[str]) -> None:
-        """Make the relation under these readings, all of which it depends on.
+    def _make(self, query: Query, using: frozenset[str]) -> None:
+        """Make the relation under these readings, all of which affect it.
 
-        The last one that replaces it reads it under the others.
+        The last reading that replaces it reads it under the others.
         """
-        last = max((name for name in telling if self._replaced[name] == query.relation), default=None)
-        made_by = query if last is None else self._database.library.relations[last]
-        names = {source: self.under(source, telling) for source in made_by.sources() - {query.relation}}
+        last = max((name for name in using if self._replaced[name] == query.relation), default=None)
+        source_query = query if last is None else self._database.library.relations[last]
+        names = {source: self.under(source, using) for source in source_query.sources() - {query.relation}}
         if last is not None:
-            names[query.relation] = self.under(query.relation, telling - {last})
-        is_stored = query.is_stored or (last is None and query.relation in self._kept) or made_by.is_stored
+            names[query.relation] = self.under(query.relation, using - {last})
+        is_stored = query.is_stored or (last is None and query.relation in self._kept) or source_query.is_stored
         name = f"{query.relation}_{len(self._made)}"
-        self._database.define(name, made_by.reading_from(names), is_stored=is_stored)
-        self._made[query.relation, telling] = (name, is_stored)
+        self._database.define(name, source_query.reading_from(names), is_stored=is_stored)
+        self._made[query.relation, using] = (name, is_stored)
 
     def measured(self, metric: str, combined: Sequence[ReadingNames]) -> pa.Table:
-        """Return what this metric measures of each run under each of these combinations. Raises: as `Database.rows`."""
+        """Return the metric's measurements of each run under each of these combinations. Raises: as `Database.rows`."""
         return self._database.table(
             " UNION ALL ".join(
-                MEASURED.format(universe=at, metric=self.under(metric, frozenset(chosen)))
-                for at, chosen in enumerate(combined)
+                MEASURED.format(universe=universe, metric=self.under(metric, frozenset(chosen)))
+                for universe, chosen in enumerate(combined)
             )
         )
 
@@ -244,15 +244,15 @@ class Relations:
     ) -> list[Universe]:
         """Return the mean of this metric for each architecture and setting under each of these combinations, in order.
 
-        `measured` is what `measured` returns, which is asked otherwise. Raises: as `Database.rows`.
+        `measured` is the result of `measured`, which is called if None. Raises: as `Database.rows`.
         """
         self._database.hold("measured", self.measured(metric, combined) if measured is None else measured)
         sql = MEANS.format(
             definitions=" UNION ALL ".join(
                 DEFINED.format(
-                    universe=at, definitions=self.under("metric_definitions", frozenset(chosen)), name=metric
+                    universe=universe, definitions=self.under("metric_definitions", frozenset(chosen)), name=metric
                 )
-                for at, chosen in enumerate(combined)
+                for universe, chosen in enumerate(combined)
             ),
             seed="NULL::BIGINT" if pools_seeds else "runs.seed",
             order=SETTINGS,
@@ -282,15 +282,15 @@ def multiverse(
     better = {
         row["metric"]: row["better"]
         for row in definitions
-        if row["metric"] in (metrics or [one["metric"] for one in definitions])
+        if row["metric"] in (metrics or [row["metric"] for row in definitions])
     }
-    found = universes(database, list(better), pools_seeds=pools_seeds, progress=progress)
-    used = tuple(one for one in readings() if set(one.moves) & better.keys())
+    found_universes = universes(database, list(better), pools_seeds=pools_seeds, progress=progress)
+    used = tuple(reading for reading in readings() if set(reading.moves) & better.keys())
     scenarios = {
         row["scenario"] for row in database.rows("SELECT DISTINCT scenario FROM runs WHERE kind = 'simulated'")
     }
-    shown = cells(found, is_of_paper=scenarios <= {*PAPER_SCENARIOS})
-    return Multiverse(used, tuple(shown), tuple(rankings(found, better)), tuple(found))
+    shown = cells(found_universes, is_of_paper=scenarios <= {*PAPER_SCENARIOS})
+    return Multiverse(used, tuple(shown), tuple(rankings(found_universes, better)), tuple(found_universes))
 
 
 def universes(
@@ -298,44 +298,45 @@ def universes(
 ) -> list[Universe]:
     """Return the mean of these metrics for each architecture and setting under every combination of their readings.
 
-    `progress` is called with the combinations that were read, of all metrics. Raises: as `Database.rows`.
+    `progress` is called with the number of combinations read, and the total over all metrics. Raises: as
+    `Database.rows`.
     """
     total, done = sum(len(combinations(metric)) for metric in metrics), 0
-    found: list[Universe] = []
+    rows: list[Universe] = []
     queries = {(metric, part): _slice_query(metric, part) for metric in metrics for part in _parts(metric)}
     of_slices = database.slices.tables(queries, progress) if database.slices is not None else iter(())
     for metric in metrics:
         relations = Relations(database, _moving(metric))
         for part in _parts(metric):
-            found += relations.means(metric, part, next(of_slices, None), pools_seeds=pools_seeds)
+            rows += relations.means(metric, part, next(of_slices, None), pools_seeds=pools_seeds)
             done += len(part)
             if progress is not None and database.slices is None:
                 progress(done, total)
         relations.forget()
-    return found
+    return rows
 
 
 def _moving(metric: str) -> list[Reading]:
-    return [one for one in readings() if metric in one.moves]
+    return [reading for reading in readings() if metric in reading.moves]
 
 
 def _parts(metric: str) -> list[tuple[ReadingNames, ...]]:
-    """Return the combinations of a metric's readings, as many together as are asked at once."""
-    every = combinations(metric)
-    return [every[at : at + AT_ONCE] for at in range(0, len(every), AT_ONCE)]
+    """Return the combinations of a metric's readings, in the batches of one statement each."""
+    combined = combinations(metric)
+    return [combined[begin : begin + AT_ONCE] for begin in range(0, len(combined), AT_ONCE)]
 
 
 def _slice_query(metric: str, part: Sequence[ReadingNames]) -> SliceQuery:
-    """Return what asks a slice what this metric measures of its runs under these combinations."""
-    needs = library().needs([metric, *(one.name for one in _moving(metric))])
+    """Return the query of a slice for the metric's measurements under these combinations."""
+    needs = library().needs([metric, *(reading.name for reading in _moving(metric))])
     return SliceQuery(f"{metric} {part} {[query.sha256 for query in needs]}", partial(_measured, metric, part))
 
 
 def _measured(metric: str, part: Sequence[ReadingNames], database: Database) -> pa.Table:
     relations = Relations(database, _moving(metric))
-    found = relations.measured(metric, part)
+    table = relations.measured(metric, part)
     relations.forget()
-    return found
+    return table
 
 
 def cells(found: Iterable[Universe], *, is_of_paper: bool = True) -> Iterator[Cell]:
@@ -344,18 +345,18 @@ def cells(found: Iterable[Universe], *, is_of_paper: bool = True) -> Iterator[Ce
     The paper's numbers stand beside cells of its configurations, unless the runs are of other scenarios, too.
     """
     by_cell: dict[tuple[object, ...], list[Universe]] = {}
-    for one in found:
-        by_cell.setdefault((one.metric, setting_of(one), one.architecture), []).append(one)
+    for universe in found:
+        by_cell.setdefault((universe.metric, setting_of(universe), universe.architecture), []).append(universe)
     for ours, *others in by_cell.values():
-        means = [(one.mean, one.readings) for one in (ours, *others) if one.mean is not None]
-        lowest = min(means, key=lambda each: steady(each[0]), default=(None, None))
-        highest = max(means, key=lambda each: steady(each[0]), default=(None, None))
+        means = [(universe.mean, universe.readings) for universe in (ours, *others) if universe.mean is not None]
+        lowest = min(means, key=lambda pair: steady(pair[0]), default=(None, None))
+        highest = max(means, key=lambda pair: steady(pair[0]), default=(None, None))
         alone = [
             (mean - ours.mean, names[0])
             for mean, names in means
             if len(names) == 1 and ours.mean is not None and steady(mean) != steady(ours.mean)
         ]
-        moved_by, moving = max(alone, key=lambda each: abs(each[0]), default=(0.0, None))
+        moved_by, moving = max(alone, key=lambda pair: abs(pair[0]), default=(0.0, None))
         printed = published().get((ours.metric, ours.architecture or ""))
         yield Cell(
             metric=ours.metric,
@@ -375,9 +376,9 @@ def cells(found: Iterable[Universe], *, is_of_paper: bool = True) -> Iterator[Ce
         )
 
 
-def _of_paper(one: Universe) -> tuple[str | None, int | None, str]:
-    return one.configuration, one.fleet_size, one.kind
+def _of_paper(universe: Universe) -> tuple[str | None, int | None, str]:
+    return universe.configuration, universe.fleet_size, universe.kind
 
 
-def _conditions(one: Universe) -> dict[str, Any]:
-    return dict(zip(CONDITIONS, setting_of(one), strict=True))
+def _conditions(universe: Universe) -> dict[str, Any]:
+    return dict(zip(CONDITIONS, setting_of(universe), strict=True))

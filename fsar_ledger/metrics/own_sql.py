@@ -46,7 +46,7 @@ GROUPS = {
     "readings": "relations as they are when the paper is read otherwise",
     "staging": "the runs, their settings and plans",
 }
-"""The folders of queries, in the order of a list for people, and what each answers."""
+"""The folders of queries, in the order of printed lists, and what each answers."""
 
 
 def group_of(query: Query) -> str:
@@ -55,19 +55,19 @@ def group_of(query: Query) -> str:
 
 
 def is_event_view(query: Query) -> bool:
-    """Tell whether the query shows the events of one type or concern as they are on record; it has no file."""
+    """Return whether the query shows the events of one type or concern as recorded; it has no file."""
     return bool(query.tags)
 
 
 def listed(*, events: bool) -> list[Query]:
-    """Return the queries in the order of their groups; the event views, last in theirs, only with `events`."""
-    order = {group: place for place, group in enumerate(GROUPS)}
+    """Return the queries in the order of their groups; with `events`, also the event views, last in their groups."""
+    order = {group: position for position, group in enumerate(GROUPS)}
     chosen = [query for query in library().queries.values() if events or not is_event_view(query)]
     return sorted(chosen, key=lambda query: (order.get(group_of(query), len(order)), is_event_view(query), query.name))
 
 
 def text_of(name: str) -> str:
-    """Return the header and the SQL of a query, as its file holds them; of one without a file, as a file would.
+    """Return the header and the SQL of a query, as in its file; for one without a file, in the same form.
 
     Raises:
         UnknownQuery: There is no query of this name.
@@ -75,7 +75,7 @@ def text_of(name: str) -> str:
     query = library().find(name)
     if query.sql.startswith("-- "):
         return query.sql
-    return "".join(f"-- {key}: {said}\n" for key, said in query.header.items()) + query.sql
+    return "".join(f"-- {key}: {value}\n" for key, value in query.header.items()) + query.sql
 
 
 LISTING = "relations"
@@ -85,7 +85,7 @@ _LACKING = re.compile(r"Table with name (\w+) does not exist")
 
 
 class OwnSql(NamedTuple):
-    """SQL as it is run, and the queries whose macros it calls; `lists` if it reads the list of relations."""
+    """SQL in the form to run, and the queries whose macros it calls; `lists` if it reads the list of relations."""
 
     sql: str
     macros: tuple[Query, ...]
@@ -99,32 +99,32 @@ class _Token(NamedTuple):
 
 
 def understood(sql: str, library: Library) -> OwnSql:
-    """Return the SQL, which must parse, with `SHOW TABLES` and `DESCRIBE NAME` of a macro as DuckDB can answer them."""
+    """Return the SQL, which must parse, with `SHOW TABLES` and `DESCRIBE NAME` of a macro in a form DuckDB can run."""
     tokens = [*_tokens(sql), _Token(0, 0, ""), _Token(0, 0, "")]
     words = [token.text.strip('"').lower() for token in tokens]
     macros: dict[str, Query] = {}
     changes: list[tuple[int, int, str]] = []
-    for at, word in enumerate(words[:-2]):
+    for index, word in enumerate(words[:-2]):
         query = library.relations.get(word)
-        verb = _DESCRIBE.get(words[at - 1]) if at else None
-        if words[at : at + 2] == ["show", "tables"] and words[at + 2] != "from":
-            changes.append((tokens[at].begin, tokens[at + 1].end, f"FROM {LISTING}"))
-        elif words[at : at + 3] == ["show", "all", "tables"]:
-            changes.append((tokens[at].begin, tokens[at + 2].end, f"FROM {LISTING}"))
-        elif query is not None and query.parameters and words[at + 1].startswith("("):
+        verb = _DESCRIBE.get(words[index - 1]) if index else None
+        if words[index : index + 2] == ["show", "tables"] and words[index + 2] != "from":
+            changes.append((tokens[index].begin, tokens[index + 1].end, f"FROM {LISTING}"))
+        elif words[index : index + 3] == ["show", "all", "tables"]:
+            changes.append((tokens[index].begin, tokens[index + 2].end, f"FROM {LISTING}"))
+        elif query is not None and query.parameters and words[index + 1].startswith("("):
             macros[word] = query
         elif query is not None and query.parameters and verb is not None:
             macros[word] = query
-            changes.append((tokens[at - 1].begin, tokens[at].end, f"{verb} FROM {_call(query)}"))
+            changes.append((tokens[index - 1].begin, tokens[index].end, f"{verb} FROM {_call(query)}"))
     data, ends = sql.encode(), [0, *(end for _, end, _ in changes)]
     kept = [data[end:begin].decode() for end, (begin, _, _) in zip(ends, changes, strict=False)]
-    made = chain.from_iterable(zip(kept, (text for _, _, text in changes), strict=True))
+    pieces = chain.from_iterable(zip(kept, (text for _, _, text in changes), strict=True))
     lists = LISTING in words or any(text == f"FROM {LISTING}" for _, _, text in changes)
-    return OwnSql("".join(made) + data[ends[-1] :].decode(), tuple(macros.values()), lists)
+    return OwnSql("".join(pieces) + data[ends[-1] :].decode(), tuple(macros.values()), lists)
 
 
 def listing() -> pa.Table:
-    """Return name, parameters and title of `events` and of all packaged queries, the views of events last in theirs."""
+    """Return name, parameters and title of `events` and of all packaged queries, event views last in their groups."""
     queries = listed(events=True)
     return pa.table(
         {
@@ -136,38 +136,38 @@ def listing() -> pa.Table:
 
 
 def how_to_call(message: str, library: Library) -> str:
-    """Return what to do where DuckDB misses a table that is a macro; nothing for another message."""
-    found = _LACKING.search(message)
-    query = library.relations.get(found[1].lower()) if found else None
+    """Return what to do if DuckDB reports a missing table that is a macro; empty for another message."""
+    match = _LACKING.search(message)
+    query = library.relations.get(match[1].lower()) if match else None
     if query is None or not query.parameters:
         return ""
     return f"\n{query.relation} takes parameters: {_parameters(query)}; call it, as in FROM {_call(query)}"
 
 
 def _parameters(query: Query) -> str | None:
-    named = ((one.sql_name, one.default) for one in query.parameters.values())
+    named = ((parameter.sql_name, parameter.default) for parameter in query.parameters.values())
     return ", ".join(f"{name} = {default}" if default else name for name, default in named) or None
 
 
 def _call(query: Query) -> str:
     """Return a call of the macro, with NULL for each parameter that has no default."""
-    needed = [f"{one.sql_name} := NULL" for one in query.parameters.values() if one.default is None]
+    needed = [f"{parameter.sql_name} := NULL" for parameter in query.parameters.values() if parameter.default is None]
     return f"{query.relation}({', '.join(needed)})"
 
 
 def _tokens(sql: str) -> Iterator[_Token]:
-    """Yield the tokens without comments, with their places in the UTF-8 of the SQL."""
+    """Yield the tokens without comments, with their byte offsets in the UTF-8 of the SQL."""
     data = sql.encode()
-    found: Sequence[tuple[int, object]] = duckdb.tokenize(sql)
-    for (begin, kind), (after, _) in pairwise([*found, (len(data), None)]):
-        text = data[begin:after].decode().rstrip()
+    tokens: Sequence[tuple[int, object]] = duckdb.tokenize(sql)
+    for (begin, kind), (end, _) in pairwise([*tokens, (len(data), None)]):
+        text = data[begin:end].decode().rstrip()
         if kind != duckdb.token_type.comment and text:
             yield _Token(begin, begin + len(text.encode()), text)
 
 
 _PARAMETER = re.compile(r"\$(\w+)")
 FOR_OLDER = 'CREATE MACRO "if"(is_so, so, otherwise) AS CASE WHEN is_so THEN so ELSE otherwise END'
-"""Makes the function that our queries call and the DuckDB before ours lacks."""
+"""Defines the function that our queries call and older DuckDB versions lack."""
 
 _RUN_NAMED = """
 CREATE MACRO IF NOT EXISTS run_named(asked) AS coalesce(
@@ -180,7 +180,7 @@ CREATE MACRO IF NOT EXISTS run_named(asked) AS coalesce(
     ))
 )
 """
-"""The run of this name or number; any other text is an error, because an empty answer would say that nothing was."""
+"""The run of this name or number; any other text is an error, because an empty answer would claim that nothing was."""
 
 _NAMED = """
 CREATE MACRO IF NOT EXISTS {kind}_named(asked) AS coalesce(
@@ -194,7 +194,7 @@ CREATE MACRO IF NOT EXISTS {kind}_named(asked) AS coalesce(
     )
 )
 """
-"""What has this name, for the same reason."""
+"""The entry of this name; any other text is an error for the same reason."""
 
 _SEQ_NAMED = """
 CREATE MACRO IF NOT EXISTS seq_named(asked) AS if(asked IS NULL, NULL, coalesce(
@@ -202,38 +202,37 @@ CREATE MACRO IF NOT EXISTS seq_named(asked) AS if(asked IS NULL, NULL, coalesce(
     error('seq ' || asked::VARCHAR || ': there is no such event of any run')
 ))
 """
-"""The same for a position; none where none is given, as in `SUMMARIZE decision_owner`."""
+"""The same for a seq; NULL for NULL, as in `SUMMARIZE decision_owner`."""
 _FOUND = frozenset({"robot", "supervisor", "action", "capability", "context", "reason", "record", "seq"})
 
 
 def _named(kind: str) -> str:
-    """Return the statement that makes the macro by which a name of this kind is found in any run."""
+    """Return the statement that makes the macro that finds a name of this kind in any run."""
     return _SEQ_NAMED if kind == "seq" else _NAMED.format(kind=kind, names=ON_RECORD[kind].replace("$run", "NULL"))
 
 
 def statements(query: Query) -> tuple[str, ...]:
-    """Return the statements that make a macro of a query with parameters; it has their defaults.
+    """Return the statements that make a macro of a query with parameters and their defaults.
 
-    It takes only names on record. A parameter hides the column of its name, so that a macro of its own holds the
-    SELECT, with other names. DuckDB compares the names when it makes a macro, not when one is called, so that the
-    SELECT comes last. Where it reads no row, DuckDB would look up no name: the other half of the union, which has no
-    row, does.
+    It takes only names on record. A parameter hides the column of its name, so a separate macro with other names holds
+    the SELECT. DuckDB resolves names when it makes a macro, not when one is called, so the SELECT comes last. Where the
+    SELECT reads no row, DuckDB would look up no name: the other half of the union, which has no row, does.
     """
-    defaults = {one.sql_name: one.sql_default for one in query.parameters.values()}
+    defaults = {parameter.sql_name: parameter.sql_default for parameter in query.parameters.values()}
     understood = ", ".join(
-        f"{one.kind}_named({one.sql_name})" if one.kind in ("run", *_FOUND) else one.sql_name
-        for one in query.parameters.values()
+        f"{parameter.kind}_named({parameter.sql_name})" if parameter.kind in ("run", *_FOUND) else parameter.sql_name
+        for parameter in query.parameters.values()
     )
-    taken = ", ".join(name if value is None else f"{name} := '{value}'" for name, value in defaults.items())
+    declared = ", ".join(name if value is None else f"{name} := '{value}'" for name, value in defaults.items())
     inner = f"{query.relation}_given"
-    whole = f"{inner}({', '.join(f'{name}_given' for name in defaults)})"
+    macro = f"{inner}({', '.join(f'{name}_given' for name in defaults)})"
     sql = _PARAMETER.sub(r"\1_given", query.sql)
     return (
         _RUN_NAMED,
-        *map(_named, sorted(_FOUND & {one.kind for one in query.parameters.values()})),
-        f"CREATE MACRO {whole} AS TABLE SELECT NULL",
-        f"CREATE MACRO {query.relation}({taken}) AS TABLE FROM {inner}({understood})",
-        f"CREATE OR REPLACE MACRO {whole} AS TABLE\nWITH answer AS NOT MATERIALIZED (\n{sql}\n)\nFROM answer UNION ALL "
+        *map(_named, sorted(_FOUND & {parameter.kind for parameter in query.parameters.values()})),
+        f"CREATE MACRO {macro} AS TABLE SELECT NULL",
+        f"CREATE MACRO {query.relation}({declared}) AS TABLE FROM {inner}({understood})",
+        f"CREATE OR REPLACE MACRO {macro} AS TABLE\nWITH answer AS NOT MATERIALIZED (\n{sql}\n)\nFROM answer UNION ALL "
         "SELECT none.* FROM (SELECT 1) LEFT JOIN (FROM answer LIMIT 0) AS none ON TRUE "
         f"WHERE length(concat({', '.join(f'{name}_given' for name in defaults)})) < 0",
     )
@@ -241,7 +240,7 @@ def statements(query: Query) -> tuple[str, ...]:
 
 LOCK = (
     "threads = 1",
-    "temp_directory = ''",  # where DuckDB may spill, SQL may read and write: `.tmp` of the working folder
+    "temp_directory = ''",  # SQL can read and write where DuckDB may spill: `.tmp` of the working folder
     "max_temp_directory_size = '0KB'",
     "home_directory = ''",
     "secret_directory = ''",
@@ -254,14 +253,14 @@ LOCK = (
 
 SHOWN = 200
 MESSAGE_LINES = 6
-"""Characters of a name or line that a message repeats."""
+"""Limits on what a message repeats: characters of a name or line, and lines."""
 _NAME = re.compile(r"\"(?:[^\"]|\"\")*\"|'(?:[^']|'')*'")
 _UNSHOWABLE = re.compile(r"\b(?:BIGNUM|BIT|GEOMETRY|TIME WITH TIME ZONE|UHUGEINT|UNION|VARIANT)\b")
-"""Types whose values Arrow or Python would silently change, or cannot hold."""
+"""Types whose values Arrow or Python would silently change, or cannot represent."""
 
 
 def check_columns(names: Sequence[str], kinds: Sequence[str]) -> None:
-    """Check that the columns have distinct names, and types whose values arrive unchanged.
+    """Check that the columns have distinct names, and types whose values are passed on unchanged.
 
     Raises: QueryFailed.
     """
@@ -269,9 +268,9 @@ def check_columns(names: Sequence[str], kinds: Sequence[str]) -> None:
     for name, kind in zip(names, kinds, strict=True):
         if name in seen:
             raise QueryFailed(f"SQL: found two columns named {name[:SHOWN]!r}; give one of them another name with AS")
-        if found := _UNSHOWABLE.search(_NAME.sub(" ", kind)):
+        if match := _UNSHOWABLE.search(_NAME.sub(" ", kind)):
             raise QueryFailed(
-                f"SQL: column {name[:SHOWN]!r} holds {found[0]}, which an answer cannot show as it is; make it text, "
+                f"SQL: column {name[:SHOWN]!r} holds {match[0]}, which an answer cannot show as it is; make it text, "
                 "as in CAST(... AS VARCHAR)"
             )
         seen.add(name)
@@ -300,20 +299,20 @@ NUMERIC: dict[str, Callable[..., Any]] = {
     "gamma_quantile": lambda p, shape: _scipy().gammaincinv(shape, p),
     "binomial_half_sf2": lambda k, n: _positive(np.minimum(1.0, 2.0 * _scipy().bdtr(k, n.astype(np.int64), 0.5))),
 }
-"""The functions of numbers, each of numpy vectors; what they give stands above."""
+"""The functions of numbers, each on numpy vectors; the module docstring defines them."""
 
 BY_NAME: dict[str, tuple[Callable[[Any], Any], str, pa.DataType]] = {
     "constants_of": (constants_of, "STRUCT(name VARCHAR, value VARCHAR)[]", _CONSTANTS),
     "default_of": (default_of, "VARCHAR", pa.string()),
 }
-"""The functions of texts, each of one Python value, and the type of the answer in SQL and in Arrow."""
+"""The functions of texts, each on one Python value, and the type of the answer in SQL and in Arrow."""
 
 FUNCTIONS = frozenset((*NUMERIC, *BY_NAME))
-"""What SQL can call only over a connection that has them."""
+"""Functions that SQL can call only over a connection that has registered them."""
 
 
 def _of_numbers(function: Callable[..., Any]) -> Callable[..., pa.Array]:
-    """Lift a function of vectors to Arrow columns; DuckDB counts the arguments of what is wrapped."""
+    """Lift a function of vectors to Arrow columns; DuckDB counts the wrapped function's arguments."""
 
     @wraps(function)
     def lifted(*columns: pa.Array) -> pa.Array:

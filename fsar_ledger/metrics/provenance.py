@@ -1,7 +1,7 @@
-"""The provenance of an answer: what it holds for, and what it leaves open.
+"""The provenance of an answer: the head that it is about, and what it leaves open.
 
-Numbers rest on runs that were planned and may be missing; an empty answer about events that runs do not observe says
-nothing. Both are told beside every answer.
+Numbers rest on runs that were planned and may be missing; an empty answer about events that runs do not observe means
+nothing. Every answer reports both.
 """
 
 import re
@@ -20,13 +20,13 @@ from .sql_values import listed
 EXPERIMENTS = "SELECT * FROM experiments ORDER BY planned_count DESC, plan"
 MISSING = "SELECT missing_count FROM missing_runs"
 MAX_COMBINATIONS = 10_000
-"""The most combinations of architecture, configuration and scenario in a plan that `missing_runs` reads."""
+"""Maximum combinations of architecture, configuration and scenario in a plan that `missing_runs` reads."""
 
 UNPLANNED = "SELECT count(*) AS runs FROM unplanned_runs"
 
 
 class Completeness(msgspec.Struct, frozen=True):
-    """What the plans of a ledger say about its runs: `unfinished` plans lack some, and no larger plan covers them.
+    """The runs of a ledger compared with its plans: `unfinished` plans lack some, and no larger plan covers them.
 
     `unplanned` counts runs that no plan names.
     """
@@ -35,13 +35,13 @@ class Completeness(msgspec.Struct, frozen=True):
     unfinished: tuple[dict[str, Any], ...]
     unplanned: int
     missing: int | None
-    """How many runs of these plans are missing, each counted once, however many plans name it.
+    """The number of missing runs of these plans, each counted once, however many plans name it.
 
-    None if plans name too many to tell.
+    None if plans name too many to count.
     """
 
     def warning(self) -> str | None:
-        """Say what is missing; None if nothing is, as far as plans say."""
+        """Return what is missing according to the plans; None if nothing is."""
         if not self.unfinished:
             return None
         first, *others = self.unfinished
@@ -52,23 +52,23 @@ class Completeness(msgspec.Struct, frozen=True):
         )
 
     def answer(self) -> dict[str, object]:
-        """Return the same for programs: `complete` is None without a plan, or if some runs are in none.
+        """Return the same for JSON answers: `complete` is None without a plan, or if some runs are in none.
 
         `missing_count` counts each run once.
         """
-        told = None if not self.plans or self.unplanned else True
-        return {"complete": False if self.unfinished else told, "missing_count": self.missing}
+        complete = None if not self.plans or self.unplanned else True
+        return {"complete": False if self.unfinished else complete, "missing_count": self.missing}
 
     def sentence(self) -> str:
-        """Say what the plans say, in any case."""
+        """Return the result in one sentence, also if nothing is missing."""
         if not self.plans:
             return "no plan is on record, so nothing says whether these are all the runs that were meant"
-        found = self.warning() or "all runs that were planned are there"
-        return f"{found}; {self.unplanned:,} runs are in no plan" if self.unplanned else found
+        text = self.warning() or "all runs that were planned are there"
+        return f"{text}; {self.unplanned:,} runs are in no plan" if self.unplanned else text
 
 
 def completeness(database: Database) -> Completeness:
-    """Return what the plans of this ledger say about its runs. Raises: as `Database.rows`."""
+    """Compare the runs of this ledger with its plans. Raises: as `Database.rows`."""
     rows = database.rows(EXPERIMENTS)
     [counted] = database.rows(UNPLANNED)
     unfinished = tuple(row for row in rows if row["missing_count"] and not row["larger_plans"])
@@ -91,21 +91,21 @@ def _missing(database: Database, unfinished: tuple[dict[str, Any], ...]) -> int 
 _TYPE = re.compile(r"'([A-Z][A-Za-z]+\.v\d+)'")
 _NOT_READ = re.compile(r"--[^\n]*|\btype NOT IN \([^)]*\)")
 _WIDE = frozenset({"events", "event_principals"})
-"""Relations that hold every event, whatever its type."""
+"""Relations that hold events of every type."""
 _TIES = frozenset({"action_events", "event_principals", "keyed_events", "naming_events"})
-"""Relations that read all events only to tell which belong together; the query names what it is about beside them."""
+"""Relations that read all events only to group them; a query that uses them also names the types it is about."""
 _OF_ANY_TYPE = _TIES | {"evidence_of_principals", "revocations"}
 """Queries that read events of every type, although they also name some."""
 _EXCUSES = frozenset({"unobservable", "actions_under_way"})
-"""Relations of what is not judged: without the events that they read nothing more is said to be wrong."""
+"""Relations of what is not judged: without the events that they read, nothing more is reported as wrong."""
 
 
 IN_PART = " in part"
-"""Behind the name of a concern of which a run records some types and not others."""
+"""Suffix of the name of a concern of which a run records some types and not others."""
 
 
 class Unobserved(msgspec.Struct, frozen=True):
-    """A concern, or a part of it, that some runs do not observe, and how many of how many."""
+    """A concern, or a part of it, that `runs` of `of_runs` runs do not observe."""
 
     concern: str
     runs: int
@@ -114,40 +114,40 @@ class Unobserved(msgspec.Struct, frozen=True):
 
 def types_read(library: Library, query: Query) -> frozenset[str] | None:
     """Return the event types that the query reads; None if it reads events of every type."""
-    found: set[str] = set()
-    for one in (*library.needs(query.sources() - {query.relation}, held=_EXCUSES), query):
-        named = _TYPE.findall(_NOT_READ.sub("", one.sql))
-        reads_all = not named and _WIDE >= one.sources() & {"events", *library.relations} > set()
-        if (reads_all or one.relation in _OF_ANY_TYPE) and (one is query or one.relation not in _TIES):
+    types: set[str] = set()
+    for needed in (*library.needs(query.sources() - {query.relation}, held=_EXCUSES), query):
+        tags = _TYPE.findall(_NOT_READ.sub("", needed.sql))
+        reads_all = not tags and _WIDE >= needed.sources() & {"events", *library.relations} > set()
+        if (reads_all or needed.relation in _OF_ANY_TYPE) and (needed is query or needed.relation not in _TIES):
             return None
-        found.update(named)
-    return frozenset(found)
+        types.update(tags)
+    return frozenset(types)
 
 
 # See docs/decisions/unobserved-is-null.md.
 def unobserved(database: Database, query: Query, run: str | None = None) -> list[Unobserved]:
-    """Return what the query rests on and not all runs observe (or this one does not), by name.
+    """Return what the query rests on that not all runs observe (or this one does not), by name.
 
-    A judge rests on what `unobservable` says, any other query on the concerns of the events that it reads; of a run
-    that records some types of a concern, the rest of it. Raises: as `Database.rows`.
+    A judge rests on what `unobservable` lists, any other query on the concerns of the events that it reads; for a run
+    that records some types of a concern, on the others. Raises: as `Database.rows`.
     """
     types = types_read(database.library, query)
-    named = "" if types is None else f"WHERE type IN ({listed(sorted(types)) or 'NULL'})"
-    return _lacking(database, named, run, query.relation if is_judge(database.library, query.relation) else None)
+    condition = "" if types is None else f"WHERE type IN ({listed(sorted(types)) or 'NULL'})"
+    return _lacking(database, condition, run, query.relation if is_judge(database.library, query.relation) else None)
 
 
 def is_judge(library: Library, relation: str) -> bool:
-    """Tell whether the relation may be a judge: whether it is named where those are listed.
+    """Return whether the relation may be a judge: whether the lists of judges name it.
 
-    Of another one `unobservable`, which takes as long to make as a small answer, has nothing to say.
+    For others there is no need to make `unobservable`, which takes as long as a small answer.
     """
     listed_in = (library.relations.get(name) for name in ("judged_concerns", "metric_concerns"))
-    return any(f"'{relation}'" in one.sql for one in listed_in if one is not None)
+    return any(f"'{relation}'" in query.sql for query in listed_in if query is not None)
 
 
 def never_observed(database: Database) -> list[Unobserved]:
-    """Return the concerns of which not all runs observe anything, by name. Raises: as `Database.rows`."""
-    return [one for one in _lacking(database) if not one.concern.endswith(IN_PART)]
+    """Return the concerns of which some runs observe nothing, by name. Raises: as `Database.rows`."""
+    return [concern for concern in _lacking(database) if not concern.concern.endswith(IN_PART)]
 
 
 def _lacking(database: Database, named: str = "", run: str | None = None, judge: str | None = None) -> list[Unobserved]:
@@ -194,35 +194,35 @@ def _lacking(database: Database, named: str = "", run: str | None = None, judge:
 
 
 def told(found: Iterable[Unobserved]) -> str | None:
-    """Return one line for people; None if every run observes everything."""
+    """Return one line for display; None if every run observes everything."""
     parts = shown(found)
     return f"not observed, so that the answer says nothing about it: {parts}" if parts else None
 
 
 def shown(found: Iterable[Unobserved]) -> str:
-    """Return the concerns, and how many runs do not observe each."""
-    return ", ".join(f"{one.concern} ({one.runs:,} of {one.of_runs:,} runs)" for one in found)
+    """Return the concerns, with how many runs do not observe each, as text."""
+    return ", ".join(f"{concern.concern} ({concern.runs:,} of {concern.of_runs:,} runs)" for concern in found)
 
 
 class OpenWork(msgspec.Struct, frozen=True):
-    """What live runs still work on where their record ends, which metrics count as not done."""
+    """The open work of live runs where their record ends, which metrics count as not done."""
 
     tasks: int
     failures: int
 
     def warning(self) -> str:
-        """Say it."""
+        """Return it in one line."""
         parts = [counted(self.tasks, "task"), counted(self.failures, "failure")]
         return f"still open where the record ends, and counted as not done: {' and '.join(parts)}"
 
 
 class Provenance(msgspec.Struct, frozen=True):
-    """The head that an answer holds for, and whether the rows that it was read from were compared with its root.
+    """The head that an answer is about, and whether the rows that it was read from were compared with its root.
 
-    `plans` says which planned runs are there; None where the answer does not depend on that. `not_observed` names the
-    concerns that runs do not observe, and about which the answer says nothing there; `open_work` what a judgement of
-    outcomes counts as not done, or None if nothing is open; `actions_under_way` how many actions an audit does not
-    judge by what asked for them, since their record began later.
+    `plans` compares runs with plans; None where the answer does not depend on that. `not_observed` names the concerns
+    that runs do not observe, and about which the answer means nothing there; `open_work` is what a judgement of
+    outcomes counts as not done, or None if nothing is open; `actions_under_way` is the number of actions whose requests
+    an audit does not judge, since their record began later.
     """
 
     head: Head | None = None
@@ -233,7 +233,7 @@ class Provenance(msgspec.Struct, frozen=True):
     actions_under_way: int = 0
 
     def answer(self) -> dict[str, object]:
-        """Return what JSON answers say of this besides the head."""
+        """Return the fields of JSON answers besides the head."""
         missing: dict[str, object] = {"not_observed": self.not_observed} if self.not_observed else {}
         missing |= {"open_work": self.open_work} if self.open_work else {}
         missing |= {"actions_under_way": self.actions_under_way} if self.actions_under_way else {}
@@ -242,13 +242,13 @@ class Provenance(msgspec.Struct, frozen=True):
 
 def of_run(provenance: Provenance, lacking: Iterable[str]) -> Provenance:
     """Return the provenance of an answer about all of one run, which does not observe these concerns."""
-    return msgspec.structs.replace(provenance, not_observed=tuple(Unobserved(one, 1, 1) for one in lacking))
+    return msgspec.structs.replace(provenance, not_observed=tuple(Unobserved(concern, 1, 1) for concern in lacking))
 
 
 def of_rows(database: Database, query: Query | str | None = None, run: str | None = None) -> Provenance:
     """Return the provenance of the rows of a query, for one run or for all."""
-    found = database.library.find(query) if isinstance(query, str) else query
-    missing = () if found is None else tuple(unobserved(database, found, run))
+    found_query = database.library.find(query) if isinstance(query, str) else query
+    missing = () if found_query is None else tuple(unobserved(database, found_query, run))
     return Provenance(database.head, database.rows_verified, None, missing)
 
 
@@ -258,26 +258,26 @@ def of_judgement(database: Database) -> Provenance:
 
 
 def _has_runs(database: Database, kind: str) -> bool:
-    """Tell whether there are runs of this kind; where there are none, nothing about them has to be computed."""
+    """Return whether there are runs of this kind; without any, nothing about them has to be computed."""
     return bool(database.rows("SELECT 1 AS found FROM runs WHERE kind = $kind LIMIT 1", {"kind": kind}))
 
 
 def of_audit(database: Database) -> Provenance:
-    """Return the provenance of an answer that judges who asked for, allowed and did what in all planned runs."""
-    found = of_judgement(database)
+    """Return the provenance of an answer that judges who requested, allowed and did what in all planned runs."""
+    judgement = of_judgement(database)
     if not _has_runs(database, "foreign"):
-        return found
+        return judgement
     [row] = database.rows("SELECT count(*) AS actions FROM actions_under_way")
-    return msgspec.structs.replace(found, actions_under_way=row["actions"])
+    return msgspec.structs.replace(judgement, actions_under_way=row["actions"])
 
 
 def of_outcomes(database: Database) -> Provenance:
-    """Return the provenance of an answer that judges what became of tasks and failures in all planned runs."""
-    found = of_judgement(database)
+    """Return the provenance of an answer that judges how tasks and failures ended in all planned runs."""
+    judgement = of_judgement(database)
     if not _has_runs(database, "live"):
-        return found
+        return judgement
     [row] = database.rows(
         "SELECT coalesce(sum(open_tasks), 0)::BIGINT AS tasks, coalesce(sum(open_failures), 0)::BIGINT AS failures "
         "FROM open_work AS work INNER JOIN runs ON work.run_id = runs.run_id WHERE runs.kind = 'live'"
     )
-    return msgspec.structs.replace(found, open_work=OpenWork(**row)) if any(row.values()) else found
+    return msgspec.structs.replace(judgement, open_work=OpenWork(**row)) if any(row.values()) else judgement

@@ -1,6 +1,6 @@
-"""The registration, written down before the fit: `reports/registration.toml`.
+"""The registration, written before the fit: `reports/registration.toml`.
 
-It says which constants are free within which range, the rules of the verdicts, and what is predicted.
+It lists the free constants and their ranges, the rules of the verdicts, and the predictions.
 """
 
 from collections.abc import Mapping
@@ -14,7 +14,7 @@ UNNAMED = "informed"
 
 
 class Fit(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """How the fit is made: the table it aims at, its rule in words, its seed, and how many points are judged.
+    """The settings of the fit: the table it aims at, its rule in words, its seed, and the number of points judged.
 
     Counts of runs are for each scenario and architecture.
 
@@ -37,9 +37,9 @@ class Fit(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Sample(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A sample that a study takes: its seed, its size, and the runs of each scenario and architecture in each draw.
+    """The sample of a study: its seed, its size, and the runs of each scenario and architecture in each draw.
 
-    The worlds of a draw are those of a seed of its own, counting up from `seed`.
+    Each draw has worlds of its own seed, counting up from `seed`.
     """
 
     seed: int
@@ -92,7 +92,7 @@ class Verdicts(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Declaration(msgspec.Struct, frozen=True, forbid_unknown_fields=True, rename={"kind": "class"}):
-    """What the registration says of some printed cells: where they are, their class, why, and what they depend on."""
+    """The entry of some printed cells: where they are, their class, why, and what they depend on."""
 
     table: str
     where: dict[str, str | int | list[int]]
@@ -101,14 +101,14 @@ class Declaration(msgspec.Struct, frozen=True, forbid_unknown_fields=True, renam
     dial: str | None = None
 
     def covers(self, table: str, place: Mapping[str, object]) -> bool:
-        """Return whether the cell at this place of a table is one of them."""
+        """Return whether the entry includes the cell at this place of a table."""
         return self.table == table and all(
             place.get(name) in (wanted if isinstance(wanted, list) else [wanted]) for name, wanted in self.where.items()
         )
 
 
 class Prediction(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A prediction of what nobody has seen, what the paper's claims imply for it, and where the paper makes them."""
+    """A prediction of something not yet observed, what the paper's claims imply for it, and where these are made."""
 
     name: str
     of: str
@@ -120,8 +120,8 @@ class Registration(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The whole registration; `margins` by metric, in the metric's unit.
 
     `ranking`, `ensemble` and `placebo` are the samples of these studies. `discrepancy` is how far the model may be from
-    the truth beyond the margin, by metric and architecture, in the metric's unit. `classes` says what each class of
-    cells means, `cells` the class of a whole table, `cell` that of single cells.
+    the truth beyond the margin, by metric and architecture, in the metric's unit. `classes` has the meaning of each
+    class of cells, `cells` the class of a whole table, `cell` that of single cells.
     """
 
     model_version: str
@@ -144,12 +144,12 @@ class Registration(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return self.margins[metric] + self.discrepancy.get(metric, {}).get(architecture, 0.0)
 
     def declaration_for(self, table: str, place: Mapping[str, object]) -> Declaration:
-        """Return what the registration says of the cell at this place of a table (names as in `where`).
+        """Return the entry for the cell at this place of a table (names as in `where`).
 
-        An entry for the cell comes before one for its table; without either, the cell is `informed`.
+        An entry for the cell takes precedence over one for its table; without either, the cell is `informed`.
         """
-        whole = Declaration(table, {}, self.cells.get(table, UNNAMED))
-        return next((one for one in self.cell if one.covers(table, place)), whole)
+        of_table = Declaration(table, {}, self.cells.get(table, UNNAMED))
+        return next((entry for entry in self.cell if entry.covers(table, place)), of_table)
 
 
 @cache

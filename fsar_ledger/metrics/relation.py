@@ -1,9 +1,8 @@
 """Make the relation `events` over segments of every release.
 
-It has each event once, as its newest version, with today's columns. Files are read in place; columns that came after a
-segment was written are NULL. Rows of a retired type whose next versions only add to it are read in place, too, with
-what was added. Others are upcast one by one in memory, which costs a ledger that holds some one more pass over those
-segments.
+It has each event once, in its newest version, with today's columns. Files are read in place; columns newer than a
+segment are NULL. Rows of a retired type whose next versions only add to it are read in place, too, with the additions.
+Others are upcast one by one in memory, which takes one more pass over the segments that hold some.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -43,10 +42,10 @@ _NUMBERS = pa.schema([("run_id", pa.string()), ("number", pa.int64())])
 
 
 class RowFilter(NamedTuple):
-    """The rows that alone are asked for.
+    """A condition on the rows to read.
 
-    `run_numbers` is the relation of that name. `condition` is the SQL for what is asked of a row, which may use it;
-    in the segments of `whole` it holds for every row.
+    `run_numbers` is the relation of that name. `condition` is the SQL condition on a row, which may use it; in the
+    segments of `whole` it holds for every row.
     """
 
     condition: str
@@ -55,10 +54,10 @@ class RowFilter(NamedTuple):
 
 
 class Parts(NamedTuple):
-    """Some parts in a row of a run that was cut, with the events of each, in a database that has no others.
+    """Consecutive parts of a run that was cut, with the number of events of each; the database has no others.
 
     `run` is the name of the whole, and `types` are its event types; `before` is how many events it has before these
-    parts, and `carried` those of them that are to be judged with these, if any.
+    parts, and `carried` those of them to be judged with these, if any.
     """
 
     run: str
@@ -69,16 +68,16 @@ class Parts(NamedTuple):
 
 
 def of_runs(runs: Sequence[str]) -> str:
-    """Return the condition that a row is of one of these runs."""
+    """Return the condition that a row belongs to one of these runs."""
     return f"run_id IN ({listed(runs)})" if len(runs) > 1 else f"run_id = {quoted(runs[0])}"
 
 
 OF_NUMBERED = "run_id IN (SELECT run_numbers.run_id FROM run_numbers)"
-"""The condition that a row is of a run that has a number."""
+"""The condition that a row belongs to a run that has a number."""
 
 
 def numbered(runs: Sequence[str], first: int = 1) -> pa.Table:
-    """Return the relation `run_numbers` of these runs, numbered from `first` on."""
+    """Return the relation `run_numbers` of these runs, numbered from `first`."""
     return pa.table([[*runs], [*range(first, first + len(runs))]], schema=_NUMBERS)
 
 
@@ -92,8 +91,8 @@ def hold_segments(
 ) -> None:
     """Make the rows of these segments, given the release of each, the database's `events`.
 
-    With `chosen`, some of them; else runs are numbered as these segments hold them. With `parts`, of these alone, with
-    what is carried to them. The database keeps the rows of `passing` segments, which do not stay where they are.
+    With `chosen`, only some rows; otherwise runs are numbered in the order of the segments. With `parts`, only their
+    rows and those carried to them. The database copies the rows of `passing` segments, whose files will not stay.
 
     Raises: as `_upcast`, and LedgerCorrupted if there are heads of shards among them.
     """
@@ -101,7 +100,7 @@ def hold_segments(
         database.hold("events", SCHEMA.empty_table())
         return
     types = types_of(database, segments) if parts is None else parts.types
-    if types is not None and HEAD_TYPE in types:  # that it is the log of a federation, only its index says
+    if types is not None and HEAD_TYPE in types:  # only the index says whether a ledger is the log of a federation
         raise LedgerCorrupted(
             f"{segments[0]}: found heads of shards, expected events of runs alone; the index of a log says that it is "
             "none, or a ledger of runs holds heads: run fsar-ledger verify"
@@ -110,15 +109,15 @@ def hold_segments(
         tag for tag in LAYOUTS if types is not None and _name(tag) not in set(map(_name, types))
     )
     holding = _holding(database, segments, types)
-    alike: dict[tuple[str, bool, bool], list[Path]] = {}
+    groups: dict[tuple[str, bool, bool], list[Path]] = {}
     for path, release in zip(segments, releases, strict=True):
         is_cut = chosen is not None and path not in chosen.whole
-        alike.setdefault((FINGERPRINTS[release], is_cut, path in passing), []).append(path)
+        groups.setdefault((FINGERPRINTS[release], is_cut, path in passing), []).append(path)
     present = {FINGERPRINTS[release]: frozenset(SCHEMAS[release].names) for release in releases}
     where = "" if chosen is None else f" WHERE {chosen.condition}"
     stored = [
         (f"(SELECT * FROM {source}{where})" if is_cut else source, present[fingerprint])
-        for (fingerprint, is_cut, is_passing), paths in alike.items()
+        for (fingerprint, is_cut, is_passing), paths in groups.items()
         if (source := (_kept if is_passing else _read)(database, paths))
     ]
     if chosen is not None:
@@ -128,7 +127,7 @@ def hold_segments(
         _hold_newest(database, stored, holding, name, where)
     else:
         database.define(name, "\nUNION ALL\n".join(_select(*part) for part in stored))
-        if alike.keys() == {(FINGERPRINTS[RELEASE], False, False)}:
+        if groups.keys() == {(FINGERPRINTS[RELEASE], False, False)}:
             database.source = _read(database, segments)
     if parts is not None:
         _join(database, _places(parts.sizes, parts.run, parts.before), parts.carried)
@@ -140,9 +139,9 @@ def hold_segments(
 
 # See docs/decisions/cut-runs-are-judged-whole.md.
 def _join_continued(database: Database) -> list[str]:
-    """Make `events` of the rows by run: runs that continue each other are one, with the name of the last of them.
+    """Make `events` of the rows by run: runs that continue each other become one, with the name of the last.
 
-    Its seqs count on, as `ledger.rows.runs.continuing` has it. Returns the names of the others.
+    Seqs run on, as in `ledger.rows.runs.continuing`. Returns the names of the others.
     """
     continues = dict(
         database.direct(f"SELECT run_id, continues FROM {_BY_RUN} WHERE type = {quoted(_CONTINUED)} AND seq = 1")
@@ -158,31 +157,31 @@ def _join_continued(database: Database) -> list[str]:
 
 
 def _chains(continues: Mapping[str, str], sizes: Mapping[str, int]) -> list[dict[str, int]]:
-    """Return the runs that continue each other, in order, with how many events each has."""
-    found = []
+    """Return the chains of runs that continue each other, in order, with the number of events of each."""
+    chains = []
     for last in sorted(sizes.keys() - set(continues.values())):
         chain = [last]
         while (before := continues.get(chain[0])) in sizes and before not in chain:
             chain.insert(0, f"{before}")
-        found.append({run: sizes[run] for run in chain})
-    return found
+        chains.append({run: sizes[run] for run in chain})
+    return chains
 
 
 _PLACES = pa.schema([("run_id", pa.string()), ("whole", pa.string()), ("shift", pa.int64()), ("is_first", pa.bool_())])
 
 
 def _places(sizes: Mapping[str, int], whole: str, before: int = 0) -> list[dict[str, object]]:
-    """Return the place of each of these parts of a run, given the events of each, and of all before them."""
-    found: list[dict[str, object]] = []
+    """Return the place of each of these parts of a run, given the number of events of each and of all before them."""
+    places: list[dict[str, object]] = []
     for run, size in sizes.items():
         shift = before - 1 if before else 0
-        found.append({"run_id": run, "whole": whole, "shift": shift, "is_first": not before})
+        places.append({"run_id": run, "whole": whole, "shift": shift, "is_first": not before})
         before = shift + size
-    return found
+    return places
 
 
 def _join(database: Database, places: Sequence[Mapping[str, object]], carried: pa.Table | None = None) -> None:
-    """Make `events` of the rows by run, given the places of parts, and of these rows, which have theirs."""
+    """Make `events` of the rows by run, moved to the places of their parts, and of the carried rows, unchanged."""
     database.source = None
     database.hold("run_places", pa.Table.from_pylist([*places], _PLACES))
     values = {
@@ -197,16 +196,16 @@ def _join(database: Database, places: Sequence[Mapping[str, object]], carried: p
     )
     if carried is not None:
         database.hold(_CARRIED, carried)
-        of_each = ", ".join(f'"{name}"' for name in COLUMNS)
-        joined += f"\nUNION ALL\nSELECT {of_each} FROM {_CARRIED}"
+        names = ", ".join(f'"{name}"' for name in COLUMNS)
+        joined += f"\nUNION ALL\nSELECT {names} FROM {_CARRIED}"
     database.define("events", joined)
 
 
 def _require_alike(database: Database, continues: Mapping[str, str], names: str) -> None:
-    """Require that runs continue different ones, whose event 0 is like their own. Raises: LedgerCorrupted."""
-    own = ("run_id", "time_us")
+    """Require that runs continue different runs with an event 0 like their own. Raises: LedgerCorrupted."""
+    excluded = ("run_id", "time_us")
     fields = (*ENVELOPE, *LAYOUTS[f"{RunStarted.__struct_config__.tag}"].fields)
-    columns = ", ".join(f'"{field.name}"' for field in fields if field.name not in own)
+    columns = ", ".join(f'"{field.name}"' for field in fields if field.name not in excluded)
     rows = database.direct(
         f"SELECT run_id, CAST(({columns}) AS VARCHAR) FROM {_BY_RUN} WHERE seq = 0 AND run_id IN ({names})"
     )
@@ -216,10 +215,10 @@ def _require_alike(database: Database, continues: Mapping[str, str], names: str)
             continue
         if begins[run] != begins[before]:
             raise LedgerCorrupted(unlike_beginning(run, before))
-        if other := [one for one in continues if one != run and continues[one] == before]:
+        if others := [name for name in continues if name != run and continues[name] == before]:
             raise LedgerCorrupted(
                 f"run {printable.value(run)}: found that it continues run {printable.value(before)}, as run "
-                f"{printable.value(other[0])} does, expected one that does; run fsar-ledger verify"
+                f"{printable.value(others[0])} does, expected one that does; run fsar-ledger verify"
             )
 
 
@@ -229,7 +228,7 @@ def _read(database: Database, paths: Sequence[Path], *options: str) -> str:
 
 
 def _kept(database: Database, paths: Sequence[Path]) -> str:
-    """Return a table with the rows of these segments, of which the database knows none yet."""
+    """Return a new table with the rows of these segments."""
     name = f"events_kept_{paths[0].stem[:8]}"
     database.define(name, f"SELECT * FROM {parquet(paths)}", is_stored=True)
     return name
@@ -254,9 +253,9 @@ def hold_dataset(database: Database, stored: Any, segments: Sequence[Path]) -> N
 
 
 def _number_runs(database: Database, segments: Sequence[Path], continued: Sequence[str], *, is_stored: bool) -> None:
-    """Make `run_numbers` the runs in the order in which these segments hold their first events.
+    """Define `run_numbers`: the runs in the order in which these segments hold their first events.
 
-    Those that others continue are counted, and left out.
+    Runs that others continue are counted, but left out.
 
     The relation `events` has no order: it reads rows of different releases one after the other. With `is_stored` the
     segments are read now, and never again.
@@ -278,9 +277,9 @@ def _hold_newest(
     name: str,
     where: str = "",
 ) -> None:
-    """Make the rows of these relations, which have these columns, the database's relation of this name.
+    """Make the rows of these relations, given with their columns, the database's relation of this name.
 
-    Bring retired types up to date, of the rows with this condition.
+    Rows of retired types that meet the condition are brought up to date.
     """
     # See docs/decisions/evidence-is-never-rewritten.md.
     others = {tag: paths for tag, paths in holding.items() if RETIRED[tag].cls not in ADDITIONS}
@@ -291,24 +290,24 @@ def _hold_newest(
         database.hold(_UPCAST, newest)
         selects.append(f"SELECT * FROM {_UPCAST}{where}")
     database.define(name, "\nUNION ALL\n".join(selects))
-    # Most types have no retired rows. Their views need not read types that are made row by row, of which DuckDB knows
-    # nothing before it has read the rest.
+    # Most types have no retired rows. Their views need not read the types that are made row by row, which DuckDB cannot
+    # skip before it has read the rest.
     database.define(_AS_STORED, "\nUNION ALL\n".join(_select(*part) for part in parts))
     database.source, database.changed = _AS_STORED, frozenset(map(_name, holding))
 
 
 def _select(source: str, present: frozenset[str], added: Sequence[str] = ()) -> str:
-    """Return the SELECT of a relation that has the columns `present`, with all of today's, NULL in others.
+    """Return the SELECT of all of today's columns from a relation that has those in `present`; others are NULL.
 
-    Rows of the retired types in `added` get what their later versions add.
+    Rows of the retired types in `added` get the additions of their later versions.
     """
     values = {
         name: f'"{name}"' if name in present else f"CAST(NULL AS {SQL_TYPES[kind]})" for name, kind in COLUMNS.items()
     }
     for tag in added:
-        way = ADDITIONS[RETIRED[tag].cls]
-        for name, value in {**way.added, "type": way.after.__struct_config__.tag}.items():
-            # One look at each row: a second one, for these rows alone, would decode the types of all of them once more.
+        upgrade = ADDITIONS[RETIRED[tag].cls]
+        for name, value in {**upgrade.added, "type": upgrade.after.__struct_config__.tag}.items():
+            # One pass over all rows: a second, for these rows alone, would decode the types of all of them once more.
             values[name] = (
                 f"CASE WHEN type = {quoted(tag)} THEN CAST({written(value)} AS {SQL_TYPES[COLUMNS[name]]}) ELSE "
                 f"{values[name]} END"
@@ -318,7 +317,7 @@ def _select(source: str, present: frozenset[str], added: Sequence[str] = ()) -> 
 
 
 def types_of(database: Database, segments: Sequence[Path]) -> frozenset[str] | None:
-    """Return the event types of which these segments hold rows; None if one cannot be read."""
+    """Return the event types of the rows of these segments; None if a segment cannot be read."""
     try:
         return frozenset(
             str(tag)
@@ -331,19 +330,19 @@ def types_of(database: Database, segments: Sequence[Path]) -> frozenset[str] | N
 def _holding(
     database: Database, segments: Sequence[Path], types: frozenset[str] | None
 ) -> Mapping[str, Sequence[Path]]:
-    """Return the retired types among these of the segments, and the segments that hold them.
+    """Return the retired types among these types of the segments, each with the segments that hold it.
 
-    All of both if one cannot be read, so that reading it says what is wrong.
+    All of both if `types` is None because a segment cannot be read, so that reading it reports what is wrong.
     """
     if types is None:
         return dict.fromkeys(RETIRED, segments)
     if types.isdisjoint(RETIRED):
         return {}
-    found = database.direct(
+    pairs = database.direct(
         f"SELECT DISTINCT type, filename FROM {parquet(segments, 'filename = true')} WHERE type IN ({listed(RETIRED)})"
     )
-    held = {tag: [path for path in segments if (tag, literal(path)) in found] for tag in RETIRED}
-    return {tag: paths for tag, paths in held.items() if paths}
+    paths_of = {tag: [path for path in segments if (tag, literal(path)) in pairs] for tag in RETIRED}
+    return {tag: paths for tag, paths in paths_of.items() if paths}
 
 
 def _name(tag: str) -> str:
@@ -358,7 +357,7 @@ def _upcast(holding: Mapping[str, Sequence[Path]]) -> pa.Table | None:
         LedgerCorrupted: A segment that holds some cannot be read, or does not hold valid events.
     """
     tags = list(holding)
-    paths = dict.fromkeys(path for found in holding.values() for path in found)
+    paths = dict.fromkeys(path for holders in holding.values() for path in holders)
     tables = [rows for path in paths if (rows := _upcast_segment(path, tags)) is not None]
     return pa.concat_tables(tables) if tables else None
 

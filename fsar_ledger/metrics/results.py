@@ -1,4 +1,4 @@
-"""Return the answers of the metric and statistics queries as typed rows, and the models under which runs were made."""
+"""Typed rows of the metric and statistics queries, and the models under which runs were made."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from hashlib import sha256
@@ -17,10 +17,10 @@ from fsar_ledger.metrics.definitions import measured_sql, published_metrics
 _Row = TypeVar("_Row", bound=msgspec.Struct)
 
 CONDITIONS = ("configuration", "fleet_size", "seed", "kind", "source", "model_version", "constants")
-"""Columns by which runs are kept apart that are never ranked together, nor share a table."""
+"""Columns that separate runs that are never ranked together, nor share a table."""
 
 setting_of = attrgetter(*CONDITIONS)
-"""Returns these of a row."""
+"""Returns the values of these columns of a row."""
 
 
 def of_all_seeds(setting: Sequence[Any]) -> dict[str, Any]:
@@ -29,9 +29,9 @@ def of_all_seeds(setting: Sequence[Any]) -> dict[str, Any]:
 
 
 def measure_the_printed(database: Database) -> None:
-    """Have every query measure the metrics that the paper prints, and no others, which would take time.
+    """Restrict every query to the metrics that the paper prints, since others would take time.
 
-    To be called before anything is asked, and after `take_seeds_together`.
+    Call it before any query, and after `take_seeds_together`.
     """
     sql = measured_sql(published_metrics())
     database.prepare(sql)
@@ -39,9 +39,9 @@ def measure_the_printed(database: Database) -> None:
 
 
 def take_seeds_together(database: Database, chosen_sql: str = "TRUE") -> None:
-    """Have every query take the runs together for which the condition holds: none of them has a seed any more.
+    """Make every query pool the runs that meet the condition: none of them has a seed any more.
 
-    To be called before anything is asked.
+    Call it before any query.
     """
     database.hold_rows_of_slices(["metric_measurements", "compared_runs", "unobservable"])  # the same without seeds
     database.prepare("SELECT * FROM run_started")
@@ -50,7 +50,7 @@ def take_seeds_together(database: Database, chosen_sql: str = "TRUE") -> None:
 
 
 def same_setting(of: str = "") -> str:
-    """Return the condition that rows of a relation, whose name stands before a dot, are of `of_all_seeds`."""
+    """Return the condition that rows of a relation, given as `NAME.`, are of the setting in `of_all_seeds`."""
     return " AND ".join(f"{of}{name} IS NOT DISTINCT FROM ${name}" for name in CONDITIONS if name != "seed")
 
 
@@ -58,7 +58,7 @@ SETTINGS = (
     "configuration <> 'full', configuration, fleet_size, kind <> 'simulated', kind, source, model_version, constants, "
     "seed"
 )
-"""In which order rows of different settings stand: those of the paper's table first."""
+"""The order of rows of different settings: those of the paper's table first."""
 
 
 class MetricRow(msgspec.Struct, frozen=True, kw_only=True):
@@ -69,7 +69,7 @@ class MetricRow(msgspec.Struct, frozen=True, kw_only=True):
         `seeds` seeds; `denominator` what the metric counts, summed over runs; `mean_without_routine` if it also counts
         routine operations; `runs_not_observed` runs whose source does not record what the metric rests on, which count
         nowhere else. Reading: R42.
-    None: undefined, not observable, what the runs do not have, or `scenario` (`seed`) for all of them together.
+    None: undefined, not observable, not recorded in the runs, or `scenario` (`seed`) for all of them together.
     """
 
     architecture: str | None
@@ -238,7 +238,7 @@ def drawn_effects(database: Database, setting: Sequence[Any]) -> dict[tuple[str,
 def typed(rows: list[dict[str, Any]], kind: type[_Row]) -> list[_Row]:
     """Return the rows as structs.
 
-    Raises: LedgerCorrupted for a value that no valid event leads to.
+    Raises: LedgerCorrupted for a value that valid events cannot give.
     """
     try:
         return msgspec.convert(rows, list[kind])  # type: ignore[valid-type]
@@ -269,9 +269,9 @@ MODELS = """
 class Model(msgspec.Struct, frozen=True):
     """The runs of one kind, source and model version under the same constants, by value.
 
-    `text` is how the first of them records these. `constants` names those that differ between runs of the model, None
-    if none do. Runs that were not simulated may have neither a model nor readable parameters: `parameters` is None
-    then.
+    `text` is the record of these in the first run. `constants` names those that differ between runs of the model, None
+    if none do. Runs that were not simulated may have neither a model nor readable parameters: then `parameters` is
+    None.
     """
 
     kind: str
@@ -286,7 +286,7 @@ class Model(msgspec.Struct, frozen=True):
 
     @property
     def sha256(self) -> str | None:
-        """Return the digest of the constants, as `runs.parameters_sha256` has it for the first of the runs."""
+        """Return the digest of the constants: `runs.parameters_sha256` of the first of the runs."""
         return None if self.text is None else sha256(self.text.encode()).hexdigest()
 
 
@@ -301,14 +301,14 @@ def models(database: Database) -> tuple[Model, ...]:
 
 
 def lettered(found: Iterable[Model]) -> list[tuple[Model, str | None]]:
-    """Return the models, those with most runs first, with the letter by which commands call their constants.
+    """Return the models, those with most runs first, with the letter of their constants in commands.
 
     The letter is None where no constants are on record.
     """
     letters = _letters()
     return [
-        (one, None if one.text is None else next(letters))
-        for one in sorted(found, key=lambda one: (-one.runs, one.model_version or "", one.text or ""))
+        (model, None if model.text is None else next(letters))
+        for model in sorted(found, key=lambda model: (-model.runs, model.model_version or "", model.text or ""))
     ]
 
 

@@ -1,8 +1,8 @@
-"""The results of the studies that ask how far the evaluation depends on what was chosen.
+"""The results of the studies of how far the evaluation depends on what was chosen.
 
-Those of ranking, ensemble and placebo are taken over a registered sample (`registration.Sample`): points in the ranges
-of the free constants, or repetitions. Counts are of these. What is undefined or equal at a point counts apart, never as
-a yes or a no. That of systems is of every architecture at several fleet sizes, over its dials, and in other worlds.
+Ranking, ensemble and placebo cover a registered sample (`registration.Sample`): points in the ranges of the free
+constants, or repetitions, which are counted. Undefined or equal outcomes at a point are counted separately, never as a
+yes or a no. Systems covers every architecture at several fleet sizes, over its dials, and in other worlds.
 """
 
 import math
@@ -31,8 +31,8 @@ class Share(NamedTuple):
     high: float | None
 
     def rounded(self, digits: int = 4) -> "Share":
-        """Return it with so many decimals."""
-        return Share(*(None if one is None else round(one, digits) for one in self))
+        """Return it rounded to `digits` decimals."""
+        return Share(*(None if value is None else round(value, digits) for value in self))
 
 
 # See docs/decisions/intervals-keep-their-coverage.md.
@@ -47,10 +47,10 @@ def wilson(found: int, of: int) -> Share:
 
 
 class RankCounts(msgspec.Struct, frozen=True, kw_only=True):
-    """How FSAR ranks over the points in one metric, or in several at once, which `metric` then says.
+    """How FSAR ranks over the points in one metric, or in several at once, as `metric` then says.
 
-    `is_best_in_paper` tells whether the paper prints FSAR as the best. At a point FSAR is `best` (better than both
-    others; `clearly_best` by a margin at least), `beaten`, `tied` with the better of them, or `undefined`: a cell is.
+    `is_best_in_paper`: whether the paper prints FSAR as the best. At a point FSAR is `best` (better than both others;
+    `clearly_best` by at least a margin), `beaten`, `tied` with the better of them, or `undefined` if a cell is.
     `close` are the points where it differs from the better of the others by less than a margin. `ordered` are those
     with all three in the paper's order, `disordered` those without; `tied` or undefined points are neither. The shares
     are of those that are one or the other, with 95 % intervals. In several metrics at once: best in all, beaten in any,
@@ -79,7 +79,7 @@ class Ranking(GroundedResult, frozen=True, kw_only=True):
     """How FSAR ranks over the registered ranges, without any fit.
 
     `parameters` are the constants in the middle of all ranges; `ranges` are their ends. A Sobol sequence covers the
-    ranges more evenly than independent points do, for which the intervals are.
+    ranges more evenly than independent points, which the intervals assume.
     """
 
     FILE: ClassVar[str] = "ranking.json"
@@ -96,7 +96,7 @@ class Ranking(GroundedResult, frozen=True, kw_only=True):
         yield rows_of(self.ranks)
 
     def summary(self) -> str:
-        """Say what was sampled, and what it took."""
+        """Return what was sampled, and the time it took."""
         return (
             f"{self.sample.size} points of the registered ranges, {self.sample.runs} runs of each scenario and "
             f"architecture at each, in {self.cpu_minutes} minutes of one core"
@@ -104,7 +104,7 @@ class Ranking(GroundedResult, frozen=True, kw_only=True):
 
 
 class CellSpread(msgspec.Struct, frozen=True, kw_only=True):
-    """One cell over the points around the fit: how often it is near the printed number, and where it lies.
+    """One cell over the points around the fit: how often it is near the printed number, and its quartiles.
 
     `within_margin` and `within_tolerance` (margin plus discrepancy) count points, `only_miss` those where it is the one
     cell beyond its tolerance, `plausible_within_margin` plausible points. The quartiles are of the points where it is
@@ -141,7 +141,7 @@ class SignCount(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Ensemble(GroundedResult, frozen=True, kw_only=True):
-    """What the points around the accepted one give, drawn as the fit's slopes leave them open.
+    """The results at points around the accepted one, drawn where the fit's slopes leave them undetermined.
 
     `plausible` counts those at which each of the 24 cells is within margin plus discrepancy. `ranks` and `signs` are of
     these alone, and of all points where none is plausible. `clipped` is the share of coordinates moved to the end of
@@ -166,14 +166,14 @@ class Ensemble(GroundedResult, frozen=True, kw_only=True):
             yield rows_of(part)
 
     def summary(self) -> str:
-        """Say how many points are plausible."""
+        """Return how many points are plausible, in words."""
         count = f"{self.plausible} of {self.sample.size} points are plausible" if self.plausible else "no point of "
         count += "" if self.plausible else f"{self.sample.size} is plausible: signs and ranks are of all points"
         return f"{count}; {self.sample.runs} runs at each, in {self.cpu_minutes} minutes of one core"
 
 
 class Rejections(msgspec.Struct, frozen=True, kw_only=True):
-    """How often a test of one metric rejects at `alpha` between runs that differ in nothing but their worlds.
+    """How often a test of one metric rejects at `alpha` between runs that differ only in their worlds.
 
     `test` is a p of `statistics/pairwise_tests`; with metric `any of the eight`, of the smallest of all metrics.
     `undefined` repetitions have no p, and `share` is of the others, with its 95 % interval.
@@ -192,8 +192,8 @@ class Rejections(msgspec.Struct, frozen=True, kw_only=True):
 class Placebo(GroundedResult, frozen=True, kw_only=True):
     """FSAR compared with FSAR under the name of another architecture.
 
-    On the same seeds, `pairs` pairs of runs met the same world, and `largest_difference` is the largest of all means of
-    differences, of the eight metrics; it is 0 if nothing looks at the name. On other seeds, `tests` count rejections.
+    On the same seeds, `pairs` pairs of runs met the same world, and `largest_difference` is the largest mean difference
+    of the eight metrics; it is 0 if nothing depends on the name. On other seeds, `tests` count rejections.
     """
 
     FILE: ClassVar[str] = "placebo.json"
@@ -213,7 +213,7 @@ class Placebo(GroundedResult, frozen=True, kw_only=True):
         yield rows_of(self.tests)
 
     def summary(self) -> str:
-        """Say what differs on the same seeds."""
+        """Return what differs on the same seeds, in words."""
         return (
             f"on the same seeds {self.pairs} pairs differ by {self.largest_difference} at most; on others, "
             f"{self.sample.size} repetitions at {self.alpha}, in {self.cpu_minutes} minutes of one core"
@@ -223,7 +223,7 @@ class Placebo(GroundedResult, frozen=True, kw_only=True):
 class SystemNumber(msgspec.Struct, frozen=True, kw_only=True):
     """One metric of one architecture: at a fleet size, or with one of its dials at another value.
 
-    `dial` and `value` are None for the dials as they are declared. Units: `mean`, `sd` over runs and the 95 % interval
+    `dial` and `value` are None for the declared dials. Units: `mean`, `sd` over runs and the 95 % interval
     `low` to `high` in the metric's; `n` runs in which it is defined.
     None: undefined in every run.
     """
@@ -241,7 +241,7 @@ class SystemNumber(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class SystemGrade(msgspec.Struct, frozen=True, kw_only=True):
-    """What the events of an architecture show of a feature: full, partial or none; None where nothing could show it."""
+    """How far the events of an architecture show a feature: full, partial or none; None where nothing could show it."""
 
     architecture: str
     feature: str
@@ -249,7 +249,7 @@ class SystemGrade(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class NamedShares(msgspec.Struct, frozen=True, kw_only=True):
-    """In what share of its executions an architecture names who it was, by field. None: there was nobody to name."""
+    """The share of its executions in which an architecture names each principal. None: there was none to name."""
 
     architecture: str
     origin: float | None
@@ -258,9 +258,9 @@ class NamedShares(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class HeldRank(msgspec.Struct, frozen=True, kw_only=True):
-    """How FSAR stands beside another architecture when one constant is moved: in how many settings it is told apart.
+    """FSAR beside another architecture when one constant is moved: in how many settings they can be distinguished.
 
-    In `higher` of the `settings` its 95 % interval lies above the other's, in `lower` below; in the rest they meet.
+    In `higher` of the `settings` its 95 % interval lies above the other's, in `lower` below; in the rest they overlap.
     A setting in which the metric is undefined for one of them does not count. `against` names those of the rarer kind.
     """
 
@@ -273,7 +273,7 @@ class HeldRank(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Systems(GroundedResult, frozen=True, kw_only=True):
-    """What every architecture does in the same worlds; nothing of it is fitted.
+    """The metrics of every architecture in the same worlds; nothing is fitted.
 
     `runs` are those of each scenario and seed, by fleet size; a dial is tried with the runs of the first seed.
     `moved_runs` are those of each scenario where a constant is moved.
@@ -304,7 +304,7 @@ class Systems(GroundedResult, frozen=True, kw_only=True):
             yield rows_of(part)
 
     def summary(self) -> str:
-        """Say what was run."""
+        """Return what was run, in words."""
         sizes = ", ".join(f"{size} robots ({runs} runs)" for size, runs in self.runs.items())
         return f"{sizes} of each scenario in {len(self.seeds)} seeds, in {self.cpu_minutes} minutes of one core"
 
@@ -315,7 +315,7 @@ class OrderUnderReadings(msgspec.Struct, frozen=True, kw_only=True):
     `order` is the one under our reading, the best first, `=` between equals; it orders means without regard to chance.
     `same_order` and `fsar_best` count combinations; `changed_under` and `fsar_not_best_under` name the smallest
     combinations under which the order differs, or FSAR is not the best.
-    None: fewer than two architectures have a mean, or FSAR is none of them.
+    None: fewer than two architectures have a mean, or FSAR is not among them.
     """
 
     metric: str
@@ -337,15 +337,17 @@ class OrderUnderReadings(msgspec.Struct, frozen=True, kw_only=True):
 
 def rankings(found: "Iterable[Universe]", better: Mapping[str, str]) -> Iterator[OrderUnderReadings]:
     """Return whether each ranking survives, in the order of the universes of our reading."""
-    by_place: dict[tuple[object, ...], dict[tuple[str, ...], list[Universe]]] = {}
-    for one in found:
-        by_place.setdefault((one.metric, setting_of(one)), {}).setdefault(one.readings, []).append(one)
-    for under in by_place.values():
-        first = under[()][0]
-        orders = {names: ranked(mine, better[first.metric]) for names, mine in under.items()}
+    by_setting: dict[tuple[object, ...], dict[tuple[str, ...], list[Universe]]] = {}
+    for universe in found:
+        by_setting.setdefault((universe.metric, setting_of(universe)), {}).setdefault(universe.readings, []).append(
+            universe
+        )
+    for by_readings in by_setting.values():
+        first = by_readings[()][0]
+        orders = {names: ranked(universes, better[first.metric]) for names, universes in by_readings.items()}
         ours = orders[()]
         changed = [names for names, order in orders.items() if order != ours]
-        lost = [names for names, order in orders.items() if not order or order[0] != ("fsar",)]
+        not_best = [names for names, order in orders.items() if not order or order[0] != ("fsar",)]
         is_ranked = sum(map(len, ours)) > 1
         has_fsar = is_ranked and any("fsar" in equals for equals in ours)
         yield OrderUnderReadings(
@@ -355,24 +357,28 @@ def rankings(found: "Iterable[Universe]", better: Mapping[str, str]) -> Iterator
             order=" > ".join(" = ".join(equals) for equals in ours) if is_ranked else None,
             combinations=len(orders),
             same_order=len(orders) - len(changed) if is_ranked else None,
-            fsar_best=len(orders) - len(lost) if has_fsar else None,
+            fsar_best=len(orders) - len(not_best) if has_fsar else None,
             changed_under=smallest(changed) if is_ranked else None,
-            fsar_not_best_under=smallest(lost) if has_fsar else None,
+            fsar_not_best_under=smallest(not_best) if has_fsar else None,
         )
 
 
 def ranked(mine: "Iterable[Universe]", better: str) -> tuple[tuple[str, ...], ...]:
     """Return the architectures that have a mean, the best first; equal ones together, by name."""
     sign = -1 if better == "higher" else 1
-    ordered = sorted((sign * steady(one.mean), one.architecture or "unnamed") for one in mine if one.mean is not None)
-    return tuple(tuple(name for _, name in equals) for _, equals in groupby(ordered, key=lambda each: each[0]))
+    ordered = sorted(
+        (sign * steady(universe.mean), universe.architecture or "unnamed")
+        for universe in mine
+        if universe.mean is not None
+    )
+    return tuple(tuple(name for _, name in equals) for _, equals in groupby(ordered, key=lambda entry: entry[0]))
 
 
 def steady(mean: float) -> float:
-    """Return the mean without its last bits, which hang on the order in which the values of runs are added up."""
+    """Return the mean without its last bits, which depend on the order in which the values of runs are added."""
     return float(f"{mean:.12g}")
 
 
 def smallest(sets: Sequence[tuple[str, ...]]) -> tuple[tuple[str, ...], ...]:
     """Return those combinations that contain no other one."""
-    return tuple(one for one in sets if not any(set(other) < set(one) for other in sets))
+    return tuple(names for names in sets if not any(set(other) < set(names) for other in sets))

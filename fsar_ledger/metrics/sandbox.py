@@ -1,8 +1,8 @@
 """Answer one SELECT in the process that untrusted SQL runs in.
 
-It holds one ledger's events, locks everything else, answers and ends. It is started without the caller's environment.
-Before it sees the SQL it gives up, for good, what an answer does not need: writing to files, starting processes, the
-caller's working folder, and memory, time and open files beyond its limits. DuckDB's own locks come on top
+It holds one ledger's events, locks everything else, answers and exits. It starts without the caller's environment.
+Before it reads the SQL it permanently gives up what an answer does not need: writing to files, starting processes, the
+caller's working folder, and memory, time and open files beyond its limits. DuckDB's own locks apply as well
 (`Database.lock`).
 """
 
@@ -26,33 +26,33 @@ from .own_sql import LISTING, how_to_call, listing, understood
 from .relation import hold_dataset
 
 GRACE_S = 5
-"""Seconds by which this process's limits come after the caller's, so that the caller can say what happened."""
+"""Seconds by which this process's limits exceed the caller's, so that the caller can report what happened."""
 
 FILES = 1024
-"""Open files at once; fewer where the system allows fewer.
+"""Limit of open files; lower where the system allows fewer.
 
 Arrow reads ahead of DuckDB and opens each segment twice. On a busy machine 51 segments took up to 70, and 400 up to 79.
 """
 
 
 SENT_BYTES, SLICE_BYTES, VALUE_BYTES = 16 << 20, 1 << 20, 16
-"""Bytes that are sent at once, and that become Python values at once, so that the caller holds little.
+"""Bytes sent at once, and bytes converted to Python values at once, so that the caller holds little.
 
-The third is what a value counts beside its bytes.
+The third is added to the bytes of each value.
 """
 
 ROW_BYTES = 64 << 20
-"""The most bytes of a row: it cannot be split, and as Python values it may take ten times as much."""
+"""Maximum bytes of a row: it cannot be split, and as Python values it may take ten times as much."""
 
 OWN_BYTES = 512 << 20
-"""Address space of the process before it answers, with some to spare.
+"""Address space of the process before it answers, with a reserve.
 
-DuckDB gets half of the rest, since what grows is copied into twice its room.
+DuckDB gets half of the rest, since growing buffers are copied to twice their size.
 """
 
 
 class Limits(msgspec.Struct, frozen=True):
-    """What an answer may cost.
+    """The limits of an answer.
 
     Units: seconds of wall clock; bytes of address space, of which an idle process takes 0.4 GiB; rows and bytes of
         the answer; bytes of the SQL.
@@ -66,7 +66,7 @@ class Limits(msgspec.Struct, frozen=True):
 
 
 class Question(msgspec.Struct, frozen=True):
-    """What the process is asked: the SELECT, the ledger's segments in order, and the limits."""
+    """The request to the process: the SELECT, the ledger's segments in order, and the limits."""
 
     segments: list[str]
     sql: str
@@ -76,7 +76,7 @@ class Question(msgspec.Struct, frozen=True):
 class Refusal(msgspec.Struct, frozen=True):
     """Why there is no answer, and whether a damaged segment may be the cause.
 
-    This process has too few resources left to tell.
+    This process has too few resources left to check that.
     """
 
     message: str
@@ -86,7 +86,7 @@ class Refusal(msgspec.Struct, frozen=True):
 def answer(descriptor: int) -> None:
     """Read one `Question` from the pipe, and write the parts of the answer as they come, each an Arrow stream.
 
-    After them come an empty message and null, or the `Refusal` for which the parts before it are no answer.
+    After them come an empty message and null, or the `Refusal` that invalidates the parts before it.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C also reaches the caller, which ends this process
     with Connection(descriptor) as pipe:
@@ -104,14 +104,14 @@ def answer(descriptor: int) -> None:
 
 
 def _refusal(error: Exception, limits: Limits) -> Refusal:
-    """Turn the error into what the caller is told."""
+    """Turn the error into the caller's message."""
     cause = error.__cause__ if isinstance(error, QueryFailed) else error
     if isinstance(cause, (MemoryError, *OUT_OF_MEMORY)):
         return Refusal(f"SQL: ran out of memory, the limit is {limits.memory_bytes >> 20:,} MiB; ask for less")
-    if os.strerror(errno.EMFILE) in str(cause):  # DuckDB and Arrow hand on the text alone
-        most = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+    if os.strerror(errno.EMFILE) in str(cause):  # DuckDB and Arrow pass on only the text
+        limit = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
         return Refusal(
-            f"SQL: needed more than the {most:,} files it may have open; raise `ulimit -n` if it is below {FILES:,}, "
+            f"SQL: needed more than the {limit:,} files it may have open; raise `ulimit -n` if it is below {FILES:,}, "
             "or ask for less at once"
         )
     message = (
@@ -123,24 +123,24 @@ def _refusal(error: Exception, limits: Limits) -> Refusal:
 
 
 def give_up(limits: Limits) -> None:
-    """Bar this process for good from writing files, from the working folder, and from exceeding its limits."""
+    """Permanently bar this process from writing files, from the working folder, and from exceeding its limits."""
     os.chdir("/")
     allowed = resource.getrlimit(resource.RLIMIT_NOFILE)[1]
-    most = {
+    limit_of = {
         resource.RLIMIT_CORE: 0,
         resource.RLIMIT_FSIZE: 0,
         resource.RLIMIT_NOFILE: FILES if allowed == resource.RLIM_INFINITY else min(FILES, allowed),
         resource.RLIMIT_AS: limits.memory_bytes,
     }
-    for what, value in most.items():
-        resource.setrlimit(what, (value, value))
+    for kind, value in limit_of.items():
+        resource.setrlimit(kind, (value, value))
     seconds = limits.seconds + GRACE_S
-    # SIGXCPU at the first says why, SIGKILL at the second ends it.
+    # SIGXCPU at the first limit reports why, SIGKILL at the second ends it.
     resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 1))
 
 
 def _checked() -> ds.ParquetFileFormat:
-    """Return Parquet with verified page checksums: a flipped bit is an error, not an answer."""
+    """Return the Parquet format with verified page checksums: a flipped bit is an error, not an answer."""
     return ds.ParquetFileFormat(
         default_fragment_scan_options=ds.ParquetFragmentScanOptions(page_checksum_verification=True)
     )
@@ -157,7 +157,7 @@ def _select(question: Question) -> Iterator[pa.RecordBatch]:
         # See docs/decisions/untrusted-sql-has-its-own-process.md.
         database.lock(limits.seconds + GRACE_S, (limits.memory_bytes - OWN_BYTES) // 2)
         for _ in database.batches("SELECT seq FROM events LIMIT 1"):
-            pass  # reading has started its threads; no more can be started below
+            pass  # reading starts its threads; no more can be started below
         resource.setrlimit(resource.RLIMIT_NPROC, (0, 0))
         database.check_one_select(question.sql)
         sql = prepared(database, question.sql)
@@ -173,36 +173,36 @@ def _select(question: Question) -> Iterator[pa.RecordBatch]:
                     "columns or rows"
                 )
             for part in slices(batch, ROW_BYTES):
-                if (weighs := weight(part)) > ROW_BYTES:
+                if (needed := weight(part)) > ROW_BYTES:
                     raise QueryFailed(
-                        f"SQL: found a row that takes {weighs:,} bytes, expected at most {ROW_BYTES:,}; ask for fewer "
+                        f"SQL: found a row that takes {needed:,} bytes, expected at most {ROW_BYTES:,}; ask for fewer "
                         "columns or shorter values"
                     )
             yield batch
 
 
 def prepared(database: Database, sql: str) -> str:
-    """Make everything that the SQL asks for, and return it as it can be run. Raises: QueryFailed."""
-    own = understood(sql, database.library)
-    if own.lists:
+    """Make everything that the SQL reads, and return it in a form that can be run. Raises: QueryFailed."""
+    parsed = understood(sql, database.library)
+    if parsed.lists:
         database.hold(LISTING, listing())
-    for query in own.macros:
+    for query in parsed.macros:
         database.macro(query)
-    database.check_one_select(own.sql)
-    database.prepare(own.sql)
-    return own.sql
+    database.check_one_select(parsed.sql)
+    database.prepare(parsed.sql)
+    return parsed.sql
 
 
 def _answered(database: Database, sql: str) -> Iterator[pa.RecordBatch]:
-    """Yield the answer in batches. Raises: As `Database.batches`; QueryFailed also says how a macro is called."""
+    """Yield the answer in batches. Raises: As `Database.batches`; QueryFailed also shows how to call a macro."""
     try:
         yield from database.batches(sql)
-    except QueryFailed as problem:
-        raise QueryFailed(f"{problem}{how_to_call(str(problem), database.library)}") from problem.__cause__
+    except QueryFailed as error:
+        raise QueryFailed(f"{error}{how_to_call(str(error), database.library)}") from error.__cause__
 
 
 def _plain(batch: pa.RecordBatch) -> pa.RecordBatch:
-    """Return the batch without dictionaries: each slice of it would be sent with the whole dictionary."""
+    """Return the batch without dictionaries: each slice would be sent with the whole dictionary."""
     columns = [
         column.dictionary_decode() if pa.types.is_dictionary(column.type) else column for column in batch.columns
     ]
@@ -210,7 +210,7 @@ def _plain(batch: pa.RecordBatch) -> pa.RecordBatch:
 
 
 def _stream(batch: pa.RecordBatch) -> pa.Buffer:
-    """Return the batch as an Arrow stream of its own."""
+    """Return the batch as a separate Arrow stream."""
     sink = pa.BufferOutputStream()
     with pa.ipc.new_stream(sink, batch.schema) as writer:
         writer.write_batch(batch)
@@ -218,7 +218,7 @@ def _stream(batch: pa.RecordBatch) -> pa.Buffer:
 
 
 def slices(batch: pa.RecordBatch, most: int = SLICE_BYTES) -> Iterator[pa.RecordBatch]:
-    """Yield the batch in parts of at most so many bytes, as `weight` counts; a row is never split."""
+    """Yield the batch in parts of at most `most` bytes as counted by `weight`; a row is never split."""
     if batch.num_rows < 2 or weight(batch) <= most:
         yield batch
         return
@@ -228,14 +228,14 @@ def slices(batch: pa.RecordBatch, most: int = SLICE_BYTES) -> Iterator[pa.Record
 
 
 def weight(batch: pa.RecordBatch) -> int:
-    """Estimate the bytes that these rows take as Python values, however little Arrow needs for them."""
-    nested = [at for at, kind in enumerate(batch.schema.types) if pa.types.is_nested(kind)]
+    """Estimate the bytes that these rows take as Python values, however few Arrow needs."""
+    nested = [index for index, kind in enumerate(batch.schema.types) if pa.types.is_nested(kind)]
     flat: int = batch.num_rows * (batch.num_columns - len(nested))
-    return int(batch.nbytes) + VALUE_BYTES * (flat + sum(_values(batch.column(at)) for at in nested))
+    return int(batch.nbytes) + VALUE_BYTES * (flat + sum(_values(batch.column(index)) for index in nested))
 
 
 def _values(column: pa.Array) -> int:
-    """Count the values that an array holds, nested ones included."""
+    """Count the values of an array, including nested ones."""
     kind = column.type
     if pa.types.is_struct(kind):
         return len(column) + sum(_values(part) for part in column.flatten())

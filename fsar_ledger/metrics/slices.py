@@ -1,10 +1,10 @@
-"""A slice of a ledger: some of its runs, a database over their events, and the cache of what it answers.
+"""A slice of a ledger: some of its runs, a database over their events, and the cache of its answers.
 
 The cache lies beside the user's other caches, never in a ledger, and belongs to this user on this machine, who could as
-well change the program. An entry is found by the hashes of the segments that its slice was read from, by the runs and
-where in these they are, by the texts of the queries, and by this program's own text. A reader has just compared the
-segments with their hashes, so an entry is of the very bytes that lie there. What is damaged is made again. Losing the
-cache costs one more look at the events.
+well change the program. Entries are keyed by the hashes of the segments that their slice was read from, the runs and
+their positions in these, the texts of the queries, and this program's own text. A reader has just compared the
+segments with their hashes, so an entry is about exactly the bytes that lie there. Damaged entries are recomputed.
+Losing the cache costs one more pass over the events.
 """
 
 import hashlib
@@ -32,13 +32,13 @@ from .library import library
 from .verified import cache_folder, is_own_file
 
 CACHE_BYTES = 1 << 30
-"""The most that the cache holds; what was made first is left out."""
+"""Maximum size of the cache; the oldest entries are dropped."""
 
 
 class SliceQuery(NamedTuple):
-    """A question to each slice: `of` answers it, and `text` names all that the answer depends on but the events.
+    """A query of each slice: `of` answers it, and `text` identifies all that the answer depends on but the events.
 
-    `of` can be sent to another process. `reads` are the relations that it reads, None if it reads them otherwise.
+    `of` can be sent to another process. `reads` are the relations that it reads, None if these are not known.
     """
 
     text: str
@@ -47,7 +47,7 @@ class SliceQuery(NamedTuple):
 
 
 class Slice(NamedTuple):
-    """Some runs of a ledger, and by `digest` the bytes that hold them; None where these have no hash yet.
+    """Some runs of a ledger, and the `digest` of the bytes that hold them; None where these have no hash yet.
 
     `view` is the ledger, and `beside` are all of its runs. About `most` events are judged at once.
     """
@@ -71,39 +71,39 @@ def slice_of(view: View, runs: Sequence[Extent], beside: Sequence[Extent], most:
     numbers, placed = view.segments_of(runs), view.chain.placed
     if numbers[-1] >= len(placed):
         return Slice(tuple(runs), None, view, beside, most)  # a journal has no hash
-    held = [(placed[number].first, placed[number].segment_sha256) for number in numbers]
-    digest = digest_of([repr(held), repr([msgspec.structs.astuple(one) for one in runs])])
+    hashes = [(placed[number].first, placed[number].segment_sha256) for number in numbers]
+    digest = digest_of([repr(hashes), repr([msgspec.structs.astuple(extent) for extent in runs])])
     return Slice(tuple(runs), digest, view, beside, most)
 
 
 def connect(one: Slice, head: Head, rows_verified: bool | None, threads: int | None = None) -> Database:
-    """Return a database for the events of a slice, which has none yet."""
+    """Return a database for the events of a slice, still empty."""
     return Database(head, segments(one), threads, rows_verified=rows_verified, may_spill=True)
 
 
 def segments(one: Slice) -> list[Path]:
-    """Return the segments that hold the runs of a slice, among others."""
+    """Return the segments that hold the runs of a slice, and perhaps other runs."""
     return [one.view.segment(number) for number in one.view.segments_of(one.runs)]
 
 
 def fill(database: Database, one: Slice, parts: relation.Parts | None = None) -> None:
-    """Make the events of a slice, or of a run these parts of which it has, those of a database.
+    """Make the events of a slice, or of these parts of its run, the events of a database.
 
     Raises: As `database.connect_view`.
     """
     runs, view, releases = one.runs, one.view, one.view.releases
     numbers = view.segments_of(runs)
-    held = {number: view.segment(number) for number in numbers}
+    paths = {number: view.segment(number) for number in numbers}
     names = {run.run for run in runs}
     others = [run for run in one.beside if run.run not in names and _meets(view, run, numbers)]
-    cut = {number for run in others for number in view.segments_between(run.first, run.end)}
-    whole = frozenset(path for number, path in held.items() if number not in cut)
+    mixed = {number for run in others for number in view.segments_between(run.first, run.end)}
+    whole = frozenset(path for number, path in paths.items() if number not in mixed)
     # See docs/decisions/slices-make-no-tables.md.
-    condition, named = relation.OF_NUMBERED, [run.run for run in runs]
+    condition, numbered_runs = relation.OF_NUMBERED, [run.run for run in runs]
     if parts is not None:
-        condition, named = relation.of_runs(sorted(names)), [parts.run]
-    chosen = relation.RowFilter(condition, relation.numbered(named), whole)
-    relation.hold_segments(database, [*held.values()], [releases[number] for number in held], chosen, (), parts)
+        condition, numbered_runs = relation.of_runs(sorted(names)), [parts.run]
+    chosen = relation.RowFilter(condition, relation.numbered(numbered_runs), whole)
+    relation.hold_segments(database, [*paths.values()], [releases[number] for number in paths], chosen, (), parts)
 
 
 def _meets(view: View, extent: Extent, numbers: Sequence[int]) -> bool:
@@ -117,12 +117,12 @@ def digest_of(texts: Iterable[str]) -> str:
 
 @cache
 def _program() -> str:
-    """Return a digest of what reads events and answers: this package's text, DuckDB and Arrow."""
-    rooms = ("metrics", "events", "ledger/rows")
+    """Return a digest of the code that reads events and answers: this package's text, DuckDB and Arrow."""
+    folders = ("metrics", "events", "ledger/rows")
     texts = [
         file.read_text("utf-8")
-        for room in rooms
-        for file in sorted(files("fsar_ledger").joinpath(room).iterdir(), key=lambda file: file.name)
+        for folder in folders
+        for file in sorted(files("fsar_ledger").joinpath(folder).iterdir(), key=lambda file: file.name)
         if file.name.endswith(".py")
     ]
     return digest_of([__version__, *(f"{name} {version(name)}" for name in ("duckdb", "pyarrow")), *texts])
@@ -143,7 +143,7 @@ _TOO_MANY = """
 
 @contextmanager
 def opened_cache() -> Iterator[sqlite3.Connection]:
-    """Yield the cache, and keep what was changed in it. Raises: sqlite3.Error if there is none, or it is damaged."""
+    """Yield the cache, and commit its changes. Raises: sqlite3.Error if there is none, or it is damaged."""
     folder = cache_folder()
     file = folder and folder / "slices.sqlite"
     if file is None or (file.exists() and not is_own_file(file)):
@@ -154,7 +154,7 @@ def opened_cache() -> Iterator[sqlite3.Connection]:
                 cache.execute("PRAGMA synchronous = OFF")
                 cache.execute(_MADE)
                 yield cache
-        except sqlite3.OperationalError:  # another process is at it, or the disk is full
+        except sqlite3.OperationalError:  # another process uses it, or the disk is full
             raise
         except sqlite3.DatabaseError:
             file.unlink(missing_ok=True)
@@ -162,7 +162,7 @@ def opened_cache() -> Iterator[sqlite3.Connection]:
 
 
 def remembered(of: str | None, texts: Collection[str]) -> dict[str, bytes]:
-    """Return what is known of a slice, by the texts that were asked, as `written` has it."""
+    """Return the cached answers of a slice, by the texts of their queries, in the form of `written`."""
     if of is None:
         return {}
     with suppress(sqlite3.Error), opened_cache() as cache:
@@ -171,12 +171,12 @@ def remembered(of: str | None, texts: Collection[str]) -> dict[str, bytes]:
             "SELECT asked, sha256, data FROM answers WHERE slice = ? AND asked IN (SELECT value FROM json_each(?))",
             [of, json.dumps([*by_key])],
         )
-        return {by_key[asked]: data for asked, sha256, data in rows if sha256 == of_entry(of, asked, data)}
+        return {by_key[key]: data for key, sha256, data in rows if sha256 == of_entry(of, key, data)}
     return {}
 
 
 def remember(of: str | None, made: Mapping[str, bytes]) -> None:
-    """Remember what a slice answered if possible; otherwise the next look takes longer."""
+    """Cache the answers of a slice if possible; otherwise the next query takes longer."""
     if of is None:
         return
     rows = [(of, _key(text), data, of_entry(of, _key(text), data)) for text, data in made.items()]
@@ -189,7 +189,7 @@ def remember(of: str | None, made: Mapping[str, bytes]) -> None:
 
 
 def coded(table: pa.Table) -> pa.Table:
-    """Return the rows, each text of a column once: runs of an experiment have the same constants, of 2,000 bytes."""
+    """Return the rows with texts dictionary-encoded: runs of an experiment share their constants, of 2,000 bytes."""
     columns = [column.dictionary_encode() if column.type == pa.string() else column for column in table.columns]
     return pa.table(columns, table.column_names)
 
@@ -205,13 +205,13 @@ def written(table: pa.Table) -> bytes:
 
 
 def joined(stored: Iterable[bytes]) -> pa.Table:
-    """Return the rows that `written` has made of tables, together."""
+    """Return the rows of several results of `written` as one table."""
     return pa.concat_tables(pa.ipc.open_stream(data).read_all() for data in stored)
 
 
 def decoded(table: pa.Table) -> pa.Table:
     """Return the rows with plain columns."""
-    types = [one.value_type if pa.types.is_dictionary(one) else one for one in table.schema.types]
+    types = [kind.value_type if pa.types.is_dictionary(kind) else kind for kind in table.schema.types]
     return table.cast(pa.schema([*zip(table.column_names, types, strict=True)]))
 
 
@@ -220,5 +220,5 @@ def _key(text: str) -> str:
 
 
 def of_entry(of: str, asked: str, data: bytes) -> str:
-    """Return the digest of an entry of the cache over itself and its key, in hex."""
+    """Return the digest of a cache entry, over its key and its data, in hex."""
     return hashlib.sha256(f"{of}{asked}".encode() + data).hexdigest()

@@ -1,10 +1,10 @@
 """Values in SQL: the parameters of packaged queries, and values and file paths as text.
 
-`Parameters: run: run = all, at: time = end` in the header of a query names two. The kind decides how the text of a
-value is understood (`api/lookup.py`). People give a time in seconds as `at`; the SQL gets microseconds as `$at_us`.
+`Parameters: run: run = all, at: time = end` in the header of a query declares two. The kind decides how the text of a
+value is parsed (`api/lookup.py`). Users give a time in seconds as `at`; the SQL gets microseconds as `$at_us`.
 
 DuckDB reads many characters of file names as patterns or commands: in a path as text it expands `*`, `?`, `[...]` and a
-leading `~`, and reads `file:` and its like as a scheme.
+leading `~`, and reads prefixes such as `file:` as a scheme.
 """
 
 from collections.abc import Collection, Iterable, Mapping
@@ -25,7 +25,7 @@ _PATTERNS = str.maketrans({character: f"[{character}]" for character in "*?["})
 
 
 def literal(path: str | Path) -> str:
-    """Return the text by which DuckDB finds this path in `filename` columns, and in statements that know no patterns.
+    """Return DuckDB's text of this path in `filename` columns, and in statements that expand no patterns.
 
     It never begins with `~` or a scheme.
     """
@@ -34,12 +34,12 @@ def literal(path: str | Path) -> str:
 
 
 def quoted(text: str) -> str:
-    """Write a text in SQL."""
+    """Return a text as a SQL literal."""
     return "'" + text.replace("'", "''") + "'"
 
 
 def written(value: Any) -> str:
-    """Write a value in SQL."""
+    """Return a value as a SQL literal."""
     match value:
         case None:
             return "NULL"
@@ -52,16 +52,16 @@ def written(value: Any) -> str:
 
 
 def listed(values: Iterable[Any]) -> str:
-    """Write values in SQL, with commas between them."""
+    """Return values as SQL literals, separated by commas."""
     return ", ".join(map(written, values))
 
 
 def parquet(paths: Iterable[str | Path], *options: str, is_for_others: bool = False) -> str:
-    """Write just these files as a SQL relation.
+    """Return exactly these files as a SQL relation.
 
-    Older DuckDB does not know the form in which a path is none but itself. With `is_for_others` the characters of
-    patterns are escaped instead: then DuckDB lists the folders above, and reads nothing where a name in one of these
-    begins with a backslash.
+    Older DuckDB lacks the form that takes a path literally. With `is_for_others` the characters of patterns are escaped
+    instead: then DuckDB lists the folders above, and reads nothing where a name in one of these begins with a
+    backslash.
     """
     names = map(literal, paths)
     files = (
@@ -85,7 +85,7 @@ period a day or a part."""
 
 
 class Parameter(msgspec.Struct, frozen=True):
-    """A parameter of a query: its name for people, its kind, and its default (None: a value must be given)."""
+    """A parameter of a query: its name for users, its kind, and its default (None: a value must be given)."""
 
     name: str
     kind: str
@@ -96,12 +96,12 @@ class Parameter(msgspec.Struct, frozen=True):
 
     @property
     def sql_name(self) -> str:
-        """Return the name behind `$` in the SQL: a time is given in microseconds."""
+        """Return the name after `$` in the SQL: a time is given in microseconds."""
         return f"{self.name}_us" if self.kind == TIME else self.name
 
     @property
     def sql_default(self) -> str | None:
-        """Return the default as the SQL gets it: the end of a run is after every time."""
+        """Return the default for the SQL: the end of a run is after every time."""
         return str(MAX_INTEGER) if self.kind == TIME and self.default == END else self.default
 
 
@@ -136,7 +136,9 @@ def require_known(
     unknown = sorted(set(given) - set(known))
     if not unknown:
         return
-    times = [one.name for one in parameters.values() if one.sql_name in unknown and one.kind == TIME]
+    times = [
+        parameter.name for parameter in parameters.values() if parameter.sql_name in unknown and parameter.kind == TIME
+    ]
     if times:
         hint = f"; {times[0]} is the time, as in {times[0]}=46.6, {times[0]}=46.6s or {times[0]}=46600ms"
     else:
@@ -146,15 +148,15 @@ def require_known(
 
 
 def values(query: str, parameters: Mapping[str, Parameter], given: Mapping[str, str]) -> dict[str, str]:
-    """Return what each `$name` of the query gets: the given value, else its default.
+    """Return the value of each `$name` of the query: the given one, else its default.
 
     Raises:
-        UnknownQuery: A given name is none of the query's, or a parameter without default has no value.
+        UnknownQuery: A given name is not a parameter of the query, or one without default has no value.
     """
-    defaults = {one.sql_name: one.sql_default for one in parameters.values()}
+    defaults = {parameter.sql_name: parameter.sql_default for parameter in parameters.values()}
     require_known(query, parameters, given, defaults)
     filled = defaults | dict(given)
-    if missing := [one.name for one in parameters.values() if filled[one.sql_name] is None]:
+    if missing := [parameter.name for parameter in parameters.values() if filled[parameter.sql_name] is None]:
         raise UnknownQuery(
             f"query {query}: found no value of {', '.join(missing)}, which has no default; give one, as in "
             f"{missing[0]}=VALUE"
@@ -187,9 +189,9 @@ ON_RECORD = {
     "case": "SELECT case_number::VARCHAR AS name FROM case_definitions",
     "period": "SELECT unnest(['day', 'part']) AS name",
 }
-"""By kind, the names that have a meaning: in this run, or wherever the kind is the same for every run.
+"""The SELECT of the known names of each kind: in this run, or in all where the kind is the same for every run.
 
-A name that is one of them may well have no row in an answer; any other is a typing error.
+A known name may have no row in an answer; any other is a typing error.
 """
 
 
@@ -205,7 +207,7 @@ def names_on_record(database: "Database", kind: str, run: str | None) -> list[st
 def plain_rows(table: pa.Table) -> list[dict[str, Any]]:
     """Return the rows as dictionaries; DuckDB's sums of integers, decimals in Arrow, become integers again."""
     whole = [field.name for field in table.schema if pa.types.is_decimal(field.type) and field.type.scale == 0]
-    # In parts: between two of them, the watch over this process's memory gets its turn.
+    # In parts, so that the watch over this process's memory gets its turn between them.
     rows: list[dict[str, Any]] = [
         row for part in table.to_batches(max_chunksize=BATCH_ROWS) for row in part.to_pylist()
     ]

@@ -1,8 +1,8 @@
-"""The result files of the studies: what is in them, what they rest on, and what of that has changed since.
+"""The result files of the studies: their contents, what they rest on, and what of that has changed since.
 
-A study (`fsar_ledger/studies`) writes one; the report and a later study read it. Each names the version of the model,
+A study (`fsar_ledger/studies`) writes one; the report and later studies read it. Each names the version of the model,
 and has a digest of the SQL of every query that judged its runs, so that a number that no query gives any more is not
-taken for a result. Units are those of the queries (shares in [0, 1], seconds).
+mistaken for a result. Units are those of the queries (shares in [0, 1], seconds).
 """
 
 from collections.abc import Iterable, Iterator, Mapping
@@ -22,34 +22,34 @@ from .library import Library, Query, library, plain_sql
 from .verdicts import Answer
 
 METRICS, CLAIMS = "metric_summary", "case_claims"
-"""The relations that the results, and the claims of the cases, are read from."""
+"""The relations from which the results, and the claims of the cases, are read."""
 
 
 Row = dict[str, Any]
-"""A row of a table that people are shown."""
+"""A row of a displayed table."""
 
 
 def rows_of(parts: Iterable[msgspec.Struct], *left_out: str) -> list[Row]:
     """Return the parts of a result as rows of a table, without the fields that are left out."""
     return [
-        {name: value for name, value in msgspec.structs.asdict(one).items() if name not in left_out} for one in parts
+        {name: value for name, value in msgspec.structs.asdict(part).items() if name not in left_out} for part in parts
     ]
 
 
 class Result(msgspec.Struct, frozen=True):
-    """The result of a study: a file of this package, or one that the command `MADE_BY` wrote."""
+    """The result of a study: a file of this package, or one written by the command `MADE_BY`."""
 
     FILE: ClassVar[str]
     MADE_BY: ClassVar[str]
     RELATIONS: ClassVar[tuple[str, ...]] = (METRICS,)
-    """What its numbers are read from."""
+    """The relations from which its numbers are read."""
 
     def tables(self) -> Iterator[list[Row]]:
-        """Yield the tables in which people are shown it."""
+        """Yield the tables in which it is displayed."""
         yield from ()
 
     def summary(self) -> str:
-        """Return a sentence about it as a whole, or an empty one."""
+        """Return a sentence about the whole result, or an empty text."""
         return ""
 
 
@@ -65,7 +65,7 @@ class GroundedResult(Result, frozen=True, kw_only=True):
 
 
 class Objective(msgspec.Struct, frozen=True):
-    """What the fit minimised: a description, and its value before and after."""
+    """The objective of the fit: a description, and its value before and after."""
 
     description: str
     start: float | None = None
@@ -200,16 +200,16 @@ class Predictions(GroundedResult, frozen=True, kw_only=True):
 
     def tables(self) -> Iterator[list[Row]]:
         """Yield the numbers over all scenarios together, and the claims."""
-        yield rows_of([one for one in self.numbers if one.scenario is None])
+        yield rows_of([number for number in self.numbers if number.scenario is None])
         yield rows_of(self.cases)
 
 
 class Cell(msgspec.Struct, frozen=True, kw_only=True, rename={"kind": "class"}):
-    """One printed cell beside what was predicted for it.
+    """One printed cell beside its prediction.
 
     `ours` is with all teams working, `ours_one_team` with one, for larger fleets; `low` and `high` are the 90 %
-    interval of (ours - paper); `gives` answers whether this model gives the printed number, None where the paper does
-    not specify what the cell depends on.
+    interval of (ours - paper); `gives` is whether this model gives the printed number, None where the paper does not
+    specify what the cell depends on.
     """
 
     table: str
@@ -283,8 +283,8 @@ _Result = TypeVar("_Result", bound=Result)
 
 def packaged(kind: type[_Result], folder: Traversable | None = None) -> _Result | None:
     """Return the packaged result of this kind, or the one in this folder; None if there is none. Raises: As `read`."""
-    place = (folder or files("fsar_ledger.reports")).joinpath(kind.FILE)
-    return read(place, kind, f"reports/{kind.FILE}") if place.is_file() else None
+    path = (folder or files("fsar_ledger.reports")).joinpath(kind.FILE)
+    return read(path, kind, f"reports/{kind.FILE}") if path.is_file() else None
 
 
 def read(path: Path | Traversable, kind: type[_Result], name: str | None = None) -> _Result:
@@ -317,7 +317,7 @@ def _lines(part: object) -> str:
     if isinstance(part, list | tuple) and part:
         return "[\n    " + ",\n    ".join(map(_line, part)) + "\n  ]"
     if isinstance(part, dict) and part:
-        return "{\n    " + ",\n    ".join(f"{_line(name)}: {_line(one)}" for name, one in part.items()) + "\n  }"
+        return "{\n    " + ",\n    ".join(f"{_line(name)}: {_line(item)}" for name, item in part.items()) + "\n  }"
     return _line(part)
 
 
@@ -329,25 +329,25 @@ def _line(part: object) -> str:
 def rules(*relations: str, of: Library | None = None) -> dict[str, str]:
     """Return a SHA-256 of the SQL of each query that these relations rest on, by name; comments and layout aside.
 
-    Left out are the views of event types and concerns, which judge nothing: they have the fields of the events. So is
-    what a run does not observe: simulated runs observe everything, so that changes no number of theirs. Of the registry
-    of metrics it has what concerns the paper's, since another metric changes no number of theirs.
+    The views of event types and concerns are left out, since they only select the fields of events. So is what a run
+    does not observe: simulated runs observe everything, so that it changes no number of theirs. Of the registry of
+    metrics only those of the paper are included, since another metric changes no number of theirs.
     """
     others = {metric.name for metric in metrics() if metric.paper is None} - set(relations) | {"unobservable"}
-    every = (of or library()).needs(relations, held=others)
-    return {one.name: _digest(one) for one in sorted(every, key=lambda one: one.name) if not one.tags}
+    queries = (of or library()).needs(relations, held=others)
+    return {query.name: _digest(query) for query in sorted(queries, key=lambda query: query.name) if not query.tags}
 
 
 def changed(recorded: Mapping[str, str], of: Library | None = None) -> list[str]:
-    """Return the names of the recorded queries that judge otherwise now, or are gone."""
-    every = (of or library()).queries
-    return [name for name, digest in recorded.items() if name not in every or _digest(every[name]) != digest]
+    """Return the names of the recorded queries that judge differently now, or no longer exist."""
+    queries = (of or library()).queries
+    return [name for name, digest in recorded.items() if name not in queries or _digest(queries[name]) != digest]
 
 
 def _digest(query: Query) -> str:
-    made = {
+    sql_of = {
         "metrics/metric_definitions": definitions_sql,
         "metrics/metric_measurements": measured_sql,
     }.get(query.name)
-    sql = query.sql if made is None else made(published_metrics())
+    sql = query.sql if sql_of is None else sql_of(published_metrics())
     return sha256(plain_sql(sql).encode()).hexdigest()

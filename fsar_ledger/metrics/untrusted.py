@@ -2,7 +2,7 @@
 
 A separate process (`sandbox.py`) holds the committed segments as one registered dataset, gives up every other right,
 and runs exactly one SELECT or EXPLAIN under limits of memory and processor time; this process kills it at a wall-clock
-limit. It answers in Arrow data, never in pickled objects.
+limit. It answers with Arrow data, never with pickled objects.
 """
 
 import json
@@ -44,7 +44,7 @@ START = (
     "import gc, json, os, sys; gc.disable(); sys.path[:] = json.loads(sys.argv[1]); "
     "from fsar_ledger.metrics.sandbox import answer; gc.enable(); answer(int(sys.argv[2])); os._exit(0)"
 )
-"""Imports make no garbage worth looking for, and what the process holds need not be put away: it only ends."""
+"""Imports create no garbage worth collecting, and the process frees nothing before it exits."""
 
 
 DYING_S = 5
@@ -52,14 +52,14 @@ DYING_S = 5
 
 SAID_BYTES = 1 << 16
 OUT_OF_MEMORY = ("bad_alloc", "MemoryError", "Cannot allocate memory", "out of memory", "failed to map segment")
-"""What C++, Python and the dynamic loader write when they get no memory."""
+"""What C++, Python and the dynamic loader write when an allocation fails."""
 
 
 class Stream(NamedTuple):
     """The answer of a SELECT at this head, and whether the rows that it read were compared with the head's root.
 
-    `batches` yields some rows at a time. What it has yielded is an answer only if it ends: it raises QueryFailed or
-    LedgerCorrupted when a limit, the SQL or a segment is in the way of the rest.
+    `batches` yields some rows at a time. They are an answer only if it ends normally: it raises QueryFailed or
+    LedgerCorrupted when a limit, the SQL or a segment prevents the rest.
     """
 
     head: Head
@@ -77,15 +77,15 @@ class Stream(NamedTuple):
 def stream_untrusted(
     ledger: Path, sql: str, limits: Limits | None = None, demanded: str | None = None
 ) -> Iterator[Stream]:
-    """Yield the answer of this SELECT over the ledger's present head; with `demanded`, only of that head.
+    """Yield the answer of this SELECT over the ledger's current head; with `demanded`, only over that head.
 
-    The time limit holds until the last batch has been taken.
+    The time limit applies until the last batch has been read.
 
     Raises:
         NotALedger, FormatVersionMismatch, LedgerCorrupted: As `open_for_answers`; LedgerCorrupted also for a segment
             that is not as committed.
         SequenceConflict: As `is_verified`.
-        QueryFailed: The SQL is not one SELECT, does not run, reaches for something outside, or meets a limit.
+        QueryFailed: The SQL is not one SELECT, does not run, accesses something outside, or exceeds a limit.
     """
     limits = limits or Limits()
     check_text(sql, limits)
@@ -104,12 +104,12 @@ def table_untrusted(ledger: Path, sql: str, limits: Limits | None, demanded: str
 
     Raises: as `stream_untrusted`.
     """
-    with stream_untrusted(ledger, sql, limits, demanded) as found:
-        return pa.Table.from_batches(found.batches, found.schema), found.head, found.rows_verified
+    with stream_untrusted(ledger, sql, limits, demanded) as stream:
+        return pa.Table.from_batches(stream.batches, stream.schema), stream.head, stream.rows_verified
 
 
 def _parts(process: "_Process", segments: Sequence[Path]) -> Iterator[pa.RecordBatch]:
-    """Yield the parts of the answer, the first without rows. Raises: LedgerCorrupted, QueryFailed: it is not whole."""
+    """Yield the parts of the answer, the first without rows. Raises: LedgerCorrupted, QueryFailed: it is incomplete."""
     while data := process.receive():
         yield from pa.ipc.open_stream(data)
         process.check_time()
@@ -119,7 +119,7 @@ def _parts(process: "_Process", segments: Sequence[Path]) -> Iterator[pa.RecordB
 
 
 def check_text(sql: str, limits: Limits) -> None:
-    """Check that the SQL is text that DuckDB can be given.
+    """Check that the SQL is text that DuckDB accepts.
 
     Raises:
         QueryFailed: It is too long, is not Unicode, or holds a NUL character.
@@ -141,28 +141,28 @@ def check_text(sql: str, limits: Limits) -> None:
 class _Process:
     """A process that waits for a `Question`, and the pipe to it.
 
-    It is killed when its time is over, whatever either side is doing.
+    It is killed when its time is up, whatever either side is doing.
     """
 
     def __init__(self, limits: Limits) -> None:
         self.limits = limits
-        self.pipe, there = Pipe()
-        self._said, said = os.pipe()
-        os.set_blocking(said, False)  # what does not fit into the pipe is dropped rather than waited for
+        self.pipe, child_pipe = Pipe()
+        self._said, stderr = os.pipe()
+        os.set_blocking(stderr, False)  # what does not fit into the pipe is dropped instead of blocking
         os.set_blocking(self._said, False)
-        path = json.dumps([os.path.abspath(place) for place in sys.path])
+        paths = json.dumps([os.path.abspath(path) for path in sys.path])
         try:
             self._child = subprocess.Popen(
-                [sys.executable, "-I", "-B", "-X", "utf8", "-c", START, path, str(there.fileno())],
+                [sys.executable, "-I", "-B", "-X", "utf8", "-c", START, paths, str(child_pipe.fileno())],
                 env=ENVIRONMENT | {name: os.environ[name] for name in NEEDED if name in os.environ},
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
-                stderr=said,
-                pass_fds=[there.fileno()],
+                stderr=stderr,
+                pass_fds=[child_pipe.fileno()],
             )
         finally:
-            there.close()
-            os.close(said)
+            child_pipe.close()
+            os.close(stderr)
         self._ends = time.monotonic() + limits.seconds
         self._alarm = threading.Timer(limits.seconds, self._child.kill)
         self._alarm.daemon = True
@@ -176,14 +176,14 @@ class _Process:
             raise self._gone() from error
 
     def receive(self) -> bytes:
-        """Return what the process sends next. Raises: QueryFailed if it has ended, or its time is over."""
+        """Return the next message of the process. Raises: QueryFailed if it has ended, or its time is up."""
         try:
             return self.pipe.recv_bytes(self.limits.answer_bytes)
         except (EOFError, OSError) as error:
             raise self._gone() from error
 
     def check_time(self) -> None:
-        """Raises: QueryFailed if the time is over."""
+        """Raises: QueryFailed if the time is up."""
         if time.monotonic() >= self._ends:
             raise self._gone()
 
@@ -212,9 +212,9 @@ class _Process:
 
 
 def cause_of_death(code: int | None, said: str, limits: Limits) -> str:
-    """Say why a process ended without an answer, and what to do.
+    """Return why a process ended without an answer, and what to do.
 
-    It is told from the exit code (below zero: a signal's number) and the end of what the process wrote to stderr.
+    It is derived from the exit code (negative: a signal's number) and the end of what the process wrote to stderr.
     """
     last = next((line for line in reversed(said.splitlines()) if line.strip()), "nothing")[:SHOWN]
     memory = (
@@ -226,7 +226,7 @@ def cause_of_death(code: int | None, said: str, limits: Limits) -> str:
         return "closed its pipe and did not end; please report this"
     if code >= 0:
         return f"ended with exit code {code}, as when it cannot start; the last that it wrote: {last}"
-    killer = next((one for one in signal.Signals if one == -code), None)
+    killer = next((known for known in signal.Signals if known == -code), None)
     if killer == signal.SIGXCPU:
         return f"used {limits.seconds + GRACE_S} s of processor time, and its limit is {limits.seconds} s; ask for less"
     if killer == signal.SIGKILL:

@@ -3,8 +3,8 @@
 Both rules were registered before the fit, in `reports/registration.toml`.
 
 - *Does this model give the printed number?* Equivalence by two one-sided tests, with our sampling error alone: `yes` if
-  the 90 % interval of (ours - paper) lies within the metric's margin, `no` if it lies wholly outside, `undecided`
-  otherwise, also where our mean has no SD.
+  the 90 % interval of (ours - paper) lies within the metric's margin, `no` if it lies entirely outside, `undecided`
+    otherwise, also where our mean has no SD.
 - *Could the paper's experiment, run on this model, have printed it?* `no` if fewer than one in twenty experiments of
   the paper's size print a number as far out, `yes` otherwise. `drawn_places` draws these with replacement from runs
   that it draws from ours in the same way, so that the spread is of the paper's sampling error and of ours;
@@ -37,7 +37,7 @@ _Cell = TypeVar("_Cell")
 
 
 class Odds(NamedTuple, Generic[_Cell]):
-    """The p of each cell, and that of the table as a whole.
+    """The p of each cell, and that of the whole table.
 
     Cells for which no drawn experiment has a number are left out.
     """
@@ -58,16 +58,16 @@ def odds(
     if not cells:
         return None
     steps = {cell: np.round(_numbers(drawn[cell]) / printed[cell].step) for cell in cells}
-    found = {
+    p_of = {
         cell: float(_two_sided(steps[cell], np.array([round(printed[cell].value / printed[cell].step)]))[0])
         for cell in cells
     }
     smallest = np.min([_two_sided(steps[cell], steps[cell]) for cell in cells], axis=0)
-    return Odds(found, float(np.mean(smallest <= min(found.values()))))
+    return Odds(p_of, float(np.mean(smallest <= min(p_of.values()))))
 
 
 def share_text(share: float) -> str:
-    """Return a share of the drawn experiments as text; a share of none says of how many."""
+    """Return a share of the drawn experiments as text; a share of 0 includes their number."""
     return f"0 of {DRAWS:,}" if share == 0 else f"{share:.4f}"
 
 
@@ -75,16 +75,16 @@ def _numbers(values: Sequence[float | None] | Numbers) -> Numbers:
     return np.asarray(values, dtype=np.float64)
 
 
-def _two_sided(steps: Numbers, asked: Numbers) -> Numbers:
+def _two_sided(steps: Numbers, numbers: Numbers) -> Numbers:
     """Return twice the smaller share of experiments that print this or less, or this or more.
 
     An undefined number is no evidence and gets 1.
     """
     defined = np.sort(steps[~np.isnan(steps)])
-    below = np.searchsorted(defined, asked, side="right") / len(defined)
-    above = 1.0 - np.searchsorted(defined, asked, side="left") / len(defined)
+    below = np.searchsorted(defined, numbers, side="right") / len(defined)
+    above = 1.0 - np.searchsorted(defined, numbers, side="left") / len(defined)
     shares = np.minimum(1.0, 2.0 * np.minimum(below, above))
-    return np.where(np.isnan(asked), 1.0, shares)
+    return np.where(np.isnan(numbers), 1.0, shares)
 
 
 Answer = Literal["yes", "no", "undecided"]
@@ -132,14 +132,14 @@ def published() -> dict[Cell, Printed]:
 def compare(rows: Iterable[MetricRow], odds: Odds[Cell] | None = None) -> list[Comparison]:
     """Judge every row whose metric and architecture the results table prints, in the given order.
 
-    The second question is answered only with odds.
+    The second question is answered only if `odds` is given.
     """
-    found = []
+    comparisons = []
     for row in rows:
         cell = (row.metric, row.architecture or "")
         if paper := published().get(cell):
-            found.append(judge(row, paper.value, None if odds is None else odds.cells.get(cell)))
-    return found
+            comparisons.append(judge(row, paper.value, None if odds is None else odds.cells.get(cell)))
+    return comparisons
 
 
 def judge(row: "MetricRow | Predicted", paper: float, share: float | None = None) -> Comparison:
@@ -198,9 +198,9 @@ def compare_effects(
     rows: Iterable[StatisticRow], drawn: Mapping[tuple[str, str], Sequence[float | None]]
 ) -> list[ComparedEffect]:
     """Judge every test that the significance table prints, in the given order; `drawn` may be empty."""
-    paper = {test: one.d for test, one in printed_tests().items()}
-    told = odds(drawn, paper)
-    shares = {} if told is None else told.cells
+    paper = {test: test_printed.d for test, test_printed in printed_tests().items()}
+    chances = odds(drawn, paper)
+    shares = {} if chances is None else chances.cells
     return [
         ComparedEffect(
             metric=row.metric,
@@ -232,7 +232,7 @@ def _half_width(sd: float, n: int) -> float:
 
 
 def _power(sd: float, n: int, margin: float) -> float:
-    """Return the chance of `yes` if the true difference is 0: that the whole interval falls within the margin."""
+    """Return the chance of `yes` if the true difference is 0, so that the whole interval is within the margin."""
     from scipy.special import stdtr
 
     reach = (margin - _half_width(sd, n)) / (sd / math.sqrt(n))

@@ -1,19 +1,19 @@
-"""Heads whose rows a full verification has compared with their root: the second reader that it uses, and a cache.
+"""Heads whose rows a full verification has compared with their root: its second reader, and a cache.
 
-A whole look trusts neither of our readers of Parquet alone: answers come from DuckDB's own, proofs and replay from
-pyarrow. `layout` leaves no known way in which a file could say two things to them; comparing the rows that both find
-shows unknown ones. For a file that is byte for byte what its rows are written as, a digest of each column suffices (the
-number of its values, and its integers combined). In any other file every value is compared, since whoever can choose
-the content of a file can make it fit a digest.
+A full verification trusts neither of our Parquet readers alone: answers come from DuckDB's, proofs and replay from
+pyarrow. `layout` leaves no known way for a file to read differently in them; comparing the rows of both reveals unknown
+ones. For a file that is byte for byte what its rows are written as, a digest of each column suffices (the number of its
+values, and its integers combined). In any other file every value is compared, since an attacker who chooses the content
+of a file can make it fit a digest.
 
 The cache lies beside the user's other caches, never in a ledger. An entry is only a file name: a SHA-256 over the hash
 of the newest commit record, which covers the hash of every segment, and over the versions of everything that reads the
-rows. Whoever opens a ledger with that record, and compares its segments with their hashes, has the very bytes that were
-checked.
+rows. A process that opens a ledger with that record, and compares its segments with their hashes, has exactly the bytes
+that were checked.
 
-Only exactly that head counts: after another commit the rows that were checked are only a part, and no answer says which
-part it came from. The cache belongs to this user on this machine, who could as well change the program. No other cache
-is trusted, and losing it costs one more verification.
+Only exactly that head counts: after another commit the checked rows are only a part, and no answer tells which part it
+came from. The cache belongs to this user on this machine, who could as well change the program. No other cache is
+trusted, and losing it costs one more verification.
 """
 
 import hashlib
@@ -60,17 +60,17 @@ _EXPECTED = "the same as by pyarrow: rows that both of our readers read alike"
 
 # See docs/decisions/verify-rereads-every-byte.md.
 class ReadAgain:
-    """What serves as `VerifyOptions.second_reader`; it keeps one connection per process."""
+    """The implementation of `VerifyOptions.second_reader`; it keeps one connection per process."""
 
     def by_value(self, path: str, decoded: pa.Table) -> tuple[str, str] | None:
-        """Return what DuckDB finds in this segment and what was expected, value by value; None if it is the same."""
+        """Return what DuckDB found in this segment and what was expected, by value; None if they are equal."""
         try:
             return _by_value(_database(), path, decoded)
         except QueryFailed as error:
             return _unreadable(error)
 
     def digest(self, decoded: pa.Table) -> Digest:
-        """Return the number of rows, of the values in each column, and the XOR of the integers of each."""
+        """Return the number of rows, the number of values in each column, and the XOR of each column's integers."""
         columns = {name: whole(decoded.column(name)) for name in decoded.column_names}
         counts = [len(column) - column.null_count for column in columns.values()]
         sums = [
@@ -80,24 +80,24 @@ class ReadAgain:
         return Digest(tuple(columns), (len(decoded), *counts, *sums))
 
     def by_digest(self, digests: Mapping[str, Digest]) -> Mapping[str, tuple[str, str]]:
-        """Return what DuckDB finds in these segments and what was expected, by path; nothing where it is the same."""
-        found: dict[str, tuple[str, str]] = {}
-        alike: dict[tuple[str, ...], list[str]] = {}
+        """Return what DuckDB found in these segments and what was expected, by path; nothing where they are equal."""
+        differences: dict[str, tuple[str, str]] = {}
+        groups: dict[tuple[str, ...], list[str]] = {}
         for path, digest in digests.items():
-            alike.setdefault(digest.columns, []).append(path)
-        for columns, paths in alike.items():
+            groups.setdefault(digest.columns, []).append(path)
+        for columns, paths in groups.items():
             try:
                 numbers_of = _digests(_database(), columns, paths)
             except QueryFailed as error:
                 if len(paths) == 1:
-                    found[paths[0]] = _unreadable(error)
+                    differences[paths[0]] = _unreadable(error)
                 for path in paths if len(paths) > 1 else ():
-                    found |= self.by_digest({path: digests[path]})
+                    differences |= self.by_digest({path: digests[path]})
                 continue
             for path in paths:
-                if (other := _other(digests[path], numbers_of.get(literal(path), ()))) is not None:
-                    found[path] = other
-        return found
+                if (difference := _other(digests[path], numbers_of.get(literal(path), ()))) is not None:
+                    differences[path] = difference
+        return differences
 
 
 def _unreadable(error: QueryFailed) -> tuple[str, str]:
@@ -109,12 +109,12 @@ def _integers(columns: Iterable[str]) -> list[str]:
 
 
 def _digests(database: Database, columns: Sequence[str], paths: Sequence[str]) -> dict[str, tuple[int, ...]]:
-    """Return the numbers of `ReadAgain.digest` for each `literal` path, by DuckDB. Raises: QueryFailed."""
+    """Return the numbers of `ReadAgain.digest` for each `literal` path, computed by DuckDB. Raises: QueryFailed."""
     counts = [f'count("{name}")' for name in columns] + [f'bit_xor("{name}")' for name in _integers(columns)]
     rows = database.direct(
         f"SELECT filename, count(*), {', '.join(counts)} FROM {parquet(paths, 'filename = true')} GROUP BY filename"
     )
-    return {path: tuple(number or 0 for number in found) for path, *found in rows}  # NULL where all values are
+    return {path: tuple(number or 0 for number in numbers) for path, *numbers in rows}  # NULL where all values are NULL
 
 
 def _other(expected: Digest, found: Sequence[int]) -> tuple[str, str] | None:
@@ -129,19 +129,19 @@ def _other(expected: Digest, found: Sequence[int]) -> tuple[str, str] | None:
 
 
 def _by_value(database: Database, path: str, decoded: pa.Table) -> tuple[str, str] | None:
-    """Compare as `read_again` does, value by value."""
+    """Compare a segment's rows by DuckDB with the decoded ones, value by value."""
     source = f"FROM {parquet([path])} AS a POSITIONAL JOIN {_DECODED} AS b"
     differences = {name: f'a."{name}" IS DISTINCT FROM b."{name}"' for name in decoded.column_names}
     database.hold(_DECODED, decoded)
     try:
         if database.direct(f"SELECT count(*) {source} WHERE {' OR '.join(differences.values())}") == [(0,)]:
             return None
-        [found] = database.direct(
+        [counts] = database.direct(
             f"SELECT {', '.join(f'count(*) FILTER ({difference})' for difference in differences.values())} {source}"
         )
     finally:
         database.drop(_DECODED)
-    name, count = next(((name, count) for name, count in zip(differences, found, strict=True) if count), ("run_id", 0))
+    name, count = next(((name, count) for name, count in zip(differences, counts, strict=True) if count), ("run_id", 0))
     return f"{count} values of column {name} that DuckDB reads otherwise", _EXPECTED
 
 
@@ -156,7 +156,7 @@ def _database_of(_process: int) -> Database:
 
 
 _MOST_SOUGHT = 64
-"""How many placements back it is looked for a remembered comparison of the index."""
+"""Maximum number of placements to search back for a cached comparison of the index."""
 _BY_OTHERS = stat.S_IWGRP | stat.S_IWOTH
 
 
@@ -168,7 +168,7 @@ def full_verify(
 ) -> VerifyReport:
     """Return the report of `verify`; cache the head if the rows were read and no problem was found.
 
-    Of the log of a federation every shard is verified, too, and compared with its recorded head.
+    For the log of a federation every shard is verified, too, and compared with its recorded head.
 
     Raises: as `verify`.
     """
@@ -213,14 +213,14 @@ def ensure_verified(ledger: Path, workers: int = 1, progress: Progress | None = 
 
 
 def is_verified(view: View, demanded: str | None = None) -> bool:
-    """Tell whether the rows of this head, if its segments are as committed, are known to be those under its root.
+    """Return whether the rows of this head, if its segments are as committed, are known to be those under its root.
 
     Args:
         view: The opened ledger.
         demanded: The newest record that `ensure_verified` has just checked, if no other head will do.
 
     Raises:
-        SequenceConflict: The view is of another head than the demanded one.
+        SequenceConflict: The view has a head other than the demanded one.
     """
     if demanded is not None and view.record_sha256 != demanded:
         raise SequenceConflict(
@@ -234,10 +234,10 @@ def is_verified(view: View, demanded: str | None = None) -> bool:
 
 
 def is_verified_for_runs(view: View, demanded: str | None) -> bool:
-    """As `is_verified`, before it is asked which runs a ledger has and where they are.
+    """Return `is_verified`, to be called before the runs of a ledger and their positions are used.
 
-    If the rows are not known to be those under the root, what the chain says of this is compared with them at least. So
-    far as that is right, it is remembered too, by the line of the last placement, which vouches for those before.
+    If the rows are not known to be those under the root, the index of runs in the chain is at least compared with them.
+    As far as it is right, that is cached, too, by the line of the last placement, which covers those before.
 
     Raises:
         SequenceConflict: As `is_verified`.
@@ -246,32 +246,35 @@ def is_verified_for_runs(view: View, demanded: str | None) -> bool:
     is_known = is_verified(view, demanded)
     if is_known:
         return True
-    for one in views_of(view):
-        _compare_index(one)
+    for ledger in views_of(view):
+        _compare_index(ledger)
     return False
 
 
 def _compare_index(view: View) -> None:
-    """Compare what the chain says of where runs are, as far as that is not remembered. Raises: LedgerCorrupted."""
-    lines = (f"index {sha256_hex(canonical.document(one))}" for one in reversed(view.chain.placed[-_MOST_SOUGHT:]))
-    known = next((at for at, line in enumerate(lines) if is_remembered(line)), None)
-    if known is not None:
-        view.believe_index(view.chain.placed[-1 - known].number)
-    if known != 0 and compare_index(view) and view.chain.placed:
+    """Compare the chain's index of runs with the rows, unless a comparison is cached. Raises: LedgerCorrupted."""
+    lines = (
+        f"index {sha256_hex(canonical.document(placement))}"
+        for placement in reversed(view.chain.placed[-_MOST_SOUGHT:])
+    )
+    cached = next((back for back, line in enumerate(lines) if is_remembered(line)), None)
+    if cached is not None:
+        view.believe_index(view.chain.placed[-1 - cached].number)
+    if cached != 0 and compare_index(view) and view.chain.placed:
         _remember(f"index {sha256_hex(canonical.document(view.chain.placed[-1]))}")
 
 
 def require_runs(view: View) -> None:
-    """Require, before it is said that a run is not there, that the chain says of all rows whose they are.
+    """Require, before a run is reported missing, that the chain's index covers all rows.
 
-    Raises: LedgerCorrupted if it does not, or some cannot be read.
+    Raises: LedgerCorrupted if it does not, or some rows cannot be read.
     """
-    for one in views_of(view):
-        one.require_index(*range(len(one.chain.placed)))
+    for ledger in views_of(view):
+        ledger.require_index(*range(len(ledger.chain.placed)))
 
 
 def is_remembered(record_sha256: str) -> bool:
-    """Tell whether this user's `verify`, with these versions, found no fault in a ledger with this newest record."""
+    """Return whether this user's `verify`, with these versions, found no fault in a ledger with this newest record."""
     file = _place(record_sha256)
     try:
         return file is not None and is_own_file(file) and disk.read_document(file) == _line(record_sha256)
@@ -280,7 +283,7 @@ def is_remembered(record_sha256: str) -> bool:
 
 
 def _remember(record_sha256: str) -> None:
-    """Remember the head if possible; otherwise the next answer only claims less."""
+    """Cache the head if possible; otherwise the next answer only claims less."""
     if cache_folder() is None or (file := _place(record_sha256)) is None:
         return
     temporary = file.parent / f"{secrets.token_hex(8)}.part"
@@ -294,13 +297,13 @@ def _remember(record_sha256: str) -> None:
 
 
 def _folder() -> Path | None:
-    """Return the user's cache of this program: `$XDG_CACHE_HOME/fsar-ledger`, else `~/.cache/fsar-ledger`.
+    """Return the user's cache folder of this program: `$XDG_CACHE_HOME/fsar-ledger`, else `~/.cache/fsar-ledger`.
 
     None if there is no home.
     """
-    named = os.environ.get("XDG_CACHE_HOME", "")
-    if os.path.isabs(named):  # the specification ignores any other
-        return Path(named) / "fsar-ledger"
+    configured = os.environ.get("XDG_CACHE_HOME", "")
+    if os.path.isabs(configured):  # the specification ignores relative paths
+        return Path(configured) / "fsar-ledger"
     try:
         return Path.home() / ".cache" / "fsar-ledger"
     except RuntimeError:
@@ -308,7 +311,7 @@ def _folder() -> Path | None:
 
 
 def cache_folder() -> Path | None:
-    """Return the user's cache of this program, made if need be; None if there is none that is this user's alone."""
+    """Return the user's cache folder, created if needed; None if there is none that only this user can write."""
     folder = _folder()
     with suppress(OSError, UsageError):
         if folder is not None:
@@ -319,7 +322,7 @@ def cache_folder() -> Path | None:
 
 
 def is_own_file(file: Path) -> bool:
-    """Tell whether nobody but this user can write this file of the cache, or put another in its place."""
+    """Return whether only this user can write or replace this file of the cache."""
     try:
         return _is_own(file.parent) and _is_safe(file.lstat())
     except OSError:
@@ -327,7 +330,7 @@ def is_own_file(file: Path) -> bool:
 
 
 def _is_own(folder: Path) -> bool:
-    """Tell whether this is a folder, not a link to one, into which nobody but this user can write."""
+    """Return whether this is a folder, not a link to one, in which only this user can write."""
     try:
         status = folder.lstat()
     except OSError:
@@ -340,18 +343,18 @@ def _is_safe(status: os.stat_result) -> bool:
 
 
 def _place(record_sha256: str) -> Path | None:
-    """Return the file by which a head is remembered.
+    """Return the cache file of a head.
 
     None if there is no cache, or the versions that read the rows are unknown.
     """
     folder = _folder()
     try:
-        read_by = (f"fsar-ledger {__version__}", *(f"{name} {version(name)}" for name in ("pyarrow", "duckdb")))
+        readers = (f"fsar-ledger {__version__}", *(f"{name} {version(name)}" for name in ("pyarrow", "duckdb")))
     except PackageNotFoundError:
         return None
-    return folder and folder / hashlib.sha256("\n".join([record_sha256, *read_by]).encode()).hexdigest()
+    return folder and folder / hashlib.sha256("\n".join([record_sha256, *readers]).encode()).hexdigest()
 
 
 def _line(record_sha256: str) -> bytes:
-    """Return the whole content of the file of a head: after a full disk, half of it does not count."""
+    """Return the whole content of the file of a head: a partial one, after a full disk, does not count."""
     return f"{record_sha256}\n".encode()

@@ -1,7 +1,7 @@
-"""The audit report: what one ledger records, whatever system made it, and what its own rules say of that.
+"""The audit report: what one ledger records, whatever system made it, judged by its own rules.
 
-The packaged queries answer; their answers become relations, which the sections of `reports/audit/` select from. A
-number of runs that do not observe what it rests on is missing, never 0.
+The answers of the packaged queries become relations, from which the sections of `reports/audit/` select. A number for
+runs that do not observe what it rests on is missing, never 0.
 """
 
 from collections.abc import Mapping
@@ -26,9 +26,9 @@ from fsar_ledger.report.layout import Layout, for_programs, head_for_programs, v
 
 MAX_NAME = 60  # characters of the name of a ledger
 MAX_OFFENCES = 5
-"""Events of the annex for each broken invariant, architecture and configuration."""
+"""Events in the annex for each broken invariant, architecture and configuration."""
 MAX_GROUPS = 8
-"""Architectures and configurations of which the annex has events for an invariant."""
+"""Architectures and configurations with events in the annex for an invariant."""
 
 # Grain: one row per run. Units: last_us microseconds of run time. NULL: fleet where nothing on record names it.
 RUNS = """
@@ -68,7 +68,7 @@ ASKED: Mapping[str, str] = {
     "by_day": "audit/events_by_day",
     "departures": "audit/churn",
 }
-"""The queries whose whole answers the sections select from, by the name of the relation."""
+"""The queries whose complete answers the sections select from, by the name of the relation."""
 SELECTED: Mapping[str, tuple[str, str]] = {
     "runs": ("staging/runs", RUNS),
     "members": ("facts/fleet_members", "SELECT * FROM fleet_members"),
@@ -79,7 +79,7 @@ SELECTED: Mapping[str, tuple[str, str]] = {
     "violations": ("metrics/policy_violations", "SELECT run_id, numerator, not_observed FROM policy_violations"),
     "conflicts": ("metrics/authority_conflicts", "SELECT run_id, numerator, not_observed FROM authority_conflicts"),
 }
-"""What they select from of other queries, with the SELECT that reads each."""
+"""The other relations that they select from: the query, and the SELECT that reads it."""
 # The first offending events of an invariant, as `audit` counts them. Grain: one row per event.
 OFFENCES = """
     WITH found AS (
@@ -124,7 +124,7 @@ PAPER_SQL = """
 
 
 class AuditFindings(msgspec.Struct, frozen=True):
-    """What the audit report shows: name and head of the ledger, the answers by name, and the queries behind them."""
+    """The content of the audit report: name and head of the ledger, the answers by name, and their queries."""
 
     name: str
     head: Head
@@ -133,9 +133,9 @@ class AuditFindings(msgspec.Struct, frozen=True):
 
 
 def kind_of(ledger: Path, demanded: str | None = None) -> specs.Kind:
-    """Return which report suits the ledger: the paper's if all its runs are of the paper's experiment, and some are.
+    """Return the report that suits the ledger: the paper's if it has only runs of the paper's experiment, at least one.
 
-    Runs of the paper's workflows may stand beside them. Raises: as `connect_view`.
+    Runs of the paper's workflows may be among them. Raises: as `connect_view`.
     """
     with connect_view(open_for_answers(ledger), demanded=demanded) as database:
         scenarios = list(PAPER_SCENARIOS)
@@ -151,37 +151,41 @@ def kind_of(ledger: Path, demanded: str | None = None) -> specs.Kind:
 
 
 def gather_audit(ledger: Path, demanded: str | None = None) -> AuditFindings:
-    """Return what the queries answer about all runs of the ledger's present head. Raises: as `connect_view`."""
+    """Return the answers of the queries about all runs of the ledger's current head. Raises: as `connect_view`."""
     view = open_for_answers(ledger)
     with connect_view(view, demanded=demanded) as database:
         relations = {name: database.table(sql) for name, (_, sql) in SELECTED.items()}
         relations |= {name: database.query(query) for name, query in ASKED.items()}
-        every = invariants()
-        judged = audit_rows(database.slices or database, every) if relations["runs"].num_rows else []
-        broken = [one for one in every if any(row.invariant == one.relation and row.holds is False for row in judged)]
+        queries = invariants()
+        judged = audit_rows(database.slices or database, queries) if relations["runs"].num_rows else []
+        broken = [
+            query for query in queries if any(row.invariant == query.relation and row.holds is False for row in judged)
+        ]
         offences = [
-            database.table(OFFENCES.format(relation=one.relation, most=MAX_OFFENCES, groups=MAX_GROUPS))
-            for one in broken
+            database.table(OFFENCES.format(relation=query.relation, most=MAX_OFFENCES, groups=MAX_GROUPS))
+            for query in broken
         ]
         relations |= {
             "invariants": arrow(judged, AuditRow),
             "not_observed": arrow(never_observed(database), Unobserved),
             "offences": pa.concat_tables([OFFENCES_SCHEMA.empty_table(), *offences]),
             "whole": _whole(view),
-            "versions": pa.Table.from_pylist([{"name": name, "version": one} for name, one in versions().items()]),
+            "versions": pa.Table.from_pylist(
+                [{"name": name, "version": number} for name, number in versions().items()]
+            ),
         }
-        asked = [*ASKED.values(), *(query for query, _ in SELECTED.values()), *(one.name for one in every)]
+        used = [*ASKED.values(), *(query for query, _ in SELECTED.values()), *(query.name for query in queries)]
         name, head = printing.words(ledger.absolute().name, MAX_NAME), ledger_head(database, None)
-        return AuditFindings(name, head, relations, sources_of(database, asked))
+        return AuditFindings(name, head, relations, sources_of(database, used))
 
 
 def _whole(view: View) -> pa.Table:
-    """Return the head in one row: origin, size, root, whom the newest note names as its signers, and signed commits.
+    """Return the head in one row: origin, size, root, the signers named in the newest note, and the signed commits.
 
-    No key is given, so no signature is checked. NULL: signers of a ledger that is not signed.
+    No key is given, so no signature is checked. NULL: signers of an unsigned ledger.
     """
     origin = view.manifest.origin
-    notes = [one.note(origin) for one in log_of(view).commits]
+    notes = [commit.note(origin) for commit in log_of(view).commits]
     row: dict[str, Any] = {
         "origin": origin,
         "commits": len(notes),
@@ -190,7 +194,7 @@ def _whole(view: View) -> pa.Table:
         "signers": signers_of(notes[-1]) if notes else None,
         "signed": sum(bool(note.signatures) for note in notes),
     }
-    schema = pa.schema([(name, pa.int64() if isinstance(one, int) else pa.string()) for name, one in row.items()])
+    schema = pa.schema([(name, pa.int64() if isinstance(value, int) else pa.string()) for name, value in row.items()])
     return pa.Table.from_pylist([row], schema)
 
 
@@ -202,15 +206,15 @@ class AuditDocument(Layout):
         super().__init__(findings.relations, specs.relations("audit_relations.toml"), specs.sections("audit"), {})
 
     def encoded(self) -> bytes:
-        """Return what the template prints, as JSON with sorted names."""
+        """Return the template's input, as JSON with sorted names."""
         titles = specs.titles()["audit"]
-        named = {name: getattr(titles, name).format(ledger=self.findings.name) for name in ("title", "heading")}
-        return self.template_data(msgspec.structs.replace(titles, **named), self.findings.head)
+        filled = {name: getattr(titles, name).format(ledger=self.findings.name) for name in ("title", "heading")}
+        return self.template_data(msgspec.structs.replace(titles, **filled), self.findings.head)
 
     def reproduction(self) -> bytes:
-        """Return the same for programs, as JSON: the head, every table with its values, and the digests of the queries.
+        """Return the same as JSON for programs: the head, every table with its values, and the digests of the queries.
 
-        Values are in the units of the queries; null is what is not on record or not observed.
+        Values are in the units of the queries; null: not on record, or not observed.
         """
         tables = {
             part["name"]: [dict(zip(part["keys"], (cell.value for cell in row), strict=True)) for row in part["rows"]]
@@ -218,9 +222,9 @@ class AuditDocument(Layout):
             for part in section["parts"]
             if part["shape"] == "table"
         }
-        said = {
+        content = {
             "ledger": head_for_programs(self.findings.head),
             "invariants": self.findings.relations["invariants"].to_pylist(),
             "tables": tables,
         }
-        return for_programs(said, self.findings.sources)
+        return for_programs(content, self.findings.sources)

@@ -1,6 +1,6 @@
 """Make the report of a ledger: gather, lay out, typeset, publish.
 
-The report of the paper's evaluation (`Document`) is made of what the ledgers gave, the paper's own tables and the
+The report of the paper's evaluation (`Document`) combines the findings of the ledgers, the paper's own tables and the
 records of the studies. Its sections are in `reports/sections/`, the relations that they share in
 `reports/relations.toml`; the same numbers are written for programs.
 
@@ -60,40 +60,39 @@ class Document(Layout):
         self.numbers, self.tally, self.tests, self.claims = (self.answers[name] for name in ASKED)
 
     def encoded(self) -> bytes:
-        """Return what the template prints, as JSON with sorted names."""
+        """Return the template's input, as JSON with sorted names."""
         return self.template_data(specs.titles()["paper"], self.findings.heads["results"])
 
     def reproduction(self) -> bytes:
         """Return the numbers for programs, as JSON.
 
-        It holds heads, model, all printed numbers beside ours (`numbers`), the tests, the multiverse and the digests of
-        the queries. Values are in the units of the queries, shares in [0, 1]; null is what is undefined, not judged or
-        not drawn.
+        It has heads, model, all printed numbers beside ours (`numbers`), the tests, the multiverse and the digests of the
+        queries. Values are in the units of the queries, shares in [0, 1]; null: undefined, not judged or not drawn.
         """
-        found, read = self.findings, self.findings.multiverse
-        differences = found.relations["differences"] if "mechanisms" in found.heads else None
-        said: dict[str, Any] = {
-            "ledgers": {name: head_for_programs(head) for name, head in found.heads.items()},
-            "model_version": found.model_version,
-            "constants": found.parameters,
-            "parameters_sha256": found.parameters_sha256,
+        findings, multiverse = self.findings, self.findings.multiverse
+        differences = findings.relations["differences"] if "mechanisms" in findings.heads else None
+        content: dict[str, Any] = {
+            "ledgers": {name: head_for_programs(head) for name, head in findings.heads.items()},
+            "model_version": findings.model_version,
+            "constants": findings.parameters,
+            "parameters_sha256": findings.parameters_sha256,
             "claims": self.claims,
             "tally": self.tally,
             "numbers": self.numbers,
-            "table_share": found.table_share,
+            "table_share": findings.table_share,
             "tests": self.tests,
-            "measured": found.relations["measured"].to_pylist() if "measured" in found.relations else [],
+            "measured": findings.relations["measured"].to_pylist() if "measured" in findings.relations else [],
             "mechanisms": None if differences is None else differences.to_pylist(),
             "multiverse": None
-            if read is None
+            if multiverse is None
             else {
-                "readings": read.readings,
-                "cells": read.cells,
-                "rankings": read.rankings,
-                "universes": read.universes,
+                "readings": multiverse.readings,
+                "cells": multiverse.cells,
+                "rankings": multiverse.rankings,
+                "universes": multiverse.universes,
             },
         }
-        return for_programs(said, found.sources)
+        return for_programs(content, findings.sources)
 
 
 def _relations(
@@ -102,14 +101,14 @@ def _relations(
     effects: Sensitivity | None,
     robustness: Mapping[str, pa.Table] | None,
 ) -> dict[str, pa.Table]:
-    """Return what the sections select from, beside the relations that rest on these, by name."""
+    """Return the base relations that the sections select from, by name."""
     is_fitted = record is None or records.fit_changed(findings, record) is None
     judged = [
-        msgspec.structs.replace(one, kind=INFORMED) if one.kind in AIMED_AT and not is_fitted else one
-        for one in findings.numbers
+        msgspec.structs.replace(number, kind=INFORMED) if number.kind in AIMED_AT and not is_fitted else number
+        for number in findings.numbers
     ]
-    measured, said = records.effects_of(findings, effects)
-    notes = [printing.words(one, MAX_NOTE) for one in records.notes(findings, record, said)]
+    measured, summary = records.effects_of(findings, effects)
+    notes = [printing.words(note, MAX_NOTE) for note in records.notes(findings, record, summary)]
     heads = [{"part": name, **msgspec.structs.asdict(head)} for name, head in findings.heads.items()]
     return {
         **findings.relations,
@@ -134,12 +133,12 @@ def _relations(
                 "parameters_sha256": pa.array([findings.parameters_sha256], pa.string()),
             }
         ),
-        "versions": _listed([{"name": name, "version": one} for name, one in versions().items()]),
+        "versions": _listed([{"name": name, "version": note} for name, note in versions().items()]),
     }
 
 
 def _listed(rows: Sequence[Mapping[str, Any]]) -> pa.Table:
-    """Return the rows as a table; a column is there if any row has it."""
+    """Return the rows as a table, with every column that any row has."""
     names = list(dict.fromkeys(name for row in rows for name in row))
     return _numbered(pa.Table.from_pylist([{name: row.get(name) for name in names} for row in rows]))
 
@@ -150,22 +149,22 @@ def _numbered(table: pa.Table) -> pa.Table:
 
 
 def _measures() -> pa.Table:
-    """Return every metric, also those that the paper does not have."""
+    """Return every metric, including those that the paper does not have."""
     fields = ("title", "short", "factor", "decimals", "better")
-    return _listed([{"metric": one.name} | {name: getattr(one, name) for name in fields} for one in metrics()])
+    return _listed([{"metric": metric.name} | {name: getattr(metric, name) for name in fields} for metric in metrics()])
 
 
 def _metrics() -> pa.Table:
     rows = [
         {
-            **{name: getattr(one, name) for name in ("title", "short", "factor", "decimals", "better", "is_pooled")},
-            "metric": one.name,
-            "in_results": one.printed.results,
-            "in_significance": one.printed.significance,
-            "elsewhere": one.printed.elsewhere,
-            "margin": one.printed.margin,
+            **{name: getattr(metric, name) for name in ("title", "short", "factor", "decimals", "better", "is_pooled")},
+            "metric": metric.name,
+            "in_results": metric.printed.results,
+            "in_significance": metric.printed.significance,
+            "elsewhere": metric.printed.elsewhere,
+            "margin": metric.printed.margin,
         }
-        for one in published_metrics()
+        for metric in published_metrics()
     ]
     return _listed(rows)
 
@@ -183,7 +182,7 @@ def write_report(
     numbers_out: Path | None = None,
     kind: specs.Kind | None = "paper",
 ) -> None:
-    """Write the PDF and its numbers about the present heads of the ledger and of the ledgers beside it.
+    """Write the PDF and its numbers about the current heads of the ledger and of the ledgers beside it.
 
     First every row of each ledger is compared with its root. Each file appears complete at its path, or not at all. The
     same heads and versions give the same bytes.
@@ -199,7 +198,7 @@ def write_report(
         sensitivity: The file of `fsar-ledger study run sensitivity`; None: the one in this package. If it is of other
             runs, a note on the first page says so.
         numbers_out: Where the same numbers are written for programs (`Document.reproduction`); None: nowhere.
-        kind: The report of the paper's evaluation, or the audit report of this ledger alone; None: `kind_of` tells.
+        kind: The report of the paper's evaluation, or the audit report of this ledger alone; None: as by `kind_of`.
         demanded: The newest record of the ledger, if `ensure_verified` has just checked it; None checks it now.
 
     Raises:
@@ -208,33 +207,33 @@ def write_report(
         FsarLedgerError: `sensitivity` is another kind of file.
         NotALedger, FormatVersionMismatch, LedgerCorrupted: A ledger cannot be read, or its rows are not those under its
             root.
-        SequenceConflict: Somebody appended in the meantime.
+        SequenceConflict: A ledger was appended to in the meantime.
         WriteFailed: `out` cannot be written.
     """
     require_outside(out, f"--out {out}")
     if numbers_out is not None:
         require_outside(numbers_out, f"--numbers {numbers_out}")
         require_another(numbers_out, f"--numbers {numbers_out}", out, f"--out {out}")
-    for place in filter(None, (out, numbers_out)):
-        require_place(place)
-    given = packaged(Sensitivity) if sensitivity is None else read(sensitivity, Sensitivity)
+    for path in filter(None, (out, numbers_out)):
+        require_place(path)
+    effects = packaged(Sensitivity) if sensitivity is None else read(sensitivity, Sensitivity)
     demanded = demanded or _compared(ledger, workers, showing)
     if (kind or kind_of(ledger, demanded)) == "audit":
         _publish(AuditDocument(gather_audit(ledger, demanded)), out, numbers_out)
         return
-    theirs = {one: _compared(one, workers, showing) for one in (*filter(None, [workflows]), *beside)}
-    findings = gather(ledger, demanded, theirs, workflows=workflows, reads_every_way=True, showing=showing)
-    document = Document(findings, packaged(Calibration), given, robustness(findings))
+    heads = {other: _compared(other, workers, showing) for other in (*filter(None, [workflows]), *beside)}
+    findings = gather(ledger, demanded, heads, workflows=workflows, reads_every_way=True, showing=showing)
+    document = Document(findings, packaged(Calibration), effects, robustness(findings))
     _publish(document, out, numbers_out)
 
 
 def _publish(document: Document | AuditDocument, out: Path, numbers_out: Path | None) -> None:
-    """Write the PDF and its numbers; replace nothing before both are made."""
-    made = {out: pdf(document.encoded(), document.drawings)}
+    """Write the PDF and its numbers; replace no file before both are made."""
+    contents = {out: pdf(document.encoded(), document.drawings)}
     if numbers_out is not None:
-        made[numbers_out] = document.reproduction()
-    for place, content in made.items():
-        publish(place, content)
+        contents[numbers_out] = document.reproduction()
+    for path, content in contents.items():
+        publish(path, content)
 
 
 def _compared(ledger: Path, workers: int, showing: Showing) -> str:
@@ -264,7 +263,7 @@ def pdf(data: bytes, figures: dict[str, bytes]) -> bytes:
 
 
 def _compiled(root: Path) -> bytes:
-    """Compile `report.typ` in this folder; it can read nothing outside, and only Typst's own fonts."""
+    """Compile `report.typ` in this folder, which can read no other files, with only Typst's own fonts."""
     import typst
 
     compiled: bytes = typst.compile(

@@ -1,8 +1,8 @@
 """Draw figures as SVG, PNG or PDF, and the charts of the report from rows: bars, distances and curves.
 
-The same rows give the same bytes: no date, fixed ids, glyphs as paths. What is drawn, and in which unit, the rows say.
-Every row names its panel; panels stand in the order in which rows name them. Colours tell series apart, and so do
-markers and line styles, in grey.
+The same rows give the same bytes: no date, fixed ids, glyphs as paths. The rows determine what is drawn, and in which
+unit. Every row names its panel; panels stand in the order in which rows name them. Series differ in colour, and also in
+marker and line style for grey prints.
 """
 
 import io
@@ -26,7 +26,7 @@ COLOURS = {  # Okabe and Ito: safe for colour-blind readers
     "alliance": "#E69F00",
     "roboos": "#56B4E9",
 }
-MARKERS = {"fsar": "o", "cfc": "s", "dhma": "^", "jade": "D", "alliance": "v", "roboos": "P"}  # also told apart in grey
+MARKERS = {"fsar": "o", "cfc": "s", "dhma": "^", "jade": "D", "alliance": "v", "roboos": "P"}  # distinct also in grey
 STYLE: dict[str, Any] = {
     "svg.hashsalt": "fsar-ledger",
     "svg.fonttype": "path",
@@ -53,7 +53,7 @@ HEADROOM = 1.1  # height of a panel, as a multiple of its highest value
 
 @contextmanager
 def canvas(width_in: float, height_in: float, rows: int, columns: int, **grid: Any) -> Iterator[tuple[Any, Any]]:
-    """Yield a figure of this size and its panels, drawn by Agg with these settings alone.
+    """Yield a figure of this size and its panels, drawn by Agg with only these settings.
 
     `grid` holds matplotlib's ratios of rows and columns.
     """
@@ -65,7 +65,7 @@ def canvas(width_in: float, height_in: float, rows: int, columns: int, **grid: A
 def plain_canvas(width_in: float, height_in: float) -> Iterator[tuple[Any, Any]]:
     """Yield a figure and its one panel without axes, in inches from the upper left corner.
 
-    It is drawn by Agg with these settings alone.
+    It is drawn by Agg with only these settings.
     """
     with _figure(width_in, height_in) as figure:
         axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
@@ -89,14 +89,16 @@ def _figure(width_in: float, height_in: float, **options: Any) -> Iterator[Any]:
 
 
 def label(text: str, most: int) -> str:
-    """Return the text as a figure shows it, cut after `most` characters.
+    """Return the text for a figure, cut after `most` characters.
 
-    Characters that the font cannot draw, or that a reader would not see, are escaped.
+    Characters that the font cannot draw, or that would be invisible, are escaped.
     """
     glyphs = _glyphs()
     return "".join(
-        one if ord(one) in glyphs and not combining(one) else one.encode("unicode_escape").decode("ascii")
-        for one in printable.value(text, most)
+        character
+        if ord(character) in glyphs and not combining(character)
+        else character.encode("unicode_escape").decode("ascii")
+        for character in printable.value(text, most)
     )
 
 
@@ -121,7 +123,7 @@ def rendered(figure: Any, kind: str = "svg") -> bytes:
 
 
 def say_no_value(panel: Any, at: float) -> None:
-    """Write upright in the place of a bar that there is none."""
+    """Write upright, in place of a bar, that there is no value."""
     upright = {"rotation": 90, "ha": "center", "va": "bottom", "color": "#777777"}
     panel.annotate("no value", (at, 0), (0, 3), textcoords="offset points", **upright)
 
@@ -133,7 +135,7 @@ def whisker(panel: Any, at: float, low: float, high: float, colour: str = "black
 
 
 def from_zero(panel: Any, highest: float) -> None:
-    """Let a panel begin at 0 and leave room above its highest value."""
+    """Start a panel's axis at 0 and leave room above its highest value."""
     panel.set_ylim(0, HEADROOM * highest)
     panel.grid(axis="y", color="#dddddd", linewidth=0.5, zorder=0)
     panel.set_axisbelow(True)
@@ -152,20 +154,20 @@ PALE = "#8fb8d6"
 
 
 def named(series: str) -> str:
-    """Return the name of a series as it is printed; architectures have theirs."""
+    """Return the printed name of a series; architectures have names of their own."""
     return {"roboos": "RoboOS"}.get(series, series.upper()) if series in COLOURS else series
 
 
 def panels_of(rows: Sequence[Row]) -> dict[str, list[Row]]:
     """Return the rows of each panel, in the order in which the rows name the panels."""
-    found: dict[str, list[Row]] = {}
+    panels: dict[str, list[Row]] = {}
     for row in rows:
-        found.setdefault(row["panel"], []).append(row)
-    return found
+        panels.setdefault(row["panel"], []).append(row)
+    return panels
 
 
 def _looks(rows: Sequence[Row]) -> dict[str, tuple[str, str]]:
-    """Return the colour and the marker of each series; architectures have theirs."""
+    """Return the colour and the marker of each series; those of architectures are fixed."""
     names = list(dict.fromkeys(row["series"] for row in rows))
     others = [name for name in names if name not in COLOURS]
     return {
@@ -180,18 +182,18 @@ def bars(spec: specs.Bars, rows: Sequence[Row]) -> bytes:
     """Draw a bar with its 95 % interval for each category, the paper's value as a diamond beside it.
 
     Each row holds panel, category, series, value, low, high, paper and is_hatched; None: no value, or no interval. The
-    series `pale` is a lighter first one.
+    series `pale` is a lighter shade of the first.
     """
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
     colours = {name: colour for name, (colour, _) in _looks(rows).items()} | {"pale": PALE, "dark": COLOURS["fsar"]}
     with canvas(spec.width_in, spec.height_in, *spec.panels) as (figure, axes):
-        for panel, (title, mine) in zip(axes.flat, panels_of(rows).items(), strict=False):
-            for at, row in enumerate(mine):
-                panel.plot(at + 0.3, row["paper"], zorder=4, **DIAMOND)
+        for panel, (title, panel_rows) in zip(axes.flat, panels_of(rows).items(), strict=False):
+            for index, row in enumerate(panel_rows):
+                panel.plot(index + 0.3, row["paper"], zorder=4, **DIAMOND)
                 if row["value"] is None:
-                    say_no_value(panel, at - 0.08)
+                    say_no_value(panel, index - 0.08)
                     continue
                 look = {
                     "hatch": "///" if row["is_hatched"] else None,
@@ -199,12 +201,12 @@ def bars(spec: specs.Bars, rows: Sequence[Row]) -> bytes:
                     "linewidth": 0,
                     "zorder": 2,
                 }
-                panel.bar(at - 0.08, row["value"], width=0.52, color=colours[row["series"]], **look)
+                panel.bar(index - 0.08, row["value"], width=0.52, color=colours[row["series"]], **look)
                 if row["low"] is not None:
-                    whisker(panel, at - 0.08, row["low"], row["high"])
-            _categories(panel, title, [row["category"] for row in mine])
+                    whisker(panel, index - 0.08, row["low"], row["high"])
+            _categories(panel, title, [row["category"] for row in panel_rows])
             from_zero(
-                panel, max(row[key] for row in mine for key in ("paper", "value", "high") if row[key] is not None)
+                panel, max(row[key] for row in panel_rows for key in ("paper", "value", "high") if row[key] is not None)
             )
         handles: list[Any] = [
             Patch(color=colours[name], label=f"{named(name)}, this ledger")
@@ -219,9 +221,9 @@ def bars(spec: specs.Bars, rows: Sequence[Row]) -> bytes:
 
 def _categories(panel: Any, title: str, names: Sequence[str]) -> None:
     is_long = any(len(name) > 6 for name in names)
-    turned: dict[str, Any] = {"rotation": 30, "ha": "right", "rotation_mode": "anchor"} if is_long else {}
+    rotation: dict[str, Any] = {"rotation": 30, "ha": "right", "rotation_mode": "anchor"} if is_long else {}
     panel.set_title(title)
-    panel.set_xticks(range(len(names)), names, **turned)
+    panel.set_xticks(range(len(names)), names, **rotation)
     panel.tick_params(axis="x", length=0)
     panel.set_xlim(-0.6, len(names) - 0.4)
 
@@ -234,28 +236,28 @@ def curve(spec: specs.Curve, rows: Sequence[Row]) -> bytes:
     """
     looks = _looks([row for row in rows if row["series"] != "guide"]) | {"guide": (GUIDE, "")}
     with canvas(spec.width_in, spec.height_in, *spec.panels) as (figure, axes):
-        shown = panels_of(rows)
-        for panel, (title, mine) in zip(axes.flat, shown.items(), strict=False):
-            ticks = sorted({row["x"] for row in mine if row["style"] != "paper"})
+        panels = panels_of(rows)
+        for panel, (title, panel_rows) in zip(axes.flat, panels.items(), strict=False):
+            ticks = sorted({row["x"] for row in panel_rows if row["style"] != "paper"})
             if spec.shaded_from is not None and ticks and ticks[-1] > spec.shaded_from:
                 panel.axvspan(spec.shaded_from * 1.19, ticks[-1] * 1.19, color="#eeeeee", zorder=0)
-            for (series, style), points in _lines(mine).items():
+            for (series, style), points in _lines(panel_rows).items():
                 _line(panel, points, style, *looks[series])
             _axes(panel, spec, ticks)
-            if len(shown) > 1:
+            if len(panels) > 1:
                 panel.set_title(title)
-        for panel in list(axes.flat)[len(shown) :]:
+        for panel in list(axes.flat)[len(panels) :]:
             panel.set_visible(False)
         legend_below(figure, _curve_legend(spec, looks, rows), columnspacing=1.2, handletextpad=0.5)
         return rendered(figure)
 
 
 def _lines(rows: Sequence[Row]) -> dict[tuple[str, str], list[Row]]:
-    found: dict[tuple[str, str], list[Row]] = {}
+    lines: dict[tuple[str, str], list[Row]] = {}
     for row in rows:
         if row["y"] is not None:
-            found.setdefault((row["series"], row["style"]), []).append(row)
-    return found
+            lines.setdefault((row["series"], row["style"]), []).append(row)
+    return lines
 
 
 def _line(panel: Any, points: Sequence[Row], style: str, colour: str, marker: str) -> None:
@@ -287,7 +289,7 @@ def _axes(panel: Any, spec: specs.Curve, ticks: Sequence[float]) -> None:
 
 
 def _curve_legend(spec: specs.Curve, looks: Mapping[str, tuple[str, str]], rows: Sequence[Row]) -> list[Any]:
-    """Return the handles of the legend: the series, what the styles mean, the hollow points and the paper's."""
+    """Return the handles of the legend: the series, the styles, the hollow points and the paper's."""
     from matplotlib.lines import Line2D
 
     handles = [
@@ -307,14 +309,14 @@ def _curve_legend(spec: specs.Curve, looks: Mapping[str, tuple[str, str]], rows:
 
 
 REACH = 80.0
-"""Margins up to which the axes go; a number farther out is drawn near the edge, with an arrow."""
+"""Ends of the axes in margins; a number farther out is drawn near the edge, with an arrow."""
 TICKS = (-30, -5, -1, 0, 1, 5, 30)
 INSIDE = 0.8
-"""Where on the axis (as a part of it) a number farther out stands, so that its arrow is visible."""
+"""Position of a number farther out, as a part of the axis, so that its arrow is visible."""
 CARETLEFTBASE, CARETRIGHTBASE = 8, 9
-"""Matplotlib's arrowheads that stand on the edge and point outwards; naming them would import it."""
+"""Matplotlib's arrowheads on the edge that point outwards; using their names would import it."""
 SPREAD = 0.76
-"""The part of a line over which its numbers are spread."""
+"""The part of a line's height over which its numbers are spread."""
 DIAL: dict[str, Any] = {"linewidth": 0.9, "linestyle": (0, (2, 1.2)), "marker": "|", "markersize": 3.2}
 
 
@@ -325,16 +327,16 @@ def distances(spec: specs.Bars, rows: Sequence[Row]) -> bytes:
     open dial, which has no distance.
     """
     lines = list(dict.fromkeys(row["line"] for row in rows))
-    shown = panels_of(rows)
-    with canvas(spec.width_in, spec.height_in, 1, max(len(shown), 1), sharey=True) as (figure, axes):
-        for panel, (title, found) in zip(axes.flat, shown.items(), strict=False):
+    panels = panels_of(rows)
+    with canvas(spec.width_in, spec.height_in, 1, max(len(panels), 1), sharey=True) as (figure, axes):
+        for panel, (title, panel_rows) in zip(axes.flat, panels.items(), strict=False):
             panel.axvspan(-1.0, 1.0, color="#e4e4e4", linewidth=0, zorder=0)
             panel.axvline(0, color="#999999", linewidth=0.6, zorder=1)
-            for at, line in enumerate(lines):
-                panel.axhline(at + 0.5, color="#cccccc", linewidth=0.5, zorder=1)
-                mine = [row for row in found if row["line"] == line]
-                for number, row in enumerate(mine):
-                    _number(panel, row, at + SPREAD * ((number + 0.5) / len(mine) - 0.5))
+            for index, line in enumerate(lines):
+                panel.axhline(index + 0.5, color="#cccccc", linewidth=0.5, zorder=1)
+                line_rows = [row for row in panel_rows if row["line"] == line]
+                for number, row in enumerate(line_rows):
+                    _number(panel, row, index + SPREAD * ((number + 0.5) / len(line_rows) - 0.5))
             panel.set_title(title)
             panel.set_xscale("symlog", linthresh=1.0, linscale=0.8)
             panel.set_xlim(-REACH, REACH)
@@ -343,7 +345,7 @@ def distances(spec: specs.Bars, rows: Sequence[Row]) -> bytes:
             panel.set_ylim(len(lines) - 0.5, -0.5)
             panel.tick_params(axis="y", length=0)
         axes[0, 0].set_yticks(range(len(lines)), lines)
-        axes[0, len(shown) // 2].set_xlabel("(ours − paper) / margin: linear up to 1, logarithmic beyond")
+        axes[0, len(panels) // 2].set_xlabel("(ours − paper) / margin: linear up to 1, logarithmic beyond")
         legend_below(
             figure,
             _distance_legend([name for name in COLOURS if any(row["series"] == name for row in rows)]),
@@ -354,7 +356,7 @@ def distances(spec: specs.Bars, rows: Sequence[Row]) -> bytes:
 
 
 def _number(panel: Any, row: Row, height: float) -> None:
-    """Draw a point and its interval; an open dial gives a range without a point; an arrow shows what goes farther."""
+    """Draw a point and its interval; an open dial gives a range without a point; an arrow marks what lies farther out."""
     colour, is_open = COLOURS[row["series"]], row["outcome"] == OPEN
     ends = [*(row["reach"] or ()), *([] if is_open else [row["distance"]])]
     for edge, caret in ((-REACH, CARETLEFTBASE), (REACH, CARETRIGHTBASE)):
@@ -366,24 +368,24 @@ def _number(panel: Any, row: Row, height: float) -> None:
         panel.plot(span, [height, height], color=colour, zorder=2, **DIAL if is_open else {"linewidth": 1.1})
     if not is_open:
         is_far = abs(row["distance"]) > REACH
-        at = math.copysign(REACH * INSIDE, row["distance"]) if is_far else row["distance"]
+        position = math.copysign(REACH * INSIDE, row["distance"]) if is_far else row["distance"]
         look = _look(row["outcome"], colour) | {"marker": MARKERS[row["series"]]}
-        panel.plot(at, height, color=colour, clip_on=False, zorder=3, **look)
+        panel.plot(position, height, color=colour, clip_on=False, zorder=3, **look)
 
 
 def _look(outcome: str, colour: str) -> dict[str, Any]:
-    """Return the style: filled if the number comes out, hollow if not, grey if undecided; distinct without colour."""
+    """Return the style: filled if the number is reproduced, hollow if not, grey if undecided; distinct without colour."""
     fill = {STANDS: colour, UNDECIDED: "#bbbbbb"}.get(outcome, "white")
     edge = {"markerfacecolor": fill, "markeredgecolor": colour, "markeredgewidth": 0.9}
     return {"markersize": 4.4, "linestyle": "none", **edge}
 
 
-def _distance_legend(of: Sequence[str]) -> list[Any]:
+def _distance_legend(series: Sequence[str]) -> list[Any]:
     from matplotlib.lines import Line2D
 
     names = [
         Line2D([], [], color=COLOURS[name], marker=MARKERS[name], markersize=4.4, linestyle="none", label=named(name))
-        for name in of
+        for name in series
     ]
     outcomes = [
         Line2D([], [], label=OUTCOMES[outcome], marker="o", **_look(outcome, "#444444"))

@@ -1,7 +1,7 @@
-"""What is read from the ledgers: the printed numbers beside ours, and what sections select from.
+"""The findings of the ledgers: the printed numbers beside ours, and the relations that sections select from.
 
-The parts beside the results are read here, each from whichever ledger holds such runs: FSAR without a mechanism, larger
-fleets, every architecture without one mechanism, the paper's workflows, and members that come and go.
+The parts besides the results are read here, each from a ledger that holds such runs: FSAR without a mechanism, larger
+fleets, every architecture without one mechanism, the paper's workflows, and members that join and leave.
 """
 
 import types
@@ -46,19 +46,19 @@ class Head(msgspec.Struct, frozen=True):
 
 
 class Findings(msgspec.Struct, frozen=True, kw_only=True):
-    """Everything that the report shows of one head of a ledger, and of the ledgers beside it.
+    """The content of the report of one head of a ledger, and of the ledgers beside it.
 
-    heads: by part (results, ablation, scaling, mechanisms, workflows, churn), of the ledger that gives it.
-    numbers: every printed number of the tables that there are runs for, with ours.
-    relations: what the packaged queries answered about these runs, by name.
+    heads: by part (results, ablation, scaling, mechanisms, workflows, churn), of the ledger that provides it.
+    numbers: every printed number of the tables for which there are runs, with ours.
+    relations: the answers of the packaged queries about these runs, by name.
     sources: these queries, with all that they read.
     parameters: the constants of the main runs by dotted name; parameters_sha256: their SHA-256 as recorded;
         model_version: that of these runs; model_versions: of all runs of the ledger.
     table_share: the share of experiments drawn from the main runs that print a results table as far out as the paper's;
         None if none are drawn.
-    unjudged: which numbers are not judged, and why, in words; shown: which runs the tables are of, if the ledger holds
+    unjudged: which numbers are not judged, and why, in words; shown: the runs of the tables, in words, if the ledger holds
         others; differing: the pairs of runs that are left out because they met different worlds.
-    multiverse: the cells under every reading of the text; None if not asked for, or if the runs are not judged.
+    multiverse: the cells under every reading of the text; None if not requested, or if the runs are not judged.
     """
 
     heads: dict[str, Head]
@@ -78,10 +78,12 @@ class Findings(msgspec.Struct, frozen=True, kw_only=True):
 
 def sources_of(database: Database, names: Collection[str]) -> tuple[Source, ...]:
     """Return the packaged queries of these names with everything that they read; views of event types are left out."""
-    made = {one.name for one in generated()}
+    generated_names = {query.name for query in generated()}
     needed = database.library.needs(database.library.find(name).relation for name in names)
     return tuple(
-        Source(one.name, one.sha256) for one in sorted(needed, key=lambda one: one.name) if one.name not in made
+        Source(query.name, query.sha256)
+        for query in sorted(needed, key=lambda query: query.name)
+        if query.name not in generated_names
     )
 
 
@@ -94,24 +96,26 @@ _TYPES: Mapping[Any, pa.DataType] = {
 
 
 def arrow(rows: Iterable[msgspec.Struct], kind: type[msgspec.Struct]) -> pa.Table:
-    """Return the rows as an Arrow table with a column for each field, typed also where no row has a value."""
+    """Return the rows as an Arrow table with a column for each field, also typed where no row has a value."""
     fields = msgspec.structs.fields(kind)
     schema = pa.schema([(field.encode_name, _arrow_type(field.type)) for field in fields])
-    return pa.Table.from_pylist([{one.encode_name: getattr(row, one.name) for one in fields} for row in rows], schema)
+    return pa.Table.from_pylist(
+        [{field.encode_name: getattr(row, field.name) for field in fields} for row in rows], schema
+    )
 
 
-def _arrow_type(of: Any) -> pa.DataType:
+def _arrow_type(kind: Any) -> pa.DataType:
     """Return the Arrow type of a field; tuples of one type are lists, and anything else is text."""
-    parts = [one for one in typing.get_args(of) if one not in (type(None), Ellipsis)]
-    if typing.get_origin(of) in (typing.Union, types.UnionType):
+    parts = [part for part in typing.get_args(kind) if part not in (type(None), Ellipsis)]
+    if typing.get_origin(kind) in (typing.Union, types.UnionType):
         return _arrow_type(parts[0])
-    return pa.list_(_arrow_type(parts[0])) if typing.get_origin(of) is tuple else _TYPES.get(of, pa.string())
+    return pa.list_(_arrow_type(parts[0])) if typing.get_origin(kind) is tuple else _TYPES.get(kind, pa.string())
 
 
 Relations = dict[str, pa.Table]
 
 DIALLED = "without-shared-registry"
-"""The configuration whose success is a curve over how often robots meet."""
+"""The configuration whose success is plotted over how often robots meet."""
 WITHOUT_ONE = [without([name]) for name in EVERY_MECHANISM]
 
 HAS_SQL = "SELECT count(*) AS runs FROM runs WHERE {condition}"
@@ -159,7 +163,7 @@ FIRST_SQL = """
 
 
 class Part(NamedTuple):
-    """What one ledger gives to one part of the report."""
+    """The findings of one ledger for one part of the report."""
 
     head: Head
     numbers: tuple[Number, ...] = ()
@@ -167,7 +171,7 @@ class Part(NamedTuple):
 
 
 def ledger_head(database: Database, model_version: str | None) -> Head:
-    """Return the head of this ledger, with the model of the runs that are shown. Raises: as `Database.rows`."""
+    """Return the head of this ledger, with the model of the runs shown. Raises: as `Database.rows`."""
     head = database.head
     [counted] = database.rows("SELECT count(*) AS runs FROM runs")
     commits, size, root = (0, 0, "") if head is None else (head.commits, head.events, head.root)
@@ -176,53 +180,53 @@ def ledger_head(database: Database, model_version: str | None) -> Head:
 
 # See docs/decisions/experiments-are-separate-ledgers.md.
 def read_ledger(ledger: Path, demanded: str | None, *, is_workflows: bool = False) -> dict[str, Part]:
-    """Return the parts that this ledger gives, by name.
+    """Return the parts that this ledger provides, by name.
 
     Raises:
-        UsageError: It holds nothing that the report shows, or no workflow where it must.
+        UsageError: It holds nothing for the report, or no workflow where it must.
         NotALedger, FormatVersionMismatch, LedgerCorrupted, SequenceConflict: As `connect`.
     """
     with connect(ledger, demanded=demanded) as database:
         measure_the_printed(database)
-        found = _workflows(database)
-        if is_workflows and not found:
+        parts = _workflows(database)
+        if is_workflows and not parts:
             raise UsageError(
                 f"--workflows {ledger}: found no run of {', '.join(PAPER_WORKFLOWS)}; make one with "
                 "`fsar-ledger simulate`"
             )
         if not is_workflows:
-            found |= experiments_of(database)
-    if not found:
+            parts |= experiments_of(database)
+    if not parts:
         raise UsageError(
             f"--with {ledger}: found no run of a workflow, without a mechanism, of another fleet than of four robots, "
             "or of the scenario churn, expected some of these; `fsar-ledger reproduce` makes all but the last"
         )
-    return found
+    return parts
 
 
 def experiments_of(database: Database) -> dict[str, Part]:
-    """Return the parts of other runs than the paper's table and workflows that this ledger holds.
+    """Return the parts of this ledger's runs other than those of the paper's results table and workflows.
 
     Raises: as `Database.rows`.
     """
-    found = {}
+    parts = {}
     has_ablations = _has(database, "architecture = 'fsar' AND fleet_size = 4", list(CONFIGURATIONS[1:]))
     has_fleets = _has(database, "fleet_size <> 4 AND scenario IS DISTINCT FROM 'churn'", [FULL])
     rows = dialled_rows(database, pools_seeds=True) if has_ablations or has_fleets else []
     if has_ablations and (ablation := _ablation(database, rows)):
-        found["ablation"] = ablation
+        parts["ablation"] = ablation
     if has_fleets and (scaling := _scaling(database, rows)):
-        found["scaling"] = scaling
+        parts["scaling"] = scaling
     if _has(database, "fleet_size = 4", WITHOUT_ONE) and (part := _mechanisms(database)):
-        found["mechanisms"] = part
+        parts["mechanisms"] = part
     if (churned := database.table(CHURN_SQL)).num_rows:
         relations = {"churned": churned, "departures": database.query("audit/churn")}
-        found["churn"] = Part(ledger_head(database, None), (), relations)
-    return found
+        parts["churn"] = Part(ledger_head(database, None), (), relations)
+    return parts
 
 
 def _has(database: Database, condition: str, configurations: list[str]) -> bool:
-    """Tell whether the ledger holds such runs, before anything is measured: most ledgers hold none."""
+    """Return whether the ledger holds such runs, before anything is measured: most ledgers hold none."""
     sql = HAS_SQL.format(condition=f"{condition} AND list_contains($names, configuration)")
     return int(database.rows(sql, {"names": configurations})[0]["runs"]) > 0
 
@@ -237,13 +241,13 @@ def _judged(
     return judge.beside(table, rows, judge.drawn_odds(database, table, rows), dial=dial, ones=ones)
 
 
-def _ablation(database: Database, every: Sequence[DialledRow]) -> Part | None:
-    """Return FSAR without some of its mechanisms, at the rate of encounters with most of them. Paper: tab:ablation."""
-    rows = [row for row in every if (row.architecture, row.fleet_size) == ("fsar", FOUR_ROBOTS)]
+def _ablation(database: Database, all_rows: Sequence[DialledRow]) -> Part | None:
+    """Return FSAR without some mechanisms, at the encounter rate with most of these. Paper: tab:ablation."""
+    rows = [row for row in all_rows if (row.architecture, row.fleet_size) == ("fsar", FOUR_ROBOTS)]
     tables: dict[tuple[str, float | None], list[DialledRow]] = {}
     for row in rows:
         tables.setdefault((row.made_alike_but, row.encounter_mean_s), []).append(row)
-    names = {key: {row.configuration for row in found} for key, found in tables.items()}
+    names = {key: {row.configuration for row in group} for key, group in tables.items()}
     ablated = [key for key in tables if names[key] & set(CONFIGURATIONS[1:])]
     if not ablated:
         return None
@@ -255,19 +259,19 @@ def _ablation(database: Database, every: Sequence[DialledRow]) -> Part | None:
     return Part(head, tuple(numbers), {"encounters": arrow(dial, DialledRow)})
 
 
-def _scaling(database: Database, every: Sequence[DialledRow]) -> Part | None:
+def _scaling(database: Database, all_rows: Sequence[DialledRow]) -> Part | None:
     """Return fleets of other sizes than four robots, with comparable fleets of four. Paper: tab:scaling."""
-    rows = [row for row in every if row.configuration == FULL and row.architecture in PAPER_ARCHITECTURES]
+    rows = [row for row in all_rows if row.configuration == FULL and row.architecture in PAPER_ARCHITECTURES]
     sizes: dict[str, set[int]] = {}
     counts: Counter[str] = Counter()
     for row in rows:
         if row.fleet_size is not None and row.teams_working is not None:
             sizes.setdefault(row.made_alike_but, set()).add(row.fleet_size)
             counts[row.made_alike_but] += row.n
-    larger = [alike for alike, found in sizes.items() if found - {FOUR_ROBOTS}]
+    larger = [alike for alike, of_alike in sizes.items() if of_alike - {FOUR_ROBOTS}]
     if not larger:
         return None
-    chosen = max(larger, key=lambda one: (len(sizes[one]), counts[one]))
+    chosen = max(larger, key=lambda alike: (len(sizes[alike]), counts[alike]))
     means = {row.encounter_mean_s for row in rows if row.made_alike_but == chosen and row.fleet_size != FOUR_ROBOTS}
     table = [row for row in rows if row.made_alike_but == chosen and row.encounter_mean_s in means]
     whole = _over_all(table)
@@ -280,7 +284,7 @@ def _scaling(database: Database, every: Sequence[DialledRow]) -> Part | None:
 
 
 def _over_all(rows: Sequence[DialledRow]) -> list[DialledRow]:
-    """Keep the rows over all scenarios whose runs cover all of them equally often."""
+    """Return the rows over all scenarios whose runs cover all of them equally often."""
     loads = {row.teams_working for row in rows}
     counts = {load: judge.run_counts(row for row in rows if row.teams_working == load) for load in loads}
     return [
@@ -291,7 +295,7 @@ def _over_all(rows: Sequence[DialledRow]) -> list[DialledRow]:
 
 
 def _mechanisms(database: Database) -> Part | None:
-    """Return what each mechanism adds to each metric, in the setting that has the most of them."""
+    """Return the contribution of each mechanism to each metric, in the setting that has the most of them."""
     differences = database.table(DIFFERENCES_SQL, {"configurations": WITHOUT_ONE})
     if not differences.num_rows:
         return None
@@ -301,7 +305,7 @@ def _mechanisms(database: Database) -> Part | None:
 
 
 def _workflows(database: Database) -> dict[str, Part]:
-    """Return what the runs of the paper's workflows show, of the setting that most of them share."""
+    """Return the results of the runs of the paper's workflows, in the setting that most of them share."""
     groups = database.rows(GROUPS_SQL, {"names": list(PAPER_WORKFLOWS)})
     if not groups:
         return {}
@@ -317,6 +321,6 @@ def _workflows(database: Database) -> dict[str, Part]:
     ):
         [first] = database.rows(FIRST_SQL, {"made_alike": main, "scenario": scenario, "kind": kind})
         if first["action"] is not None:
-            given = {"run": first["run"], "action": first["action"]}
-            relations[name] = database.query(f"audit/{name}", given)
+            parameters = {"run": first["run"], "action": first["action"]}
+            relations[name] = database.query(f"audit/{name}", parameters)
     return {"workflows": Part(ledger_head(database, None), (), relations)}

@@ -1,8 +1,8 @@
-"""Lay our numbers beside those that the paper prints, and judge them by the registered rules.
+"""Compare our numbers with those that the paper prints, and judge them by the registered rules.
 
-One way for all tables: a place is where the paper prints a number, and ours is the mean of the runs that the place is
-of. Runs are judged only where they have the shape of the paper's tables: all five scenarios, equally many runs of each.
-A number that depends on a dial which the text leaves open is not judged; it gets the range over that dial.
+All tables are treated alike: a place is where the paper prints a number, and ours is the mean of the runs of that
+place. Runs are judged only if they have the shape of the paper's tables: all five scenarios, equally many runs of each.
+A number that depends on a dial that the text leaves open is not judged; it gets the range over that dial.
 """
 
 import math
@@ -22,7 +22,7 @@ from fsar_ledger.metrics.verdicts import Odds, odds
 
 COMPARISONS = ("fsar-cfc", "fsar-dhma", "cfc-dhma")
 FOUR_ROBOTS = 4
-"""Robots of the paper's fleet in all tables but that of larger fleets."""
+"""Fleet size of all tables of the paper but that of larger fleets."""
 PAPER_RUNS = 20
 """Runs of each scenario in the paper's experiments."""
 
@@ -31,7 +31,7 @@ INFORMED, EXCLUDED, UNSPECIFIED = "informed", "cannot follow", "unspecified"
 AIMED_AT = ("fitted", "count", "dial")  # classes of cells at which the fit aimed
 
 RunCounts = Mapping[str | None, int]
-"""How many runs, or pairs of runs, there are of each scenario."""
+"""The number of runs, or pairs of runs, of each scenario."""
 
 Shape = tuple[str, str, int]
 """Architecture, configuration and fleet size."""
@@ -47,13 +47,13 @@ DRAWN_SQL = f"""
 
 
 class Number(msgspec.Struct, frozen=True, kw_only=True, rename={"kind": "class"}):
-    """One number that the paper prints, ours beside it, and what became of it. Units: those of the queries.
+    """One number that the paper prints, ours beside it, and the outcome. Units: those of the queries.
 
     `kind` is the registered class and `because` its reason; `printed` is as in the paper. `interval` (95 %) is of ours,
     `difference` (90 %) of ours minus paper, `distance` the same in margins; `reach` is its interval in margins, or the
     range over an open dial. `gives` and `could` answer the two registered questions, `share` is the p behind the
-    second, `outcome` what they come to. `one` and `one_interval` are ours where one team of a larger fleet works,
-    `ours` where all do; `lies` says where the paper's number is among these two.
+    second, `outcome` the result of both. `one` and `one_interval` are ours where one team of a larger fleet works,
+    `ours` where all do; `lies` is where the paper's number is relative to these two.
     """
 
     table: str
@@ -96,22 +96,22 @@ def place_of(table: Table, row: MetricRow) -> Place:
 
 
 def shape_of(row: MetricRow | Place) -> Shape:
-    """Return of which architecture, configuration and fleet size this is."""
+    """Return the architecture, configuration and fleet size of this row or place."""
     return row.architecture or "", row.configuration or "", row.fleet_size or 0
 
 
 def run_counts(rows: Iterable[MetricRow]) -> dict[Shape, dict[str | None, int]]:
-    """Return how many runs of each scenario each architecture, configuration and fleet size has."""
-    found: dict[Shape, dict[str | None, int]] = {}
+    """Return the number of runs of each scenario, by architecture, configuration and fleet size."""
+    counts: dict[Shape, dict[str | None, int]] = {}
     for row in rows:
         if row.scenario is not None:
-            of_scenarios = found.setdefault(shape_of(row), {})
+            of_scenarios = counts.setdefault(shape_of(row), {})
             of_scenarios[row.scenario] = max(of_scenarios.get(row.scenario, 0), row.n + row.runs_not_observed)
-    return found
+    return counts
 
 
 def is_complete(runs: RunCounts) -> bool:
-    """Tell whether the runs cover every scenario of the tables equally often, and no other scenario."""
+    """Return whether the runs cover every scenario of the tables equally often, and no other scenario."""
     return runs.keys() == set(PAPER_SCENARIOS) and len(set(runs.values())) == 1
 
 
@@ -120,22 +120,28 @@ def unjudged(runs: Mapping[str, RunCounts], pairs: Mapping[str, RunCounts]) -> f
     partial = {name for name, of_scenarios in runs.items() if not is_complete(of_scenarios)}
     return frozenset(
         partial
-        | {one for one in COMPARISONS if partial & {*one.split("-")} or (one in pairs and not is_complete(pairs[one]))}
+        | {
+            name
+            for name in COMPARISONS
+            if partial & {*name.split("-")} or (name in pairs and not is_complete(pairs[name]))
+        }
     )
 
 
 def why_unjudged(runs: Mapping[str, RunCounts], pairs: Mapping[str, RunCounts]) -> str | None:
-    """Say what the ledger holds of each unjudged one, and what follows; None where everything is judged."""
-    found = unjudged(runs, pairs)
-    told: dict[str, list[str]] = {}
-    for name in (one for one in PAPER_ARCHITECTURES if one in found):
-        told.setdefault(_listed(runs[name], "run"), []).append(name.upper())
+    """Return which runs the ledger has of what is not judged, in words; None if everything is judged."""
+    not_judged = unjudged(runs, pairs)
+    names_by_count: dict[str, list[str]] = {}
+    for name in (architecture for architecture in PAPER_ARCHITECTURES if architecture in not_judged):
+        names_by_count.setdefault(_listed(runs[name], "run"), []).append(name.upper())
     for name in COMPARISONS:
-        if name in found and not {*name.split("-")} & found:  # else the runs of its sides already say why
-            told.setdefault(_listed(pairs[name], "pair"), []).append(name.upper().replace("-", " vs "))
-    if not told:
+        if (
+            name in not_judged and not {*name.split("-")} & not_judged
+        ):  # otherwise the runs of its sides already explain it
+            names_by_count.setdefault(_listed(pairs[name], "pair"), []).append(name.upper().replace("-", " vs "))
+    if not names_by_count:
         return None
-    of_each = "; ".join(f"of {some(names)} this ledger has {listed}" for listed, names in told.items())
+    of_each = "; ".join(f"of {some(names)} this ledger has {listed}" for listed, names in names_by_count.items())
     return (
         f"The printed tables are over {len(PAPER_SCENARIOS)} scenarios with equally many runs of each, but {of_each}. "
         "They are therefore shown without a verdict."
@@ -152,7 +158,7 @@ def _listed(of_scenarios: RunCounts, what: str) -> str:
 def drawn_odds(database: Database, table: Table, rows: Sequence[MetricRow]) -> Odds[Place] | None:
     """Return how likely the printed numbers are among experiments of the paper's size, drawn from these runs.
 
-    Left out are places with fewer runs than that, and those on an open dial. Raises: as `Database.rows`.
+    Places with fewer runs than that, and those on an open dial, are left out. Raises: as `Database.rows`.
     """
     runs, declared = run_counts(rows), registration().declaration_for
     places = {place: paper for place, paper in printed(table).items() if not is_open(declared(table, place._asdict()))}
@@ -163,15 +169,15 @@ def drawn_odds(database: Database, table: Table, rows: Sequence[MetricRow]) -> O
     for setting, scenario in dict.fromkeys((setting_of(row), row.scenario) for row in of_places):
         scenarios = f"(SELECT * FROM drawn_scenarios WHERE scenario = '{scenario}')"
         sql = DRAWN_SQL.format(relation="drawn_experiments" if scenario is None else scenarios)
-        for found in database.rows(sql, of_all_seeds(setting)):
-            shape = found["metric"], found["architecture"], setting[0] or "", setting[1] or 0
+        for row in database.rows(sql, of_all_seeds(setting)):
+            shape = row["metric"], row["architecture"], setting[0] or "", setting[1] or 0
             if (place := Place(table, *shape, scenario)) in enough:
-                drawn[place] = found["numbers"]
+                drawn[place] = row["numbers"]
     return odds(drawn, places)
 
 
 def _fewest(of_scenarios: RunCounts, place: Place) -> int:
-    """Return the smallest number of runs of a scenario that an experiment would be drawn from."""
+    """Return the smallest number of runs of any scenario from which an experiment would be drawn."""
     counts = of_scenarios if place.scenario is None else {place.scenario: of_scenarios.get(place.scenario, 0)}
     return min(counts.values(), default=0)
 
@@ -189,22 +195,22 @@ def beside(
 
     Args:
         table: The table.
-        rows: Our means, of runs that differ in nothing but what the table varies.
+        rows: Our means, of runs that differ only in what the table varies.
         drawn: The odds of its numbers.
         dial: Our means at every position of the dial that the text leaves open.
         ones: Those where one team of a larger fleet works.
         not_judged: Architectures that get no verdict, in addition to those whose runs do not have the table's shape.
     """
-    ours, of_one = ({place_of(table, row): row for row in found} for found in (rows, ones))
+    ours, of_one = ({place_of(table, row): row for row in means_of} for means_of in (rows, ones))
     runs, positions = run_counts(rows), _by_place(table, (*rows, *ones, *dial))
     numbers = []
     for place, paper in printed(table).items():
-        said = registration().declaration_for(table, place._asdict())
+        declaration = registration().declaration_for(table, place._asdict())
         is_shaped = place.scenario is not None or is_complete(runs.get(shape_of(place), {}))
         number = _number(
             place,
             paper,
-            said,
+            declaration,
             ours.get(place),
             None if drawn is None else drawn.cells.get(place),
             is_judged=is_shaped and place.architecture not in not_judged,
@@ -218,33 +224,39 @@ def beside(
 
 # See docs/decisions/open-cells-have-no-verdict.md.
 def is_open(said: Declaration) -> bool:
-    """Tell whether a number depends on a dial that the text leaves open, and so gets a range and no verdict."""
+    """Return whether a number depends on a dial that the text leaves open, and so gets a range and no verdict."""
     return said.kind.replace("_", " ") == UNSPECIFIED
 
 
 def _by_place(table: Table, rows: Iterable[MetricRow]) -> dict[Place, list[float]]:
-    found: dict[Place, list[float]] = {}
+    means: dict[Place, list[float]] = {}
     for row in rows:
         if row.mean is not None:
-            found.setdefault(place_of(table, row), []).append(row.mean)
-    return found
+            means.setdefault(place_of(table, row), []).append(row.mean)
+    return means
 
 
 def _number(
-    place: Place, paper: Printed, said: Declaration, row: MetricRow | None, share: float | None, *, is_judged: bool
+    place: Place,
+    paper: Printed,
+    declaration: Declaration,
+    row: MetricRow | None,
+    share: float | None,
+    *,
+    is_judged: bool,
 ) -> Number:
-    """Return one number of the paper beside ours, judged if its runs are and if it is not on an open dial."""
-    kind, margin = said.kind.replace("_", " "), verdicts.MARGINS[place.metric]
-    one = None if row is None or row.mean is None or not is_judged else verdicts.judge(row, paper.value, share)
-    if is_open(said):
-        one = None
-    is_excluded = kind == EXCLUDED and one is not None  # then the paper's own text answers
-    difference = None if one is None else ends(one.low, one.high)
-    gives = "no" if is_excluded else None if one is None else one.gives
+    """Return one number of the paper beside ours, judged if its runs are judged and it is not on an open dial."""
+    kind, margin = declaration.kind.replace("_", " "), verdicts.MARGINS[place.metric]
+    judged = None if row is None or row.mean is None or not is_judged else verdicts.judge(row, paper.value, share)
+    if is_open(declaration):
+        judged = None
+    is_excluded = kind == EXCLUDED and judged is not None  # then the paper's own text decides
+    difference = None if judged is None else ends(judged.low, judged.high)
+    gives = "no" if is_excluded else None if judged is None else judged.gives
     return Number(
         **place._asdict(),
         kind=kind,
-        because=said.because,
+        because=declaration.because,
         printed=_as_printed(place.metric, paper),
         paper=paper.value,
         ours=None if row is None else row.mean,
@@ -252,11 +264,11 @@ def _number(
         interval=None if row is None else ends(row.ci_low, row.ci_high),
         difference=difference,
         margin=margin,
-        distance=None if one is None else one.distance,
+        distance=None if judged is None else judged.distance,
         reach=None if difference is None else (difference[0] / margin, difference[1] / margin),
         gives=gives,
-        share=None if one is None else one.share,
-        could="no" if is_excluded else None if one is None else one.could,
+        share=None if judged is None else judged.share,
+        could="no" if is_excluded else None if judged is None else judged.could,
         outcome=outcome_of(kind, gives),
         denominator=None if row is None else row.denominator,
         without_routine=None if row is None else row.mean_without_routine,
@@ -265,25 +277,25 @@ def _number(
 
 
 def outcome_of(kind: str, gives: str | None) -> str:
-    """Say what became of a number of this class; what the paper's own text excludes does not stand."""
+    """Return the outcome of a number of this class; what the paper's own text excludes does not stand."""
     if kind in (EXCLUDED, UNSPECIFIED):
         return FAILS if kind == EXCLUDED else OPEN
     return {"yes": STANDS, "no": FAILS}.get(gives or "", UNDECIDED)
 
 
-def _at_both_ends(number: Number, one: MetricRow | None) -> Number:
-    """Return the number with ours where one team works, and where the paper's lies among both, within one margin."""
-    if one is None:
+def _at_both_ends(number: Number, row: MetricRow | None) -> Number:
+    """Return the number with ours for one working team, and where the paper's lies relative to both, within a margin."""
+    if row is None:
         return number
     lies = None
-    if number.ours is not None and one.mean is not None and number.fleet_size != FOUR_ROBOTS:
-        low, high = sorted((number.ours, one.mean))
+    if number.ours is not None and row.mean is not None and number.fleet_size != FOUR_ROBOTS:
+        low, high = sorted((number.ours, row.mean))
         is_below, is_above = number.paper < low - number.margin, number.paper > high + number.margin
         lies = "below both" if is_below else "above both" if is_above else "between"
-    return msgspec.structs.replace(number, one=one.mean, one_interval=ends(one.ci_low, one.ci_high), lies=lies)
+    return msgspec.structs.replace(number, one=row.mean, one_interval=ends(row.ci_low, row.ci_high), lies=lies)
 
 
 def _as_printed(metric: str, paper: Printed) -> str:
-    """Return the printed number in the report's unit, with as many digits as the paper gives."""
+    """Return the printed number in the report's unit, with the paper's number of digits."""
     scale = metric_named(metric).factor
     return f"{paper.value * scale:.{max(0, -round(math.log10(paper.step * scale)))}f}"

@@ -1,7 +1,7 @@
-"""Lay out sections: select the rows of each part from relations, and put them into its shape.
+"""Lay out sections: select the rows of each part from relations, and bring them into its shape.
 
-The relations are held by one small database in memory. What the template prints is `sections` under the titles of the
-kind of report, and the figures as SVG.
+The relations are in one small database in memory. The template prints `sections` under the titles of the kind of
+report, and the figures as SVG.
 """
 
 import platform
@@ -28,7 +28,7 @@ _STEP = re.compile(r"(?:\bWITH|,)\s+([a-z_][a-z0-9_]*)(?:\([^)]*\))?\s+AS\s+\(",
 
 
 class Layout:
-    """Sections filled from relations, and their figures, drawn when they are asked for.
+    """Sections filled from relations, and their figures, drawn on first use.
 
     `answers` are the rows of other SELECTs over the same relations, by name.
     """
@@ -46,7 +46,7 @@ class Layout:
             self._hold(relations, defined)
             self.answers = {name: self.rows(sql) for name, sql in asked.items()}
             self.sections = _naming_what_is_shown(
-                [one for name, spec in sections.items() if (one := self._section(name, spec))]
+                [section for name, spec in sections.items() if (section := self._section(name, spec))]
             )
 
     def _hold(self, relations: Mapping[str, pa.Table], defined: Mapping[str, str]) -> None:
@@ -59,7 +59,7 @@ class Layout:
                 self._held.add(name)
 
     def missing(self, sql: str) -> set[str]:
-        """Return the names that the SELECT reads and that are neither a relation here nor a step of its own."""
+        """Return the names that the SELECT reads that are neither a relation here nor one of its own steps."""
         return sources(sql) - set(_STEP.findall(sql)) - self._held
 
     def rows(self, sql: str) -> list[dict[str, Any]]:
@@ -89,13 +89,13 @@ class Layout:
                 yield {"shape": "table", **msgspec.structs.asdict(printing.table(part, rows))}
             case specs.Figure():
                 self._figures[part.name] = (part, rows)
-                said = {name: getattr(part, name) for name in ("name", "title", "caption", "alt", "width_in")}
+                fields = {name: getattr(part, name) for name in ("name", "title", "caption", "alt", "width_in")}
                 source = f"queries/{part.query}.sql" if part.query else ""
-                yield {"shape": "figure", "file": f"{part.name}.svg", "source": source, **said}
+                yield {"shape": "figure", "file": f"{part.name}.svg", "source": source, **fields}
 
     def template_data(self, titles: specs.Titles, head: Head) -> bytes:
-        """Return what the template prints, as JSON with sorted names; `head` is the one that the first page names."""
-        said = {
+        """Return the template's input, as JSON with sorted names; `head` is the one shown on the first page."""
+        data = {
             **msgspec.structs.asdict(titles),
             "events": printing.integer(head.events),
             "runs": printing.integer(head.runs),
@@ -104,7 +104,7 @@ class Layout:
             "incomplete": head.completeness if head.completeness.startswith("not complete") else None,
             "sections": self.sections,
         }
-        return msgspec.json.encode(said, order="deterministic")
+        return msgspec.json.encode(data, order="deterministic")
 
     @cached_property
     def drawings(self) -> dict[str, bytes]:
@@ -114,12 +114,12 @@ class Layout:
 
 def for_programs(said: Mapping[str, Any], queries: Sequence[Source]) -> bytes:
     """Return these numbers as JSON with sorted names, with the versions and the digests of queries behind them."""
-    every = {"versions": versions(), **said, "queries": {one.name: one.sha256 for one in queries}}
-    return msgspec.json.format(msgspec.json.encode(every, order="deterministic"), indent=1) + b"\n"
+    data = {"versions": versions(), **said, "queries": {query.name: query.sha256 for query in queries}}
+    return msgspec.json.format(msgspec.json.encode(data, order="deterministic"), indent=1) + b"\n"
 
 
 def head_for_programs(head: Head) -> dict[str, str | int]:
-    """Return the head of the ledger that numbers are from."""
+    """Return the fields of a head that are written with numbers."""
     return {"commits": head.commits, "events": head.events, "root": head.root, "runs": head.runs}
 
 
@@ -130,16 +130,16 @@ def versions() -> dict[str, str]:
 
 
 def _naming_what_is_shown(sections: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return the sections without references to tables and figures that are not there.
+    """Return the sections without references to missing tables and figures.
 
-    Those in brackets of their own are dropped, and a text that names another one is left out.
+    References in parentheses of their own are dropped, and texts with other such references are left out.
     """
     kinds = {"table": "tab", "figure": "fig"}
-    every = [part for section in sections for part in section["parts"]]
-    shown = {f"@{kinds[part['shape']]}-{part['name']}" for part in every if part["shape"] in kinds}
+    parts = [part for section in sections for part in section["parts"]]
+    targets = {f"@{kinds[part['shape']]}-{part['name']}" for part in parts if part["shape"] in kinds}
 
     def kept(match: re.Match[str]) -> str:
-        names = [name for name in match[1].split(", ") if name in shown]
+        names = [name for name in match[1].split(", ") if name in targets]
         return f" ({', '.join(names)})" if names else ""
 
     for section in sections:
@@ -147,7 +147,7 @@ def _naming_what_is_shown(sections: list[dict[str, Any]]) -> list[dict[str, Any]
             if part["shape"] == "text":
                 part["text"] = _NAMES.sub(kept, part["text"])
         section["parts"] = [
-            part for part in section["parts"] if part["shape"] != "text" or set(_NAME.findall(part["text"])) <= shown
+            part for part in section["parts"] if part["shape"] != "text" or set(_NAME.findall(part["text"])) <= targets
         ]
     return sections
 

@@ -1,4 +1,4 @@
-"""Format values for the report: scale, decimals, signs and spaces are the same everywhere.
+"""Format values for the report, with the same scale, decimals, signs and spaces everywhere.
 
 A cell keeps the value beside its printed form, so that tests and readers of the data can compare the two.
 """
@@ -28,7 +28,7 @@ Row = Mapping[str, Any]
 
 
 class Cell(msgspec.Struct, frozen=True):
-    """One cell: the value in stored units, its printed form, and the tone in which it is set."""
+    """One cell: the value in stored units, its printed form, and its typographic tone."""
 
     value: Any
     printed: str
@@ -36,7 +36,7 @@ class Cell(msgspec.Struct, frozen=True):
 
 
 class Table(msgspec.Struct, frozen=True):
-    """One table ready to be typeset: headings and keys of columns, rows of cells, and the rows that begin a group."""
+    """One table ready for typesetting: headings and keys of columns, rows of cells, and the rows that begin a group."""
 
     name: str
     title: str
@@ -73,7 +73,7 @@ def integer(value: float) -> str:
 
 
 def probability(value: float) -> str:
-    """Format the p value with four decimals, or as smaller than the smallest printed one."""
+    """Format the p value with four decimals, or as less than the smallest printed one."""
     return "<.0001" if value < SMALLEST_P else number(value, 4)
 
 
@@ -84,7 +84,7 @@ def in_metric(name: str, value: float) -> str:
 
 
 def words(value: object, most: int = MAX_WORDS) -> str:
-    """Return the text as a page shows it.
+    """Return the text for a page.
 
     Everything is escaped except the thin spaces of our numbers, and the text is cut after `most` characters.
     """
@@ -94,7 +94,7 @@ def words(value: object, most: int = MAX_WORDS) -> str:
 
 
 def configuration(name: str) -> str:
-    """Name a configuration as the paper's table does: "full", or what is taken out after a minus sign."""
+    """Return a configuration's name as in the paper's table: "full", or the removed mechanism after a minus sign."""
     return f"{MINUS} {name.removeprefix('without-').replace('-', ' ')}" if name.startswith("without-") else name
 
 
@@ -157,20 +157,22 @@ def cell(column: specs.Column, row: Row) -> Cell:
 
 
 def table(spec: specs.Table, rows: Sequence[Row]) -> Table:
-    """Return the table of this spec filled with these rows. Raises: KeyError as `cell` does."""
-    columns = [one for one in spec.columns if not one.optional or any(row[one.key] is not None for row in rows)]
+    """Return the table of this spec filled with these rows. Raises: KeyError, as `cell`."""
+    columns = [
+        column for column in spec.columns if not column.optional or any(row[column.key] is not None for row in rows)
+    ]
     filled, begins = [], []
-    before: Row = {}
+    previous: Row = {}
     for position, row in enumerate(rows[:MAX_ROWS]):
         cells = []
         for column in columns:
-            one = cell(column, row)
-            repeats = column.group and before.get(column.key) == row[column.key]
+            cell_here = cell(column, row)
+            repeats = column.group and previous.get(column.key) == row[column.key]
             if column.group and not repeats and position and position not in begins:
                 begins.append(position)
-            cells.append(msgspec.structs.replace(one, printed="") if repeats else one)
+            cells.append(msgspec.structs.replace(cell_here, printed="") if repeats else cell_here)
         filled.append(tuple(cells))
-        before = row
+        previous = row
     more = f"{len(rows) - MAX_ROWS:,} more rows are not shown" if len(rows) > MAX_ROWS else ""
     return Table(
         name=spec.name,
@@ -195,10 +197,10 @@ class _Sentences(string.Formatter):
 
     def format_field(self, value: Any, spec: str) -> str:
         if isinstance(value, list | tuple):
-            return printable.every([self.format_field(one, spec) for one in value], "none")
+            return printable.every([self.format_field(item, spec) for item in value], "none")
         if "|" in spec:
-            many, one = spec.split("|")
-            return f"{_plain(value)} {one if value == 1 else many}"
+            plural, singular = spec.split("|")
+            return f"{_plain(value)} {singular if value == 1 else plural}"
         if spec == "markup":
             return str(value)
         if spec == "raw":  # between backticks, where nothing is escaped
@@ -213,14 +215,17 @@ class _Sentences(string.Formatter):
 
 
 def sentence(template: str, row: Row) -> str:
-    """Return the markup with the values of the row in their places. Raises: KeyError for a name that is no column."""
+    """Return the markup filled with the values of the row. Raises: KeyError for a name that is no column."""
     return _Sentences().format(template, **row)
 
 
 def markup(text: str) -> str:
-    """Return the text as Typst markup that says just this text: each sign of ASCII that is no letter is escaped."""
+    """Return the text as Typst markup for exactly this text: ASCII punctuation is escaped."""
     return "".join(
-        f"\\{one}" if one.isascii() and one.isprintable() and not one.isalnum() and one != " " else one for one in text
+        f"\\{character}"
+        if character.isascii() and character.isprintable() and not character.isalnum() and character != " "
+        else character
+        for character in text
     )
 
 
@@ -246,7 +251,7 @@ def flat(name: str, value: object) -> Iterator[tuple[str, str]]:
 
 
 def _plain(value: object) -> str:
-    """Format a constant: integers in groups of three, other numbers with the digits they have."""
+    """Format a constant: integers in groups of three, other numbers with all their digits."""
     if isinstance(value, int) and not isinstance(value, bool):
         return integer(value)
     return printable.number(value).replace("-", MINUS) if isinstance(value, float) else str(value)

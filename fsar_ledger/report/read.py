@@ -1,7 +1,7 @@
-"""Read the results from one head of a ledger. Beside `experiments`, no module of the report asks queries about runs.
+"""Read the results from one head of a ledger. Besides `findings`, no other module of the report queries runs.
 
-All numbers come from packaged queries (`queries/`). What they answer becomes a relation of `Findings`, by name, which
-the sections of `reports/sections/` select from.
+All numbers come from packaged queries (`queries/`). Their answers become relations of `Findings`, by name, from which
+the sections of `reports/sections/` select.
 """
 
 from collections import Counter
@@ -66,7 +66,7 @@ QUERIES = {
 
 OF_MAIN = same_setting("runs.")
 ADDED = "architectures added"
-"""The family of comparisons with an architecture that the paper does not compare."""
+"""The family of comparisons with architectures that the paper does not compare."""
 CHOSEN_SQL = f"""
     SELECT run_id, seed
     FROM (
@@ -120,12 +120,13 @@ def gather(
     reads_every_way: bool = False,
     showing: Showing = unseen,
 ) -> Findings:
-    """Return the findings of the ledger's present head and of the ledgers beside it.
+    """Return the findings of the ledger's current head and of the ledgers beside it.
 
     Args:
         ledger: The folder of the ledger.
         demanded: The newest record that its head must have; None: any.
-        beside: Other ledgers, each with the same; where two have runs for the same part, the first one's are shown.
+        beside: Other ledgers, each with its demanded record; where two have runs for the same part, the first one's are
+            shown.
         workflows: The one of them that must hold workflows, if any.
         reads_every_way: Whether to add the multiverse of readings, which costs as much as all other results.
         showing: Called with a verb and a unit for long steps.
@@ -141,8 +142,8 @@ def gather(
         measure_the_printed(database)
         rows = [
             row
-            for one in (False, True)
-            for row in metric_rows(database, one, pools_seeds=True)
+            for by_scenario in (False, True)
+            for row in metric_rows(database, by_scenario, pools_seeds=True)
             if row.architecture in PAPER_ARCHITECTURES
         ]
         main = _main(rows)
@@ -150,41 +151,41 @@ def gather(
         parts = {"results": found[0]} | experiments_of(database) | parts
         parts = {name: parts[name] for name in QUERIES if name in parts}
         sets, parameters, digest = _models(database, main)
-        read = None
+        multiverse = None
         if reads_every_way and main is not None and not found[1]:
             with showing("read", "combinations of readings") as progress:
-                read = multiverse_of(database, main, progress=progress)
+                multiverse = multiverse_of(database, main, progress=progress)
         relations = {name: table for part in parts.values() for name, table in part.relations.items()}
-        if "differences" not in relations:  # its columns, without measuring anything of this ledger
+        if "differences" not in relations:  # only its columns: nothing of this ledger is measured
             with from_rows((), threads=1) as empty:
                 relations["differences"] = empty.table("SELECT * FROM mechanism_differences")
-        relations |= {"runs": database.table(RUNS_SQL), **relations_of(read)}
+        relations |= {"runs": database.table(RUNS_SQL), **relations_of(multiverse)}
         relations |= {"models": pa.Table.from_pylist(sets)} if sets else {}
-        asked = [query for name in parts for query in QUERIES[name]]
-        asked += [name for name in library().queries if name.startswith(READINGS)] if reads_every_way else []
+        query_names = [query for name in parts for query in QUERIES[name]]
+        query_names += [name for name in library().queries if name.startswith(READINGS)] if reads_every_way else []
         return Findings(
             heads={name: part.head for name, part in parts.items()},
             numbers=tuple(number for part in parts.values() for number in part.numbers),
             relations=relations,
-            sources=sources_of(database, asked),
+            sources=sources_of(database, query_names),
             parameters=parameters,
             parameters_sha256=digest,
             model_version=main[CONDITIONS.index("model_version")] if main else None,
-            model_versions=tuple(sorted({one["model_version"] for one in sets} - {None})),
+            model_versions=tuple(sorted({model["model_version"] for model in sets} - {None})),
             table_share=found[2],
             unjudged=found[1],
             shown=_shown(main, rows),
             differing=tuple(map(str, differing_worlds(database))),
-            multiverse=read,
+            multiverse=multiverse,
         )
 
 
 Main = tuple[Any, ...]
-"""The `CONDITIONS` that the runs of the tables share; the seed is None, because all seeds are taken together."""
+"""The `CONDITIONS` that the runs of the tables share; the seed is None, because all seeds are pooled."""
 
 
 def _main(rows: Sequence[MetricRow]) -> Main | None:
-    """Return the setting of the tables: four robots in full. Among several the one with most runs, then the first."""
+    """Return the setting of the tables: four robots in full; among several, the first of those with most runs."""
     counts: Counter[Main] = Counter()
     for row in rows:
         if row.scenario is None and (row.configuration, row.fleet_size) == (FULL, FOUR_ROBOTS):
@@ -195,26 +196,26 @@ def _main(rows: Sequence[MetricRow]) -> Main | None:
 def _results(
     database: Database, rows: Sequence[MetricRow], main: Main | None, ledger: Path, demanded: str | None
 ) -> tuple[Part, str | None, float | None]:
-    """Return the results, why some are not judged, and the share of drawn experiments as far out as the whole table."""
-    mine = [row for row in rows if setting_of(row) == main]
-    held = {} if main is None else {of: _held(database, main, of) for of in HELD_SQL}
-    pair = held.get("architecture", {}), held.get("comparison", {})
+    """Return the results, why some are not judged, and the share of drawn tables as far out as the printed one."""
+    main_rows = [row for row in rows if setting_of(row) == main]
+    counts = {} if main is None else {of: _held(database, main, of) for of in HELD_SQL}
+    pair = counts.get("architecture", {}), counts.get("comparison", {})
     not_judged = judge.unjudged(*pair)
-    drawn = judge.drawn_odds(database, "results", mine)
-    numbers = judge.beside("results", mine, drawn, not_judged=not_judged)
+    drawn = judge.drawn_odds(database, "results", main_rows)
+    numbers = judge.beside("results", main_rows, drawn, not_judged=not_judged)
     tests = [
         row for row in statistic_rows(database, pools_seeds=True) if setting_of(row) == main and row.family != ADDED
     ]
     relations = {
-        "measured": arrow(mine, MetricRow),
+        "measured": arrow(main_rows, MetricRow),
         "other_runs": arrow([row for row in rows if row.scenario is None and setting_of(row) != main], MetricRow),
         "paired": arrow(tests, StatisticRow),
         "predictive": arrow(_predictive(database, main, tests, pair[1]), ComparedEffect),
         "not_judged": pa.table({"name": pa.array(sorted(not_judged), pa.string())}),
     }
-    given = of_all_seeds(main or (None,) * len(CONDITIONS))
+    setting = of_all_seeds(main or (None,) * len(CONDITIONS))
     with _of_one_seed(ledger, demanded, database, main) as narrowed:
-        relations |= {name: narrowed.table(sql, given) for name, sql in MAIN_SQL.items()}
+        relations |= {name: narrowed.table(sql, setting) for name, sql in MAIN_SQL.items()}
     share = None if drawn is None or not_judged else drawn.table
     head = ledger_head(database, main[CONDITIONS.index("model_version")] if main else None)
     return Part(head, tuple(numbers), relations), judge.why_unjudged(*pair), share
@@ -223,27 +224,27 @@ def _results(
 def _predictive(
     database: Database, main: Main | None, tests: Sequence[StatisticRow], pairs: Mapping[str, RunCounts]
 ) -> list[ComparedEffect]:
-    """Ask of each printed effect size whether as many pairs as the paper's could have printed it.
+    """Judge for each printed effect size whether as many pairs as the paper's could have printed it.
 
-    Left out are comparisons with fewer pairs of a scenario than that, as `judge.drawn_odds` leaves out such numbers.
+    Comparisons with fewer pairs of a scenario than that are left out, like such numbers in `judge.drawn_odds`.
     """
     enough = [row for row in tests if min(pairs.get(row.comparison, {}).values(), default=0) >= judge.PAPER_RUNS]
     return [] if main is None or not enough else compare_effects(enough, drawn_effects(database, main))
 
 
-def _held(database: Database, main: Main, of: str) -> dict[str, RunCounts]:
-    """Count the main runs by architecture and scenario, or their pairs by comparison and scenario."""
-    found: dict[str, dict[str | None, int]] = {}
-    for row in database.rows(HELD_SQL[of], of_all_seeds(main)):
-        found.setdefault(row["of"], {})[row["scenario"]] = row["runs"]
-    return dict(found)
+def _held(database: Database, main: Main, kind: str) -> dict[str, RunCounts]:
+    """Return the number of main runs by architecture and scenario, or of their pairs by comparison and scenario."""
+    counts: dict[str, dict[str | None, int]] = {}
+    for row in database.rows(HELD_SQL[kind], of_all_seeds(main)):
+        counts.setdefault(row["of"], {})[row["scenario"]] = row["runs"]
+    return dict(counts)
 
 
 @contextmanager
 def _of_one_seed(ledger: Path, demanded: str | None, database: Database, main: Main | None) -> Iterator[Database]:
-    """Yield a database whose queries, which keep seeds apart, take the main runs together: they have no seed in it.
+    """Yield a database in which the main runs have no seed, so that queries that separate seeds pool them.
 
-    It is the given one where they are of one seed: another has to read and judge them again.
+    If they have one seed, it is the given database, since a new one has to read and judge them again.
     """
     chosen = database.table(CHOSEN_SQL, of_all_seeds(main or (None,) * len(CONDITIONS)))
     if len(set(chosen["seed"].to_pylist())) <= 1:
@@ -257,13 +258,13 @@ def _of_one_seed(ledger: Path, demanded: str | None, database: Database, main: M
 
 
 def _shown(main: Main | None, rows: Sequence[MetricRow]) -> str | None:
-    """Say which runs the tables are of, if the ledger holds others of the same configuration and fleet size."""
+    """Return which runs the tables show, if the ledger holds others of the same configuration and fleet size."""
     if main is None or {setting_of(row) for row in rows if setting_of(row)[:2] == main[:2]} == {main}:
         return None
-    of = of_all_seeds(main)
-    named = (f"{of['kind']} runs", of["source"], f"model {of['model_version']}", of["constants"])
+    setting = of_all_seeds(main)
+    parts = (f"{setting['kind']} runs", setting["source"], f"model {setting['model_version']}", setting["constants"])
     return (
-        f"The tables are of {', '.join(filter(None, named))}; runs made otherwise are never taken together with these."
+        f"The tables are of {', '.join(filter(None, parts))}; runs made otherwise are never taken together with these."
     )
 
 
@@ -273,12 +274,17 @@ def _models(database: Database, main: Main | None) -> tuple[list[dict[str, Any]]
     Without main runs, the constants are those of the first run that records some.
     """
     found = models(database)
-    ours = [one for one in found if main is not None and (one.source, one.model_version, one.constants) == main[4:]]
-    rows = [
-        {name: getattr(one, name) for name in ("model_version", "kind", "runs", "constants", "sha256")} for one in found
+    ours = [
+        model
+        for model in found
+        if main is not None and (model.source, model.model_version, model.constants) == main[4:]
     ]
-    said = next((one for one in ours or found if one.parameters), None)
-    return rows, dict(flat("", said.parameters if said else {})), said.sha256 if said else None
+    rows = [
+        {name: getattr(model, name) for name in ("model_version", "kind", "runs", "constants", "sha256")}
+        for model in found
+    ]
+    recorded = next((model for model in ours or found if model.parameters), None)
+    return rows, dict(flat("", recorded.parameters if recorded else {})), recorded.sha256 if recorded else None
 
 
 def multiverse_of(database: Database, main: Main, *, progress: Progress | None = None) -> Multiverse | None:
@@ -288,9 +294,9 @@ def multiverse_of(database: Database, main: Main, *, progress: Progress | None =
     """
     better = {spec.name: spec.better for spec in published_metrics()}
     found = [
-        one
-        for one in universes(database, list(better), pools_seeds=True, progress=progress)
-        if one.architecture in PAPER_ARCHITECTURES and setting_of(one) == main
+        universe
+        for universe in universes(database, list(better), pools_seeds=True, progress=progress)
+        if universe.architecture in PAPER_ARCHITECTURES and setting_of(universe) == main
     ]
     return Multiverse(readings(), tuple(cells(found)), tuple(rankings(found, better)), tuple(found)) if found else None
 
