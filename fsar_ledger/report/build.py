@@ -66,8 +66,8 @@ class Document(Layout):
     def reproduction(self) -> bytes:
         """Return the numbers for programs, as JSON.
 
-        It has heads, model, all printed numbers beside ours (`numbers`), the tests, the multiverse and the digests of the
-        queries. Values are in the units of the queries, shares in [0, 1]; null: undefined, not judged or not drawn.
+        It has heads, model, all printed numbers beside ours (`numbers`), the tests, the multiverse and the digests of
+        the queries. Values are in the units of the queries, shares in [0, 1]; null: undefined, not judged or not drawn.
         """
         findings, multiverse = self.findings, self.findings.multiverse
         differences = findings.relations["differences"] if "mechanisms" in findings.heads else None

@@ -356,7 +356,7 @@ def distances(spec: specs.Bars, rows: Sequence[Row]) -> bytes:
 
 
 def _number(panel: Any, row: Row, height: float) -> None:
-    """Draw a point and its interval; an open dial gives a range without a point; an arrow marks what lies farther out."""
+    """Draw a point and its interval; an open dial gives a range without a point; an arrow marks what lies farther."""
     colour, is_open = COLOURS[row["series"]], row["outcome"] == OPEN
     ends = [*(row["reach"] or ()), *([] if is_open else [row["distance"]])]
     for edge, caret in ((-REACH, CARETLEFTBASE), (REACH, CARETRIGHTBASE)):
@@ -374,7 +374,7 @@ def _number(panel: Any, row: Row, height: float) -> None:
 
 
 def _look(outcome: str, colour: str) -> dict[str, Any]:
-    """Return the style: filled if the number is reproduced, hollow if not, grey if undecided; distinct without colour."""
+    """Return the style: filled if the number stands, hollow if not, grey if undecided; distinct without colour."""
     fill = {STANDS: colour, UNDECIDED: "#bbbbbb"}.get(outcome, "white")
     edge = {"markerfacecolor": fill, "markeredgecolor": colour, "markeredgewidth": 0.9}
     return {"markersize": 4.4, "linestyle": "none", **edge}

@@ -56,8 +56,8 @@ class Findings(msgspec.Struct, frozen=True, kw_only=True):
         model_version: that of these runs; model_versions: of all runs of the ledger.
     table_share: the share of experiments drawn from the main runs that print a results table as far out as the paper's;
         None if none are drawn.
-    unjudged: which numbers are not judged, and why, in words; shown: the runs of the tables, in words, if the ledger holds
-        others; differing: the pairs of runs that are left out because they met different worlds.
+    unjudged: which numbers are not judged, and why, in words; shown: the runs of the tables, if the ledger has others;
+        differing: the pairs of runs that are left out because they met different worlds.
     multiverse: the cells under every reading of the text; None if not requested, or if the runs are not judged.
     """
 

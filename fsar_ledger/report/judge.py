@@ -284,7 +284,7 @@ def outcome_of(kind: str, gives: str | None) -> str:
 
 
 def _at_both_ends(number: Number, row: MetricRow | None) -> Number:
-    """Return the number with ours for one working team, and where the paper's lies relative to both, within a margin."""
+    """Return the number with ours for one working team, and where the paper's lies relative to both, by a margin."""
     if row is None:
         return number
     lies = None

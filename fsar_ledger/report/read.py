@@ -213,9 +213,9 @@ def _results(
         "predictive": arrow(_predictive(database, main, tests, pair[1]), ComparedEffect),
         "not_judged": pa.table({"name": pa.array(sorted(not_judged), pa.string())}),
     }
-    setting = of_all_seeds(main or (None,) * len(CONDITIONS))
+    conditions = of_all_seeds(main or (None,) * len(CONDITIONS))
     with _of_one_seed(ledger, demanded, database, main) as narrowed:
-        relations |= {name: narrowed.table(sql, setting) for name, sql in MAIN_SQL.items()}
+        relations |= {name: narrowed.table(sql, conditions) for name, sql in MAIN_SQL.items()}
     share = None if drawn is None or not_judged else drawn.table
     head = ledger_head(database, main[CONDITIONS.index("model_version")] if main else None)
     return Part(head, tuple(numbers), relations), judge.why_unjudged(*pair), share

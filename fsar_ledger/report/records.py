@@ -1,4 +1,4 @@
-"""Lay out what the studies left on record, where it is of the model and the constants of the runs that are shown."""
+"""Lay out the recorded results of the studies, where they have the model and the constants of the runs shown."""
 
 from collections.abc import Mapping
 from importlib.resources.abc import Traversable
@@ -32,14 +32,14 @@ MAX_NAMED = 5  # differing constants that a message names
 
 
 class DeclaredDial(msgspec.Struct, frozen=True):
-    """A dial of a published system, and the value at which it stands unless it is turned."""
+    """A dial of a published system, and its declared value."""
 
     dial: str
     declared: int
 
 
 class Drawn(msgspec.Struct, frozen=True):
-    """What a study drew: so many points or repetitions, of so many runs, and what it found of them as a whole.
+    """The sample of a study: the number of points or repetitions, the runs of each, and the overall findings.
 
     `plausible` is of the ensemble, the rest of the placebo (as in `robustness.Placebo`).
     """
@@ -53,11 +53,11 @@ class Drawn(msgspec.Struct, frozen=True):
 
 
 def robustness(findings: Findings, folder: Traversable | None = None) -> dict[str, pa.Table]:
-    """Return what `study run ranking`, `ensemble`, `placebo` and `systems` left in this folder, as relations.
+    """Return the results of `study run ranking`, `ensemble`, `placebo` and `systems` in this folder, as relations.
 
-    Without a folder, it is what the package holds.
+    Without a folder, they are the packaged ones.
 
-    Results of another model than these runs' are left out, and but for the ranking those of other constants.
+    Results of another model than these runs' are left out, and, except for the ranking, those of other constants.
     """
     prior, around, control = packaged(Ranking, folder), packaged(Ensemble, folder), packaged(Placebo, folder)
     systems = packaged(Systems, folder)
@@ -80,24 +80,28 @@ def robustness_relations(
     Without a result its relations have no rows.
     """
     return {
-        "prior": arrow([Drawn(one.sample.size, one.sample.runs) for one in [prior] if one], Drawn),
+        "prior": arrow([Drawn(result.sample.size, result.sample.runs) for result in [prior] if result], Drawn),
         "prior_ranks": arrow(prior.ranks if prior else (), RankCounts),
-        "around": arrow([Drawn(one.sample.size, one.sample.runs, one.plausible) for one in [around] if one], Drawn),
+        "around": arrow(
+            [Drawn(result.sample.size, result.sample.runs, result.plausible) for result in [around] if result], Drawn
+        ),
         "around_ranks": arrow(around.ranks if around else (), RankCounts),
         "around_cells": arrow(around.cells if around else (), CellSpread),
         "around_signs": arrow(around.signs if around else (), SignCount),
         "placebo": arrow(
             [
-                Drawn(one.sample.size, one.sample.runs, None, one.pairs, one.alpha, one.largest_difference)
-                for one in [control]
-                if one
+                Drawn(
+                    result.sample.size, result.sample.runs, None, result.pairs, result.alpha, result.largest_difference
+                )
+                for result in [control]
+                if result
             ],
             Drawn,
         ),
         "rejections": arrow(control.tests if control else (), Rejections),
         "system_numbers": arrow(systems.numbers if systems else (), SystemNumber),
         "system_grades": arrow(systems.grades if systems else (), SystemGrade),
-        "declared_dials": arrow([DeclaredDial(one, _declared(one)) for one in TRIED if systems], DeclaredDial),
+        "declared_dials": arrow([DeclaredDial(dial, _declared(dial)) for dial in TRIED if systems], DeclaredDial),
         "system_held": arrow(systems.held if systems else (), HeldRank),
     }
 
@@ -110,13 +114,13 @@ def _declared(dial: str) -> int:
 
 # See docs/decisions/fit-is-registered-first.md.
 def judged(findings: Findings, folder: Traversable | None = None) -> Comparison | None:
-    """Return the result in this folder (default: the packaged one), None if absent, or of another model or constants.
+    """Return the result in this folder (default: the packaged one); None if absent, or of another model or constants.
 
     Raises: FsarLedgerError if the file is not such a result.
     """
-    if (found := packaged(Comparison, folder)) is None:
+    if (comparison := packaged(Comparison, folder)) is None:
         return None
-    return found if _is_of_these_runs(found, findings) else None
+    return comparison if _is_of_these_runs(comparison, findings) else None
 
 
 def _is_of_these_runs(record: Comparison | Ensemble | Placebo | Systems, findings: Findings) -> bool:
@@ -125,9 +129,9 @@ def _is_of_these_runs(record: Comparison | Ensemble | Placebo | Systems, finding
 
 
 def fit_changed(findings: Findings, record: Calibration | None) -> str | None:
-    """Say that the record of the fit is of another model or constants than these runs, or of other queries.
+    """Return that the record of the fit is of another model or constants than these runs, or of other queries.
 
-    None if it is of theirs, or if either is missing.
+    None if it is of the same, or if either is missing.
     """
     versions = [findings.model_version] if findings.model_version else list(findings.model_versions)
     if record is None or not versions:
@@ -137,8 +141,8 @@ def fit_changed(findings: Findings, record: Calibration | None) -> str | None:
         unknown = "a model whose version is not on record"
         fitted = unknown if record.model_version is None else f"model version {words(record.model_version)}"
         return f"The model has changed since the fit: the constants were fitted to {fitted}, and these runs are {ran}."
-    if own := own_constants(findings.parameters).to_pylist():
-        names = printable.some(words(row["name"]) for row in own)
+    if own_rows := own_constants(findings.parameters).to_pylist():
+        names = printable.some(words(row["name"]) for row in own_rows)
         return f"These runs have constants of their own, not those of the fit: {names}."
     if record.rules is None:
         return "The record of the fit does not say which queries judged its runs."
@@ -148,7 +152,7 @@ def fit_changed(findings: Findings, record: Calibration | None) -> str | None:
 
 def fit_relations(findings: Findings, record: Calibration | None) -> dict[str, pa.Table]:
     """Return the record of the fit as two relations: its one row (none without a record), and its constants."""
-    given, record = record, record or Calibration()
+    recorded, record = record, record or Calibration()
     objective = record.objective
     row = {
         "constants": len(record.parameters),
@@ -159,36 +163,41 @@ def fit_relations(findings: Findings, record: Calibration | None) -> dict[str, p
         "runs_per_scenario": record.runs_per_scenario,
         "evaluations": record.evaluations,
         "model_version": record.model_version,
-        "identified": sum(one.identified for one in record.directions),
+        "identified": sum(direction.identified for direction in record.directions),
         "directions": len(record.directions),
         "command": record.command,
         "is_of_these_runs": fit_changed(findings, record) is None,
     }
-    fitted = [msgspec.structs.asdict(one) for one in record.parameters]
-    held = pa.Table.from_pylist([row]).slice(0, 0 if given is None else 1)
-    return {"fit": held} | ({"fitted": pa.Table.from_pylist(fitted)} if fitted else {})
+    fitted = [msgspec.structs.asdict(direction) for direction in record.parameters]
+    table = pa.Table.from_pylist([row]).slice(0, 0 if recorded is None else 1)
+    return {"fit": table} | ({"fitted": pa.Table.from_pylist(fitted)} if fitted else {})
 
 
 def predictions(found: Comparison | None) -> dict[str, pa.Table]:
-    """Return what became of the registered predictions, and which queries judge otherwise since, as relations."""
+    """Return the outcomes of the registered predictions, and the queries that have changed since, as relations."""
     if found is None or not found.predictions:
         return {}
     rows = [
-        {"name": one.name, "implies": one.implies, "checks": f"{one.held} of {one.of}", "holds": one.holds}
-        for one in found.predictions
+        {
+            "name": outcome.name,
+            "implies": outcome.implies,
+            "checks": f"{outcome.held} of {outcome.of}",
+            "holds": outcome.holds,
+        }
+        for outcome in found.predictions
     ]
     later = pa.table({"name": pa.array(changed(found.rules), pa.string())})
     return {"predictions": pa.Table.from_pylist(rows), "changed_since": later}
 
 
 def effects_of(findings: Findings, given: Sensitivity | None) -> tuple[dict[str, pa.Table], str | None]:
-    """Return the effects of the constants that matter most as relations, and why given ones are not of these runs."""
+    """Return the effects of the constants that matter most as relations, or why those given are not of these runs."""
     if given is None:
         return {}, None
     expected = findings.model_version
     if given.model_version != expected:
-        found, wanted = (printable.value(one or "unknown") for one in (given.model_version, expected))
-        return {}, _not_these(f"found effects of model {found}, expected those of model {wanted}")
+        actual, wanted = (printable.value(version or "unknown") for version in (given.model_version, expected))
+        return {}, _not_these(f"found effects of model {actual}, expected those of model {wanted}")
     theirs = dict(flat("", read_parameters(given.parameters)))
     differing = [
         name for name in {**theirs, **findings.parameters} if theirs.get(name) != findings.parameters.get(name)
@@ -205,9 +214,9 @@ def effects_of(findings: Findings, given: Sensitivity | None) -> tuple[dict[str,
         "still": sum(furthest == 0 for furthest in reach(given).values()),
     }
     later = pa.table({"name": pa.array(changed(given.rules), pa.string())})
-    found_rows = [{**row, "position": at} for at, row in enumerate(dozen(given))]
-    held = {"effects": pa.Table.from_pylist(found_rows)} if found_rows else {}
-    return held | {"study": pa.Table.from_pylist([study]), "effects_changed": later}, None
+    found_rows = [{**row, "position": position} for position, row in enumerate(dozen(given))]
+    relations = {"effects": pa.Table.from_pylist(found_rows)} if found_rows else {}
+    return relations | {"study": pa.Table.from_pylist([study]), "effects_changed": later}, None
 
 
 def _not_these(why: str) -> str:
@@ -215,7 +224,7 @@ def _not_these(why: str) -> str:
 
 
 def own_constants(parameters: Mapping[str, str]) -> pa.Table:
-    """Return the constants of the runs whose value is not this version's, with the latter; NULL: it has none."""
+    """Return the constants of the runs whose value differs from this version's, with the latter; NULL: it has none."""
     ours = dict(flat("", msgspec.json.decode(write_constants(Constants()))))
     rows = [(name, value, ours.get(name)) for name, value in parameters.items() if ours.get(name) != value]
     names, values, defaults = zip(*rows, strict=True) if rows else ((), (), ())
@@ -230,7 +239,7 @@ def own_constants(parameters: Mapping[str, str]) -> pa.Table:
 
 def notes(findings: Findings, record: Calibration | None, effects_said: str | None) -> list[str]:
     """Return what a reader must know before the numbers, the most important first."""
-    said = [
+    texts = [
         findings.unjudged,
         fit_changed(findings, record) and f"{fit_changed(findings, record)} So no number counts as fitted.",
         findings.shown,
@@ -238,5 +247,5 @@ def notes(findings: Findings, record: Calibration | None, effects_said: str | No
     ]
     if findings.differing:
         pairs = "Not every pair of runs met the same world. Such pairs have no part in any paired number"
-        said.insert(0, f"{pairs}: {'; '.join(findings.differing)}.")
-    return [one for one in said if one]
+        texts.insert(0, f"{pairs}: {'; '.join(findings.differing)}.")
+    return [text for text in texts if text]

@@ -2,10 +2,10 @@
 
 The same rows give the same bytes.
 
-Texts from a ledger are escaped and cut (`figures.label`), and only as many steps are drawn as keep a figure below a
+Texts from a ledger are escaped and cut (`figures.label`), and the number of steps is limited to keep a figure below a
 megabyte; the rest is counted. `sequence` draws life lines and messages (`queries/audit/request_timeline.sql`), `ladder`
-the levels of recovery (`queries/audit/failure_timeline.sql`), `arcs` events and what joins them. Lengths are in inches;
-a figure grows with its rows.
+the levels of recovery (`queries/audit/failure_timeline.sql`), `arcs` events and their links. Lengths are in inches; a
+figure grows with its rows.
 """
 
 import textwrap
@@ -23,8 +23,8 @@ LETTER = 0.056  # width of a letter of that size in inches, slightly above the m
 LINE = 0.135  # height of a line of text
 TIME = 1.2  # left columns, for the times and the positions in the run (seq)
 LANE = 1.55  # between two life lines
-AGENT_LANE = 1.15  # the same in a figure with many
-DEED = 2.4  # the widest text of a deed
+AGENT_LANE = 1.15  # the same in a figure with many life lines
+DEED = 2.4  # the maximum width of a deed's text
 HEAD = 0.45
 TEXT: dict[str, Any] = {"fontsize": FONT, "parse_math": False}
 ARROW: dict[str, Any] = {"arrowstyle": "-|>", "shrinkA": 0, "shrinkB": 0}
@@ -52,19 +52,19 @@ TRIGGER, READS, ROOT = "#1f4e79", "#b07a2a", "#f3e6f0"
 
 # See docs/decisions/verdicts-are-not-logged.md. Python only draws.
 def drawable(rows: Sequence[Row]) -> tuple[list[dict[str, Any]], str]:
-    """Return the steps to draw, with their texts as a figure shows them, and a line that counts the others.
+    """Return the steps to draw, with their texts ready for a figure, and a line that counts the others.
 
     The line is empty if there are no others.
     """
     drawn: list[dict[str, Any]] = []
-    letters = 0
+    characters = 0
     for row in rows[:MAX_STEPS]:
         step = {
             name: figures.label(value, MAX_NAME if name in NAMES else MAX_WORDS) if isinstance(value, str) else value
             for name, value in row.items()
         }
-        letters += sum(len(value) for value in step.values() if isinstance(value, str))
-        if drawn and letters > MAX_LETTERS:
+        characters += sum(len(value) for value in step.values() if isinstance(value, str))
+        if drawn and characters > MAX_LETTERS:
             break
         drawn.append(step)
     return drawn, f"... and {len(rows) - len(drawn):,} more steps, which are not drawn" if len(drawn) < len(
@@ -78,12 +78,12 @@ def _in_lanes(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     if len(names) <= MAX_LANES:
         return rows
     others = f"{len(names) - MAX_LANES + 1:,} others"
-    lane = {name: name if at < MAX_LANES - 1 else others for at, name in enumerate(names)}
+    lane = {name: name if position < MAX_LANES - 1 else others for position, name in enumerate(names)}
     return [row | {side: lane.get(row[side] or NOBODY, others) for side in ("sender", "receiver")} for row in rows]
 
 
 def lanes(rows: Sequence[Row]) -> list[str]:
-    """Return the principals in order of appearance; one lane stands for all that the record leaves open."""
+    """Return the principals in order of appearance; one lane stands for all that are not on record."""
     named = [
         row[side] or NOBODY
         for row in rows
@@ -104,33 +104,33 @@ def sequence(rows: Sequence[Row], kind: str = "svg") -> bytes:
 
 @contextmanager
 def drawn_sequence(rows: Sequence[Row]) -> Iterator[Any]:
-    """Yield the figure of `sequence` with its settings in force, to be rendered or measured."""
+    """Yield the figure of `sequence` with its settings active, to be rendered or measured."""
     drawn, more = drawable(rows)
     rows = _in_lanes(drawn)
     names = lanes(rows)
     step = LANE if len(names) <= 5 else AGENT_LANE
-    at = {name: TIME + 0.55 + step * position for position, name in enumerate(names)}
+    centre_of = {name: TIME + 0.55 + step * position for position, name in enumerate(names)}
     deeds = (row for row in rows if row["kind"] == "deed")
-    ends = [at[row["sender"] or NOBODY] + 0.2 + min(LETTER * len(_words(row)), DEED) for row in deeds]
-    width = max(max(at.values()) + step / 2, *ends, 0.0)
-    texts = [_lines(row, at) for row in rows]
+    ends = [centre_of[row["sender"] or NOBODY] + 0.2 + min(LETTER * len(_words(row)), DEED) for row in deeds]
+    width = max(max(centre_of.values()) + step / 2, *ends, 0.0)
+    texts = [_lines(row, centre_of) for row in rows]
     heights = [_height(row, lines) for row, lines in zip(rows, texts, strict=True)]
     tops = [HEAD + 0.08 + sum(heights[:position]) for position in range(len(rows))]
     height = HEAD + 0.2 + sum(heights) + (LINE if more else 0)
     with figures.plain_canvas(width, height) as (figure, axes):
-        for name, x in at.items():
+        for name, x in centre_of.items():
             axes.plot([x, x], [HEAD, height - 0.05], color="#bbbbbb", linewidth=0.8, zorder=1)
             fill, words = FILLS.get(name.partition("/")[0], "white"), name.replace("/", "\n", 1)
             _box(axes, x, HEAD - 0.2, step - 0.1, 0.34, fill, words, weight="bold")
-        before = None
+        previous = None
         for row, lines, top, room in zip(rows, texts, tops, heights, strict=True):
             time = f"{row['time_s']:.3f} s"
             level = top + room - 0.06 if row["kind"] == "message" else top + room / 2
-            if time != before:
+            if time != previous:
                 axes.text(0.08, level, time, ha="left", va="center", color=QUIET, **TEXT)
             axes.text(TIME, level, f"{row['seq']}", ha="right", va="center", color=QUIET, **TEXT)
-            before = time
-            _step(axes, row, lines, at, top, room)
+            previous = time
+            _step(axes, row, lines, centre_of, top, room)
         if more:
             axes.text(0.08, height - 0.1, more, ha="left", va="center", color=QUIET, **TEXT)
         yield figure
@@ -140,24 +140,26 @@ def _words(row: Row) -> str:
     return str(row["message"]) if row["note"] is None else f"{row['message']} ({row['note']})"
 
 
-def _lines(row: Row, at: Mapping[str, float]) -> list[str]:
-    """Wrap the text of the row to the room that it has."""
+def _lines(row: Row, centre_of: Mapping[str, float]) -> list[str]:
+    """Wrap the text of the row to its width."""
     if row["kind"] == "evaluation":
-        said = [row["message"], *(row["note"].split("; ") if row["note"] else ())]
-        return [part for one in said for part in (textwrap.wrap(one, MAX_LINE) if len(one) > MAX_LINE else [one])]
-    between = (
-        abs(at[row["receiver"] or NOBODY] - at[row["sender"] or NOBODY]) - 0.15 if row["kind"] == "message" else DEED
+        texts = [row["message"], *(row["note"].split("; ") if row["note"] else ())]
+        return [part for text in texts for part in (textwrap.wrap(text, MAX_LINE) if len(text) > MAX_LINE else [text])]
+    width = (
+        abs(centre_of[row["receiver"] or NOBODY] - centre_of[row["sender"] or NOBODY]) - 0.15
+        if row["kind"] == "message"
+        else DEED
     )
-    return textwrap.wrap(_words(row), max(int(between / LETTER), 12))
+    return textwrap.wrap(_words(row), max(int(width / LETTER), 12))
 
 
 def _height(row: Row, lines: Sequence[str]) -> float:
     return LINE * len(lines) + (0.2 if row["kind"] == "evaluation" else 0.13)
 
 
-def _step(axes: Any, row: Row, lines: Sequence[str], at: Mapping[str, float], top: float, room: float) -> None:
+def _step(axes: Any, row: Row, lines: Sequence[str], centre_of: Mapping[str, float], top: float, room: float) -> None:
     """Draw one message, evaluation or deed."""
-    here = at[row["sender"] or NOBODY]
+    here = centre_of[row["sender"] or NOBODY]
     words = "\n".join(lines)
     style = "--" if not row["is_tied"] else "-"
     paper = {"boxstyle": "square,pad=0.08", "facecolor": "white", "edgecolor": "none"}
@@ -165,7 +167,7 @@ def _step(axes: Any, row: Row, lines: Sequence[str], at: Mapping[str, float], to
         box = max(map(len, lines)) * LETTER + 0.2
         _box(axes, here, top + room / 2, box, room - 0.08, "#efefef", words)
     elif row["kind"] == "message":
-        there = at[row["receiver"] or NOBODY]
+        there = centre_of[row["receiver"] or NOBODY]
         below = top + room - 0.06
         look = {"color": "#1f4e79", "linewidth": 1.0, "linestyle": style, "mutation_scale": 8}
         axes.annotate("", (there, below), (here, below), arrowprops=ARROW | look, zorder=3)
@@ -198,16 +200,16 @@ def _box(
 
 
 def rungs(rows: Sequence[Row]) -> list[Row]:
-    """Return the rows that a ladder shows, without resolutions that only repeat the result of the step before."""
+    """Return the rows of a ladder, without resolutions that only repeat the result of the step before."""
     return [
         row
-        for before, row in zip([None, *rows], rows, strict=False)
-        if row["what"] != "resolved" or before is None or before["result"] not in GOOD_RESULTS
+        for previous, row in zip([None, *rows], rows, strict=False)
+        if row["what"] != "resolved" or previous is None or previous["result"] not in GOOD_RESULTS
     ]
 
 
 def ladder(rows: Sequence[Row], kind: str = "svg") -> bytes:
-    """Draw the recovery of the failures of one action, level below level, with why each level was left. Paper: fig:wf3.
+    """Draw the recovery of one action's failures, level below level, with why each level was left. Paper: fig:wf3.
 
     Each row holds failure, seq, level_number, level, to_level, spent_s, time_s, until_s, what, result, achieved,
     budget_s, decided_by; at least one row.
@@ -218,7 +220,7 @@ def ladder(rows: Sequence[Row], kind: str = "svg") -> bytes:
 
 @contextmanager
 def drawn_ladder(rows: Sequence[Row]) -> Iterator[Any]:
-    """Yield the figure of `ladder` with its settings in force, to be rendered or measured."""
+    """Yield the figure of `ladder` with its settings active, to be rendered or measured."""
     rows, more = drawable(rows)
     shown = rungs(rows)
     box, tall, left, middle = 2.9, 0.3, 1.35, 1.35 + 1.45 + 1.45
@@ -248,7 +250,7 @@ def _levels(axes: Any, shown: Sequence[Row], heights: Sequence[float], left: flo
     """Draw the name of each level beside its steps, and how long recovery stayed there."""
     placed = list(zip(shown, heights, strict=True))
     for (failure, number, level), group in groupby(
-        placed, key=lambda one: (one[0]["failure"], one[0]["level_number"], one[0]["level"])
+        placed, key=lambda placed_row: (placed_row[0]["failure"], placed_row[0]["level_number"], placed_row[0]["level"])
     ):
         rows = list(group)
         first, last = rows[0][1] - tall / 2, rows[-1][1] + tall / 2
@@ -261,13 +263,13 @@ def _levels(axes: Any, shown: Sequence[Row], heights: Sequence[float], left: flo
 
 
 def _rung(row: Row, rows: Sequence[Row]) -> str:
-    """Say who took which step; for a level that is left, why."""
+    """Return who took which step; for leaving a level, why."""
     if row["to_level"] is None:
         return f"{row['decided_by']}: {row['what']}" if row["decided_by"] else str(row["what"])
     mates = [
-        one
-        for one in rows
-        if (one["failure"], one["level"]) == (row["failure"], row["level"]) and one["budget_s"] is not None
+        other
+        for other in rows
+        if (other["failure"], other["level"]) == (row["failure"], row["level"]) and other["budget_s"] is not None
     ]
     budget = f" ({printable.number(mates[0]['budget_s'])} s, {len(mates)})" if mates else ""
     return "\n".join(textwrap.wrap(f"{row['result'] or row['what']}{budget}", 52))
@@ -280,7 +282,7 @@ def _outcome(row: Row) -> str:
 
 
 def arcs(rows: Sequence[Row], links: Sequence[tuple[int, int, bool]], asked: int, kind: str) -> bytes:
-    """Draw events in order of time, the last of them as many as fit, joined by arcs: what the asked one rests on.
+    """Draw events in order of time, the last that fit, joined by arcs: what the event `asked` rests on.
 
     Each row holds seq, time_s, words, and read: what the decision in question read of the event. Each link has a cause,
     its effect, and whether that was triggered (blue) or read what the cause wrote (brown).
@@ -292,8 +294,8 @@ def arcs(rows: Sequence[Row], links: Sequence[tuple[int, int, bool]], asked: int
     tops = {row["seq"]: top for row, top in zip(shown, starts, strict=True)}
     with figures.plain_canvas(ARCS + ARC_TIME + ARC_SEQ + ARC_WORDS + ARC_READ, end + 0.1) as (figure, axes):
         left_out = f"; {len(rows) - len(shown):,} earlier events are not drawn" if len(shown) < len(rows) else ""
-        said = f"blue: triggered; brown: wrote what was read{left_out}"
-        axes.text(ARCS, 0.08, said, color=QUIET, va="top", linespacing=1.1, **TEXT)
+        legend = f"blue: triggered; brown: wrote what was read{left_out}"
+        axes.text(ARCS, 0.08, legend, color=QUIET, va="top", linespacing=1.1, **TEXT)
         for row, (words, read) in zip(shown, texts, strict=True):
             _event(axes, row, tops[row["seq"]], words, read, is_asked=row["seq"] == asked)
         for cause, effect, is_trigger in links:
@@ -322,7 +324,7 @@ def _event(axes: Any, row: Row, top: float, words: Sequence[str], read: Sequence
 
 
 def _arc(axes: Any, above: float, below: float, height: float, colour: str) -> None:
-    """Draw an arc at the left from one row down to another, the wider the longer it is."""
+    """Draw an arc at the left from one row down to another; longer arcs are wider."""
     from matplotlib.patches import PathPatch
     from matplotlib.path import Path
 

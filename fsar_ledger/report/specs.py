@@ -1,9 +1,9 @@
-"""Define what a section of the report is made of, and read the packaged files of `reports/`.
+"""Define the structure of a section of the report, and read the packaged files of `reports/`.
 
-A section is data (`reports/sections/*.toml`): a title and its parts in order. A part says which rows it shows, as a
-SELECT over the relations that `relations.toml` and `Findings` define, and in which of five shapes: text, table, bars,
-curve or sequence. The only numbers under `reports/` are the paper's own (`paper/*.csv`, `quotes.toml`) and the records
-of studies.
+A section is data (`reports/sections/*.toml`): a title and its parts in order. A part gets its rows from a SELECT over
+the relations that `relations.toml` and `Findings` define, and has one of five shapes: text, table, bars, curve or
+sequence. The only numbers under `reports/` are the paper's own (`paper/*.csv`, `quotes.toml`) and the records of
+studies.
 """
 
 import csv
@@ -19,7 +19,7 @@ Kind = Literal["paper", "audit"]
 
 
 class Column(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """One column of a table: which value it shows, under which heading, in which format (`printing.FORMATS`).
+    """One column of a table: the key of its value, its heading, and its format (`printing.FORMATS`).
 
     `digits` counts decimals; with `group` a value is printed only where it differs from the row above; an `optional`
     column is left out where no row has a value.
@@ -35,7 +35,7 @@ class Column(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Part(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag_field="shape", tag=str.lower):
-    """What all parts have: the SELECT. A part without rows, or whose relations no ledger gives, is left out."""
+    """Common to all parts: the SELECT. A part without rows, or with a missing relation, is left out."""
 
     rows: str | None = None
 
@@ -43,8 +43,8 @@ class Part(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
 class Text(Part, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Typst markup with `{name}` for each value, printed once for each row; without `rows`, once.
 
-    `follows` puts it into the paragraph of the text before; `id` names it for tests. Without `rows` it does not make a
-    section worth printing.
+    `follows` appends it to the paragraph of the text before; `id` names it for tests. A section that has only texts
+    without `rows` is not printed.
     """
 
     text: str
@@ -64,7 +64,7 @@ class Table(Part, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
 
 class Figure(Part, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What all figures have: caption, alternative text, size in inches, and the packaged query behind its numbers."""
+    """Common to all figures: caption, alternative text, size in inches, and the packaged query behind its numbers."""
 
     name: str
     title: str
@@ -87,7 +87,7 @@ class Bars(Figure, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
 
 class Curve(Figure, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Lines with intervals in panels (`figures.curve`); `styles` says what the style of a line means, for the legend.
+    """Lines with intervals in panels (`figures.curve`); `styles` has the meaning of each line style, for the legend.
 
     A scale of 2 or 10 is logarithmic, with this base.
     """
@@ -103,7 +103,7 @@ class Curve(Figure, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
 
 class Sequence(Figure, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Who told whom what (`sequence.sequence`), or with `ladder` what recovery tried (`sequence.ladder`)."""
+    """The messages of a request (`sequence.sequence`), or with `ladder` the steps of recovery (`sequence.ladder`)."""
 
     ladder: bool = False
 
@@ -125,9 +125,9 @@ def text(*path: str) -> str:
 
 
 class Titles(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What a document is called: in the PDF and above each page, on the first page, and the line below.
+    """The titles of a document: in the PDF and above each page, on the first page, and the line below.
 
-    `breaks`: its first page has nothing but the section without a title, where that has room on it.
+    `breaks`: its first page has only the section without a title, if that fits on it.
     """
 
     title: str
@@ -147,7 +147,7 @@ def sections(folder: str = "sections") -> dict[str, Section]:
 
     The folder is `sections` for the paper's report, `audit` for the audit report.
     """
-    names = sorted(one.name for one in files("fsar_ledger.reports").joinpath(folder).iterdir())
+    names = sorted(entry.name for entry in files("fsar_ledger.reports").joinpath(folder).iterdir())
     return {
         name.removesuffix(".toml"): msgspec.toml.decode(text(folder, name), type=Section)
         for name in names
@@ -156,14 +156,14 @@ def sections(folder: str = "sections") -> dict[str, Section]:
 
 
 def relations(file: str = "relations.toml") -> dict[str, str]:
-    """Return the relations that several sections share, in the order in which they rest on each other."""
+    """Return the relations that several sections share, each after those that it reads."""
     return dict(tomllib.loads(text(file)))
 
 
 def rows(name: str) -> list[dict[str, Any]]:
     """Return the entries of a packaged list, a TOML file with one array of tables."""
-    [found] = tomllib.loads(text(f"{name}.toml")).values()
-    return list(found)
+    [entries] = tomllib.loads(text(f"{name}.toml")).values()
+    return list(entries)
 
 
 def quotes() -> list[dict[str, Any]]:
@@ -173,7 +173,7 @@ def quotes() -> list[dict[str, Any]]:
 
 
 def labels() -> list[dict[str, str]]:
-    """Return what the report calls the names of the queries, with their kind."""
+    """Return the report's labels for names in the queries, with their kind."""
     kinds = tomllib.loads(text("labels.toml"))
     return [
         {"kind": kind, "name": name, "label": label} for kind, names in kinds.items() for name, label in names.items()

@@ -13,9 +13,9 @@ from fsar_ledger.report import figures
 
 COLUMNS = 2
 CURVE, MARK, GAP = 10.0, 1.0, 2.5
-"""Heights in parts of a panel: of a curve, of one line of marks, and of the space below."""
+"""Relative heights: of a curve, of one line of marks, and of the space below."""
 PLACE = {"left": 0.213, "right": 0.99, "bottom": 0.025, "top": 0.98, "wspace": 0.79, "hspace": 0.04}
-"""Where the panels stand. A computed layout would differ in its last digits from process to process."""
+"""The position of the panels. A computed layout would differ in its last digits between processes."""
 SMALL = 6.5  # points
 OURS: dict[str, Any] = {"color": "#999999", "linewidth": 0.8, "linestyle": (0, (3, 2)), "zorder": 1}
 PAPER: dict[str, Any] = figures.DIAMOND | {"markersize": 3.5, "markeredgewidth": 0.8, "zorder": 4}
@@ -28,11 +28,11 @@ def curves(found: Multiverse) -> bytes:
     """Draw for each metric the means of the architectures under each combination of readings.
 
     Marks below each combination show its readings. The runs are those of the first setting, which is that of the
-    paper's table where the ledger has it. Combinations are ordered by FSAR's lead.
+    paper's table if the ledger has it. Combinations are ordered by FSAR's lead.
     """
-    chosen = [spec for spec in published_metrics() if any(one.metric == spec.name for one in found.universes)]
-    pairs = [chosen[at : at + COLUMNS] for at in range(0, len(chosen), COLUMNS)] or [[]]
-    moving = {spec.name: [one for one in found.readings if spec.name in one.moves] for spec in chosen}
+    chosen = [spec for spec in published_metrics() if any(universe.metric == spec.name for universe in found.universes)]
+    pairs = [chosen[index : index + COLUMNS] for index in range(0, len(chosen), COLUMNS)] or [[]]
+    moving = {spec.name: [reading for reading in found.readings if spec.name in reading.moves] for spec in chosen}
     ratios = [
         ratio
         for pair in pairs
@@ -51,7 +51,10 @@ def curves(found: Multiverse) -> bytes:
                 columns = ordered(found.universes, spec)
                 _curve(axes[3 * row, column], spec, columns, printed(found.cells, spec))
                 _marks(
-                    axes[3 * row + 1, column], moving[spec.name], columns, max(len(moving[one.name]) for one in pair)
+                    axes[3 * row + 1, column],
+                    moving[spec.name],
+                    columns,
+                    max(len(moving[other.name]) for other in pair),
                 )
         figure.legend(*_legend(), loc="lower center", ncols=len(figures.COLOURS) + 2, frameon=False)
         return figures.rendered(figure)
@@ -62,19 +65,19 @@ def ordered(universes: Sequence[Universe], spec: Metric) -> list[Column]:
 
     The smallest lead comes first; ties are ordered by their readings.
     """
-    mine = [one for one in universes if one.metric == spec.name]
-    place = [getattr(mine[0], name) for name in CONDITIONS] if mine else []
+    of_metric = [universe for universe in universes if universe.metric == spec.name]
+    setting = [getattr(of_metric[0], name) for name in CONDITIONS] if of_metric else []
     means: dict[ReadingNames, dict[str, float]] = {}
-    for one in mine:
-        if [getattr(one, name) for name in CONDITIONS] == place:
-            found = means.setdefault(one.readings, {})
-            if one.mean is not None and one.architecture in figures.COLOURS:
-                found[one.architecture] = one.mean * spec.factor
-    return sorted(means.items(), key=lambda each: (lead(each[1], spec.better), len(each[0]), each[0]))
+    for universe in of_metric:
+        if [getattr(universe, name) for name in CONDITIONS] == setting:
+            by_architecture = means.setdefault(universe.readings, {})
+            if universe.mean is not None and universe.architecture in figures.COLOURS:
+                by_architecture[universe.architecture] = universe.mean * spec.factor
+    return sorted(means.items(), key=lambda entry: (lead(entry[1], spec.better), len(entry[0]), entry[0]))
 
 
 def lead(means: dict[str, float], better: str) -> float:
-    """Return by how much FSAR is better than the better of the others; 0 where there is nothing to compare."""
+    """Return by how much FSAR is better than the best of the others; 0 where there is nothing to compare."""
     others = [mean for architecture, mean in means.items() if architecture != "fsar"]
     if "fsar" not in means or not others:
         return 0.0
@@ -82,26 +85,26 @@ def lead(means: dict[str, float], better: str) -> float:
 
 
 def printed(cells: Sequence[Cell], spec: Metric) -> dict[str, float]:
-    """Return what the paper prints for each architecture; empty if it prints nothing for the first setting."""
-    mine = [one for one in cells if one.metric == spec.name]
-    place = [getattr(mine[0], name) for name in CONDITIONS] if mine else []
+    """Return the paper's number for each architecture; empty if it prints none for the first setting."""
+    of_metric = [cell for cell in cells if cell.metric == spec.name]
+    setting = [getattr(of_metric[0], name) for name in CONDITIONS] if of_metric else []
     return {
-        one.architecture: one.paper * spec.factor
-        for one in mine
-        if one.architecture is not None
-        and one.paper is not None
-        and [getattr(one, name) for name in CONDITIONS] == place
+        cell.architecture: cell.paper * spec.factor
+        for cell in of_metric
+        if cell.architecture is not None
+        and cell.paper is not None
+        and [getattr(cell, name) for name in CONDITIONS] == setting
     }
 
 
 def _curve(panel: Any, spec: Metric, columns: Sequence[Column], paper: Mapping[str, float]) -> None:
     """Draw the means of each architecture, and the paper's on the line of our reading.
 
-    Combinations under which FSAR is the best have a shaded ground.
+    Combinations under which FSAR is the best have a shaded background.
     """
     panel.set_visible(True)
     for (architecture, colour), marker in zip(figures.COLOURS.items(), figures.MARKERS.values(), strict=True):
-        points = [(at, means[architecture]) for at, (_, means) in enumerate(columns) if architecture in means]
+        points = [(index, means[architecture]) for index, (_, means) in enumerate(columns) if architecture in means]
         panel.plot(
             *zip(*points, strict=True) if points else ([], []),
             marker=marker,
@@ -110,12 +113,12 @@ def _curve(panel: Any, spec: Metric, columns: Sequence[Column], paper: Mapping[s
             color=colour,
             zorder=3,
         )
-    best = [at for at, (_, means) in enumerate(columns) if lead(means, spec.better) > 0]
+    best = [index for index, (_, means) in enumerate(columns) if lead(means, spec.better) > 0]
     if best:
         panel.axvspan(best[0] - 0.5, best[-1] + 0.5, color=figures.COLOURS["fsar"], alpha=0.08, linewidth=0, zorder=0)
-    at = _frame(panel, columns)
+    ours = _frame(panel, columns)
     for architecture, mean in paper.items():
-        panel.plot(at, mean, **PAPER | {"markeredgecolor": figures.COLOURS[architecture]})
+        panel.plot(ours, mean, **PAPER | {"markeredgecolor": figures.COLOURS[architecture]})
     highest = max([*paper.values(), *(mean for _, means in columns for mean in means.values())], default=1.0)
     panel.set_ylim(0, figures.HEADROOM * highest or 1.0)
     panel.tick_params(axis="y", labelsize=6)
@@ -126,10 +129,10 @@ def _marks(panel: Any, readings: Sequence[Reading], columns: Sequence[Column], l
     """Draw one of `lines` lines for each reading, with a mark below each combination that contains it."""
     panel.set_visible(True)
     for height, reading in enumerate(readings):
-        places = [at for at, (names, _) in enumerate(columns) if reading.name in names]
+        positions = [position for position, (names, _) in enumerate(columns) if reading.name in names]
         panel.plot(
-            places,
-            [height] * len(places),
+            positions,
+            [height] * len(positions),
             marker="|",
             markersize=4,
             markeredgewidth=1.1,
@@ -139,7 +142,9 @@ def _marks(panel: Any, readings: Sequence[Reading], columns: Sequence[Column], l
     _frame(panel, columns)
     panel.set_ylim(lines - 0.4, -0.6)
     panel.set_yticks(
-        range(len(readings)), [f"{one.name.replace('_', ' ')} ({one.reading})" for one in readings], fontsize=SMALL
+        range(len(readings)),
+        [f"{reading.name.replace('_', ' ')} ({reading.reading})" for reading in readings],
+        fontsize=SMALL,
     )
     panel.tick_params(axis="y", length=0)
     panel.spines["bottom"].set_visible(False)
@@ -148,7 +153,7 @@ def _marks(panel: Any, readings: Sequence[Reading], columns: Sequence[Column], l
 
 def _frame(panel: Any, columns: Sequence[Column]) -> int:
     """Make room for every combination, draw the line of our reading, and return its position."""
-    ours = next((at for at, (names, _) in enumerate(columns) if not names), 0)
+    ours = next((position for position, (names, _) in enumerate(columns) if not names), 0)
     panel.axvline(ours, **OURS)
     panel.set_xlim(-0.7, max(len(columns), 1) - 0.3)
     panel.set_xticks([])
@@ -175,24 +180,24 @@ MAX_SHOWN = 46  # factors that fit on a page
 
 
 def heat_map(found: Sensitivity) -> bytes:
-    """Draw the figure cell x factor: how far the factor moves the cell, in margins; dark is far, also in grey.
+    """Draw the heat map of cells and factors: how far the factor moves the cell, in margins; darker is farther.
 
-    A dot marks an effect within chance, a cross a cell that was undefined.
+    A dot marks an effect within chance, a cross an undefined cell.
     """
     shown = [name for name, furthest in reach(found).items() if furthest >= SHOWN_FROM][:MAX_SHOWN] or [
         found.factors[0].name
     ]
     columns = [(spec.name, architecture) for spec in published_metrics() for architecture in PAPER_ARCHITECTURES]
-    at = {(effect.factor, effect.metric, effect.architecture): effect for effect in found.effects}
+    by_cell = {(effect.factor, effect.metric, effect.architecture): effect for effect in found.effects}
     with figures.canvas(7.4, 1.7 + 0.135 * len(shown), 1, 1) as (figure, axes):
         panel = axes[0, 0]
-        _cells(figure, panel, [[at.get((name, *column)) for column in columns] for name in shown])
+        _cells(figure, panel, [[by_cell.get((name, *column)) for column in columns] for name in shown])
         panel.set_yticks(range(len(shown)), [figures.label(name, 60) for name in shown], fontsize=6)
         panel.set_xticks(
             range(len(columns)), [architecture.upper() for _, architecture in columns], rotation=90, fontsize=6
         )
         top = panel.secondary_xaxis("top")
-        titles = [one.short for one in published_metrics()]
+        titles = [metric.short for metric in published_metrics()]
         top.set_xticks([3 * number + 1 for number in range(len(titles))], titles, rotation=25, ha="left", fontsize=7)
         for axis in (panel, top):
             axis.tick_params(length=0)
@@ -207,7 +212,8 @@ def _cells(figure: Any, panel: Any, rows: Sequence[Sequence[Effect | None]]) -> 
     from matplotlib.colors import BoundaryNorm
 
     values = [
-        [math.nan if one is None or one.mu_star_margins is None else one.mu_star_margins for one in row] for row in rows
+        [math.nan if effect is None or effect.mu_star_margins is None else effect.mu_star_margins for effect in row]
+        for row in rows
     ]
     colours = mpl.colormaps["Greys"].resampled(len(BOUNDS) + 1)
     image = panel.imshow(
@@ -218,13 +224,13 @@ def _cells(figure: Any, panel: Any, rows: Sequence[Sequence[Effect | None]]) -> 
         interpolation="nearest",
     )
     for height, row in enumerate(rows):
-        for place, one in enumerate(row):
-            if one is None or one.mu_star_margins is None:
-                panel.plot(place, height, marker="x", markersize=3, color="black", markeredgewidth=0.5)
-            elif one.mu_star_margins >= BOUNDS[0] and one.mu_star_margins <= (one.by_chance_margins or 0.0):
-                dark = one.mu_star_margins >= BOUNDS[3]
+        for column, effect in enumerate(row):
+            if effect is None or effect.mu_star_margins is None:
+                panel.plot(column, height, marker="x", markersize=3, color="black", markeredgewidth=0.5)
+            elif effect.mu_star_margins >= BOUNDS[0] and effect.mu_star_margins <= (effect.by_chance_margins or 0.0):
+                dark = effect.mu_star_margins >= BOUNDS[3]
                 panel.plot(
-                    place, height, marker=".", markersize=2.5, color="white" if dark else "black", markeredgewidth=0
+                    column, height, marker=".", markersize=2.5, color="white" if dark else "black", markeredgewidth=0
                 )
     bar = figure.colorbar(image, ax=panel, location="bottom", fraction=0.03, pad=0.02, aspect=50, ticks=BOUNDS)
     bar.ax.set_xticklabels([f"{bound:g}" for bound in BOUNDS], fontsize=6)

@@ -1,15 +1,15 @@
 """Fits world laws and structural durations to the paper's results table, as registered in `reports/registration.toml`.
 
 The fit is by nonlinear least squares on the 24 cells of `results.csv`, each difference in margins of its metric, with
-common random numbers: every trial meets the same worlds. The loss is robust, so that a cell which the model cannot give
-does not move the constants on which the others depend. Points of a Sobol sequence over the ranges are screened first.
-From each of the best of them a bounded trust region search (`scipy.optimize.least_squares`) takes some steps on few
-runs, and from the end of the best search another continues with more runs. A weak pull to the middle of each range
-settles what the cells leave open.
+common random numbers: every trial meets the same worlds. The loss is robust, so that a cell that the model cannot
+reproduce does not move the constants on which the others depend. Points of a Sobol sequence over the ranges are
+screened first. From each of the best of them a bounded trust region search (`scipy.optimize.least_squares`) takes some
+steps on few runs, and from the end of the best search another continues with more runs. A weak pull to the middle of
+each range settles what the cells leave undetermined.
 
-No other table of the paper is read. A fit is not evidence: the record says how many directions of the constants the 24
-cells identify at all. The constants that it does not touch are not independent of the cells either: `constants.py` says
-of each whether it was chosen after fits.
+No other table of the paper is read. A fit is not evidence: the record gives the number of directions of the constants
+that the 24 cells identify at all. The constants outside the fit are not independent of the cells either:
+`constants.py` notes for each whether it was chosen after fits.
 """
 
 from collections.abc import Callable, Sequence
@@ -51,20 +51,20 @@ def distances(means: Answer) -> Vector:
 
 
 class Judge:
-    """Judges points; `most` is the most that the registered plan asks for."""
+    """Judges points, within the number of evaluations of the registered plan."""
 
     def __init__(self, evaluations: Evaluations) -> None:
         self._evaluations = evaluations
-        most = PLAN.starts * PLAN.rough_steps + PLAN.most_steps
-        evaluations.expected = 1 + PLAN.screened + most * (2 * len(FREE) + 1)
+        most_steps = PLAN.starts * PLAN.rough_steps + PLAN.most_steps
+        evaluations.expected = 1 + PLAN.screened + most_steps * (2 * len(FREE) + 1)
 
     def each(self, points: Sequence[Vector], runs: int) -> list[Vector]:
-        """Return the distances at each point, on this many runs a scenario and architecture."""
-        return [*map(distances, self._evaluations.answers([question_at(one, PLAN.seed, runs) for one in points]))]
+        """Return the distances at each point, on `runs` runs of each scenario and architecture."""
+        return [*map(distances, self._evaluations.answers([question_at(point, PLAN.seed, runs) for point in points]))]
 
 
 class Search(msgspec.Struct, frozen=True):
-    """Where a search began and ended, on how many runs, the objective at both points, and the slopes at its end."""
+    """A search: where it began and ended, its runs, the objective at both points, and the slopes at its end."""
 
     start: Vector
     point: Vector
@@ -79,7 +79,7 @@ def calibrate(
 ) -> None:
     """Fit the constants again as registered, and write the record; takes the better part of an hour.
 
-    An interrupted fit continues from what is kept beside it.
+    An interrupted fit continues from the answers kept beside it.
 
     Raises: As `evaluating`; WriteFailed, WorkerDied.
     """
@@ -88,35 +88,36 @@ def calibrate(
         judge = Judge(evaluations)
         points = screened()
         scores = [
-            objective(found, point) for found, point in zip(judge.each(points, PLAN.screened_runs), points, strict=True)
+            objective(differences, point)
+            for differences, point in zip(judge.each(points, PLAN.screened_runs), points, strict=True)
         ]
         rough = [
             search(judge, points[index], PLAN.rough_runs, PLAN.rough_steps)
             for index in np.argsort(scores, kind="stable")[: PLAN.starts]
         ]
-        best = min(rough, key=lambda one: one.reached)
+        best = min(rough, key=lambda result: result.reached)
         last = search(judge, best.point, PLAN.runs, PLAN.most_steps)
         (begun,) = judge.each([best.start], PLAN.runs)
         accepted = Experiment(PAPER_ARCHITECTURES, SCENARIOS, PLAN.judged_runs, PLAN.seed, constants=at(last.point))
         with simulated([accepted], workers) as database:
             means = means_of(metric_rows(database))
-        result = _result(objective(begun, best.start), best.start, (*rough, last), means)
+        record = _result(objective(begun, best.start), best.start, (*rough, last), means)
         write(
             out,
-            msgspec.structs.replace(result, evaluations=evaluations.count, cpu_minutes=evaluations.cpu_minutes),
+            msgspec.structs.replace(record, evaluations=evaluations.count, cpu_minutes=evaluations.cpu_minutes),
             RESUME_ADVICE,
         )
 
 
 def search(judge: Judge, start: Vector, runs: int, most_steps: int) -> Search:
-    """Go downhill from a point, within the ranges, until a step gains too little or all steps are used."""
+    """Search downhill from a point, within the ranges, until a step gains too little or all steps are used."""
     from scipy.optimize import least_squares
 
     tried: list[float] = []
     steepness: list[Matrix] = []
 
     def residuals(point: Vector) -> Vector:
-        """Return what the search sums the losses of: distances in margins, and the point in half ranges."""
+        """Return the residuals of the loss: distances in margins, and the point in half ranges."""
         (found,) = judge.each([point], runs)
         tried.append(objective(found, point))
         return np.concatenate([found, point])
@@ -136,23 +137,23 @@ def search(judge: Judge, start: Vector, runs: int, most_steps: int) -> Search:
         gtol=None,
         max_nfev=most_steps,
     )
-    # The last Jacobian is that of the point where it ended; scipy weighs its own copy by the loss.
+    # The last Jacobian is that of the final point; scipy weights its own copy by the loss.
     return Search(start, np.asarray(found.x), runs, tried[0], 2.0 * float(found.cost), steepness[-1])
 
 
 # See docs/decisions/fit-is-registered-first.md.
 def screened() -> list[Vector]:
-    """Return the points that are judged first: the middle of all ranges, and a Sobol sequence over them."""
+    """Return the points judged first: the middle of all ranges, and a Sobol sequence over them."""
     return [np.zeros(len(FREE)), *points_over_ranges(PLAN.screened, PLAN.seed)]
 
 
 def objective(found: Vector, point: Vector) -> float:
-    """Return what the fit minimises. Registered in `[fit]`."""
+    """Return the objective of the fit. Registered in `[fit]`."""
     return float(losses(np.concatenate([found, point]) ** 2)[0].sum())
 
 
 def losses(squares: Vector) -> Matrix:
-    """Return the loss of each squared residual and its first two derivatives by the square, as scipy asks for them.
+    """Return the loss of each squared residual and its first two derivatives by the square, in scipy's form.
 
     The residuals are the distances of the 24 cells, whose loss is soft L1, and then the coordinates of the point, whose
     loss is the square itself.
@@ -168,7 +169,7 @@ def losses(squares: Vector) -> Matrix:
 
 
 def weighted_slopes(steepness: Matrix, found: Vector) -> Matrix:
-    """Return the slopes of the cells at these distances, each weighed as the fit's loss weighs it.
+    """Return the slopes of the cells at these distances, each weighted as by the fit's loss.
 
     Their Gram matrix, plus one for each coordinate, is the Gauss-Newton matrix of half the objective.
     """
@@ -183,20 +184,20 @@ def slopes(each: Callable[[list[Vector]], list[Vector]], point: Vector) -> Matri
     """
     ups = [np.clip(point + shift, -1.0, 1.0) for shift in np.eye(len(point)) * STEP]
     downs = [np.clip(point - shift, -1.0, 1.0) for shift in np.eye(len(point)) * STEP]
-    found = each(ups + downs)
+    at_points = each(ups + downs)
     columns = [
         (high - low) / float((up - down).sum())
-        for high, low, up, down in zip(found[: len(point)], found[len(point) :], ups, downs, strict=True)
+        for high, low, up, down in zip(at_points[: len(point)], at_points[len(point) :], ups, downs, strict=True)
     ]
     return np.asarray(np.array(columns).T)
 
 
 def _result(begun: float, start: Vector, searches: Sequence[Search], means: Answer) -> Calibration:
     last = searches[-1]
-    constants, found = at(last.point), distances(means)
-    _, singular, directions = np.linalg.svd(weighted_slopes(last.slopes, found), full_matrices=False)
+    constants, differences = at(last.point), distances(means)
+    _, singular, directions = np.linalg.svd(weighted_slopes(last.slopes, differences), full_matrices=False)
     return Calibration(
-        objective=Objective(PLAN.rule, start=round(begun, 3), accepted=round(objective(found, last.point), 3)),
+        objective=Objective(PLAN.rule, start=round(begun, 3), accepted=round(objective(differences, last.point), 3)),
         seeds=[PLAN.seed],
         runs_per_scenario=PLAN.judged_runs,
         model_version=MODEL_VERSION,
@@ -214,7 +215,7 @@ def _result(begun: float, start: Vector, searches: Sequence[Search], means: Answ
                 distance_margins=round(float(distance), 3),
                 slopes=tuple(round(float(slope), 3) for slope in row),
             )
-            for (metric, architecture), mean, distance, row in zip(CELLS, means, found, last.slopes, strict=True)
+            for (metric, architecture), mean, distance, row in zip(CELLS, means, differences, last.slopes, strict=True)
         ],
         directions=[
             Direction(
@@ -239,7 +240,7 @@ def _result(begun: float, start: Vector, searches: Sequence[Search], means: Answ
 def _parameter(
     free: Free, begun: Constants, constants: Constants, directions: Matrix, singular: Vector, index: int
 ) -> Parameter:
-    """Return the result for a constant, which is identified when the data determine it better than its range does."""
+    """Return the result for a constant, which is identified if the data determine it better than its range does."""
     information = float(((singular * directions[:, index]) ** 2).sum())
     return Parameter(
         name=free.name,

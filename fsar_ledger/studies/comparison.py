@@ -1,8 +1,8 @@
-"""Compares the predictions with what the paper prints, and with what its claims were registered to imply.
+"""Compares the predictions with the paper's numbers, and with the registered implications of its claims.
 
-It reads the result of `predictions.py` and nothing else of ours: nothing is simulated here, and the file is never
-replaced. No program can guarantee that a number was not predicted again after it was compared; `tests/history.py` shows
-it from the commits of the repository.
+It reads only the result of `predictions.py`: nothing is simulated here, and the file is never replaced. No program can
+guarantee that a number was not predicted again after the comparison; `tests/history.py` shows it from the commits of
+the repository.
 """
 
 from collections.abc import Callable, Iterator
@@ -26,24 +26,24 @@ from fsar_ledger.metrics.verdicts import MARGINS, Answer
 from .predictions import CASES, SEEDS
 from .result import require_out, stale, write
 
-SAME = 22  # cells of 24 that must be answered alike whatever the seed; registered as `seeds`
+SAME = 22  # cells of 24 that must have the same answer for any seed; registered as `seeds`
 SUCCESS, LOCALITY, CONFLICTS = "coordination_success", "governance_locality", "authority_conflicts"
-COUNTS = tuple(one.name for one in published_metrics() if one.scale == "count")
-"""Metrics without an upper bound; the others in the ablation table are shares."""
+COUNTS = tuple(metric.name for metric in published_metrics() if metric.scale == "count")
+"""Metrics without an upper bound; the others of the ablation table are shares."""
 TABLES: dict[Table, str] = {"results": CASES, "ablation": "ablation", "ablation_text": "ablation", "scaling": "scaling"}
 """The predictions that each table is compared with, as `PlannedExperiment.of`."""
 
 
 class NotPredicted(Exception):
-    """Raised when a number is not among the predictions; the message says which."""
+    """Raised when a number is not among the predictions; the message names it."""
 
 
 class Numbers:
     """The predicted numbers, by experiment and cell."""
 
     def __init__(self, every: list[Predicted]) -> None:
-        before = Predicted.__struct_fields__.index("mean")  # the fields before it say where a number is from
-        self._by_place = {msgspec.structs.astuple(one)[:before]: one for one in every}
+        mean_index = Predicted.__struct_fields__.index("mean")  # the fields before it identify the number
+        self._by_place = {msgspec.structs.astuple(number)[:mean_index]: number for number in every}
 
     def find(
         self,
@@ -60,9 +60,9 @@ class Numbers:
     ) -> Predicted:
         """Return one prediction. Raises: NotPredicted."""
         place = (of, seed, size, teams, encounter_s, configuration, architecture, scenario, metric)
-        if (found := self._by_place.get(place)) is None:
+        if (predicted := self._by_place.get(place)) is None:
             raise NotPredicted(str(place))
-        return found
+        return predicted
 
     def mean(self, *place: Any, **named: Any) -> float | None:
         """Return the mean of one prediction. Raises: NotPredicted."""
@@ -73,7 +73,7 @@ def judge(predictions: str | PathLike[str], out: str | PathLike[str]) -> None:
     """Compare predicted numbers with the paper's, and write the comparison; nothing is simulated.
 
     Raises:
-        FsarLedgerError: the file is no such record, or lacks a number.
+        FsarLedgerError: the file is not such a record, or lacks a number.
         UsageError: it cannot be read, is of another model or other constants, or `out` is the same file or lies inside
             a ledger.
         WriteFailed: `out` cannot be written.
@@ -81,13 +81,13 @@ def judge(predictions: str | PathLike[str], out: str | PathLike[str]) -> None:
     predictions, out = Path(predictions), Path(out)
     require_out(out)
     require_another(out, f"--out {out}", predictions, "PREDICTIONS")
-    found = read(predictions, Predictions)
-    if differs := stale(found):
+    record = read(predictions, Predictions)
+    if differs := stale(record):
         raise UsageError(
             f"{predictions}: found predictions {differs}; judge them with the version that wrote them, or predict again"
         )
     try:
-        write(out, compared(found))
+        write(out, compared(record))
     except NotPredicted as error:
         raise FsarLedgerError(
             f"{predictions}: found no {error}, expected everything that `{Predictions.MADE_BY}` writes; write it again"
@@ -99,7 +99,8 @@ def compared(found: Predictions) -> Comparison:
     numbers = Numbers(found.numbers)
     cells = [_cell(numbers, place) for table in TABLES for place in printed(table)]
     outcomes = [
-        _outcome(said.name, said.implies, list(CHECKS[said.name](numbers))) for said in registration().prediction
+        _outcome(prediction.name, prediction.implies, list(CHECKS[prediction.name](numbers)))
+        for prediction in registration().prediction
     ]
     return Comparison(
         model_version=found.model_version,
@@ -112,25 +113,25 @@ def compared(found: Predictions) -> Comparison:
 
 def _cell(numbers: Numbers, place: Place) -> Cell:
     where: dict[str, Any] = {"size": place.fleet_size, "configuration": place.configuration, "scenario": place.scenario}
-    found = numbers.find(TABLES[place.table], place.metric, place.architecture, **where)
+    predicted = numbers.find(TABLES[place.table], place.metric, place.architecture, **where)
     one_team = (
         numbers.mean("scaling", place.metric, place.architecture, teams=1, **where) if place.fleet_size > 4 else None
     )
-    paper, said = printed(place.table)[place].value, registration().declaration_for(place.table, place._asdict())
-    judged = verdicts.judge(found, paper)
+    paper, declaration = printed(place.table)[place].value, registration().declaration_for(place.table, place._asdict())
+    judged = verdicts.judge(predicted, paper)
     by_text: dict[str, Answer | None] = {"cannot_follow": "no", "unspecified": None}
     return Cell(
         **place._asdict(),
-        kind=said.kind,
+        kind=declaration.kind,
         paper=paper,
-        ours=found.mean,
+        ours=predicted.mean,
         ours_one_team=one_team,
-        n=found.n,
+        n=predicted.n,
         margin=judged.margin,
         low=judged.low,
         high=judged.high,
         distance=judged.distance,
-        gives=by_text.get(said.kind, judged.gives),
+        gives=by_text.get(declaration.kind, judged.gives),
     )
 
 
@@ -140,7 +141,7 @@ def _outcome(name: str, implies: str, checks: list[Check]) -> Outcome:
     return Outcome(name=name, implies=implies, holds=holds, held=answers.count(True), of=len(answers), checks=checks)
 
 
-# --- what each prediction implies, as registered ---
+# --- the implications of each prediction, as registered ---
 
 
 def _seeds(numbers: Numbers) -> Iterator[Check]:
@@ -152,7 +153,7 @@ def _seeds(numbers: Numbers) -> Iterator[Check]:
 
     first = answers(CASES, None)
     for seed in SEEDS:
-        same = sum(one == other for one, other in zip(first, answers("seeds", seed), strict=True))
+        same = sum(answer == other for answer, other in zip(first, answers("seeds", seed), strict=True))
         yield _check(f"cells answered as with the seeds of the verdicts, with seed {seed}", same, low=SAME)
 
 
@@ -219,15 +220,17 @@ def _encounters(numbers: Numbers) -> Iterator[Check]:
 
 
 def _triples(numbers: Numbers) -> Iterator[Check]:
-    """Yield the checks of triples of mechanisms; where the sum leaves the metric's range, nothing is implied."""
+    """Yield the checks of triples of mechanisms; where the sum is outside the metric's range, nothing is implied."""
     for triple in combinations(MECHANISMS, 3):
         for metric in _ablated():
             full = numbers.mean("ablation", metric)
-            alone = [numbers.mean("ablation", metric, configuration=without([one])) for one in triple]
+            alone = [numbers.mean("ablation", metric, configuration=without([mechanism])) for mechanism in triple]
             together = numbers.mean("triples", metric, configuration=without(triple))
-            known = [one for one in alone if one is not None]
+            known = [value for value in alone if value is not None]
             expected = (
-                None if full is None or len(known) < len(triple) else round(full + sum(one - full for one in known), 9)
+                None
+                if full is None or len(known) < len(triple)
+                else round(full + sum(value - full for value in known), 9)
             )
             if expected is None or (expected >= 0.0 and (metric in COUNTS or expected <= 1.0)):
                 yield _between(f"{metric} {without(triple)}", together, (expected,), MARGINS[metric])

@@ -1,8 +1,7 @@
 """Evaluate the simulator at many settings, and keep the answers in a file until the study is finished.
 
 FILE.partial has a line for each finished evaluation, in any order. An interrupted study loses only what was running;
-and since answers are looked up by their question, a finished study has the same result however often it was
-interrupted.
+since answers are looked up by question, a finished study has the same result however often it was interrupted.
 """
 
 import os
@@ -42,11 +41,11 @@ CELLS: tuple[tuple[str, str], ...] = tuple(
 """The 24 cells of the results table, in the order in which an evaluation answers them."""
 
 Answer = tuple[float | None, ...]
-"""What an evaluation finds, None where it is undefined: a number for each cell, unless a study asks for others."""
+"""The result of an evaluation: a number for each cell (unless a study evaluates others); None where undefined."""
 
 
 class Question(msgspec.Struct, frozen=True):
-    """What to evaluate: so many runs of each scenario and architecture at a setting, in the worlds of a seed."""
+    """What to evaluate: `runs` runs of each scenario and architecture at a setting, in the worlds of a seed."""
 
     setting: Setting
     seed: int
@@ -60,7 +59,7 @@ class Question(msgspec.Struct, frozen=True):
 
 
 def question_at(point: Vector, seed: int, runs: int) -> Question:
-    """Return the question after a point in the registered ranges, for a fleet of four."""
+    """Return the question for a point in the registered ranges, for a fleet of four."""
     return Question(Setting(at(point), 4), seed, runs)
 
 
@@ -80,7 +79,7 @@ def measured(
     fleet_size: int = 4,
     architectures: Sequence[Architecture] = PAPER_ARCHITECTURES,
 ) -> list[MetricRow]:
-    """Return the metrics, computed in SQL, of so many runs of each scenario and architecture, with all in memory."""
+    """Return the metrics, computed in SQL, of `runs` runs of each scenario and architecture, all held in memory."""
     records = [
         simulate_run(RunSpec(seed, architecture, FULL, scenario, fleet_size, run), constants)
         for scenario in SCENARIOS
@@ -111,7 +110,7 @@ def simulated(experiments: Iterable[Experiment], workers: int) -> Iterator[Datab
 
 
 class _Header(msgspec.Struct, frozen=True):
-    """The first line: which program answered."""
+    """The first line: the program that answered."""
 
     package: str
     model_version: str
@@ -124,7 +123,7 @@ PROGRAM = (
     ("fsar_ledger.queries", "*.sql"),
     ("fsar_ledger.reports", "metrics.toml"),
 )
-"""The files on which an answer depends, beside its question."""
+"""The files on which an answer depends, besides its question."""
 
 
 @cache
@@ -139,7 +138,7 @@ def _program() -> str:
 
 
 class _Line(msgspec.Struct, frozen=True):
-    """One answer, and the seconds of one core that it took."""
+    """One answer, and its seconds of CPU time."""
 
     key: str
     values: Answer
@@ -147,7 +146,7 @@ class _Line(msgspec.Struct, frozen=True):
 
 
 class Evaluations:
-    """The evaluations of one study; what is answered is kept beside its result. `evaluating` opens and closes them.
+    """The evaluations of one study; answers are kept beside its result. `evaluating` opens and closes them.
 
     Args:
         path: The file that keeps the answers.
@@ -158,7 +157,7 @@ class Evaluations:
     """
 
     def __init__(self, path: Path, ask: Evaluate, pool: Executor | None, progress: Progress | None, width: int) -> None:
-        """Load the answers in the file, without a last line that an interruption cut.
+        """Load the answers in the file, without a last line cut by an interruption.
 
         Raises:
             UsageError: Another version wrote the file, or it is something else.
@@ -169,7 +168,7 @@ class Evaluations:
         self._used: set[str] = set()
         self._made = 0
         self.expected = 0
-        """How many evaluations the study is expected to need."""
+        """The expected number of evaluations of the study."""
         header = _Header(fsar_ledger.__version__, MODEL_VERSION, _program())
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -194,10 +193,10 @@ class Evaluations:
                     "to begin again"
                 )
             for line in lines[1:]:
-                one = msgspec.json.decode(line, type=_Line)
-                if len(one.values) != self._width:
-                    raise msgspec.ValidationError(f"{len(one.values)} values")
-                self._kept[one.key] = one
+                answer = msgspec.json.decode(line, type=_Line)
+                if len(answer.values) != self._width:
+                    raise msgspec.ValidationError(f"{len(answer.values)} values")
+                self._kept[answer.key] = answer
         except msgspec.MsgspecError as error:
             raise UsageError(
                 f"{self._path}: found a line that is no evaluation ({error}); remove the file, or give another --out"
@@ -207,8 +206,8 @@ class Evaluations:
         self._file.write(msgspec.json.encode(line) + b"\n")
         self._file.flush()
 
-    def _add(self, key: str, found: tuple[Answer, float]) -> None:
-        line = _Line(key, *found)
+    def _add(self, key: str, timed: tuple[Answer, float]) -> None:
+        line = _Line(key, *timed)
         try:
             self._write(line)
         except OSError as error:
@@ -228,12 +227,12 @@ class Evaluations:
         Raises: WriteFailed, WorkerDied.
         """
         keys = [question.key for question in questions]
-        waiting = {key: one for key, one in zip(keys, questions, strict=True) if key not in self._kept}
+        waiting = {key: question for key, question in zip(keys, questions, strict=True) if key not in self._kept}
         if self._pool is None:
             for key, question in waiting.items():
                 self._add(key, _timed(self._ask, question))
         else:
-            futures = {self._pool.submit(_timed, self._ask, one): key for key, one in waiting.items()}
+            futures = {self._pool.submit(_timed, self._ask, question): key for key, question in waiting.items()}
             for future in as_completed(futures):
                 self._add(futures[future], future.result())
         self._used.update(keys)
@@ -241,12 +240,12 @@ class Evaluations:
 
     @property
     def count(self) -> int:
-        """How many evaluations the study has used."""
+        """Return the number of evaluations that the study has used."""
         return len(self._used)
 
     @property
     def cpu_minutes(self) -> float:
-        """The minutes of one core that they took, however often the study was interrupted."""
+        """Return the minutes of CPU time that they took, however often the study was interrupted."""
         return round(sum(self._kept[key].cpu_s for key in self._used) / 60, 1)
 
     def close(self) -> None:
@@ -265,7 +264,7 @@ class Evaluations:
 
 
 def _timed(ask: Evaluate, question: Question) -> tuple[Answer, float]:
-    """Return the answer, and the seconds of one core that it took."""
+    """Return the answer, and its seconds of CPU time."""
     began_s = time.process_time()
     values = ask(question)
     return values, round(time.process_time() - began_s, 3)
@@ -281,7 +280,7 @@ def evaluating(
 ) -> Iterator[Evaluations]:
     """Check that the result can be written, and yield the evaluations of its study.
 
-    They are kept beside it, in FILE.partial, until the caller leaves without an error: it has written the result then.
+    They are kept beside it, in FILE.partial, until the caller exits without an error, having written the result.
 
     Raises:
         UsageError: The result lies inside a ledger, or FILE.partial is of another version or something else.
@@ -289,10 +288,10 @@ def evaluating(
     """
     require_out(out)
     with pool_of(workers) as pool:
-        found = Evaluations(out.with_name(out.name + ".partial"), ask, pool, progress, width)
+        evaluations = Evaluations(out.with_name(out.name + ".partial"), ask, pool, progress, width)
         try:
-            yield found
+            yield evaluations
         except BaseException:
-            found.close()
+            evaluations.close()
             raise
-    found.finish()
+    evaluations.finish()

@@ -2,12 +2,12 @@
 
 Morris: trajectories through the unit cube on which one factor moves at a time. The definitions are those of Morris
 (1991) with the mean of absolute effects of Campolongo et al. (2007), as in SALib; a test compares the numbers with
-SALib's. Two things are ours. Where a cell is undefined at a point, only the two effects that touch the point are
-unknown. And the design is drawn from hashes: trajectory 5 is the same whatever the number of trajectories or the
-version of numpy.
+SALib's. Two things differ from SALib. Where a cell is undefined at a point, only the two effects at that point are
+unknown. And the design is drawn from hashes: trajectory 5 is the same for any number of trajectories and any version
+of numpy.
 
 Sobol indices of a few factors come from a polynomial that emulates the simulator. It is of degree three in each factor
-and has the product of each two. Its terms are orthonormal under the distribution of the design (each factor uniform
+and has the product of each pair. Its terms are orthonormal under the distribution of the design (each factor uniform
 over its range or settings, independent of the others), so the squares of its coefficients are parts of the variance,
 and the indices are sums of them; nothing more is drawn. How well it emulates the simulator is measured by predicting
 each point from all others.
@@ -33,7 +33,7 @@ Matrix = np.ndarray[tuple[int, int], np.dtype[np.float64]]
 
 
 class Effects(msgspec.Struct, frozen=True):
-    """The effects of moving one factor on one cell, over `count` known effects; None if those are fewer than two.
+    """The effects of moving one factor on one cell, over `count` known effects; None if there are fewer than two.
 
     They are mean, mean size, standard deviation and half-width of the 95 % interval of the mean size.
     """
@@ -72,7 +72,7 @@ def _digest(text: str) -> int:
 def elementary_effects(path: Trajectory, outputs: Vector, is_switch: Sequence[bool]) -> Vector:
     """Return the effect of moving each factor on this trajectory, NaN if the cell is undefined before or after.
 
-    It is per whole range of the factor, as if the effect continued beyond the step; for a switch, per change.
+    It is per whole range of the factor, extrapolated from the step; for a switch, per change.
     """
     effects = np.full(len(path.moved), math.nan)
     for step, factor in enumerate(path.moved):
@@ -85,7 +85,7 @@ def elementary_effects(path: Trajectory, outputs: Vector, is_switch: Sequence[bo
 def summary(effects: Vector) -> Effects:
     """Summarise the effects of one factor on one cell over all trajectories; NaN is unknown.
 
-    The interval is what SALib finds by resampling trajectories, computed directly: 1.96 times their standard error.
+    The interval is the one that SALib gets by resampling trajectories, computed directly: 1.96 standard errors.
     """
     known = effects[~np.isnan(effects)]
     if len(known) < LEAST_EFFECTS:
@@ -96,9 +96,9 @@ def summary(effects: Vector) -> Effects:
 
 
 def by_chance(deviation: float, *, is_switch: bool) -> float:
-    """Return the mean size of effects if only chance moved the cell: of two independent means with this SD.
+    """Return the mean size of effects if only chance moved the cell: for two independent means with this SD.
 
-    An upper bound: points of a trajectory meet the same worlds, and much of the chance is common to them.
+    It is an upper bound: points of a trajectory meet the same worlds, and share much of the chance.
     """
     return 2 * deviation / math.sqrt(math.pi) / (1 if is_switch else DELTA)
 
@@ -107,13 +107,13 @@ DEGREE = 3
 GRID = 840  # positions that sample a factor evenly; 2 to 8 settings divide it equally
 PENALTIES = (0.0, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
 LEAST_R2 = 0.8
-"""Below this the polynomial says too little about the simulator, and no index is given."""
+"""Below this the polynomial is too inaccurate, and no index is given."""
 
 
 class Indices(msgspec.Struct, frozen=True):
-    """What each factor contributes to the variance of one cell: alone, and with others.
+    """The contribution of each factor to the variance of one cell: alone, and with others.
 
-    `r2` is of points that the polynomial had not seen. None if the cell does not vary, is undefined at a point, or
+    `r2` is for points that the polynomial had not seen. None if the cell does not vary, is undefined at a point, or
     there are fewer points than terms; the indices also if R2 is below 0.8.
     """
 
@@ -130,7 +130,7 @@ class Terms(msgspec.Struct, frozen=True):
 
 
 def design(points: int, names: Sequence[str]) -> Matrix:
-    """Return so many points of the unit cube, one coordinate a factor: a Sobol sequence, shifted by hashed names."""
+    """Return `points` points of the unit cube, a coordinate per factor: a Sobol sequence, shifted by hashed names."""
     from scipy.stats import qmc
 
     if not points:
@@ -145,35 +145,35 @@ def design(points: int, names: Sequence[str]) -> Matrix:
 def terms(factors: Sequence[Factor], positions: Matrix) -> Terms:
     """Return the terms of the polynomial of these factors, without the constant."""
     columns: list[Vector] = []
-    of: list[tuple[int, ...]] = []
+    factors_of: list[tuple[int, ...]] = []
     linear: dict[int, Vector] = {}
     for number, factor in enumerate(factors):
         powers = _orthonormal(factor, positions[:, number])
         columns += list(powers)
-        of += [(number,)] * len(powers)
+        factors_of += [(number,)] * len(powers)
         linear[number] = powers[0]
-    for one, other in combinations(range(len(factors)), 2):
-        columns.append(linear[one] * linear[other])
-        of.append((one, other))
-    return Terms(np.array(columns).T.reshape(len(positions), len(of)), tuple(of))
+    for first, second in combinations(range(len(factors)), 2):
+        columns.append(linear[first] * linear[second])
+        factors_of.append((first, second))
+    return Terms(np.array(columns).T.reshape(len(positions), len(factors_of)), tuple(factors_of))
 
 
 def _orthonormal(factor: Factor, positions: Vector) -> list[Vector]:
     """Return polynomials of the factor at these positions, orthonormal and with mean 0 under its distribution.
 
-    There are as many as its settings can tell apart.
+    There are as many as its settings can distinguish.
     """
     grid = _coordinates(factor, (np.arange(GRID) + 0.5) / GRID)
-    here = _coordinates(factor, positions)
+    coordinates = _coordinates(factor, positions)
     degree = min(DEGREE, len(factor.settings) - 1) if factor.settings else DEGREE
     _, triangle = np.linalg.qr(np.vander(grid, degree + 1, increasing=True) / np.sqrt(GRID))
-    found = np.linalg.solve(triangle.T, np.vander(here, degree + 1, increasing=True).T)
+    polynomials = np.linalg.solve(triangle.T, np.vander(coordinates, degree + 1, increasing=True).T)
     signs = np.sign(np.diag(triangle))
-    return [np.asarray(sign * row) for sign, row in zip(signs[1:], found[1:], strict=True)]
+    return [np.asarray(sign * row) for sign, row in zip(signs[1:], polynomials[1:], strict=True)]
 
 
 def _coordinates(factor: Factor, positions: Vector) -> Vector:
-    """Map the factor to a line from -1 to 1: by its position, or by the number of its setting."""
+    """Map the factor to the interval from -1 to 1: by its position, or by the number of its setting."""
     count = len(factor.settings)
     return np.asarray(
         2 * np.minimum(np.floor(positions * count), count - 1) / (count - 1) - 1 if count else 2 * positions - 1
@@ -190,29 +190,29 @@ def indices(found: Terms, outputs: Vector, factor_count: int) -> Indices:
         return Indices(r2, None, None)
     whole = float(variances.sum())
     first = [
-        sum(float(part) for part, of in zip(variances, found.of, strict=True) if of == (factor,)) / whole
+        sum(float(part) for part, members in zip(variances, found.of, strict=True) if members == (factor,)) / whole
         for factor in range(factor_count)
     ]
     total = [
-        sum(float(part) for part, of in zip(variances, found.of, strict=True) if factor in of) / whole
+        sum(float(part) for part, members in zip(variances, found.of, strict=True) if factor in members) / whole
         for factor in range(factor_count)
     ]
     return Indices(r2, tuple(first), tuple(total))
 
 
 def _fitted(values: Matrix, outputs: Vector) -> tuple[float, Vector]:
-    """Return R2 of each point predicted from all others, and the coefficients, under the best predicting penalty."""
+    """Return R2 of predicting each point from all others, and the coefficients, under the best predicting penalty."""
     centre, mean = values.mean(axis=0), float(outputs.mean())
     left, singular, right = np.linalg.svd(values - centre, full_matrices=False)
     centred = outputs - mean
-    along = left.T @ centred
+    projected = left.T @ centred
     best: tuple[float, Vector] | None = None
     for penalty in PENALTIES:
-        kept = singular**2 / (singular**2 + penalty)
-        leverage = 1 / len(outputs) + (left**2) @ kept
-        missed = (centred - left @ (kept * along)) / np.maximum(1 - leverage, 1e-9)
-        r2 = 1 - float(missed @ missed) / float(centred @ centred)
+        shrinkage = singular**2 / (singular**2 + penalty)
+        leverage = 1 / len(outputs) + (left**2) @ shrinkage
+        errors = (centred - left @ (shrinkage * projected)) / np.maximum(1 - leverage, 1e-9)
+        r2 = 1 - float(errors @ errors) / float(centred @ centred)
         if best is None or r2 > best[0]:
-            best = r2, np.asarray(right.T @ (singular / (singular**2 + penalty) * along))
+            best = r2, np.asarray(right.T @ (singular / (singular**2 + penalty) * projected))
     assert best is not None
     return best

@@ -1,10 +1,10 @@
 """Define what is varied, and how far: factors, and points in the registered ranges of the free constants.
 
-Factors are every number of the world and the structure, the load, and the fleet size. One rule holds for all, whether
+Factors are every number of the world and the structure, the load, and the fleet size. One rule applies to all, whether
 the paper prints a constant, the fit found it or we chose it: a length, a rate or a range is halved to doubled; a share
 or a probability has its odds halved to doubled, so that it stays between 0 and 1; a count takes every integer from half
 to double. Load and fleet size have two settings each, the first of which is the base. Outages are not factors: their
-rates are 0 by default, and twice nothing is nothing.
+rates are 0 by default, and doubling 0 changes nothing.
 
 A point has a coordinate for each free constant, in the order of the registration: 0 is the middle of its range, -1 and
 1 are its ends, on a logarithmic scale.
@@ -55,9 +55,9 @@ Kind = Literal["scaled", "share", "count", "settings"]
 
 
 class Factor(msgspec.Struct, frozen=True):
-    """One thing that is varied.
+    """A varied constant or setting.
 
-    `origin` is the word of `constants.py` for where its value is from; `value` is its base.
+    `origin` is the origin of its value according to `constants.py`; `value` is its base.
     """
 
     name: str
@@ -74,11 +74,11 @@ class Factor(msgspec.Struct, frozen=True):
 
     @property
     def is_switch(self) -> bool:
-        """Tell whether there are two settings and nothing between them."""
+        """Return whether there are exactly two settings."""
         return len(self.settings) == 2
 
     def at(self, position: float) -> Any:
-        """Return the value at a position from 0 (lowest) to 1 (highest); settings take equal parts of it."""
+        """Return the value at a position from 0 (lowest) to 1 (highest), which settings divide equally."""
         if settings := self.settings:
             return settings[min(int(position * len(settings)), len(settings) - 1)]
         factor = 2.0 ** (2 * position - 1)
@@ -87,7 +87,7 @@ class Factor(msgspec.Struct, frozen=True):
             odds = factor * self.value / (whole - self.value)
             return _like(self.value, whole * odds / (1 + odds))
         if isinstance(self.value, Range):
-            return Range(*(_like(one, one * factor) for one in msgspec.structs.astuple(self.value)))
+            return Range(*(_like(end, end * factor) for end in msgspec.structs.astuple(self.value)))
         return _like(self.value, self.value * factor)
 
     def shown(self, position: float | None = None) -> str:
@@ -99,7 +99,7 @@ class Factor(msgspec.Struct, frozen=True):
 
 
 class Setting(msgspec.Struct, frozen=True):
-    """What one evaluation runs: constants, and a fleet of so many robots."""
+    """The setting of one evaluation: constants, and the size of the fleet."""
 
     constants: Constants
     fleet_size: int
@@ -116,20 +116,20 @@ def _like(base: float, value: float) -> Any:
 def factors() -> tuple[Factor, ...]:
     """Return all factors around the package's constants, in the order of `constants.py`; load and fleet come last."""
     base, words = Constants(), origins()
-    found: list[Factor] = []
+    listed: list[Factor] = []
     for group in ("world", "structure"):
         part = getattr(base, group)
         for name in part.__struct_fields__:
             value, dotted = getattr(part, name), f"{group}.{name}"
             if name == "durations":
-                found += [
-                    Factor(f"{dotted}.{capability}", "scaled", one, words[f"{dotted}.{capability}"])
-                    for capability, one in value
+                listed += [
+                    Factor(f"{dotted}.{capability}", "scaled", duration, words[f"{dotted}.{capability}"])
+                    for capability, duration in value
                 ]
             else:
-                found.append(Factor(dotted, _kind(dotted), value, words[dotted]))
-    found += [Factor(name, "settings", settings[0], words.get(name, "chosen")) for name, settings in SETTINGS.items()]
-    return (*found, Factor("load.interval_s", "scaled", Load().interval_s, words["load.interval_s"]))
+                listed.append(Factor(dotted, _kind(dotted), value, words[dotted]))
+    listed += [Factor(name, "settings", settings[0], words.get(name, "chosen")) for name, settings in SETTINGS.items()]
+    return (*listed, Factor("load.interval_s", "scaled", Load().interval_s, words["load.interval_s"]))
 
 
 def _kind(name: str) -> Kind:
@@ -162,9 +162,9 @@ def setting(all_factors: Iterable[Factor], positions: Mapping[str, float]) -> Se
 
 
 def _without_unused(constants: Constants, fleet_size: int) -> Constants:
-    """Return the canonical form of the same world.
+    """Return the constants in their canonical form.
 
-    It has no load if one team has its tasks once, and no interval if there is only one set.
+    They have no load if one team has its tasks once, and no interval if there is only one set.
     """
     load = constants.load
     assert load is not None
@@ -178,33 +178,33 @@ FREE = registration().free
 
 
 def sobol(size: int, seed: int) -> "Matrix":
-    """Return so many points of a scrambled Sobol sequence over the unit cube, one coordinate a free constant."""
+    """Return `size` points of a scrambled Sobol sequence over the unit cube, a coordinate per free constant."""
     from scipy.stats.qmc import Sobol
 
     return np.asarray(Sobol(len(FREE), rng=seed).random_base2((size - 1).bit_length())[:size])
 
 
 def points_over_ranges(size: int, seed: int) -> "list[Vector]":
-    """Return so many points that cover the ranges evenly."""
-    return [np.asarray(2.0 * one - 1.0) for one in sobol(size, seed)]
+    """Return `size` points that cover the ranges evenly."""
+    return [np.asarray(2.0 * point - 1.0) for point in sobol(size, seed)]
 
 
 def at(point: "Vector") -> Constants:
     """Return the constants at a point."""
     return with_values(
         [
-            one.range.middle * (one.range.high / one.range.middle) ** float(place)
-            for one, place in zip(FREE, point, strict=True)
+            free.range.middle * (free.range.high / free.range.middle) ** float(coordinate)
+            for free, coordinate in zip(FREE, point, strict=True)
         ]
     )
 
 
 def point_of(values: Sequence[float]) -> "Vector":
-    """Return the point at which the free constants have these values; the inverse of `at`, but for its digits."""
+    """Return the point at which the free constants have these values; the inverse of `at`, apart from rounding."""
     return np.array(
         [
-            np.log(value / one.range.middle) / np.log(one.range.high / one.range.middle)
-            for one, value in zip(FREE, values, strict=True)
+            np.log(value / free.range.middle) / np.log(free.range.high / free.range.middle)
+            for free, value in zip(FREE, values, strict=True)
         ]
     )
 
@@ -212,8 +212,8 @@ def point_of(values: Sequence[float]) -> "Vector":
 def with_values(values: Sequence[float]) -> Constants:
     """Return the constants with these values for the free ones, in the order of the registration."""
     changes: dict[str, dict[str, Any]] = {"world": {}, "structure": {}}
-    for one, value in zip(FREE, values, strict=True):
-        part, _, name = one.name.partition(".")
+    for free, value in zip(FREE, values, strict=True):
+        part, _, name = free.name.partition(".")
         changes[part][name] = rounded(value) if part == "world" else int(rounded(value))
     base = Constants()
     replace = msgspec.structs.replace

@@ -1,8 +1,8 @@
 """Compares FSAR with itself under the name of another architecture: the negative control of the whole evaluation.
 
-Runs take the same way as in the paper's experiment: simulated, committed to a ledger, measured and compared by SQL. On
-the same seeds nothing may differ. On other seeds the runs differ in nothing but their worlds, so each test may reject
-only as often as its level says; there, `run_pairs` is replaced, since it pairs none that did not meet the same world.
+Runs are processed as in the paper's experiment: simulated, committed to a ledger, measured and compared by SQL. On the
+same seeds nothing may differ. On other seeds the runs differ only in their worlds, so each test may reject only as
+often as its level says; there, `run_pairs` is replaced, since it pairs only runs that met the same world.
 """
 
 from collections.abc import Iterator, Sequence
@@ -35,7 +35,7 @@ FSAR, OTHER_NAME = PAPER_ARCHITECTURES[:2]
 COMPARISON = f"{FSAR}-{OTHER_NAME}"
 METRICS = tuple(metric.name for metric in published_metrics())
 TESTS = ("p", "p_holm", "wilcoxon_p", "mcnemar_p")
-"""The columns of `statistics/pairwise_tests` that are looked at; `p` is that of the paper's t-test."""
+"""The columns of `statistics/pairwise_tests` that are counted; `p` is that of the paper's t-test."""
 ANY = "any of the eight"
 UNLIKE_PAIRS_SQL = f"""
     SELECT
@@ -53,7 +53,7 @@ def placebo(
 ) -> Placebo:
     """Repeat the comparison as often as registered, write the result and return it.
 
-    An interrupted study continues from what is kept beside it.
+    An interrupted study continues from the answers kept beside it.
 
     Raises: As `evaluating`; WriteFailed, WorkerDied.
     """
@@ -61,7 +61,7 @@ def placebo(
     setting = Setting(Constants(), 4)
     with evaluating(out, workers_of(workers), progress, ask or p_values, len(METRICS) * len(TESTS)) as evaluations:
         evaluations.expected = sample.size
-        found = evaluations.answers(
+        answers = evaluations.answers(
             [Question(setting, sample.seed + 2 * number, sample.runs) for number in range(sample.size)]
         )
         pairs, largest = on_same_seeds(Question(setting, sample.seed, sample.runs))
@@ -72,17 +72,22 @@ def placebo(
             alpha=ALPHA,
             pairs=pairs,
             largest_difference=largest,
-            tests=list(rejections(found)),
+            tests=list(rejections(answers)),
         )
         write(out, result, RESUME_ADVICE)
     return result
 
 
 def on_same_seeds(question: Question) -> tuple[int, float | None]:
-    """Return how many pairs met the same world, and the largest of their mean differences, of every metric."""
+    """Return how many pairs met the same world, and the largest mean difference over all metrics."""
     with committed(question, question.seed) as database:
         rows = [row for row in statistic_rows(database) if row.metric in METRICS]
-    means = [one for row in rows for one in (row.mean_difference, row.pooled_difference) if one is not None]
+    means = [
+        difference
+        for row in rows
+        for difference in (row.mean_difference, row.pooled_difference)
+        if difference is not None
+    ]
     return min((row.n for row in rows), default=0), max(map(abs, means), default=None)
 
 
@@ -115,17 +120,17 @@ def _runs(question: Question, other_seed: int, other_name: Architecture, scenari
 
 
 def rejections(answers: Sequence[Answer]) -> Iterator[Rejections]:
-    """Yield how often each test of each metric rejects, and how often Holm's rejects any; none that is never made."""
-    for at, metric in enumerate(METRICS):
+    """Yield how often each test of each metric rejects, and how often Holm's rejects any; without tests never made."""
+    for group, metric in enumerate(METRICS):
         for test, name in enumerate(TESTS):
-            yield from _rejections(metric, name, [answer[at * len(TESTS) + test] for answer in answers])
+            yield from _rejections(metric, name, [answer[group * len(TESTS) + test] for answer in answers])
     holm = TESTS.index("p_holm")
     smallest = [min((p for p in answer[holm :: len(TESTS)] if p is not None), default=None) for answer in answers]
     yield from _rejections(ANY, TESTS[holm], smallest)
 
 
-def _rejections(metric: str, test: str, found: Sequence[float | None]) -> Iterator[Rejections]:
-    known = [p for p in found if p is not None]
+def _rejections(metric: str, test: str, p_values: Sequence[float | None]) -> Iterator[Rejections]:
+    known = [p for p in p_values if p is not None]
     rejected = sum(p < ALPHA for p in known)
     share = wilson(rejected, len(known)).rounded()
     if known:
@@ -134,7 +139,7 @@ def _rejections(metric: str, test: str, found: Sequence[float | None]) -> Iterat
             test=test,
             rejected=rejected,
             kept=len(known) - rejected,
-            undefined=len(found) - len(known),
+            undefined=len(p_values) - len(known),
             share=share.share,
             low=share.low,
             high=share.high,

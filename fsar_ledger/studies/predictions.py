@@ -1,8 +1,8 @@
-"""Simulates the registered predictions, and writes down the numbers before anyone compares them.
+"""Simulates the registered predictions, and writes the numbers before they are compared.
 
 They are registered in `reports/registration.toml`: the tables of the paper that the fit does not aim at (ablation,
-scaling), and what the paper does not print: other seeds, fleet sizes between and beyond its own, loads, encounter
-rates, triples of ablations. Nothing here reads a number of the paper.
+scaling), and numbers that the paper does not print: other seeds, fleet sizes between and beyond its own, loads,
+encounter rates, triples of ablations. Nothing here reads a number of the paper.
 """
 
 from collections.abc import Iterator
@@ -45,7 +45,7 @@ CLAIMS_SQL = """
 
 
 class PlannedExperiment(msgspec.Struct, frozen=True):
-    """One experiment whose numbers are predicted, and what it is for; seed None: spread over those of the verdicts."""
+    """One experiment whose numbers are predicted, and its purpose; seed None: spread over those of the verdicts."""
 
     of: str
     experiment: Experiment
@@ -75,10 +75,10 @@ def planned_experiments() -> Iterator[PlannedExperiment]:
     ) -> PlannedExperiment:
         base = constants or Constants()
         loaded = base if teams is None else msgspec.structs.replace(base, load=Load(teams_working=teams))
-        asked = Experiment(
+        experiment = Experiment(
             architectures, SCENARIOS, runs, fleet_size=size, configurations=configurations, constants=loaded
         )
-        return PlannedExperiment(of, asked, seed)
+        return PlannedExperiment(of, experiment, seed)
 
     yield one(CASES, SEED_RUNS)
     yield one("ablation", ABLATION_RUNS, architectures=("fsar",), configurations=CONFIGURATIONS)
@@ -134,17 +134,17 @@ def predict(out: Place, *, workers: int | None = None, progress: Progress | None
 
 
 def _predicted(planned: PlannedExperiment, row: MetricRow) -> Predicted:
-    asked = planned.experiment
-    load = asked.constants.load
-    found: dict[str, Any] = {
+    experiment = planned.experiment
+    load = experiment.constants.load
+    fields: dict[str, Any] = {
         name: getattr(row, name)
         for name in ("architecture", "configuration", "scenario", "metric", "mean", "sd", "n", "ci_low", "ci_high")
     }
     return Predicted(
         of=planned.of,
         seed=planned.seed,
-        fleet_size=asked.fleet_size,
+        fleet_size=experiment.fleet_size,
         teams_working=None if load is None else load.teams_working,
-        encounter_mean_s=asked.constants.world.encounter_mean_s,
-        **found,
+        encounter_mean_s=experiment.constants.world.encounter_mean_s,
+        **fields,
     )

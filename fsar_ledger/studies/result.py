@@ -1,4 +1,4 @@
-"""Write the result file of a study, and say whether one still holds for this version of the package."""
+"""Write the result file of a study, and check whether one is still valid for this version of the package."""
 
 from hashlib import sha256
 from pathlib import Path
@@ -39,7 +39,7 @@ KINDS: dict[str, type[Result]] = {
 }
 """The studies whose results are files, in the order in which they are made."""
 RESUME_ADVICE = "make room and call it again, which goes on from there"
-"""What to do where a result cannot be written whose evaluations are kept."""
+"""The advice where a result cannot be written but its evaluations are kept."""
 
 
 def require_out(out: Path) -> None:
@@ -59,7 +59,7 @@ def write(out: Path, result: Result, advice: str = ADVICE) -> None:
 
 
 def grounds(kind: type[GroundedResult]) -> dict[str, Any]:
-    """Return the fields that say what a result of this kind rests on, as it is now."""
+    """Return the fields that name what a result of this kind rests on in this version."""
     constants = at(np.zeros(len(FREE))) if kind is Ranking else Constants()
     return {
         "model_version": MODEL_VERSION,
@@ -70,39 +70,39 @@ def grounds(kind: type[GroundedResult]) -> dict[str, Any]:
 
 def ranges() -> dict[str, tuple[float, float]]:
     """Return the ends of the registered range of each free constant."""
-    return {one.name: (one.range.low, one.range.high) for one in FREE}
+    return {free.name: (free.range.low, free.range.high) for free in FREE}
 
 
 def stale(result: Result) -> str | None:
-    """Return which part of what a result rests on is another one in this version; None if none is.
+    """Return which part of what a result rests on differs in this version; None if none does.
 
-    That is the model, the constants (but for the calibration, which found them, and the ranking, which has none but
-    those that are not free), the sample and the ranges as registered, and the queries.
+    The parts are the model, the constants (except for the calibration, which found them, and the ranking, which has
+    only those that are not free), the sample and the ranges as registered, and the queries.
     """
     assert isinstance(result, GroundedResult | Calibration)
     if result.model_version != MODEL_VERSION:
         return f"of model {result.model_version!r:.80}, expected model {MODEL_VERSION!r}"
     if isinstance(result, GroundedResult):
-        today = grounds(type(result))["parameters"]
-        if result.parameters != today:
+        expected = grounds(type(result))["parameters"]
+        if result.parameters != expected:
             return (
                 f"with the constants {_digest(result.parameters)} (SHA-256), expected those of this version, "
-                f"{_digest(today)}"
+                f"{_digest(expected)}"
             )
-    if otherwise := _registered_otherwise(result):
-        return otherwise
+    if difference := _registered_otherwise(result):
+        return difference
     if result.rules is None:
         return "that name no queries, expected a digest of each query that judged their runs"
-    if judged_otherwise := changed(result.rules):
+    if changed_queries := changed(result.rules):
         return (
             "that other queries made, expected those of this version; changed since: "
-            f"{printable.some(map(printable.value, judged_otherwise))}"
+            f"{printable.some(map(printable.value, changed_queries))}"
         )
     return None
 
 
 def _registered_otherwise(result: Result) -> str | None:
-    """Say what of the registration a result was made with is another one now."""
+    """Return what in the registration differs from that of the result."""
     if isinstance(result, Ranking | Ensemble | Placebo):
         expected: Sample = getattr(registration(), type(result).FILE.removesuffix(".json"))
         if result.sample != expected:

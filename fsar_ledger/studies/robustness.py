@@ -1,11 +1,11 @@
-"""Asks whether the result is one of the fit: by points all over the registered ranges, and by points around the fit.
+"""Tests whether the result depends on the fit: at points over the registered ranges, and at points around the fit.
 
-`ranking` ranks the architectures at points all over the ranges, without any fit. If FSAR were best only near the fitted
-constants, the ranking would be a result of the fit. Every free constant is anywhere in its range, and every point meets
-worlds of its own.
+`ranking` ranks the architectures at points over the whole ranges, without any fit. If FSAR were best only near the
+fitted constants, the ranking would be a result of the fit. Every free constant may be anywhere in its range, and every
+point has worlds of its own.
 
-`ensemble` asks what the constants that the fit leaves open would change. The fit accepts one point, and many others
-explain the 24 cells nearly as well. They are drawn from the normal distribution around it whose precision is the
+`ensemble` measures the influence of the constants that the fit leaves undetermined. The fit accepts one point, and many
+others explain the 24 cells nearly as well. They are drawn from the normal distribution around it whose precision is the
 Gauss-Newton matrix of the fit's objective (the Laplace approximation), with the registered spread, and clipped to the
 ranges. A point is plausible if each cell is within margin plus discrepancy of the printed number.
 """
@@ -53,7 +53,7 @@ def ranking(
     points = points_over_ranges(sample.size, sample.seed)
     with evaluating(out, workers_of(workers), progress, ask) as evaluations:
         evaluations.expected = sample.size
-        found = evaluations.answers(
+        answers = evaluations.answers(
             [question_at(point, sample.seed + number, sample.runs) for number, point in enumerate(points)]
         )
         result = Ranking(
@@ -61,14 +61,14 @@ def ranking(
             sample=sample,
             ranges=ranges(),
             cpu_minutes=evaluations.cpu_minutes,
-            ranks=list(ranks(found)),
+            ranks=list(ranks(answers)),
         )
         write(out, result, RESUME_ADVICE)
     return result
 
 
 class _Standing(NamedTuple):
-    """How FSAR stands in a metric at a point: its lead over the better of the others, in margins, and the order.
+    """FSAR in a metric at a point: its lead over the better of the others, in margins, and the order.
 
     The lead is None if one of the three means is undefined, `is_ordered` also if two are equal.
     """
@@ -84,45 +84,52 @@ def _standing(metric: Metric, means: Mapping[str, float | None]) -> _Standing:
         return _Standing(None, None)
     lead = (known[FSAR] - max(known[other] for other in OTHERS)) / MARGINS[metric.name]
     ours = [
-        known[one] for one in sorted(PAPER_ARCHITECTURES, key=lambda one: -sign * published()[metric.name, one].value)
+        known[architecture]
+        for architecture in sorted(
+            PAPER_ARCHITECTURES, key=lambda architecture: -sign * published()[metric.name, architecture].value
+        )
     ]
     return _Standing(lead, None if len(set(ours)) < len(ours) else ours == sorted(ours, reverse=True))
 
 
 def ranks(answers: Sequence[Answer]) -> Iterator[RankCounts]:
     """Yield the ranks in each metric over these points, in all, and in those in which the paper prints FSAR best."""
-    every = published_metrics()
-    for metric in every:
+    all_metrics = published_metrics()
+    for metric in all_metrics:
         yield _rank(metric.name, [metric], answers)
-    yield _rank(ALL, every, answers)
-    yield _rank(IN_PAPER, [metric for metric in every if is_best_in_paper(metric)], answers)
+    yield _rank(ALL, all_metrics, answers)
+    yield _rank(IN_PAPER, [metric for metric in all_metrics if is_best_in_paper(metric)], answers)
 
 
 def is_best_in_paper(metric: Metric) -> bool:
     """Return whether the paper prints FSAR as better than both others."""
     return (
-        _standing(metric, {one: published()[metric.name, one].value for one in PAPER_ARCHITECTURES}).lead or 0.0
+        _standing(
+            metric, {architecture: published()[metric.name, architecture].value for architecture in PAPER_ARCHITECTURES}
+        ).lead
+        or 0.0
     ) > 0
 
 
-def _rank(name: str, of: Sequence[Metric], answers: Sequence[Answer]) -> RankCounts:
-    points = [_standings(of, answer) for answer in answers]
-    leads = [[one.lead for one in point] for point in points]
+def _rank(name: str, metrics: Sequence[Metric], answers: Sequence[Answer]) -> RankCounts:
+    points = [_standings(metrics, answer) for answer in answers]
+    leads = [[standing.lead for standing in point] for point in points]
     known = [[lead for lead in point if lead is not None] for point in leads]
     beaten = sum(any(lead < 0 for lead in point) for point in known)
     undefined = sum(
-        None in point and not any(lead < 0 for lead in also) for point, also in zip(leads, known, strict=True)
+        None in point and not any(lead < 0 for lead in known_leads)
+        for point, known_leads in zip(leads, known, strict=True)
     )
-    best = sum(len(point) == len(of) and all(lead > 0 for lead in point) for point in known)
-    orders = [[one.is_ordered for one in point] for point in points]
+    best = sum(len(point) == len(metrics) and all(lead > 0 for lead in point) for point in known)
+    orders = [[standing.is_ordered for standing in point] for point in points]
     ordered = sum(all(point) for point in orders)
     disordered = sum(False in point for point in orders)
     of_best, of_ordered = wilson(best, best + beaten).rounded(), wilson(ordered, ordered + disordered).rounded()
     return RankCounts(
         metric=name,
-        is_best_in_paper=all(map(is_best_in_paper, of)),
+        is_best_in_paper=all(map(is_best_in_paper, metrics)),
         best=best,
-        clearly_best=sum(len(point) == len(of) and all(lead >= 1 for lead in point) for point in known),
+        clearly_best=sum(len(point) == len(metrics) and all(lead >= 1 for lead in point) for point in known),
         beaten=beaten,
         tied=len(points) - best - beaten - undefined,
         undefined=undefined,
@@ -138,9 +145,12 @@ def _rank(name: str, of: Sequence[Metric], answers: Sequence[Answer]) -> RankCou
     )
 
 
-def _standings(of: Sequence[Metric], answer: Answer) -> list[_Standing]:
+def _standings(metrics: Sequence[Metric], answer: Answer) -> list[_Standing]:
     by_cell = dict(zip(CELLS, answer, strict=True))
-    return [_standing(metric, {one: by_cell[metric.name, one] for one in PAPER_ARCHITECTURES}) for metric in of]
+    return [
+        _standing(metric, {architecture: by_cell[metric.name, architecture] for architecture in PAPER_ARCHITECTURES})
+        for metric in metrics
+    ]
 
 
 def ensemble(
@@ -168,15 +178,15 @@ def ensemble(
         WriteFailed, WorkerDied: As `evaluating`.
     """
     out, sample = Path(out), registration().ensemble
-    given = packaged(Calibration) if calibration is None else read(Path(calibration), Calibration)
-    fit = _require_slopes(given, str(calibration or f"reports/{Calibration.FILE}"))
+    record = packaged(Calibration) if calibration is None else read(Path(calibration), Calibration)
+    fit = _require_slopes(record, str(calibration or f"reports/{Calibration.FILE}"))
     points, clipped = points_around(fit, sample)
     with evaluating(out, workers_of(workers), progress, ask) as evaluations:
         evaluations.expected = sample.size
-        found = evaluations.answers(
+        answers = evaluations.answers(
             [question_at(point, sample.seed + number, sample.runs) for number, point in enumerate(points)]
         )
-        result = _result(fit, sample, found, clipped, evaluations.cpu_minutes)
+        result = _result(fit, sample, answers, clipped, evaluations.cpu_minutes)
         write(out, result, RESUME_ADVICE)
     return result
 
@@ -186,9 +196,9 @@ def _require_slopes(fit: Calibration | None, name: str) -> Calibration:
     if (
         fit is None
         or fit.model_version != MODEL_VERSION
-        or [one.name for one in fit.parameters] != [one.name for one in FREE]
-        or [(one.metric, one.architecture) for one in fit.residuals] != list(CELLS)
-        or any(len(one.slopes) != len(FREE) for one in fit.residuals)
+        or [parameter.name for parameter in fit.parameters] != [free.name for free in FREE]
+        or [(residual.metric, residual.architecture) for residual in fit.residuals] != list(CELLS)
+        or any(len(residual.slopes) != len(FREE) for residual in fit.residuals)
     ):
         raise UsageError(
             f"{name}: found no fit of model {MODEL_VERSION} that keeps the slopes of the {len(CELLS)} cells, expected "
@@ -199,9 +209,11 @@ def _require_slopes(fit: Calibration | None, name: str) -> Calibration:
 
 def points_around(fit: Calibration, sample: SampleAround) -> tuple[list[Vector], float]:
     """Return points around the accepted one, and the share of coordinates that were clipped."""
-    centre = point_of([one.accepted for one in fit.parameters])
-    distances = np.array([1.0 if one.distance_margins is None else one.distance_margins for one in fit.residuals])
-    steepness = weighted_slopes(np.array([one.slopes for one in fit.residuals]), distances)
+    centre = point_of([parameter.accepted for parameter in fit.parameters])
+    distances = np.array(
+        [1.0 if residual.distance_margins is None else residual.distance_margins for residual in fit.residuals]
+    )
+    steepness = weighted_slopes(np.array([residual.slopes for residual in fit.residuals]), distances)
     free = centre + sample.spread * normal_sample(steepness.T @ steepness + np.eye(len(FREE)), sample)
     points = np.clip(free, -1.0, 1.0)
     return list(points), round(float(np.mean(points != free)), 4)
@@ -221,7 +233,7 @@ def _result(
 ) -> Ensemble:
     plausible = [answer for answer in answers if not _missed(answer)]
     basis = plausible or answers
-    accepted = write_constants(with_values([one.accepted for one in fit.parameters]))
+    accepted = write_constants(with_values([parameter.accepted for parameter in fit.parameters]))
     return Ensemble(
         **grounds(Ensemble) | {"parameters": accepted},
         sample=sample,
@@ -235,7 +247,7 @@ def _result(
 
 
 def _missed(answer: Answer) -> list[int]:
-    """Return the cells that are undefined, or beyond their tolerance."""
+    """Return the indexes of cells that are undefined, or beyond their tolerance."""
     return [
         cell
         for cell, mean in enumerate(answer)
@@ -273,9 +285,11 @@ def _signs(answers: Sequence[Answer]) -> Iterator[SignCount]:
     for (metric, comparison), test in printed_tests().items():
         first, second = (CELLS.index((metric, architecture)) for architecture in comparison.split("-"))
         differences = [
-            one - other
+            one_mean - other_mean
             for answer in answers
-            if (one := answer[first]) is not None and (other := answer[second]) is not None and one != other
+            if (one_mean := answer[first]) is not None
+            and (other_mean := answer[second]) is not None
+            and one_mean != other_mean
         ]
         same = sum((difference > 0) == (test.t > 0) for difference in differences)
         yield SignCount(

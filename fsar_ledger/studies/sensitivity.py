@@ -1,6 +1,6 @@
-"""Run the study: screen all factors, take the dozen that matter most, and attribute the variance to them.
+"""Run the study: screen all factors, choose the dozen that matter most, and attribute the variance to them.
 
-Every trajectory meets worlds of its own seed, the same at all its points, so the influence of the worlds on an effect
+Every trajectory has worlds of its own seed, the same at all its points, so the influence of the worlds on an effect
 shows in the spread between trajectories. The polynomial uses one seed; all other factors are at their base there.
 """
 
@@ -38,9 +38,9 @@ from .result import RESUME_ADVICE, grounds, write
 SEED = 20_270_001  # of the first trajectory, counting up; never used for a published number or a fit
 BASE_SEED = SEED + 10_000  # of the repeats of the base, counting up
 EMULATOR_SEED = SEED + 20_000
-REPEATS = 10  # of the base in other worlds: they show what chance alone does
+REPEATS = 10  # of the base in other worlds: they show the effect of chance alone
 DOZEN = 12
-DIGITS = 4  # written: more says nothing, and the last bits of a sum differ between machines
+DIGITS = 4  # written: more are meaningless, and the last bits of a sum differ between machines
 
 
 class Size(msgspec.Struct, frozen=True):
@@ -60,7 +60,7 @@ class Size(msgspec.Struct, frozen=True):
 
 
 class _Study:
-    """The questions of a study, and what the answers say."""
+    """The questions of a study, and the evaluation of their answers."""
 
     def __init__(self, size: Size, subject: tuple[Factor, ...]) -> None:
         self.size, self.factors = size, subject
@@ -73,12 +73,12 @@ class _Study:
         self.bases = [self._question([], np.zeros(0), BASE_SEED + number) for number in range(REPEATS)]
 
     def _question(self, names: Sequence[str], positions: Vector, seed: int) -> Question:
-        at = dict(zip(names, map(float, positions), strict=True))
-        return Question(setting(self.factors, at), seed, self.size.runs)
+        position_of = dict(zip(names, map(float, positions), strict=True))
+        return Question(setting(self.factors, position_of), seed, self.size.runs)
 
     def screening(self) -> list[Question]:
-        """Return all questions before the dozen are known."""
-        return [*self.bases, *(one for path in self.points for one in path)]
+        """Return all questions asked before the dozen is chosen."""
+        return [*self.bases, *(question for path in self.points for question in path)]
 
     def of_dozen(self, dozen: Sequence[str]) -> tuple[Matrix, list[Question]]:
         """Return the design of the polynomial, and its questions."""
@@ -108,7 +108,7 @@ class _Study:
             cpu_minutes=evaluations.cpu_minutes,
             dozen=(),
             cells=tuple(_cell(cell, bases[:, cell]) for cell in range(len(CELLS))),
-            factors=tuple(_factor(one, moves[:, :, number]) for number, one in enumerate(self.factors)),
+            factors=tuple(_factor(factor, moves[:, :, number]) for number, factor in enumerate(self.factors)),
         )
 
 
@@ -116,7 +116,7 @@ def _cell(cell: int, bases: Vector) -> VariedCell:
     metric, architecture = CELLS[cell]
     known = bases[~np.isnan(bases)]
     deviation = float(np.std(known, ddof=1)) if len(known) > 1 else None
-    chances = [None if deviation is None else by_chance(deviation, is_switch=one) for one in (False, True)]
+    chances = [None if deviation is None else by_chance(deviation, is_switch=is_switch) for is_switch in (False, True)]
     return VariedCell(
         metric=metric,
         architecture=architecture,
@@ -129,10 +129,10 @@ def _cell(cell: int, bases: Vector) -> VariedCell:
 
 
 def _factor(factor: Factor, moves: Matrix) -> VariedFactor:
-    """Return what a factor does, from its effect on each trajectory (row) and cell (column)."""
+    """Return the effects of a factor, from its effect on each trajectory (row) and cell (column)."""
     of_cells = [summary(of_cell) for of_cell in moves.T]
     numbers: dict[str, Any] = {
-        name: tuple(_rounded(getattr(one, name)) for one in of_cells)
+        name: tuple(_rounded(getattr(effects, name)) for effects in of_cells)
         for name in ("mu", "mu_star", "sigma", "mu_star_conf")
     }
     return VariedFactor(
@@ -142,7 +142,7 @@ def _factor(factor: Factor, moves: Matrix) -> VariedFactor:
         base=factor.shown(),
         high=factor.shown(1.0),
         is_switch=factor.is_switch,
-        effects=tuple(one.count for one in of_cells),
+        effects=tuple(effects.count for effects in of_cells),
         **numbers,
     )
 
@@ -160,7 +160,7 @@ def sensitivity(
 ) -> Sensitivity:
     """Measure how much each number depends on each constant, write the result and return it.
 
-    Takes most of an hour. An interrupted study continues from what is kept beside it.
+    Takes most of an hour. An interrupted study continues from the answers kept beside it.
 
     Args:
         out: The file.
@@ -189,31 +189,31 @@ def sensitivity(
         if chosen and questions:
             polynomial = terms(chosen, positions)
             parts = [indices(polynomial, outputs[:, cell], len(dozen)) for cell in range(len(CELLS))]
-        found = msgspec.structs.replace(
+        result = msgspec.structs.replace(
             _with_indices(first, parts, dozen),
             dozen=dozen,
             evaluations=evaluations.count,
             cpu_minutes=evaluations.cpu_minutes,
         )
-        write(out, found, RESUME_ADVICE)
-    return found
+        write(out, result, RESUME_ADVICE)
+    return result
 
 
-def _with_indices(found: Sensitivity, parts: Sequence[Indices], dozen: tuple[str, ...]) -> Sensitivity:
+def _with_indices(result: Sensitivity, parts: Sequence[Indices], dozen: tuple[str, ...]) -> Sensitivity:
     replace = msgspec.structs.replace
-    varied = {one.name: one for one in found.factors}
-    for at, name in enumerate(dozen):
+    varied = {factor.name: factor for factor in result.factors}
+    for position, name in enumerate(dozen):
         varied[name] = replace(
             varied[name],
-            sobol_first=tuple(None if one.first is None else _rounded(one.first[at]) for one in parts),
-            sobol_total=tuple(None if one.total is None else _rounded(one.total[at]) for one in parts),
+            sobol_first=tuple(None if part.first is None else _rounded(part.first[position]) for part in parts),
+            sobol_total=tuple(None if part.total is None else _rounded(part.total[position]) for part in parts),
         )
-    cells = [replace(cell, emulator_r2=_rounded(part.r2)) for cell, part in zip(found.cells, parts, strict=True)]
-    return replace(found, cells=tuple(cells), factors=tuple(varied.values()))
+    cells = [replace(cell, emulator_r2=_rounded(part.r2)) for cell, part in zip(result.cells, parts, strict=True)]
+    return replace(result, cells=tuple(cells), factors=tuple(varied.values()))
 
 
 def _matrix(answers: Sequence[Answer]) -> Matrix:
-    """Return a row for each answer, a column for each cell, NaN where it is undefined."""
+    """Return a matrix with a row per answer and a column per cell, NaN where undefined."""
     rows = [[math.nan if value is None else value for value in answer] for answer in answers]
     return np.array(rows, dtype=np.float64).reshape(len(answers), len(CELLS))
 

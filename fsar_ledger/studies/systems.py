@@ -1,6 +1,6 @@
 """Runs every architecture in the same worlds: at several fleet sizes, over each of its dials, in other worlds.
 
-Nothing is fitted, and no number decides a dial: `designs/dials.py` is frozen by a commit before the first of these runs
+Nothing is fitted, and no result decides a dial: `designs/dials.py` is frozen by a commit before the first of these runs
 is counted (`python -m tests.history`). Paper: tab:baseline_context.
 """
 
@@ -30,11 +30,11 @@ from .factors import Setting, factors, setting
 from .result import RESUME_ADVICE, grounds, write
 
 SEEDS = registration().verdicts.seeds
-"""Those of the verdicts: at four robots, the numbers of the paper's three are those of its tables in the report."""
+"""The seeds of the verdicts: at four robots, the numbers of the paper's three equal those of the report's tables."""
 RUNS = {4: 50, 8: 20, 16: 10}
 """Runs of each scenario and seed, by fleet size."""
 DIAL_SIZES = {"alliance.stagger_us": tuple(RUNS)}
-"""Fleet sizes at which a dial is tried; one that is not here is tried with four robots."""
+"""Fleet sizes at which a dial is tried; other dials are tried with four robots."""
 MOVED_RUNS = 20
 """Runs of each scenario where a constant is moved."""
 METRICS = tuple(metric.name for metric in metrics())
@@ -63,7 +63,7 @@ class SystemQuestion(Question, frozen=True):
 
 
 class Trial(msgspec.Struct, frozen=True):
-    """One thing to try: an architecture at a fleet size, or with one of its dials at a value."""
+    """One trial: an architecture at a fleet size, or with one of its dials at a value."""
 
     architecture: str
     fleet_size: int
@@ -72,7 +72,7 @@ class Trial(msgspec.Struct, frozen=True):
 
     @property
     def question(self) -> SystemQuestion:
-        """Return what is to be evaluated."""
+        """Return the question to evaluate."""
         constants = Constants() if self.dial is None else with_values(Constants(), {self.dial: self.value})
         seeds = SEEDS if self.dial is None else SEEDS[:1]
         runs = RUNS[self.fleet_size]
@@ -86,7 +86,7 @@ class MovedConstant(msgspec.Struct, frozen=True):
     setting: Setting
 
     def question(self, architecture: str) -> SystemQuestion:
-        """Return what is to be evaluated of one architecture."""
+        """Return the question to evaluate for one architecture."""
         return SystemQuestion(self.setting, SEEDS[0], MOVED_RUNS, architecture, SEEDS[:1])
 
 
@@ -102,14 +102,18 @@ def trials() -> list[Trial]:
 
 
 def moved_constants() -> list[MovedConstant]:
-    """Return each factor of the sensitivity at either end of its range, but for what is the base again."""
-    every = factors()
-    base = setting(every, {})
+    """Return each factor of the sensitivity at either end of its range, except where that is the base."""
+    every_factor = factors()
+    base = setting(every_factor, {})
     return [
         moved
-        for factor in every
+        for factor in every_factor
         for position in (0.0, 1.0)
-        if (moved := MovedConstant(f"{factor.name}={factor.shown(position)}", setting(every, {factor.name: position})))
+        if (
+            moved := MovedConstant(
+                f"{factor.name}={factor.shown(position)}", setting(every_factor, {factor.name: position})
+            )
+        )
         and moved.setting != base
     ]
 
@@ -117,28 +121,30 @@ def moved_constants() -> list[MovedConstant]:
 def systems(
     out: Place, *, workers: int | None = None, progress: Progress | None = None, ask: Evaluate | None = None
 ) -> Systems:
-    """Run them, write the result and return it. An interrupted study continues from what is kept beside it.
+    """Run all trials, write the result and return it. An interrupted study continues from the answers kept beside it.
 
     Raises: As `evaluating`; WriteFailed, WorkerDied.
     """
     out, tried, moved = Path(out), trials(), moved_constants()
-    elsewhere = {name: [one.question(name) for one in moved] for name in ARCHITECTURES}
+    elsewhere = {name: [constant.question(name) for constant in moved] for name in ARCHITECTURES}
     with evaluating(out, workers_of(workers), progress, ask or answer, WIDTH) as evaluations:
-        questions = [one.question for one in tried]
-        evaluations.expected = len({one.key for group in (questions, *elsewhere.values()) for one in group})
-        found = evaluations.answers(questions)
+        questions = [trial.question for trial in tried]
+        evaluations.expected = len({question.key for group in (questions, *elsewhere.values()) for question in group})
+        answers = evaluations.answers(questions)
         ranked = {name: evaluations.answers(group) for name, group in elsewhere.items()}
-        declared = dict(zip((one.architecture for one in tried), found[: len(ARCHITECTURES)], strict=False))
+        declared = dict(zip((trial.architecture for trial in tried), answers[: len(ARCHITECTURES)], strict=False))
         result = Systems(
             **grounds(Systems),
             seeds=SEEDS,
             runs={str(size): runs for size, runs in RUNS.items()},
             cpu_minutes=evaluations.cpu_minutes,
-            numbers=[number for one, values in zip(tried, found, strict=True) for number in _numbers(one, values)],
-            grades=[grade for one, values in declared.items() for grade in _grades(one, values)],
-            named=[_named(one, values) for one, values in declared.items()],
+            numbers=[
+                number for trial, values in zip(tried, answers, strict=True) for number in _numbers(trial, values)
+            ],
+            grades=[grade for name, values in declared.items() for grade in _grades(name, values)],
+            named=[_named(name, values) for name, values in declared.items()],
             moved_runs=MOVED_RUNS,
-            held=list(held_ranks([one.name for one in moved], ranked)),
+            held=list(held_ranks([constant.name for constant in moved], ranked)),
         )
         write(out, result, RESUME_ADVICE)
     return result
@@ -147,38 +153,40 @@ def systems(
 def answer(question: Question) -> Answer:
     """Return the metrics, the grades and the shares of names of one architecture, over all seeds."""
     assert isinstance(question, SystemQuestion)
-    setting, whose = question.setting, (question.architecture,)
+    setting, subject = question.setting, (question.architecture,)
     experiments = [
-        Experiment(whose, SCENARIOS, question.runs, seed, setting.fleet_size, constants=setting.constants)
+        Experiment(subject, SCENARIOS, question.runs, seed, setting.fleet_size, constants=setting.constants)
         for seed in question.seeds
     ]
     with simulated(experiments, 1) as database:
         take_seeds_together(database)
         rows = {row.metric: row for row in metric_rows(database)}
         measured = [getattr(rows[name], column) for name in METRICS for column in OF_METRIC]
-        shown = {row["feature"]: row["grade"] for row in database.rows("SELECT * FROM architecture_features")}
+        shown_grades = {row["feature"]: row["grade"] for row in database.rows("SELECT * FROM architecture_features")}
         [named] = database.rows(NAMED_SQL)
-    grades = [None if (grade := shown[one]) is None else float(GRADES.index(grade)) for one in FEATURES]
+    grades = [None if (grade := shown_grades[feature]) is None else float(GRADES.index(grade)) for feature in FEATURES]
     return (*measured, *grades, *(named[field] for field in FIELDS))
 
 
-def _numbers(one: Trial, values: Answer) -> Iterator[SystemNumber]:
-    for at, metric in enumerate(METRICS):
-        n, mean, low, high, sd = values[at * len(OF_METRIC) : (at + 1) * len(OF_METRIC)]
+def _numbers(trial: Trial, values: Answer) -> Iterator[SystemNumber]:
+    for position, metric in enumerate(METRICS):
+        n, mean, low, high, sd = values[position * len(OF_METRIC) : (position + 1) * len(OF_METRIC)]
         yield SystemNumber(
-            **msgspec.structs.asdict(one), metric=metric, n=int(n or 0), mean=mean, low=low, high=high, sd=sd
+            **msgspec.structs.asdict(trial), metric=metric, n=int(n or 0), mean=mean, low=low, high=high, sd=sd
         )
 
 
 def held_ranks(moved: Sequence[str], answers: Mapping[str, Sequence[Answer]]) -> Iterator[HeldRank]:
-    """Yield where FSAR stands beside each other architecture by each metric, from the answers in these settings."""
+    """Yield how FSAR compares with each other architecture by each metric, from the answers in these settings."""
     for other in [name for name in answers if name != "fsar"]:
-        for at, metric in enumerate(METRICS):
+        for position, metric in enumerate(METRICS):
             sides = {
-                name: _side(ours, theirs, at * len(OF_METRIC))
+                name: _side(ours, theirs, position * len(OF_METRIC))
                 for name, ours, theirs in zip(moved, answers["fsar"], answers[other], strict=True)
             }
-            higher, lower = (tuple(name for name, side in sides.items() if side == one) for one in ("higher", "lower"))
+            higher, lower = (
+                tuple(name for name, side in sides.items() if side == wanted) for wanted in ("higher", "lower")
+            )
             yield HeldRank(
                 architecture=other,
                 metric=metric,
@@ -189,9 +197,9 @@ def held_ranks(moved: Sequence[str], answers: Mapping[str, Sequence[Answer]]) ->
             )
 
 
-def _side(ours: Answer, theirs: Answer, at: int) -> Literal["higher", "lower", "alike"] | None:
-    """Tell on which side of the other's interval ours lies; None where one of them is undefined."""
-    low, high = at + OF_METRIC.index("ci_low"), at + OF_METRIC.index("ci_high")
+def _side(ours: Answer, theirs: Answer, offset: int) -> Literal["higher", "lower", "alike"] | None:
+    """Return on which side of the other's interval ours lies; None where one of them is undefined."""
+    low, high = offset + OF_METRIC.index("ci_low"), offset + OF_METRIC.index("ci_high")
     our_low, our_high, their_low, their_high = ours[low], ours[high], theirs[low], theirs[high]
     if our_low is None or our_high is None or their_low is None or their_high is None:
         return None
@@ -199,8 +207,8 @@ def _side(ours: Answer, theirs: Answer, at: int) -> Literal["higher", "lower", "
 
 
 def _grades(architecture: str, values: Sequence[float | None]) -> Iterator[SystemGrade]:
-    found = values[len(METRICS) * len(OF_METRIC) :][: len(FEATURES)]
-    for feature, grade in zip(FEATURES, found, strict=True):
+    numbers = values[len(METRICS) * len(OF_METRIC) :][: len(FEATURES)]
+    for feature, grade in zip(FEATURES, numbers, strict=True):
         yield SystemGrade(
             architecture=architecture, feature=feature, grade=None if grade is None else GRADES[int(grade)]
         )

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from fsar_ledger.metrics.study_results import Result
 
 STUDIES = ("ranking", "calibration", "ensemble", "predictions", "comparison", "sensitivity", "placebo", "systems")
-"""Those whose results are files."""
+"""The studies whose results are files."""
 
 OutOption = Annotated[Place, Option("--out", "FILE", "The result, as JSON; replaced if it exists.")]
 GOES_ON = "finished evaluations are kept beside --out, and the same command continues there"
