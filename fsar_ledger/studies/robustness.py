@@ -285,11 +285,9 @@ def _signs(answers: Sequence[Answer]) -> Iterator[SignCount]:
     for (metric, comparison), test in printed_tests().items():
         first, second = (CELLS.index((metric, architecture)) for architecture in comparison.split("-"))
         differences = [
-            one_mean - other_mean
+            one - other
             for answer in answers
-            if (one_mean := answer[first]) is not None
-            and (other_mean := answer[second]) is not None
-            and one_mean != other_mean
+            if (one := answer[first]) is not None and (other := answer[second]) is not None and one != other
         ]
         same = sum((difference > 0) == (test.t > 0) for difference in differences)
         yield SignCount(
